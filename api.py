@@ -228,6 +228,7 @@ def fit(
     from hystmpc.models.contract.metadata import DeviceLimits, Range
     from hystmpc.models.kinds.catalogue import chosen_kind
     from hystmpc.models.kinds.kind import FitRequest
+    from hystmpc.models.kinds.worth import identified
 
     chosen = chosen_kind(kind, None if drive is None else str(drive), residual)
     device = DeviceLimits(Range(lower=limits.lower, upper=limits.upper), limits.rate) if limits else DeviceLimits()
@@ -252,7 +253,7 @@ def fit(
         if progress is not None:
             progress(done, total or done, f"best {rmse:.4g} {unit}")
 
-    return Fit(kind, chosen.fit(used, request, told), tuple(used))
+    return Fit(kind, identified(chosen, used, request, told), tuple(used))
 
 
 @in_a_line
@@ -588,9 +589,9 @@ def _directed(trials: Logs, preset: Layout, rate_hz: float, inverse: bool) -> li
 
 def _at_rate(trials: Logs, preset: Layout, rate_hz: float) -> list[Trial]:
     """Trials on a uniform grid of that rate, see `at_rate`."""
-    from hystmpc.trials.check import require_seconds
+    from hystmpc.trials.check import require_sound
 
     recorded = read_trials(trials, preset)
     for trial in recorded:
-        require_seconds(trial)
+        require_sound(trial)
     return at_rate(recorded, rate_hz)

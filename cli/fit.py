@@ -18,6 +18,7 @@ from hystmpc.models.evaluate import RANGE_SLACK, error_sentence
 from hystmpc.models.identify.auto import AutoFit
 from hystmpc.models.kinds.catalogue import KINDS, chosen_kind
 from hystmpc.models.kinds.kind import FitRequest, Identified, ModelKind
+from hystmpc.models.kinds.worth import identified
 from hystmpc.models.load import load_model
 from hystmpc.models.simulator import save_simulator
 from hystmpc.trials.errors import ConfigError
@@ -238,7 +239,7 @@ def _identify(kind: ModelKind, trials: list[Trial], request: FitRequest, path: P
         errors.print(f"{kind.name}, preset {request.preset}: about {_duration(seconds)} on this machine")
     with bar(f"fit {kind.name}", steps) as show:
         show(0, "first look")
-        found = kind.fit(trials, request, lambda done, rmse: show(done, f"best {rmse:.4g} {unit}"))
+        found = identified(kind, trials, request, lambda done, rmse: show(done, f"best {rmse:.4g} {unit}"))
         if steps is None:
             done, best = found.history[-1]
             show(done, f"best {best:.4g} {unit}", total=done)

@@ -14,7 +14,8 @@ import typer
 
 from hystmpc.models.contract.checks import parse_model
 from hystmpc.models.contract.metadata import PREFIX
-from hystmpc.trials.check import Severity, check, gaps_said, require_seconds
+from hystmpc.trials.check import Severity, check, require_sound
+from hystmpc.trials.clock_findings import gaps_said
 from hystmpc.trials.config import read_yaml
 from hystmpc.trials.errors import ConfigError, HystmpcError, ModelError
 from hystmpc.trials.files import require_writable
@@ -89,7 +90,7 @@ def trials_at(logs: Sequence[Path], layout: str, rate_hz: float, sampled_hz: flo
     """
     recorded = read_trials(logs, layout, sampled_hz=sampled_hz)
     for trial in recorded:
-        require_seconds(trial)
+        require_sound(trial)
         if said := gaps_said(trial, parts_at_gaps(trial)):
             errors.print(f"note: {trial.source}: {said}", soft_wrap=True, highlight=False)
     trials = at_rate(recorded, rate_hz)
@@ -119,10 +120,10 @@ def simulator_at(path: Path) -> Simulator | OnnxModel:
 
 
 def warn_of_units(trials: Sequence[Trial]) -> None:
-    """One line a signal that looks like another unit: nothing else would tell radians from a weak device."""
+    """A line where a signal looks like another unit, or has another clock: an error of the model would tell neither."""
     for trial in trials:
         for finding in check(trial).findings:
-            if finding.topic.startswith("units") and finding.severity is Severity.WARNING:
+            if finding.topic.startswith(("units", "clocks")) and finding.severity is Severity.WARNING:
                 text = f"warning: {trial.source}: {finding.topic}: {finding.message}"
                 errors.print(text, style="yellow", soft_wrap=True, highlight=False)
 

@@ -19,7 +19,7 @@ from hystmpc.models.kinds.catalogue import chosen_kind
 from hystmpc.models.kinds.kind import FitRequest
 from hystmpc.models.simulator import load_simulator, save_simulator
 from hystmpc.sim.study import knowledge
-from hystmpc.trials.check import Severity, check, require_seconds
+from hystmpc.trials.check import Severity, check, require_sound
 from hystmpc.trials.errors import FitError, LogError
 from hystmpc.trials.read import read_trials
 from hystmpc.trials.trial import Trial, at_rate
@@ -95,7 +95,7 @@ def uniform_trials(subject: Subject) -> list[Trial]:
     """
     recorded = read_trials(subject.trials)
     for trial in recorded:
-        require_seconds(trial)
+        require_sound(trial)
     return at_rate(recorded, subject.rate_hz)
 
 

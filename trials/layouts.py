@@ -242,9 +242,6 @@ UnitName = Literal[
 ]  # fmt: skip
 """Units that a mapping may name; a list, so that a slip of the pen is no new unit. `1` is for all others."""
 
-SECONDS = MappingProxyType({"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9})
-"""Unit of a time signal -> seconds."""
-
 LOG_TIME, HEADER_TIME = "log", "header"
 """Times that every message has: when it was logged, and `header.stamp` of stamped messages."""
 
@@ -258,6 +255,11 @@ class SignalSettings(Settings):
         minus: a signal of the same time stamps that is taken from it: the second of two opposed chambers or tendons.
         scale, offset: applied to the logged number; the result is in `unit`.
         hold: the value stays until the next one (a command), instead of being interpolated (a measurement).
+        missing: logged numbers, such as -9999, that stand for no value; these samples are left out.
+        sign_bit: bit of the logged number that is its sign, the lower bits its size, such as 15 of a servo.
+        wraps_at: modulus of the logged number, such as 360 or 65536; its jumps are taken out, and it begins within
+            half of this of zero.
+        shift_s: added to the time stamps of this signal [s], where it has another clock.
     """
 
     signal: Annotated[str, Field(min_length=1)]
@@ -265,6 +267,10 @@ class SignalSettings(Settings):
     scale: float = 1.0
     offset: float = 0.0
     hold: bool = False
+    missing: tuple[float, ...] = ()
+    sign_bit: Annotated[int, Field(ge=1, le=62)] | None = None
+    wraps_at: Annotated[float, Field(gt=0)] | None = None
+    shift_s: float = 0.0
 
     @model_validator(mode="before")
     @classmethod
@@ -307,7 +313,8 @@ class LogMapping(Settings):
         command, angle: the two signals that every trial has.
         channels: further signals under the names they get.
         time: a signal that holds time; or `log` (when a message was logged) or `header` (`header.stamp`).
-        time_unit: unit of a time signal.
+        time_unit: unit of a time signal; `d` are days, as spreadsheets have them.
+        time_wraps_at: modulus of a time signal that is a counter, in its unit, such as 65536 or 4294967296.
         rate_hz: sampling rate [Hz] of a log without any time, or with a broken clock; then `time` is not looked at.
         base: the signal whose time stamps the trial gets.
     """
@@ -316,7 +323,8 @@ class LogMapping(Settings):
     angle: AngleSettings
     channels: dict[str, SignalSettings] = Field(default_factory=dict)
     time: Annotated[str, Field(min_length=1)] = LOG_TIME
-    time_unit: Literal["s", "ms", "us", "ns"] = "s"
+    time_unit: Literal["s", "ms", "us", "ns", "min", "h", "d"] = "s"
+    time_wraps_at: Annotated[float, Field(gt=0)] | None = None
     rate_hz: Annotated[float, Field(gt=0)] | None = None
     base: Literal["angle", "command"] = "angle"
 

@@ -83,7 +83,7 @@ def segment(trial: Trial, rule: SegmentRule = DEFAULT_RULE) -> Segments:
     dt = require_uniform(trial)
     command = _device_command(trial)
     span = float(np.ptp(command))
-    direction, reversals = _turning_points(command, rule.reversal * span)
+    direction, reversals = turning_points(command, rule.reversal * span)
     labels = np.zeros(len(trial), dtype=np.int8)
     if direction:
         pieces = np.diff(np.concatenate(([0], reversals + 1, [len(trial)])))
@@ -104,7 +104,7 @@ def first_flexure_end(trial: Trial, rule: SegmentRule = DEFAULT_RULE) -> int:
     """
     require_uniform(trial)
     command = _device_command(trial)
-    _, reversals = _turning_points(command, rule.reversal * float(np.ptp(command)))
+    _, reversals = turning_points(command, rule.reversal * float(np.ptp(command)))
     if not reversals.size:
         unit = trial.units.angle if trial.inverted else trial.units.command
         raise LogError(
@@ -118,7 +118,7 @@ def _device_command(trial: Trial) -> Vec:
     return trial.angle if trial.inverted else trial.command
 
 
-def _turning_points(command: Vec, threshold: float) -> tuple[int, Index]:
+def turning_points(command: Vec, threshold: float) -> tuple[int, Index]:
     """First direction (+1, -1, 0 if none) and the samples at which the command turns by more than `threshold`."""
     values = command.tolist()
     highest = lowest = 0

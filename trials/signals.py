@@ -8,7 +8,11 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
+from .clock_shift import shift_between
+from .clocks import SECONDS, without_wraps
+from .encodings import decoded
 from .errors import LogError, nearest, shown
 from .layouts import (
     ANGLE_UNIT_OF,
@@ -17,7 +21,6 @@ from .layouts import (
     HEADER_TIME,
     LOG_TIME,
     OUTPUT_UNITS,
-    SECONDS,
     LogMapping,
     SignalSettings,
     few,
@@ -36,10 +39,12 @@ class Series:
     Attributes:
         t: time stamps [s], (T,); of a log whose samples have none, not-a-number throughout.
         values: as logged, (T,); not-a-number where the log says null.
+        left_out: samples whose value stands for a missing one, (T,); None for none.
     """
 
     t: Vec
     values: Vec
+    left_out: NDArray[np.bool_] | None = None
 
 
 class Source(Protocol):
@@ -122,17 +127,38 @@ def read_mapped(source: Source, mapping: LogMapping) -> Raw:
     for name, series in zip([*wanted, *taken], found, strict=True):
         if not series.values.size:
             raise LogError(f"{source.path}: signal {name!r} is empty, expected samples{_and(source.note)}")
-    found = _differences(source.path, mapping, found)
+    owners = [*mapping.signals(), *(signal for signal in mapping.signals() if signal.minus is not None)]
+    found = _differences(source.path, mapping, [_decoded(s, owner) for s, owner in zip(found, owners, strict=True)])
     if mapping.rate_hz is not None:
-        found = [Series(np.arange(s.values.size) / mapping.rate_hz, s.values) for s in found]
+        found = [Series(np.arange(s.values.size) / mapping.rate_hz, s.values, s.left_out) for s in found]
     elif own_time:
-        found = [Series(s.t * SECONDS[mapping.time_unit], s.values) for s in found]
+        found = [Series(_seconds(s.t, mapping), s.values, s.left_out) for s in found]
     elif np.isnan(found[0].t).all():
         raise LogError(f"{source.path}: no time stamps of its own, expected `time: SIGNAL` or `rate_hz` in the mapping")
     else:
         start = min(float(np.min(s.t)) for s in found)
-        found = [Series(s.t - start, s.values) for s in found]
-    return _joined(source, mapping, found)
+        found = [Series(s.t - start, s.values, s.left_out) for s in found]
+    shifts = (signal.shift_s for signal in mapping.signals())
+    return _joined(source, mapping, [_shifted(s, shift) for s, shift in zip(found, shifts, strict=True)])
+
+
+def _decoded(series: Series, settings: SignalSettings) -> Series:
+    """The signal as it is encoded in the log; samples whose value stands for a missing one are to be left out."""
+    values = decoded(series.values, settings.missing, settings.sign_bit, settings.wraps_at)
+    return Series(series.t, values, np.isnan(values) & ~np.isnan(series.values))
+
+
+def _seconds(t: Vec, mapping: LogMapping) -> Vec:
+    """Stamps of a time signal [s]."""
+    whole = t if mapping.time_wraps_at is None else without_wraps(t, mapping.time_wraps_at)
+    return whole * SECONDS[mapping.time_unit]
+
+
+def _shifted(series: Series, shift_s: float) -> Series:
+    """The samples that count, at their own time."""
+    if series.left_out is None or not series.left_out.any():
+        return Series(series.t + shift_s, series.values) if shift_s else series
+    return Series(series.t[~series.left_out] + shift_s, series.values[~series.left_out])
 
 
 def canonical_mapping(names: Sequence[str], path: str, clock: str = "") -> LogMapping:
@@ -232,7 +258,8 @@ def _differences(path: str, mapping: LogMapping, found: Sequence[Series]) -> lis
                     f"{path}: {settings.signal!r} and {settings.minus!r} have other time stamps, "
                     "expected a difference of two fields of one message"
                 )
-            series = Series(series.t, series.values - other.values)
+            both = None if series.left_out is None or other.left_out is None else series.left_out | other.left_out
+            series = Series(series.t, series.values - other.values, both)
         left.append(series)
     return left
 
@@ -247,6 +274,7 @@ def _joined(source: Source, mapping: LogMapping, found: Sequence[Series]) -> Raw
         spans = " and ".join(f"{s.t[0]:.6g} to {s.t[-1]:.6g} s" for s in (command, angle))
         raise LogError(
             f"{source.path}: command and angle share {t.size} samples (they span {spans}), expected 2 or more"
+            f"{_two_clocks(mapping, command, angle)}"
         )
     signals = [_at(t, series, settings) for series, settings in zip(found, mapping.signals(), strict=True)]
     # What gives the base keeps its values as they are: nothing of it is interpolated, not even where a stamp repeats.
@@ -264,6 +292,17 @@ def _joined(source: Source, mapping: LogMapping, found: Sequence[Series]) -> Raw
         mapping.name,
         source.note,
     )
+
+
+def _two_clocks(mapping: LogMapping, command: Series, angle: Series) -> str:
+    """What to do about two signals that have hardly any time in common, for the end of a line."""
+    shift = shift_between(command.t, command.values, angle.t, angle.values)
+    if shift is None:
+        return "; are their clocks two?"
+    other = ", or `time: log`" if mapping.time == HEADER_TIME else ""
+    late = "late" if shift.late_s > 0 else "early"
+    key = f"`angle: {{..., shift_s: {-shift.late_s:.4g}}}`"
+    return f"; the angle's clock is about {abs(shift.late_s):.4g} s {late}: {key}{other}"
 
 
 def _ordered(series: Series) -> Series:

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
+from .clocks import counter_wrap, interval_of
 from .errors import ConfigError, LogError
 from .types import Vec
 
@@ -195,21 +196,15 @@ def even_time(samples: int, rate_hz: float) -> Vec:
     return np.arange(samples) / positive_rate(rate_hz)
 
 
-_SOUND = 20  # intervals from which a rate can be told
-
-
 def clock_advice(t: Vec) -> str:
     """What to do about time stamps (T,) [s] that repeat or run backwards, for an error line: `; ...`."""
-    steps = np.diff(t)
-    late = np.flatnonzero(steps <= 0)
-    if late.size and late[0] >= _SOUND:  # a clock that ran out of digits coarsens: its sound part tells the rate
-        steps = steps[: late[0]]
-    if not np.any(steps > 0):
+    wrap = counter_wrap(t)
+    if wrap is not None:
+        return f"; {wrap.text}: `hystmpc check` names the key of a mapping file that reads it"
+    interval = interval_of(t)
+    if interval is None:
         return ""
-    # Where stamps only repeat, each repetition is a sample too; a clock that ran backwards has no duration.
-    interval = float(np.mean(steps) if np.all(steps >= 0) else np.median(steps[steps > 0]))
-    rate = 1 / interval
-    return f"; if it was sampled evenly, `--sampled-hz {rate:.4g}` stands in for the broken clock"
+    return f"; if it was sampled evenly, `--sampled-hz {interval.rate_hz:.4g}` stands in for the broken clock"
 
 
 MAX_GAP_S = 0.2

@@ -11,7 +11,7 @@ import numpy as np
 
 from hystmpc.models.contract.metadata import ModelMetadata
 from hystmpc.models.simulator import Simulator
-from hystmpc.trials.check import require_seconds
+from hystmpc.trials.check import require_sound
 from hystmpc.trials.errors import GapError
 from hystmpc.trials.trial import Trial
 
@@ -81,7 +81,7 @@ def check_trials(
     if not trials:
         raise GapError("no trial given, expected one or more logs of the simulator's device")
     for trial in trials:
-        require_seconds(trial)
+        require_sound(trial)
         _require_units(trial, facts)
     _require_motion(trials)
     _require_commands(trials, facts)

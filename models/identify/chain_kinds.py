@@ -71,7 +71,8 @@ def falls(of_what: str, unit: str) -> FitError:
         of_what: by how much it falls, and when.
         unit: of the output.
     """
-    text = f"the angle falls with the command {of_what}, expected it to rise; turn the sign of one channel"
+    text = f"the angle falls with the command {of_what}, expected it to rise; "
+    text += "where `hystmpc check` shows no delay and no second clock, turn the sign of one channel"
     if unit == "deg":
         return FitError(text)
     return FitError(f"{text}; an output that may fall, such as a force, {' and '.join(FRICTION_KINDS)} fit")

@@ -164,7 +164,7 @@ def test_a_clock_that_runs_out_of_digits_is_stood_in_for(tmp_path: Path) -> None
 def test_the_rate_of_a_clock_too_coarse_from_the_start_counts_its_repetitions() -> None:
     t = 0.01 * np.arange(3000.0)  # 100 Hz, stamps of a tenth of a second
     coarse = np.floor(10 * t + 1e-9) / 10
-    assert "`--sampled-hz 100.3`" in clock_advice(coarse)  # 2,999 intervals in 29.9 s
+    assert "`--sampled-hz 100`" in clock_advice(coarse)
     back = np.where(np.arange(3000) % 50 == 49, t - 0.1, t)
     assert "`--sampled-hz 100`" in clock_advice(back)
 

@@ -1,0 +1,164 @@
+"""Two clocks in one log: the angle answers its command before it was given, or much later than a device can."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from .segments import turning_points
+from .types import Index, Vec
+
+DELAY_S = 2.0
+"""Delay of an angle behind its command that a device may have [s]: less is never told from one."""
+
+IMPOSSIBLE_S = 0.5
+"""Time by which an angle that answers early is no answer, whatever the command's own sensor [s]."""
+
+_EARLY_S = 0.25  # by which a measured command may come late
+_GRID = 1500  # samples that are looked at
+_LEAST = 50  # samples of a signal that are looked at
+_LONGEST = 0.5  # of the log: more would leave too little in common
+_LIKE = 0.9  # least correlation at the shift that is told
+_TURNS, _TURN = (
+    4,
+    0.1,
+)  # reversals that are compared, and their size in ranges of the command: of few, likeness is chance
+_KNOWN = 0.8  # correlation above which an angle follows its command, or a command its own past
+_GONE = 0.5  # correlation below which a command is no longer like itself
+_BETTER = 0.3  # of the variance that no delay of a device explains
+_LAGS_S = np.geomspace(0.1, 60.0, 9)  # time constants of a device that is slow instead
+
+
+@dataclass(frozen=True)
+class ClockShift:
+    """Shift of the angle's time stamps against the command's.
+
+    Attributes:
+        late_s: by which the angle's stamps are late [s]; below zero they are early.
+        correlation: of angle and command without this shift.
+        without: the same as they stand.
+    """
+
+    late_s: float
+    correlation: float
+    without: float
+
+
+def clock_shift(t: Vec, command: Vec, angle: Vec) -> ClockShift | None:
+    """The shift in time between command and angle that no device explains; None where there is none to be told.
+
+    It is told where a shift makes the two look alike (correlation of 0.9 and more) and leaves less than 0.3 of the
+    variance that is left by every delay of up to `DELAY_S`, and by every first-order lag. A periodic command tells no
+    shift from another one a period later: where the command is like itself after this time, none is told.
+
+    Args:
+        t: time, increasing (T,) [s].
+        command, angle: (T,).
+    """
+    duration = float(t[-1] - t[0])
+    dt = max(duration / _GRID, float(np.median(np.diff(t))))
+    grid = np.arange(t[0], t[-1], dt)
+    if grid.size < _LEAST or np.ptp(command) == 0 or np.ptp(angle) == 0:
+        return None
+    u, y = np.interp(grid, t, command), np.interp(grid, t, angle)
+    lags, like = correlations(u, y, round(_LONGEST * grid.size))
+    size = np.abs(like)
+    best = int(np.argmax(size))
+    device = (lags * dt >= -_EARLY_S) & (lags * dt <= DELAY_S)
+    if device[best] or size[best] < _LIKE:
+        return None
+    common = u[: u.size - lags[best]] if lags[best] > 0 else u[-lags[best] :]
+    if turning_points(common, _TURN * float(np.ptp(u)))[1].size < _TURNS:
+        return None
+    as_it_is = _like_a_device(u, y, int(lags[best]), dt, size[device])
+    if as_it_is > _LIKE or _repeats(u, int(lags[best]), round(DELAY_S / dt)):
+        return None
+    left, left_by_device = 1 - size[best] ** 2, 1 - as_it_is**2
+    if left > _BETTER * left_by_device or left > _BETTER * _left_by_lags(u, y, dt):
+        return None
+    return ClockShift(float(lags[best] * dt), float(like[best]), float(like[lags == 0][0]))
+
+
+def _repeats(u: Vec, lag: int, slack: int) -> bool:
+    """Whether a command, or its opposite, comes again so that a delay of up to `slack` samples looks like `lag`."""
+    near, far = (lag - slack, lag) if lag > 0 else (-lag, slack - lag)
+    _, like = correlations(u, u, min(far, u.size - 10))
+    later = np.abs(like[like.size // 2 :])  # from no lag on
+    gone = int(np.argmax(later < _GONE)) if np.any(later < _GONE) else later.size
+    return bool(np.any(later[max(near, gone) :] > _KNOWN))
+
+
+def _like_a_device(u: Vec, y: Vec, lag: int, dt: float, whole: Vec) -> float:
+    """Greatest correlation at a delay of a device: of the whole log, and of the parts that the shift compares.
+
+    A log whose first motion differs from its later ones is like itself one motion later, but also in each part.
+    """
+    found, count = [float(whole.max())], u.size - abs(lag)
+    for part in (slice(0, count), slice(u.size - count, u.size)):
+        lags, like = correlations(u[part], y[part], round(DELAY_S / dt))
+        found.append(float(np.abs(like[lags * dt >= -_EARLY_S]).max()))
+    return max(found)
+
+
+def shift_between(command_t: Vec, command: Vec, angle_t: Vec, angle: Vec) -> ClockShift | None:
+    """The shift of two signals with clocks of their own, whose stamps need not overlap; None where they are not alike.
+
+    Args:
+        command_t, command: (T,), stamps increasing [s].
+        angle_t, angle: (S,).
+    """
+    duration = max(float(np.ptp(command_t)), float(np.ptp(angle_t)))
+    dt = duration / _GRID
+    if not dt > 0:
+        return None
+    first, second = (np.arange(t[0], t[-1], dt) for t in (command_t, angle_t))
+    if min(first.size, second.size) < _LEAST:
+        return None
+    u, y = np.interp(first, command_t, command), np.interp(second, angle_t, angle)
+    lags, like = correlations(u, y, round(_LONGEST * min(u.size, y.size)))
+    best = int(np.argmax(np.abs(like)))
+    if abs(like[best]) < _LIKE:
+        return None
+    return ClockShift(float(lags[best] * dt + angle_t[0] - command_t[0]), float(like[best]), float("nan"))
+
+
+def correlations(u: Vec, y: Vec, most: int) -> tuple[Index, Vec]:
+    """Correlation of y(k + lag) with u(k) over their common samples, for lags of up to `most` samples either way.
+
+    Returns:
+        lags (L,) in samples, and correlations (L,) in [-1, 1].
+    """
+    n, m = u.size, y.size
+    u, y = u - u.mean(), y - y.mean()
+    size = 1 << (n + m).bit_length()
+    lags = np.arange(-most, most + 1)
+
+    def cross(a: Vec, b: Vec) -> Vec:
+        spectrum = np.conj(np.fft.rfft(a, size)) * np.fft.rfft(b, size)
+        return np.asarray(np.fft.irfft(spectrum, size)[lags], dtype=np.float64)
+
+    ones_u, ones_y = np.ones(n), np.ones(m)
+    count = np.maximum(cross(ones_u, ones_y), 1.0)
+    sum_u, sum_y = cross(u, ones_y), cross(ones_u, y)
+    power_u = cross(u * u, ones_y) - sum_u**2 / count
+    power_y = cross(ones_u, y * y) - sum_y**2 / count
+    together = cross(u, y) - sum_u * sum_y / count
+    # Where hardly anything moves in the common part, likeness is chance.
+    moves = (power_u > 0.1 * count * u.var()) & (power_y > 0.1 * count * y.var())
+    scale = np.sqrt(np.where(moves, power_u * power_y, 1.0))
+    return lags, np.asarray(np.where(moves, together / scale, 0.0), dtype=np.float64)
+
+
+def _left_by_lags(u: Vec, y: Vec, dt: float) -> float:
+    """Least share of the variance of y that u behind a first-order lag and its own direct share leave."""
+    from scipy.signal import lfilter, lfiltic
+
+    least = 1.0
+    for tau in _LAGS_S:
+        keep = float(np.exp(-dt / tau))
+        late = lfilter([1 - keep], [1, -keep], u, zi=lfiltic([1 - keep], [1, -keep], [u[0]]))[0]
+        columns = np.column_stack([np.ones(u.size), late, u])
+        residual = y - columns @ np.linalg.lstsq(columns, y, rcond=None)[0]
+        least = min(least, float(residual.var() / y.var()))
+    return least

@@ -1,0 +1,223 @@
+"""What time stamps tell of the clock behind them: its rate, its unit, and a counter that wrapped."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from types import MappingProxyType
+
+import numpy as np
+
+from .types import Vec
+
+SECONDS = MappingProxyType({"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0, "d": 86400.0})
+"""Unit of a time signal -> seconds; spreadsheets count in days, `d`."""
+
+UNIT_NAMES = MappingProxyType(
+    {"ms": "milliseconds", "us": "microseconds", "ns": "nanoseconds", "min": "minutes", "h": "hours", "d": "days"}
+)
+
+SLOWEST_HZ, FASTEST_HZ, UNUSUAL_HZ = 1.0, 1e5, 2e4
+"""No closed loop of this field samples at the first or slower, nor at the second or faster; few at the third."""
+
+_DATES = (20_000.0, 80_000.0)  # days since 1900 in spreadsheets: the years 1954 to 2119
+_USUAL_HZ, _USUAL_S = 50.0, 2.0  # a rate, and a time between two reversals, that devices of this field have
+_IN_DOUBT = 0.5  # powers of ten: two units that differ by less in how usual they are, are both named
+_NEVER_TURNS_S = 1000.0  # between two reversals
+_SAME = 1.5  # a step of a clock that is longer than that many usual ones is a gap
+
+
+@dataclass(frozen=True)
+class Interval:
+    """Interval between two samples of a log that was sampled evenly, as far as its stamps tell it.
+
+    Attributes:
+        least, most: bounds [s].
+    """
+
+    least: float
+    most: float
+
+    @property
+    def middle(self) -> float:
+        """Middle of the bounds [s]."""
+        return 0.5 * (self.least + self.most)
+
+    @property
+    def rate_hz(self) -> float:
+        """The rate of fewest digits that the stamps allow [Hz]; four digits where none of up to four does."""
+        return plainest(1 / self.most, 1 / self.least if self.least > 0 else np.inf)
+
+
+def plainest(least: float, most: float) -> float:
+    """The number of fewest significant digits, up to four, between two positive numbers, nearest to their middle."""
+    middle = 0.5 * (least + most) if np.isfinite(most) else least
+    rounded = [float(f"{middle:.{digits}e}") for digits in range(4)]
+    return next((number for number in rounded if least <= number <= most), rounded[-1])
+
+
+def interval_of(t: Vec) -> Interval | None:
+    """The sample interval from stamps (T,) [s] that may repeat or run backwards; None without a forward step.
+
+    The longest stretch without a step backwards or a gap counts. Of stamps that repeat, since their clock is coarse,
+    n samples from one change of the stamp to another last as long as n - 1 to n + 1 intervals. Of others the two ends
+    are known to the last digit that is written. Jitter widens both.
+    """
+    t = t[np.isfinite(t)]
+    steps = np.diff(t)
+    forward = steps[steps > 0]
+    if not forward.size:
+        return None
+    whole = (steps >= 0) & (steps <= _SAME * float(np.median(forward)))
+    start, stop = _longest(whole)
+    part, steps = t[start : stop + 1], steps[start:stop]
+    edges = np.flatnonzero(steps > 0) + 1
+    if edges.size == steps.size or edges.size < 3:
+        duration = float(part[-1] - part[0])
+        slack = _resolution(part) + 2 * float(np.std(steps)) if edges.size == steps.size else float(np.median(forward))
+        return Interval(max(duration - slack, 0.0) / steps.size, (duration + slack) / steps.size)
+    counts = np.diff(edges)
+    slack = 1 + 2 * max(0.0, float(np.std(counts)) - 0.5)
+    duration, count = float(part[edges[-1]] - part[edges[0]]), int(edges[-1] - edges[0])
+    return Interval(duration / (count + slack), duration / max(count - slack, 0.5))
+
+
+def _longest(inside: np.ndarray) -> tuple[int, int]:
+    """Start and stop (exclusive) of the longest run of true values."""
+    edges = np.diff(np.concatenate(([0], inside.astype(np.int8), [0])))
+    starts, stops = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)
+    k = int(np.argmax(stops - starts))
+    return int(starts[k]), int(stops[k])
+
+
+def _resolution(t: Vec) -> float:
+    """Last decimal that stamps are written with, which increase [s]; 0 where they have all digits."""
+    least = float(np.diff(t).min())
+    for digits in range(10):
+        if 10.0**-digits > 1.001 * least:  # stamps that coarse would repeat
+            continue
+        scaled = t * 10.0**digits
+        if np.all(np.abs(scaled - np.rint(scaled)) < 1e-4):
+            return float(10.0**-digits)
+    return 0.0
+
+
+@dataclass(frozen=True)
+class Suspicion:
+    """Another unit that time stamps, read as seconds, are likely in.
+
+    Attributes:
+        units: the unit, or two that are as likely, keys of `SECONDS`.
+        certain: in seconds the rate would be none of this field.
+        read: what a mapping file needs to say.
+    """
+
+    units: tuple[str, ...]
+    certain: bool
+
+    @property
+    def text(self) -> str:
+        """The question, and what reads the log then."""
+        names = " or ".join(UNIT_NAMES[unit] for unit in self.units)
+        return f"is it in {names}? A mapping file with `time_unit: {self.units[0]}` reads it"
+
+
+def suspected_unit(t: Vec, turns: int = 0) -> Suspicion | None:
+    """The unit that stamps (T,), taken for seconds, are more likely in; None where seconds may be right.
+
+    Where the rate is too slow or too fast for seconds, that unit is taken in which the rate and the time between two
+    reversals of the command are most usual.
+
+    Args:
+        t: stamps, in any order.
+        turns: reversals of the command; 0 where they are not known.
+    """
+    interval = interval_of(t)
+    if interval is None:
+        return None
+    step, duration = interval.middle, interval.middle * t.size
+    turn = duration / (turns + 1) if turns else None
+    dated = step < 1e-3 and _DATES[0] < float(np.nanmin(t)) and float(np.nanmax(t)) < _DATES[1]
+    if dated or step <= 1 / UNUSUAL_HZ:
+        return Suspicion(_likeliest(("min", "h", "d"), step, turn, dated), dated or step <= 1 / FASTEST_HZ)
+    if step >= 1 / SLOWEST_HZ:
+        return Suspicion(_likeliest(("ms", "us", "ns"), step, turn), certain=True)
+    if step >= 0.1 / SLOWEST_HZ and turn is not None and turn > _NEVER_TURNS_S:
+        return Suspicion(("ms",), certain=False)
+    return None
+
+
+def _likeliest(units: tuple[str, ...], step: float, turn: float | None, dated: bool = False) -> tuple[str, ...]:
+    if dated:
+        return ("d",)
+
+    def unusual(unit: str) -> float:
+        one = SECONDS[unit]
+        slow = abs(np.log10(_USUAL_HZ * step * one))
+        return float(slow if turn is None else slow + abs(np.log10(turn * one / _USUAL_S)))
+
+    first, second, *_ = sorted(units, key=unusual)
+    return (first, second) if unusual(second) < unusual(first) + _IN_DOUBT else (first,)
+
+
+@dataclass(frozen=True)
+class CounterWrap:
+    """A clock that started again from its least number.
+
+    Attributes:
+        modulus: by how much it fell, in the unit of the stamps.
+        bits: of the counter; 0 where it is none of 2^n.
+        samples: first samples after it fell.
+    """
+
+    modulus: float
+    bits: int
+    samples: tuple[int, ...]
+
+    @property
+    def text(self) -> str:
+        """What it is."""
+        if self.bits and self.modulus == 2.0**self.bits:
+            return f"a counter of {self.bits} bits that wraps at 2^{self.bits}"
+        return f"a clock that wraps at {self.modulus:.16g}"
+
+
+_PERIODS = (60.0, 3600.0, 43200.0, 86400.0)  # seconds of a minute, of an hour, of half a day, of a day
+
+
+def _moduli() -> dict[float, int]:
+    found = {2.0**bits / scale: bits for bits in range(8, 65) for scale in (1e9, 1e6, 1e3, 1.0)}
+    others = [second * scale for second in (1.0, *_PERIODS) for scale in (1.0, 1e3, 1e6, 1e9)]
+    return found | dict.fromkeys(others, 0)
+
+
+_MODULI = _moduli()
+
+
+def counter_wrap(t: Vec) -> CounterWrap | None:
+    """The modulus at which a clock wrapped, from its stamps (T,) in any unit; None where it fell in another way.
+
+    Every fall has to be that of one counter: 2^n counts of s, ms, us or ns, or a minute, hour or day.
+    """
+    kept = np.flatnonzero(np.isfinite(t))
+    steps = np.diff(t[kept])
+    back, forward = np.flatnonzero(steps < 0), steps[steps > 0]
+    if not back.size or not forward.size:
+        return None
+    interval = interval_of(t)
+    usual = interval.middle if interval is not None else float(np.median(forward))
+    falls = usual - steps[back]
+    slack = max(2 * float(np.percentile(forward, 99)), usual)
+    fall = float(np.median(falls))
+    if fall < 4 * slack or np.any(np.abs(falls - fall) > slack):
+        return None
+    moduli = np.array(list(_MODULI))
+    near = float(moduli[np.argmin(np.abs(moduli - fall))])
+    if abs(near - fall) > min(slack, 0.2 * fall) or float(np.nanmax(t) - np.nanmin(t)) > near:
+        return None
+    return CounterWrap(near, _MODULI[near], tuple(int(kept[k + 1]) for k in back))
+
+
+def without_wraps(t: Vec, modulus: float) -> Vec:
+    """Stamps (T,) of a counter that wraps, as if it did not: at each fall by more than half of it, plus the modulus."""
+    falls = np.diff(t, prepend=t[:1]) < -0.5 * modulus
+    return t + modulus * np.cumsum(falls)

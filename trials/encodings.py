@@ -1,0 +1,257 @@
+"""Numbers of a sensor that are no measurements: codes for a missing value, wraps of a counter or angle, a sign bit."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .clocks import plainest
+from .types import Vec
+
+Key = Literal["missing", "wraps_at", "sign_bit"]
+
+CODES = (
+    999.0, 9999.0, 99999.0, 999999.0, 9999999.0, 999.9, 999.99, 9999.99, 32767.0, 32768.0, 65535.0, 8388607.0,
+    8388608.0, 16777215.0, 2147483647.0, 2147483648.0, 4294967295.0, 1e6, 1e9, 1e10, 1e20, 1e30, 1e31, 1e38,
+)  # fmt: skip
+"""Magnitudes that loggers write in the place of a missing value, whatever the sign."""
+
+MODULI = (
+    np.pi, 2 * np.pi, 1.0, 90.0, 100.0, 180.0, 200.0, 360.0, 400.0, 720.0, 1000.0, 1440.0, 1800.0, 2000.0, 3600.0,
+    4000.0, 6400.0, 8000.0, 10000.0, 20000.0, 36000.0, *(2.0**bits for bits in range(7, 33)),
+)  # fmt: skip
+"""Where angles and counters wrap: radians, turns, percent, degrees, gons, decimal counts, and 2^n counts."""
+
+_UNUSUAL = (1.0, 90.0, 100.0, 200.0, 400.0, 1000.0, 1800.0, 2000.0, 3600.0, 4000.0, 6400.0, 8000.0, 10000.0, 20000.0)
+_CODES = 3  # different ones in one signal
+_MANY = 0.4  # of the samples: a value that makes more of them is no exception
+_FAR, _ANY_FAR = 0.5, 3.0  # ranges of the others by which a known code, or any value, lies outside them
+_JUMP = 5.0  # times the greatest usual step: no motion
+_USUAL = 99.5  # percentile of the steps that are usual
+_BRIEF_S = 0.25  # stretches of a value that is no known code
+_ROUNDED = 1e-4  # of a modulus: by which a jump may be longer, where numbers are rounded
+_CHOPPY = 0.1  # share of steps that jump, above which a signal has no usual step
+_LATE_S = 1.5  # of an angle behind its command
+_CLEARLY = 0.95  # of what the repair before it leaves: a repair that is taken in its place
+_SMOOTH = 2.0  # greatest other steps: what a repair may leave of the jumps
+_FEW = 2  # jumps
+_LEAST = 10  # samples
+_LEAST_BIT = 7
+_SOFT = (0.0, -1.0)  # codes that lie within the range of many signals: told by the jumps alone
+_ASKED = 0.1  # of the range of the command: a step, in one sample, that may make an angle jump
+_NO_WORSE = 1.3  # of the same, for jumps of an angle that its command does not ask for
+_BETTER = 0.6  # of the variance left unexplained by the other signal, after a repair that counts
+
+
+@dataclass(frozen=True, eq=False)
+class Encoding:
+    """What is wrong with the numbers of one signal, and the signal without it.
+
+    Attributes:
+        key: of a mapping file, that reads it.
+        value: the code, the modulus, or the bit.
+        samples: where it shows: codes, or first samples behind a jump.
+        values: the repaired signal (T,); not-a-number in place of codes.
+    """
+
+    key: Key
+    value: float
+    samples: tuple[int, ...]
+    values: Vec
+
+
+def unwrapped(values: Vec, modulus: float) -> Vec:
+    """The signal (T,) without jumps by a modulus, its first value in [-modulus / 2, modulus / 2).
+
+    A step of more than half the modulus is taken for a wrap. Not-a-number is left out and stays.
+    """
+    known = np.flatnonzero(np.isfinite(values))
+    out = values.astype(np.float64)
+    if known.size:
+        whole = np.unwrap(values[known], period=modulus)
+        out[known] = whole - modulus * np.floor(whole[0] / modulus + 0.5)
+    return out
+
+
+def sign_and_magnitude(values: Vec, bit: int) -> Vec:
+    """Numbers (T,) whose bit `bit` is their sign and whose lower bits are their size."""
+    return np.where(values >= 2.0**bit, 2.0**bit - values, values)
+
+
+def decoded(values: Vec, missing: tuple[float, ...], sign_bit: int | None, wraps_at: float | None) -> Vec:
+    """A logged signal (T,) as a mapping file says that it is encoded; not-a-number in place of codes."""
+    out = np.where(np.isin(values, missing), np.nan, values) if missing else values
+    out = out if sign_bit is None else sign_and_magnitude(out, sign_bit)
+    return out if wraps_at is None else unwrapped(out, wraps_at)
+
+
+def encodings(values: Vec, other: Vec, dt: float, is_command: bool) -> list[Encoding]:
+    """What is wrong with the numbers of one signal, in the order in which it has to be repaired.
+
+    Codes for a missing value are isolated: the signal jumps to exactly this value and back. Wraps and a sign bit are
+    jumps of one size between the ends of the signal's range, without which the other signal explains it better.
+
+    Args:
+        values: as logged (T,), finite.
+        other: the command of an angle, the angle of a command (T,).
+        dt: usual sample interval [s].
+        is_command: whether `values` is the command.
+    """
+    found: list[Encoding] = []
+    late = max(1, round(_LATE_S / dt))
+
+    def codes(values: Vec, far_only: bool) -> list[Encoding]:
+        kept: list[Encoding] = []
+        for _ in range(_CODES):
+            last = kept[-1].values if kept else values
+            code = _code(last, np.isfinite(last), dt, is_command, far_only)
+            if code is None:
+                break
+            kept.append(code)
+        return kept
+
+    found += codes(values, far_only=True)
+    values = found[-1].values if found else values
+    jumps, others = _jumps(values, other, late, is_command), codes(values, far_only=False)
+    # Jumps that are all to one value and back are its code, whatever their size.
+    if jumps is not None and (not others or _jumps(others[-1].values, other, late, is_command) is not None):
+        return [*found, jumps]
+    return [*found, *others]
+
+
+def _code(values: Vec, known: NDArray[np.bool_], dt: float, is_command: bool, far_only: bool) -> Encoding | None:
+    """A value that stands for a missing one; `far_only`: a listed code, far from all other values."""
+    signal, index = values[known], np.flatnonzero(known)
+    if signal.size < _LEAST:
+        return None
+    least, most = float(signal.min()), float(signal.max())
+    listed = [c for size in CODES for c in (-size, size) if least <= c <= most]
+    soft = [] if is_command else [least, most, *(c for c in _SOFT if least < c < most)]
+    for value in listed if far_only else soft:
+        here = signal == value
+        rest = signal[~here]
+        if not 0 < signal.size - rest.size <= _MANY * signal.size or np.unique(rest).size < 3:
+            continue
+        low, high = (float(end) for end in np.percentile(rest, [1, 99]))
+        away = max(low - value, value - high) / max(high - low, 1e-12 * abs(value), 1e-300)
+        starts, stops = _runs(here)
+        jump = _least_jump(signal, value, starts, stops)
+        usual = float(np.percentile(_steps_beside(signal, here), _USUAL if far_only else 100.0))
+        isolated = jump > max(_JUMP * usual, 0.2 * (high - low))
+        if far_only:
+            bad = away > _FAR and bool(isolated.all())
+        else:
+            brief = isolated & ((stops - starts) * dt <= _BRIEF_S)
+            bad = int(np.count_nonzero(brief)) >= 2 and (value in _SOFT or (away > _ANY_FAR and bool(brief.all())))
+        if bad:
+            cleaned = values.copy()
+            cleaned[index[here]] = np.nan
+            return Encoding("missing", float(value), tuple(index[here].tolist()), cleaned)
+    return None
+
+
+def _least_jump(signal: Vec, value: float, starts: NDArray[np.intp], stops: NDArray[np.intp]) -> Vec:
+    """Of each stretch of a value the lesser of the steps into it and out of it; the other one at an end of the log."""
+    into = np.where(starts > 0, np.abs(value - signal[np.maximum(starts - 1, 0)]), np.inf)
+    out = np.where(stops < signal.size, np.abs(signal[np.minimum(stops, signal.size - 1)] - value), np.inf)
+    return np.minimum(into, out)
+
+
+def _steps_beside(signal: Vec, here: NDArray[np.bool_]) -> Vec:
+    """Sizes of the steps that neither begin nor end in `here`."""
+    steps = np.abs(np.diff(signal))[~(here[1:] | here[:-1])]
+    return steps if steps.size else np.zeros(1)
+
+
+def _runs(inside: NDArray[np.bool_]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Starts and stops (exclusive) of the runs of true values."""
+    edges = np.diff(np.concatenate(([0], inside.astype(np.int8), [0])))
+    return np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)
+
+
+def _jumps(values: Vec, other: Vec, late: int, is_command: bool) -> Encoding | None:
+    """A sign bit or a modulus behind jumps of one size."""
+    index = np.flatnonzero(np.isfinite(values))
+    signal, witness = values[index], other[index]
+    if signal.size < 10:
+        return None
+    steps = np.diff(signal)
+    size = np.abs(steps)
+    big = size > 0.5 * float(size.max())
+    if float(size.max()) == 0 or np.count_nonzero(big) > _CHOPPY * size.size:
+        return None
+    usual = float(size[~big].max())
+    if usual == 0 or float(np.median(size[big])) < _JUMP * float(np.percentile(size[~big], _USUAL)):
+        return None
+    before = _unexplained(signal, witness, late, is_command)
+    at = tuple(int(index[k + 1]) for k in np.flatnonzero(big))
+    # An angle that jumps while its command does not, by the same each time, is no motion.
+    unasked = not is_command and _unasked(witness, np.flatnonzero(big) + 1, late)
+    if not unasked and np.count_nonzero(big) < _FEW:
+        return None
+    best, limit = None, (_NO_WORSE if unasked else _BETTER) * before
+    for key, value, repaired in _repairs(signal, size[big], usual):
+        smooth = float(np.abs(np.diff(repaired)).max()) <= _SMOOTH * usual
+        if smooth and (left := _unexplained(repaired, witness, late, is_command)) < limit:
+            whole = values.copy()
+            whole[index] = repaired
+            best, limit = Encoding(key, value, at, whole), _CLEARLY * left
+    return best
+
+
+def _unasked(command: Vec, jumps: NDArray[np.intp], late: int) -> bool:
+    """Whether the command makes no step of its own before any of the jumps of the angle."""
+    steps, least = np.abs(np.diff(command, prepend=command[:1])), _ASKED * float(np.ptp(command))
+    before = np.cumsum(steps > least)
+    return bool(np.all(before[jumps] == before[np.maximum(jumps - late, 0)]))
+
+
+def _repairs(signal: Vec, jumps: Vec, usual: float) -> list[tuple[Key, float, Vec]]:
+    """What may have made these jumps, the nearest modulus first."""
+    least, most, size = float(signal.min()), float(signal.max()), float(np.median(jumps))
+    slack = 2 * usual + 0.02 * size
+    if float(np.ptp(jumps)) > 4 * slack:
+        return []
+    found: list[tuple[Key, float, Vec]] = []
+    bit = int(np.log2(max(most, 1.0)))
+    if least >= 0 and bit >= _LEAST_BIT and np.all(signal == np.rint(signal)):
+        low, high = signal[signal < 2.0**bit], signal[signal >= 2.0**bit] - 2.0**bit
+        if max(float(low.max(initial=0.0)), float(high.max())) < 0.5 * 2.0**bit:
+            found.append(("sign_bit", float(bit), sign_and_magnitude(signal, bit)))
+    # A motion across the seam shortens the jump by its step: the modulus is no less than the longest one.
+    steps = np.abs(np.diff(signal))
+    grain = float(steps[steps > 0].min())  # a sensor of coarse steps leaves two moduli open: the usual one of them
+    shortest = max(float(jumps.max()), most - least)
+    longest = shortest + max(float(np.percentile(steps[steps <= usual], _USUAL)), grain) + _ROUNDED * shortest
+    near = [m for m in MODULI if (1 - _ROUNDED) * shortest <= m <= longest] or [plainest(shortest, longest)]
+    least_seam = min(_seam(signal, m) for m in near)
+    near.sort(key=lambda m: (_seam(signal, m) > least_seam + grain, m in _UNUSUAL, _seam(signal, m)))
+    return [*found, *(("wraps_at", float(m), unwrapped(signal, m)) for m in near)]
+
+
+def _seam(signal: Vec, modulus: float) -> float:
+    """How far the jumps are from those of a modulus: of a motion across the seam they are shorter by its step."""
+    steps = np.diff(signal)
+    wrapped = np.flatnonzero(np.abs(steps) > 0.5 * modulus)
+    beside = 0.5 * (steps[np.maximum(wrapped - 1, 0)] + steps[np.minimum(wrapped + 1, steps.size - 1)])
+    moved = np.where(np.abs(beside) < 0.25 * modulus, np.abs(beside), 0.0)
+    left = np.abs(steps[wrapped]) + moved - modulus
+    return float(np.median(np.abs(left))) if left.size else np.inf
+
+
+def _unexplained(signal: Vec, witness: Vec, late: int, is_command: bool) -> float:
+    """Least share of the variance that a straight line of the other signal, delayed by up to `late` samples, leaves."""
+    count = min(signal.size, witness.size)
+    shares = []
+    for lag in sorted({round(late * k / 12) for k in range(13)}):
+        if count - lag < 10:
+            break
+        u, y = (signal, witness) if is_command else (witness, signal)
+        u, y = u[: count - lag], y[lag:]
+        u, y = u - u.mean(), y - y.mean()
+        power = float((u @ u) * (y @ y))
+        shares.append(1 - float(u @ y) ** 2 / power if power > 0 else 1.0)
+    return min(shares, default=1.0)
