@@ -20,10 +20,16 @@ class CompiledInverse(Inverse):
     u = argmin |u - u_last| over { u in [low, high] : theta(x, u) = theta }, by Newton's method on the exact
     derivative inside a shrinking bracket; the end of the range where no command reaches the angle. For a backlash it
     is S2 (RA-L 2024) eq. (3), for a Prandtl-Ishlinskii model the analytic inverse with the true rate of the command.
+
+    Args:
+        predictor: what is inverted; of a model that is inverted in slow motion, its angle is that after a hold, see
+            `steady_inverse`.
+        low, high: least and greatest command.
+        held: samples for which the command is held before the angle counts.
     """
 
-    def __init__(self, predictor: InvertiblePredictor, low: float, high: float) -> None:
-        self.predictor, self.low, self.high = predictor, low, high
+    def __init__(self, predictor: InvertiblePredictor, low: float, high: float, held: int = 1) -> None:
+        self.predictor, self.low, self.high, self.held = predictor, low, high, held
 
     def command(self, state: Vec, theta: float, u_last: float) -> float:
         return self.predictor.command_for(state, theta, self.low, self.high, u_last)
