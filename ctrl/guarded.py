@@ -9,6 +9,7 @@ from typing import Generic, TypeVar, final
 
 import numpy as np
 
+from hystmpc.trials.brief import brief, in_brief
 from hystmpc.trials.errors import ControllerError, HystmpcError, shown
 from hystmpc.trials.types import Index, Vec
 
@@ -33,6 +34,7 @@ class GuardedState(Generic[M]):
     memory: M  # the law's own memory
     fallback: FallbackState  # failure counters and remaining plan
     due: float  # the angle that was wanted at the present instant [deg]
+    __repr__ = brief
 
 
 @final
@@ -66,6 +68,9 @@ class GuardedController(Generic[M]):
         self._law, self._observer, self._fallback, self._limits = law, observer, fallback, limits
         self._dt = dt
         self._max_missing = max_missing_samples
+
+    def __repr__(self) -> str:
+        return in_brief(self, f"{type(self._law).__name__}, {self._limits}, every {self._dt:.4g} s")
 
     @property
     def law(self) -> Law[M]:

@@ -8,6 +8,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from hystmpc.trials.brief import in_brief
 from hystmpc.trials.types import Vec
 
 from .contract.metadata import ModelMetadata, NoiseModel, Start
@@ -76,6 +77,13 @@ class LoadedModel(ABC):
         self.metadata: ModelMetadata = metadata
         self.state_size: int = metadata.state_size
         self._rule = metadata.rule(start)
+
+    def __repr__(self) -> str:
+        facts = self.metadata
+        command, angle = facts.command_limits, facts.trained_angle
+        ends = f"{command.lower:.4g} to {command.upper:.4g} {facts.command_unit}"
+        seen = f"{angle.lower:.4g} to {angle.upper:.4g} {facts.angle_unit}"
+        return in_brief(self, f"{facts.kind}: {ends}, {seen}, every {facts.dt_s:.4g} s")
 
     @property
     def nx(self) -> int:

@@ -12,6 +12,7 @@ import casadi as ca
 import numpy as np
 from pydantic import Field
 
+from hystmpc.trials.brief import in_brief
 from hystmpc.trials.config import Settings, dump_yaml, read_yaml
 from hystmpc.trials.errors import ConfigError, ModelError
 from hystmpc.trials.files import write_atomically
@@ -139,6 +140,13 @@ class Simulator:
     angle_unit: str = "deg"
     inverse: bool | None = None
     rest_command: float | None = None
+
+    def __repr__(self) -> str:
+        angle, command = self.trained_angle_deg, self.command_limits
+        parts = " + ".join(operator.name for operator in self.chain.operators)
+        ends = f"{command.lower:.4g} to {command.upper:.4g} {self.command_unit}"
+        seen = f"{angle.lower:.4g} to {angle.upper:.4g} {self.angle_unit}"
+        return in_brief(self, f"{ends}, {seen}, every {self.dt_s:.4g} s: {parts}")
 
     def at_sample_time(self, dt_s: float) -> Simulator:
         """The same simulator at sample time `dt_s` [s]: delays get the store that they need at it."""

@@ -14,6 +14,7 @@ import numpy as np
 from hystmpc.ctrl.limits import CommandLimits, LimitsSettings
 from hystmpc.ctrl.loop import LoopLog
 from hystmpc.ctrl.mpc_settings import LinearisedMpcSettings, SamplingMpcSettings
+from hystmpc.trials.brief import brief, in_brief
 from hystmpc.trials.errors import ConfigError, LogError
 from hystmpc.trials.from_outside import only_reads
 from hystmpc.trials.layouts import CANONICAL
@@ -67,6 +68,7 @@ class TrackingMetrics:
     command_travel: float
     limit_violations: int
     step_mean_s: float
+    __repr__ = brief
     step_p99_s: float
     ladder: Mapping[str, int]
 
@@ -161,6 +163,11 @@ class Result:
     run: ClosedLoopRun
     metrics: TrackingMetrics
 
+    def __repr__(self) -> str:
+        m = self.metrics
+        errors = f"RMSE {m.rmse_deg:.4g} deg, at most {m.max_abs_deg:.4g} deg"
+        return in_brief(self, f"{self.controller} along {self.motion}: {errors}")
+
 
 @dataclass(frozen=True, eq=False)
 class StudyResult:
@@ -177,6 +184,10 @@ class StudyResult:
     results: tuple[Result, ...]
     meta: Mapping[str, Any]
     warnings: tuple[str, ...] = ()
+
+    def __repr__(self) -> str:
+        runs = (f"{run.controller} {run.metrics.rmse_deg:.4g} deg" for run in self.results)
+        return in_brief(self, f"{len(self.results)} runs, RMSE {', '.join(runs)}")
 
     @property
     def unit(self) -> str:

@@ -10,6 +10,7 @@ from enum import StrEnum
 import numpy as np
 from numpy.typing import NDArray
 
+from .brief import in_brief
 from .csv_files import Columns, read_columns
 from .errors import LogError, in_a_line
 from .layouts import CANONICAL, SECONDS, LogMapping, Preset
@@ -57,6 +58,9 @@ class CheckReport:
     source: str
     preset: str
     findings: tuple[Finding, ...]
+
+    def __repr__(self) -> str:
+        return in_brief(self, f"{self.source}: {len(self.findings)} findings, worst {self.worst}")
 
     @property
     def worst(self) -> Severity:

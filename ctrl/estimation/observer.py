@@ -11,6 +11,7 @@ from typing import Annotated, Literal, final
 from pydantic import Field
 
 from hystmpc.models.model import Predictor
+from hystmpc.trials.brief import brief
 from hystmpc.trials.config import Settings
 from hystmpc.trials.errors import ControllerError
 from hystmpc.trials.types import Vec
@@ -73,6 +74,7 @@ class Estimate:
     past: tuple[Estimate, ...] = ()
     seen: tuple[float, ...] = ()
     since: float = 0.0
+    __repr__ = brief
 
     @property
     def age(self) -> float:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hystmpc.models.model import Predictor
+from hystmpc.trials.brief import brief
 from hystmpc.trials.errors import ControllerError, shown
 from hystmpc.trials.types import Vec
 
@@ -51,6 +52,7 @@ class Snapshot:
     reference: Reference | None = None
     request: ReferenceRequest | None = None
     halted: bool = False
+    __repr__ = brief
 
     @property
     def stopped(self) -> bool:
@@ -273,6 +275,7 @@ class TipState:
     done: bool
     settled: bool
     stopped: bool
+    __repr__ = brief
 
 
 @dataclass(frozen=True, eq=False)
@@ -290,6 +293,7 @@ class TipPlan:
     command: Vec
     predicted_deg: Vec
     reference_deg: Vec
+    __repr__ = brief
 
 
 def tip_state(memory: Snapshot, controller: PlannersController, tolerance_deg: float) -> TipState:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hystmpc.models.model import Predictor
+from hystmpc.trials.brief import brief
 from hystmpc.trials.errors import ControllerError
 from hystmpc.trials.types import Vec
 
@@ -34,6 +35,7 @@ class Reach:
     low_deg: float
     high_deg: float
     reason: str
+    __repr__ = brief
 
     def __bool__(self) -> bool:
         return self.reachable

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, Self, final
 import numpy as np
 from numpy.typing import ArrayLike
 
+from hystmpc.trials.brief import in_brief
 from hystmpc.trials.errors import ControllerError, shown
 from hystmpc.trials.types import Vec
 
@@ -108,6 +109,13 @@ class TipController:
 
         settings, folder = read_settings(source)
         return cls(assemble(settings, folder), settings)
+
+    def __repr__(self) -> str:
+        settings, memory, limits = self._settings, self._memory, self._assembly.limits
+        model = f"{settings.controller.kind} on {Path(settings.model).name}, every {self.dt:.4g} s"
+        now = f"{memory.measured_deg:.4g} deg at {memory.command.u:.4g} {self._assembly.unit}"
+        word = "stopped" if memory.stopped else str(memory.command.source)
+        return in_brief(self, f"{model}, {limits}; step {memory.steps}: {now}, {word}")
 
     @property
     def dt(self) -> float:
