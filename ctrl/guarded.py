@@ -160,6 +160,16 @@ class GuardedController(Generic[M]):
         """Standard deviation of the error of the estimated angle [deg]; not-a-number where it is not known."""
         return self._observer.sigma_deg(state.estimate)
 
+    def sigma_ahead_deg(self, state: GuardedState[M], commands: Vec) -> Vec:
+        """Standard deviation of the error of the angles predicted for the ends of the coming samples (H,) [deg].
+
+        Args:
+            commands: of these samples (H,) [mm or bar].
+        """
+        estimate = state.estimate
+        travels = np.concatenate([estimate.moves[1:], np.abs(np.diff(commands, prepend=estimate.command))])
+        return self._observer.sigma_ahead_deg(estimate, travels[: commands.size])
+
     def measure(self, state: GuardedState[M], y: float, age: float) -> GuardedState[M]:
         """The state with a measurement `y` [deg] of `age` samples before the next step used at its own instant.
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from typing import Any, Protocol
@@ -140,6 +141,7 @@ class Predictor(ABC):
     dt: float
     command_range: tuple[float, float]  # the range the model was identified on
     noise: NoiseModel | None = None  # what the model leaves unexplained, where its file says so
+    model_sigma_deg: float = math.nan  # how far it is off where no sensor corrects it [deg]; not-a-number: not known
 
     @abstractmethod
     def initial(self, y: float, u: float) -> Vec:
@@ -172,7 +174,7 @@ class ModelPredictor(Predictor):
     def __init__(self, metadata: ModelMetadata, start: Start = "conditioned") -> None:
         self.dt = metadata.dt_s
         self.command_range = (metadata.trained_command.lower, metadata.trained_command.upper)
-        self.noise = metadata.noise
+        self.noise, self.model_sigma_deg = metadata.noise, metadata.model_sigma_deg
         self._rule, self._warmup = metadata.rule(start), metadata.warmup_samples
 
     def initial(self, y: float, u: float) -> Vec:
