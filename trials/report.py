@@ -227,7 +227,7 @@ def three_ticks(figure: Figure) -> None:
             if isinstance(locator, MaxNLocator):
                 locator.set_params(min_n_ticks=_TICKS)
             elif isinstance(locator, LogLocator) and 0 < low < high:
-                seen = locator.tick_values(low, high)
+                seen = np.asarray(locator.tick_values(low, high), dtype=np.float64)
                 if np.count_nonzero((seen >= low) & (seen <= high)) < _TICKS:
                     _more_on_logarithmic(axis, low, high)
 

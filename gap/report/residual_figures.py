@@ -113,7 +113,7 @@ def time_figure(trials: Sequence[TrialEvidence], stages: Sequence[Stage]) -> Fig
             draw_long(angle, t, real, **REAL)
             for stage, run in zip(stages, _runs(trial, stages), strict=True):
                 draw_long(angle, t, run, **_LOOK[stage])
-                draw_long(left, t, run - real, **{**_LOOK[stage], "linestyle": "-"})
+                draw_long(left, t, run - real, **_LOOK[stage])
             angle.set_title(short(trial.name, 60), fontsize=8.5)
             angle.set_ylabel(measured_label(trial.trial.units.angle))
             angle.tick_params(labelbottom=False)
@@ -137,7 +137,7 @@ def before_after_figure(trial: TrialEvidence, after: Stage) -> Figure:
         for stage in ("nominal", after):
             run = getattr(trial, stage)
             draw_part(angle, t, run, part, **_LOOK[stage])
-            draw_part(error, t, run - trial.trial.angle, part, **{**_LOOK[stage], "linestyle": "-"})
+            draw_part(error, t, run - trial.trial.angle, part, **_LOOK[stage])
         error.axhline(0.0, **QUIET)
         angle.set_ylabel(measured_label(trial.trial.units.angle))
         error.set(ylabel=f"simulated less\nmeasured [{trial.trial.units.angle}]", xlabel="time [s]")
@@ -191,9 +191,7 @@ def bins_figure(trials: Sequence[TrialEvidence], stages: Sequence[Stage]) -> Fig
         rows = figure.subplots(1, len(groups), sharey=True, squeeze=False)[0]
         for axes, group in zip(rows, groups, strict=True):
             for stage, values in group.rmse_deg.items():
-                axes.stairs(
-                    values, group.edges, color=COLOUR[stage], linestyle=DASH[stage], label=LABEL[stage], **_STAIRS
-                )
+                axes.stairs(values, group.edges, **LOOK[stage], **_STAIRS)
             shares = axes.twinx()
             shares.stairs(group.time, group.edges, fill=True, color="#e2e2e2", zorder=0)
             shares.set(ylim=(0.0, 1.0), yticks=())

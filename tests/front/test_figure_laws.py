@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import re
 import subprocess
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from importlib.resources import files
 from pathlib import Path
 from shutil import which
@@ -25,14 +25,17 @@ from matplotlib.ticker import FixedLocator
 from hystmpc.commissioning.motions import CONTROLLERS
 from hystmpc.commissioning.report import before_and_after
 from hystmpc.ctrl.limits import CommandLimits
+from hystmpc.gap.report.page import diagnosis_report
 from hystmpc.gap.report.report_data import TrackingCurve
 from hystmpc.gap.report.tracking_figure import tracking_figure as tracking_gap_figure
 from hystmpc.models.evaluate import evaluate
 from hystmpc.models.evaluation_report import loop_figure, time_figure
 from hystmpc.models.load import load_model
 from hystmpc.sim.results import looks, tracking_figure
-from hystmpc.trials.report import PALETTE, figure_svg, new_figure, style, three_ticks
+from hystmpc.trials.report import PALETTE, Folded, Piece, Plot, figure_svg, new_figure, style, three_ticks
 from hystmpc.trials.trial import Trial
+
+from ..gap.report_examples import report_data
 
 T = 0.04 * np.arange(500)
 SINE = 50.0 + 20.0 * np.sin(0.8 * T)
@@ -97,9 +100,17 @@ FIGURES: Mapping[str, Any] = MappingProxyType({
 def drawn() -> dict[str, Figure]:
     """Every figure, as a page has it."""
     found = {name: make() for name, make in FIGURES.items()}
+    for k, piece in enumerate(pieces_of(diagnosis_report(report_data("named")).pieces)):
+        if isinstance(piece, Plot):
+            found[f"diagnosis, {k}: {piece.caption[:30]}"] = piece.figure
     for figure in found.values():
         figure_svg(figure)
     return found
+
+
+def pieces_of(pieces: Sequence[Piece]) -> Iterator[Piece]:
+    for piece in pieces:
+        yield from pieces_of(piece.pieces) if isinstance(piece, Folded) else (piece,)
 
 
 def numbered(axes: Axes) -> Iterator[tuple[str, list[str]]]:
@@ -107,7 +118,8 @@ def numbered(axes: Axes) -> Iterator[tuple[str, list[str]]]:
     for axis in (axes.xaxis, axes.yaxis):
         low, high = sorted(axis.get_view_interval())
         ticks = [tick for tick in axis.get_major_ticks() if low - 1e-9 <= tick.get_loc() <= high + 1e-9]
-        if not isinstance(axis.get_major_locator(), FixedLocator) and any(tick.label1.get_visible() for tick in ticks):
+        written = any(tick.label1.get_visible() and tick.label1.get_text() for tick in ticks)
+        if not isinstance(axis.get_major_locator(), FixedLocator) and written:
             yield axis.axis_name, [tick.label1.get_text() for tick in ticks if tick.label1.get_visible()]
 
 
@@ -118,7 +130,8 @@ def looks_of(line: Line2D) -> tuple[str, str]:
 def named(figure: Figure) -> set[str]:
     """Colours that legends name."""
     legends = [*figure.legends, *(axes.get_legend() for axes in figure.axes if axes.get_legend())]
-    return {to_hex(handle.get_color()) for legend in legends for handle in legend.get_lines()}
+    lines = {to_hex(handle.get_color()) for legend in legends for handle in legend.get_lines()}
+    return lines | {to_hex(handle.get_facecolor()) for legend in legends for handle in legend.get_patches()}
 
 
 def test_every_axis_has_three_numbers(drawn: dict[str, Figure]) -> None:
@@ -154,6 +167,8 @@ def test_legends_name_every_line(drawn: dict[str, Figure]) -> None:
             continue
         for axes in figure.axes:
             for line in axes.get_lines():
+                if line.get_label() == "_nolegend_":  # the ends of an interval
+                    continue
                 zero = len(set(np.ravel(np.asarray(line.get_ydata(), dtype=float)).tolist())) == 1
                 assert zero or to_hex(line.get_color()) in known, (name, axes.get_ylabel(), line.get_label())
 
@@ -161,7 +176,8 @@ def test_legends_name_every_line(drawn: dict[str, Figure]) -> None:
 def test_where_four_lines_share_an_axis_more_than_colour_tells_them_apart(drawn: dict[str, Figure]) -> None:
     for name, figure in drawn.items():
         for axes in figure.axes:
-            lines = [line for line in axes.get_lines() if not str(line.get_label()).startswith("_")]
+            named_ = [line for line in axes.get_lines() if not str(line.get_label()).startswith("_")]
+            lines = [line for line in named_ if line.get_linestyle() != "None"]
             if len(lines) >= 4:
                 grey = [(looks_of(line)[1], round(line.get_linewidth(), 1)) for line in lines]
                 assert len(set(grey)) == len(lines), name
