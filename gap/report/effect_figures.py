@@ -114,10 +114,9 @@ def effects_figure(evidence: Evidence) -> Figure:
             axes.tick_params(axis="y", length=0)
         looks = (_CHOSEN, "", "chosen"), (_AMBIGUOUS, "////", "not told apart"), (_OTHER, "", "others")
         handles = [Patch(facecolor=colour, hatch=hatch, edgecolor="white", label=text) for colour, hatch, text in looks]
-        point = Line2D(
-            [], [], color=MEASURED, marker="o", markersize=4, linestyle="none", label="alone, with its interval"
-        )
-        figure.legend(handles=[*handles, point], loc="outside upper center", ncols=4)
+        point = Line2D([], [], color=MEASURED, marker="o", markersize=4, linestyle="none", label="alone")
+        interval = Line2D([], [], color=REFERENCE, linewidth=INTERVAL["linewidth"], label="interval")
+        figure.legend(handles=[*handles, point, interval], loc="outside upper center", ncols=5)
     return figure
 
 

@@ -134,6 +134,7 @@ def named(figure: Figure) -> set[str]:
     return lines | {to_hex(handle.get_facecolor()) for legend in legends for handle in legend.get_patches()}
 
 
+@pytest.mark.slow
 def test_every_axis_has_three_numbers(drawn: dict[str, Figure]) -> None:
     for name, figure in drawn.items():
         for axes in figure.axes:
@@ -159,6 +160,7 @@ def test_whatever_an_axis_spans_it_has_three_numbers() -> None:
             assert name == "x" or len([label for label in labels if label]) >= 3, (k, axes.get_ylim(), labels)
 
 
+@pytest.mark.slow
 def test_legends_name_every_line(drawn: dict[str, Figure]) -> None:
     for name, figure in drawn.items():
         known = named(figure)
@@ -173,6 +175,7 @@ def test_legends_name_every_line(drawn: dict[str, Figure]) -> None:
                 assert zero or to_hex(line.get_color()) in known, (name, axes.get_ylabel(), line.get_label())
 
 
+@pytest.mark.slow
 def test_where_four_lines_share_an_axis_more_than_colour_tells_them_apart(drawn: dict[str, Figure]) -> None:
     for name, figure in drawn.items():
         for axes in figure.axes:
@@ -183,6 +186,7 @@ def test_where_four_lines_share_an_axis_more_than_colour_tells_them_apart(drawn:
                 assert len(set(grey)) == len(lines), name
 
 
+@pytest.mark.slow
 def test_no_two_words_of_a_figure_meet(drawn: dict[str, Figure]) -> None:
     """At 480 pixels: a drawing is scaled whole, so that what does not meet there meets nowhere."""
     for name, figure in drawn.items():
