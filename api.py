@@ -8,6 +8,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
+from hystmpc.trials.brief import in_brief
 from hystmpc.trials.errors import ControllerError, FitError, in_a_line
 from hystmpc.trials.read import Layout, Log, read_trials
 from hystmpc.trials.trial import Trial, at_rate
@@ -55,6 +56,15 @@ class Evaluation:
 
         return mean_errors(self.trials)
 
+    def __repr__(self) -> str:
+        if not self.trials:
+            return in_brief(self, "no trials")
+        worst = max(self.trials, key=lambda run: run.errors.rmse_deg)
+        unit, mean = worst.trial.units.angle, self.mean.rmse_deg
+        name = Path(worst.trial.source).name
+        text = f"{len(self)} trials: RMSE {mean:.4g} {unit} in the mean, {worst.errors.rmse_deg:.4g} {unit} in {name}"
+        return in_brief(self, text)
+
     def __len__(self) -> int:
         return len(self.trials)
 
@@ -97,6 +107,9 @@ class Fit:
     kind: str
     found: Identified = field(repr=False)
     trials: tuple[Trial, ...] = field(repr=False)
+
+    def __repr__(self) -> str:
+        return in_brief(self, f"{self.kind} from {len(self.trials)} trials: {self.found.report}")
 
     @cached_property
     def model(self) -> LoadedModel:

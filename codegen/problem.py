@@ -23,13 +23,16 @@ from hystmpc.ctrl.planner.settings import TipSettings
 from hystmpc.ctrl.planning import FOLLOWING, Candidates
 from hystmpc.models.chain import Chain
 from hystmpc.models.contract.metadata import ModelMetadata
-from hystmpc.models.inverse.drive import split
+from hystmpc.models.inverse.drive import DrivenInverse, split
+from hystmpc.models.inverse.one_step import CompiledInverse
+from hystmpc.models.inverse.steady import inverted_after_a_hold
 from hystmpc.models.inverse.surrogate_backlash import surrogate_backlash
 from hystmpc.models.load import load_model, model_path
 from hystmpc.models.model import Inverse, LoadedModel, Predictor
 from hystmpc.models.operators.dynamics import Lag
 from hystmpc.models.operators.operator import Operator
 from hystmpc.models.prediction.build import Known, known_pairs
+from hystmpc.models.prediction.compiled import CompiledPredictor
 from hystmpc.models.simulator import ChainModel
 from hystmpc.trials.errors import ExportError
 from hystmpc.trials.types import Mat, Vec
@@ -96,6 +99,7 @@ def problem_of(settings: TipSettings, folder: Path) -> Problem:
     limits = limits if own is None else own.build()
     dt = predictor.dt
     steps = {name: Step(chain.transition, chain.values, dt) for name, chain in model.parts.items()}
+    steps["middle"] = _inverted(inverse, steps["middle"])
     sizes, numbers = _law(controller, predictor, inverse, limits)
     counts = {name: step.size for name, step in steps.items()}
     network = model.network
@@ -163,6 +167,15 @@ def _of_network(model: LoadedModel, settings: TipSettings) -> _Model:
     at_rest = np.concatenate([_at_rest(facts), shown, _at_rest(beside), shown], axis=1)
     rest = _behind(parts.get("front"), at_rest, facts.warmup_samples, beside.warmup_samples)
     return _Model(known, parts, rest, f"{facts.kind} of {network.layers} x {network.hidden}", network)
+
+
+def _inverted(inverse: Inverse, step: Step) -> Step:
+    """The step that is inverted: one sample of the model, or its hold where that is inverted, see `steady_inverse`."""
+    inner = inverse.inner if isinstance(inverse, DrivenInverse) else inverse
+    if not (inverted_after_a_hold(inner) and isinstance(inner, CompiledInverse)):
+        return step
+    assert isinstance(inner.predictor, CompiledPredictor)  # nothing else is inverted after a hold
+    return Step(inner.predictor.transition, step.parameters, step.sample_s)
 
 
 def _at_rest(facts: ModelMetadata) -> Mat:
@@ -243,7 +256,7 @@ def _law(
         "under_way": delay + 1,
         "reference": horizon + delay,
         "candidates": FOLLOWING + Candidates(*learned, limits, horizon).searching,
-        "iterations": settings.iterations,
+        "iterations": settings.refining(inverse).iterations,
         "safe_known": int(settings.ladder.safe_command is not None),
         "stop_after": settings.ladder.stop_after_failures,
         "most_missing": settings.bridged_samples(dt),

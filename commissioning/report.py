@@ -15,6 +15,7 @@ from hystmpc.models.evaluate import evaluate
 from hystmpc.models.load import load_model
 from hystmpc.trials.report import (
     COMMAND,
+    DASHES,
     MEASURED,
     MODEL,
     REFERENCE,
@@ -35,6 +36,7 @@ from .motions import CONTROLLERS
 from .verify import MPC, PID, TITLES, Tracks, Verified
 
 _COLOURS = {MPC: MEASURED, "inverse": MODEL, PID: COMMAND}
+_DASH = {MPC: DASHES[0], "inverse": DASHES[1], PID: DASHES[2]}
 SHOWN = ("point_to_point", "fast_scan")
 """References in the figure."""
 
@@ -97,11 +99,11 @@ def _column(column: Sequence[Axes], name: str, runs: Mapping[str, Track]) -> Non
     first = runs[MPC]
     angle.plot(first.t, first.reference_deg, color=REFERENCE, lw=2.5, label="reference")
     for controller in reversed(CONTROLLERS):
-        run, colour = runs[controller], _COLOURS[controller]
+        run, look = runs[controller], {"color": _COLOURS[controller], "linestyle": _DASH[controller]}
         rms = float(np.sqrt(np.nanmean(run.error_deg**2)))
-        angle.plot(run.t, run.measured_deg, color=colour, lw=1.0, label=TITLES[controller])
-        error.plot(run.t, run.error_deg, color=colour, lw=0.9, label=f"{rms:.2f} deg RMS")
-        command.plot(run.t, run.command, color=colour, lw=0.9)
+        angle.plot(run.t, run.measured_deg, lw=1.0, **look, label=TITLES[controller])
+        error.plot(run.t, run.error_deg, lw=0.9, **look, label=f"{rms:.2f} deg RMS")
+        command.plot(run.t, run.command, lw=0.9, **look)
     angle.set_title(name.replace("_", " "))
     error.legend(ncols=3, loc="lower right", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.1)
     command.set_xlabel("time [s]")

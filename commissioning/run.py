@@ -15,6 +15,7 @@ from hystmpc.rig.bench import Note
 from hystmpc.rig.config import BenchSettings
 from hystmpc.rig.recording.recorder_process import Views
 from hystmpc.sim.jobs.runner import alone_in
+from hystmpc.trials.brief import brief
 from hystmpc.trials.csv_files import write_csv
 from hystmpc.trials.errors import ConfigError, HystmpcError, LogError
 from hystmpc.trials.from_outside import only_reads
@@ -101,6 +102,7 @@ class Commissioned:
     report: Path
     verified: Verified | None
     device_s: float
+    __repr__ = brief
 
 
 @dataclass

@@ -15,6 +15,7 @@ from hystmpc.models.identify.resolution import resolution
 from hystmpc.rig.config import BenchSettings
 from hystmpc.sim.results import holds, violations
 from hystmpc.trajectories.config import MotionSettings
+from hystmpc.trials.brief import brief
 from hystmpc.trials.types import Vec
 
 from .controller import TIP_FILE, tip_settings
@@ -82,6 +83,7 @@ class Verified:
     steps: tuple[str, ...]
     sensor_sigma_deg: Figure
     scores: Mapping[str, Scored]
+    __repr__ = brief
 
 
 def track_all(

@@ -10,6 +10,7 @@ from typing import final
 
 import numpy as np
 
+from hystmpc.trials.brief import brief
 from hystmpc.trials.types import Vec
 
 EMPTY: Vec = np.empty(0)
@@ -61,6 +62,7 @@ class Command:
     predicted: Vec = field(default_factory=lambda: EMPTY)
     disturbance: float = 0.0
     timing: Timing = field(default_factory=Timing)
+    __repr__ = brief
 
 
 @dataclass(frozen=True, eq=False)

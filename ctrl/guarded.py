@@ -9,6 +9,7 @@ from typing import Generic, TypeVar, final
 
 import numpy as np
 
+from hystmpc.trials.brief import brief, in_brief
 from hystmpc.trials.errors import ControllerError, HystmpcError, shown
 from hystmpc.trials.types import Index, Vec
 
@@ -33,6 +34,7 @@ class GuardedState(Generic[M]):
     memory: M  # the law's own memory
     fallback: FallbackState  # failure counters and remaining plan
     due: float  # the angle that was wanted at the present instant [deg]
+    __repr__ = brief
 
 
 @final
@@ -66,6 +68,9 @@ class GuardedController(Generic[M]):
         self._law, self._observer, self._fallback, self._limits = law, observer, fallback, limits
         self._dt = dt
         self._max_missing = max_missing_samples
+
+    def __repr__(self) -> str:
+        return in_brief(self, f"{type(self._law).__name__}, {self._limits}, every {self._dt:.4g} s")
 
     @property
     def law(self) -> Law[M]:
@@ -154,6 +159,16 @@ class GuardedController(Generic[M]):
     def sigma_deg(self, state: GuardedState[M]) -> float:
         """Standard deviation of the error of the estimated angle [deg]; not-a-number where it is not known."""
         return self._observer.sigma_deg(state.estimate)
+
+    def sigma_ahead_deg(self, state: GuardedState[M], commands: Vec) -> Vec:
+        """Standard deviation of the error of the angles predicted for the ends of the coming samples (H,) [deg].
+
+        Args:
+            commands: of these samples (H,) [mm or bar].
+        """
+        estimate = state.estimate
+        travels = np.concatenate([estimate.moves[1:], np.abs(np.diff(commands, prepend=estimate.command))])
+        return self._observer.sigma_ahead_deg(estimate, travels[: commands.size])
 
     def measure(self, state: GuardedState[M], y: float, age: float) -> GuardedState[M]:
         """The state with a measurement `y` [deg] of `age` samples before the next step used at its own instant.

@@ -11,6 +11,7 @@ from typing import Protocol, TypeVar
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from hystmpc.trials.brief import brief
 from hystmpc.trials.errors import ControllerError
 from hystmpc.trials.types import Vec
 
@@ -112,6 +113,7 @@ class LoopLog:
     status: tuple[str, ...]
     stage_s: dict[str, Vec]
     interrupted: bool
+    __repr__ = brief
 
     @property
     def step_s(self) -> Vec:

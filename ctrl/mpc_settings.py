@@ -3,23 +3,27 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Self
 
 from hystmpc.models.model import Inverse, Predictor
 
 from .estimation.observer import Observer
 from .law import Law
-from .limits import CommandLimits
+from .limits import CommandLimits, Count
 from .planning_settings import LinearisationSettings, PredictiveSettings, SamplingSettings
 
 if TYPE_CHECKING:
     from .planning import Planner
+
+_REFINED = 2  # iterations from a plan that is late along a motion
 
 # numba, SciPy and the solvers take over a second to import: a controller is built by functions that import them.
 
 
 class PredictiveController(PredictiveSettings):
     """Builds the law and the observer; the planner is that of the subclass."""
+
+    iterations: Count = 1
 
     def model_pair(self, predictor: Predictor, inverse: Inverse) -> tuple[Predictor, Inverse]:
         if self.adaptation is None:
@@ -42,12 +46,24 @@ class PredictiveController(PredictiveSettings):
     def law(self, predictor: Predictor, inverse: Inverse, limits: CommandLimits) -> Law[Any]:
         from .mpc import PredictiveLaw
 
-        law = PredictiveLaw(predictor, inverse, limits, self.planner(predictor, limits), self)
+        planner = self.refining(inverse).planner(predictor, limits)
+        law = PredictiveLaw(predictor, inverse, limits, planner, self)
         if self.handover is None:
             return law
         from .handover import handover_law
 
         return handover_law(law, self.handover, (predictor, inverse), limits)
+
+    def refining(self, inverse: Inverse) -> Self:
+        """These settings, with two iterations or more where the inverse is a first guess only; see `steady_inverse`."""
+        from hystmpc.models.inverse.steady import inverted_after_a_hold
+
+        from .learning.predictor import LearnedInverse
+
+        own = inverse.inverse if isinstance(inverse, LearnedInverse) else inverse
+        if not inverted_after_a_hold(own):
+            return self
+        return self.model_copy(update={"iterations": max(self.iterations, _REFINED)})
 
     @abstractmethod
     def planner(self, predictor: Predictor, limits: CommandLimits) -> Planner[Any]:

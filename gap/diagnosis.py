@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 from hystmpc.models.identify.uncertainty import Interval
+from hystmpc.trials.brief import brief, in_brief
 
 FORMAT = "hystmpc-diagnosis/2"
 FORMATS = ("hystmpc-diagnosis/1", FORMAT)
@@ -46,6 +47,7 @@ class FoundEffect:
     probability: float
     inclusion: float
     closed_share: float
+    __repr__ = brief
     closed_ci90: Interval
     rmse_before_deg: float
     rmse_after_deg: float
@@ -84,6 +86,7 @@ class Gap:
     floor_kind: FloorKind
     closed_share: float
     unexplained_share: float
+    __repr__ = brief
     closed_ci90: Interval
     final_trials: tuple[str, ...]
     repeats_rmse_deg: float = math.nan
@@ -208,6 +211,7 @@ class NextMotion:
     separates: tuple[str, ...]
     expected_probability: float
     duration_s: float
+    __repr__ = brief
 
 
 @dataclass(frozen=True)
@@ -239,6 +243,7 @@ class TrackingGap:
     after_range_deg: Interval = (math.nan, math.nan)
     motions: tuple[MotionTracking, ...] = ()
     why_not: str = ""
+    __repr__ = brief
 
     @property
     def fall_deg(self) -> float:
@@ -305,6 +310,9 @@ class Diagnosis:
     detectable: DetectableSizes | None = None
     unit: str = "deg"
     command_unit: str = "mm"
+
+    def __repr__(self) -> str:
+        return in_brief(self, f"{self.verdict}: {self.reason}")
 
     def as_json(self) -> dict[str, Any]:
         """The fixed form `hystmpc-diagnosis/2`: plain dicts, lists, numbers and strings."""

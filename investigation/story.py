@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from hystmpc.commissioning.stages import Figure, plain_numbers
+from hystmpc.trials.brief import brief, in_brief
 
 from .judge import DIAGNOSIS, Ending, Judged
 from .plan import Plan
@@ -44,6 +45,7 @@ class Round:
     plan: Plan
     recorded: RecordedRound
     judged: Judged
+    __repr__ = brief
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,6 +72,10 @@ class Investigated:
     report: Path
     device_s: float
     budget_s: float
+
+    def __repr__(self) -> str:
+        last = self.verdict
+        return in_brief(self, f"{last.verdict} after {len(self.rounds)} rounds, {self.device_s:.4g} s: {last.reason}")
 
     @property
     def verdict(self) -> Judged:

@@ -10,6 +10,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from hystmpc.trials.brief import brief, in_brief
 from hystmpc.trials.errors import ModelError
 from hystmpc.trials.segments import first_flexure_end, segment
 from hystmpc.trials.trial import Trial, Units
@@ -54,6 +55,7 @@ class Errors:
     max_abs_error_deg: float
     nrmse: float
     hold_drift_deg: float
+    __repr__ = brief
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,6 +76,11 @@ class TrialEvaluation:
     start: int
     errors: Errors
     outside: float = 0.0
+
+    def __repr__(self) -> str:
+        e, unit = self.errors, self.trial.units.angle
+        numbers = f"RMSE {e.rmse_deg:.4g}, bias {e.bias_deg:.4g}, at most {e.max_abs_error_deg:.4g} {unit}"
+        return in_brief(self, f"{Path(self.trial.source).name}: {numbers}")
 
 
 def free_run(model: RunnableModel, commands: Vec, y: float) -> Vec:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from typing import Any, Protocol
 
 import numpy as np
 
+from hystmpc.trials.brief import in_brief
 from hystmpc.trials.types import Vec
 
 from .contract.metadata import ModelMetadata, NoiseModel, Start
@@ -77,6 +79,13 @@ class LoadedModel(ABC):
         self.state_size: int = metadata.state_size
         self._rule = metadata.rule(start)
 
+    def __repr__(self) -> str:
+        facts = self.metadata
+        command, angle = facts.command_limits, facts.trained_angle
+        ends = f"{command.lower:.4g} to {command.upper:.4g} {facts.command_unit}"
+        seen = f"{angle.lower:.4g} to {angle.upper:.4g} {facts.angle_unit}"
+        return in_brief(self, f"{facts.kind}: {ends}, {seen}, every {facts.dt_s:.4g} s")
+
     @property
     def nx(self) -> int:
         """Entries of x: state and last angle."""
@@ -132,6 +141,7 @@ class Predictor(ABC):
     dt: float
     command_range: tuple[float, float]  # the range the model was identified on
     noise: NoiseModel | None = None  # what the model leaves unexplained, where its file says so
+    model_sigma_deg: float = math.nan  # how far it is off where no sensor corrects it [deg]; not-a-number: not known
 
     @abstractmethod
     def initial(self, y: float, u: float) -> Vec:
@@ -164,7 +174,7 @@ class ModelPredictor(Predictor):
     def __init__(self, metadata: ModelMetadata, start: Start = "conditioned") -> None:
         self.dt = metadata.dt_s
         self.command_range = (metadata.trained_command.lower, metadata.trained_command.upper)
-        self.noise = metadata.noise
+        self.noise, self.model_sigma_deg = metadata.noise, metadata.model_sigma_deg
         self._rule, self._warmup = metadata.rule(start), metadata.warmup_samples
 
     def initial(self, y: float, u: float) -> Vec:

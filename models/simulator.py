@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -12,6 +13,7 @@ import casadi as ca
 import numpy as np
 from pydantic import Field
 
+from hystmpc.trials.brief import in_brief
 from hystmpc.trials.config import Settings, dump_yaml, read_yaml
 from hystmpc.trials.errors import ConfigError, ModelError
 from hystmpc.trials.files import write_atomically
@@ -75,6 +77,19 @@ class Identification(Settings):
     training_data_hash: str = ""
     residuals: tuple[Residual, ...] = ()
     noise: NoiseModel | None = None
+
+    @property
+    def slow_error(self) -> float | None:
+        """Root mean square of what neighbouring residuals have in common, about the mean of each trial; None: no trial.
+
+        sigma^2 = sum_i n_i rho_i (rmse_i^2 - bias_i^2) / sum_i n_i with the correlation rho of neighbours, zero or
+        more: white noise of the sensor has none. That is `NoiseModel.model_sigma_deg`, of the table alone.
+        """
+        count = sum(row.samples for row in self.residuals)
+        if not count:
+            return None
+        parts = (row.samples * max(row.lag_one, 0.0) * (row.rmse_deg**2 - row.bias_deg**2) for row in self.residuals)
+        return math.sqrt(max(sum(parts), 0.0) / count)
 
 
 class SimulatorFile(Settings):
@@ -140,6 +155,13 @@ class Simulator:
     inverse: bool | None = None
     rest_command: float | None = None
 
+    def __repr__(self) -> str:
+        angle, command = self.trained_angle_deg, self.command_limits
+        parts = " + ".join(operator.name for operator in self.chain.operators)
+        ends = f"{command.lower:.4g} to {command.upper:.4g} {self.command_unit}"
+        seen = f"{angle.lower:.4g} to {angle.upper:.4g} {self.angle_unit}"
+        return in_brief(self, f"{ends}, {seen}, every {self.dt_s:.4g} s: {parts}")
+
     def at_sample_time(self, dt_s: float) -> Simulator:
         """The same simulator at sample time `dt_s` [s]: delays get the store that they need at it."""
         chain = self.chain
@@ -162,6 +184,8 @@ class Simulator:
         rest = self.command_limits.lower if self.rest_command is None else self.rest_command
         at = [np.asarray(self.chain.rest(y, rest, self.chain.values)).ravel() for y in (0.0, 1.0)]
         rule = {"offset": at[0].tolist(), "slope": (at[1] - at[0]).tolist()}
+        noise, slow = self.identification.noise, self.identification.slow_error
+        unsaid = slow is not None and (noise is None or noise.model_sigma_deg is None)
         single = not self.chain.before and not self.chain.after
         return ModelMetadata.of(
             kind=self.chain.core.name if single else "chain",
@@ -178,8 +202,12 @@ class Simulator:
             conditioned=rule,
             warmup_samples=self.chain.settling_samples,
             training_data_hash=self.identification.training_data_hash,
-            training={"method": self.identification.method, "seed": self.identification.seed},
-            noise=self.identification.noise,
+            training={
+                "method": self.identification.method,
+                "seed": self.identification.seed,
+                **({"model_sigma_deg": slow} if unsaid else {}),
+            },
+            noise=noise,
         )
 
 

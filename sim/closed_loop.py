@@ -11,6 +11,7 @@ import numpy as np
 from hystmpc.ctrl.frames import AnySensorSettings, ContinuousSensorSettings, Viewer
 from hystmpc.ctrl.loop import Controller, LoopLog, LoopSample, run_loop
 from hystmpc.trajectories import PreviewTable, Trajectory
+from hystmpc.trials.brief import brief
 from hystmpc.trials.types import Vec
 
 from .plants.computed import ComputedPlant
@@ -34,6 +35,7 @@ class ClosedLoopRun:
     dt: float
     unit: str
     first: int = 0
+    __repr__ = brief
 
     @property
     def error_deg(self) -> Vec:

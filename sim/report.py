@@ -44,6 +44,7 @@ from .results import (
     conclusion,
     limits_of,
     load_results,
+    looks,
     tracking_figure,
 )
 
@@ -94,7 +95,7 @@ def loop_figure(results: Sequence[Result], colour: Mapping[str, str], unit: str)
     return figure
 
 
-def histogram_figure(results: Sequence[Result], colour: Mapping[str, str]) -> Figure:
+def histogram_figure(results: Sequence[Result], look: Mapping[str, Mapping[str, Any]]) -> Figure:
     """Share of samples by error; the outermost bins hold what lies beyond them."""
     errors = [result.run.counted_deg for result in results]
     reach = float(np.quantile(np.abs(np.concatenate(errors)), 0.995))
@@ -103,14 +104,14 @@ def histogram_figure(results: Sequence[Result], colour: Mapping[str, str]) -> Fi
         axes: Axes = figure.subplots()
         for result, error in zip(results, errors, strict=True):
             share = np.histogram(np.clip(error, -reach, reach), edges)[0] / error.size
-            axes.stairs(100 * share, edges, color=colour[result.controller], label=result.controller, linewidth=1.2)
+            axes.stairs(100 * share, edges, label=result.controller, linewidth=1.2, **look[result.controller])
         axes.set(xlabel="error [deg]", ylabel="samples [%]", xlim=(-reach, reach))
         axes.legend()
     return figure
 
 
 def timing_figure(results: Sequence[Result], colour: Mapping[str, str], dt_s: float) -> Figure:
-    """Execution time a stage over all runs: bar to the median, line to the 99th percentile; dashed the sample time."""
+    """Execution time a stage over all runs: bar to the median, line to the 99th percentile; dotted the sample time."""
     rows = _stage_times(results)
     with new_figure(7.0, 0.9 + 0.2 * len(rows)) as figure:
         axes: Axes = figure.subplots()
@@ -141,7 +142,7 @@ def _stage_times(results: Sequence[Result]) -> list[tuple[str, str, Any]]:
 
 def study_report(result: StudyResult, more: Sequence[Piece] = ()) -> Report:
     """The page of a study; `more` is shown before everything else."""
-    colour = colours(result.controllers)
+    colour, look = colours(result.controllers), looks(result.controllers)
     pieces: list[Piece] = [*more, *_summary(result), *_set_up(result)]
     for motion in result.motions:
         runs = result.of_motion(motion)
@@ -149,13 +150,13 @@ def study_report(result: StudyResult, more: Sequence[Piece] = ()) -> Report:
             Heading(f"Motion: {motion}"),
             _metrics_table(runs, result.unit),
             Plot(
-                tracking_figure(runs, colour, result.unit),
-                "Tip angle without sensor noise; dashed: command limits.",
+                tracking_figure(runs, look, result.unit),
+                "Tip angle without sensor noise, and the command; grey dots: command limits.",
                 True,
             ),
             Plot(error_figure(runs, colour), "Error: tip angle without sensor noise less reference."),
             Plot(loop_figure(runs, colour, result.unit), "Tip angle over command."),
-            Plot(histogram_figure(runs, colour), "Distribution of the error; the outermost bins hold all beyond them."),
+            Plot(histogram_figure(runs, look), "Distribution of the error; the outermost bins hold all beyond them."),
         ]
     pieces += [*_stability(result), *_timing(result, colour)]
     plant = result.config.plant
@@ -298,7 +299,7 @@ def _loop_row(name: str, analysis: LoopAnalysis) -> tuple[object, ...]:
 def _timing(result: StudyResult, colour: dict[str, str]) -> Iterator[Piece]:
     dt = result.results[0].run.dt
     yield Heading("Execution time and fallbacks")
-    caption = "Time per stage over all motions: bar to the median, line to the 99th percentile; dashed: sample time."
+    caption = "Time per stage over all motions: bar to the median, line to the 99th percentile; dotted: sample time."
     yield Plot(timing_figure(result.results, colour, dt), caption)
     sources = tuple(dict.fromkeys(source for r in result.results for source in r.metrics.ladder))
     rows = [(r.motion, r.controller, *(r.metrics.ladder.get(s, 0) for s in sources)) for r in result.results]

@@ -14,6 +14,7 @@ import numpy as np
 from hystmpc.ctrl.limits import CommandLimits, LimitsSettings
 from hystmpc.ctrl.loop import LoopLog
 from hystmpc.ctrl.mpc_settings import LinearisedMpcSettings, SamplingMpcSettings
+from hystmpc.trials.brief import brief, in_brief
 from hystmpc.trials.errors import ConfigError, LogError
 from hystmpc.trials.from_outside import only_reads
 from hystmpc.trials.layouts import CANONICAL
@@ -28,7 +29,7 @@ if TYPE_CHECKING:
 
 _PREDICTIVE = (LinearisedMpcSettings, SamplingMpcSettings)
 HOLD_S = 0.5
-LIMIT_LINE: Any = {"linestyle": (0, (4, 3)), "linewidth": 0.7}
+LIMIT_LINE: Any = {"linestyle": (0, (2, 4)), "linewidth": 0.8}
 _STILL_DEG = 1e-9
 _ROUNDING = 1e-9  # of the command's range: a limit that is met exactly is not violated
 Column = Vec | tuple[str, ...]
@@ -67,6 +68,7 @@ class TrackingMetrics:
     command_travel: float
     limit_violations: int
     step_mean_s: float
+    __repr__ = brief
     step_p99_s: float
     ladder: Mapping[str, int]
 
@@ -161,6 +163,11 @@ class Result:
     run: ClosedLoopRun
     metrics: TrackingMetrics
 
+    def __repr__(self) -> str:
+        m = self.metrics
+        errors = f"RMSE {m.rmse_deg:.4g} deg, at most {m.max_abs_deg:.4g} deg"
+        return in_brief(self, f"{self.controller} along {self.motion}: {errors}")
+
 
 @dataclass(frozen=True, eq=False)
 class StudyResult:
@@ -177,6 +184,10 @@ class StudyResult:
     results: tuple[Result, ...]
     meta: Mapping[str, Any]
     warnings: tuple[str, ...] = ()
+
+    def __repr__(self) -> str:
+        runs = (f"{run.controller} {run.metrics.rmse_deg:.4g} deg" for run in self.results)
+        return in_brief(self, f"{len(self.results)} runs, RMSE {', '.join(runs)}")
 
     @property
     def unit(self) -> str:
@@ -199,7 +210,7 @@ class StudyResult:
 
     def plot(self, motion: str | None = None) -> Figure:
         """Angle and command of every controller along one motion, the first where left out."""
-        return tracking_figure(self.of_motion(motion or self.motions[0]), colours(self.controllers), self.unit)
+        return tracking_figure(self.of_motion(motion or self.motions[0]), looks(self.controllers), self.unit)
 
     def _repr_html_(self) -> str:
         from hystmpc.trials.report import Plot, Report, Table
@@ -262,7 +273,15 @@ def colours(controllers: Sequence[str]) -> dict[str, str]:
     return {name: PALETTE[k % (len(PALETTE) - 1)] for k, name in enumerate(controllers)}
 
 
-def tracking_figure(results: Sequence[Result], colour: Mapping[str, str], unit: str) -> Figure:
+def looks(controllers: Sequence[str]) -> dict[str, dict[str, Any]]:
+    """Colour and dashes for each controller: lines that lie on each other are told apart, in grey too."""
+    from hystmpc.trials.report import DASHES
+
+    colour = colours(controllers)
+    return {name: {"color": colour[name], "linestyle": DASHES[k % len(DASHES)]} for k, name in enumerate(controllers)}
+
+
+def tracking_figure(results: Sequence[Result], look: Mapping[str, Mapping[str, Any]], unit: str) -> Figure:
     """Angle and command over time, with reference and command limits."""
     from hystmpc.trials.report import REFERENCE, new_figure
 
@@ -275,14 +294,15 @@ def tracking_figure(results: Sequence[Result], colour: Mapping[str, str], unit: 
             for axes in (angle, command):
                 axes.axvspan(0.0, first.run.first * first.run.dt, color=REFERENCE, alpha=0.12, linewidth=0.0)
         for result in results:
-            t, style = result.run.log.time_s, {"color": colour[result.controller], "linewidth": 0.9}
+            t, style = result.run.log.time_s, {**look[result.controller], "linewidth": 1.0}
             angle.plot(t, result.run.true_deg, label=result.controller, **style)
             command.step(t, result.run.log.command, where="pre", **style)
-        for edge in {edge for result in results for edge in (result.limits.lower, result.limits.upper)}:
-            command.axhline(edge, color=REFERENCE, **LIMIT_LINE)
+        edges = sorted({edge for result in results for edge in (result.limits.lower, result.limits.upper)})
+        rules = [command.axhline(edge, color=REFERENCE, label="command limits", **LIMIT_LINE) for edge in edges]
         angle.set_ylabel("tip angle [deg]")
         command.set(xlabel="time [s]", ylabel=f"command [{unit}]")
-        figure.legend(*angle.get_legend_handles_labels(), loc="outside upper center", ncols=6)
+        lines = [*angle.get_legend_handles_labels()[0], rules[0]]
+        figure.legend(handles=lines, loc="outside upper center", ncols=4)
     return figure
 
 

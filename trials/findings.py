@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import StrEnum
 
+from .brief import in_brief
+
 
 class Severity(StrEnum):
     """How much a finding matters, least first."""
@@ -43,6 +45,9 @@ class CheckReport:
     source: str
     preset: str
     findings: tuple[Finding, ...]
+
+    def __repr__(self) -> str:
+        return in_brief(self, f"{self.source}: {len(self.findings)} findings, worst {self.worst}")
 
     @property
     def worst(self) -> Severity:

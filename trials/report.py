@@ -17,10 +17,12 @@ from typing import Any
 
 import jinja2
 import matplotlib as mpl
+import numpy as np
 from markupsafe import Markup, escape
+from matplotlib.axis import Axis
 from matplotlib.figure import Figure
 from matplotlib.text import Text
-from matplotlib.ticker import LogFormatter
+from matplotlib.ticker import FixedLocator, LogFormatter, LogLocator, MaxNLocator, NullFormatter, StrMethodFormatter
 
 from .figure_data import zoomed
 from .figure_files import write_figures
@@ -37,6 +39,15 @@ def _style() -> mpl.RcParams:
 PALETTE: tuple[str, ...] = tuple(_style()["axes.prop_cycle"].by_key()["color"])
 MEASURED, MODEL, COMMAND, *_accents, REFERENCE = PALETTE
 ACCENTS = tuple(_accents)
+DASHES: tuple[Any, ...] = (
+    "-",
+    (0, (6, 1.5)),
+    (0, (1.5, 1)),
+    (0, (6, 1.5, 1.5, 1.5)),
+    (0, (3, 1)),
+    (0, (6, 1.5, 1.5, 1.5, 1.5, 1.5)),
+)
+"""Styles of lines that lie on each other, so that more than their colour tells them apart."""
 
 
 class StyledFigure(Figure):
@@ -66,6 +77,7 @@ def style() -> Iterator[None]:
         yield
 
 
+_TICKS = 3  # with a number, on every axis
 _ID = re.compile(r'(\bid="|url\(#|href="#)')
 _CODE = re.compile("`([^`]+)`")
 _NAMESPACE = re.compile(r'\s+xmlns(?::\w+)?="[^"]*"')  # an SVG inside HTML needs none
@@ -172,6 +184,8 @@ class Report:
     def save(self, path: Path | str) -> Path:
         """Write the page, whole or not at all; and its figures, where `figures_to` asks for them."""
         written = write_atomically(path, self.html())
+        for _, plot in _plots(self.pieces):
+            three_ticks(plot.figure)
         with style():
             write_figures((heading, plot.caption, plot.figure) for heading, plot in _plots(self.pieces))
         return written
@@ -196,12 +210,39 @@ def figure_svg(figure: Figure, prefix: str = "") -> str:
         prefix: put before every id, so that the figures of one page do not refer to each other's parts.
     """
     _print_as_it_is(figure)
+    three_ticks(figure)
     out = io.StringIO()
     with style():
         figure.savefig(out, format="svg", metadata={"Date": None, "Creator": None, "Format": None, "Type": None})
     svg = out.getvalue()
     svg = _NAMESPACE.sub("", svg[svg.index("<svg") :]).replace("xlink:href=", "href=")
     return _ID.sub(lambda match: match.group(1) + prefix, svg).strip()
+
+
+def three_ticks(figure: Figure) -> None:
+    """At least three numbers on every axis that has any: one says nothing of a scale, and two little."""
+    for axes in figure.axes:
+        for axis in (axes.xaxis, axes.yaxis):
+            locator, (low, high) = axis.get_major_locator(), sorted(axis.get_view_interval())
+            if isinstance(locator, MaxNLocator):
+                locator.set_params(min_n_ticks=_TICKS)
+            elif isinstance(locator, LogLocator) and 0 < low < high:
+                seen = np.asarray(locator.tick_values(low, high), dtype=np.float64)
+                if np.count_nonzero((seen >= low) & (seen <= high)) < _TICKS:
+                    _more_on_logarithmic(axis, low, high)
+
+
+def _more_on_logarithmic(axis: Axis, low: float, high: float) -> None:
+    """Numbers at whole decades where there are three; else at 1, 2 and 5, and within a decade at even steps."""
+    decades = np.arange(math.ceil(math.log10(low)), math.floor(math.log10(high)) + 1)
+    if decades.size >= _TICKS:
+        axis.set_major_locator(FixedLocator((10.0 ** decades[:: (decades.size - 1) // 2]).tolist()))
+        return
+    few = math.log10(high / low) < 1.0
+    even = MaxNLocator(4, steps=[1, 2, 5, 10], min_n_ticks=_TICKS)
+    axis.set_major_locator(even if few else LogLocator(subs=(1.0, 2.0, 5.0), numticks=20))
+    axis.set_major_formatter(StrMethodFormatter("{x:g}"))
+    axis.set_minor_formatter(NullFormatter())
 
 
 def _print_as_it_is(figure: Figure) -> None:
@@ -218,6 +259,7 @@ def _print_as_it_is(figure: Figure) -> None:
 def _bitmap(figure: Figure, prefix: str = "") -> str:
     """A figure as an `<img>` element that holds its own data."""
     del prefix
+    three_ticks(figure)
     out = io.BytesIO()
     with style():
         figure.savefig(out, format="png", dpi=110)

@@ -12,12 +12,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
+from .brief import in_brief
 from .clocks import counter_wrap, interval_of
 from .errors import ConfigError, LogError
 from .types import Vec
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+
+_LONGEST_SOURCE = 100  # characters of a path in a line
 
 
 @dataclass(frozen=True)
@@ -93,7 +97,8 @@ class Trial:
 
     def __repr__(self) -> str:
         units = f"{self.units.command} to {self.units.angle}"
-        return f"Trial({self.source}: {len(self)} samples in {self.duration_s:.4g} s, {units})"
+        source = self.source if len(self.source) <= _LONGEST_SOURCE else f"...{self.source[-_LONGEST_SOURCE:]}"
+        return in_brief(self, f"{source}: {len(self)} samples in {self.duration_s:.4g} s, {units}")
 
     def __reduce__(self) -> tuple[type[Trial], tuple[object, ...]]:
         # A mapping proxy cannot be pickled, and trials travel to worker processes.

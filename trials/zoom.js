@@ -3,9 +3,11 @@
 (() => {
   const FONT = "11px system-ui, sans-serif", STEP = 1.25;
 
-  const ticks = (low, high, most) => {
+  const ticks = (low, high, most) => { // about `most`, three at least
+    const within = (step) => Math.floor(high / step + 1e-9) - Math.ceil(low / step - 1e-9) + 1;
     const raw = (high - low) / most, power = 10 ** Math.floor(Math.log10(raw));
-    const step = power * ([1, 2, 5, 10].find((n) => n * power >= raw) || 10);
+    const steps = [10, 5, 2, 1, 0.5, 0.2, 0.1].map((n) => n * power), wide = steps.filter((n) => n >= raw).pop() || steps[0];
+    const step = steps.find((n) => n <= wide && within(n) >= 3) || wide;
     const digits = Math.max(0, -Math.floor(Math.log10(step) + 1e-9)), found = [];
     for (let k = Math.ceil(low / step - 1e-9); k * step <= high + 1e-9 * step; k++) found.push([k * step, (k * step).toFixed(digits)]);
     return found;
@@ -35,6 +37,12 @@
         view[group] = [...start[group]];
       }
       for (const [group, [low, high]] of moved) set(group, low, high);
+    };
+    const across = (legend) => legend.reduce((sum, [label]) => sum + pen.measureText(label).width + 42, 0);
+    const room = () => { // least width at which no words meet; a narrower card scrolls
+      pen.font = FONT;
+      const heads = data.panels.map((panel) => (pen.measureText(panel.title || "").width + across(panel.legend) + 24) / panel.box[2]);
+      return data.themed ? 0 : Math.ceil(Math.max(480, across(data.legend) + 24, ...heads)); // a live page has its own width
     };
     let width = 0, height = 0, mouse = null, held = null;
 
@@ -79,11 +87,11 @@
     const write = (text, x, y, align, colour = SOFT) => { pen.fillStyle = colour; pen.textAlign = align; pen.fillText(text, x, y); };
 
     const name = (legend, from, y) => { // in a row that begins where `from` puts one of its width
-      let across = from(12 + legend.reduce((sum, [label]) => sum + pen.measureText(label).width + 42, 0));
+      let at = from(12 + across(legend));
       for (const [label, look] of legend) {
-        pen.beginPath(); pen.moveTo(across, y); pen.lineTo(across + 22, y); stroke(look);
-        write(label, across + 27, y, "left", INK);
-        across += pen.measureText(label).width + 42;
+        pen.beginPath(); pen.moveTo(at, y); pen.lineTo(at + 22, y); stroke(look);
+        write(label, at + 27, y, "left", INK);
+        at += pen.measureText(label).width + 42;
       }
     };
 
@@ -116,7 +124,7 @@
         if (mouse && mouse.group === panel.group && mouse.x >= left && mouse.x <= left + wide) { pen.beginPath(); pen.moveTo(mouse.x, top); pen.lineTo(mouse.x, top + high); pen.strokeStyle = SOFT; pen.lineWidth = 0.7; pen.stroke(); }
         pen.restore();
         pen.strokeStyle = SOFT; pen.lineWidth = 1; pen.beginPath(); pen.moveTo(left, top); pen.lineTo(left, top + high); pen.lineTo(left + wide, top + high); pen.stroke();
-        name(panel.legend, (across) => left + wide - across, top - 9);
+        name(panel.legend, (long) => left + wide - long, top - 9);
         if (panel.title) write(panel.title, left, top - 9, "left", INK);
         if (panel.xlabel) write(panel.xlabel, left + wide / 2, top + high + 26, "center", INK);
         pen.save(); pen.translate(9, top + high / 2); pen.rotate(-Math.PI / 2);
@@ -193,8 +201,9 @@
     figure.classList.add("live");
     new ResizeObserver(() => {
       const wide = card.clientWidth - 2 * parseFloat(getComputedStyle(card).paddingLeft);
-      if (wide <= 0 || wide === width) return;
-      width = wide; height = Math.max(260, wide * data.size[1] / data.size[0]);
+      const wanted = Math.max(wide, room());
+      if (wide <= 0 || wanted === width) return;
+      width = wanted; height = Math.max(260, width * data.size[1] / data.size[0]);
       canvas.style.width = `${width}px`; canvas.style.height = `${height}px`;
       draw();
     }).observe(card);

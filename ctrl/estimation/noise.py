@@ -161,6 +161,19 @@ class NoiseBank:
         _, drift, motion = self._variances(bank).tolist()
         return float(drift * self._dt + motion * travel)
 
+    def ahead(self, bank: Vec, travels: Vec) -> Vec:
+        """Variance that the disturbance gains by the ends of the coming samples without a measurement (H,) [deg^2].
+
+            sum_i w_i (min(P_i + k drift_i^2 dt + motion_i^2 sum_{j<=k} |du_j|, greatest_i) - P_i)
+
+        Args:
+            travels: of the command in each of them (H,) [command unit].
+        """
+        variance, weight = bank[1], bank[2]
+        steps = np.arange(1.0, travels.size + 1.0)
+        grown = variance + steps[:, None] * self._drift + np.cumsum(travels)[:, None] * self._motion
+        return np.asarray((np.minimum(grown, self._widest) - variance) @ weight)
+
     def _variances(self, bank: Vec) -> Vec:
         return np.asarray(np.exp(self._logs @ bank[2]))
 

@@ -8,9 +8,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Annotated, Literal, final
 
+import numpy as np
 from pydantic import Field
 
 from hystmpc.models.model import Predictor
+from hystmpc.trials.brief import brief
 from hystmpc.trials.config import Settings
 from hystmpc.trials.errors import ControllerError
 from hystmpc.trials.types import Vec
@@ -73,6 +75,7 @@ class Estimate:
     past: tuple[Estimate, ...] = ()
     seen: tuple[float, ...] = ()
     since: float = 0.0
+    __repr__ = brief
 
     @property
     def age(self) -> float:
@@ -97,6 +100,14 @@ class Observer(ABC):
     def sigma_deg(self, estimate: Estimate) -> float:
         """Standard deviation of the error of the estimated angle [deg]; not-a-number where it is not known."""
         return math.sqrt(estimate.variance)
+
+    def sigma_ahead_deg(self, estimate: Estimate, travels: Vec) -> Vec:
+        """Standard deviation of the error of the angles predicted for the ends of the coming samples (H,) [deg].
+
+        Args:
+            travels: of the command in each of these samples (H,) [command unit].
+        """
+        return np.full(travels.size, self.sigma_deg(estimate))
 
     def unrest_deg(self, estimate: Estimate) -> float:
         """Standard deviation of what noise does to the estimated disturbance in the course of a hold [deg]."""
@@ -257,6 +268,9 @@ class OutputEstimator(Observer):
         bank, variance = self.bank.init(first)
         return Estimate(state, u, (angle,) * queue, (True,) * queue, (0.0,) * queue, first, variance, y, bank=bank)
 
+    def sigma_ahead_deg(self, estimate: Estimate, travels: Vec) -> Vec:
+        return np.asarray(np.sqrt(estimate.variance + self.bank.ahead(estimate.bank, travels)))
+
     def unrest_deg(self, estimate: Estimate) -> float:
         return math.sqrt(estimate.variance) * self._share(estimate.earned, estimate.bank)
 
@@ -333,6 +347,9 @@ class Frames(Observer):
     def __init__(self, inner: Observer, samples: int) -> None:
         self._inner, self._samples, self.delay_samples = inner, samples, inner.delay_samples
 
+    def sigma_ahead_deg(self, estimate: Estimate, travels: Vec) -> Vec:
+        return self._inner.sigma_ahead_deg(estimate, travels)
+
     def unrest_deg(self, estimate: Estimate) -> float:
         return self._inner.unrest_deg(estimate)
 
@@ -386,14 +403,13 @@ class ModelAlone(Observer):
     of a recording (`TipController.replay`). It says where the model starts; how far it is off that angle is not taken
     for a disturbance, and what is measured afterwards is not looked at. The estimate does not fluctuate, so that holds
     are as without noise. How far the model may be off is `sigma_deg`: the root mean square of the slow errors of its
-    free runs, where the model file says it (`NoiseModel`).
+    free runs, where the model file says it (`ModelMetadata.model_sigma_deg`).
     """
 
     def __init__(self, predictor: Predictor, settings: EstimatorSettings) -> None:
         self._predictor = predictor
         self.delay_samples, self._limit = settings.delay_samples, settings.rest_tolerance_deg
-        known = predictor.noise
-        self._sigma = math.nan if known is None or known.model_sigma_deg is None else known.model_sigma_deg
+        self._sigma = predictor.model_sigma_deg
 
     def sigma_deg(self, estimate: Estimate) -> float:
         del estimate

@@ -35,11 +35,12 @@ class FeedforwardSettings(LawSettings):
         return self.estimator.observer(predictor)
 
     def feedforward(self, predictor: Predictor, inverse: Inverse, limits: CommandLimits) -> InverseFeedforward:
-        """The inverse: over the preview for a model with lag or delay, else sample by sample."""
+        """The inverse: over the preview for a model that answers late (`steady_inverse` too), else sample by sample."""
         from hystmpc.models.inverse.drive import DrivenInverse  # numba and CasADi, which importing settings spares
+        from hystmpc.models.inverse.steady import inverted_after_a_hold
 
         ahead = None
-        if isinstance(inverse, DrivenInverse):
+        if isinstance(inverse, DrivenInverse) or inverted_after_a_hold(inverse):
             from ..linearised.feasible_inverse import FeasibleInverse
 
             ahead = FeasibleInverse(predictor, inverse, limits, self.preview)

@@ -49,6 +49,10 @@ class LearningEstimator(Observer):
         bank = self._bank.init(model.angles[0], u, y)
         return self._whole(model, bank, model.bank, model.disturbance, model.variance)
 
+    def sigma_ahead_deg(self, estimate: Estimate, travels: Vec) -> Vec:
+        """As the plain estimator has it: the disturbance is what model and learned part leave over."""
+        return self._plain.sigma_ahead_deg(estimate, travels)
+
     def correct(self, estimate: Estimate, y: float) -> Estimate:
         learning, angle, far = _learning(estimate), usable_angle(y), self._settings.outlier_deg
         offset = angle - estimate.angles[0]

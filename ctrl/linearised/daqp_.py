@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from threading import local
 from typing import Any, final
 
 import daqp
@@ -37,8 +38,8 @@ class DaqpOptions:
 class DaqpSolver(QpSolver):
     """Solves every program from a cold start, so that nothing of the one before is left (Arnström et al., TAC 2022).
 
-    The identity rows of the pattern are handed over as simple bounds. Memory for one program is kept and filled anew;
-    it is made anew after a failure.
+    The identity rows of the pattern are handed over as simple bounds. Memory for one program is kept and filled anew,
+    one a thread; it is made anew after a failure.
     """
 
     name = "DAQP"
@@ -49,7 +50,7 @@ class DaqpSolver(QpSolver):
         self._upper, self._lower = across * pattern.variables + down, down * pattern.variables + across
         across, down = _positions(pattern.constraints)
         self._rows = across * pattern.variables + down
-        self._memory: tuple[Vec, Vec] | None = None
+        self._own = local()
 
     def solve(self, data: QpData) -> QpSolution:
         hessian, rows = self._filled(data)
@@ -67,16 +68,17 @@ class DaqpSolver(QpSolver):
         status = _STATUS.get(flag, f"exit flag {flag}") if finite else "solution not finite"
         usable = finite and flag == _SOLVED
         if not usable:
-            self._memory = None
+            self._own.memory = None
         return QpSolution(primal, usable, status, int(info["iterations"]), flag == _UNFINISHED)
 
     def _filled(self, data: QpData) -> tuple[Vec, Vec]:
         """Hessian (n, n) and constraint rows (m, n), dense."""
-        if self._memory is None:
+        memory: tuple[Vec, Vec] | None = getattr(self._own, "memory", None)
+        if memory is None:
             n, m = self._pattern.variables, self._pattern.rows
-            self._memory = np.zeros((n, n)), np.zeros((m, n))
-            self._memory[1].reshape(-1)[self._rows] = self._pattern.constraints.data
-        hessian, rows = self._memory
+            memory = self._own.memory = np.zeros((n, n)), np.zeros((m, n))
+            memory[1].reshape(-1)[self._rows] = self._pattern.constraints.data
+        hessian, rows = memory
         for half in (self._upper, self._lower):
             hessian.reshape(-1)[half] = data.hessian_data
         if data.constraint_data is not None:

@@ -7,6 +7,7 @@ from typing import final
 
 import numpy as np
 
+from hystmpc.models.inverse.steady import inverted_after_a_hold
 from hystmpc.models.model import Inverse, Predictor
 from hystmpc.trials.types import Vec
 
@@ -18,6 +19,7 @@ from ..planning_settings import WeightsSettings
 from .planner import LinearisedPlanner
 
 _RATE_WEIGHT = 0.01  # at 25 Hz [deg^2 per squared command unit]: next to nothing beside an error of the angle
+_STEADY_RATE_WEIGHT = 3.0  # of a model whose exact inverse goes back and forth: what a move costs keeps it from that
 _BASE_DT_S = 0.04
 _ITERATIONS = 2
 
@@ -33,7 +35,8 @@ class FeasibleInverse:
 
     def __init__(self, predictor: Predictor, inverse: Inverse, limits: CommandLimits, horizon: int) -> None:
         self.horizon = horizon
-        weights = WeightsSettings(terminal=1.0, rate=_RATE_WEIGHT * (_BASE_DT_S / predictor.dt) ** 2, effort=0.0)
+        rate = _STEADY_RATE_WEIGHT if inverted_after_a_hold(inverse) else _RATE_WEIGHT
+        weights = WeightsSettings(terminal=1.0, rate=rate * (_BASE_DT_S / predictor.dt) ** 2, effort=0.0)
         settings = LinearisedMpcSettings(horizon=horizon, iterations=_ITERATIONS, weights=weights)
         self._predictor = predictor
         self._candidates = Candidates(predictor, inverse, limits, horizon)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from threading import local
 from typing import Any, final
 
 import numpy as np
@@ -35,8 +36,9 @@ class OsqpOptions:
 class OsqpSolver(QpSolver):
     """Solves one family of quadratic programs.
 
-    The workspace only saves time: every solve starts from z = 0, the first step size and the multipliers that come
-    with the data, and the cost is scaled here and not by the solver, whose scaling leaves rounding errors behind.
+    The workspace, one a thread, only saves time: every solve starts from z = 0, the first step size and the
+    multipliers that come with the data, and the cost is scaled here and not by the solver, whose scaling leaves
+    rounding errors behind.
     So equal data give equal answers, to the last bit.
     """
 
@@ -47,11 +49,12 @@ class OsqpSolver(QpSolver):
         self._origin = np.zeros(pattern.variables)
         # the last entry of every column of an upper triangle is the one on the diagonal
         self._diagonal = pattern.hessian.indptr[1:] - 1
-        self._workspace: Any = self._build()
+        self._own = local()
+        self._own.workspace = self._build()
 
     def solve(self, data: QpData) -> QpSolution:
-        workspace = self._build() if self._workspace is None else self._workspace
-        self._workspace = None  # a failed workspace may keep what made it fail
+        workspace = getattr(self._own, "workspace", None) or self._build()
+        self._own.workspace = None  # a failed workspace may keep what made it fail
         scale = 1.0 / float(np.mean(data.hessian_data[self._diagonal]))
         moving = {} if data.constraint_data is None else {"Ax": data.constraint_data}
         workspace.update(Px=scale * data.hessian_data, q=scale * data.gradient, l=data.lower, u=data.upper, **moving)
@@ -61,7 +64,7 @@ class OsqpSolver(QpSolver):
         status = str(result.info.status) if finite else "solution not finite"
         usable = finite and status in _USABLE
         if usable:
-            self._workspace = workspace
+            self._own.workspace = workspace
         return QpSolution(result.x, usable, status, iterations, status == _UNFINISHED)
 
     def _staged(self, workspace: Any) -> tuple[Any, int]:

@@ -21,6 +21,10 @@ class PlannersController(Controller[GuardedState[Any]], Protocol):
         """Standard deviation of the error of the estimated angle [deg]; not-a-number where it is not known."""
         ...
 
+    def sigma_ahead_deg(self, state: GuardedState[Any], commands: Vec) -> Vec:
+        """Standard deviation of the error of the angles predicted for the ends of the coming samples (H,) [deg]."""
+        ...
+
     def stop(self, state: GuardedState[Any], cause: str) -> GuardedState[Any]:
         """The state after which every step stops; only a new `init` releases it."""
         ...

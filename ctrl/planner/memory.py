@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hystmpc.models.model import Predictor
+from hystmpc.trials.brief import brief, in_brief
 from hystmpc.trials.errors import ControllerError, shown
 from hystmpc.trials.types import Vec
 
@@ -51,6 +52,7 @@ class Snapshot:
     reference: Reference | None = None
     request: ReferenceRequest | None = None
     halted: bool = False
+    __repr__ = brief
 
     @property
     def stopped(self) -> bool:
@@ -253,7 +255,9 @@ class TipState:
         reference_deg, reference_velocity_deg_s: what is wanted then.
         command: the command that is being held [mm or bar].
         disturbance_deg: by how much the device is off the model, as estimated.
-        sigma_deg: standard deviation of the error of the estimated angle; NaN where it is not known.
+        sigma_deg: standard deviation of the error of the estimated angle, which is the model's and the disturbance.
+            With a sensor it is that of the Kalman filters, less than the sensor's noise where they average over it. Of
+            a controller without a sensor it is how far the model's free runs were off. NaN where that is not known.
         source, status: of that command.
         done: whether the reference has come to its end.
         settled: done, and the measurement is within the tolerance.
@@ -273,6 +277,7 @@ class TipState:
     done: bool
     settled: bool
     stopped: bool
+    __repr__ = brief
 
 
 @dataclass(frozen=True, eq=False)
@@ -284,12 +289,22 @@ class TipPlan:
         command: planned commands; only the one that is held where the controller does not plan.
         predicted_deg: angles at these ends, disturbance included; as many as are known.
         reference_deg: wanted angles at these ends; NaN before the start.
+        sigma_deg: standard deviation of the error of each predicted angle: that of the estimate now, and what drift and
+            motion of the model's noise add until then; NaN where it is not known.
     """
 
     time_s: Vec
     command: Vec
     predicted_deg: Vec
     reference_deg: Vec
+    sigma_deg: Vec
+
+    def __repr__(self) -> str:
+        ends = (self.time_s[0], self.time_s[-1], self.command[0], self.command[-1])
+        text = "{} samples, {:.4g} to {:.4g} s: command {:.4g} to {:.4g}".format(self.time_s.size, *ends)
+        known = self.predicted_deg.size > 0
+        more = f", {self.predicted_deg[-1]:.4g} deg predicted, sigma {self.sigma_deg[-1]:.2g} deg" if known else ""
+        return in_brief(self, text + more)
 
 
 def tip_state(memory: Snapshot, controller: PlannersController, tolerance_deg: float) -> TipState:
@@ -314,19 +329,59 @@ def tip_state(memory: Snapshot, controller: PlannersController, tolerance_deg: f
     )
 
 
-def tip_plan(memory: Snapshot, dt: float) -> TipPlan:
+def tip_plan(memory: Snapshot, controller: PlannersController) -> TipPlan:
     """The plan of the last step, in a snapshot."""
+    dt = controller.dt
     command, reference = memory.command, memory.reference
     planned = command.plan if command.plan.size else np.array([command.u])
     times = dt * (memory.steps + np.arange(max(planned.size, command.predicted.size), dtype=np.float64))
     wanted = None if reference is None else attempt(lambda: reference.at(times))[0]
-    return TipPlan(times, planned, command.predicted, np.full(times.size, np.nan) if wanted is None else wanted)
+    reference_deg = np.full(times.size, np.nan) if wanted is None else wanted
+    return TipPlan(times, planned, command.predicted, reference_deg, _sigma_of_plan(memory, controller, planned))
+
+
+def _sigma_of_plan(memory: Snapshot, controller: PlannersController, planned: Vec) -> Vec:
+    """Standard deviations at the ends of the running and the next samples, as many as predicted angles [deg]."""
+    control, rows = memory.control, memory.command.predicted.size
+    if control is None or not rows:
+        return np.full(rows, np.nan)
+    coming = np.concatenate([planned[1:], np.full(rows, planned[-1])])[: rows - 1]
+    return np.concatenate([[controller.sigma_deg(control)], controller.sigma_ahead_deg(control, coming)])
 
 
 def predicted_angles(
     predictor: Predictor, limits: CommandLimits, estimate: Estimate | None, commands: ArrayLike
 ) -> Vec:
     """Angles [deg] at the ends of the coming samples under one plan (N,) or several (K, N), disturbance included.
+
+    Raises:
+        ControllerError: as `usable_plans`.
+    """
+    plans, estimate = usable_plans(predictor, limits, estimate, commands)
+    under_way = np.array(estimate.angles[1:])  # of commands that are sent already but have not acted
+    new = predictor.rollout(estimate.state, plans)
+    angles = np.hstack([np.tile(under_way, (len(plans), 1)), new])[:, : plans.shape[1]] + estimate.disturbance
+    return angles.reshape(np.shape(commands))
+
+
+def predicted_sigmas(
+    limits: CommandLimits, predictor: Predictor, memory: Snapshot, controller: PlannersController, commands: ArrayLike
+) -> Vec:
+    """Standard deviations of the errors of `predicted_angles` [deg], of the same shape.
+
+    Raises:
+        ControllerError: as `usable_plans`.
+    """
+    control = memory.control
+    plans, _ = usable_plans(predictor, limits, None if control is None else control.estimate, commands)
+    assert control is not None  # there is an estimate
+    return np.array([controller.sigma_ahead_deg(control, plan) for plan in plans]).reshape(np.shape(commands))
+
+
+def usable_plans(
+    predictor: Predictor, limits: CommandLimits, estimate: Estimate | None, commands: ArrayLike
+) -> tuple[Vec, Estimate]:
+    """Plans (K, N) that could be sent now, and the estimate from which they start.
 
     Raises:
         ControllerError: if there is no estimate of a model's state, or a plan is not finite or beyond the limits.
@@ -342,7 +397,4 @@ def predicted_angles(
             f"predict: got plans of shape {plans.shape}, expected (N,) or (K, N) finite commands within "
             f"{limits.lower:g} to {limits.upper:g} at {limits.rate:g} per second from {estimate.command:.6g} on"
         )
-    under_way = np.array(estimate.angles[1:])  # of commands that are sent already but have not acted
-    new = predictor.rollout(estimate.state, plans)
-    angles = np.hstack([np.tile(under_way, (len(plans), 1)), new])[:, : plans.shape[1]] + estimate.disturbance
-    return angles.reshape(np.shape(commands))
+    return plans, estimate

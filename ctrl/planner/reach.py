@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hystmpc.models.model import Predictor
+from hystmpc.trials.brief import brief
 from hystmpc.trials.errors import ControllerError
 from hystmpc.trials.types import Vec
 
@@ -28,12 +29,16 @@ class Reach:
         reachable: the answer.
         low_deg, high_deg: least and greatest angle that can be reached now [deg].
         reason: one line.
+        nearest_deg: the angle nearest to the one asked for that can be reached: itself, or the end at which it is cut
+            [deg]; NaN where none was asked for.
     """
 
     reachable: bool
     low_deg: float
     high_deg: float
     reason: str
+    nearest_deg: float
+    __repr__ = brief
 
     def __bool__(self) -> bool:
         return self.reachable
@@ -52,17 +57,18 @@ class Workspace:
         ends = self.model[0] + disturbance_deg, self.model[1] + disturbance_deg
         low, high = max(ends[0], self.soft[0]), min(ends[1], self.soft[1])
         if not math.isfinite(theta_deg):
-            return Reach(False, low, high, f"got {theta_deg} deg, expected a finite angle")
+            return Reach(False, low, high, f"got {theta_deg} deg, expected a finite angle", math.nan)
         if low <= theta_deg <= high:
             inside = self.trained[0] <= theta_deg <= self.trained[1]
             range_text = f"{self.trained[0]:.4g} to {self.trained[1]:.4g} deg"
             reason = "within reach" if inside else f"within reach, beyond the {range_text} that the model has seen"
-            return Reach(True, low, high, reason)
+            return Reach(True, low, high, reason, theta_deg)
         below = theta_deg < low
         bound, end = (low, ends[0]) if below else (high, ends[1])
         cause = "the command limits" if bound == end else "the soft angle limits"
         side = "below the least" if below else "above the greatest"
-        return Reach(False, low, high, f"{theta_deg:.6g} deg is {side} angle within {cause}, {bound:.6g} deg")
+        text = f"{theta_deg:.6g} deg is {side} angle within {cause}, {bound:.6g} deg, at which it is cut"
+        return Reach(False, low, high, text, bound)
 
 
 def beyond_reach(angles_deg: Vec, reach_deg: tuple[float, float]) -> str:

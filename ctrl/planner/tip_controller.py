@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from copy import copy
 from functools import partial
 from pathlib import Path
 from threading import RLock
@@ -12,6 +13,7 @@ from typing import TYPE_CHECKING, Any, Self, final
 import numpy as np
 from numpy.typing import ArrayLike
 
+from hystmpc.trials.brief import in_brief
 from hystmpc.trials.errors import ControllerError, shown
 from hystmpc.trials.types import Vec
 
@@ -29,6 +31,7 @@ from .memory import (
     holding,
     initial_snapshot,
     predicted_angles,
+    predicted_sigmas,
     replay_recording,
     require_number,
     require_usable,
@@ -108,6 +111,13 @@ class TipController:
 
         settings, folder = read_settings(source)
         return cls(assemble(settings, folder), settings)
+
+    def __repr__(self) -> str:
+        settings, memory, limits = self._settings, self._memory, self._assembly.limits
+        model = f"{settings.controller.kind} on {Path(settings.model).name}, every {self.dt:.4g} s"
+        now = f"{memory.measured_deg:.4g} deg at {memory.command.u:.4g} {self._assembly.unit}"
+        word = "stopped" if memory.stopped else str(memory.command.source)
+        return in_brief(self, f"{model}, {limits}; step {memory.steps}: {now}, {word}")
 
     @property
     def dt(self) -> float:
@@ -208,7 +218,8 @@ class TipController:
         """Move to `theta_deg` [deg] and stay: the fastest motion within the limits, from the present state of motion.
 
         Position, velocity and acceleration of the reference are continuous, in the middle of another motion too. The
-        answer says whether the target can be reached; out of reach, the controller goes as far as it can.
+        answer says whether the target can be reached, and which angle is the nearest; out of reach, the controller goes
+        as far as it can.
 
         Raises:
             ControllerError: if it is not a finite angle, or the stop is latched.
@@ -243,7 +254,7 @@ class TipController:
 
     def plan(self) -> TipPlan:
         """What the last step means to do over its horizon."""
-        return tip_plan(self._memory, self.dt)
+        return tip_plan(self._memory, self._controller)
 
     def predict(self, commands: ArrayLike) -> Vec:
         """Angles [deg] at the ends of the coming samples under `commands`, disturbance included; nothing is sent.
@@ -258,6 +269,41 @@ class TipController:
         control, assembly = self._memory.control, self._assembly
         estimate = None if control is None else control.estimate
         return predicted_angles(assembly.predictor, assembly.limits, estimate, commands)
+
+    def predict_sigma_deg(self, commands: ArrayLike) -> Vec:
+        """Standard deviations of the errors of the angles that `predict` answers [deg], of their shape.
+
+        With a sensor the error is that of the estimate now; until then the disturbance walks on, see `NoiseModel`:
+
+            sigma_k^2 = sigma_now^2 + k drift^2 dt + motion^2 (|du_1| + ... + |du_k|)
+
+        Without a sensor it is how far the model's free runs were off, at any time. NaN where that is not known. The
+        noise of a sensor that reads the angle then is not part of it.
+
+        Args:
+            commands: as `predict` takes them.
+
+        Raises:
+            ControllerError: as `predict`.
+        """
+        assembly = self._assembly
+        return predicted_sigmas(assembly.limits, assembly.predictor, self._memory, self._controller, commands)
+
+    def fork(self) -> Self:
+        """A copy that goes on from here by itself, for a planner that looks ahead while this one controls the device.
+
+        It shares model, settings and limits and has a memory, a clock and a lock of its own: no call of either is seen
+        by the other, and both may be stepped at the same time from two threads. What a fork answers is not sent. It
+        costs no more than some references.
+
+        Raises:
+            ControllerError: if the controller runs in C, whose memory cannot be copied.
+        """
+        if self._controller is not self._assembly.controller:
+            raise ControllerError("fork: got a controller that runs in C, expected one of from_config")
+        other = copy(self)
+        other._lock = RLock()
+        return other
 
     def reachable(self, theta_deg: float) -> Reach:
         """Whether the model can be held at `theta_deg` [deg] within command and soft angle limits, and why not."""

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from hystmpc.models.identify.uncertainty import Interval
@@ -113,7 +114,9 @@ def effects_figure(evidence: Evidence) -> Figure:
             axes.tick_params(axis="y", length=0)
         looks = (_CHOSEN, "", "chosen"), (_AMBIGUOUS, "////", "not told apart"), (_OTHER, "", "others")
         handles = [Patch(facecolor=colour, hatch=hatch, edgecolor="white", label=text) for colour, hatch, text in looks]
-        figure.legend(handles=handles, loc="outside upper center", ncols=3)
+        point = Line2D([], [], color=MEASURED, marker="o", markersize=4, linestyle="none", label="alone")
+        interval = Line2D([], [], color=REFERENCE, linewidth=INTERVAL["linewidth"], label="interval")
+        figure.legend(handles=[*handles, point, interval], loc="outside upper center", ncols=5)
     return figure
 
 

@@ -5,13 +5,17 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from hystmpc.trials.report import ACCENTS, COMMAND, MEASURED, MODEL, REFERENCE
+from hystmpc.trials.report import ACCENTS, COMMAND, DASHES, MEASURED, MODEL, REFERENCE
 from hystmpc.trials.types import Vec
 
 from .report_data import Stage, TrialEvidence
 
 LABEL: dict[Stage, str] = {"nominal": "as given", "retuned": "retuned", "with_effects": "with effects"}
 COLOUR: dict[Stage, str] = {"nominal": "#a6a6a6", "retuned": ACCENTS[2], "with_effects": MODEL}
+_DASH: dict[Stage, Any] = {"nominal": DASHES[0], "retuned": DASHES[2], "with_effects": DASHES[1]}
+LOOK: dict[Stage, Any] = {
+    stage: {"color": COLOUR[stage], "linestyle": dash, "label": LABEL[stage]} for stage, dash in _DASH.items()
+}
 MARKER: dict[Stage, str] = {"nominal": "s", "retuned": "o", "with_effects": "D"}
 REAL: Any = {"color": MEASURED, "linewidth": 2.6, "alpha": 0.5, "label": "real"}
 COMMANDED: Any = {"color": COMMAND, "linewidth": 0.9}

@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 from scipy.signal import welch
 
 from hystmpc.trials.figure_data import draw_long, draw_part
-from hystmpc.trials.report import MEASURED, MODEL, REFERENCE, new_figure
+from hystmpc.trials.report import MEASURED, REFERENCE, new_figure
 from hystmpc.trials.types import Vec
 
 from ..diagnosis import Place
 from ..residual.spectrum import SpectralLine
-from .figure_style import COLOUR, COMMANDED, HEAT, INTERVAL, LABEL, QUIET, REAL, measured_label, short, thin
+from .figure_style import COLOUR, COMMANDED, HEAT, INTERVAL, LABEL, LOOK, QUIET, REAL, measured_label, short, thin
 from .report_data import Stage, TrialEvidence
 from .words import in_words
 
@@ -29,13 +29,10 @@ _COLUMNS = 400  # more cannot be told apart across a page
 
 _PER_LINE = 3
 _WINDOW_S = 40.0
-_LOOK: dict[Stage, Any] = {
-    "nominal": {"color": COLOUR["nominal"], "linewidth": 0.9, "label": LABEL["nominal"]},
-    "retuned": {"color": COLOUR["retuned"], "linewidth": 1.0, "label": LABEL["retuned"]},
-    "with_effects": {"color": MODEL, "linewidth": 0.9, "linestyle": (0, (4, 1.5)), "label": LABEL["with_effects"]},
-}
+_LOOK: dict[Stage, Any] = {stage: {**look, "linewidth": 0.9} for stage, look in LOOK.items()}
 
 _BAR = COLOUR["retuned"]
+_STAIRS: Any = {"linewidth": 1.5, "baseline": None}
 
 
 def heat_figure(trials: Sequence[TrialEvidence], unit: str, stages: Sequence[Stage]) -> Figure:
@@ -116,7 +113,7 @@ def time_figure(trials: Sequence[TrialEvidence], stages: Sequence[Stage]) -> Fig
             draw_long(angle, t, real, **REAL)
             for stage, run in zip(stages, _runs(trial, stages), strict=True):
                 draw_long(angle, t, run, **_LOOK[stage])
-                draw_long(left, t, run - real, **{**_LOOK[stage], "linestyle": "-"})
+                draw_long(left, t, run - real, **_LOOK[stage])
             angle.set_title(short(trial.name, 60), fontsize=8.5)
             angle.set_ylabel(measured_label(trial.trial.units.angle))
             angle.tick_params(labelbottom=False)
@@ -140,7 +137,7 @@ def before_after_figure(trial: TrialEvidence, after: Stage) -> Figure:
         for stage in ("nominal", after):
             run = getattr(trial, stage)
             draw_part(angle, t, run, part, **_LOOK[stage])
-            draw_part(error, t, run - trial.trial.angle, part, **{**_LOOK[stage], "linestyle": "-"})
+            draw_part(error, t, run - trial.trial.angle, part, **_LOOK[stage])
         error.axhline(0.0, **QUIET)
         angle.set_ylabel(measured_label(trial.trial.units.angle))
         error.set(ylabel=f"simulated less\nmeasured [{trial.trial.units.angle}]", xlabel="time [s]")
@@ -194,7 +191,7 @@ def bins_figure(trials: Sequence[TrialEvidence], stages: Sequence[Stage]) -> Fig
         rows = figure.subplots(1, len(groups), sharey=True, squeeze=False)[0]
         for axes, group in zip(rows, groups, strict=True):
             for stage, values in group.rmse_deg.items():
-                axes.stairs(values, group.edges, color=COLOUR[stage], label=LABEL[stage], linewidth=1.5, baseline=None)
+                axes.stairs(values, group.edges, **LOOK[stage], **_STAIRS)
             shares = axes.twinx()
             shares.stairs(group.time, group.edges, fill=True, color="#e2e2e2", zorder=0)
             shares.set(ylim=(0.0, 1.0), yticks=())
@@ -266,7 +263,7 @@ def spectrum_figure(
         top = 0.0
         for stage in stages:
             frequency, density = amplitude_density(trials, stage)
-            axes.plot(frequency[1:], density[1:], color=COLOUR[stage], label=LABEL[stage])
+            axes.plot(frequency[1:], density[1:], **LOOK[stage])
             top = float(frequency[-1])
         if np.isfinite(noise_deg) and noise_deg > 0 and top > 0:
             level = noise_deg * np.sqrt(1 / top)  # one-sided, up to the Nyquist frequency

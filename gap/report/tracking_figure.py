@@ -8,13 +8,13 @@ from typing import Any
 from matplotlib.figure import Figure
 
 from hystmpc.trials.figure_data import draw_long
-from hystmpc.trials.report import ACCENTS, MODEL, REFERENCE, new_figure
+from hystmpc.trials.report import ACCENTS, DASHES, MODEL, REFERENCE, new_figure
 
 from .report_data import TrackingCurve
 from .words import in_words
 
 _WANTED: Any = {"color": REFERENCE, "linewidth": 2.4, "alpha": 0.45, "label": "reference"}
-_BEFORE: Any = {"color": ACCENTS[2], "linewidth": 1.0, "label": "before"}
+_BEFORE: Any = {"color": ACCENTS[2], "linewidth": 1.0, "linestyle": DASHES[1], "label": "before"}
 _AFTER: Any = {"color": MODEL, "linewidth": 1.0, "label": "after"}
 
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
+from hystmpc.trials.brief import brief
 from hystmpc.trials.errors import ExportError
 from hystmpc.trials.types import Vec
 
@@ -55,6 +56,7 @@ class EquivalenceReport:
     jacobian: float
     jacobian_points: int
     kinks: int
+    __repr__ = brief
 
 
 def check_equivalence(reference: StepFunction, model: OnnxModel, probe: Vec) -> EquivalenceReport:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal, Self
@@ -193,6 +194,16 @@ class ModelMetadata(Settings):
     def inverted(self) -> bool:
         """Whether this is an inverse map, angle in and command out."""
         return self.command_unit == "deg" if self.inverse is None else self.inverse
+
+    @property
+    def model_sigma_deg(self) -> float:
+        """How far free runs of the model are off about their mean [deg], see `NoiseModel`; not-a-number: not known.
+
+        Where the noise does not say it, `training.model_sigma_deg` may.
+        """
+        known = None if self.noise is None else self.noise.model_sigma_deg
+        said = self.training.get("model_sigma_deg", math.nan) if known is None else known
+        return float(said) if isinstance(said, float | int) else math.nan
 
     @property
     def state_size(self) -> int:

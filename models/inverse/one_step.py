@@ -20,10 +20,16 @@ class CompiledInverse(Inverse):
     u = argmin |u - u_last| over { u in [low, high] : theta(x, u) = theta }, by Newton's method on the exact
     derivative inside a shrinking bracket; the end of the range where no command reaches the angle. For a backlash it
     is S2 (RA-L 2024) eq. (3), for a Prandtl-Ishlinskii model the analytic inverse with the true rate of the command.
+
+    Args:
+        predictor: what is inverted; of a model that is inverted in slow motion, its angle is that after a hold, see
+            `steady_inverse`.
+        low, high: least and greatest command.
+        held: samples for which the command is held before the angle counts.
     """
 
-    def __init__(self, predictor: InvertiblePredictor, low: float, high: float) -> None:
-        self.predictor, self.low, self.high = predictor, low, high
+    def __init__(self, predictor: InvertiblePredictor, low: float, high: float, held: int = 1) -> None:
+        self.predictor, self.low, self.high, self.held = predictor, low, high, held
 
     def command(self, state: Vec, theta: float, u_last: float) -> float:
         return self.predictor.command_for(state, theta, self.low, self.high, u_last)
@@ -39,6 +45,7 @@ class AccompaniedPredictor(Predictor):
 
     def __init__(self, predictor: Predictor, companion: Predictor, angle: float = 0.0) -> None:
         self.dt, self.command_range, self.noise = predictor.dt, predictor.command_range, predictor.noise
+        self.model_sigma_deg = predictor.model_sigma_deg
         self.predictor, self.companion = predictor, companion
         self.size = predictor.initial(angle, predictor.command_range[0]).size
 
@@ -91,7 +98,7 @@ class MappedPredictor(Predictor):
 
     def __init__(self, predictor: Predictor, inverse_map: LoadedModel) -> None:
         self.dt, self.command_range, self.noise = predictor.dt, predictor.command_range, predictor.noise
-        self.inverse_map = inverse_map
+        self.inverse_map, self.model_sigma_deg = inverse_map, predictor.model_sigma_deg
         self._predictor, self._size = predictor, inverse_map.metadata.state_size
 
     def initial(self, y: float, u: float) -> Vec:

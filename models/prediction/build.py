@@ -14,11 +14,11 @@ from ..inverse.drive import Drive, DrivenInverse, split
 from ..inverse.one_step import (
     AccompaniedPredictor,
     CompanionInverse,
-    CompiledInverse,
     MappedPredictor,
     TrainedInverse,
     check_inverse_map,
 )
+from ..inverse.steady import steady_inverse
 from ..model import Inverse, InvertiblePredictor, LoadedModel, Predictor
 from ..operators.operator import Operator
 from ..simulator import ChainModel, Simulator, simulator_for
@@ -142,7 +142,7 @@ def known_pairs(model: LoadedModel, companion: Simulator | LoadedModel | None = 
     if isinstance(model, ChainModel) and companion is None:
         return Known.one(predictor, inverse_of_chain(model.simulator))
     if isinstance(predictor, InvertiblePredictor) and companion is None:
-        return Known.one(predictor, CompiledInverse(predictor, low, high))
+        return Known.one(predictor, steady_inverse(predictor, low, high))
     if companion is None and connection is not None:
         companion = _operators_of(model.metadata)
     if companion is None:
@@ -152,7 +152,7 @@ def known_pairs(model: LoadedModel, companion: Simulator | LoadedModel | None = 
     beside = CompiledPredictor.of_simulator(companion)
     both = AccompaniedPredictor(predictor, beside)
     alone = known_pairs(ChainModel(companion, "conditioned")).feedforward
-    return Known((both, CompanionInverse(both, CompiledInverse(beside, low, high))), alone)
+    return Known((both, CompanionInverse(both, steady_inverse(beside, low, high))), alone)
 
 
 def predictor_and_inverse(model: LoadedModel, companion: Simulator | LoadedModel | None = None) -> Pair:
@@ -164,7 +164,7 @@ def inverse_of_chain(simulator: Simulator) -> Inverse:
     """Inverse of a simulator, with the memory of its `CompiledPredictor`."""
     front, middle, back = split(simulator.chain)
     inner = CompiledPredictor.of_simulator(replace(simulator, chain=middle))
-    inverse = CompiledInverse(inner, simulator.command_limits.lower, simulator.command_limits.upper)
+    inverse = steady_inverse(inner, simulator.command_limits.lower, simulator.command_limits.upper)
     if not front and not back:
         return inverse
     drives = [Drive(side, simulator.metadata()) if side else None for side in (front, back)]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, final
+from typing import Any, Self, final
 
 import casadi as ca
 import numpy as np
@@ -21,12 +21,14 @@ class CompiledPredictor(InvertiblePredictor):
     """Compiled roll-out and linearisation of a symbolic step (state, u, p, dt) -> (theta, next state).
 
     Attributes:
+        transition: the step, dense.
         kernels: the compiled step and loops.
         parameters, sample_s: p (P,) and dt (1,) [s], as the kernels take them.
     """
 
     def __init__(self, transition: Any, p: Vec, metadata: ModelMetadata) -> None:
         super().__init__(metadata)
+        self.transition, self._facts = transition, metadata
         self.kernels = compile_step(transition)
         self.parameters, self.sample_s = np.asarray(p, dtype=np.float64), np.array([metadata.dt_s])
 
@@ -42,6 +44,22 @@ class CompiledPredictor(InvertiblePredictor):
         theta, following = function(x, u)
         transition = dense("transition", [x, u, ca.SX.sym("p", 0), ca.SX.sym("dt")], [theta, following])
         return cls(transition, np.empty(0), metadata)
+
+    def held(self, samples: int) -> Self:
+        """The same model whose angle is that after the command has been held for so many samples.
+
+        The state moves on by one sample, so that its memory is that of the model.
+        """
+        if samples == 1:
+            return self
+        function = self.transition
+        x, u = ca.SX.sym("x", function.numel_in(0)), ca.SX.sym("u")
+        p, dt = ca.SX.sym("p", function.numel_in(2)), ca.SX.sym("dt")
+        theta, following = function(x, u, p, dt)
+        after = following
+        for _ in range(samples - 1):
+            theta, after = function(after, u, p, dt)
+        return type(self)(dense("held", [x, u, p, dt], [theta, following]), self.parameters, self._facts)
 
     def advance(self, state: Vec, u: float) -> tuple[float, Vec]:
         following, theta, run = state.reshape(1, -1).copy(), np.empty((1, 1)), self.kernels

@@ -25,6 +25,7 @@ class SeriesPredictor(Predictor):
 
     def __init__(self, drive: Drive, predictor: Predictor) -> None:
         self.dt, self.command_range, self.noise = predictor.dt, predictor.command_range, predictor.noise
+        self.model_sigma_deg = predictor.model_sigma_deg
         self._drive, self._size, self._predictor = drive.predictor, drive.size, predictor
 
     def initial(self, y: float, u: float) -> Vec:
@@ -57,6 +58,7 @@ class ParallelPredictor(Predictor):
 
     def __init__(self, first: Predictor, second: Predictor) -> None:
         self.dt, self.command_range, self.noise = first.dt, first.command_range, second.noise
+        self.model_sigma_deg = second.model_sigma_deg
         self.first, self.second = first, second
         self.size = first.initial(0.0, first.command_range[0]).size
 

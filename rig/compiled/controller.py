@@ -161,6 +161,11 @@ class CompiledController(PlannersController):
         """Standard deviation of the error of the estimated angle [deg]; not-a-number where it is not known."""
         return self._python.sigma_deg(state)
 
+    def sigma_ahead_deg(self, state: GuardedState[Any], commands: Vec) -> Vec:
+        """Not-a-number: the noises that the estimator has found stay in the memory of the C."""
+        del state
+        return np.full(commands.size, np.nan)
+
     def measure(self, state: GuardedState[Any], y: float, age: float) -> GuardedState[Any]:
         """Refused: frames of an intermittent sensor have no C.
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from hystmpc.ctrl.config import AnyControllerSettings
 from hystmpc.trajectories import PreviewTable
+from hystmpc.trials.brief import in_brief
 from hystmpc.trials.types import Progress, Vec
 
 from ..closed_loop import run_closed_loop
@@ -286,6 +287,11 @@ class Tuning:
     best: SearchTrial
     check: HeldOut
     failed: tuple[TicketOutcome, ...]
+
+    def __repr__(self) -> str:
+        given, tuned = (float(self.check.costs(name).mean()) for name in ("given", "tuned"))
+        text = f"{self.settings.controller}, {len(self.trials)} trials: cost {given:.4g} as given, {tuned:.4g} tuned"
+        return in_brief(self, text)
 
     def plot(self) -> Figure:
         """Cost of every held-out plant, tuned against given; below the diagonal the tuned settings win."""

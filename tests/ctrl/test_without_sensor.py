@@ -14,7 +14,6 @@ from hypothesis import strategies as st
 from hystmpc.ctrl import Source
 from hystmpc.ctrl.config import parse_controller
 from hystmpc.ctrl.estimation.observer import EstimatorSettings, ModelAlone
-from hystmpc.models.contract.metadata import NoiseModel
 from hystmpc.trials.errors import ConfigError
 
 from .plays import PLAY, SOUND, Case
@@ -86,14 +85,11 @@ def test_a_recording_prepares_it_with_one_angle() -> None:
 
 
 def test_it_says_how_far_the_model_may_be_off_where_the_file_does() -> None:
-    noise = NoiseModel(
-        sensor_sigma_deg=0.1, drift_sigma_deg_per_sqrt_s=0.01, motion_sigma_deg_per_sqrt_unit=0.1, model_sigma_deg=0.25
-    )
-    for said, wanted in ((None, math.nan), (noise, 0.25)):
+    for said in (math.nan, 0.25):
         predictor = copy(PLAY.predictor)
-        object.__setattr__(predictor, "noise", said)  # the tests' models are frozen
+        object.__setattr__(predictor, "model_sigma_deg", said)  # the tests' models are frozen
         alone = ModelAlone(predictor, EstimatorSettings(sensor="none"))
-        assert alone.sigma_deg(alone.init(PLAY.y_rest, PLAY.u_rest)) == pytest.approx(wanted, nan_ok=True)
+        assert alone.sigma_deg(alone.init(PLAY.y_rest, PLAY.u_rest)) == pytest.approx(said, nan_ok=True)
 
 
 def test_with_a_sensor_the_uncertainty_is_that_of_the_estimate() -> None:

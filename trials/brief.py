@@ -1,0 +1,53 @@
+"""The line that Python and notebooks show of a result: what it is and the numbers that matter, never an array whole."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import fields, is_dataclass
+from enum import Enum
+from pathlib import Path
+from typing import Any
+
+LONGEST = 200
+"""Characters of the line."""
+
+_LONGEST_TEXT = 40  # of a text inside it
+_MOST_NUMBERS = 3  # of a sequence that is written out
+
+
+def in_brief(kind: object, text: str) -> str:
+    """`Kind(text)` on one line of at most `LONGEST` characters; what is too long ends in dots.
+
+    Args:
+        kind: whose class is named.
+        text: what it is, in words and numbers.
+    """
+    name, line = type(kind).__name__, " ".join(text.split())
+    room = LONGEST - len(name) - 2
+    return f"{name}({line})" if len(line) <= room else f"{name}({line[: room - 3]}...)"
+
+
+def brief(self: Any) -> str:
+    """`__repr__` of a dataclass of results: its fields in short, arrays as their shape, sequences by their length."""
+    parts = (f"{f.name}={_told(getattr(self, f.name))}" for f in fields(self) if f.repr)
+    return in_brief(self, ", ".join(parts))
+
+
+def _told(value: Any) -> str:
+    if isinstance(value, Enum):
+        return str(value.value)
+    if value is None or isinstance(value, bool | int):
+        return str(value)
+    if isinstance(value, float):
+        return f"{value:.4g}"
+    if isinstance(value, str | Path):
+        text = value.name if isinstance(value, Path) else " ".join(value.split())
+        return text if len(text) <= _LONGEST_TEXT else f"{text[: _LONGEST_TEXT - 3]}..."
+    if hasattr(value, "shape"):
+        return str(tuple(value.shape))
+    if isinstance(value, Mapping):
+        return f"{len(value)} entries"
+    if isinstance(value, Sequence):
+        plain = len(value) <= _MOST_NUMBERS and not any(is_dataclass(item) for item in value)
+        return f"({', '.join(map(_told, value))})" if plain else f"{len(value)} of {type(value[0]).__name__}"
+    return type(value).__name__
