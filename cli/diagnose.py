@@ -17,7 +17,8 @@ from hystmpc.trials.read import read_trials
 from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Progress
 
-from .console import Bar, bar, errors, out, table
+from .bars import Bar, bar
+from .console import errors, out, table
 from .options import Figures, Layout, Sim, check_figures, simulator_at, warn_of_units
 
 if TYPE_CHECKING:

@@ -13,7 +13,7 @@ import typer
 from typer.core import TyperCommand
 
 from hystmpc.models.contract.export import export_onnx
-from hystmpc.models.contract.metadata import DeviceLimits, Range
+from hystmpc.models.contract.metadata import DeviceLimits, ModelMetadata, Range
 from hystmpc.models.evaluate import RANGE_SLACK, error_sentence
 from hystmpc.models.identify.auto import AutoFit
 from hystmpc.models.kinds.catalogue import KINDS, chosen_kind
@@ -25,7 +25,8 @@ from hystmpc.trials.figure_folder import figures_to
 from hystmpc.trials.read import expand_logs
 from hystmpc.trials.trial import Trial, Units
 
-from .console import bar, errors, out, table
+from .bars import bar
+from .console import errors, out, table
 from .evaluate import errors_table, free_runs, warn_outside
 from .options import (
     MODEL,
@@ -144,6 +145,8 @@ def fit(
     _warn_of_limits([*trials, *held], request.limits.command)
     swapped = direction is Direction.INVERSE
     found = _identify(chosen, [t.swapped() for t in trials] if swapped else trials, request, path)
+    if not swapped:
+        out.print(limits_line(found.bundle.metadata, request.limits), soft_wrap=True, highlight=False)
     _score(found, path, {_SEEN: trials, _UNSEEN: held}, skip_first_flexure, page, figures)
 
 
@@ -170,9 +173,10 @@ def _score(
             units = model.metadata.command_unit, model.metadata.angle_unit
             more += [Table(columns, rows, title) for title, columns, rows in _part_tables(found.parts, Units(*units))]
             more += [Paragraph(line) for line in found.parts.advice]
-        report = evaluation_report(f"Fit of {path.name}", model.metadata.kind, list(results.items())[::-1], more)
-        with figures_to(figures):
-            out.print(f"report: {report.save(page)}", soft_wrap=True)
+        with bar("report"), figures_to(figures):
+            report = evaluation_report(f"Fit of {path.name}", model.metadata.kind, list(results.items())[::-1], more)
+            written = report.save(page)
+        out.print(f"report: {written}", soft_wrap=True)
 
 
 def _unseen(test: Sequence[Path], seen: Sequence[Path]) -> list[Path]:
@@ -205,6 +209,22 @@ def _warn_of_limits(trials: Sequence[Trial], limits: Range | None) -> None:
         )
 
 
+def limits_line(stored: ModelMetadata, given: DeviceLimits) -> str:
+    """Which limits controllers of the model will keep, and whether they are those of the device or of its logs."""
+    box, unit = stored.command_limits, stored.command_unit
+    rate = f"at most {stored.command_rate:.4g} {unit}/s"
+    text = f"limits stored in the model: {box.lower:.4g} to {box.upper:.4g} {unit}, {rate}"
+    options = {"--command-limits": given.command, "--command-rate": given.rate_per_s}
+    absent = [name for name, value in options.items() if value is None]
+    if not absent:
+        return f"{text}, as given"
+    seen = "as seen in the logs" if len(absent) == len(options) else f"{_SEEN_PART[absent[0]]} as seen in the logs"
+    return f"{text}, {seen}; give {' and '.join(absent)} for the device's own"
+
+
+_SEEN_PART = {"--command-limits": "the range", "--command-rate": "the rate"}
+
+
 def _limits(command: tuple[float, float] | None, rate: float | None) -> DeviceLimits:
     box = Range.parse({"lower": command[0], "upper": command[1]}, "--command-limits") if command else None
     return DeviceLimits(box, rate or None)
@@ -233,7 +253,8 @@ def _identify(kind: ModelKind, trials: list[Trial], request: FitRequest, path: P
         save_simulator(found.simulator, path)
         out.print(found.report, soft_wrap=True)
         return found
-    gate = export_onnx(found.bundle, path)
+    with bar("compare and export"):
+        gate = export_onnx(found.bundle, path)
     out.print(
         f"{found.report}; exported within {max(gate.runtime_deg, gate.casadi_deg):.2g} {unit} of the reference "
         f"over {gate.steps} steps",
