@@ -66,9 +66,9 @@ class Work:
 
 
 def _stage(note: str) -> str:
-    """First word of a note; a number is none, since it counts."""
+    """First word of a note; what counts, `3 of 9`, and what names a part, `lag/command`, begins no stage."""
     word = note.partition(" ")[0].strip(":,")
-    return "" if any(c.isdigit() for c in word) else word
+    return "" if any(c.isdigit() or c == "/" for c in word) else word
 
 
 @final
@@ -77,7 +77,7 @@ class Compiling:
 
     def __init__(self) -> None:
         self.found = Compilation(0.0, 0.0, False)
-        self.at = 0.0
+        self.at, self._shown = 0.0, False
         self._said: float | None = None  # when a line was said last
         self._steady = Steady()
 
@@ -87,8 +87,11 @@ class Compiling:
 
     def worth(self, now: float) -> bool:
         """Whether it goes on, and takes long enough to be shown."""
-        going = self.found.busy or now - self.at < _RESTED_S
-        return going and self.found.total_s >= WORTH_TELLING_S
+        if self.found.busy or now - self.at < _RESTED_S:
+            self._shown |= self.found.busy and self.found.left_s >= WORTH_TELLING_S
+        else:
+            self._shown = False
+        return self._shown
 
     def state(self, now: float) -> tuple[float, float]:
         """Share that is done, and the time left [s]."""
@@ -98,7 +101,9 @@ class Compiling:
 
     def line(self, now: float) -> str | None:
         """The line that is due at a time, if one is."""
-        if not self.worth(now) or (self._said is not None and (now - self._said < EVERY_S or not self.found.busy)):
+        if not self.worth(now):
+            return None
+        if self._said is not None and (now - self._said < EVERY_S or not self.found.busy):
             return None
         first, self._said = self._said is None, now
         share, left = self.state(now)

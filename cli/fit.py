@@ -16,6 +16,7 @@ from hystmpc.models.contract.export import export_onnx
 from hystmpc.models.contract.metadata import DeviceLimits, ModelMetadata, Range
 from hystmpc.models.evaluate import RANGE_SLACK, error_sentence
 from hystmpc.models.identify.auto import AutoFit
+from hystmpc.models.kernels.compiling import about
 from hystmpc.models.kinds.catalogue import KINDS, chosen_kind
 from hystmpc.models.kinds.kind import FitRequest, Identified, ModelKind
 from hystmpc.models.load import load_model
@@ -43,6 +44,7 @@ from .options import (
     files_read,
     trials_at,
 )
+from .time_left import EVEN, Pace
 
 
 class Direction(StrEnum):
@@ -145,8 +147,6 @@ def fit(
     _warn_of_limits([*trials, *held], request.limits.command)
     swapped = direction is Direction.INVERSE
     found = _identify(chosen, [t.swapped() for t in trials] if swapped else trials, request, path)
-    if not swapped:
-        out.print(limits_line(found.bundle.metadata, request.limits), soft_wrap=True, highlight=False)
     _score(found, path, {_SEEN: trials, _UNSEEN: held}, skip_first_flexure, page, figures)
 
 
@@ -222,6 +222,8 @@ def limits_line(stored: ModelMetadata, given: DeviceLimits) -> str:
     return f"{text}, {seen}; give {' and '.join(absent)} for the device's own"
 
 
+# `auto` begins with its richest core, which takes longest, and ends after two of three rounds in most cases.
+_PACE: dict[str, Pace] = {"auto": ((0, 0), (0.1, 0.36), (0.42, 0.45), (0.7, 0.82), (0.8, 0.95), (1, 1))}
 _SEEN_PART = {"--command-limits": "the range", "--command-rate": "the rate"}
 
 
@@ -235,8 +237,8 @@ def _identify(kind: ModelKind, trials: list[Trial], request: FitRequest, path: P
     unit, steps = trials[0].units.angle, kind.steps(request)
     seconds = kind.estimate(trials, request)
     if seconds is not None:
-        errors.print(f"{kind.name}, preset {request.preset}: about {_duration(seconds)} on this machine")
-    with bar(f"fit {kind.name}", steps) as show:
+        errors.print(f"{kind.name}, preset {request.preset}: about {about(seconds)} on this machine")
+    with bar(f"fit {kind.name}", steps, _PACE.get(kind.name, EVEN)) as show:
         show(0, "first look")
         found = kind.fit(trials, request, lambda done, rmse: show(done, f"best {rmse:.4g} {unit}"))
         if steps is None:
@@ -249,6 +251,8 @@ def _identify(kind: ModelKind, trials: list[Trial], request: FitRequest, path: P
             out.print(table(title, columns, rows))
         for line in found.parts.advice:
             out.print(line, soft_wrap=True)
+    if not trials[0].inverted:
+        out.print(limits_line(found.bundle.metadata, request.limits), soft_wrap=True, highlight=False)
     if found.simulator is not None and path.suffix.lower() in SIMULATOR.endings:
         save_simulator(found.simulator, path)
         out.print(found.report, soft_wrap=True)
@@ -278,7 +282,3 @@ def _part_tables(found: AutoFit, units: Units) -> Iterator[tuple[str, Sequence[s
 
 def _figure(value: float) -> str:
     return f"{value:.4g}" if math.isfinite(value) else "-"
-
-
-def _duration(seconds: float) -> str:
-    return f"{seconds:.0f} s" if seconds < 90 else f"{seconds / 60:.0f} min"

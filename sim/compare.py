@@ -21,7 +21,7 @@ from .study import Study, prepare
 from .tune_pid import PidLike, tuned_study
 
 _STEP_S, _PID_STEP_S = 2e-3, 3e-4  # of a closed loop, with the mean controller and with one that is tuned
-_REPORT_S = 4.0
+_REPORT_S, _RUN_REPORT_S = 3.0, 0.4  # of the page, and of a run on it
 
 
 def compare(config: SimulationConfig, out: Path | str | None = None, progress: Progress | None = None) -> StudyResult:
@@ -68,9 +68,10 @@ def compare(config: SimulationConfig, out: Path | str | None = None, progress: P
 def _expected_s(study: Study) -> tuple[float, float, float]:
     """Seconds of the search of gains, of the runs and of the report; they matter by their ratios only."""
     config, steps = study.config, sum(study.steps(name) for name in study.motions)
+    count = len(config.controllers)
     tuned = sum(isinstance(settings, PidLike) for settings in config.controllers.values())
     search = tuned * config.tune_pid.evaluations * steps * _PID_STEP_S if config.tune_pid else 0.0
-    return search, len(config.controllers) * steps * _STEP_S, _REPORT_S
+    return search, count * steps * _STEP_S, _REPORT_S + count * len(study.motions) * _RUN_REPORT_S
 
 
 def _runs(study: Study, progress: Progress) -> Iterator[Result]:

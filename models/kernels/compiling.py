@@ -21,7 +21,7 @@ numba compiles some of its own functions with ours, and not every function of a 
 `simulate`, `tune` and `from_config` the two make up for one another, by factors of .54 to 1.5.
 """
 WORTH_TELLING_S = 2.0
-"""Compilation that takes less in all is not told."""
+"""Compilation that is over sooner is not told."""
 
 _LATER = 1.2  # cost of all kernels over that of those that are defined when the first is compiled
 _TRUSTED_S = 3.0  # of compilation by which the speed of this machine is known half
@@ -45,6 +45,11 @@ class Compilation:
     done_s: float
     total_s: float
     busy: bool
+
+    @property
+    def left_s(self) -> float:
+        """Expected from now on [s]."""
+        return self.total_s - self.done_s
 
 
 @dataclass
@@ -133,9 +138,9 @@ class Meter:
         """Tell the observers; without any, say once in the log what Python's users wait for."""
         for observer in tuple(self.observers):
             observer(found)
-        if not self.observers and found.busy and not self._said and found.total_s >= WORTH_TELLING_S:
+        if not self.observers and found.busy and not self._said and found.left_s >= WORTH_TELLING_S:
             self._said = True
-            _logger.warning("%s", sentence(found.total_s - found.done_s))
+            _logger.warning("%s", sentence(found.left_s))
 
     def _tell(self) -> None:
         self.tell(self.now)
@@ -143,7 +148,7 @@ class Meter:
 
 def joint(processes: Collection[Compilation]) -> Compilation:
     """Compilation of processes that work side by side: what is waited for is the one that takes longest."""
-    longest = max(processes, key=lambda found: (found.busy, found.total_s - found.done_s))
+    longest = max(processes, key=lambda found: (found.busy, found.left_s))
     return Compilation(longest.done_s, longest.total_s, any(found.busy for found in processes))
 
 

@@ -62,7 +62,7 @@ def _told_as(function: Any) -> tuple[int, str, int]:
 
 
 @final
-class _Listener(event.Listener):  # type: ignore[misc]
+class _Listener(event.Listener):
     """Tells what numba compiles, its own functions included; what it finds on disk is told by `_Cache`."""
 
     def on_start(self, what: Any) -> None:

@@ -10,11 +10,13 @@ from hystmpc.trials.trial import Trial
 
 from ..identify.auto import AutoFit, auto_chain, identify_auto
 from ..identify.methods import simulator_of
+from ..kernels.compiling import expect
 from ..model import FitProgress
 from ..simulator import simulator_bundle
 from .kind import FitRequest, Identified, ModelKind
 
 _STEPS = 100  # of the progress
+_COMPILES_S = 150.0  # where nothing is on disk: the kernels of all operators that are tried
 
 
 @final
@@ -32,6 +34,7 @@ class AutoKind(ModelKind):
         if not trials:
             raise FitError("got no trials, expected at least one")
 
+        expect(_COMPILES_S)
         history: list[tuple[int, float]] = []
 
         def told(share: float, rmse: float) -> None:
