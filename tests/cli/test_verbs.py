@@ -243,9 +243,7 @@ def test_ctrl_c_during_training_keeps_the_best_so_far(logs: list[Path], tmp_path
 def test_a_fit_says_where_the_limits_come_from_that_controllers_will_keep(given: DeviceLimits, expected: str) -> None:
     """What was recorded may be more, or less, than the device may be sent."""
     stored = ChainModel(simulator(CHAINS["pi"], dt=0.01)).metadata
-    line = limits_line(stored, given)
-    assert line.startswith(
-        f"limits stored in the model: {stored.command_limits.lower:.4g} to {stored.command_limits.upper:.4g} mm, at most "
-    )
+    line, box = limits_line(stored, given), stored.command_limits
+    assert line.startswith(f"limits stored in the model: {box.lower:.4g} to {box.upper:.4g} mm, at most ")
     assert expected in line
     assert len(line) < 300
