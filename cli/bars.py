@@ -68,7 +68,7 @@ class Work:
 def _stage(note: str) -> str:
     """First word of a note; what counts, `3 of 9`, and what names a part, `lag/command`, begins no stage."""
     word = note.partition(" ")[0].strip(":,")
-    return "" if any(c.isdigit() or c == "/" for c in word) else word
+    return "" if word[:1].isdigit() or "/" in word else word
 
 
 @final
