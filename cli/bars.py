@@ -6,7 +6,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, TypeVar, final
 
@@ -128,6 +128,7 @@ class Screen:
         self._drawn: Progress | None = None
         self._tasks: dict[int, TaskID] = {}
         self._thread: threading.Thread | None = None
+        self._over = threading.Event()
         self._number = 0
 
     def open(self, title: str, total: float | None, pace: Pace) -> int:
@@ -175,9 +176,18 @@ class Screen:
             self._watch()
             self.tick()
 
-    def tick(self) -> None:
-        """Show what is to be shown now."""
+    def stop(self) -> None:
+        """Show nothing more: a thread that draws while the interpreter ends would end it with an error."""
         with self._lock:
+            thread, self._thread = self._thread, None
+            self._over.set()
+        if thread is not None:
+            thread.join()
+        self._end()
+
+    def tick(self) -> None:
+        """Show what is to be shown now; a screen that is gone is no reason to end the work."""
+        with self._lock, suppress(OSError):
             now = self._clock()
             if self._console.is_terminal:
                 self._draw(now)
@@ -246,12 +256,12 @@ class Screen:
     def _watch(self) -> None:
         """Have a thread tick as long as there is something to show."""
         if self._ticks and self._thread is None:
+            self._over.clear()
             self._thread = threading.Thread(target=self._go, name="progress", daemon=True)
             self._thread.start()
 
     def _go(self) -> None:
-        while True:
-            time.sleep(_TICK_S)
+        while not self._over.wait(_TICK_S):
             with self._lock:
                 self.tick()
                 if not self._works and not self._compiling.worth(self._clock()):

@@ -124,6 +124,7 @@ def hystmpc(
 
     from .bars import SCREEN
 
+    context.call_on_close(SCREEN.stop)
     context.with_resource(watching(SCREEN.compiles))
 
 
