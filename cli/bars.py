@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, TypeVar, final
 
 from rich.progress import BarColumn, Progress, TaskID, TaskProgressColumn, TextColumn, TimeElapsedColumn
 
-from hystmpc.models.kernels.compiling import WORTH_TELLING_S, Compilation, about, sentence
+from hystmpc.models.kernels.compiling import Compilation, about, sentence
 
 from .console import errors
 from .time_left import EVEN, Pace, Steady, TimeLeft, clock_words
@@ -88,7 +88,7 @@ class Compiling:
     def worth(self, now: float) -> bool:
         """Whether it goes on, and takes long enough to be shown."""
         if self.found.busy or now - self.at < _RESTED_S:
-            self._shown |= self.found.busy and self.found.left_s >= WORTH_TELLING_S
+            self._shown |= self.found.worth_telling(now - self.at)
         else:
             self._shown = False
         return self._shown

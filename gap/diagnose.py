@@ -13,7 +13,7 @@ from hystmpc.models.effects.catalogue import EFFECTS, confounders, diagnosable
 from hystmpc.models.identify.cross_validation import CrossValidation
 from hystmpc.models.identify.least_squares import one_blas_thread
 from hystmpc.models.identify.uncertainty import BASELINE_UNITS, ParameterRow, parameter_rows
-from hystmpc.models.kernels.compiling import expect
+from hystmpc.models.kernels.compiling import expecting
 from hystmpc.models.model import LoadedModel
 from hystmpc.models.simulator import Simulator
 from hystmpc.trials.errors import GapError, did_you_mean
@@ -46,6 +46,7 @@ _STABILITY_UNKNOWN = 0.5
 
 
 @one_blas_thread
+@expecting(_COMPILES_S)
 def find_causes(
     trials: Sequence[Trial],
     simulator: Simulator | LoadedModel,
@@ -76,7 +77,6 @@ def find_causes(
         GapError: on unusable trials (`check_trials`), or an unknown effect.
         ModelError: if the simulator is an inverse map.
     """
-    expect(_COMPILES_S)
     left_out = _left_out(without, only)
     progress = progress or _no_progress
     clock = _Clock()

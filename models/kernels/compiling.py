@@ -9,7 +9,7 @@ import logging
 import time
 from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import final
 
 _logger = logging.getLogger(__name__)
@@ -23,6 +23,7 @@ numba compiles some of its own functions with ours, and not every function of a 
 WORTH_TELLING_S = 2.0
 """Compilation that is over sooner is not told."""
 
+_CERTAIN_S = 1.0  # that have passed, or are in hand, before anything is told
 _LATER = 1.2  # cost of all kernels over that of those that are defined when the first is compiled
 _TRUSTED_S = 3.0  # of compilation by which the speed of this machine is known half
 
@@ -40,16 +41,25 @@ class Compilation:
         done_s: time that it has taken so far [s].
         total_s: expected in all [s].
         busy: whether something is being compiled now.
+        hand_s: expected for what is being compiled now [s].
     """
 
     done_s: float
     total_s: float
     busy: bool
+    hand_s: float = 0.0
 
     @property
     def left_s(self) -> float:
         """Expected from now on [s]."""
         return self.total_s - self.done_s
+
+    def worth_telling(self, more_s: float = 0.0) -> bool:
+        """Whether it goes on long enough to be told, so many seconds later.
+
+        One small function of a module may be all that is needed of it: nothing is told of what is over in a second.
+        """
+        return self.busy and self.left_s >= WORTH_TELLING_S and self.done_s + self.hand_s + more_s >= _CERTAIN_S
 
 
 @dataclass
@@ -69,15 +79,15 @@ Observer = Callable[[Compilation], None]
 class Meter:
     """Counts what is compiled of what is expected; a process has one, `PROCESS`.
 
-    The expected total is what has been declared (`expect`) less what was compiled or found on disk, or the kernels that
+    The expected total is what is declared (`expecting`) less what was compiled or found on disk, or the kernels that
     are defined and not on disk, whichever is more. Costs are scaled by the time that those so far have taken.
     """
 
     clock: Callable[[], float] = time.perf_counter
     observers: list[Observer] = field(default_factory=list)
+    declared_s: float = 0.0
     _waiting: dict[int, tuple[str, float]] = field(default_factory=dict)  # module and cost of functions not compiled
     _stored: set[str] = field(default_factory=set)  # modules of which some function is on disk
-    _declared: float = 0.0
     _known: float = 0.0  # cost of what was compiled or loaded
     _compiled: float = 0.0  # cost of what was compiled
     _seconds: float = 0.0  # that it took
@@ -90,10 +100,6 @@ class Meter:
             self._stored.add(module)
         else:
             self._waiting[function] = (module, cost(byte_code))
-
-    def expect(self, seconds: float) -> None:
-        """Declare what this process compiles in all where nothing is on disk; the most that was declared counts."""
-        self._declared = max(self._declared, seconds)
 
     def loaded(self, function: int, module: str, byte_code: int) -> None:
         """Compiled code of a function was found on disk."""
@@ -130,15 +136,15 @@ class Meter:
         hand = sum(max(slow * one.cost - took, 0.0) for one, took in zip(open_, running, strict=True))
         waiting = tuple(self._waiting.values())
         later = _LATER * sum(seconds for module, seconds in waiting if module not in self._stored)
-        later = max(later, self._declared - self._known - sum(one.cost for one in open_), 0.0)
+        later = max(later, self.declared_s - self._known - sum(one.cost for one in open_), 0.0)
         done = self._seconds + sum(running)
-        return Compilation(done, done + hand + slow * later, bool(open_))
+        return Compilation(done, done + hand + slow * later, bool(open_), hand)
 
     def tell(self, found: Compilation) -> None:
         """Tell the observers; without any, say once in the log what Python's users wait for."""
         for observer in tuple(self.observers):
             observer(found)
-        if not self.observers and found.busy and not self._said and found.left_s >= WORTH_TELLING_S:
+        if not self.observers and not self._said and found.worth_telling():
             self._said = True
             _logger.warning("%s", sentence(found.left_s))
 
@@ -149,7 +155,7 @@ class Meter:
 def joint(processes: Collection[Compilation]) -> Compilation:
     """Compilation of processes that work side by side: what is waited for is the one that takes longest."""
     longest = max(processes, key=lambda found: (found.busy, found.left_s))
-    return Compilation(longest.done_s, longest.total_s, any(found.busy for found in processes))
+    return replace(longest, busy=any(found.busy for found in processes))
 
 
 def sentence(seconds: float) -> str:
@@ -183,6 +189,15 @@ def watching(observer: Observer) -> Iterator[None]:
         PROCESS.observers.remove(observer)
 
 
-def expect(seconds: float) -> None:
-    """Declare before a long search what it compiles in all where nothing is on disk [s]."""
-    PROCESS.expect(seconds)
+@contextmanager
+def expecting(seconds: float) -> Iterator[None]:
+    """Declare what a search compiles in all where nothing is on disk [s]; also as a decorator.
+
+    A search makes its kernels as it goes, so that those that are defined by then say too little.
+    """
+    before = PROCESS.declared_s
+    PROCESS.declared_s = max(before, seconds)
+    try:
+        yield
+    finally:
+        PROCESS.declared_s = before

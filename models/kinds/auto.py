@@ -10,7 +10,7 @@ from hystmpc.trials.trial import Trial
 
 from ..identify.auto import AutoFit, auto_chain, identify_auto
 from ..identify.methods import simulator_of
-from ..kernels.compiling import expect
+from ..kernels.compiling import expecting
 from ..model import FitProgress
 from ..simulator import simulator_bundle
 from .kind import FitRequest, Identified, ModelKind
@@ -29,12 +29,12 @@ class AutoKind(ModelKind):
     readable = True
     invertible = False
 
+    @expecting(_COMPILES_S)
     def fit(self, trials: Sequence[Trial], request: FitRequest, progress: FitProgress | None = None) -> Identified:
         self.check(trials, request)
         if not trials:
             raise FitError("got no trials, expected at least one")
 
-        expect(_COMPILES_S)
         history: list[tuple[int, float]] = []
 
         def told(share: float, rmse: float) -> None:

@@ -93,7 +93,7 @@ def test_a_line_a_stage() -> None:
 def test_compilation_is_said_at_once_and_is_no_part_of_the_time_left() -> None:
     seen = Seen()
     work = seen.screen.open("demo", 10, EVEN)
-    seen.screen.compiles(Compilation(0.0, 30.0, True))
+    seen.screen.compiles(Compilation(0.0, 30.0, True, 2.0))
     seen._read()
     assert seen.lines == [(0.0, "compiling, first use only, about 30 s")]
     seen.tell(work, 0)
@@ -108,6 +108,14 @@ def test_compilation_is_said_at_once_and_is_no_part_of_the_time_left() -> None:
         seen.wait(2.0)
         seen.tell(work, k + 1)
     assert "demo: 40 %, about 10 s left" in [line for _, line in seen.lines]
+
+
+def test_compilation_with_a_small_beginning_is_said_after_a_second() -> None:
+    """A small function may be all that is needed of a module."""
+    seen = Seen()
+    seen.screen.compiles(Compilation(0.0, 30.0, True, 0.3))
+    seen.wait(3.0)
+    assert seen.lines == [(0.75, "compiling, first use only, about 30 s")]
 
 
 def test_compilation_that_is_short_is_not_said() -> None:
@@ -126,7 +134,7 @@ def test_a_terminal_gets_bars_with_the_time_left() -> None:
         seen.screen.tell(work, k, "best 0.2 deg", None)
         seen.now += 2.0
         seen.screen.tick()
-    seen.screen.compiles(Compilation(0.0, 30.0, True))
+    seen.screen.compiles(Compilation(0.0, 30.0, True, 2.0))
     seen.screen.close(work)
     text = seen.file.getvalue()
     for words in ("fit auto", "50%", "left 0:09", "best 0.2 deg", "compiling, first use only"):

@@ -14,11 +14,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hystmpc.models.kernels.compiling import (
+    PROCESS,
     WORTH_TELLING_S,
     Compilation,
     Meter,
     about,
     cost,
+    expecting,
     joint,
     sentence,
     watching,
@@ -84,7 +86,7 @@ def test_the_total_is_honest_from_the_first_second_on(sizes: list[list[int]], sl
 def test_a_declared_total_counts_less_what_is_on_disk(declared: float, share: float) -> None:
     """A search that makes its kernels as it goes: what was loaded is not waited for."""
     meter = Meter(Clock())
-    meter.expect(declared)
+    meter.declared_s = declared
     size, stored = 1000, 0
     while stored * cost(size) < share * declared - cost(size):
         meter.loaded(stored, "module", size)
@@ -149,6 +151,19 @@ def test_a_first_call_is_told_and_a_call_with_its_code_on_disk_is_not(tmp_path: 
     with watching(told.append):
         assert imported(tmp_path).outer(3.0) == 7.0
     assert told == []
+
+
+def test_what_a_search_declares_ends_with_it() -> None:
+    before = PROCESS.declared_s
+
+    @expecting(before + 150.0)
+    def search() -> float:
+        return PROCESS.declared_s
+
+    assert search() == before + 150.0
+    with pytest.raises(ZeroDivisionError), expecting(before + 1.0):
+        raise ZeroDivisionError
+    assert PROCESS.declared_s == before
 
 
 def test_of_several_processes_the_longest_is_waited_for() -> None:

@@ -148,8 +148,8 @@ def test_interrupted_study_keeps_what_was_finished(tmp_path: Path) -> None:
     assert [r.controller for r in result.results] == ["first"]
     assert [r.controller for r in load_results(tmp_path / "study").results] == ["first"]
     assert not (tmp_path / "study" / "move" / "second").exists()
+    told[:] = [0.0] * (first + 2)
     with pytest.raises(KeyboardInterrupt):
-        told[:] = [0.0] * (first + 2)
         compare(config, progress=interrupt)
 
 
