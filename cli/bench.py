@@ -12,7 +12,8 @@ import typer
 from hystmpc.trials.files import write_atomically
 from hystmpc.trials.run_folder import require_vacant
 
-from .console import INTERRUPTED, bar, errors, out, plain_console, table
+from .bars import bar
+from .console import INTERRUPTED, errors, out, plain_console, table
 from .options import BENCHMARK, Force, check_output
 
 if TYPE_CHECKING:

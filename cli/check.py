@@ -14,6 +14,7 @@ from hystmpc.trials.check import check as check_log
 from hystmpc.trials.read import expand_logs, read_trials
 from hystmpc.trials.trial import Trial
 
+from .bars import bar, each
 from .console import out, table
 from .options import Layout, Logs, SampledHz, Sim, simulator_at
 
@@ -31,7 +32,7 @@ def check(logs: Logs, preset: Layout = "auto", sampled_hz: SampledHz = None, sim
     With --sim also the least size at which `diagnose` would show each effect, from the commands alone.
     """
     simulator, unusable = simulator_at(sim) if sim is not None else None, False
-    for log in expand_logs(logs):
+    for log in each("check", expand_logs(logs)):
         report = check_log(log, preset, sampled_hz)
         grid = Table(title=f"{report.source} ({report.preset})", title_justify="left", show_header=False)
         for finding in report.findings:
@@ -50,7 +51,8 @@ def _print_detectable(trials: Sequence[Trial], simulator: Simulator | OnnxModel)
     from hystmpc.gap.diagnose import what_logs_would_show  # compiles
     from hystmpc.gap.report.words import DETECTABLE_COLUMNS, detectable_rows, detectable_sentence
 
-    found = what_logs_would_show(trials, simulator)
+    with bar("what the logs would show"):
+        found = what_logs_would_show(trials, simulator)
     out.print(detectable_sentence(found), highlight=False)
     if found.effects:
         out.print(table("These logs would show", DETECTABLE_COLUMNS, detectable_rows(found)))

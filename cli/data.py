@@ -9,7 +9,8 @@ import typer
 
 from hystmpc.trials.run_folder import require_vacant
 
-from .console import bar, out, table
+from .bars import bar
+from .console import out, table
 
 data = typer.Typer(no_args_is_help=True, help="Data sets of the papers, recorded on simulated devices.")
 

@@ -17,13 +17,18 @@ from hystmpc.trials.read import read_trials
 from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Progress
 
-from .console import Bar, bar, errors, out, table
+from .bars import Bar, bar
+from .console import errors, out, table
 from .options import Figures, Layout, Sim, check_figures, simulator_at, warn_of_units
+from .time_left import Pace
 
 if TYPE_CHECKING:
     from hystmpc.gap.diagnosis import Diagnosis
 
 FAILED = 1
+_REPORT = 10  # steps of the report, beside the hundred of the diagnosis
+# Three rounds of the selection, as on logs of a catheter with a simulator that was identified from others.
+_PACE: Pace = ((0, 0), (0.05, 0.12), (0.34, 0.31), (0.51, 0.44), (0.62, 0.57), (0.77, 0.6), (0.91, 0.69), (1, 1))
 
 Logs = Annotated[
     list[Path] | None,
@@ -85,11 +90,14 @@ def _diagnosed(
     from hystmpc.gap.tracking.diagnosed import with_tracking
     from hystmpc.models.load import model_path
 
-    with bar("diagnose") as show:
-        told = _progress(show)
+    with bar("diagnose", pace=_PACE) as show:
+
+        def told(done: float, total: float, note: str = "", /) -> None:
+            show(done, note, total=total + _REPORT)
+
         findings = find_causes(trials, simulator, seed=seed, without=without, progress=told, say=_say, ordered=ordered)
         evidence = with_tracking(conclude(findings, told)[1], told)
-        show(100, "writing the report", total=100)
+        told(100, 100, "writing the report")
         settings = {
             "logs": [str(file) for file in files],
             "sim": str(sim),
@@ -99,6 +107,7 @@ def _diagnosed(
             "ordered": ordered,
         }
         save_diagnosis(replace(evidence, simulator=sim.name), folder, settings, models=(model_path(str(sim)),))
+        told(100 + _REPORT, 100, "writing the report")
     return evidence.diagnosis
 
 

@@ -19,7 +19,8 @@ from hystmpc.trials.figure_folder import figures_to
 from hystmpc.trials.files import write_atomically
 from hystmpc.trials.trial import Trial
 
-from .console import bar, errors, out, table
+from .bars import bar, each
+from .console import errors, out, table
 from .options import (
     EVALUATION,
     Figures,
@@ -68,18 +69,14 @@ def evaluate(
     if page is not None:
         from hystmpc.models.evaluation_report import evaluation_report  # matplotlib takes a second to import
 
-        with figures_to(figures):
-            out.print(f"report: {evaluation_report('Free run', str(model), [('', results)]).save(page)}")
+        with bar("report"), figures_to(figures):
+            written = evaluation_report("Free run", str(model), [("", results)]).save(page)
+        out.print(f"report: {written}")
 
 
 def free_runs(model: LoadedModel, trials: Sequence[Trial], skip_first_flexure: bool) -> list[TrialEvaluation]:
     """Score a model on trials, behind a bar."""
-    results: list[TrialEvaluation] = []
-    with bar("free runs", len(trials)) as show:
-        for trial in trials:
-            results.append(score(model, trial, skip_first_flexure))
-            show(len(results))
-    return results
+    return [score(model, trial, skip_first_flexure) for trial in each("free runs", trials)]
 
 
 def warn_outside(results: Sequence[TrialEvaluation], facts: ModelMetadata) -> None:

@@ -11,6 +11,7 @@ from hystmpc.models.contract.load import load_onnx
 from hystmpc.models.load import model_path
 from hystmpc.models.simulator import export_simulator, load_simulator
 
+from .bars import bar
 from .console import out
 from .options import MODEL, Force, check_output
 
@@ -27,7 +28,8 @@ def export(
     It is held against its reference in onnxruntime and CasADi before it is written.
     """
     check_output("--out", path, (MODEL,), [simulator], force)
-    gate = export_simulator(load_simulator(model_path(str(simulator))), path)
+    with bar("compare and export"):
+        gate = export_simulator(load_simulator(model_path(str(simulator))), path)
     out.print(
         f"{path}: {gate.steps} steps within {max(gate.runtime_deg, gate.casadi_deg):.2g} deg of the reference "
         f"(onnxruntime {gate.runtime_deg:.2g}, CasADi {gate.casadi_deg:.2g}), Jacobians within {gate.jacobian:.2g}; "

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from .bars import bar
 from .console import out
 from .options import C_HEADER, C_SOURCE, Force, check_output
 
@@ -26,8 +27,9 @@ def export_c(
     header, source = folder / "hystmpc.h", folder / "hystmpc.c"
     check_output("--out", header, (C_HEADER,), [settings], force)
     check_output("--out", source, (C_SOURCE,), [settings], force)
-    found = export_controller(settings, single=single)
-    found.write(folder)
+    with bar("export"):
+        found = export_controller(settings, single=single)
+        found.write(folder)
     scalar = "float" if single else "double"
     inexact = f" (last digits vary: {', '.join(found.inexact)})" if found.inexact else ""
     out.print(

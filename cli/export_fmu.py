@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from .bars import bar
 from .console import out
 from .options import FMU, Force, check_output
 
@@ -46,15 +47,16 @@ def export_fmu(
 
     check_output("--out", path, (FMU,), [simulator], force)
     plant = _plant(simulator)
-    export = exported(
-        plant.simulator,
-        plant.rest,
-        name=path.stem,
-        version=fmi.value,
-        platforms=platforms,
-        rest_command=plant.rest_command,
-    )
-    export.write(path)
+    with bar("export"):
+        export = exported(
+            plant.simulator,
+            plant.rest,
+            name=path.stem,
+            version=fmi.value,
+            platforms=platforms,
+            rest_command=plant.rest_command,
+        )
+        export.write(path)
     found = export.described
     binaries = (
         f"binaries {', '.join(export.platforms)}"

@@ -14,7 +14,8 @@ from rich.console import Console
 from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.run_folder import require_vacant
 
-from .console import bar, errors, out, table
+from .bars import bar
+from .console import errors, out, table
 
 if TYPE_CHECKING:
     from hystmpc.studies.faults.devices import DevicePlay

@@ -20,7 +20,8 @@ from hystmpc.studies.faults.cases import CASES, FaultCase
 from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.run_folder import require_vacant
 
-from .console import bar, errors, out, table
+from .bars import bar
+from .console import errors, out, table
 from .fault_devices import FAILED, play_devices
 
 if TYPE_CHECKING:

@@ -13,9 +13,10 @@ import typer
 from typer.core import TyperCommand
 
 from hystmpc.models.contract.export import export_onnx
-from hystmpc.models.contract.metadata import DeviceLimits, Range
+from hystmpc.models.contract.metadata import DeviceLimits, ModelMetadata, Range
 from hystmpc.models.evaluate import RANGE_SLACK, error_sentence
 from hystmpc.models.identify.auto import AutoFit
+from hystmpc.models.kernels.compiling import about
 from hystmpc.models.kinds.catalogue import KINDS, chosen_kind
 from hystmpc.models.kinds.kind import FitRequest, Identified, ModelKind
 from hystmpc.models.kinds.worth import identified
@@ -26,7 +27,8 @@ from hystmpc.trials.figure_folder import figures_to
 from hystmpc.trials.read import expand_logs
 from hystmpc.trials.trial import SlowLogError, Trial, Units
 
-from .console import bar, errors, out, table
+from .bars import bar
+from .console import errors, out, table
 from .evaluate import errors_table, free_runs, warn_outside
 from .options import (
     MODEL,
@@ -43,6 +45,7 @@ from .options import (
     files_read,
     trials_at,
 )
+from .time_left import EVEN, Pace
 
 
 class Direction(StrEnum):
@@ -191,9 +194,10 @@ def _score(
             units = model.metadata.command_unit, model.metadata.angle_unit
             more += [Table(columns, rows, title) for title, columns, rows in _part_tables(found.parts, Units(*units))]
             more += [Paragraph(line) for line in found.parts.advice]
-        report = evaluation_report(f"Fit of {path.name}", model.metadata.kind, list(results.items())[::-1], more)
-        with figures_to(figures):
-            out.print(f"report: {report.save(page)}", soft_wrap=True)
+        with bar("report"), figures_to(figures):
+            report = evaluation_report(f"Fit of {path.name}", model.metadata.kind, list(results.items())[::-1], more)
+            written = report.save(page)
+        out.print(f"report: {written}", soft_wrap=True)
 
 
 def _unseen(test: Sequence[Path], seen: Sequence[Path]) -> list[Path]:
@@ -226,6 +230,24 @@ def _warn_of_limits(trials: Sequence[Trial], limits: Range | None) -> None:
         )
 
 
+def limits_line(stored: ModelMetadata, given: DeviceLimits) -> str:
+    """Which limits controllers of the model will keep, and whether they are those of the device or of its logs."""
+    box, unit = stored.command_limits, stored.command_unit
+    rate = f"at most {stored.command_rate:.4g} {unit}/s"
+    text = f"limits stored in the model: {box.lower:.4g} to {box.upper:.4g} {unit}, {rate}"
+    options = {"--command-limits": given.command, "--command-rate": given.rate_per_s}
+    absent = [name for name, value in options.items() if value is None]
+    if not absent:
+        return f"{text}, as given"
+    seen = "as seen in the logs" if len(absent) == len(options) else f"{_SEEN_PART[absent[0]]} as seen in the logs"
+    return f"{text}, {seen}; give {' and '.join(absent)} for the device's own"
+
+
+# `auto` begins with its richest core, which takes longest, and ends after two of three rounds in most cases.
+_PACE: dict[str, Pace] = {"auto": ((0, 0), (0.1, 0.36), (0.42, 0.45), (0.7, 0.82), (0.8, 0.95), (1, 1))}
+_SEEN_PART = {"--command-limits": "the range", "--command-rate": "the rate"}
+
+
 def _limits(command: tuple[float, float] | None, rate: float | None) -> DeviceLimits:
     box = Range.parse({"lower": command[0], "upper": command[1]}, "--command-limits") if command else None
     return DeviceLimits(box, rate or None)
@@ -236,8 +258,8 @@ def _identify(kind: ModelKind, trials: list[Trial], request: FitRequest, path: P
     unit, steps = trials[0].units.angle, kind.steps(request)
     seconds = kind.estimate(trials, request)
     if seconds is not None:
-        errors.print(f"{kind.name}, preset {request.preset}: about {_duration(seconds)} on this machine")
-    with bar(f"fit {kind.name}", steps) as show:
+        errors.print(f"{kind.name}, preset {request.preset}: about {about(seconds)} on this machine")
+    with bar(f"fit {kind.name}", steps, _PACE.get(kind.name, EVEN)) as show:
         show(0, "first look")
         found = identified(kind, trials, request, lambda done, rmse: show(done, f"best {rmse:.4g} {unit}"))
         if steps is None:
@@ -250,11 +272,14 @@ def _identify(kind: ModelKind, trials: list[Trial], request: FitRequest, path: P
             out.print(table(title, columns, rows))
         for line in found.parts.advice:
             out.print(line, soft_wrap=True)
+    if not trials[0].inverted:
+        out.print(limits_line(found.bundle.metadata, request.limits), soft_wrap=True, highlight=False)
     if found.simulator is not None and path.suffix.lower() in SIMULATOR.endings:
         save_simulator(found.simulator, path)
         out.print(found.report, soft_wrap=True)
         return found
-    gate = export_onnx(found.bundle, path)
+    with bar("compare and export"):
+        gate = export_onnx(found.bundle, path)
     out.print(
         f"{found.report}; exported within {max(gate.runtime_deg, gate.casadi_deg):.2g} {unit} of the reference "
         f"over {gate.steps} steps",
@@ -278,7 +303,3 @@ def _part_tables(found: AutoFit, units: Units) -> Iterator[tuple[str, Sequence[s
 
 def _figure(value: float) -> str:
     return f"{value:.4g}" if math.isfinite(value) else "-"
-
-
-def _duration(seconds: float) -> str:
-    return f"{seconds:.0f} s" if seconds < 90 else f"{seconds / 60:.0f} min"

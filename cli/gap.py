@@ -14,7 +14,8 @@ from hystmpc.models.simulator import load_simulator
 from hystmpc.trials.read import read_trials
 from hystmpc.trials.run_folder import require_vacant
 
-from .console import INTERRUPTED, bar, errors, out, table
+from .bars import bar
+from .console import INTERRUPTED, errors, out, table
 from .options import Layout, Logs
 
 if TYPE_CHECKING:

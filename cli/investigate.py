@@ -13,7 +13,8 @@ from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.types import Progress
 
 from .at_bench import InTerminal, OnPage, Overrides, Reset, stages_kept, tell
-from .console import INTERRUPTED, bar, errors, out, table
+from .bars import bar
+from .console import INTERRUPTED, errors, out, table
 from .options import AllowPython, heard
 
 if TYPE_CHECKING:

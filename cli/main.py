@@ -113,11 +113,19 @@ def _print_version(wanted: bool) -> None:
 
 @app.callback()
 def hystmpc(
+    context: typer.Context,
     show_version: Annotated[
         bool, typer.Option("--version", is_eager=True, callback=_print_version, help="Print the version and end.")
     ] = False,
 ) -> None:
     """Identify actuators with hysteresis, control them, and diagnose where a simulator and its device differ."""
+    del show_version  # its callback has been called
+    from hystmpc.models.kernels.compiling import watching
+
+    from .bars import SCREEN
+
+    context.call_on_close(SCREEN.stop)
+    context.with_resource(watching(SCREEN.compiles))
 
 
 def main() -> None:

@@ -14,6 +14,7 @@ from hystmpc.trials.figure_folder import figures_to
 from hystmpc.trials.from_outside import only_reads
 from hystmpc.trials.run_folder import RunFolder
 
+from .bars import bar
 from .console import out
 from .options import Figures, check_figures
 
@@ -37,7 +38,7 @@ def report(
     error fell, and with a diagnosis how far it was expected to fall on this reference.
     """
     check_figures(figures)
-    with figures_to(figures), only_reads():
+    with bar("report"), figures_to(figures), only_reads():
         _report(run, before, diagnosis)
 
 

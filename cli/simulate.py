@@ -17,7 +17,8 @@ from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.run_folder import require_resumable, require_vacant
 from hystmpc.trials.types import Progress
 
-from .console import INTERRUPTED, bar, errors, out, table
+from .bars import bar
+from .console import INTERRUPTED, errors, out, table
 from .options import AllowPython, heard, processes
 
 DIFFERENT = 1

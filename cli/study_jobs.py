@@ -10,7 +10,8 @@ import typer
 
 from hystmpc.trials.types import Progress
 
-from .console import INTERRUPTED, bar, errors, out
+from .bars import bar
+from .console import INTERRUPTED, errors, out
 
 if TYPE_CHECKING:
     from hystmpc.studies.ready import ReadyStudy

@@ -9,7 +9,8 @@ import typer
 
 from hystmpc.trials.run_folder import require_resumable
 
-from .console import INTERRUPTED, bar, errors, out, table
+from .bars import bar
+from .console import INTERRUPTED, errors, out, table
 from .options import AllowPython, heard, processes
 
 _COLUMNS = ("settings", "objective", "mean error", "worst plant", "travel", "violations")

@@ -48,7 +48,9 @@ RANGE, RECORD, CHECK, FIT, DIAGNOSE, CONTROLLER, VERIFY = NAMES
 REPORT_FILE = "report.html"
 _LEAST_RANGE = 0.2  # of the limits: a narrower range says that something is wrong
 _LEAST_MOTION = 0.02  # of the angle limits
-_COMPUTING_S = {FIT: 60.0, DIAGNOSE: 150.0, CONTROLLER: 40.0}  # expected, for the bar
+_REPORT = "report"
+_COMPUTING_S = {FIT: 60.0, DIAGNOSE: 150.0, CONTROLLER: 40.0, _REPORT: 10.0}  # expected, for the bar
+_COMPUTED = 0.05  # seconds that a computed device takes for one of its own
 
 
 class EndedEarlyError(HystmpcError):
@@ -212,11 +214,12 @@ def commission_logs(
     plain: dict[str, Any] = {} if settings is None else settings.model_dump(mode="json")
     hashes = _hashes(files)
     root = begun_folder(out, "commissioning", plain | {"logs": hashes}, subject.block.seed)
-    stages = [FIT, CONTROLLER] + ([DIAGNOSE] if subject.block.diagnose else [])
+    stages = [FIT, CONTROLLER, _REPORT] + ([DIAGNOSE] if subject.block.diagnose else [])
     with alone_in(root):
         store = StageStore(root, fingerprint(plain | {"logs": hashes}))
         bar = _Bar(progress, sum(_COMPUTING_S[name] for name in stages))
         known = _identified(subject, store, bar)
+        bar(0.0, _REPORT)
         return _reported(known, root, words, 0.0, None, None)
 
 
@@ -271,7 +274,7 @@ def _on_device(
     settings: CommissionSettings, device: Device, store: StageStore, planned: Budget, bar: _Bar
 ) -> Commissioned:
     root = store.root
-    in_time = 1.0 if device.in_real_time else 0.0
+    in_time = 1.0 if device.in_real_time else _COMPUTED
     bar(0.0, "range")
     ranged, store = store.complete(RANGE, Ranged, lambda folder: _ranged(settings, device))
     bench = narrowed(settings, ranged.lower, ranged.upper, ranged.rate_per_s, ranged.still)
@@ -309,13 +312,13 @@ def _on_device(
     if not tracks:
         tracks.update(load_tracks(root / VERIFY))
     bar.before_s += seconds
-    bar(0.0, "report")
+    bar(0.0, _REPORT)
     return _reported(known, root, ranged.words, device.used_s, tracks, verified)
 
 
 def _expected_s(settings: CommissionSettings, device: Device, planned: Budget) -> float:
     computing = sum(s for name, s in _COMPUTING_S.items() if name != DIAGNOSE or settings.commission.diagnose)
-    return computing + (planned.total_s if device.in_real_time else 0.0)
+    return computing + planned.total_s * (1.0 if device.in_real_time else _COMPUTED)
 
 
 def _ranged(settings: CommissionSettings, device: Device) -> Ranged:

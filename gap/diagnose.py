@@ -13,6 +13,7 @@ from hystmpc.models.effects.catalogue import EFFECTS, confounders, diagnosable
 from hystmpc.models.identify.cross_validation import CrossValidation
 from hystmpc.models.identify.least_squares import one_blas_thread
 from hystmpc.models.identify.uncertainty import BASELINE_UNITS, ParameterRow, parameter_rows
+from hystmpc.models.kernels.compiling import expecting
 from hystmpc.models.model import LoadedModel
 from hystmpc.models.simulator import Simulator
 from hystmpc.trials.errors import GapError, did_you_mean
@@ -39,10 +40,13 @@ if TYPE_CHECKING:
 
 DEFAULT_SETTINGS = DiagnosisSettings()
 _STEPS, _CONCLUDED = 100, 97  # of the progress
+_COMPILES_S = 75.0  # where nothing is on disk: the kernels of all effects
+_LEFT_BY_A_ROUND = 0.6  # of the progress of the selection
 _STABILITY_UNKNOWN = 0.5
 
 
 @one_blas_thread
+@expecting(_COMPILES_S)
 def find_causes(
     trials: Sequence[Trial],
     simulator: Simulator | LoadedModel,
@@ -150,12 +154,16 @@ def _no_progress(done: float, total: float, note: str = "", /) -> None:
 
 
 def _selection_progress(progress: Progress) -> Callable[[float, str], None]:
-    """Progress of the selection, 5 to 85 %; every round counts its candidates anew, so that it is kept from falling."""
-    done = [5]
+    """Progress of the selection, 5 to 85 %: each round, of which nobody knows the number, is 40 % of what is left.
+
+    Every round counts its candidates anew, which tells where one begins.
+    """
+    rounds, last = 0, 0.0
 
     def advance(share: float, what: str) -> None:
-        done[0] = max(done[0], 5 + int(80 * share))
-        progress(done[0], _STEPS, what)
+        nonlocal rounds, last
+        rounds, last = rounds + (share < last), share
+        progress(85 - 80 * _LEFT_BY_A_ROUND ** (rounds + min(share, 1.0)), _STEPS, what)
 
     return advance
 

@@ -32,6 +32,8 @@ from .story import FIRST, Investigated, RecordedRound, Round, round_folder
 
 RESULT_FILE, REPORT_FILE = "investigation.json", "report.html"
 IDENTIFY = "identify"
+_FIT_S, _JUDGE_S, _ROUNDS = 60.0, 60.0, 3  # expected of a fit, of a diagnosis, and of their number, for the bar
+_COMPUTED = 0.05  # seconds that a computed device takes for one of its own, for the bar
 _IDENTIFY_SHARE = 0.45  # of the device time, where no simulator is given
 
 
@@ -41,12 +43,14 @@ class _Budgeted:
 
     Args:
         device: that is moved.
-        progress: told the device time used of that allowed.
+        progress: told the time that has passed of that expected, computations included.
     """
 
     def __init__(self, device: Device, settings: InvestigateSettings, progress: Progress | None) -> None:
         self.device, self._settings, self._progress = device, settings, progress
         self._stage = ""
+        self._computed_s, self._computing_s = 0.0, 0.0  # of computations that are complete, and of the present one
+        self._expected_s = _ROUNDS * _JUDGE_S + (_FIT_S if settings.investigate.model is None else 0.0)
 
     @property
     def left_s(self) -> float:
@@ -55,9 +59,22 @@ class _Budgeted:
 
     def say(self, note: str, more_s: float = 0.0) -> None:
         """Tell what is done."""
-        if self._progress is not None:
-            total = self._settings.budget_s
-            self._progress(min(self.device.used_s + more_s, total), total, note)
+        if self._progress is None:
+            return
+        pace, computed = 1.0 if self.device.in_real_time else _COMPUTED, self._computed_s + self._computing_s
+        total = pace * self._settings.budget_s + max(self._expected_s, computed)
+        self._progress(min(pace * (self.device.used_s + more_s) + computed, total), total, note)
+
+    def computing(self, seconds: float, what: str) -> Progress:
+        """The progress of a computation that is expected to take so long, as part of the whole."""
+        self._computed_s, self._computing_s = self._computed_s + self._computing_s, 0.0
+
+        def told(done: float, total: float, note: str = "", /) -> None:
+            self._computing_s = seconds * min(done / max(total, 1e-9), 1.0)
+            self.say(f"{what} {note}".strip())
+
+        told(0, 1)
+        return told
 
     def fits(self, stage: str, commands: int) -> bool:
         """Whether one more run is certain to end within the device time."""
@@ -85,7 +102,7 @@ def investigate_device(
     Args:
         device: opens the device, given the folder and what to tell while a motion lasts.
         out: a new or empty folder, or one in which the same investigation was begun.
-        progress: called with device time used, device time allowed [s], and what is being done.
+        progress: called with the time passed, that expected at most [s], and what is being done.
 
     Raises:
         ConfigError: before anything moves: on a folder that holds something else, minutes that are too few, a device
@@ -220,9 +237,8 @@ def _round(
     files = [round_folder(root, k) / "record" / "trials" / f"{name}.csv" for k, name in played]
 
     def diagnose(folder: Path) -> Judged:
-        moved.say(f"{stage}: diagnose")
-        verdicts = [found.judged for found in before]
-        return judge(settings, model, files, verdicts, settings.budget_s - recorded.device_s, folder)
+        told, verdicts = moved.computing(_JUDGE_S, f"{stage}: diagnose"), [found.judged for found in before]
+        return judge(settings, model, files, verdicts, settings.budget_s - recorded.device_s, folder, told)
 
     judged, store = store.complete(f"{stage}/diagnose", Judged, diagnose)
     return Round(number, plan, recorded, judged), store
@@ -236,8 +252,7 @@ def _model(settings: InvestigateSettings, moved: _Budgeted, store: StageStore) -
 
     def fit(folder: Path) -> Fitted:
         check_trials(subject)
-        moved.say(f"{IDENTIFY}: fit")
-        return fit_model(subject, folder, lambda done, total, note="": moved.say(f"{IDENTIFY}: {note}"))
+        return fit_model(subject, folder, moved.computing(_FIT_S, f"{IDENTIFY}: fit"))
 
     recorded, store = store.complete(
         f"{IDENTIFY}/record", RecordedRound, lambda folder: _record(moved, IDENTIFY, motions, folder)

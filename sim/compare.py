@@ -9,6 +9,7 @@ from pathlib import Path
 
 from hystmpc.trials.config import dump_yaml
 from hystmpc.trials.files import write_atomically
+from hystmpc.trials.parts import parts
 from hystmpc.trials.run_folder import RunFolder
 from hystmpc.trials.types import Progress
 
@@ -17,7 +18,10 @@ from .config import SimulationConfig, load_simulation
 from .report import study_report
 from .results import Result, StudyResult, log_columns, result_of
 from .study import Study, prepare
-from .tune_pid import tuned_study
+from .tune_pid import PidLike, tuned_study
+
+_STEP_S, _PID_STEP_S = 2e-3, 3e-4  # of a closed loop, with the mean controller and with one that is tuned
+_REPORT_S, _RUN_REPORT_S = 3.0, 0.4  # of the page, and of a run on it
 
 
 def compare(config: SimulationConfig, out: Path | str | None = None, progress: Progress | None = None) -> StudyResult:
@@ -37,12 +41,13 @@ def compare(config: SimulationConfig, out: Path | str | None = None, progress: P
     study = prepare(config)
     folder = None if out is None else _folder(Path(out), study)
     results: list[Result] = []
+    tuning, running, reporting = parts(progress, _expected_s(study))
     try:
-        study = tuned_study(study, progress)
+        study = tuned_study(study, tuning)
         if folder is not None:
             # Asked for and found are told apart: the settings left behind repeat the run without the search.
             write_atomically(folder.path / "config.yaml", dump_yaml(study.config.model_dump(mode="json")))
-        for result in _runs(study, progress):
+        for result in _runs(study, running):
             results.append(result)
             if folder is not None:
                 _write(folder, study, result)
@@ -54,11 +59,22 @@ def compare(config: SimulationConfig, out: Path | str | None = None, progress: P
         raise
     found = StudyResult(study.config, tuple(results), {} if folder is None else folder.meta, study.warnings())
     if folder is not None:
+        reporting(0, 1, "writing the report")
         folder.write_report(study_report(found))
+        reporting(1, 1, "writing the report")
     return found
 
 
-def _runs(study: Study, progress: Progress | None) -> Iterator[Result]:
+def _expected_s(study: Study) -> tuple[float, float, float]:
+    """Seconds of the search of gains, of the runs and of the report; they matter by their ratios only."""
+    config, steps = study.config, sum(study.steps(name) for name in study.motions)
+    count = len(config.controllers)
+    tuned = sum(isinstance(settings, PidLike) for settings in config.controllers.values())
+    search = tuned * config.tune_pid.evaluations * steps * _PID_STEP_S if config.tune_pid else 0.0
+    return search, count * steps * _STEP_S, _REPORT_S + count * len(study.motions) * _RUN_REPORT_S
+
+
+def _runs(study: Study, progress: Progress) -> Iterator[Result]:
     """Run after run, until the last or until Ctrl-C."""
     pairs = [(motion, name) for motion in study.motions for name in study.config.controllers]
     lengths = {name: study.steps(name) for name in study.motions}
@@ -67,8 +83,7 @@ def _runs(study: Study, progress: Progress | None) -> Iterator[Result]:
     def step(_: object) -> None:
         nonlocal done
         done += 1
-        if progress is not None:
-            progress(done, total)
+        progress(done, total)
 
     for motion, name in pairs:
         controller = study.controller(study.config.controllers[name])

@@ -16,7 +16,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from . import api, commands, configuration, effects, execution, files
+from . import api, commands, configuration, effects, execution, files, front
 
 SOURCES: Mapping[str, Callable[[], str]] = MappingProxyType(
     {
@@ -25,6 +25,7 @@ SOURCES: Mapping[str, Callable[[], str]] = MappingProxyType(
         "configuration": configuration.text,
         "effects": effects.text,
         "examples": files.text,
+        "front": front.text,
         "gallery": files.gallery,
         "metadata": configuration.metadata,
     }

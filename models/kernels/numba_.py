@@ -21,9 +21,12 @@ import llvmlite  # type: ignore[import-untyped]
 import numba
 import numpy as np
 import platformdirs
+from numba.core import event
 from numba.core.caching import FunctionCache, IndexDataCacheFile
 
 from hystmpc.trials.files import write_atomically
+
+from .compiling import PROCESS
 
 _logger = logging.getLogger(__name__)
 _told: list[str] = []  # the line that this process has logged, if any
@@ -40,14 +43,39 @@ def njit(*, cache: bool = False, **options: Any) -> Callable[[Callable[..., Any]
     def compiled(function: Any) -> Any:
         dispatcher: Any = numba.njit(**options)(function)
         function.file_hash = _file_hash(function)  # now: the file may change before the function is compiled
+        stored = False
         if cache:
             try:
                 dispatcher._cache = _Cache(function)  # numba's `enable_caching` sets the same, with its own class
+                stored = dispatcher._cache.stored
             except (OSError, RuntimeError) as error:
                 _tell(f"compiled code is not kept, it is compiled at every start ({_cause(error)})")
+        PROCESS.defined(*_told_as(function), stored)
         return dispatcher
 
     return compiled
+
+
+def _told_as(function: Any) -> tuple[int, str, int]:
+    """What is told of a function: who it is, its file and the size of its byte code."""
+    return id(function), function.__code__.co_filename, len(function.__code__.co_code)
+
+
+@final
+class _Listener(event.Listener):
+    """Tells what numba compiles, its own functions included; what it finds on disk is told by `_Cache`."""
+
+    def on_start(self, what: Any) -> None:
+        """A function is going to be compiled."""
+        PROCESS.begins(*_told_as(what.data["dispatcher"].py_func))
+
+    def on_end(self, what: Any) -> None:
+        """It is compiled, or could not be."""
+        del what
+        PROCESS.ends()
+
+
+event.register("numba:compile", _Listener())
 
 
 class _File(IndexDataCacheFile):
@@ -88,10 +116,21 @@ class _Cache(FunctionCache):
         self._cache_file = _File(self._cache_path, self._base, source_digest(self._py_func))
         return self._cache_file
 
+    @property
+    def stored(self) -> bool:
+        """Whether compiled code of the function was written after the function's file."""
+        with suppress(OSError):
+            written = (Path(self._cache_path) / f"{self._base}.nbi").stat().st_mtime
+            return written >= Path(self._py_func.__code__.co_filename).stat().st_mtime
+        return False
+
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """The compiled code for a signature; None where there is none, or none that can be used."""
         try:
-            return super().load_overload(sig, target_context)
+            found = super().load_overload(sig, target_context)
+            if found is not None:
+                PROCESS.loaded(*_told_as(self._py_func))
+            return found
         except Exception as error:  # noqa: BLE001  # damaged bytes raise whatever they happen to spell
             self._remove()
             _tell(f"{self._cache_path}: compiled code is damaged and is compiled anew ({_cause(error)})")

@@ -10,11 +10,13 @@ from hystmpc.trials.trial import Trial
 
 from ..identify.auto import AutoFit, auto_chain, identify_auto
 from ..identify.methods import simulator_of
+from ..kernels.compiling import expecting
 from ..model import FitProgress
 from ..simulator import simulator_bundle
 from .kind import FitRequest, Identified, ModelKind
 
 _STEPS = 100  # of the progress
+_COMPILES_S = 150.0  # where nothing is on disk: the kernels of all operators that are tried
 
 
 @final
@@ -27,6 +29,7 @@ class AutoKind(ModelKind):
     readable = True
     invertible = False
 
+    @expecting(_COMPILES_S)
     def fit(self, trials: Sequence[Trial], request: FitRequest, progress: FitProgress | None = None) -> Identified:
         self.check(trials, request)
         if not trials:

@@ -5,23 +5,29 @@ from __future__ import annotations
 import multiprocessing
 import os
 import signal
+import threading
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from dataclasses import replace
 from itertools import chain, islice
+from multiprocessing.connection import Connection
+from multiprocessing.context import SpawnContext
 from multiprocessing.process import BaseProcess
 from typing import TypeVar, final
 
 from threadpoolctl import threadpool_limits
 
+from hystmpc.models.kernels.compiling import PROCESS, Compilation, joint
 from hystmpc.trials.errors import ConfigError
 
 T = TypeVar("T")
 R = TypeVar("R")
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 _DEATHS = 3  # in a row, without a result between them
+_LISTENS_S = 0.2  # between two looks at whether the workers are gone
 _AHEAD = 2  # items a worker that are handed over before they are needed
 
 
@@ -98,14 +104,16 @@ class Processes(Backend):
         Raises:
             BrokenProcessPool: if a worker died.
         """
-        with _safe_path():
-            yield from self._asked(function, items, pending)
-
-    def _asked(self, function: Callable[[T], R], items: Iterator[T], pending: dict[Future[R], T]) -> Iterator[R]:
-        ours = set(multiprocessing.active_children())
         # Not forked: torch's and numba's threads do not survive a fork.
         context = multiprocessing.get_context("spawn")
-        pool = ProcessPoolExecutor(self.workers, mp_context=context, initializer=prepare_worker)
+        with _safe_path(), _compilation_told(context) as told:
+            pool = ProcessPoolExecutor(self.workers, context, prepare_worker, (told,))
+            yield from self._asked(pool, function, items, pending)
+
+    def _asked(
+        self, pool: ProcessPoolExecutor, function: Callable[[T], R], items: Iterator[T], pending: dict[Future[R], T]
+    ) -> Iterator[R]:
+        ours = set(multiprocessing.active_children())
         try:
             while True:
                 for item in islice(items, _AHEAD * self.workers - len(pending)):
@@ -138,6 +146,32 @@ def _safe_path() -> Iterator[None]:
             os.environ.pop("PYTHONSAFEPATH", None)
 
 
+@contextmanager
+def _compilation_told(context: SpawnContext) -> Iterator[Connection]:
+    """Where workers say what they compile; this process tells its own observers."""
+    ears, mouth = context.Pipe(duplex=False)
+    over, found = threading.Event(), dict[int, Compilation]()
+
+    def listen() -> None:
+        while not over.is_set():
+            if ears.poll(_LISTENS_S):
+                worker, told = ears.recv()
+                found[worker] = told
+                PROCESS.tell(joint(found.values()))
+
+    listener = threading.Thread(target=listen, name="compilation of workers", daemon=True)
+    listener.start()
+    try:
+        yield mouth
+    finally:
+        over.set()
+        listener.join()
+        if found:
+            PROCESS.tell(replace(joint(found.values()), busy=False))  # whatever a worker was at, it is gone
+        mouth.close()
+        ears.close()
+
+
 def _submitted(pool: ProcessPoolExecutor, function: Callable[[T], R], item: T) -> Future[R]:
     """The call's future, broken already where the pool is."""
     try:
@@ -153,8 +187,19 @@ def _end(children: Iterable[BaseProcess]) -> None:
         child.terminate()
 
 
-def prepare_worker() -> None:
-    """One thread; Ctrl-C is the main process's business, a fit that heard it would pass for a finished one."""
+def prepare_worker(told: Connection | None = None) -> None:
+    """One thread; Ctrl-C is the main process's business, a fit that heard it would pass for a finished one.
+
+    Args:
+        told: where to say what is compiled. A line is shorter than what a pipe takes whole, so that workers share it.
+    """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     os.environ.update(dict.fromkeys(THREADS, "1"))  # for libraries that are loaded later
     threadpool_limits(limits=1)
+    if told is not None:
+
+        def tell(found: Compilation) -> None:
+            with suppress(OSError):  # nobody listens any more
+                told.send((os.getpid(), found))
+
+        PROCESS.observers.append(tell)

@@ -13,6 +13,7 @@ from hystmpc.trials.config import dump_yaml
 from hystmpc.trials.csv_files import format_table
 from hystmpc.trials.errors import ConfigError, FitError
 from hystmpc.trials.files import write_atomically
+from hystmpc.trials.parts import parts
 from hystmpc.trials.run_folder import RunFolder
 from hystmpc.trials.types import Progress
 
@@ -22,6 +23,7 @@ from .objective import SearchTrial, Ticket, TicketOutcome, Tuning, held_out
 from .report import tuning_report
 from .settings import TuneSettings
 
+_REPORT_RUNS = 4  # runs of a plant that take as long as the report
 _WAIT_S = 3.0  # until trials that another process does are asked for again
 
 
@@ -50,17 +52,21 @@ def run_tuning(
     if storage is not None:
         _optuna().open_search(storage, f"hystmpc-{settings.fingerprint}")  # before anything is written
     folder = _folder(Path(out), settings)
+    runs = settings.trials * settings.plants.count, 2 * settings.held_out.count, _REPORT_RUNS
+    searching, checking, reporting = parts(progress, runs)
     with alone_in(folder.path):
         url = storage or f"sqlite:///{(folder.path / 'search.db').resolve()}"
-        trials, failed = search(settings, backend, url, progress)
+        trials, failed = search(settings, backend, url, searching)
         done = [trial for trial in trials if trial.state == "done"]
         if not done:
             reason = failed[0].message if failed else "all were pruned"
             raise FitError(f"{folder.path}: no trial came to an end ({reason})")
         best = min(done, key=lambda trial: (trial.value, trial.slot))
-        check = held_out(settings, dict(best.values), backend, progress)
+        check = held_out(settings, dict(best.values), backend, checking)
         found = Tuning(settings, trials, best, check, failed)
+        reporting(0, 1, "writing the report")
         _write(folder, found)
+        reporting(1, 1, "writing the report")
     return found
 
 

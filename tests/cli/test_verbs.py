@@ -14,7 +14,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from hystmpc.cli.fit import limits_line
 from hystmpc.cli.main import main
+from hystmpc.models.contract.metadata import DeviceLimits, Range
 from hystmpc.models.simulator import ChainModel
 from hystmpc.trials.csv_files import read_csv, write_csv
 from hystmpc.trials.trial import Trial
@@ -227,3 +229,21 @@ def test_ctrl_c_during_training_keeps_the_best_so_far(logs: list[Path], tmp_path
     assert "interrupted" in seen
     assert target.exists()
     assert "mean" in out
+
+
+@pytest.mark.parametrize(
+    ("given", "expected"),
+    [
+        (DeviceLimits(), "as seen in the logs; give --command-limits and --command-rate for the device's own"),
+        (DeviceLimits(Range(lower=0.0, upper=5.0)), "the rate as seen in the logs; give --command-rate"),
+        (DeviceLimits(None, 9.0), "the range as seen in the logs; give --command-limits for"),
+        (DeviceLimits(Range(lower=0.0, upper=5.0), 9.0), "as given"),
+    ],
+)
+def test_a_fit_says_where_the_limits_come_from_that_controllers_will_keep(given: DeviceLimits, expected: str) -> None:
+    """What was recorded may be more, or less, than the device may be sent."""
+    stored = ChainModel(simulator(CHAINS["pi"], dt=0.01)).metadata
+    line, box = limits_line(stored, given), stored.command_limits
+    assert line.startswith(f"limits stored in the model: {box.lower:.4g} to {box.upper:.4g} mm, at most ")
+    assert expected in line
+    assert len(line) < 300

@@ -118,3 +118,26 @@ def test_the_c_program_of_the_page_gives_the_angles_of_the_model(names: dict[str
         theta, state = model.advance(state, np.array([[0.04 * k]]))
         expected.append(float(theta[0, 0]))
     assert [float(word) for word in printed] == pytest.approx(expected, abs=1e-8)
+
+
+SHELL = re.compile(r"^```(?:sh|bash)?\n(.*?)^```", re.MULTILINE | re.DOTALL)
+COMMAND = re.compile(r"(?:hystmpc|make|pip|python|ros2|colcon) ")
+SET = {"$PWD", "$HOME"}  # variables that every shell has
+
+
+def unpasteable(text: str) -> list[str]:
+    """Commands of a page with a comment, which zsh takes for words, or a variable that no shell has set."""
+    lines = [line for block in SHELL.findall(text) for line in block.splitlines() if COMMAND.match(line)]
+    return [line for line in lines if re.search(r"\s#", line) or set(re.findall(r"\$\w+", line)) - SET]
+
+
+@pytest.mark.parametrize("page", [*PAGES, ROOT / "CONTRIBUTING.md"], ids=lambda page: str(page.relative_to(ROOT)))
+def test_commands_can_be_pasted_into_any_shell(page: Path) -> None:
+    assert unpasteable(page.read_text(encoding="utf-8")) == []
+
+
+def test_a_command_that_cannot_be_pasted_is_found() -> None:
+    assert unpasteable("```sh\nhystmpc check a.csv  # why?\nhystmpc fit pi $LOGS\nmake test\n```\n") == [
+        "hystmpc check a.csv  # why?",
+        "hystmpc fit pi $LOGS",
+    ]

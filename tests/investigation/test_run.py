@@ -17,7 +17,7 @@ from hystmpc.investigation import plan
 from hystmpc.investigation import run as whole
 from hystmpc.investigation.config import InvestigateSettings
 from hystmpc.investigation.plan import plan_first, plan_more
-from hystmpc.investigation.run import identification_share, plan_rows
+from hystmpc.investigation.run import _Budgeted, identification_share, plan_rows
 from hystmpc.investigation.story import Investigated
 from hystmpc.models.load import model_path
 from hystmpc.models.simulator import load_simulator
@@ -160,3 +160,26 @@ def test_what_cannot_be_done_is_said_before_anything_moves(
 def test_unknown_keys_are_errors() -> None:
     with pytest.raises(ConfigError, match="minute"):
         InvestigateSettings.parse(bench(investigate={"minute": 3}))
+
+
+class Held:
+    """A device of which only the time counts."""
+
+    in_real_time, used_s = True, 0.0
+
+
+def test_the_bar_counts_computations_and_never_goes_back(tmp_path: Path) -> None:
+    """Rounds beyond the expected number make the total longer, and nothing of it is past the end."""
+    made, told, held = settings(tmp_path, investigate={"minutes": 5.0}), list[tuple[float, float]](), Held()
+    moved = _Budgeted(held, made, lambda done, total, note="": told.append((done, total)))  # type: ignore[arg-type]
+    for k in range(6):
+        held.used_s += 40.0
+        moved.say("moving")
+        step = moved.computing(60.0, f"round-{k + 1}: diagnose")
+        for share in (0.25, 0.5, 1.0):
+            step(share, 1.0, "lag/command")
+    done = [value for value, _ in told]
+    assert done == sorted(done)
+    assert done[-1] == 6 * (40.0 + 60.0)
+    assert all(value <= total for value, total in told)
+    assert told[0][1] == 300.0 + 3 * 60.0

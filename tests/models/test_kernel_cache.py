@@ -36,11 +36,12 @@ def double(x):
 # line that it reads: a start from nothing takes seconds. The module itself is loaded in each start, which uses a small
 # kernel of it and a generated one; not as root, who may read everything.
 STARTS = """
-import json, os, sys, tempfile
+import json, logging, os, sys, tempfile
 import numba
 import numpy as np
 
 os.umask(0)
+logging.getLogger("hystmpc.models.kernels.compiling").setLevel(logging.ERROR)  # on a slow machine it is told
 numba.njit(lambda x: 2.0 * x)(1.0)
 import hystmpc.ctrl.planning
 del sys.modules["hystmpc.ctrl.planning"]

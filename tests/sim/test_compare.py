@@ -137,22 +137,37 @@ def test_interrupted_study_keeps_what_was_finished(tmp_path: Path) -> None:
     config = study(controllers={"first": {"kind": "pid"}, "second": {"kind": "pid"}})
     first = prepare(config).steps("move")
 
-    def interrupt(done: int, total: int) -> None:
-        if done == first + 3:
+    told: list[float] = []
+
+    def interrupt(done: float, total: float, note: str = "") -> None:
+        told.append(done / total)
+        if len(told) == first + 3:
             raise KeyboardInterrupt
 
     result = compare(config, tmp_path / "study", interrupt)
     assert [r.controller for r in result.results] == ["first"]
     assert [r.controller for r in load_results(tmp_path / "study").results] == ["first"]
     assert not (tmp_path / "study" / "move" / "second").exists()
+    told[:] = [0.0] * (first + 2)
     with pytest.raises(KeyboardInterrupt):
-        compare(config, progress=lambda done, total: interrupt(first + 3, total))
+        compare(config, progress=interrupt)
+
+
+def test_progress_ends_with_the_report(tmp_path: Path) -> None:
+    """Search, runs and report are one work: it never goes back, and is done when the report is written."""
+    told: list[tuple[float, str]] = []
+    config = study(controllers={"pid": {"kind": "pid"}}, tune_pid={"evaluations": 24})
+    compare(config, tmp_path / "study", lambda done, total, note="": told.append((done / total, note)))
+    shares = [share for share, _ in told]
+    assert shares == sorted(shares)
+    assert told[-1] == (pytest.approx(1.0), "writing the report")
+    assert told[-2][0] < 1.0
 
 
 def test_a_study_interrupted_in_its_first_run_leaves_no_folder(tmp_path: Path) -> None:
     """Else the same command would be refused the next time."""
 
-    def interrupt(done: int, total: int) -> None:
+    def interrupt(done: float, total: float, note: str = "") -> None:
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
