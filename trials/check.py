@@ -9,7 +9,7 @@ import numpy as np
 
 from .clock_findings import as_sampled, clock_of, time_findings
 from .clock_shift import IMPOSSIBLE_S, clock_shift
-from .clocks import suspected_unit
+from .clocks import SLOWEST_HZ, UNUSUAL_HZ, suspected_unit
 from .csv_files import Columns, read_columns
 from .errors import LogError, in_a_line
 from .findings import CheckReport as CheckReport
@@ -153,6 +153,6 @@ def require_seconds(trial: Trial) -> None:
     if unit is not None and unit.certain:
         rate = 1 / trial.dt
         raise LogError(
-            f"{trial.source}: time_s runs from {trial.t[0]:.15g} to {trial.t[-1]:.15g}, sampling rate {rate:.3g} Hz: "
-            f"{unit.text}"
+            f"{trial.source}: time_s runs from {trial.t[0]:.15g} to {trial.t[-1]:.15g}, sampling rate {rate:.3g} Hz, "
+            f"expected {SLOWEST_HZ:g} Hz to {UNUSUAL_HZ / 1e3:g} kHz: {unit.text}"
         )

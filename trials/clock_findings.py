@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from .clocks import (
     SECONDS,
+    SLOWEST_HZ,
     UNUSUAL_HZ,
     CounterWrap,
     Interval,
@@ -116,7 +117,7 @@ def _base(clock: Clock, duration: float) -> Finding:
     text = f"time_s runs from {np.nanmin(t):.15g} to {np.nanmax(t):.15g}, sampling rate {rate:.3g} Hz"
     if not clock.suspicion.certain:
         return Finding(Severity.WARNING, "time base", f"{text}, which is unusual: {clock.suspicion.text}")
-    limit = f"expected 1 Hz to {UNUSUAL_HZ / 1e3:g} kHz"
+    limit = f"expected {SLOWEST_HZ:g} Hz to {UNUSUAL_HZ / 1e3:g} kHz"
     return Finding(Severity.ERROR, "time base", f"{text}, {limit}: {clock.suspicion.text}")
 
 

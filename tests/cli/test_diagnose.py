@@ -60,7 +60,7 @@ def inputs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
         (["{log}", "--sim", "{sim}", "--out", "out", "--preset", "tendon"], "tendon-catheter"),
         (
             ["{log}", "{milliseconds}", "--sim", "{sim}", "--out", "out"],
-            "time_s runs from 0 to 9960, sampling rate 0.025 Hz, expected more than 1 Hz: is it in milliseconds?",
+            "time_s runs from 0 to 9960, sampling rate 0.025 Hz, expected 1 Hz to 20 kHz: is it in milliseconds?",
         ),
     ],
 )
