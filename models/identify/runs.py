@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -17,8 +17,8 @@ from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Index, Vec
 
 from ..contract.metadata import DeviceLimits, InitialRule, ModelMetadata, Range
+from ..start import TrialStart, trial_start
 
-_SETTLED_SHARE = 0.002  # of the command's range: a start that moves less is at rest
 _GROUP = 32768  # samples of a group of runs: some MB of derivatives
 
 
@@ -36,6 +36,7 @@ class Run:
         clock_s: time recorded before this trial [s].
         correction: angle of the nominal simulator less that of the chain that represents it (T,) [deg]; zero for a
             chain.
+        lead: first samples that only tell where the run begins, of a trial that begins in motion; they do not count.
     """
 
     name: str
@@ -48,6 +49,16 @@ class Run:
     bent_before: float
     clock_s: float
     correction: Vec
+    lead: int = 0
+
+    @property
+    def start(self) -> TrialStart:
+        """Where the run begins, see `models.start`."""
+        return TrialStart(self.rest_command, self.rest_angle, self.lead)
+
+    def begun(self, start: TrialStart) -> Run:
+        """The run from another start on."""
+        return replace(self, rest_command=start.command, rest_angle=start.angle)
 
     @cached_property
     def scored(self) -> slice | NDArray[np.bool_]:
@@ -152,7 +163,10 @@ class Before:
 def runs_of(
     trials: Sequence[Trial], corrections: Sequence[Vec] | None = None, before: Sequence[Before] | None = None
 ) -> tuple[Run, ...]:
-    """Trials in recording order, uniformly sampled, as runs; every sample counts.
+    """Trials in recording order, uniformly sampled, as runs.
+
+    A run begins where its trial does (`models.start.trial_start`). Every sample counts, but for the first of a trial
+    that begins in motion.
 
     Args:
         trials: all that were recorded, or some of them.
@@ -161,31 +175,25 @@ def runs_of(
     """
     runs: list[Run] = []
     before = Before.each(trials) if before is None else before
-    span = max(float(np.ptp(trial.command)) for trial in trials)
     for k, trial in enumerate(trials):
         command = np.ascontiguousarray(trial.command)
+        start = trial_start(trial.command, trial.angle, trial.dt, trial.inverted)
         runs.append(
             Run(
                 name=trial.source,
                 command=command,
                 angle=np.ascontiguousarray(trial.angle),
                 dt_s=trial.dt,
-                rest_command=float(command[0]),
-                rest_angle=_rest_angle(trial, _SETTLED_SHARE * span),
-                counts=np.ones(len(trial), dtype=np.bool_),
+                rest_command=start.command,
+                rest_angle=start.angle,
+                counts=np.arange(len(trial)) >= start.lead,
                 bent_before=max(before[k].bent, float(command[0])),
                 clock_s=before[k].clock_s,
                 correction=np.zeros(len(trial)) if corrections is None else corrections[k],
+                lead=start.lead,
             )
         )
     return tuple(runs)
-
-
-def _rest_angle(trial: Trial, still: float) -> float:
-    """Angle before the first motion: mean of the samples until the command has moved, noise averaged out."""
-    moved = np.flatnonzero(np.abs(trial.command - trial.command[0]) > still)
-    stop = max(int(moved[0]) if moved.size else len(trial), 1)
-    return float(np.mean(trial.angle[: min(stop, round(1.0 / trial.dt) + 1)]))
 
 
 _BLOCK_S = 3.0

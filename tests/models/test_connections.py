@@ -25,7 +25,8 @@ from hystmpc.models.operators.operator import Operator
 from hystmpc.models.operators.slow_changes import Creep
 from hystmpc.models.prediction.build import known_pairs, predictor_for
 from hystmpc.models.prediction.connected import ParallelPredictor, SeriesPredictor
-from hystmpc.models.simulator import ChainModel, chain_spec, simulator_bundle
+from hystmpc.models.chain_spec import chain_spec
+from hystmpc.models.simulator import ChainModel, simulator_bundle
 from hystmpc.trials.errors import ModelError
 
 from .lstm_examples import facts, random_weights

@@ -1,0 +1,178 @@
+"""How a recorded trial begins: at rest at its own first command and angle, or in motion, where a model finds its state.
+
+One rule for the search of a fit, its residuals, evaluation and diagnosis.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hystmpc.trials.types import Mask, Vec
+
+from .contract.metadata import Range
+
+STILL = 0.002  # of the command's range: a command that has moved less is at rest
+_LOOK_S, _LONG_S, _MEAN_S = 0.1, 5.0, 1.0
+_SLOW = 0.07  # of the greatest speed of the command: a motion that begins slower begins at rest
+_LITTLE = 0.01  # of the range: a command that moves by less while it is looked at sets out slowly
+_FOLLOWS = 2.0  # times the share of its range that the command has moved by: the angle may have moved by as much
+_SURE, _SCATTER = 3.0, 5.0  # standard errors of a drift, and standard deviations of a command's noise
+_SEEN = 0.1  # of the command's range, within which an extreme counts as visited
+_LEAST_S, _LEAST_SHARE, _MOST_SHARE = 1.0, 0.1, 0.5
+
+Box = tuple[Range, Range]
+"""Commands and angles among which the start of a trial is searched."""
+Runs = Callable[[Vec, Vec, int], Vec]
+"""Free runs (N, T) over the first T commands of a trial from rests at commands (N,) and angles (N,)."""
+
+
+@dataclass(frozen=True)
+class TrialStart:
+    """Where a free run over a trial begins.
+
+    Attributes:
+        command, angle: at which the device rests before the first sample [command unit], [deg]. Of a trial that begins
+            in motion: the rest from which its first samples are best explained, once a model has been asked.
+        lead: first samples that are used to find the state and are not scored; 0 of a trial that begins at rest.
+    """
+
+    command: float
+    angle: float
+    lead: int = 0
+
+    @property
+    def at_rest(self) -> bool:
+        """Whether the trial begins at rest."""
+        return self.lead == 0
+
+
+def trial_start(command: Vec, angle: Vec, dt_s: float, inverted: bool = False) -> TrialStart:
+    """How a trial begins, from its samples alone.
+
+    It begins at rest where the command keeps still for 0.1 s or more and the angle does not move meanwhile, or where
+    the command sets out slowly. The device then rests at the mean of the samples before the command has moved, of at
+    most one second: noise of a single sample would stay in wide plays. Any other trial begins in motion: it is a part
+    of a longer recording, or it was begun late, and its first samples do not tell the state of the device. They are
+    then not scored: until the command has been near both of its ends, at most half of the trial.
+
+    Args:
+        command, angle: of the trial (T,).
+        dt_s: sample time [s].
+        inverted: whether these are those of an inverse map, which starts at its first sample.
+    """
+    span = float(np.ptp(command))
+    if inverted or span == 0.0 or command.size < 4:
+        return TrialStart(float(command[0]), float(angle[0]))
+    still, slow, moves = _still(command, span, dt_s)
+    stop, seen = min(still, round(_MEAN_S / dt_s) + 1), min(slow, round(_LONG_S / dt_s) + 1)
+    start = TrialStart(float(np.mean(command[:stop])), float(np.mean(angle[:stop])))
+    share = STILL + _FOLLOWS * float(np.ptp(command[:seen])) / span
+    if moves or _drifts(angle[:seen], share * float(np.ptp(angle))):
+        return replace(start, lead=_lead(command, span, dt_s))
+    return start
+
+
+def found_start(start: TrialStart, angle: Vec, box: Box, runs: Runs) -> TrialStart:
+    """The start with the rest from which a model best explains the samples that are not scored, found by them alone.
+
+        min_(u, y)  sum_{k < lead} (theta_k(u, y) - y_k)^2
+
+    over a grid that shrinks around its best point. The device is taken to have rested at u, where it showed y, before
+    the first sample: that leaves room for plays wider than the motion, and for a creep or a lag that is under way.
+
+    Args:
+        start: of a trial that begins in motion.
+        angle: measured (T,) [deg].
+        box: ranges that are searched; the trial's own samples lie within.
+        runs: of the model.
+    """
+    if start.at_rest:
+        return start
+    centre = np.array([start.command, start.angle])
+    low, high = np.array([[r.lower, r.upper] for r in box]).T
+    reach, best, least = high - low, centre, np.inf
+    same = runs(np.full(2, start.command), np.array([low[1], high[1]]), start.lead)
+    if np.array_equal(same[0], same[1]):
+        reach[1] = 0.0  # a network starts alike at any angle
+    for k in range(_ROUNDS):
+        points = _FIRST if k == 0 else _POINTS
+        around = [np.linspace(-1.0, 1.0, points if reach[i] else 1) * reach[i] for i in (0, 1)]
+        grid = np.stack(np.meshgrid(*around), axis=-1).reshape(-1, 2) + best
+        grid = np.clip(np.vstack([best, grid]), low, high)
+        errors = runs(grid[:, 0], grid[:, 1], start.lead) - angle[: start.lead]
+        costs = np.nan_to_num(np.mean(errors**2, axis=1), nan=np.inf)
+        chosen = int(np.argmin(costs))
+        if costs[chosen] < least:
+            best, least = grid[chosen], costs[chosen]
+        reach = reach * (_FIRST_ZOOM if k == 0 else _ZOOM)
+    return replace(start, command=float(best[0]), angle=float(best[1]))
+
+
+_ROUNDS, _FIRST, _POINTS = 9, 17, 7
+_FIRST_ZOOM, _ZOOM = 0.15, 0.45
+
+
+def search_box(command: Range, angle: Range) -> Box:
+    """Where a device may have rested: a little beyond what it has been seen to do."""
+    w, h = 0.25 * (command.upper - command.lower), 0.1 * (angle.upper - angle.lower)
+    return (
+        Range(lower=command.lower - w, upper=command.upper + w),
+        Range(lower=angle.lower - h, upper=angle.upper + h),
+    )
+
+
+def motion_line(name: str, start: TrialStart, dt_s: float) -> str:
+    """What to say of a trial that begins in motion."""
+    return (
+        f"{name} begins in motion: its first {start.lead * dt_s:.3g} s are used to find the state of the device and "
+        "are not scored"
+    )
+
+
+def _still(command: Vec, span: float, dt_s: float) -> tuple[int, int, bool]:
+    """Samples before the command has moved, and by more than a little; and whether the trial begins in motion."""
+    look = max(round(_LOOK_S / dt_s), 1)
+    noise = _SCATTER * _noise(command[: 8 * look])
+    away = np.abs(command - command[0])
+    first, slow = (_first(away > share * span + noise) for share in (STILL, _LITTLE))
+    if first > look:
+        return first, slow, False
+    ahead = np.abs(command[look:] - command[:-look])
+    begun = float(ahead[0]) - noise
+    return max(first, 1), slow, begun > min(_LITTLE * span, _SLOW * float(np.max(ahead)))
+
+
+def _first(happens: Mask) -> int:
+    """Number of the first sample at which it does, of all where it never does."""
+    return int(np.argmax(happens)) if happens.any() else happens.size
+
+
+def _noise(signal: Vec) -> float:
+    """Standard deviation of white noise on a smooth signal, from its third differences; steps do not count."""
+    if signal.size < 6:
+        return 0.0
+    return float(np.median(np.abs(np.diff(signal, 3)))) / (0.6745 * 20.0**0.5)
+
+
+def _drifts(signal: Vec, little: float) -> bool:
+    """Whether a signal at rest moves after all: by a straight line, surely and by more than a little."""
+    if signal.size < 5:
+        return False
+    t = np.arange(signal.size) - 0.5 * (signal.size - 1)
+    slope = float(t @ signal) / float(t @ t)
+    left = signal - signal.mean() - slope * t
+    error = np.sqrt(float(left @ left) / (signal.size - 2) / float(t @ t))
+    moved = abs(slope) * (signal.size - 1)
+    return moved > max(little, _SURE * float(error) * (signal.size - 1))
+
+
+def _lead(command: Vec, span: float, dt_s: float) -> int:
+    """Samples until the command has been near both of its ends: no narrower play keeps what was before."""
+    near = _SEEN * span
+    ends = (command >= command.max() - near, command <= command.min() + near)
+    visited = max(int(np.argmax(end)) for end in ends) + 1
+    least = max(_LEAST_S / dt_s, _LEAST_SHARE * command.size)
+    return int(min(max(visited, round(least)), _MOST_SHARE * command.size))
