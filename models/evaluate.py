@@ -76,29 +76,28 @@ class TrialEvaluation:
         return "" if self.began.at_rest else motion_line(name, self.began, self.trial.dt)
 
 
-def free_run(model: LoadedModel, commands: Vec, y: float, u: float | None = None) -> Vec:
-    """Model's angles (T,) [deg] over commands (T,), given the first angle and nothing more of the measurement.
-
-    The device has rested before the first sample, see `LoadedModel.resting`.
+def free_run(model: LoadedModel, commands: Vec, start: float | TrialStart) -> Vec:
+    """Model's angles (T,) [deg] over commands (T,), given where it starts and nothing more of the measurement.
 
     Args:
         commands: (T,) [command unit].
-        y: angle at rest [deg].
-        u: command at rest [command unit]; the first one where left out.
+        start: angle [deg] that the device shows at rest at the first command; or where else it starts.
     """
-    start = model.at_rest(y, float(commands[0]) if u is None else u)
-    return model.run_on(start[None], commands[None])[0][0]
+    if not isinstance(start, TrialStart):
+        start = TrialStart(float(commands[0]), start)
+    whole = np.concatenate([start.approach, commands])
+    return model.run_on(model.at_rest(start.angle, start.command)[None], whole[None])[0][0, len(start.approach) :]
 
 
 def started(model: LoadedModel, trial: Trial) -> TrialStart:
     """Where a free run over a trial begins: at its own rest, or where the model finds it; see `models.start`."""
     start, facts = trial_start(trial.command, trial.angle, trial.dt, trial.inverted), model.metadata
 
-    def runs(commands: Vec, angles: Vec, samples: int) -> Vec:
-        plans = np.tile(trial.command[:samples], (commands.size, 1))
+    def runs(commands: Vec, angles: Vec, plans: Vec) -> Vec:
         return model.run_on(model.resting(commands, angles), plans)[0]
 
-    return found_start(start, trial.angle, search_box(facts.trained_command, facts.trained_angle), runs)
+    box = search_box(facts.trained_command, facts.trained_angle)
+    return found_start(start, trial.command, trial.angle, trial.dt, box, runs)
 
 
 def evaluate(
@@ -135,7 +134,7 @@ def evaluate(
     lead = began.command if before else trial.command[:0]
     begin = started(model, began)
     commands = np.concatenate([lead, trial.command, held])
-    theta = free_run(model, commands, begin.angle, begin.command)[lead.size :]
+    theta = free_run(model, commands, begin)[lead.size :]
     if not np.all(np.isfinite(theta)):
         raise ModelError(
             f"{trial.source}: the model's angle is not finite from sample {np.argmin(np.isfinite(theta))} on"

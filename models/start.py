@@ -21,12 +21,12 @@ _LITTLE = 0.01  # of the range: a command that moves by less while it is looked 
 _FOLLOWS = 2.0  # times the share of its range that the command has moved by: the angle may have moved by as much
 _SURE, _SCATTER = 3.0, 5.0  # standard errors of a drift, and standard deviations of a command's noise
 _SEEN = 0.1  # of the command's range, within which an extreme counts as visited
-_LEAST_S, _LEAST_SHARE, _MOST_SHARE = 1.0, 0.1, 0.5
+_LEAST_S, _LEAST_SHARE, _MOST_SHARE = 3.0, 0.1, 0.5
 
 Box = tuple[Range, Range]
 """Commands and angles among which the start of a trial is searched."""
-Runs = Callable[[Vec, Vec, int], Vec]
-"""Free runs (N, T) over the first T commands of a trial from rests at commands (N,) and angles (N,)."""
+Runs = Callable[[Vec, Vec, Vec], Vec]
+"""Free runs (N, T) from rests at commands (N,) and angles (N,) over commands (N, T)."""
 
 
 @dataclass(frozen=True)
@@ -37,11 +37,13 @@ class TrialStart:
         command, angle: at which the device rests before the first sample [command unit], [deg]. Of a trial that begins
             in motion: the rest from which its first samples are best explained, once a model has been asked.
         lead: first samples that are used to find the state and are not scored; 0 of a trial that begins at rest.
+        approach: commands between that rest and the first sample, of a trial that begins in motion.
     """
 
     command: float
     angle: float
     lead: int = 0
+    approach: tuple[float, ...] = ()
 
     @property
     def at_rest(self) -> bool:
@@ -75,44 +77,81 @@ def trial_start(command: Vec, angle: Vec, dt_s: float, inverted: bool = False) -
     return start
 
 
-def found_start(start: TrialStart, angle: Vec, box: Box, runs: Runs) -> TrialStart:
-    """The start with the rest from which a model best explains the samples that are not scored, found by them alone.
+def found_start(start: TrialStart, command: Vec, angle: Vec, dt_s: float, box: Box, runs: Runs) -> TrialStart:
+    """The start from which a model best explains the samples that are not scored, found by them alone.
 
-        min_(u, y)  sum_{k < lead} (theta_k(u, y) - y_k)^2
+        min_(u, y, e)  sum_{k < lead} w_k (theta_k(u, y, e) - y_k)^2,   w_k = (k / lead)^2
 
-    over a grid that shrinks around its best point. The device is taken to have rested at u, where it showed y, before
-    the first sample: that leaves room for plays wider than the motion, and for a creep or a lag that is under way.
+    over a grid that shrinks around its best point. The device is taken to have rested at u, where it showed y, and then
+    to have gone to e and from there to the first sample, as fast as the trial goes on. So the memory of a creep, the
+    offset of plays wider than the motion, the branch of the loop and a lag that is under way are all within reach. What is
+    forgotten by then weighs little: the last samples before the scored ones count most.
 
     Args:
         start: of a trial that begins in motion.
-        angle: measured (T,) [deg].
+        command, angle: measured (T,).
+        dt_s: sample time [s].
         box: ranges that are searched; the trial's own samples lie within.
         runs: of the model.
     """
     if start.at_rest:
         return start
-    centre = np.array([start.command, start.angle])
-    low, high = np.array([[r.lower, r.upper] for r in box]).T
-    reach, best, least = high - low, centre, np.inf
-    same = runs(np.full(2, start.command), np.array([low[1], high[1]]), start.lead)
+    seen, lead = angle[: start.lead], start.lead
+    weights = (np.arange(1, lead + 1) / lead) ** 2
+    low, high = (np.array([*ends, turn]) for ends, turn in zip(zip(*_ends(box), strict=True), (0.0, 1.0), strict=True))
+    reach, best, least = high - low, np.array([start.command, start.angle, 0.5]), np.inf
+
+    def angles(points: Vec) -> Vec:
+        ways = np.array([_approach(u, turn, command, box[0], dt_s) for u, _, turn in points])
+        plans = np.hstack([ways, np.tile(command[:lead], (len(points), 1))])
+        return runs(points[:, 0], points[:, 1], plans)[:, ways.shape[1] :]
+
+    same = angles(np.array([[start.command, y, 0.5] for y in (low[1], high[1])]))
     if np.array_equal(same[0], same[1]):
         reach[1] = 0.0  # a network starts alike at any angle
     for k in range(_ROUNDS):
-        points = _FIRST if k == 0 else _POINTS
-        around = [np.linspace(-1.0, 1.0, points if reach[i] else 1) * reach[i] for i in (0, 1)]
-        grid = np.stack(np.meshgrid(*around), axis=-1).reshape(-1, 2) + best
-        grid = np.clip(np.vstack([best, grid]), low, high)
-        errors = runs(grid[:, 0], grid[:, 1], start.lead) - angle[: start.lead]
-        costs = np.nan_to_num(np.mean(errors**2, axis=1), nan=np.inf)
+        axes = [
+            np.linspace(-1.0, 1.0, count if width else 1) * width
+            for count, width in zip(_POINTS[k > 0], reach, strict=True)
+        ]
+        grid = np.clip(best + np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 3), low, high)
+        grid = np.vstack([best, np.unique(grid, axis=0)])
+        costs = np.nan_to_num((angles(grid) - seen) ** 2 @ weights, nan=np.inf)
         chosen = int(np.argmin(costs))
         if costs[chosen] < least:
             best, least = grid[chosen], costs[chosen]
-        reach = reach * (_FIRST_ZOOM if k == 0 else _ZOOM)
-    return replace(start, command=float(best[0]), angle=float(best[1]))
+        reach = reach * _ZOOM[k > 0]
+    u, y, turn = best.tolist()
+    way = _approach(u, turn, command, box[0], dt_s)
+    return replace(start, command=u, angle=y, approach=tuple(way.tolist()))
 
 
-_ROUNDS, _FIRST, _POINTS = 9, 17, 7
-_FIRST_ZOOM, _ZOOM = 0.15, 0.45
+_ROUNDS, _POINTS, _ZOOM = 10, ((17, 17, 7), (7, 7, 5)), (0.15, 0.45)
+_APPROACH_S, _LAST_WAY_S = 4.0, 3.0
+
+
+def _ends(box: Box) -> tuple[tuple[float, float], tuple[float, float]]:
+    return (box[0].lower, box[0].upper), (box[1].lower, box[1].upper)
+
+
+def _approach(rest: float, turn: float, command: Vec, box: Range, dt_s: float) -> Vec:
+    """Commands from a rest by way of a turn to just before the first sample.
+
+    Args:
+        rest: command at rest.
+        turn: how far the last way is, as a share of that to the end of the box behind it.
+        command: of the trial.
+        box: of commands.
+        dt_s: sample time [s].
+    """
+    look, count = max(round(_LOOK_S / dt_s), 1), max(round(_APPROACH_S / dt_s), 2)
+    speed = float(command[look] - command[0]) / look
+    end = box.lower if speed > 0 else box.upper
+    away = turn * abs(float(command[0]) - end)
+    steps = min(away / abs(speed) if speed else np.inf, _LAST_WAY_S / dt_s)
+    last = float(command[0]) - np.sign(speed or 1.0) * away * np.arange(1, int(steps) + 1) / max(steps, 1.0)
+    turned = last[-1] if last.size else float(command[0])
+    return np.concatenate([np.linspace(rest, turned, count - last.size, endpoint=False), last[::-1]])
 
 
 def search_box(command: Range, angle: Range) -> Box:

@@ -119,12 +119,13 @@ def with_noise(bundle: ExportBundle, trials: Sequence[Trial], fitted: int) -> Ex
     heads = [trial.select(0, min(len(trial), _LONGEST)) for trial in trials]
     model = ReferenceModel(bundle)
     starts = [started(model, trial) for trial in heads]
+    rows = [np.concatenate([start.approach, trial.command]) for trial, start in zip(heads, starts, strict=True)]
+    longest = max(row.size for row in rows)
     states = model.resting(*np.array([(start.command, start.angle) for start in starts]).T)
-    longest = max(len(trial) for trial in heads)
-    commands = [np.pad(trial.command, (0, longest - len(trial)), mode="edge") for trial in heads]
-    runs = model.run_on(states, np.array(commands))[0]
+    runs = model.run_on(states, np.array([np.pad(row, (0, longest - row.size), mode="edge") for row in rows]))[0]
     residuals = [
-        (trial.angle - run[: len(trial)])[start.lead :] for trial, run, start in zip(heads, runs, starts, strict=True)
+        (trial.angle - run[len(start.approach) :][: len(trial)])[start.lead :]
+        for trial, run, start in zip(heads, runs, starts, strict=True)
     ]
     noise = estimation_noise(heads, residuals, fitted)
     return replace(bundle, metadata=facts.model_copy(update={"noise": noise}))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import final
 
@@ -15,7 +15,7 @@ from hystmpc.trials.types import Index, Vec
 
 from ..chain import Chain
 from ..kernels.chain_kernels import DIRECTIONS, stage_kernels
-from ..start import TrialStart, found_start, search_box, trial_start
+from ..start import Runs, TrialStart, found_start, search_box, trial_start
 from .runs import angle_range, check_trial_set, command_range, end_to_end
 from .settling import Settling, Stage
 
@@ -120,15 +120,14 @@ class StagedChain:
         turned = np.divide(by, by[:, -1:], out=np.zeros_like(by), where=leads)
         return held.state, np.ascontiguousarray((held.slope - held.slope[:, :, -1:] * turned)[:, :, :-1])
 
-    def rollouts(self, commands: Vec, dt_s: float, values: Vec) -> Callable[[Vec, Vec, int], Vec]:
-        """Free runs (N, T) over the first T of commands, from rests at commands (N,) and angles (N,) [deg]."""
+    def rollouts(self, dt_s: float, values: Vec) -> Runs:
+        """Free runs of the chain with parameters (P,), as the search of a start asks for them."""
 
-        def run(rests: Vec, angles: Vec, samples: int) -> Vec:
-            states = self.settled(rests, angles, dt_s, values, np.empty((self.parameter_count, 0)))[0]
-            plans = np.repeat(commands[:samples, None], rests.size, axis=1)
+        def run(commands: Vec, angles: Vec, plans: Vec) -> Vec:
+            states = self.settled(commands, angles, dt_s, values, np.empty((self.parameter_count, 0)))[0]
             if held := self.chain.rest_samples:
-                states = self.simulate(np.tile(rests, (held, 1)), dt_s, states, values)[1]
-            return self.simulate(plans, dt_s, states, values)[0].T
+                states = self.simulate(np.tile(commands, (held, 1)), dt_s, states, values)[1]
+            return self.simulate(plans.T, dt_s, states, values)[0].T
 
         return run
 
@@ -207,7 +206,7 @@ class ScoredRun:
     """One trial as a fit runs it.
 
     Attributes:
-        commands: the trial's commands behind the chain's warm-up, in which the first is held (W + T,).
+        commands: the trial's commands behind the chain's warm-up and the approach of its start (W + T,).
         angle: what was measured (T,).
         warmup: samples W.
         start: first sample of the trial that counts.
@@ -272,8 +271,10 @@ class FreeRuns:
         self.runs = [self._begun(run, p) for run in self.runs]
 
     def _begun(self, run: ScoredRun, p: Vec) -> ScoredRun:
-        rest = found_start(run.rest, run.angle, self._box, self._staged.rollouts(run.commands[run.warmup :], self._dt, p))
-        return replace(run, rest=rest, commands=np.r_[np.full(run.warmup, rest.command), run.commands[run.warmup :]])
+        command = run.commands[run.warmup :]
+        rest = found_start(run.rest, command, run.angle, self._dt, self._box, self._staged.rollouts(self._dt, p))
+        warmup = np.concatenate([np.full(self._staged.chain.rest_samples, rest.command), rest.approach])
+        return replace(run, rest=rest, commands=np.concatenate([warmup, command]), warmup=warmup.size)
 
     def angles(self, p: Vec) -> list[Vec]:
         """Outputs (W + T,) of each run at parameters p (P,)."""

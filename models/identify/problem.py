@@ -272,8 +272,10 @@ class Problem:
     def angles(self, q: Vec, run: Run) -> Vec:
         """Angles (T,) of a free run [deg]."""
         p = self._values(q)[0]
-        state = self._start(RunsTogether.of([run]), p, np.empty((p.size, 0)))[0]
-        return self._staged.simulate(run.command[:, None], run.dt_s, state, p)[0][:, 0] + run.correction
+        together = RunsTogether.of([run])
+        state = self._start(together, p, np.empty((p.size, 0)))[0]
+        theta = self._staged.simulate(together.command[:, None], run.dt_s, state, p)[0][together.own, 0]
+        return np.asarray(theta + run.correction, dtype=np.float64)
 
     def linearised(self, q: Vec, run: Run) -> tuple[Vec, Vec]:
         """Angles (T,) and their derivative (T, Q)."""
@@ -315,9 +317,8 @@ class Problem:
 
     def begun(self, q: Vec, run: Run, box: Box) -> Run:
         """The run from where this device is found to begin, where it begins in motion; see `found_start`."""
-        measured = run.angle - run.correction
-        rollouts = self._staged.rollouts(run.command, run.dt_s, self._values(q)[0])
-        return run.begun(found_start(run.start, measured, box, rollouts))
+        runs, measured = self._staged.rollouts(run.dt_s, self._values(q)[0]), run.angle - run.correction
+        return run.begun(found_start(run.start, run.command, measured, run.dt_s, box, runs))
 
     def _pass(self, q: Vec, together: RunsTogether) -> tuple[Vec, Vec]:
         """Angles (T,), their derivative and, in the last column, their error (T, Q + 1) over all samples.
@@ -333,6 +334,7 @@ class Problem:
         theta, both = self._staged.differentiate(
             together.command, together.dt_s, state, moving, p, seeds, together.first
         )
+        theta, both = theta[together.own], both[together.own]
         theta += together.correction
         np.subtract(theta, together.angle, out=both[:, -1])
         if not more:

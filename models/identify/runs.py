@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from hystmpc.trials.check import LEAST_SAMPLES
 from hystmpc.trials.errors import FitError
 from hystmpc.trials.trial import Trial
-from hystmpc.trials.types import Index, Vec
+from hystmpc.trials.types import Index, Mask, Vec
 
 from ..contract.metadata import DeviceLimits, InitialRule, ModelMetadata, Range
 from ..start import TrialStart, trial_start
@@ -37,6 +37,7 @@ class Run:
         correction: angle of the nominal simulator less that of the chain that represents it (T,) [deg]; zero for a
             chain.
         lead: first samples that only tell where the run begins, of a trial that begins in motion; they do not count.
+        approach: commands between the rest and the first sample, see `TrialStart`.
     """
 
     name: str
@@ -50,15 +51,16 @@ class Run:
     clock_s: float
     correction: Vec
     lead: int = 0
+    approach: tuple[float, ...] = ()
 
     @property
     def start(self) -> TrialStart:
         """Where the run begins, see `models.start`."""
-        return TrialStart(self.rest_command, self.rest_angle, self.lead)
+        return TrialStart(self.rest_command, self.rest_angle, self.lead, self.approach)
 
     def begun(self, start: TrialStart) -> Run:
         """The run from another start on."""
-        return replace(self, rest_command=start.command, rest_angle=start.angle)
+        return replace(self, rest_command=start.command, rest_angle=start.angle, approach=start.approach)
 
     @cached_property
     def scored(self) -> slice | NDArray[np.bool_]:
@@ -89,26 +91,34 @@ class RunsTogether:
 
     Attributes:
         runs: in order.
-        command, angle, correction: of all runs (T,), see `Run`.
-        first: first sample of each run, and T (N + 1,).
+        command: of all runs with their approaches (A,).
+        first: first sample of each of them, and A (N + 1,).
+        own: samples among these that belong to the trials (T,).
+        angle, correction: of all trials (T,), see `Run`.
+        begin: first sample of each trial among these, and T (N + 1,).
         spans: first sample and end of each stretch that is scored.
     """
 
     runs: tuple[Run, ...]
     command: Vec
+    first: Index
+    own: slice | Mask
     angle: Vec
     correction: Vec
-    first: Index
+    begin: Index
     spans: list[tuple[int, int]]
 
     @classmethod
     def of(cls, runs: Sequence[Run]) -> RunsTogether:
         """Of some runs."""
-        command, first = end_to_end([run.command for run in runs])
-        angle, correction = (
-            np.concatenate(signals) for signals in zip(*((r.angle, r.correction) for r in runs), strict=True)
-        )
-        return cls(tuple(runs), command, angle, correction, first, spans_of(np.concatenate([r.counts for r in runs])))
+        command, first = end_to_end([np.concatenate([run.approach, run.command]) for run in runs])
+        angle, begin = end_to_end([run.angle for run in runs])
+        own: slice | Mask = slice(None)
+        if command.size > angle.size:
+            own = np.concatenate([np.arange(-len(run.approach), run.command.size) >= 0 for run in runs])
+        correction = np.concatenate([run.correction for run in runs])
+        spans = spans_of(np.concatenate([run.counts for run in runs]))
+        return cls(tuple(runs), command, first, own, angle, correction, begin, spans)
 
     @classmethod
     def groups(cls, runs: Sequence[Run]) -> tuple[RunsTogether, ...]:
@@ -129,7 +139,7 @@ class RunsTogether:
 
     def each(self) -> Iterator[tuple[Run, slice]]:
         """Every run and its place."""
-        for run, a, b in zip(self.runs, self.first[:-1].tolist(), self.first[1:].tolist(), strict=True):
+        for run, a, b in zip(self.runs, self.begin[:-1].tolist(), self.begin[1:].tolist(), strict=True):
             yield run, slice(a, b)
 
 
