@@ -15,8 +15,10 @@ from hystmpc.trials.types import Mask, Vec
 from .contract.metadata import Range
 
 STILL = 0.002  # of the command's range: a command that has moved less is at rest
-_LOOK_S, _LONG_S, _MEAN_S = 0.1, 5.0, 1.0
-_SLOW = 0.07  # of the greatest speed of the command: a motion that begins slower begins at rest
+_LOOK_S, _NOISE_S, _LONG_S, _MEAN_S = 0.04, 0.6, 5.0, 1.0
+_NO_WAY = 1e-4  # of the command's range, in an interval that is looked at
+_SLOW = 0.005  # of the greatest speed of the command: that is none
+_EARLIER, _LATER = 0.25, 0.5  # intervals by which a motion from rest may have begun before or after the first sample
 _LITTLE = 0.01  # of the range: a command that moves by less while it is looked at sets out slowly
 _FOLLOWS = 2.0  # times the share of its range that the command has moved by: the angle may have moved by as much
 _SURE, _SCATTER = 3.0, 5.0  # standard errors of a drift, and standard deviations of a command's noise
@@ -54,10 +56,10 @@ class TrialStart:
 def trial_start(command: Vec, angle: Vec, dt_s: float, inverted: bool = False) -> TrialStart:
     """How a trial begins, from its samples alone.
 
-    It begins at rest where the command keeps still for 0.1 s or more and the angle does not move meanwhile, or where
-    the command sets out slowly. The device then rests at the mean of the samples before the command has moved, of at
+    It begins at rest where the command has no speed at the first sample, since it is held or sets out from there, and
+    the angle keeps still while the command does. The device then rests at the mean of the samples before the command has moved, of at
     most one second: noise of a single sample would stay in wide plays. Any other trial begins in motion: it is a part
-    of a longer recording, or it was begun late, and its first samples do not tell the state of the device. They are
+    of a longer recording, or was begun late, and its first samples do not tell the state of the device. They are
     then not scored: until the command has been near both of its ends, at most half of the trial.
 
     Args:
@@ -172,16 +174,20 @@ def motion_line(name: str, start: TrialStart, dt_s: float) -> str:
 
 
 def _still(command: Vec, span: float, dt_s: float) -> tuple[int, int, bool]:
-    """Samples before the command has moved, and by more than a little; and whether the trial begins in motion."""
+    """Samples before the command has moved, and by more than a little; and whether the trial begins in motion.
+
+    Its speed at the first sample is that of the parabola through three samples, v = (3 d_1 - d_2) / 2 in the way d_1,
+    d_2 of two intervals; it is none within a part of the change of that way from one interval to the next.
+    """
     look = max(round(_LOOK_S / dt_s), 1)
-    noise = _SCATTER * _noise(command[: 8 * look])
+    noise = _SCATTER * _noise(command[: round(_NOISE_S / dt_s) + 6])
     away = np.abs(command - command[0])
-    first, slow = (_first(away > share * span + noise) for share in (STILL, _LITTLE))
-    if first > look:
-        return first, slow, False
-    ahead = np.abs(command[look:] - command[:-look])
-    begun = float(ahead[0]) - noise
-    return max(first, 1), slow, begun > min(_LITTLE * span, _SLOW * float(np.max(ahead)))
+    first, slow = (max(_first(away > share * span + noise), 1) for share in (STILL, _LITTLE))
+    before, after = np.diff(command[: 2 * look + 1 : look]).tolist()
+    change = abs(after - before)
+    speed = 0.5 * (3.0 * before - after) * (1.0 if after > before else -1.0)
+    room = _NO_WAY * span + _SLOW * float(np.max(np.abs(command[look:] - command[:-look]))) + noise
+    return first, slow, not (-_LATER * change - room <= speed <= _EARLIER * change + room)
 
 
 def _first(happens: Mask) -> int:
