@@ -149,7 +149,7 @@ class Simulator:
     @property
     def rests_at(self) -> float:
         """Command at which the device rests before a motion, see `rest_within`."""
-        return rest_within(self.rest_command, self.command_limits)
+        return rest_within(self.rest_command, self.command_limits.lower, self.command_limits.upper)
 
     def save(self, path: Path | str) -> Path:
         """Write the simulator file (`.yaml`), whole or not at all."""

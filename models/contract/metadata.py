@@ -107,16 +107,16 @@ class InitialRule(Settings):
 Sigma = Annotated[float, Field(ge=0, le=1e12)]
 
 
-def rest_within(rest_command: float | None, commands: Range) -> float:
-    """Command at which a device rests: its own as far as `commands` allow, their lower end where it has none.
+def rest_within(rest_command: float | None, lower: float, upper: float) -> float:
+    """Command at which a device rests: its own, as far as the limits allow; the lower one where it has none.
 
     The one answer to that question, for plants, controllers and exports. Zero is a rest command like any other.
 
     Args:
         rest_command: what the model's file says; None where it says nothing.
-        commands: what is sent.
+        lower, upper: least and greatest command that is sent.
     """
-    return commands.lower if rest_command is None else min(max(rest_command, commands.lower), commands.upper)
+    return lower if rest_command is None else min(max(rest_command, lower), upper)
 
 
 class NoiseModel(Settings):
@@ -233,7 +233,7 @@ class ModelMetadata(Settings):
     @property
     def rests_at(self) -> float:
         """Command at which the device rests before a motion, see `rest_within`."""
-        return rest_within(self.rest_command, self.command_limits)
+        return rest_within(self.rest_command, self.command_limits.lower, self.command_limits.upper)
 
     @property
     def state_size(self) -> int:

@@ -31,7 +31,7 @@ class StagedModel(LoadedModel):
 
     def __init__(self, device: Simulator) -> None:
         super().__init__(device.metadata(), "initial")
-        self._staged = StagedChain(device.chain)
+        self.chain, self._staged = device.chain, StagedChain(device.chain)
 
     def advance(self, state: Vec, u: Vec) -> tuple[Vec, Vec]:
         theta, following = self.run_on(state, u)
