@@ -165,8 +165,14 @@ class Simulator:
             ModelError: if a fact is out of its bounds.
         """
         rest = self.rests_at
-        at = [np.asarray(self.chain.rest(y, rest, self.chain.values)).ravel() for y in (0.0, 1.0)]
-        rule = {"offset": at[0].tolist(), "slope": (at[1] - at[0]).tolist(), "at_command": rest}
+        rests = ((0.0, rest), (1.0, rest), (0.0, rest + 1.0))
+        at = [np.asarray(self.chain.rest(y, u, self.chain.values)).ravel() for y, u in rests]
+        rule = {
+            "offset": at[0].tolist(),
+            "slope": (at[1] - at[0]).tolist(),
+            "by_command": (at[2] - at[0]).tolist(),
+            "at_command": rest,
+        }
         single = not self.chain.before and not self.chain.after
         return ModelMetadata.of(
             kind=self.chain.core.name if single else "chain",
