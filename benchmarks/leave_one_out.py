@@ -25,10 +25,11 @@ from rich.table import Table
 
 from hystmpc.models.contract.export import ExportBundle, export_onnx
 from hystmpc.models.contract.load import load_onnx
-from hystmpc.models.evaluate import Errors, LoadedModel, evaluate
+from hystmpc.models.evaluate import Errors, evaluate
 from hystmpc.models.kinds.catalogue import KINDS, kind_named
 from hystmpc.models.kinds.kind import FitRequest
 from hystmpc.models.kinds.networks import NETWORK_PRESETS
+from hystmpc.models.model import LoadedModel
 from hystmpc.models.train.networks import fit_network, network_bundle
 from hystmpc.models.train.settings import NetworkSettings
 from hystmpc.trials.read import read_trials

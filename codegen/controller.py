@@ -21,10 +21,10 @@ from .network import single_number
 from .problem import Problem, problem_of
 from .steps import (
     INEXACT,
+    chain_rest_source,
     functions_used,
     inverted_source,
     model_source,
-    chain_rest_source,
     network_warm_up,
     number,
     rest_source,

@@ -23,6 +23,7 @@ FORMAT = "hystmpc-evaluation/1"
 INVERSE_FORMAT = "hystmpc-inverse-evaluation/1"
 ERROR_COLUMNS = ("trial", "RMSE", "bias", "no bias", "max", "NRMSE %", "hold drift")
 HOLD_S, SETTLING_S = 10.0, 1.0
+AT_REST = TrialStart(0.0, 0.0)
 RANGE_SLACK = 1e-3  # of the trained range: a sample that touches its end lies inside
 
 
@@ -67,7 +68,7 @@ class TrialEvaluation:
     start: int
     errors: Errors
     outside: float = 0.0
-    began: TrialStart = TrialStart(0.0, 0.0)
+    began: TrialStart = AT_REST
 
     @property
     def start_line(self) -> str:

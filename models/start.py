@@ -57,10 +57,10 @@ def trial_start(command: Vec, angle: Vec, dt_s: float, inverted: bool = False) -
     """How a trial begins, from its samples alone.
 
     It begins at rest where the command has no speed at the first sample, since it is held or sets out from there, and
-    the angle keeps still while the command does. The device then rests at the mean of the samples before the command has moved, of at
-    most one second: noise of a single sample would stay in wide plays. Any other trial begins in motion: it is a part
-    of a longer recording, or was begun late, and its first samples do not tell the state of the device. They are
-    then not scored: until the command has been near both of its ends, at most half of the trial.
+    the angle keeps still while the command does. The device then rests at the mean of the samples before the command
+    has moved, of at most one second: noise of a single sample would stay in wide plays. Any other trial begins in
+    motion: it is a part of a longer recording, or was begun late, and its first samples do not tell the state of the
+    device. They are then not scored: until the command has been near both of its ends, at most half of the trial.
 
     Args:
         command, angle: of the trial (T,).
@@ -86,8 +86,8 @@ def found_start(start: TrialStart, command: Vec, angle: Vec, dt_s: float, box: B
 
     over a grid that shrinks around its best point. The device is taken to have rested at u, where it showed y, and then
     to have gone to e and from there to the first sample, as fast as the trial goes on. So the memory of a creep, the
-    offset of plays wider than the motion, the branch of the loop and a lag that is under way are all within reach. What is
-    forgotten by then weighs little: the last samples before the scored ones count most.
+    offset of plays wider than the motion, the branch of the loop and a lag that is under way are all within reach.
+    What is forgotten by then weighs little: the last samples before the scored ones count most.
 
     Args:
         start: of a trial that begins in motion.

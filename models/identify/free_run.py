@@ -248,7 +248,9 @@ class FreeRuns:
     ) -> None:
         self._dt, self._staged, self._offset_free = check_trial_set(trials), StagedChain(chain), offset_free
         self._box = search_box(command_range(trials), angle_range(trials))
-        self.runs = [self._run(trial, chain.rest_samples, skip_first_flexure, round(lead_s / self._dt)) for trial in trials]
+        self.runs = [
+            self._run(trial, chain.rest_samples, skip_first_flexure, round(lead_s / self._dt)) for trial in trials
+        ]
 
     @staticmethod
     def _run(trial: Trial, warmup: int, skip_first_flexure: bool, lead: int) -> ScoredRun:
@@ -299,7 +301,7 @@ class FreeRuns:
         residuals, jacobians = [], []
         commands, first = end_to_end([run.commands for run in self.runs])
         rests = np.array([(run.rest.command, run.rest.angle) for run in self.runs]).T
-        start = self._staged.settled(*rests, self._dt, p)
+        start = self._staged.settled(rests[0], rests[1], self._dt, p)
         thetas, gradients = self._staged.differentiate(commands, self._dt, *start, p, first=first)
         parts = zip(self.runs, *(np.split(part, first[1:-1]) for part in (thetas, gradients)), strict=True)
         for run, theta, gradient in parts:

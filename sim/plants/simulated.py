@@ -126,8 +126,9 @@ class SimulatedPlant(ComputedPlant):
     """A chain of operators as a plant.
 
     Before every run the device does its initialisation flexure (S2: one period of 0.1 Hz to the highest command and
-    back) and then rests at the simulator's `rest_command`, at the lowest one where it has none, so that a reset always finds the same device. Drift and periodic disturbance
-    count from the reset on, sensors start their random numbers anew.
+    back). It then rests at the simulator's `rest_command`, at the lowest one where that has none, so that a reset
+    always finds the same device. Drift and periodic disturbance count from the reset on, sensors start their random
+    numbers anew.
 
     Args:
         dt_s: sample time [s]; the simulator's own where left out.

@@ -227,12 +227,13 @@ def test_where_a_slow_drive_stood_at_the_start_is_no_error_of_its_model() -> Non
     trial = started_in_motion(Line(10.0, 5.0))
     runs = runs_of([replace(trial, command=trial.command + 0.15 * (trial.command - 3.0) * abs(trial.command - 3.0))])
     drive = next(form for form in device_parts(Scale.of(runs))[0].forms if form and form[0].variant == "one pole")
-    core, found = Chain(Line(8.0, 0.0)), []
+    core = Chain(Line(8.0, 0.0))
     validation = CrossValidation(FreeCoreBaseline(core, command_range([trial])), runs, 60)
-    for begun in ([replace(run, lead=0, counts=np.ones_like(run.counts)) for run in runs], runs):
-        found.append(
-            replace(validation, runs=tuple(begun)).with_causes(drive, NO_TERMS, np.array(core.core.values), [[[2.0]]])
-        )
+    rested = tuple(replace(run, lead=0, counts=np.ones_like(run.counts)) for run in runs)
+    found = [
+        replace(validation, runs=begun).with_causes(drive, NO_TERMS, np.array(core.core.values), [[[2.0]]])
+        for begun in (rested, runs)
+    ]
     at_rest, free = (np.sqrt(fit.mse) for fit in found)
     assert free == pytest.approx(NOISE_DEG, rel=0.05)
     assert at_rest > 2 * free

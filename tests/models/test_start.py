@@ -27,7 +27,6 @@ from hystmpc.models.prediction.build import predictor_for
 from hystmpc.models.simulator import ChainModel, simulator_bundle
 from hystmpc.models.start import search_box, trial_start
 from hystmpc.sim.plants.simulated import Effects, SimulatedPlant
-from hystmpc.trials.trial import Trial
 
 from .start_examples import NOISE_DEG, StagedModel, model_of, random_chain, rested, trial_of, wandering
 from .zoo import BACKLASH, DT, STATIC_PI, simulator
