@@ -92,5 +92,6 @@ def rested(rng: Rng, model: LoadedModel, seconds: float = 20.0) -> Trial:
 
 def trial_of(rng: Rng, model: LoadedModel, command: Vec, state: Vec) -> Trial:
     """What the device shows, with noise."""
-    theta = model.run_on(state[None], command[None])[0][0]
-    return Trial(np.arange(command.size) * DT, command, theta + NOISE_DEG * rng.standard_normal(command.size))
+    theta: Vec = model.run_on(state[None], command[None])[0][0]
+    noise = NOISE_DEG * rng.standard_normal(command.size)
+    return Trial(np.arange(command.size, dtype=np.float64) * DT, command, theta + noise)
