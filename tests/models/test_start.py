@@ -87,7 +87,7 @@ def test_a_rest_without_compiled_kernels_is_that_of_a_fit(seed: int) -> None:
 def test_parts_of_longer_logs_are_scored_at_the_noise_whatever_their_plays_keep() -> None:
     """Cut at any time. Where the command happens to stand still at the cut, the part cannot be told from a rest."""
     ratios = []
-    for seed in range(60):
+    for seed in range(25):
         rng = np.random.default_rng(seed)
         model = model_of(random_chain(rng))
         whole = rested(rng, model, 50.0)
@@ -98,7 +98,7 @@ def test_parts_of_longer_logs_are_scored_at_the_noise_whatever_their_plays_keep(
             continue
         assert result.start == result.began.lead <= count // 2
         ratios.append(result.errors.rmse_deg / NOISE_DEG)
-    assert len(ratios) >= 57
+    assert len(ratios) >= 23
     assert np.median(ratios) < 1.05
     assert np.quantile(ratios, 0.9) < 1.3
     assert max(ratios) < 10.0
