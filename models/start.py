@@ -6,7 +6,7 @@ One rule for the search of a fit, its residuals, evaluation and diagnosis.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -45,7 +45,7 @@ class TrialStart:
     command: float
     angle: float
     lead: int = 0
-    approach: tuple[float, ...] = ()
+    approach: tuple[float, ...] = field(default=(), repr=False)
 
     @property
     def at_rest(self) -> bool:
