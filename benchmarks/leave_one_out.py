@@ -25,10 +25,11 @@ from rich.table import Table
 
 from hystmpc.models.contract.export import ExportBundle, export_onnx
 from hystmpc.models.contract.load import load_onnx
-from hystmpc.models.evaluate import Errors, RunnableModel, evaluate
+from hystmpc.models.evaluate import Errors, evaluate
 from hystmpc.models.kinds.catalogue import KINDS, kind_named
 from hystmpc.models.kinds.kind import FitRequest
 from hystmpc.models.kinds.networks import NETWORK_PRESETS
+from hystmpc.models.model import LoadedModel
 from hystmpc.models.train.networks import fit_network, network_bundle
 from hystmpc.models.train.settings import NetworkSettings
 from hystmpc.trials.read import read_trials
@@ -38,7 +39,7 @@ Fit = Callable[[Sequence[Trial]], ExportBundle]
 COLUMNS = ("rmse", "offset-free", "max", "rmse*", "offset-free*", "max*", "hold drift*", "train s")
 
 
-def figures(model: RunnableModel, trial: Trial, seconds: float) -> list[float]:
+def figures(model: LoadedModel, trial: Trial, seconds: float) -> list[float]:
     """One row of the table; with a star: from the first reversal of the command on."""
     whole, later = (evaluate(model, trial, skip_first_flexure=skip).errors for skip in (False, True))
     return [v for e in (whole, later) for v in _three(e)] + [astuple(later)[-1], seconds]

@@ -11,7 +11,14 @@ import typer
 from rich.table import Table
 
 from hystmpc.models.contract.metadata import ModelMetadata
-from hystmpc.models.evaluate import ERROR_COLUMNS, TrialEvaluation, error_rows, error_sentence, evaluation_json
+from hystmpc.models.evaluate import (
+    ERROR_COLUMNS,
+    TrialEvaluation,
+    error_rows,
+    error_sentence,
+    evaluation_json,
+    start_sentences,
+)
 from hystmpc.models.evaluate import evaluate as score
 from hystmpc.models.load import load_model
 from hystmpc.models.model import LoadedModel
@@ -63,6 +70,7 @@ def evaluate(
     results = free_runs(opened, trials, skip_first_flexure)
     out.print(errors_table(f"{model}: free run{', from the first reversal on' if skip_first_flexure else ''}", results))
     out.print(f"{error_sentence(results)}.", soft_wrap=True, highlight=False)
+    say_starts(results)
     warn_outside(results, opened.metadata)
     if json_file is not None:
         write_atomically(json_file, json.dumps(evaluation_json(results), indent=2) + "\n")
@@ -77,6 +85,12 @@ def evaluate(
 def free_runs(model: LoadedModel, trials: Sequence[Trial], skip_first_flexure: bool) -> list[TrialEvaluation]:
     """Score a model on trials, behind a bar."""
     return [score(model, trial, skip_first_flexure) for trial in each("free runs", trials)]
+
+
+def say_starts(results: Sequence[TrialEvaluation]) -> None:
+    """One line on each trial that begins in motion, whose first seconds are not scored."""
+    for sentence in start_sentences(results):
+        out.print(f"{sentence}.", soft_wrap=True, highlight=False)
 
 
 def warn_outside(results: Sequence[TrialEvaluation], facts: ModelMetadata) -> None:

@@ -29,7 +29,7 @@ from hystmpc.trials.trial import SlowLogError, Trial, Units
 
 from .bars import bar
 from .console import errors, out, table
-from .evaluate import errors_table, free_runs, warn_outside
+from .evaluate import errors_table, free_runs, say_starts, warn_outside
 from .options import (
     MODEL,
     SIMULATOR,
@@ -182,6 +182,7 @@ def _score(
     results = {which: free_runs(model, trials, skip) for which, trials in sets.items() if trials}
     for which, runs in results.items():
         out.print(errors_table(f"{path}: free run on the trials{which}", runs))
+        say_starts(runs)
         warn_outside(runs, model.metadata)
     for which, runs in results.items():
         out.print(f"{error_sentence(runs, which)}.", soft_wrap=True, highlight=False)

@@ -21,10 +21,10 @@ from .network import single_number
 from .problem import Problem, problem_of
 from .steps import (
     INEXACT,
+    chain_rest_source,
     functions_used,
     inverted_source,
     model_source,
-    model_warm_up,
     network_warm_up,
     number,
     rest_source,
@@ -223,5 +223,7 @@ def _models(problem: Problem) -> str:
     ]
     if problem.network is not None:
         sources.append(problem.network.source())
-    warm_up = model_warm_up(rest.warmup) if problem.network is None else network_warm_up(rest.warmup, rest.beside)
-    return "\n".join([*sources, rest_source(rest.offset, rest.by_angle, rest.by_command, warm_up)])
+    rule = rest.offset, rest.by_angle, rest.by_command
+    if problem.network is None:
+        return "\n".join([*sources, chain_rest_source(*rule, rest.warmup)])
+    return "\n".join([*sources, rest_source(*rule, network_warm_up(rest.warmup, rest.beside))])

@@ -45,6 +45,8 @@ from .steps import Step
 class Rest:
     """The state at rest: offset + by_angle y + by_command u (S,), then `warmup` samples of the command held.
 
+    Of a chain the y in it is the one for which the chain shows the angle that was seen, see `chain_rest_source`.
+
     Operators beside a network are held for `beside` samples instead.
     """
 
@@ -146,7 +148,7 @@ def _of_chain(model: ChainModel, settings: TipSettings) -> _Model:
     sizes = {name: chain.state_size for name, chain in parts.items()}
     if sizes["whole"] != sum(size for name, size in sizes.items() if name != "whole"):
         raise ExportError("export-c: got a delay with a longer store than its time needs, expected the store it needs")
-    rest = _behind(parts["front"] if lag_s else None, _at_rest(facts), facts.warmup_samples)
+    rest = _behind(parts["front"] if lag_s else None, _at_rest(facts), model.simulator.chain.rest_samples)
     words = " + ".join(operator.name for operator in parts["whole"].operators)
     return _Model(known_model(model, None, lag_s), parts, rest, words)
 
@@ -163,7 +165,7 @@ def _of_network(model: LoadedModel, settings: TipSettings) -> _Model:
     if lag_s:
         known = known.behind((Lag(lag_s),), facts)
         parts["front"] = Chain(Lag(lag_s))
-    shown = np.array([[0.0], [1.0]])  # the measured angle, by both
+    shown = np.array([[0.0], [1.0], [0.0]])  # the measured angle, by both
     at_rest = np.concatenate([_at_rest(facts), shown, _at_rest(beside), shown], axis=1)
     rest = _behind(parts.get("front"), at_rest, facts.warmup_samples, beside.warmup_samples)
     return _Model(known, parts, rest, f"{facts.kind} of {network.layers} x {network.hidden}", network)
@@ -179,18 +181,18 @@ def _inverted(inverse: Inverse, step: Step) -> Step:
 
 
 def _at_rest(facts: ModelMetadata) -> Mat:
-    """Rows offset and slope by the angle (2, S) of a model's state at rest."""
+    """Rows offset, slope by the angle and slope by the command (3, S) of a model's state at rest."""
     rule = facts.rule("conditioned")
-    return np.array([rule.offset, rule.slope])
+    by_command = np.array(rule.by_command or (0.0,) * len(rule.offset))
+    return np.array([rule.offset - rule.at_command * by_command, rule.slope, by_command])
 
 
 def _behind(drive: Chain | None, at_rest: Mat, warmup: int, beside: int = 0) -> Rest:
     ahead = np.zeros((2, 0)) if drive is None else _rest_of(drive)
-    none = np.zeros(at_rest.shape[1])
     return Rest(
         np.concatenate([ahead[0], at_rest[0]]),
         np.concatenate([np.zeros(ahead.shape[1]), at_rest[1]]),
-        np.concatenate([ahead[1], none]),
+        np.concatenate([ahead[1], at_rest[2]]),
         warmup,
         beside,
     )

@@ -146,15 +146,51 @@ def step_source(name: str, step: Step, linkage: str = "static") -> str:
     )
 
 
-def model_warm_up(samples: int) -> Sequence[str]:
-    """Statements: so many samples of the command held."""
-    return [
-        "    real theta, next[HYSTMPC_STATES];",
-        f"    for (int k = 0; k < {samples}; k++) {{",
-        "        step_whole(x, u, &theta, next);",
-        "        copy(next, x, S);",
-        "    }",
-    ]
+_ROUNDS, _CLOSE, _FLAT, _WITHIN = 8, 1e-9, 1e-3, 1e-6  # as in `models.chain_rest`
+_NUDGE, _COARSE = 1e-6, 1e-2  # of the angle, for a slope: in double and in single precision
+
+
+def chain_rest_source(offset: Vec, by_angle: Vec, by_command: Vec, held: int) -> str:
+    """C of the state at rest of a chain: offset + by_angle a + by_command u, with the a for which it shows y.
+
+    Newton's method as `models.chain_rest.ChainRest` has it, its slope by a difference; then so many samples are held.
+    """
+    return "\n".join(
+        [
+            "static real rest_at(real y, real u, real *x) {",
+            *_affine(offset, by_angle, by_command),
+            "    real theta, next[HYSTMPC_STATES];",
+            "    step_whole(x, u, &theta, next);",
+            "    return theta;",
+            "}\n",
+            "HYSTMPC_LOCAL void hystmpc_rest(real y, real u, real *x) {",
+            f"    const real nudge = HYSTMPC_SINGLE ? {number(_COARSE)} : {number(_NUDGE)};",
+            "    real a = y, given = y, edge = R(0.0), left = y - rest_at(a, u, x);",
+            f"    for (int k = 0; k < {_ROUNDS} && !(absolute(left) < {number(_CLOSE)}); k++) {{",
+            "        real slope = (rest_at(a + nudge, u, x) - (y - left)) / nudge;",
+            f"        if (absolute(slope) < {number(_FLAT)}) {{ /* beyond what the core can hold: a little within */",
+            "            const real side = left > R(0.0) ? R(1.0) : R(-1.0), last = edge;",
+            "            if (edge > R(-0.5) && edge < R(0.5)) given = a;",
+            f"            a = y - left + side * (HYSTMPC_SINGLE ? {number(_COARSE)} : {number(_WITHIN)});",
+            "            edge = side;",
+            "            left = y - rest_at(a, u, x);",
+            "            slope = (rest_at(a + side * nudge, u, x) - (y - left)) / (side * nudge);",
+            f"            if (last * side > R(0.5) || absolute(slope) < {number(_FLAT)}) {{",
+            "                a = given;",
+            "                break;",
+            "            }",
+            "        }",
+            "        a += left / slope;",
+            "        left = y - rest_at(a, u, x);",
+            "    }",
+            "    real theta = rest_at(a, u, x), next[HYSTMPC_STATES];",
+            f"    for (int k = 0; k < {held}; k++) {{",
+            "        step_whole(x, u, &theta, next);",
+            "        copy(next, x, S);",
+            "    }",
+            "}\n",
+        ]
+    )
 
 
 def network_warm_up(samples: int, beside: int) -> Sequence[str]:
@@ -172,19 +208,23 @@ def network_warm_up(samples: int, beside: int) -> Sequence[str]:
 
 def rest_source(offset: Vec, by_angle: Vec, by_command: Vec, warm_up: Sequence[str]) -> str:
     """C of the state at rest: offset + by_angle y + by_command u, then the warm-up."""
-    lines = [
-        f"    x[{i}] = {number(float(offset[i]))} + {number(float(by_angle[i]))} * y"
-        f" + {number(float(by_command[i]))} * u;"
-        for i in range(offset.size)
-    ]
     return "\n".join(
         [
             "HYSTMPC_LOCAL void hystmpc_rest(real y, real u, real *x) {",
-            *lines,
+            *_affine(offset, by_angle, by_command),
             *warm_up,
             "}\n",
         ]
     )
+
+
+def _affine(offset: Vec, by_angle: Vec, by_command: Vec) -> list[str]:
+    """Statements: x = offset + by_angle y + by_command u."""
+    return [
+        f"    x[{i}] = {number(float(offset[i]))} + {number(float(by_angle[i]))} * y"
+        f" + {number(float(by_command[i]))} * u;"
+        for i in range(offset.size)
+    ]
 
 
 def _known(step: Step) -> Mapping[int, Vec]:

@@ -75,6 +75,11 @@ class Chain:
         """Samples of constant command that make the guess of the initial state irrelevant."""
         return max(operator.settling_samples for operator in self.operators)
 
+    @property
+    def rest_samples(self) -> int:
+        """Samples for which the command is held from the state at rest on; see `Operator.rest_samples`."""
+        return max(operator.rest_samples for operator in self.operators)
+
     @cached_property
     def transition(self) -> Any:
         """CasADi function (state (S,1), u, p (P,1), dt) -> (theta, next state (S,1))."""

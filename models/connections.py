@@ -11,11 +11,12 @@ from hystmpc.trials.errors import ModelError
 from hystmpc.trials.types import Vec
 
 from .chain import Chain
+from .chain_spec import chain_from, chain_spec
 from .contract.export import ExportBundle, graph_bytes
 from .contract.metadata import Connection, InitialRule, ModelMetadata
 from .model import LoadedModel, StepFunction
 from .motions import probe_commands
-from .simulator import ChainModel, Simulator, chain_from, chain_spec
+from .simulator import ChainModel, Simulator
 
 if TYPE_CHECKING:
     import onnx
@@ -68,8 +69,8 @@ def connected_bundle(
 ) -> ExportBundle:
     """A model with operators in series before it or in parallel, ready for export.
 
-    At rest the drive of a series stands at the lowest command, and the operators of a parallel connection show the
-    measured angle, so that the rest shows none.
+    At rest the drive of a series stands at the command that is held, and the operators of a parallel connection show
+    the measured angle, so that the rest shows none.
 
     Args:
         operators: chain at the sample time of `rest`.
@@ -140,24 +141,30 @@ def rest_of(model: LoadedModel) -> OnnxModel:
     own = facts.model_copy(
         update={
             "connections": facts.connections[1:],
-            "initial": _rest_rule(facts.initial, cut),
-            "conditioned": _rest_rule(facts.conditioned, cut),
+            "initial": facts.initial.behind(cut),
+            "conditioned": facts.conditioned.behind(cut),
         }
     )
     return OnnxModel(graph_bytes(_renamed(graph, names), own), model.source, model.start)
 
 
 def _joint_rule(operators: InitialRule, rest: InitialRule, way: str, facts: ModelMetadata) -> InitialRule:
+    still = (0.0,) * len(rest.offset)
     if way == "parallel":
+        by = (*(operators.by_command or (0.0,) * len(operators.offset)), *(rest.by_command or still))
         return InitialRule(
-            offset=(*operators.offset, *rest.offset), slope=(*operators.slope, *(0.0 for _ in rest.offset))
+            offset=(*operators.offset, *rest.offset),
+            slope=(*operators.slope, *still),
+            by_command=by if rest.by_command else (),
+            at_command=rest.at_command,
         )
-    lowest = operators.state(np.array([[facts.command_limits.lower]]))[0]
-    return InitialRule(offset=(*lowest.tolist(), *rest.offset), slope=(*(0.0 for _ in operators.offset), *rest.slope))
-
-
-def _rest_rule(rule: InitialRule, cut: int) -> InitialRule:
-    return InitialRule(offset=rule.offset[cut:], slope=rule.slope[cut:])
+    at = rest.at_command if rest.by_command else facts.rests_at
+    return InitialRule(
+        offset=(*operators.state(np.array([[at]]))[0].tolist(), *rest.offset),
+        slope=(*(0.0 for _ in operators.offset), *rest.slope),
+        by_command=(*operators.slope, *(rest.by_command or still)),
+        at_command=at,
+    )
 
 
 def _rest(connections: tuple[Connection, ...]) -> str:

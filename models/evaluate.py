@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -17,22 +17,15 @@ from hystmpc.trials.trial import Trial, Units
 from hystmpc.trials.types import Vec
 
 from .contract.metadata import ModelMetadata
-from .model import Model
+from .model import LoadedModel
+from .start import TrialStart, found_start, motion_line, search_box, trial_start
 
 FORMAT = "hystmpc-evaluation/1"
 INVERSE_FORMAT = "hystmpc-inverse-evaluation/1"
 ERROR_COLUMNS = ("trial", "RMSE", "bias", "no bias", "max", "NRMSE %", "hold drift")
 HOLD_S, SETTLING_S = 10.0, 1.0
+AT_REST = TrialStart(0.0, 0.0)
 RANGE_SLACK = 1e-3  # of the trained range: a sample that touches its end lies inside
-
-
-class RunnableModel(Model, Protocol):
-    """A model that knows how a trial starts."""
-
-    @property
-    def metadata(self) -> ModelMetadata:
-        """Start rules, warm-up, sample time and units."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -69,6 +62,7 @@ class TrialEvaluation:
         errors: over samples `start` on.
         outside: share of the trial's samples whose command lies outside the range that the model was identified on,
             where its angle is a guess.
+        began: where the free run begins; with a lead where the trial begins in motion.
     """
 
     trial: Trial
@@ -76,6 +70,13 @@ class TrialEvaluation:
     start: int
     errors: Errors
     outside: float = 0.0
+    began: TrialStart = AT_REST
+
+    @property
+    def start_line(self) -> str:
+        """What to say of its start; empty where the trial begins at rest."""
+        name = Path(self.trial.source).name
+        return "" if self.began.at_rest else motion_line(name, self.began, self.trial.dt)
 
     def __repr__(self) -> str:
         e, unit = self.errors, self.trial.units.angle
@@ -83,24 +84,37 @@ class TrialEvaluation:
         return in_brief(self, f"{Path(self.trial.source).name}: {numbers}")
 
 
-def free_run(model: RunnableModel, commands: Vec, y: float) -> Vec:
-    """Model's angles (T,) [deg] over commands (T,), given the first measured angle and nothing more of the angle.
+def free_run(model: LoadedModel, commands: Vec, start: float | TrialStart) -> Vec:
+    """Model's angles (T,) [deg] over commands (T,), given where it starts and nothing more of the measurement.
 
-    The state starts by the model's rule for a trial; the first command is held for the model's warm-up samples.
+    Args:
+        commands: (T,) [command unit].
+        start: angle [deg] that the device shows at rest at the first command; or where else it starts.
     """
-    x = model.initial(np.array([[y]]))
-    padded = np.concatenate([np.full(model.metadata.warmup_samples, commands[0]), commands])
-    theta = np.empty(padded.size)
-    for k, u in enumerate(padded):
-        x = model.step(x, np.array([[u]]))
-        theta[k] = model.output(x)[0, 0]
-    return theta[model.metadata.warmup_samples :]
+    if not isinstance(start, TrialStart):
+        start = TrialStart(float(commands[0]), start)
+    whole = np.concatenate([start.approach, commands])
+    return model.run_on(model.at_rest(start.angle, start.command)[None], whole[None])[0][0, len(start.approach) :]
+
+
+def started(model: LoadedModel, trial: Trial) -> TrialStart:
+    """Where a free run over a trial begins: at its own rest, or where the model finds it; see `models.start`."""
+    start, facts = trial_start(trial.command, trial.angle, trial.dt, trial.inverted), model.metadata
+
+    def runs(commands: Vec, angles: Vec, plans: Vec) -> Vec:
+        return model.run_on(model.resting(commands, angles), plans)[0]
+
+    box = search_box(facts.trained_command, facts.trained_angle)
+    return found_start(start, trial.command, trial.angle, trial.dt, box, runs)
 
 
 def evaluate(
-    model: RunnableModel, trial: Trial, skip_first_flexure: bool = False, before: Trial | None = None
+    model: LoadedModel, trial: Trial, skip_first_flexure: bool = False, before: Trial | None = None
 ) -> TrialEvaluation:
     """Score a free run over one trial that is sampled at the model's sample time; an inverse map runs over it swapped.
+
+    A trial that begins at rest is scored from its first sample on. Of one that begins in motion the first seconds are
+    used to find the state of the device, and are not scored (`models.start`).
 
     Args:
         model: that is scored.
@@ -126,15 +140,18 @@ def evaluate(
     began = before or trial
     began = began.swapped() if trial.inverted and not began.inverted else began
     lead = began.command if before else trial.command[:0]
-    theta = free_run(model, np.concatenate([lead, trial.command, held]), float(began.angle[0]))[lead.size :]
+    begin = started(model, began)
+    commands = np.concatenate([lead, trial.command, held])
+    theta = free_run(model, commands, begin)[lead.size :]
     if not np.all(np.isfinite(theta)):
         raise ModelError(
             f"{trial.source}: the model's angle is not finite from sample {np.argmin(np.isfinite(theta))} on"
         )
-    start = first_flexure_end(trial) if skip_first_flexure else 0
+    begin = replace(begin, lead=max(begin.lead - lead.size, 0))
+    start = max(first_flexure_end(trial) if skip_first_flexure else 0, begin.lead)
     holds = [(a, b) for a, b in segment(trial).holds if a >= start] + [(len(trial), theta.size)]
     errors = _errors(trial, theta, start, holds)
-    return TrialEvaluation(trial, theta[: len(trial)], start, errors, _outside(trial, metadata))
+    return TrialEvaluation(trial, theta[: len(trial)], start, errors, _outside(trial, metadata), begin)
 
 
 def mean_errors(evaluations: Sequence[TrialEvaluation]) -> Errors:
@@ -145,13 +162,23 @@ def mean_errors(evaluations: Sequence[TrialEvaluation]) -> Errors:
 
 def evaluation_json(evaluations: Sequence[TrialEvaluation]) -> dict[str, Any]:
     """Plain data in the format `hystmpc-evaluation/1`; of an inverse map, whose errors are commands, in its own."""
-    rows = [{"file": Path(e.trial.source).name, **vars(e.errors)} for e in evaluations]
+    rows = [{"file": Path(e.trial.source).name, **vars(e.errors), **_unscored(e)} for e in evaluations]
     mean = dict(vars(mean_errors(evaluations)))
     if not evaluations[0].trial.inverted:
         return {"format": FORMAT, "trials": rows, "mean": mean}
     unit = evaluations[0].trial.units.angle
     plain = [{key.removesuffix("_deg"): value for key, value in row.items()} for row in (*rows, mean)]
     return {"format": INVERSE_FORMAT, "unit": unit, "trials": plain[:-1], "mean": plain[-1]}
+
+
+def _unscored(result: TrialEvaluation) -> dict[str, float]:
+    """Seconds at the start of a trial that begins in motion, in which its state is found."""
+    return {} if result.began.at_rest else {"unscored_s": result.began.lead * result.trial.dt}
+
+
+def start_sentences(results: Sequence[TrialEvaluation]) -> list[str]:
+    """One sentence on each trial that begins in motion."""
+    return [line for result in results if (line := result.start_line)]
 
 
 def error_rows(results: Sequence[TrialEvaluation]) -> list[list[str]]:

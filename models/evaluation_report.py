@@ -8,9 +8,9 @@ from pathlib import Path
 from matplotlib.figure import Figure
 
 from hystmpc.trials.figure_data import draw_long
-from hystmpc.trials.report import MEASURED, MODEL, REFERENCE, Heading, Piece, Plot, Report, Table, new_figure
+from hystmpc.trials.report import MEASURED, MODEL, REFERENCE, Heading, Paragraph, Piece, Plot, Report, Table, new_figure
 
-from .evaluate import ERROR_COLUMNS, TrialEvaluation, error_rows, error_sentence
+from .evaluate import ERROR_COLUMNS, TrialEvaluation, error_rows, error_sentence, start_sentences
 
 _SHOWN = 3  # trials in a figure
 
@@ -34,6 +34,7 @@ def _pieces(which: str, results: Sequence[TrialEvaluation]) -> Iterator[Piece]:
     yield Heading(error_sentence(results, which))
     note = f"Model less measurement [{unit}]. No bias: without the mean error. Hold drift: while the command rests."
     yield Table(ERROR_COLUMNS, error_rows(results), note)
+    yield from (Paragraph(f"{sentence}.") for sentence in start_sentences(results))
     drawn = "of all trials" if len(results) <= _SHOWN else f"of the {_SHOWN} trials with the greatest error"
     yield Plot(time_figure(results), f"Measured and simulated output {drawn}, and the error of the model below.", True)
     yield Plot(loop_figure(results), f"Output [{unit}] over command [{command}] of the same trials.")

@@ -13,6 +13,7 @@ from hystmpc.trials.brief import in_brief
 from hystmpc.trials.types import Vec
 
 from .contract.metadata import ModelMetadata, NoiseModel, Start
+from .rest import RestRule
 
 
 class Model(Protocol):
@@ -78,6 +79,7 @@ class LoadedModel(ABC):
         self.metadata: ModelMetadata = metadata
         self.state_size: int = metadata.state_size
         self._rule = metadata.rule(start)
+        self._rest = RestRule(metadata, start)
 
     def __repr__(self) -> str:
         facts = self.metadata
@@ -102,16 +104,34 @@ class LoadedModel(ABC):
         return self.metadata.dt_s
 
     def initial(self, y: Vec) -> Vec:
-        """State x (N, S + 1) of a device that rests at the measured angles `y` (N, 1) [deg]."""
+        """State x (N, S + 1) of a device that rests at the measured angles `y` (N, 1) [deg], before the warm-up.
+
+        The command is the one at which the file's rule holds; `resting` takes any.
+        """
         y = np.asarray(y, dtype=np.float64).reshape(-1, 1)
         return np.hstack([self._rule.state(y), y])
 
+    def resting(self, commands: Vec, angles: Vec) -> Vec:
+        """States (N, S) of a device held at commands (N,) that shows angles (N,) [deg], after the warm-up.
+
+        Every free run begins here, that of an evaluation as well as that of a plan; see `RestRule`.
+        """
+        commands, angles = (np.asarray(given, dtype=np.float64) for given in (commands, angles))
+        states = self._rest.states(commands, angles)
+        held = self._rest.hold_samples
+        return self.run_on(states, np.tile(commands[:, None], held))[1] if held else states
+
     def at_rest(self, theta_deg: float, command: float) -> Vec:
-        """State (S,) of a device that rests at an angle [deg] under a command, after the warm-up: plans begin here."""
-        state = self._rule.state(np.array([[theta_deg]]))
-        for _ in range(self.metadata.warmup_samples):
-            _, state = self.advance(state, np.array([[command]]))
-        return np.asarray(state, dtype=np.float64)[0]
+        """State (S,) of a device that rests at an angle [deg] under a command; see `resting`."""
+        return self.resting(np.array([command]), np.array([theta_deg]))[0]
+
+    def run_on(self, states: Vec, commands: Vec) -> tuple[Vec, Vec]:
+        """Angles (N, T) [deg] over commands (N, T) from states (N, S), and the states after them."""
+        theta = np.empty(commands.shape)
+        for k in range(commands.shape[1]):
+            angle, states = self.advance(states, commands[:, k : k + 1])
+            theta[:, k] = angle[:, 0]
+        return theta, np.asarray(states, dtype=np.float64)
 
     def step(self, x: Vec, u: Vec) -> Vec:
         """State x (N, S + 1) one sample later under commands `u` (N, 1) [command unit]."""
@@ -175,11 +195,11 @@ class ModelPredictor(Predictor):
         self.dt = metadata.dt_s
         self.command_range = (metadata.trained_command.lower, metadata.trained_command.upper)
         self.noise, self.model_sigma_deg = metadata.noise, metadata.model_sigma_deg
-        self._rule, self._warmup = metadata.rule(start), metadata.warmup_samples
+        self._rest = RestRule(metadata, start)
 
     def initial(self, y: float, u: float) -> Vec:
-        state = self._rule.state(np.array([[y]]))[0]
-        for _ in range(self._warmup):
+        state = self._rest.states(np.array([u]), np.array([y]))[0]
+        for _ in range(self._rest.hold_samples):
             _, state = self.advance(state, u)
         return state
 

@@ -49,9 +49,21 @@ def conditioned_rule(step: StepFunction, commands: Range, dt_s: float, warmup_sa
     return InitialRule(offset=tuple(state[0].tolist()), slope=(0.0,) * step.state_size)
 
 
-def initialisation_flexure(commands: Range, dt_s: float, warmup_samples: int) -> Vec:
-    """Commands (T,): the lowest, held for the warm-up; to the highest and back along a sine; the lowest, held."""
+def initialisation_flexure(commands: Range, dt_s: float, warmup_samples: int, rest: float | None = None) -> Vec:
+    """Commands (T,): the lowest, held for the warm-up; to the highest and back along a sine; the rest, held.
+
+    A device that rests between both ends, as one that bends both ways does, goes from the lowest command to its rest
+    along half a sine as quick.
+
+    Args:
+        commands: between which it is flexed.
+        dt_s: sample time [s].
+        warmup_samples: see above.
+        rest: command at rest; the lowest where left out.
+    """
     t = np.arange(0.0, 1.0 / FLEXURE_HZ, dt_s)
     sine = 0.5 - 0.5 * np.cos(2 * math.pi * FLEXURE_HZ * t)
-    shape = np.concatenate([np.zeros(warmup_samples), sine, np.zeros(round(REST_S / dt_s))])
+    share = 0.0 if rest is None else (rest - commands.lower) / (commands.upper - commands.lower)
+    back = share * sine[: t.size // 2] if share else sine[:0]
+    shape = np.concatenate([np.zeros(warmup_samples), sine, back, np.full(round(REST_S / dt_s), share)])
     return commands.lower + (commands.upper - commands.lower) * shape

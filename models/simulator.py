@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -20,14 +19,15 @@ from hystmpc.trials.files import write_atomically
 from hystmpc.trials.types import Vec
 
 from .chain import Chain
+from .chain_spec import chain_from, chain_spec
 from .contract.export import ExportBundle, export_onnx
-from .contract.metadata import ModelMetadata, NoiseModel, Range, Rate, SampleTime, Start
+from .contract.metadata import ModelMetadata, NoiseModel, Range, Rate, SampleTime, Start, rest_within
 from .kernels.chain_kernels import compile_step
 from .kernels.program import dense
 from .model import LoadedModel, StepFunction
 from .motions import probe_commands
-from .operators.catalogue import operator_from, operator_spec
 from .operators.dynamics import stored
+from .rest import RestRule
 
 if TYPE_CHECKING:
     import onnx
@@ -168,6 +168,11 @@ class Simulator:
         before, after = stored(chain.before, dt_s), stored(chain.after, dt_s)
         return replace(self, chain=replace(chain, before=before, after=after), dt_s=dt_s)
 
+    @property
+    def rests_at(self) -> float:
+        """Command at which the device rests before a motion, see `rest_within`."""
+        return rest_within(self.rest_command, self.command_limits.lower, self.command_limits.upper)
+
     def save(self, path: Path | str) -> Path:
         """Write the simulator file (`.yaml`), whole or not at all."""
         return save_simulator(self, path)
@@ -181,11 +186,17 @@ class Simulator:
         Raises:
             ModelError: if a fact is out of its bounds.
         """
-        rest = self.command_limits.lower if self.rest_command is None else self.rest_command
-        at = [np.asarray(self.chain.rest(y, rest, self.chain.values)).ravel() for y in (0.0, 1.0)]
-        rule = {"offset": at[0].tolist(), "slope": (at[1] - at[0]).tolist()}
         noise, slow = self.identification.noise, self.identification.slow_error
         unsaid = slow is not None and (noise is None or noise.model_sigma_deg is None)
+        rest = self.rests_at
+        rests = ((0.0, rest), (1.0, rest), (0.0, rest + 1.0))
+        at = [np.asarray(self.chain.rest(y, u, self.chain.values)).ravel() for y, u in rests]
+        rule = {
+            "offset": at[0].tolist(),
+            "slope": (at[1] - at[0]).tolist(),
+            "by_command": (at[2] - at[0]).tolist(),
+            "at_command": rest,
+        }
         single = not self.chain.before and not self.chain.after
         return ModelMetadata.of(
             kind=self.chain.core.name if single else "chain",
@@ -208,6 +219,8 @@ class Simulator:
                 **({"model_sigma_deg": slow} if unsaid else {}),
             },
             noise=noise,
+            rest_command=self.rest_command,
+            chain=chain_spec(self.chain),
         )
 
 
@@ -219,6 +232,7 @@ def simulator_for(chain: Chain, facts: ModelMetadata, method: str) -> Simulator:
         command_unit=facts.command_unit,
         angle_unit=facts.angle_unit,
         inverse=facts.inverse,
+        rest_command=facts.rest_command,
         command_limits=facts.command_limits,
         command_rate_per_s=facts.command_rate,
         trained_command=facts.trained_command,
@@ -267,36 +281,6 @@ def load_simulator(path: Path | str) -> Simulator:
     return Simulator(chain=chain, **{name: getattr(file, name) for name in names})
 
 
-def chain_spec(chain: Chain) -> dict[Literal["before", "core", "after"], Any]:
-    """Plain data from which `chain_from` builds the same chain."""
-    return {
-        "before": [operator_spec(operator) for operator in chain.before],
-        "core": operator_spec(chain.core),
-        "after": [operator_spec(operator) for operator in chain.after],
-    }
-
-
-def chain_from(spec: Mapping[Literal["before", "core", "after"], Any], where: str) -> Chain:
-    """A chain from plain data.
-
-    Raises:
-        ModelError: if it has no core, or names what the catalogue of operators does not know.
-    """
-    if "core" not in spec:
-        raise ModelError(f"{where} has no 'core', got {', '.join(spec) or 'nothing'}")
-    return Chain(
-        operator_from(spec["core"], f"{where}.core"),
-        _side(spec.get("before"), f"{where}.before"),
-        _side(spec.get("after"), f"{where}.after"),
-    )
-
-
-def _side(specs: Any, where: str) -> tuple[Any, ...]:
-    if specs is not None and not isinstance(specs, list):
-        raise ModelError(f"{where}: got {type(specs).__name__}, expected a list of operators")
-    return tuple(operator_from(spec, f"{where}[{k}]") for k, spec in enumerate(specs or []))
-
-
 @final
 class ChainModel(LoadedModel, StepFunction):
     """A simulator as a model, run by its compiled step; the reference of its own export."""
@@ -304,6 +288,7 @@ class ChainModel(LoadedModel, StepFunction):
     def __init__(self, simulator: Simulator, start: Start = "initial") -> None:
         super().__init__(simulator.metadata(), start)
         self.simulator = simulator
+        self._rest = RestRule(self.metadata, start, simulator.chain)
         self._kernels = compile_step(simulator.chain.transition)
         self._p, self._dt = simulator.chain.values, np.array([simulator.dt_s])
         self._step = simulator.chain.bound(simulator.dt_s)
@@ -316,13 +301,15 @@ class ChainModel(LoadedModel, StepFunction):
         self._kernels.simulate(following, u, self._p, self._dt, self._kernels.step_constants, theta)
         return theta, following
 
+    def run_on(self, states: Vec, commands: Vec) -> tuple[Vec, Vec]:
+        theta, following = np.empty(commands.shape), np.array(states, dtype=np.float64, order="C")
+        commands = np.ascontiguousarray(commands, dtype=np.float64)
+        self._kernels.simulate(following, commands, self._p, self._dt, self._kernels.step_constants, theta)
+        return theta, following
+
     def run(self, commands: Vec, y: float) -> Vec:
-        """Free run (T,) [deg] over commands (T,) from the start rule and its warm-up."""
-        full = np.concatenate([np.full(self.metadata.warmup_samples, commands[0]), commands])[None]
-        theta = np.empty_like(full)
-        state = self._rule.state(np.array([[y]]))
-        self._kernels.simulate(state, full, self._p, self._dt, self._kernels.step_constants, theta)
-        return theta[0, self.metadata.warmup_samples :]
+        """Free run (T,) [deg] over commands (T,) from the rest at the first of them that shows `y` [deg]."""
+        return self.run_on(self.at_rest(y, float(commands[0]))[None], commands[None])[0][0]
 
     def casadi_function(self) -> ca.Function:
         x, u = ca.SX.sym("x", self.state_size), ca.SX.sym("u")

@@ -43,6 +43,7 @@ _LOOP = {
 }
 _TRUE = "true_angle_deg"
 _COUNTED = "counted"  # 0 in the samples of an approach
+_REST = "held_before"  # the command before the first sample
 
 
 @dataclass(frozen=True)
@@ -115,15 +116,18 @@ def log_columns(run: ClosedLoopRun) -> dict[str, Sequence[str] | Vec]:
     stages = {f"{_STAGE}{name.replace(' ', '_')}_s": seconds for name, seconds in log.stage_s.items()}
     command = {f"command_{run.unit}": log.command}
     counted = {_COUNTED: (np.arange(run.true_deg.size) >= run.first).astype(np.float64)}
+    rest = {_REST: np.full(run.true_deg.size, run.rest_command)}
     texts = {"source": log.source, "status": log.status}
-    return {**command, **numbers, _TRUE: run.true_deg, **counted, **stages, **texts}
+    return {**command, **numbers, _TRUE: run.true_deg, **counted, **rest, **stages, **texts}
 
 
-def run_from(columns: Mapping[str, Column], rest_command: float, where: str) -> ClosedLoopRun:
+def run_from(columns: Mapping[str, Column], lowest: float, where: str) -> ClosedLoopRun:
     """The run whose log this is.
 
     Args:
         columns: of `log.csv`.
+        lowest: command at which the plant rested, in logs of older versions, which do not say it.
+        where: of messages.
 
     Raises:
         LogError: if a column is missing.
@@ -146,7 +150,8 @@ def run_from(columns: Mapping[str, Column], rest_command: float, where: str) -> 
     # The first sample ends one sample time after the start.
     first = int(np.argmax(_numbers(columns[_COUNTED]))) if _COUNTED in columns else 0  # logs of older versions
     true, dt = _numbers(columns[_TRUE]), float(log.time_s[0])
-    return ClosedLoopRun(log, true, rest_command, dt, CANONICAL.command[command], first)
+    rest = float(_numbers(columns[_REST])[0]) if _REST in columns else lowest
+    return ClosedLoopRun(log, true, rest, dt, CANONICAL.command[command], first)
 
 
 def _numbers(column: Column) -> Vec:

@@ -87,7 +87,6 @@ def export_fmu(
         ExportError: where the simulator is an inverse map or has a sensor, a platform is unknown, or a compiler fails.
     """
     _check(simulator, version)
-    lowest = simulator.command_limits.lower if simulator.rest_command is None else simulator.rest_command
     described = Described(
         name=name,
         identifier=_identifier(name),
@@ -96,7 +95,7 @@ def export_fmu(
         command_unit=simulator.command_unit,
         output_unit=simulator.angle_unit,
         limits=(simulator.command_limits.lower, simulator.command_limits.upper),
-        rest_command=lowest if rest_command is None else rest_command,
+        rest_command=simulator.rests_at if rest_command is None else rest_command,
         tool=f"hystmpc {version_of('hystmpc')}",
     )
     step = step_source("device", Step(simulator.chain.transition, simulator.chain.values, simulator.dt_s))

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from hystmpc.models.contract.metadata import rest_within
 from hystmpc.models.load import load_model, model_path
 from hystmpc.models.model import Predictor
 from hystmpc.trials.errors import ControllerError
@@ -32,6 +33,7 @@ class Assembly:
         workspace: what bounds the angle.
         unit: of the command.
         model_limits: what the model was made for; `limits` may be narrower, and wider where the settings say so.
+        rest_command: at which the device rests, as the model's file says; None where it does not.
         model_hash: of the files that were opened.
     """
 
@@ -42,6 +44,12 @@ class Assembly:
     unit: str
     model_limits: CommandLimits
     model_hash: str = ""
+    rest_command: float | None = None
+
+    @property
+    def rests_at(self) -> float:
+        """Command that the device holds before the first step, where the settings do not say it."""
+        return rest_within(self.rest_command, self.limits.lower, self.limits.upper)
 
     def origin(self, settings: TipSettings) -> str:
         """Kind and fingerprint of a controller: equal where settings, limits and model are."""
@@ -85,6 +93,7 @@ def assemble(settings: TipSettings, folder: Path) -> Assembly:
         facts.command_unit,
         made_for,
         " ".join(hashlib.sha256(path.read_bytes()).hexdigest() for path in files),
+        facts.rest_command,
     )
 
 

@@ -42,7 +42,8 @@ class TipSettings(Settings):
         limits: hard limits of command and rate; those of the model where left out. Wider ones are refused unless
             `limits.beyond_model` is true.
         motion: limits of the reference's own motion.
-        start_command: the command that the device holds before the first step; the lowest where left out.
+        start_command: the command that the device holds before the first step; where left out, the model's
+            `rest_command`, the lowest one where its file has none.
         tolerance_deg: how close the measured angle has to be to count as settled.
     """
 

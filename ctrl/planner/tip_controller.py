@@ -83,7 +83,7 @@ class TipController:
 
     def __init__(self, assembly: Assembly, settings: TipSettings, controller: PlannersController | None = None) -> None:
         limits, start = assembly.limits, settings.start_command
-        start = limits.lower if start is None else start
+        start = assembly.rests_at if start is None else start
         if not limits.lower <= start <= limits.upper:
             raise ControllerError(f"start_command: got {start}, expected {limits.lower} to {limits.upper}")
         self._assembly, self._settings, self._lock = assembly, settings, RLock()

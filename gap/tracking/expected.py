@@ -18,7 +18,7 @@ from hystmpc.models.prediction.compiled import CompiledPredictor
 from hystmpc.models.simulator import ChainModel, Simulator
 from hystmpc.sim.closed_loop import ClosedLoopRun, run_closed_loop
 from hystmpc.sim.plants.computed import ComputedPlant, Sensing
-from hystmpc.sim.plants.simulated import conditioned
+from hystmpc.sim.plants.simulated import conditioned, rest_of
 from hystmpc.trajectories.drawn import CountedMotion
 from hystmpc.trials.errors import GapError
 from hystmpc.trials.types import Vec
@@ -142,8 +142,8 @@ class UnexplainedPlant(ComputedPlant):
         q_k = c^2 (drift^2 dt + motion^2 |u_{k+1} - u_k|),   y_k = theta_k + sensor v_k
 
     d is the walk of `NoiseModel`, held to its `model_sigma_deg` m; without m it is the walk itself. What a model has
-    wrong is smoother than a walk, and a loop rejects it better: c = `ROUGHNESS`. The device rests at its lowest command
-    after a flexure over all commands.
+    wrong is smoother than a walk, and a loop rejects it better: c = `ROUGHNESS`. The device rests at its
+    command of rest after a flexure over all commands.
 
     Args:
         seed: of the noise.
@@ -154,12 +154,11 @@ class UnexplainedPlant(ComputedPlant):
         noise = simulator.identification.noise
         self._model, self._noise = CompiledPredictor.of_simulator(simulator), None if explained else noise
         limits = simulator.command_limits
-        start = self._model.initial(simulator.trained_angle_deg.lower, limits.lower)
-        angle, state = conditioned(simulator, start, limits)
-        self._rest = angle, (state, 0.0, limits.lower)
+        angle, state = conditioned(simulator, limits)
+        self._rest = angle, (state, 0.0, rest_of(simulator, limits))
         self.command_limits = limits
         sensing = Sensing(noise.sensor_sigma_deg if noise else 0.0)
-        super().__init__(simulator.dt_s, limits.lower, simulator.command_unit, sensing, seed)
+        super().__init__(simulator.dt_s, rest_of(simulator, limits), simulator.command_unit, sensing, seed)
 
     def _at_rest(self, random: np.random.Generator) -> tuple[float, Any]:
         del random

@@ -67,26 +67,57 @@ class DeviceLimits:
 
 
 class InitialRule(Settings):
-    """State of a device that rests at the measured angle y [deg]: x0 = offset + slope * y, entry by entry.
+    """State of a device that rests at the measured angle y [deg] under the command u, entry by entry:
+
+        x0 = offset + slope y + by_command (u - at_command)
 
     At most 100,000 entries, each number within 1e18 of zero.
+
+    Attributes:
+        offset, slope: of the state (S,) by the angle.
+        by_command: of the state by the command (S,); empty, as in older files, where the rule holds at one command.
+        at_command: command at which the device rests where none is given [command unit].
     """
 
     offset: tuple[StateEntry, ...] = Field(max_length=LARGEST_STATE)
     slope: tuple[StateEntry, ...] = Field(max_length=LARGEST_STATE)
+    by_command: tuple[StateEntry, ...] = Field(default=(), max_length=LARGEST_STATE)
+    at_command: Amount = 0.0
 
     @model_validator(mode="after")
     def _same_size(self) -> Self:
         if len(self.offset) != len(self.slope):
             raise ValueError(f"offset has {len(self.offset)} entries, slope {len(self.slope)}, expected as many")
+        if self.by_command and len(self.by_command) != len(self.offset):
+            raise ValueError(f"by_command has {len(self.by_command)} entries, expected none or {len(self.offset)}")
         return self
 
-    def state(self, y: Vec) -> Vec:
-        """States (N, S) from measured angles (N, 1) [deg]."""
-        return np.asarray(self.offset, dtype=np.float64) + np.asarray(self.slope, dtype=np.float64) * y
+    def state(self, y: Vec, u: Vec | None = None) -> Vec:
+        """States (N, S) from measured angles y (N, 1) [deg] and, where they are known, commands u (N, 1)."""
+        states = np.asarray(self.offset, dtype=np.float64) + np.asarray(self.slope, dtype=np.float64) * y
+        if u is None or not self.by_command:
+            return states
+        return states + np.asarray(self.by_command, dtype=np.float64) * (u - self.at_command)
+
+    def behind(self, cut: int) -> InitialRule:
+        """The rule of all entries from number `cut` on."""
+        parts = {"offset": self.offset[cut:], "slope": self.slope[cut:], "by_command": self.by_command[cut:]}
+        return self.model_copy(update=parts)
 
 
 Sigma = Annotated[float, Field(ge=0, le=1e12)]
+
+
+def rest_within(rest_command: float | None, lower: float, upper: float) -> float:
+    """Command at which a device rests: its own, as far as the limits allow; the lower one where it has none.
+
+    The one answer to that question, for plants, controllers and exports. Zero is a rest command like any other.
+
+    Args:
+        rest_command: what the model's file says; None where it says nothing.
+        lower, upper: least and greatest command that is sent.
+    """
+    return lower if rest_command is None else min(max(rest_command, lower), upper)
 
 
 class NoiseModel(Settings):
@@ -151,13 +182,18 @@ class ModelMetadata(Settings):
         training: free facts (preset, seed, validation error, logs).
         noise: what the model leaves unexplained of its trials; None where that was not found out.
         connections: operators that are connected with the model of kind `kind`, the outermost first.
+        rest_command: at which the device rests before a motion; None for the lower end of its command.
+        chain: the operators of which the graph was made, as in a simulator file. From them follows the exact state at
+            rest at any command and angle; the rules hold at the rest command. None for other kinds of model.
 
-    A file may lack the last two and `inverse`.
+    A file may lack the last four and `inverse`.
     """
 
     format: str = FORMAT
     noise: NoiseModel | None = None  # not the last one: a file that is cut off lacks what follows
     connections: tuple[Connection, ...] = ()
+    rest_command: Amount | None = None
+    chain: dict[Literal["before", "core", "after"], Any] | None = None
     kind: str = Field(min_length=1)
     dt_s: SampleTime
     command_unit: str = Field(min_length=1)
@@ -206,6 +242,11 @@ class ModelMetadata(Settings):
         return float(said) if isinstance(said, float | int) else math.nan
 
     @property
+    def rests_at(self) -> float:
+        """Command at which the device rests before a motion, see `rest_within`."""
+        return rest_within(self.rest_command, self.command_limits.lower, self.command_limits.upper)
+
+    @property
     def state_size(self) -> int:
         """Number S of state entries."""
         return len(self.initial.offset)
@@ -250,7 +291,7 @@ class ModelMetadata(Settings):
                 "export the model again"
             )
         # fields with other defaults are needed too: a file that is cut off lacks them
-        needed = [key for key in cls.model_fields if key not in ("noise", "connections", "inverse")]
+        needed = [key for key in cls.model_fields if key not in _OPTIONAL]
         missing = [key for key in needed if key not in ours]
         if missing:
             raise ModelError(f"{where}: metadata lacks {', '.join(missing)}; the file is cut off or was edited")
@@ -258,6 +299,9 @@ class ModelMetadata(Settings):
             return cls.parse(fields, f"{where}: metadata")
         except ConfigError as error:
             raise ModelError(str(error)) from None
+
+
+_OPTIONAL = ("noise", "connections", "inverse", "rest_command", "chain")
 
 
 def _decode(text: str, where: str) -> object:

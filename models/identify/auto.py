@@ -184,7 +184,7 @@ def runs_to_fit(trials: Sequence[Trial], skip_first_flexure: bool) -> tuple[Run,
     if not skip_first_flexure:
         return runs
     first = [np.arange(len(trial)) >= first_flexure_end(trial) for trial in trials]
-    return tuple(replace(run, counts=counts) for run, counts in zip(runs, first, strict=True))
+    return tuple(replace(run, counts=run.counts & counts) for run, counts in zip(runs, first, strict=True))
 
 
 def _thinned(trials: Sequence[Trial], dt: float) -> Sequence[Trial]:

@@ -18,12 +18,13 @@ from ..chain import Chain
 from ..effects.effect import Candidate, Scale
 from ..operators.dynamics import Delay
 from ..operators.static_curves import Line
+from ..start import search_box
 from .baseline import FreeCoreBaseline
 from .chain_fit import nothing_found
 from .cross_validation import CrossValidation, HeldOutErrors, Hypothesis, gain
 from .parts import CoreForm, Form, core_forms, device_parts
 from .problem import Problem, TrialTerms
-from .runs import Blocks, Run, command_range
+from .runs import Blocks, Run, angle_range, command_range
 
 SearchProgress = Callable[[float, float], None]
 """Told the share that is done, and the least error on held-out trials so far [deg]."""
@@ -36,7 +37,6 @@ _CORE = "core"  # name of the part that every device has
 _NEXT_ROUND = 0.5  # time of a round over that of the round before
 _AT_LAST = 5  # fits that take as long as the last fit and the table of parts
 _THREADS = 2  # alternatives that are fitted side by side
-_STARTS = 0.5  # of the held-out mean square error, by which starts of their own have to lower it in several trials
 
 
 @dataclass(frozen=True)
@@ -131,8 +131,7 @@ class AutoSearch:
     section 3.4.3; the number of standard errors is `AutoSettings.standard_errors`, and `AutoSettings.clear_share`
     bounds what the simpler form may cost.
 
-    In a single trial the drive may begin anywhere: there, plays could take up its start. In several it begins at rest,
-    unless starts of their own halve the held-out mean square error, as in parts of one long log.
+    Trials begin where evaluation lets them begin (`models.start`): at rest, or where their first seconds say.
     """
 
     def __init__(
@@ -148,8 +147,9 @@ class AutoSearch:
         self._cores, self._parts = core_forms(trials, scale), device_parts(scale)
         self._names = (*(part.name for part in self._parts), _CORE)
         self._command = command_range(trials)
+        self._box = search_box(self._command, angle_range(trials))
         self._done, self._planned, self._weight = 0.0, 1.0, 1.0  # in points from which fits start
-        self.terms, self.interrupted = terms or TrialTerms(own_start=len(self.runs) == 1), False
+        self.terms, self.interrupted = terms or TrialTerms(), False
         self.tried: list[Choice] = []
 
     @property
@@ -294,7 +294,7 @@ class AutoSearch:
         self._progress(min(self._done / self._planned, 1.0), math.sqrt(best))
 
     def _terms_of_trials(self) -> TrialTerms:
-        """Whether trials have offsets or starts of their own, judged by the better of two devices with one drive.
+        """Whether trials have offsets of their own, judged by the better of two devices with one drive.
 
         One has the richest core. The other has a valve and a line, whose lack of memory cannot stand in for a start.
         """
@@ -302,18 +302,16 @@ class AutoSearch:
             return self.terms
         delay, lag = next(form for form in self._parts[0].forms if len(form) > 1)
         valve = next({part.name: part.forms[-1]} for part in self._parts if part.name == "valve")
-        at_rest, zeroed, started = TrialTerms(), TrialTerms(own_offset=True), TrialTerms(own_start=True)
+        plain, zeroed = TrialTerms(), TrialTerms(own_offset=True)
         errors = {}
-        for self.terms in (at_rest, zeroed, started):
+        for self.terms in (plain, zeroed):
             judged = []
             for core, more in ((self._cores[0], valve), (self._cores[-1], {})):
                 drives = [{self._parts[0].name: (delay, replace(lag, starts=(start,)))} for start in lag.starts]
                 fits = [self._fitted(core, self._none() | drive | more, None) for drive in drives]
                 judged.append(self._validation(core).judge(min(fits, key=lambda fit: fit.mse)))
             errors[self.terms] = min(judged, key=lambda held_out: held_out.mse)
-        if errors[started].mse < _STARTS * min(errors[at_rest].mse, errors[zeroed].mse):
-            return started
-        return zeroed if self.settings.worth(errors[at_rest], errors[zeroed]) else at_rest
+        return zeroed if self.settings.worth(errors[plain], errors[zeroed]) else plain
 
     def _simplest(self, made: Sequence[tuple[CoreForm, dict[str, Form]]], present: Choice) -> Choice:
         def fitted(alternative: tuple[CoreForm, dict[str, Form]]) -> tuple[CoreForm, dict[str, Form], Hypothesis]:
@@ -373,6 +371,9 @@ class AutoSearch:
         return Chain(Line(*np.polyfit(travel, angle, 1).tolist()))
 
     def _polished(self, choice: Choice) -> Choice:
+        if any(run.lead for run in self.runs):
+            problem, q = choice.hypothesis.problem, choice.hypothesis.q
+            self.runs = tuple(problem.begun(q, run, self._box) for run in self.runs)
         validation = self._validation(choice.core)
         return replace(choice, judged=validation.judge(validation.polished(choice.hypothesis)))
 

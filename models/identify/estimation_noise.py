@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, final
 
 import numpy as np
 
@@ -16,7 +16,9 @@ from hystmpc.trials.types import Vec
 from ..contract.export import ExportBundle
 from ..contract.metadata import NoiseModel
 from ..decades import Decades
+from ..evaluate import started
 from ..kernels.numba_ import njit
+from ..model import LoadedModel
 from .resolution import resolution
 
 _LEAST_DEG = 1e-4  # of the sensor's noise: below it residuals are rounding, as those of simulated trials without noise
@@ -84,6 +86,26 @@ def _noise(trials: Sequence[Trial], residuals: Sequence[Vec], fitted: int) -> No
     )
 
 
+@final
+class ReferenceModel(LoadedModel):
+    """A model that has just been made, run by the reference of its export."""
+
+    def __init__(self, bundle: ExportBundle) -> None:
+        super().__init__(bundle.metadata, "initial")
+        self._reference = bundle.reference
+
+    def advance(self, state: Vec, u: Vec) -> tuple[Vec, Vec]:
+        return self._reference.advance(state, u)
+
+    def casadi_function(self) -> Any:
+        """None is needed before the export.
+
+        Raises:
+            FitError: always.
+        """
+        raise FitError("the reference of an export has no CasADi function, expected the exported model")
+
+
 def with_noise(bundle: ExportBundle, trials: Sequence[Trial], fitted: int) -> ExportBundle:
     """The bundle with the noise of its model on trials, free runs of its reference; as it is for an inverse map.
 
@@ -95,22 +117,16 @@ def with_noise(bundle: ExportBundle, trials: Sequence[Trial], fitted: int) -> Ex
     if facts.inverted:
         return bundle
     heads = [trial.select(0, min(len(trial), _LONGEST)) for trial in trials]
-    longest = facts.warmup_samples + max(len(trial) for trial in heads)
-    commands = np.array([
-        np.concatenate([
-            np.full(facts.warmup_samples, trial.command[0]),
-            trial.command,
-            np.full(longest - facts.warmup_samples - len(trial), trial.command[-1]),
-        ])
-        for trial in heads
-    ])  # fmt: skip
-    states = facts.initial.state(np.array([[trial.angle[0]] for trial in heads]))
-    angles = np.empty_like(commands)
-    for k in range(longest):
-        theta, states = bundle.reference.advance(states, commands[:, k : k + 1])
-        angles[:, k] = theta[:, 0]
-    runs = angles[:, facts.warmup_samples :]
-    residuals = [trial.angle - run[: len(trial)] for trial, run in zip(heads, runs, strict=True)]
+    model = ReferenceModel(bundle)
+    starts = [started(model, trial) for trial in heads]
+    rows = [np.concatenate([start.approach, trial.command]) for trial, start in zip(heads, starts, strict=True)]
+    longest = max(row.size for row in rows)
+    states = model.resting(*np.array([(start.command, start.angle) for start in starts]).T)
+    runs = model.run_on(states, np.array([np.pad(row, (0, longest - row.size), mode="edge") for row in rows]))[0]
+    residuals = [
+        (trial.angle - run[len(start.approach) :][: len(trial)])[start.lead :]
+        for trial, run, start in zip(heads, runs, starts, strict=True)
+    ]
     noise = estimation_noise(heads, residuals, fitted)
     return replace(bundle, metadata=facts.model_copy(update={"noise": noise}))
 

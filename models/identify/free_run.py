@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import final
 
 import numpy as np
@@ -15,7 +15,8 @@ from hystmpc.trials.types import Index, Vec
 
 from ..chain import Chain
 from ..kernels.chain_kernels import DIRECTIONS, stage_kernels
-from .runs import check_trial_set, end_to_end
+from ..start import Runs, TrialStart, found_start, search_box, trial_start
+from .runs import angle_range, check_trial_set, command_range, end_to_end
 from .settling import Settling, Stage
 
 _LANES, _MOST_IDLE = 8, 5  # directions of one vector instruction; idle ones that cost less than a rest one by one
@@ -119,6 +120,17 @@ class StagedChain:
         turned = np.divide(by, by[:, -1:], out=np.zeros_like(by), where=leads)
         return held.state, np.ascontiguousarray((held.slope - held.slope[:, :, -1:] * turned)[:, :, :-1])
 
+    def rollouts(self, dt_s: float, values: Vec) -> Runs:
+        """Free runs of the chain with parameters (P,), as the search of a start asks for them."""
+
+        def run(commands: Vec, angles: Vec, plans: Vec) -> Vec:
+            states = self.settled(commands, angles, dt_s, values, np.empty((self.parameter_count, 0)))[0]
+            if held := self.chain.rest_samples:
+                states = self.simulate(np.tile(commands, (held, 1)), dt_s, states, values)[1]
+            return self.simulate(plans.T, dt_s, states, values)[0].T
+
+        return run
+
     def differentiate(
         self,
         commands: Vec,
@@ -194,23 +206,26 @@ class ScoredRun:
     """One trial as a fit runs it.
 
     Attributes:
-        commands: the trial's commands behind the chain's warm-up, in which the first is held (W + T,).
+        commands: the trial's commands behind the chain's warm-up and the approach of its start (W + T,).
         angle: what was measured (T,).
         warmup: samples W.
         start: first sample of the trial that counts.
+        rest: where it begins.
     """
 
     commands: Vec
     angle: Vec
     warmup: int
     start: int
+    rest: TrialStart
 
 
 @final
 class FreeRuns:
     """Free runs of a chain over trials, and their error; every trial has the same weight.
 
-    A run starts at rest (`StagedChain.rest`) at the first command and angle, and is compared after the chain's warm-up.
+    A run starts at rest (`StagedChain.settled`) where its trial does (`models.start`), and is compared after the
+    chain's warm-up. Of a trial that begins in motion the rest is found by `find_starts`, by samples that do not count.
 
     Args:
         chain: its structure; parameters are given with each call.
@@ -232,22 +247,43 @@ class FreeRuns:
         lead_s: float = 0.0,
     ) -> None:
         self._dt, self._staged, self._offset_free = check_trial_set(trials), StagedChain(chain), offset_free
-        warmup, lead = chain.settling_samples, round(lead_s / self._dt)
+        self._box = search_box(command_range(trials), angle_range(trials))
         self.runs = [
-            ScoredRun(
-                np.concatenate([np.full(warmup, trial.command[0]), trial.command]),
-                trial.angle,
-                warmup,
-                max(first_flexure_end(trial) if skip_first_flexure else 0, lead),
-            )
-            for trial in trials
+            self._run(trial, chain.rest_samples, skip_first_flexure, round(lead_s / self._dt)) for trial in trials
         ]
+
+    @staticmethod
+    def _run(trial: Trial, warmup: int, skip_first_flexure: bool, lead: int) -> ScoredRun:
+        rest = trial_start(trial.command, trial.angle, trial.dt, trial.inverted)
+        return ScoredRun(
+            np.concatenate([np.full(warmup, rest.command), trial.command]),
+            trial.angle,
+            warmup,
+            max(first_flexure_end(trial) if skip_first_flexure else 0, lead, rest.lead),
+            rest,
+        )
+
+    @property
+    def in_motion(self) -> bool:
+        """Whether a trial begins in motion."""
+        return any(not run.rest.at_rest for run in self.runs)
+
+    def find_starts(self, p: Vec) -> None:
+        """Let each run that begins in motion begin where the chain with parameters p (P,) finds it."""
+        self.runs = [self._begun(run, p) for run in self.runs]
+
+    def _begun(self, run: ScoredRun, p: Vec) -> ScoredRun:
+        command = run.commands[run.warmup :]
+        rest = found_start(run.rest, command, run.angle, self._dt, self._box, self._staged.rollouts(self._dt, p))
+        warmup = np.concatenate([np.full(self._staged.chain.rest_samples, rest.command), rest.approach])
+        return replace(run, rest=rest, commands=np.concatenate([warmup, command]), warmup=warmup.size)
 
     def angles(self, p: Vec) -> list[Vec]:
         """Outputs (W + T,) of each run at parameters p (P,)."""
         found = []
         for run in self.runs:
-            state = self._staged.rest(run.commands[:1], run.angle[:1], p)
+            rest = np.array([[run.rest.command], [run.rest.angle]])
+            state = self._staged.settled(rest[0], rest[1], self._dt, p)[0]
             found.append(self._staged.simulate(run.commands[:, None], self._dt, state, p)[0][:, 0])
         return found
 
@@ -264,7 +300,8 @@ class FreeRuns:
         """
         residuals, jacobians = [], []
         commands, first = end_to_end([run.commands for run in self.runs])
-        start = self._staged.rest_with_slope(commands[first[:-1]], np.array([run.angle[0] for run in self.runs]), p)
+        rests = np.array([(run.rest.command, run.rest.angle) for run in self.runs]).T
+        start = self._staged.settled(rests[0], rests[1], self._dt, p)
         thetas, gradients = self._staged.differentiate(commands, self._dt, *start, p, first=first)
         parts = zip(self.runs, *(np.split(part, first[1:-1]) for part in (thetas, gradients)), strict=True)
         for run, theta, gradient in parts:

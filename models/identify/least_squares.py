@@ -36,6 +36,7 @@ P = ParamSpec("P")
 R = TypeVar("R")
 
 RESTART_SPREAD = 0.2
+_STARTS_FOUND = 2  # times that trials which begin in motion are given another start
 
 _EDGE = 1e-9
 _JITTER = 1e-13
@@ -129,17 +130,24 @@ def _fitted(
     free = FreeParameters.of(starts[0], fixed)
     runs = FreeRuns(starts[0], trials, settings.skip_first_flexure, settings.offset_free, settings.lead_s)
     search, interrupted = _ChainSearch(runs, free, progress), False
+
+    def minimise(start: Vec) -> None:
+        _minimise(
+            search.evaluate,
+            np.clip(free.part(start), *free.bounds),
+            free.bounds,
+            x_scale="jac",
+            ftol=settings.tolerance,
+            xtol=1e-10,
+            max_nfev=settings.evaluations,
+        )
+
     try:
         for start in _points(starts, search, settings):
-            _minimise(
-                search.evaluate,
-                np.clip(free.part(start), *free.bounds),
-                free.bounds,
-                x_scale="jac",
-                ftol=settings.tolerance,
-                xtol=1e-10,
-                max_nfev=settings.evaluations,
-            )
+            minimise(start)
+        for _ in range(_STARTS_FOUND if runs.in_motion and search.best is not None else 0):
+            search.from_found_starts()
+            minimise(np.asarray(search.best))
     except KeyboardInterrupt:
         interrupted = True
     if search.best is None:
@@ -174,6 +182,12 @@ class _ChainSearch:
         self.best: Vec | None = None
         self.best_rmse = np.inf
         self.losses: list[float] = []
+
+    def from_found_starts(self) -> None:
+        """Let trials that begin in motion begin where the best chain so far finds them; errors count anew."""
+        if self.best is not None:
+            self._runs.find_starts(self.best)
+            self.best_rmse = np.inf
 
     def evaluate(self, q: Vec) -> tuple[Vec, Mat]:
         p = self._free.full(q)

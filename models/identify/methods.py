@@ -23,6 +23,7 @@ from ..evaluate import evaluate
 from ..model import FitProgress
 from ..operators.hysteresis import Backlash
 from ..simulator import ChainModel, Identification, Residual, Simulator
+from ..start import trial_start
 from .adam import AdamSettings, fit_by_adam
 from .chain_fit import ChainFit, ChainTask, in_log_units, told_in_log_units
 from .chain_kinds import Structure, backlash_starts, chain_task, prandtl_ishlinskii_starts
@@ -168,7 +169,7 @@ def simulator_of(
         FitError: on unusable trials, or a backlash whose lines cross within the trained range.
     """
     _check_lines(chain, command_range(trials))
-    dt_s = check_trial_set(trials)
+    dt_s, box = check_trial_set(trials), limits.command or command_range(trials)
 
     def build(residuals: tuple[Residual, ...], noise: NoiseModel | None) -> Simulator:
         return Simulator(
@@ -177,8 +178,8 @@ def simulator_of(
             command_unit=trials[0].units.command,
             angle_unit=trials[0].units.angle,
             inverse=trials[0].inverted,
-            rest_command=_rest_command(trials),
-            command_limits=limits.command or command_range(trials),
+            rest_command=_rest_command(trials, box),
+            command_limits=box,
             command_rate_per_s=limits.rate_per_s or fastest_command(trials),
             trained_command=command_range(trials),
             trained_angle_deg=angle_range(trials),
@@ -201,13 +202,19 @@ def simulator_of(
     return build(tuple(residual(trial, trial, run.theta, run.start) for trial, run in runs), noise)
 
 
-_FROM_BELOW = 0.25  # of the command's range: trials that begin higher up begin elsewhere than at its lower end
+def _rest_command(trials: Sequence[Trial], limits: Range) -> float | None:
+    """Where the device rests before its trials, None for the lower end of what it may be sent."""
+    if trials[0].inverted:
+        return None
+    starts = [trial_start(trial.command, trial.angle, trial.dt) for trial in trials]
+    rests = [start.command for start in starts if start.at_rest]
+    if not rests:
+        return None
+    rest = float(np.median(rests))
+    return rest if rest > limits.lower + _FROM_BELOW * (limits.upper - limits.lower) else None
 
 
-def _rest_command(trials: Sequence[Trial]) -> float | None:
-    """Where the trials begin, None for the lower end: behind a slow drive another start is felt for long."""
-    seen, first = command_range(trials), float(np.median([trial.command[0] for trial in trials]))
-    return first if not trials[0].inverted and first > seen.lower + _FROM_BELOW * (seen.upper - seen.lower) else None
+_FROM_BELOW = 0.01  # of the command's range: trials that begin higher up begin elsewhere than at its lower end
 
 
 def residual(log: Trial, trial: Trial, theta: Vec, start: int) -> Residual:

@@ -12,6 +12,7 @@ from hystmpc.trials.types import Vec
 
 from ..chain import Chain
 from ..effects.effect import CORE, Candidate
+from ..start import Box, found_start
 from .baseline import Baseline
 from .free_run import StagedChain
 from .motion_lines import leaked_power, motions_own
@@ -21,8 +22,8 @@ from .whitening import AS_IT_IS, whitened
 _BLOCK_S = 4.0
 _RIDGE = 1e-9
 _LEAKS = 2.0  # times what leaks from the motion's own frequencies: less is no line of its own
-_UNSEEN = 0.01
-_FAINT = 1e-4  # of the working units: a start that long ago is forgotten
+_FAINT = 1e-4  # of the working units: a start that changes less is forgotten
+_STARTS, _NUDGE = 2, 1e-4  # numbers of a start, and a small change of them
 
 
 @final
@@ -33,7 +34,6 @@ class TrialTerms:
     Attributes:
         shift: offset, gain and width of the trial, to first order: columns 1, theta and d theta / d width.
         own_offset: an offset alone; no effect, as sensors are zeroed anew for a trial.
-        own_start: where a slow drive stood at the start, to first order; no effect, as it need not have come to rest.
         frequency_hz: of a disturbance whose phase each trial has for itself; 0 for none.
         harmonics: of that disturbance.
         width: position of the baseline's width among the unknowns, -1 for none.
@@ -41,7 +41,6 @@ class TrialTerms:
 
     shift: bool = False
     own_offset: bool = False
-    own_start: bool = False
     frequency_hz: float = 0.0
     harmonics: int = 2
     width: int = -1
@@ -52,10 +51,8 @@ class TrialTerms:
         return (*(("trial_shift",) if self.shift else ()), *(("periodic_disturbance",) if self.frequency_hz else ()))
 
     def columns(self, run: Run, theta: Vec, by_q: Vec) -> Vec:
-        """The terms (C, K) at the samples that count; with an own start its derivative is the first of `by_q`."""
+        """The terms (C, K) at the samples that count."""
         made: list[Vec] = [np.ones(theta.size)] if self.own_offset else []
-        if self.own_start and np.max(np.abs(by_q[:, 0]), initial=0.0) > _FAINT:
-            made.append(by_q[:, 0])
         if self.shift:
             made += [np.ones(theta.size), theta - theta.mean()]
             if self.width >= 0 and np.ptp(by_q[:, self.width]) > 0:
@@ -114,13 +111,30 @@ class TrialTerms:
             seen = ~chosen if (~chosen).any() else chosen
             square = columns[seen].T @ columns[seen]
             square += _RIDGE * np.trace(square) * np.eye(square.shape[0])
-            if self.own_start:  # blocks in which the start is forgotten must not say what it was
-                square += _UNSEEN * np.diag(np.sum(columns**2, axis=0))
             left[chosen] -= columns[chosen] @ np.linalg.solve(square, columns[seen].T @ error[seen])
         return left
 
 
 NO_TERMS = TrialTerms()
+
+
+def _from_lead(both: Vec, lead: int) -> Vec:
+    """Let derivatives and error of a run begin where its lead says, in place, and return what the angle moves by (T,).
+
+    The first columns are the derivatives by the two numbers of the start. What they explain of the first `lead`
+    samples, by least squares, is taken off all samples of all other columns: that start is estimated by samples that
+    do not count.
+    """
+    starts, rest = both[:, :_STARTS], both[:, _STARTS:]
+    known = np.max(np.abs(starts[:lead]), axis=0) > _FAINT
+    if not known.any():
+        return np.zeros(both.shape[0])
+    columns = starts[:, known]
+    square = columns[:lead].T @ columns[:lead]
+    square += _RIDGE * np.trace(square) * np.eye(square.shape[0])
+    shares = np.linalg.solve(square, columns[:lead].T @ rest[:lead])
+    rest -= columns @ shares
+    return np.asarray(columns @ shares[:, -1])
 
 
 def strongest_line(runs: list[Run], errors: list[Vec], lowest_hz: float, highest_hz: float) -> float:
@@ -189,9 +203,7 @@ class Problem:
         self._core = slice(at[core], at[core + 1])
         first = core + 1 + len(nominal.after)
         owners = [*((c, k) for k, (c, _) in enumerate(leading)), *((c, first + k) for k, (c, _) in enumerate(trailing))]
-        self._first = int(terms.own_start)  # leading columns of a pass
-        drive = [range(states[k], states[k + 1]) for k, (c, _) in enumerate(leading) if c.effect == "lag"]
-        self._drive = [state for own in drive for state in own]
+        self._before = slice(0, states[core])
         self._carried = [(c.carries, states[k]) for c, k in owners if c.carries]
         kept = {k for name, own in baseline.effects.items() if name not in self._in_core() for k in own.values()}
         kept.update(baseline.held)
@@ -260,19 +272,21 @@ class Problem:
     def angles(self, q: Vec, run: Run) -> Vec:
         """Angles (T,) of a free run [deg]."""
         p = self._values(q)[0]
-        state = self._start(RunsTogether.of([run]), p, np.empty((p.size, 0)))[0]
-        return self._staged.simulate(run.command[:, None], run.dt_s, state, p)[0][:, 0] + run.correction
+        together = RunsTogether.of([run])
+        state = self._start(together, p, np.empty((p.size, 0)))[0]
+        theta = self._staged.simulate(together.command[:, None], run.dt_s, state, p)[0][together.own, 0]
+        return np.asarray(theta + run.correction, dtype=np.float64)
 
     def linearised(self, q: Vec, run: Run) -> tuple[Vec, Vec]:
         """Angles (T,) and their derivative (T, Q)."""
         theta, both = self._pass(q, RunsTogether.of([run]))
-        return theta, both[:, self._first : -1]
+        return theta, both[:, :-1]
 
     def error(self, q: Vec, run: Run) -> tuple[Vec, Vec]:
         """Angle less measurement where it counts (C,) and its derivative (C, Q), a trial's own terms projected out."""
         theta, both = self._pass(q, RunsTogether.of([run]))
         left = self.terms.projected(run, theta[run.scored], both[run.scored])
-        return left[:, -1], left[:, self._first : -1]
+        return left[:, -1], left[:, :-1]
 
     def held_out_error(self, q: Vec, run: Run) -> Vec:
         """Angle less measurement where it counts (C,); what belongs to the trial alone is estimated on other blocks."""
@@ -298,28 +312,48 @@ class Problem:
             scored = [(run, theta[at][run.scored], both[at][run.scored]) for run, at in together.each()]
             parts = [self.terms.projected(*own) for own in scored]
             common = [self.terms.common(*own) for own in scored] if self.terms.apart else []
-        parts = [whitened(part[:, self._first :], white) for part in parts]
-        common = [row[:, self._first :] for row in common]
+        parts = [whitened(part, white) for part in parts]
         return sum((part.T @ part for part in parts), np.zeros((q.size + 1, q.size + 1))), common
+
+    def begun(self, q: Vec, run: Run, box: Box) -> Run:
+        """The run from where this device is found to begin, where it begins in motion; see `found_start`."""
+        runs, measured = self._staged.rollouts(run.dt_s, self._values(q)[0]), run.angle - run.correction
+        return run.begun(found_start(run.start, run.command, measured, run.dt_s, box, runs))
 
     def _pass(self, q: Vec, together: RunsTogether) -> tuple[Vec, Vec]:
         """Angles (T,), their derivative and, in the last column, their error (T, Q + 1) over all samples.
 
-        With an own start the first column is the derivative by the command at which the drive began.
+        A run that begins in motion begins where its lead says, to first order; see `_from_lead`.
         """
         p, slope = self._values(q)
-        seeds = np.column_stack([np.zeros((p.size, self._first)), slope, np.zeros(p.size)])
+        more = _STARTS * any(run.lead for run in together.runs)
+        seeds = np.column_stack([np.zeros((p.size, more)), slope, np.zeros(p.size)])
         state, moving = self._start(together, p, seeds)
-        if self._first:
-            began = np.array([run.rest_command for run in together.runs])
-            moved = self._staged.rest(began + 1.0, began, p) - self._staged.rest(began, began, p)
-            moving[self._drive, :, 0] = moved[self._drive]
+        if more:
+            self._move_starts(together, p, state, moving)
         theta, both = self._staged.differentiate(
             together.command, together.dt_s, state, moving, p, seeds, together.first
         )
+        theta, both = theta[together.own], both[together.own]
         theta += together.correction
         np.subtract(theta, together.angle, out=both[:, -1])
-        return theta, both
+        if not more:
+            return theta, both
+        for run, at in together.each():
+            if run.lead:
+                theta[at] -= _from_lead(both[at], run.lead)
+        return theta, np.ascontiguousarray(both[:, more:])
+
+    def _move_starts(self, together: RunsTogether, p: Vec, state: Vec, moving: Vec) -> None:
+        """Derivative of the states by where what is before the core, and the core, rested; in the first columns."""
+        command, angle = np.array([(run.rest_command, run.rest_angle) for run in together.runs]).T
+        none, leads = np.empty((p.size, 0)), np.array([run.lead > 0 for run in together.runs])
+        for k, (du, dy) in enumerate(((_NUDGE, 0.0), (0.0, _NUDGE))):
+            moved = (self._staged.settled(command + du, angle + dy, together.dt_s, p, none)[0] - state) / _NUDGE
+            part = self._before if k == 0 else slice(self._before.stop, None)
+            moving[part, :, k] = moved[part] * leads
+        for _, index in self._carried:
+            moving[index, :, :_STARTS] = 0.0
 
     def _values(self, q: Vec) -> tuple[Vec, Vec]:
         """Parameters (P,) of the chain and their derivative by the unknowns (P, Q); the last ones are kept.

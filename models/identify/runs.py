@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 from hystmpc.trials.check import LEAST_SAMPLES
 from hystmpc.trials.errors import FitError
 from hystmpc.trials.trial import Trial
-from hystmpc.trials.types import Index, Vec
+from hystmpc.trials.types import Index, Mask, Vec
 
 from ..contract.metadata import DeviceLimits, InitialRule, ModelMetadata, Range
+from ..start import TrialStart, trial_start
 
-_SETTLED_SHARE = 0.002  # of the command's range: a start that moves less is at rest
 _GROUP = 32768  # samples of a group of runs: some MB of derivatives
 
 
@@ -36,6 +36,8 @@ class Run:
         clock_s: time recorded before this trial [s].
         correction: angle of the nominal simulator less that of the chain that represents it (T,) [deg]; zero for a
             chain.
+        lead: first samples that only tell where the run begins, of a trial that begins in motion; they do not count.
+        approach: commands between the rest and the first sample, see `TrialStart`.
     """
 
     name: str
@@ -48,6 +50,17 @@ class Run:
     bent_before: float
     clock_s: float
     correction: Vec
+    lead: int = 0
+    approach: tuple[float, ...] = ()
+
+    @property
+    def start(self) -> TrialStart:
+        """Where the run begins, see `models.start`."""
+        return TrialStart(self.rest_command, self.rest_angle, self.lead, self.approach)
+
+    def begun(self, start: TrialStart) -> Run:
+        """The run from another start on."""
+        return replace(self, rest_command=start.command, rest_angle=start.angle, approach=start.approach)
 
     @cached_property
     def scored(self) -> slice | NDArray[np.bool_]:
@@ -78,26 +91,34 @@ class RunsTogether:
 
     Attributes:
         runs: in order.
-        command, angle, correction: of all runs (T,), see `Run`.
-        first: first sample of each run, and T (N + 1,).
+        command: of all runs with their approaches (A,).
+        first: first sample of each of them, and A (N + 1,).
+        own: samples among these that belong to the trials (T,).
+        angle, correction: of all trials (T,), see `Run`.
+        begin: first sample of each trial among these, and T (N + 1,).
         spans: first sample and end of each stretch that is scored.
     """
 
     runs: tuple[Run, ...]
     command: Vec
+    first: Index
+    own: slice | Mask
     angle: Vec
     correction: Vec
-    first: Index
+    begin: Index
     spans: list[tuple[int, int]]
 
     @classmethod
     def of(cls, runs: Sequence[Run]) -> RunsTogether:
         """Of some runs."""
-        command, first = end_to_end([run.command for run in runs])
-        angle, correction = (
-            np.concatenate(signals) for signals in zip(*((r.angle, r.correction) for r in runs), strict=True)
-        )
-        return cls(tuple(runs), command, angle, correction, first, spans_of(np.concatenate([r.counts for r in runs])))
+        command, first = end_to_end([np.concatenate([run.approach, run.command]) for run in runs])
+        angle, begin = end_to_end([run.angle for run in runs])
+        own: slice | Mask = slice(None)
+        if command.size > angle.size:
+            own = np.concatenate([np.arange(-len(run.approach), run.command.size) >= 0 for run in runs])
+        correction = np.concatenate([run.correction for run in runs])
+        spans = spans_of(np.concatenate([run.counts for run in runs]))
+        return cls(tuple(runs), command, first, own, angle, correction, begin, spans)
 
     @classmethod
     def groups(cls, runs: Sequence[Run]) -> tuple[RunsTogether, ...]:
@@ -118,7 +139,7 @@ class RunsTogether:
 
     def each(self) -> Iterator[tuple[Run, slice]]:
         """Every run and its place."""
-        for run, a, b in zip(self.runs, self.first[:-1].tolist(), self.first[1:].tolist(), strict=True):
+        for run, a, b in zip(self.runs, self.begin[:-1].tolist(), self.begin[1:].tolist(), strict=True):
             yield run, slice(a, b)
 
 
@@ -152,7 +173,10 @@ class Before:
 def runs_of(
     trials: Sequence[Trial], corrections: Sequence[Vec] | None = None, before: Sequence[Before] | None = None
 ) -> tuple[Run, ...]:
-    """Trials in recording order, uniformly sampled, as runs; every sample counts.
+    """Trials in recording order, uniformly sampled, as runs.
+
+    A run begins where its trial does (`models.start.trial_start`). Every sample counts, but for the first of a trial
+    that begins in motion.
 
     Args:
         trials: all that were recorded, or some of them.
@@ -161,31 +185,25 @@ def runs_of(
     """
     runs: list[Run] = []
     before = Before.each(trials) if before is None else before
-    span = max(float(np.ptp(trial.command)) for trial in trials)
     for k, trial in enumerate(trials):
         command = np.ascontiguousarray(trial.command)
+        start = trial_start(trial.command, trial.angle, trial.dt, trial.inverted)
         runs.append(
             Run(
                 name=trial.source,
                 command=command,
                 angle=np.ascontiguousarray(trial.angle),
                 dt_s=trial.dt,
-                rest_command=float(command[0]),
-                rest_angle=_rest_angle(trial, _SETTLED_SHARE * span),
-                counts=np.ones(len(trial), dtype=np.bool_),
+                rest_command=start.command,
+                rest_angle=start.angle,
+                counts=np.arange(len(trial)) >= start.lead,
                 bent_before=max(before[k].bent, float(command[0])),
                 clock_s=before[k].clock_s,
                 correction=np.zeros(len(trial)) if corrections is None else corrections[k],
+                lead=start.lead,
             )
         )
     return tuple(runs)
-
-
-def _rest_angle(trial: Trial, still: float) -> float:
-    """Angle before the first motion: mean of the samples until the command has moved, noise averaged out."""
-    moved = np.flatnonzero(np.abs(trial.command - trial.command[0]) > still)
-    stop = max(int(moved[0]) if moved.size else len(trial), 1)
-    return float(np.mean(trial.angle[: min(stop, round(1.0 / trial.dt) + 1)]))
 
 
 _BLOCK_S = 3.0

@@ -61,6 +61,7 @@ class Drive:
         at = [np.asarray(chain.rest(u, u, chain.values)).ravel() for u in (0.0, 1.0)]
         rest = InitialRule(offset=tuple(at[0].tolist()), slope=tuple((at[1] - at[0]).tolist()))
         own = {"kind": "drive", "initial": rest, "conditioned": rest, "warmup_samples": 0, "noise": None}
+        own |= {"chain": None, "connections": ()}
         self.predictor = CompiledPredictor(chain.transition, chain.values, facts.model_copy(update=own))
         run = self.predictor.kernels
         self._fit = _compiled_fit(run.linearise.__module__)

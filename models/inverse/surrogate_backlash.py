@@ -7,14 +7,15 @@ import numpy as np
 from hystmpc.trials.trial import Trial, Units
 
 from ..chain import Chain
-from ..evaluate import RunnableModel, free_run
+from ..evaluate import free_run
 from ..identify.chain_kinds import backlash_starts
 from ..identify.least_squares import OperatorFitSettings, fit_chain
+from ..model import LoadedModel
 from ..motions import probe_commands
 from ..simulator import Simulator, simulator_for
 
 
-def surrogate_backlash(model: RunnableModel) -> Simulator:
+def surrogate_backlash(model: LoadedModel) -> Simulator:
     """Simulator whose backlash follows the model's free run over a decaying sinusoid of its trained range.
 
     The motion is `probe_commands`; its first flexure does not count.

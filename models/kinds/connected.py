@@ -14,7 +14,7 @@ from ..chain import Chain
 from ..connections import connected_bundle
 from ..contract.export import ExportBundle, model_bytes
 from ..contract.metadata import DeviceLimits
-from ..evaluate import free_run
+from ..evaluate import free_run, started
 from ..identify.auto import AutoFit, runs_to_fit
 from ..identify.auto_search import AutoSettings
 from ..identify.cross_validation import CrossValidation
@@ -188,7 +188,7 @@ def _left(trials: Sequence[Trial], device: Simulator, offsets: bool) -> list[Tri
     front, middle = _parted(device)
     drive, model = front and Drive(front.chain.operators, front.metadata()), ChainModel(middle)
     travels = [behind(drive, trial) if drive else trial for trial in trials]
-    residuals = [travel.angle - model.run(travel.command, float(travel.angle[0])) for travel in travels]
+    residuals = [travel.angle - free_run(model, travel.command, started(model, travel)) for travel in travels]
     return [replace(t, angle=_centred(r, offsets)) for t, r in zip(travels, residuals, strict=True)]
 
 

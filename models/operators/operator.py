@@ -131,6 +131,11 @@ class Operator(ABC):
         """Samples of constant input after which the state no longer depends on how `at_rest` guessed it."""
         return 1
 
+    @property
+    def rest_samples(self) -> int:
+        """Samples of constant input until it rests; 0 where `at_rest` is exact for what the operator can show."""
+        return 0
+
 
 @cache
 def _numbers(kind: type[Operator]) -> dict[str, Number]:

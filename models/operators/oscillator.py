@@ -197,5 +197,10 @@ class StateNetwork(Operator):
         """Its rest has no closed form: the first command is held until what is left of a guess is small."""
         return _SETTLING
 
+    @property
+    def rest_samples(self) -> int:
+        """As long."""
+        return _SETTLING
+
 
 _SETTLING = 500

@@ -178,7 +178,7 @@ def play_kernel_bundle(
 ) -> ExportBundle:
     """Graph, facts, reference and probe of a play-kernel model, ready for `export_onnx`.
 
-    A fresh device has rested at the command at which the trials begin, so that no play is in contact; a conditioned
+    A fresh device has rested at the command at which a trial begins, so that no play is in contact; a conditioned
     one has been flexed to the top of the trained commands and back. The first command is held until the lag has
     settled.
 
@@ -188,12 +188,14 @@ def play_kernel_bundle(
     weights = fit.weights
     step = PlayKernelStep(weights)
     warmup = max(1, math.ceil(_SETTLED_LAGS * fit.choice.lag_s / check_trial_set(trials)))
-    fresh = np.full(weights.state_size, float(np.mean([trial.command[0] for trial in trials])))
+    rest = float(np.mean([trial.command[0] for trial in trials]))
+    fresh = np.full(weights.state_size, rest)
+    moved = {"by_command": (1.0,) * fresh.size, "at_command": rest}
     metadata = facts_of(
         "play_kernel",
         trials,
         limits,
-        (fixed_rule(fresh), fixed_rule(_flexed(step, fresh, trials, warmup))),
+        (fixed_rule(fresh).model_copy(update=moved), fixed_rule(_flexed(step, fresh, trials, warmup))),
         warmup,
         {
             "preset": settings.preset,

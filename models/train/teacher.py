@@ -96,7 +96,7 @@ def _play_kernel(trials: Sequence[Trial]) -> tuple[float, float, Answer]:
     predictor, warmup = PlayKernelPredictor(fit.weights, facts), facts.warmup_samples
 
     def answer(command: Vec, angle: float) -> Vec:
-        state = facts.initial.state(np.array([[angle]]))[0]
+        state = facts.initial.state(np.array([[angle]]), command[None, :1])[0]
         plan = np.concatenate([np.full(warmup, command[0]), command])
         return predictor.rollout(state, plan[None])[0, warmup:]
 

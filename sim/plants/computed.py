@@ -81,7 +81,7 @@ class ComputedPlant(ABC):
         return self._angle
 
     def reset(self) -> float:
-        """Bring the device to rest at its lowest command and return the measured tip angle [deg]."""
+        """Bring the device to rest at its command of rest and return the measured tip angle [deg]."""
         self._restart()
         return self._measured()
 

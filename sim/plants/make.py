@@ -27,7 +27,7 @@ def make_plant(
 
     Args:
         dt_s: sample time [s]; a simulator's own, or 0.04 s, where left out.
-        commands: between which it is flexed, the lowest being its rest; its own limits where left out.
+        commands: between which it is flexed and rests; its own limits where left out.
 
     Raises:
         ConfigError: if a mismatch names an unknown parameter, or the commands lie beyond what a device takes.

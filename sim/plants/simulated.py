@@ -9,7 +9,7 @@ from typing import Any, final
 import numpy as np
 
 from hystmpc.models.chain import Chain
-from hystmpc.models.contract.metadata import Range
+from hystmpc.models.contract.metadata import Range, rest_within
 from hystmpc.models.effects.place import PlacedEffect, effect_from, with_effect
 from hystmpc.models.motions import initialisation_flexure
 from hystmpc.models.operators.dynamics import Delay, Lag
@@ -126,12 +126,13 @@ class SimulatedPlant(ComputedPlant):
     """A chain of operators as a plant.
 
     Before every run the device does its initialisation flexure (S2: one period of 0.1 Hz to the highest command and
-    back) and then rests at the lowest one, so that a reset always finds the same device. Drift and periodic disturbance
-    count from the reset on, sensors start their random numbers anew.
+    back). It then rests at the simulator's `rest_command`, at the lowest one where that has none, so that a reset
+    always finds the same device. Drift and periodic disturbance count from the reset on, sensors start their random
+    numbers anew.
 
     Args:
         dt_s: sample time [s]; the simulator's own where left out.
-        commands: commands between which it is flexed, the lowest being its rest; the simulator's limits where left out.
+        commands: commands between which it is flexed and rests; the simulator's limits where left out.
         seed: of the sensor noise, mixed into the seed of every sensor among the effects; equal seeds give equal noise
             after every reset.
 
@@ -152,11 +153,10 @@ class SimulatedPlant(ComputedPlant):
         dt_s = simulator.dt_s if dt_s is None else dt_s
         self.simulator = plant_simulator(simulator, effects, dt_s)
         self._model = CompiledPredictor.of_simulator(self.simulator)
-        state = self._model.initial(self.simulator.trained_angle_deg.lower, commands.lower)
-        self._rest = (fresh if effects.virgin else conditioned)(self.simulator, state, commands)
+        self._rest = (fresh if effects.virgin else conditioned)(self.simulator, commands)
         self.command_limits = simulator.command_limits
         own = tuple(o for o in simulator.chain.after if isinstance(o, Sensor))
-        super().__init__(dt_s, commands.lower, simulator.command_unit, effects.sensing(own), seed)
+        super().__init__(dt_s, rest_of(simulator, commands), simulator.command_unit, effects.sensing(own), seed)
 
     @property
     def rest(self) -> tuple[float, Vec]:
@@ -172,23 +172,33 @@ class SimulatedPlant(ComputedPlant):
         return self._model.advance(state, u)
 
 
-def conditioned(simulator: Simulator, state: Vec, commands: Range) -> tuple[float, Vec]:
-    """Angle [deg] and state at the lowest command after the initialisation flexure and a rest.
+def rest_of(simulator: Simulator, commands: Range) -> float:
+    """Command at which the device rests within some commands: that of its file, their lower end where it has none."""
+    return rest_within(simulator.rest_command, commands.lower, commands.upper)
+
+
+def conditioned(simulator: Simulator, commands: Range) -> tuple[float, Vec]:
+    """Angle [deg] and state at the command of rest after the initialisation flexure and a rest.
 
     The rest lasts until lags have settled, and creep within ten minutes. What follows a clock stands still meanwhile:
-    the clock starts with the run.
-
-    Args:
-        state: at rest at the lowest command.
+    the clock starts with the run. Before the flexure the device is at its lowest command.
     """
-    flexure = initialisation_flexure(commands, simulator.dt_s, warmup_samples=1)
+    rest = rest_of(simulator, commands)
+    flexure = initialisation_flexure(commands, simulator.dt_s, warmup_samples=1, rest=rest)
     samples = round(settling_s(simulator.chain) / simulator.dt_s)
-    return _run(simulator, state, np.concatenate([flexure, np.full(samples, commands.lower)]))
+    return _run(simulator, _lowest(simulator, commands), np.concatenate([flexure, np.full(samples, rest)]))
 
 
-def fresh(simulator: Simulator, state: Vec, commands: Range) -> tuple[float, Vec]:
-    """Angle [deg] and state at the lowest command of a device that was never bent; arguments as `conditioned`."""
-    return _run(simulator, state, np.full(1, commands.lower))
+def fresh(simulator: Simulator, commands: Range) -> tuple[float, Vec]:
+    """Angle [deg] and state at the command of rest of a device that was never bent further."""
+    rest = rest_of(simulator, commands)
+    samples = round(settling_s(simulator.chain) / simulator.dt_s) if rest > commands.lower else 0
+    return _run(simulator, _lowest(simulator, commands), np.full(1 + samples, rest))
+
+
+def _lowest(simulator: Simulator, commands: Range) -> Vec:
+    """State (S,) at rest at the lowest command, where the device shows the least angle that was seen, or nearly so."""
+    return CompiledPredictor.of_simulator(simulator).initial(simulator.trained_angle_deg.lower, commands.lower)
 
 
 def _run(simulator: Simulator, state: Vec, commands: Vec) -> tuple[float, Vec]:

@@ -15,7 +15,7 @@ from hystmpc.models.identify.baseline import FreeCoreBaseline
 from hystmpc.models.identify.cross_validation import CrossValidation, gain
 from hystmpc.models.identify.free_run import StagedChain
 from hystmpc.models.identify.parts import device_parts
-from hystmpc.models.identify.problem import TrialTerms
+from hystmpc.models.identify.problem import NO_TERMS, TrialTerms
 from hystmpc.models.identify.runs import Blocks, command_range, runs_of
 from hystmpc.models.kinds.catalogue import kind_named
 from hystmpc.models.kinds.kind import FitRequest
@@ -191,7 +191,7 @@ def test_slow_dynamics_are_no_hysteresis_and_do_not_hide_it(core: Operator, kept
 
 
 @pytest.mark.slow
-def test_parts_of_one_log_have_starts_of_their_own_and_trials_from_rest_have_not() -> None:
+def test_parts_of_one_log_begin_where_their_first_seconds_say_and_trials_from_rest_at_rest() -> None:
     """A slow drive that is in motion where a part begins is found only if it may begin there, and is no hysteresis."""
     errors: dict[bool, float] = {}
     whole = started_in_motion(Line(10.0, 5.0), seed=4)
@@ -199,8 +199,9 @@ def test_parts_of_one_log_have_starts_of_their_own_and_trials_from_rest_have_not
     parts = [replace(part, t=part.t - part.t[0], source=f"part_{k}.csv") for k, part in enumerate(parts)]
     for trials, own in ((parts, True), (recorded(Lag(0.15))[:2], False)):
         search = AutoSearch(trials, runs_of(trials), AutoSettings(), lambda share, rmse: None)
+        assert all((run.lead > 0) == own for run in search.runs)
         found = search.run()
-        assert search.terms == TrialTerms(own_start=own)
+        assert search.terms == TrialTerms()
         assert any(c.effect == "lag" for c in found.forms["drive"])
         assert found.core.label.startswith("line") == own
         errors[own] = found.rmse_deg
@@ -226,11 +227,13 @@ def test_where_a_slow_drive_stood_at_the_start_is_no_error_of_its_model() -> Non
     trial = started_in_motion(Line(10.0, 5.0))
     runs = runs_of([replace(trial, command=trial.command + 0.15 * (trial.command - 3.0) * abs(trial.command - 3.0))])
     drive = next(form for form in device_parts(Scale.of(runs))[0].forms if form and form[0].variant == "one pole")
-    core, found = Chain(Line(8.0, 0.0)), []
+    core = Chain(Line(8.0, 0.0))
     validation = CrossValidation(FreeCoreBaseline(core, command_range([trial])), runs, 60)
-    for own_start in (False, True):
-        terms = TrialTerms(own_start=own_start)
-        found.append(validation.with_causes(drive, terms, np.array(core.core.values), [[[2.0]]]))
+    rested = tuple(replace(run, lead=0, counts=np.ones_like(run.counts)) for run in runs)
+    found = [
+        replace(validation, runs=begun).with_causes(drive, NO_TERMS, np.array(core.core.values), [[[2.0]]])
+        for begun in (rested, runs)
+    ]
     at_rest, free = (np.sqrt(fit.mse) for fit in found)
     assert free == pytest.approx(NOISE_DEG, rel=0.05)
     assert at_rest > 2 * free

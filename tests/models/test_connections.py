@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from hystmpc.models.chain import Chain
+from hystmpc.models.chain_spec import chain_spec
 from hystmpc.models.connections import connected_bundle, rest_of
 from hystmpc.models.contract.export import ExportBundle, export_onnx, model_bytes
 from hystmpc.models.contract.load import OnnxModel
@@ -25,7 +26,7 @@ from hystmpc.models.operators.operator import Operator
 from hystmpc.models.operators.slow_changes import Creep
 from hystmpc.models.prediction.build import known_pairs, predictor_for
 from hystmpc.models.prediction.connected import ParallelPredictor, SeriesPredictor
-from hystmpc.models.simulator import ChainModel, chain_spec, simulator_bundle
+from hystmpc.models.simulator import ChainModel, simulator_bundle
 from hystmpc.trials.errors import ModelError
 
 from .lstm_examples import facts, random_weights

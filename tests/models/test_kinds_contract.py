@@ -12,6 +12,7 @@ from hystmpc.models.contract.export import export_onnx
 from hystmpc.models.contract.load import load_onnx
 from hystmpc.models.evaluate import evaluate, free_run
 from hystmpc.models.identify.chain_kinds import FRICTION_KINDS
+from hystmpc.models.identify.estimation_noise import ReferenceModel
 from hystmpc.models.kinds.catalogue import KINDS, kind_named
 from hystmpc.models.kinds.kind import FitRequest, ModelKind
 from hystmpc.models.prediction.build import predictor_for
@@ -79,25 +80,8 @@ def test_a_batch_is_its_rows(case: tuple[str, str]) -> None:
 @every_model
 def test_the_file_runs_as_its_reference(case: tuple[str, str]) -> None:
     one, trial = example(*case), example(*case).trials[1]
-    expected = free_run(Reference(one), trial.command, trial.angle[0])
+    expected = free_run(ReferenceModel(one.found.bundle), trial.command, trial.angle[0])
     np.testing.assert_allclose(free_run(one.model, trial.command, trial.angle[0]), expected, rtol=0, atol=1e-3)
-
-
-class Reference:
-    """The bundle's reference as a model that can run freely."""
-
-    def __init__(self, one: Example) -> None:
-        self.metadata, self._step = one.found.bundle.metadata, one.found.bundle.reference
-        self.nx, self.nu, self.dt = self._step.state_size + 1, 1, self.metadata.dt_s
-
-    def initial(self, y: np.ndarray) -> np.ndarray:
-        return np.hstack([self.metadata.initial.state(y), y])
-
-    def step(self, x: np.ndarray, u: np.ndarray) -> np.ndarray:
-        return np.hstack(self._step.advance(x[:, :-1], u)[::-1])
-
-    def output(self, x: np.ndarray) -> np.ndarray:
-        return x[:, -1:]
 
 
 @every_model
