@@ -65,13 +65,13 @@ def _told_as(function: Any) -> tuple[int, str, int]:
 class _Listener(event.Listener):
     """Tells what numba compiles, its own functions included; what it finds on disk is told by `_Cache`."""
 
-    def on_start(self, what: Any) -> None:
+    def on_start(self, event: Any) -> None:
         """A function is going to be compiled."""
-        PROCESS.begins(*_told_as(what.data["dispatcher"].py_func))
+        PROCESS.begins(*_told_as(event.data["dispatcher"].py_func))
 
-    def on_end(self, what: Any) -> None:
+    def on_end(self, event: Any) -> None:
         """It is compiled, or could not be."""
-        del what
+        del event
         PROCESS.ends()
 
 
