@@ -54,6 +54,7 @@ def find_causes(
     settings: DiagnosisSettings = DEFAULT_SETTINGS,
     say: Callable[[str], None] | None = None,
     ordered: bool = True,
+    skip_first_flexure: bool = False,
 ) -> Findings:
     """All steps up to the verdict: where a simulator departs from its device, which effects cause it, how far they
     close the gap.
@@ -68,8 +69,10 @@ def find_causes(
         say: called before the long part with a line on each trial that is left out and on the expected duration.
         ordered: whether the caller knows that the trials stand in the order of recording, as who recorded them does. If
             not, time stamps or a manifest may tell it; else the result does not depend on their order.
+        skip_first_flexure: count each trial only from the command's first reversal on.
 
     Raises:
+        LogError: if a trial is a proposed motion, or its command never turns where the first flexure is skipped.
         GapError: on unusable trials (`check_trials`), or an unknown effect.
         ModelError: if the simulator is an inverse map.
     """
@@ -77,7 +80,7 @@ def find_causes(
     progress = progress or _no_progress
     clock = _Clock()
     progress(0, _STEPS, "checking the trials")
-    prepared = prepare(trials, simulator, seed, ordered)
+    prepared = prepare(trials, simulator, seed, ordered, skip_first_flexure)
     if say:
         for line in filter(None, (*prepared.checked.left_out, prepared.checked.workload.estimate)):
             say(line)
@@ -184,7 +187,7 @@ def _left_out(without: Sequence[str], only: Sequence[str] | None) -> tuple[str, 
 def _localisation(prepared: PreparedTrials, seed: int) -> Localisation | None:
     """Where the error lies that retuning to all trials leaves: nothing is decided by it, so that none is held out."""
     retuned = CrossValidation(prepared.baseline, prepared.everything).retuned()
-    errors = prepared.residuals(retuned)
+    errors = prepared.scored(prepared.residuals(retuned))
     if not any(np.any(error) for error in errors):
         return None
     width = prepared.decades.command * prepared.baseline.loop_width(retuned.problem.retuned(retuned.q))
@@ -241,7 +244,7 @@ def _diagnosis(findings: Findings, parameters: Sequence[ParameterRow]) -> Diagno
 def _explainable_share(findings: Findings) -> float | None:
     """Share of the structural gap that a flexible model of the command's past explains held out; None without a gap."""
     prepared, conclusion = findings.prepared, findings.conclusion
-    errors = prepared.residuals(findings.attribution.retuned)
+    errors = prepared.scored(prepared.residuals(findings.attribution.retuned))
     mse = float(np.mean(np.concatenate(errors) ** 2))
     structural = mse - conclusion.closed.gap.floor_rmse_deg**2
     if structural <= 0 or conclusion.ruling.case == "moved" or conclusion.ruling.verdict == "none":

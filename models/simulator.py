@@ -25,7 +25,7 @@ from .kernels.program import dense
 from .model import LoadedModel, StepFunction
 from .motions import probe_commands
 from .operators.catalogue import operator_from, operator_spec
-from .operators.dynamics import stored
+from .operators.dynamics import with_room
 
 if TYPE_CHECKING:
     import onnx
@@ -125,6 +125,8 @@ class Simulator:
         command_limits, command_rate_per_s: what the device may be sent.
         trained_command, trained_angle_deg, trained_rate_per_s: what identification saw.
         identification: method, data and residuals.
+
+    A delay whose store is too short at that sample time, as in a file written by hand, gets one that is long enough.
     """
 
     chain: Chain
@@ -140,11 +142,15 @@ class Simulator:
     inverse: bool | None = None
     rest_command: float | None = None
 
+    def __post_init__(self) -> None:
+        chain, dt_s = self.chain, self.dt_s
+        before, after = with_room(chain.before, dt_s), with_room(chain.after, dt_s)
+        if (before, after) != (chain.before, chain.after):
+            object.__setattr__(self, "chain", replace(chain, before=before, after=after))
+
     def at_sample_time(self, dt_s: float) -> Simulator:
-        """The same simulator at sample time `dt_s` [s]: delays get the store that they need at it."""
-        chain = self.chain
-        before, after = stored(chain.before, dt_s), stored(chain.after, dt_s)
-        return replace(self, chain=replace(chain, before=before, after=after), dt_s=dt_s)
+        """The same simulator at sample time `dt_s` [s], see `Chain.at_sample_time`."""
+        return replace(self, chain=self.chain.at_sample_time(dt_s, self.dt_s), dt_s=dt_s)
 
     def save(self, path: Path | str) -> Path:
         """Write the simulator file (`.yaml`), whole or not at all."""

@@ -19,15 +19,16 @@ from hystmpc.models.identify.runs import Run, fingerprint, runs_of
 from hystmpc.models.model import LoadedModel
 from hystmpc.models.simulator import Identification, Simulator
 from hystmpc.trials.errors import GapError, LogError
-from hystmpc.trials.segments import segment
-from hystmpc.trials.trial import Trial, Units, resample
+from hystmpc.trials.segments import first_flexure_end, segment
+from hystmpc.trials.trial import Trial, Units, at_rate
 from hystmpc.trials.types import Vec
 
 from ..diagnosis import Order
+from .as_given import evaluated_mse, evaluation_notes, with_own_rate
 from .check import Checked, check_trials
 from .recording_order import in_recording_order
 from .rest_angles import common_rest
-from .sensor import SensorSigns, repaired, sensor_signs
+from .sensor import SensorSigns, repaired, sensor_signs, white_noise
 from .trial_choice import split_runs
 
 _LEAST_S, _LEAST_TURNS = 15.0, 3
@@ -49,7 +50,7 @@ class PreparedTrials:
         signs: of the sensor.
         baseline: the nominal simulator and the freedom of retuning.
         development, final: runs for the choice of causes, and runs that are evaluated once.
-        everything: all runs, every sample counted; in recording order where it is known, else by content.
+        everything: all runs, all scored samples counted; in recording order where it is known, else by content.
         raw: angles as measured, before the sensor's faults were repaired (T,) each [deg].
         form_mse: model-form error [deg^2]; zero where unknown.
         too_little: why the trials do not allow a diagnosis, in words; empty where they do.
@@ -78,9 +79,17 @@ class PreparedTrials:
         """Measured less simulated angle of every run (T,) each [deg]."""
         return [run.angle - hypothesis.problem.angles(hypothesis.q, run) for run in self.everything]
 
+    def scored(self, residuals: Sequence[Vec]) -> list[Vec]:
+        """Residuals (T,) of every run with zeros where it does not count [deg]."""
+        return [np.where(run.counts, error, 0.0) for run, error in zip(self.everything, residuals, strict=True)]
+
 
 def prepare(
-    trials: Sequence[Trial], simulator: Simulator | LoadedModel, seed: int = 0, ordered: bool = True
+    trials: Sequence[Trial],
+    simulator: Simulator | LoadedModel,
+    seed: int = 0,
+    ordered: bool = True,
+    skip_first_flexure: bool = False,
 ) -> PreparedTrials:
     """Check, resample, repair and split trials, and derive the baseline of the simulator.
 
@@ -89,8 +98,10 @@ def prepare(
         simulator: a chain of operators or an exported model.
         seed: of the choice among more trials than can be diagnosed.
         ordered: whether the trials are known to stand in the order of recording, see `in_recording_order`.
+        skip_first_flexure: count each trial only from the command's first reversal on.
 
     Raises:
+        LogError: if the first flexure is to be skipped and the command of a trial never turns.
         GapError: on unusable trials, see `check_trials` and `in_recording_order`.
         ModelError: if the simulator is an inverse map.
     """
@@ -103,18 +114,23 @@ def prepare(
         _require_size(simulator, decades)
     identification = _identification(simulator, decades)
     nominal = nominal_noise_deg(identification)
-    signs = sensor_signs(decades.trials(checked.recorded), nominal)
+    signs = sensor_signs(decades.trials(checked.given), nominal)
     in_working_units = decades.trials(checked.trials)
     repaired_trials = [repaired(trial, signs) for trial in in_working_units]
     command = Range(
         lower=min(float(t.command.min()) for t in repaired_trials),
         upper=max(float(t.command.max()) for t in repaired_trials),
     )
+    before = [b.scaled(1 / decades.command) for b in checked.before]
     if isinstance(simulator, Simulator):
-        baseline, corrections = baseline_of(decades.chain(simulator.chain), command), None
+        own, chain = (decades.chain(s.chain) for s in (simulator, simulator.at_sample_time(checked.dt)))
+        baseline, runs = baseline_of(chain, command), runs_of(repaired_trials, None, before)
+        runs = with_own_rate(runs, decades.trials(checked.given), chain, own, simulator.dt_s)
     else:
         baseline, corrections = _network_baseline(simulator, repaired_trials, command, decades)
-    runs = runs_of(repaired_trials, corrections, [b.scaled(1 / decades.command) for b in checked.before])
+        runs = runs_of(repaired_trials, corrections, before)
+    if skip_first_flexure:
+        runs = tuple(_from_first_reversal(r, t) for r, t in zip(runs, in_working_units, strict=True))
     if signs.spikes or signs.drops:
         problem = Problem(baseline)
         start = problem.start(baseline.nominal, [])
@@ -123,6 +139,12 @@ def prepare(
     motions = checked.excitation.motions
     form_mse = model_form_mse(identification, trials, motions, _sample_time(simulator))
     runs = common_rest(runs, form_mse)
+    if isinstance(simulator, Simulator):
+        errors = _given_errors(baseline, runs, in_working_units, decades)
+        sizes = float(np.mean(np.concatenate(errors) ** 2)), white_noise(errors) ** 2
+        evaluated = evaluated_mse(simulator, checked.given, skip_first_flexure)
+        notes = evaluation_notes(simulator, *sizes, evaluated, checked.given, checked.dt)
+        checked = replace(checked, notes=(*checked.notes, *notes))
     development, final = split_runs(runs, motions, known)
     new_step = signs.coarse and signs.quantisation_deg > _COARSER * _known_step(identification, decades)
     return PreparedTrials(
@@ -141,6 +163,19 @@ def prepare(
         order=order,
         new_step=new_step,
     )
+
+
+def _given_errors(baseline: Baseline, runs: Sequence[Run], measured: Sequence[Trial], decades: Decades) -> list[Vec]:
+    """Errors of the simulator as given against the angles as measured (C,) each, in the unit of the log."""
+    problem = Problem(baseline)
+    start = problem.start(baseline.nominal, [])
+    pairs = zip(runs, measured, strict=True)
+    return [decades.angle * (problem.angles(start, run) - trial.angle)[run.counts] for run, trial in pairs]
+
+
+def _from_first_reversal(run: Run, trial: Trial) -> Run:
+    """A run that counts from the first reversal of its command on, as `fit` and `evaluate` skip a first flexure."""
+    return replace(run, counts=np.arange(len(trial)) >= first_flexure_end(trial))
 
 
 def _excess_mse(signs: SensorSigns, nominal_deg: float | None, new_step: bool) -> float:
@@ -269,11 +304,11 @@ def _has_seen(identification: Identification, trials: Sequence[Trial], dt_s: flo
 
 
 def _at(trials: Sequence[Trial], rate_hz: float) -> list[Trial]:
-    """The trials resampled to that rate; those that cannot be are left out."""
-    taken = []
+    """The trials at that rate, as an identification takes them; those that cannot be brought to it are left out."""
+    taken: list[Trial] = []
     for trial in trials:
         with suppress(LogError):
-            taken.append(resample(trial, rate_hz))
+            taken += at_rate([trial], rate_hz)
     return taken
 
 

@@ -248,7 +248,7 @@ def _trials(findings: Findings, floor_deg: float) -> tuple[TrialEvidence, ...]:
                 retuned=unit * retuned.problem.angles(retuned.q, run),
                 with_effects=unit * (run.angle + chosen.problem.held_out_error(chosen.q, run)),
                 floor_deg=floor_deg,
-                start=final.get(run.name, 0),
+                start=final.get(run.name, int(np.argmax(run.counts))),
             )
         )
     return tuple(made)

@@ -61,10 +61,11 @@ def corrected_simulator(
         decades: units in which the simulator was fitted and the runs are; the trials are in those of the log.
     """
     chain = decades.log_chain(chosen.problem.fitted_chain(chosen.q))
-    disturbance = _disturbance(chosen, runs[-1], simulator.dt_s, decades)
+    disturbance = _disturbance(chosen, runs[-1], runs[-1].dt_s, decades)
     if disturbance is not None:
         chain = replace(chain, after=(*chain.after, disturbance))
-    names, skip = {run.name for run in development}, simulator.identification.skip_first_flexure
+    names, counted = {run.name for run in development}, all(run.counts.all() for run in runs)
+    skip = simulator.identification.skip_first_flexure or not counted
     fitted = [(run, trial, log) for run, trial, log in zip(runs, trials, given, strict=True) if run.name in names]
     compared = [_compared(chain, decades.angle * run.angle, trial, skip) for run, trial, _ in fitted]
     errors = [(trial.angle - theta)[start:] for trial, theta, start in compared]
@@ -76,7 +77,8 @@ def corrected_simulator(
         residuals=tuple(residual(log, *own) for (*_, log), own in zip(fitted, compared, strict=True)),
         noise=estimation_noise([trial for trial, *_ in compared], errors, chosen.problem.size),
     )
-    return replace(simulator, chain=chain, identification=identification).at_sample_time(simulator.dt_s)
+    corrected = replace(simulator, chain=chain, identification=identification, dt_s=runs[-1].dt_s)
+    return corrected.at_sample_time(simulator.dt_s)
 
 
 def network_effects(
