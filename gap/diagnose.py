@@ -19,8 +19,8 @@ from hystmpc.trials.errors import GapError, did_you_mean
 from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Progress
 
-from .decide.ambiguity import probability, ranking
-from .decide.attribution import DiagnosisSettings, attribute, confirm
+from .decide.ambiguity import agreeing, probability, ranking
+from .decide.attribution import DiagnosisSettings, attribute, confirm, never_worse
 from .decide.configuration import SHIFT, UNITS, Configuration, configuration_of
 from .decide.findings import Findings
 from .decide.retuning import moved_numbers, retuned_with
@@ -40,6 +40,7 @@ if TYPE_CHECKING:
 DEFAULT_SETTINGS = DiagnosisSettings()
 _STEPS, _CONCLUDED = 100, 97  # of the progress
 _STABILITY_UNKNOWN = 0.5
+_SURE_OF_NONE = 0.95  # probability that nothing is missing where every resample says so
 
 
 @one_blas_thread
@@ -91,6 +92,7 @@ def find_causes(
     attribution = attribute(prepared, validation, retuned, left_out, settings, seed, _selection_progress(progress))
     clock.lap("which")
     progress(88, _STEPS, "measuring the gap on the final trials")
+    attribution = never_worse(prepared, attribution)
     conclusion = confirm(prepared, attribution, settings.verdict, seed)
     clock.lap("how far")
     stability = stability_of(prepared, attribution, conclusion, settings, seed)
@@ -201,7 +203,8 @@ def _diagnosis(findings: Findings, parameters: Sequence[ParameterRow]) -> Diagno
     grouped = configuration_of(conclusion.chosen, prepared.everything)
     probabilities = _probabilities(findings, grouped)
     effects = _effects(findings, probabilities, parameters, grouped)
-    ambiguity = tuple(tuple(_called(name, grouped) for name in names) for names in ruling.ambiguity)
+    sets = sorted(ruling.ambiguity, key=lambda names: -probabilities.get(names[0], 0.0))
+    ambiguity = tuple(tuple(_called(name, grouped) for name in names) for names in sets)
     decades, units = prepared.decades, prepared.checked.trials[0].units
     nominal, retuned = (
         {name: decades.log_value(v, BASELINE_UNITS[name]) for name, v in prepared.baseline.quantities(z).items()}
@@ -210,7 +213,8 @@ def _diagnosis(findings: Findings, parameters: Sequence[ParameterRow]) -> Diagno
     library = [name for name in diagnosable() if name not in findings.left_out]
     moved = moved_numbers(prepared, hypothesis, parameters) if ruling.verdict == "retuned" else ()
     sizes, checked = decades.log_sizes(conclusion.closed.gap), prepared.checked
-    ranked = ranking(probabilities, attribution.inclusion, ruling.ambiguity or (unseparated(findings),), library)
+    rivals = ruling.ambiguity or (unseparated(findings),)
+    ranked = ranking(probabilities, attribution.inclusion, rivals, library, _left_open(findings))
     return Diagnosis(
         verdict=ruling.verdict,
         reason=reason_for(
@@ -279,13 +283,26 @@ def _probabilities(findings: Findings, grouped: Configuration | None) -> dict[st
     ambiguous = {name for names in findings.conclusion.ruling.ambiguity for name in names}
     gone = {untestable.name for untestable in _untestable(findings)}
     ambiguous |= {name for name in causes if gone & set(EFFECTS[name].also_taken_for)}
-    stable = findings.stability.share if findings.stability else _STABILITY_UNKNOWN
-    return {
-        name: probability(
-            _called(name, grouped), cause.share, name in ambiguous, stable, bool(confounders(name) & missing)
-        )
-        for name, cause in causes.items()
-    }
+    found = {}
+    for name, cause in causes.items():
+        untried = bool(confounders(name) & missing)
+        chance = probability(_called(name, grouped), cause.share, name in ambiguous, _stable(findings), untried)
+        found[name] = agreeing(chance, findings.attribution.inclusion.get(name, 1.0))
+    return found
+
+
+def _left_open(findings: Findings) -> float:
+    """Probability that an effect is there of which the verdict does not speak.
+
+    Where nothing is missing in the simulator, it is the chance that the verdict is another one.
+    """
+    if findings.conclusion.ruling.verdict not in ("none", "retuned"):
+        return 1.0
+    return 1 - _SURE_OF_NONE * _stable(findings)
+
+
+def _stable(findings: Findings) -> float:
+    return findings.stability.share if findings.stability else _STABILITY_UNKNOWN
 
 
 def _called(name: str, grouped: Configuration | None) -> str:
@@ -299,7 +316,7 @@ def _effects(
     parameters: Sequence[ParameterRow],
     grouped: Configuration | None,
 ) -> tuple[FoundEffect, ...]:
-    """Effects found, largest share first."""
+    """Effects found, the most probable first."""
     closed, decades, log = findings.conclusion.closed, findings.prepared.decades, findings.prepared.checked.trials[0]
     units = {
         name: dict(UNITS) if grouped and name == SHIFT else {r.name: r.unit for r in parameters if r.owner == name}
@@ -321,6 +338,6 @@ def _effects(
             units={parameter: log.units.named(unit) or "1" for parameter, unit in units[name].items()},
             undetermined=tuple(row.name for row in parameters if row.owner == name and row.flat),
         )
-        for name, cause in sorted(closed.causes.items(), key=lambda item: -item[1].share)
+        for name, cause in sorted(closed.causes.items(), key=lambda item: (-probabilities[item[0]], -item[1].share))
     )
     return tuple(decades.log_sizes(effect) for effect in found)

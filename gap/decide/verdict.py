@@ -337,7 +337,10 @@ def reason_for(
     unexplained = "a structural gap that no effect of the library explains"
     if gap.unrepeatable:
         differ = f"repeats of a motion differ by {gap.repeats_rmse_deg:#.3g} {unit}"
-        unexplained = f"{unexplained}: {differ}, and no more is left, so that it does not depend on the command alone"
+        unexplained = (
+            f"{differ}, and retuning leaves no more: what is left does not depend on the command alone, and no effect "
+            "of the library explains it"
+        )
     return {
         "named": f"{names}: {closed}, {100 * gap.unexplained_share:.0f} % unexplained ({sizes})",
         "one_of": f"one of {sets}: these trials cannot tell them apart; {closed} ({sizes})",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -75,6 +76,11 @@ class PreparedTrials:
     order: Order = "known"
     new_step: bool = False
 
+    @property
+    def rounding_deg(self) -> float:
+        """RMS error of readings on a grid; 0 where they lie on none [deg]."""
+        return self.signs.quantisation_deg / math.sqrt(12.0)
+
     def residuals(self, hypothesis: Hypothesis) -> list[Vec]:
         """Measured less simulated angle of every run (T,) each [deg]."""
         return [run.angle - hypothesis.problem.angles(hypothesis.q, run) for run in self.everything]
@@ -113,7 +119,7 @@ def prepare(
     if isinstance(simulator, Simulator):
         _require_size(simulator, decades)
     identification = _identification(simulator, decades)
-    nominal = nominal_noise_deg(identification)
+    nominal = nominal_noise_deg(identification, _known_step(identification, decades))
     signs = sensor_signs(decades.trials(checked.given), nominal)
     in_working_units = decades.trials(checked.trials)
     repaired_trials = [repaired(trial, signs) for trial in in_working_units]
@@ -141,9 +147,7 @@ def prepare(
     runs = common_rest(runs, form_mse)
     if isinstance(simulator, Simulator):
         errors = _given_errors(baseline, runs, in_working_units, decades)
-        sizes = float(np.mean(np.concatenate(errors) ** 2)), white_noise(errors) ** 2
-        evaluated = evaluated_mse(simulator, checked.given, skip_first_flexure)
-        notes = evaluation_notes(simulator, *sizes, evaluated, checked.given, checked.dt)
+        notes = _evaluation_notes(simulator, errors, checked, skip_first_flexure)
         checked = replace(checked, notes=(*checked.notes, *notes))
     development, final = split_runs(runs, motions, known)
     new_step = signs.coarse and signs.quantisation_deg > _COARSER * _known_step(identification, decades)
@@ -163,6 +167,15 @@ def prepare(
         order=order,
         new_step=new_step,
     )
+
+
+def _evaluation_notes(
+    simulator: Simulator, errors: Sequence[Vec], checked: Checked, skip_first_flexure: bool
+) -> tuple[str, ...]:
+    """A sentence where `evaluate` gives another error than these (C,) each, in the unit of the log."""
+    sizes = float(np.mean(np.concatenate(errors) ** 2)), white_noise(errors) ** 2
+    evaluated = evaluated_mse(simulator, checked.given, skip_first_flexure)
+    return evaluation_notes(simulator, *sizes, evaluated, checked.given, checked.dt)
 
 
 def _given_errors(baseline: Baseline, runs: Sequence[Run], measured: Sequence[Trial], decades: Decades) -> list[Vec]:
@@ -312,11 +325,17 @@ def _at(trials: Sequence[Trial], rate_hz: float) -> list[Trial]:
     return taken
 
 
-def nominal_noise_deg(identification: Identification) -> float | None:
-    """Upper bound of the sensor's white noise when the simulator was identified [deg]; None where unknown.
+def nominal_noise_deg(identification: Identification, step_deg: float = 0.0) -> float | None:
+    """Upper bound of the sensor's noise when the simulator was identified [deg]; None where unknown.
 
-    A residual with lag-one correlation c has at most the share 1 - c of its energy in white noise.
+    A residual with lag-one correlation c has at most the share 1 - c of its energy in white noise. The rounding of
+    readings in steps is not white where the angle moves slowly, and counts in full: step / sqrt(12).
+
+    Args:
+        identification: of the simulator.
+        step_deg: of the sensor's readings then; 0 of a continuous sensor.
     """
     if not identification.residuals:
         return None
-    return float(np.median([r.rmse_deg * np.sqrt(max(1 - r.lag_one, 0.0)) for r in identification.residuals]))
+    white = float(np.median([r.rmse_deg * np.sqrt(max(1 - r.lag_one, 0.0)) for r in identification.residuals]))
+    return max(white, step_deg / math.sqrt(12.0))

@@ -1,0 +1,123 @@
+"""No diagnosis and no page of one contradicts itself."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from hystmpc.gap.decide.ambiguity import agreeing, probability, ranking
+from hystmpc.gap.decide.verdict import VERDICTS as CASES
+from hystmpc.gap.decide.verdict import Ruling, VerdictCase, reason_for
+from hystmpc.gap.diagnose import conclude, find_causes
+from hystmpc.gap.diagnosis import Diagnosis, FoundEffect, Gap, Stability, TrackingGap
+from hystmpc.gap.report.report_data import Evidence
+from hystmpc.models.chain import Chain
+from hystmpc.models.effects.catalogue import diagnosable
+from hystmpc.models.operators.slow_changes import Creep
+
+from ..models.zoo import BACKLASH, simulator
+from .consistency import contradictions
+from .engine_examples import moves, trials_of
+from .report_examples import report_data
+
+LIBRARY = list(diagnosable())
+SHARE, SIZE = st.floats(0.0, 1.0), st.floats(1e-4, 50.0)
+
+
+@st.composite
+def diagnoses(draw: st.DrawFn) -> Evidence:
+    """Evidence whose parts are what the steps of a diagnosis make of drawn facts: shares, inclusions, sizes, splits."""
+    case: VerdictCase = draw(st.sampled_from([*CASES]))
+    verdict, stable = CASES[case], draw(SHARE)
+    count = draw(st.integers(1, 4)) if verdict in ("named", "one_of") else 0
+    names = draw(st.lists(st.sampled_from(LIBRARY), min_size=count, max_size=count, unique=True))
+    rivals = [name for name in LIBRARY if name not in names]
+    ambiguity: tuple[tuple[str, ...], ...] = ()
+    if verdict == "one_of":
+        others = draw(st.lists(st.sampled_from(rivals), min_size=1, max_size=3, unique=True))
+        ambiguity = ((names[0], *others),)
+    inclusion = {name: draw(SHARE) for name in LIBRARY}
+    floor, *rest = sorted(draw(st.lists(SIZE, min_size=4, max_size=4)))
+    with_effects, retuned, nominal = rest
+    closed = (retuned**2 - with_effects**2) / max(retuned**2 - floor**2, 1e-12)
+    repeats = draw(st.sampled_from((math.nan, retuned, 1.1 * retuned))) if verdict == "unknown" else math.nan
+    sizes = Gap(nominal, retuned, with_effects, floor, "noise", closed, 1 - closed, (0.0, 1.0), ("a.csv",), repeats)
+    found = []
+    for name in names:
+        share = draw(SHARE)
+        replaceable = any(name == group[0] for group in ambiguity)
+        chance = agreeing(probability(name, share, replaceable, stable), inclusion[name])
+        found.append(FoundEffect(name, chance, inclusion[name], share, (0.0, 1.0), retuned, with_effects, {}, {}))
+    effects = tuple(sorted(found, key=lambda effect: -effect.probability))
+    left_open = 1.0 if verdict not in ("none", "retuned") else 1 - 0.95 * stable
+    ranked = ranking({e.name: e.probability for e in effects}, inclusion, ambiguity, LIBRARY, left_open)
+    moved = draw(st.booleans())
+    plain = report_data(verdict, 3)
+    diagnosis = replace(
+        plain.diagnosis,
+        reason=reason_for(Ruling(case, ambiguity), effects, sizes, "too short", ""),
+        effects=effects,
+        ambiguity=ambiguity,
+        ranking=ranked,
+        gap=sizes,
+        retuned={"gain": (10.0, 10.4 if moved else 10.0)},
+        stability=Stability(stable, 20),
+        next_motion=None,
+    )
+    told = TrackingGap(1.2, 0.4, (1.1, 1.3), (0.35, 0.45))
+    unsure = diagnosis.relies_on_its_split or verdict in ("unknown", "too_little")
+    return replace(plain, diagnosis=replace(diagnosis, tracking=TrackingGap(why_not="why") if unsure else told))
+
+
+@given(diagnoses())
+@settings(deadline=None)
+def test_no_page_contradicts_itself(evidence: Evidence) -> None:
+    assert contradictions(evidence) == []
+
+
+def test_contradictions_are_seen() -> None:
+    """What users ran into, each by its own sentence."""
+    evidence = report_data("named", 3)
+    plain = evidence.diagnosis
+    effect, told = plain.effects[0], TrackingGap(1.2, 0.3, (1.1, 1.3), (0.25, 0.35))
+    seen: dict[str, Diagnosis] = {
+        "likelier than what was found": replace(plain, ranking=(("lag", 0.95), ("creep", 0.93))),
+        "inclusion 0.00": replace(plain, effects=(replace(effect, inclusion=0.0),)),
+        "foretold": replace(plain, stability=Stability(0.3, 20), tracking=told),
+        "worse than as given": replace(plain, gap=replace(plain.gap, nominal_rmse_deg=1.91, retuned_rmse_deg=2.01)),
+        "floor is above": replace(plain, gap=replace(plain.gap, floor_rmse_deg=0.447, retuned_rmse_deg=0.408)),
+        "nothing is missing": replace(plain, verdict="none", effects=(), ranking=(("contact", 0.5),)),
+    }
+    for said, diagnosis in seen.items():
+        assert any(said in each for each in contradictions(replace(evidence, diagnosis=diagnosis))), said
+
+
+@given(
+    st.lists(st.tuples(st.sampled_from(LIBRARY), SHARE), min_size=1, max_size=4, unique_by=lambda row: row[0]),
+    st.lists(st.sampled_from(LIBRARY), max_size=3, unique=True),
+    st.dictionaries(st.sampled_from(LIBRARY), SHARE),
+)
+def test_what_was_found_leads_the_ranking(
+    found: list[tuple[str, float]], others: list[str], inclusion: dict[str, float]
+) -> None:
+    chosen = dict(found)
+    rivals = tuple(name for name in others if name not in chosen)
+    ranked = ranking(chosen, inclusion, ((found[0][0], *rivals),), LIBRARY)
+    chance = dict(ranked)
+    assert ranked[0][0] in chosen
+    assert ranked[0][1] == max(chosen.values())
+    assert [p for _, p in ranked] == sorted(chance.values(), reverse=True)
+    assert all(chance[name] == p for name, p in found)
+    assert all(chance[name] <= chosen[found[0][0]] for name in rivals), "it explains the trials no better"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("before", [(), (Creep((0.3,), (6.0,)),)], ids=["nothing missing", "creep"])
+def test_no_diagnosis_of_a_device_contradicts_itself(before: tuple[Creep, ...]) -> None:
+    trials = trials_of(Chain(BACKLASH, before=before), [moves(seed, 20.0) for seed in range(4)])
+    _, evidence = conclude(find_causes(trials, simulator(Chain(BACKLASH)), seed=1))
+    assert contradictions(evidence) == []
