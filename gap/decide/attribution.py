@@ -188,7 +188,7 @@ def confirm(prepared: PreparedTrials, attribution: Attribution, settings: Verdic
         chosen = attribution.validation.polished(attribution.selection.chosen.hypothesis)
     facts = replace(facts, sensor=provisional.sensor)
     facts, chosen, floor, closed = _proven(prepared, attribution, facts, chosen, seed)
-    repeatable = _floor(prepared, retuned)
+    repeatable = floor_of(prepared, retuned)
     final = FinalFacts(
         closed.gap.closed_share,
         _residual_ratio(closed, prepared.form_mse, floor),
@@ -227,7 +227,7 @@ def _proven(
 ) -> tuple[VerdictFacts, Hypothesis, Floor, GapClosed]:
     """Facts, corrected simulator, floor and sizes, less the causes that do not surely lower the error."""
     while True:
-        floor, jumps = _floor(prepared, chosen), attribution.jumps if facts.jumps else None
+        floor, jumps = floor_of(prepared, chosen), attribution.jumps if facts.jumps else None
         closed = measure(
             prepared, attribution.validation, attribution.retuned, chosen, floor, facts.sensor, jumps, seed
         )
@@ -288,7 +288,7 @@ def _is_gap(prepared: PreparedTrials, mse: float, settings: VerdictSettings) -> 
     return 0 < (settings.no_gap - 1) * prepared.form_mse <= mse
 
 
-def _floor(prepared: PreparedTrials, hypothesis: Hypothesis) -> Floor:
+def floor_of(prepared: PreparedTrials, hypothesis: Hypothesis) -> Floor:
     """What stays with any simulator; what each trial has of its own by a cause is explained, and no part of it.
 
     It is never less than the rounding of the readings, which leaves no noise where the angle rests.

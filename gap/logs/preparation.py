@@ -21,7 +21,7 @@ from hystmpc.models.model import LoadedModel
 from hystmpc.models.simulator import Identification, Simulator
 from hystmpc.trials.errors import GapError, LogError
 from hystmpc.trials.segments import first_flexure_end, segment
-from hystmpc.trials.trial import Trial, Units, at_rate
+from hystmpc.trials.trial import Trial, Units, parts_at_gaps, resample
 from hystmpc.trials.types import Vec
 
 from ..diagnosis import Order
@@ -122,26 +122,9 @@ def prepare(
     nominal = nominal_noise_deg(identification, _known_step(identification, decades))
     signs = sensor_signs(decades.trials(checked.given), nominal)
     in_working_units = decades.trials(checked.trials)
-    repaired_trials = [repaired(trial, signs) for trial in in_working_units]
-    command = Range(
-        lower=min(float(t.command.min()) for t in repaired_trials),
-        upper=max(float(t.command.max()) for t in repaired_trials),
-    )
-    before = [b.scaled(1 / decades.command) for b in checked.before]
-    if isinstance(simulator, Simulator):
-        own, chain = (decades.chain(s.chain) for s in (simulator, simulator.at_sample_time(checked.dt)))
-        baseline, runs = baseline_of(chain, command), runs_of(repaired_trials, None, before)
-        runs = with_own_rate(runs, decades.trials(checked.given), chain, own, simulator.dt_s)
-    else:
-        baseline, corrections = _network_baseline(simulator, repaired_trials, command, decades)
-        runs = runs_of(repaired_trials, corrections, before)
+    baseline, runs = _baseline_and_runs(simulator, checked, signs, decades)
     if skip_first_flexure:
         runs = tuple(_from_first_reversal(r, t) for r, t in zip(runs, in_working_units, strict=True))
-    if signs.spikes or signs.drops:
-        problem = Problem(baseline)
-        start = problem.start(baseline.nominal, [])
-        pairs = zip(runs, in_working_units, strict=True)
-        runs = tuple(replace(r, angle=repaired(t, signs, problem.angles(start, r)).angle) for r, t in pairs)
     motions = checked.excitation.motions
     form_mse = model_form_mse(identification, trials, motions, _sample_time(simulator))
     runs = common_rest(runs, form_mse)
@@ -167,6 +150,32 @@ def prepare(
         order=order,
         new_step=new_step,
     )
+
+
+def _baseline_and_runs(
+    simulator: Simulator | LoadedModel, checked: Checked, signs: SensorSigns, decades: Decades
+) -> tuple[Baseline, tuple[Run, ...]]:
+    """The nominal simulator at the sample time of the trials, and these as runs, faults of the sensor repaired."""
+    trials = decades.trials(checked.trials)
+    repaired_trials = [repaired(trial, signs) for trial in trials]
+    command = Range(
+        lower=min(float(t.command.min()) for t in repaired_trials),
+        upper=max(float(t.command.max()) for t in repaired_trials),
+    )
+    before = [b.scaled(1 / decades.command) for b in checked.before]
+    if isinstance(simulator, Simulator):
+        own, chain = (decades.chain(s.chain) for s in (simulator, simulator.at_sample_time(checked.dt)))
+        baseline, runs = baseline_of(chain, command), runs_of(repaired_trials, None, before)
+        runs = with_own_rate(runs, decades.trials(checked.given), chain, own, simulator.dt_s)
+    else:
+        baseline, corrections = _network_baseline(simulator, repaired_trials, command, decades)
+        runs = runs_of(repaired_trials, corrections, before)
+    if signs.spikes or signs.drops:
+        problem = Problem(baseline)
+        start = problem.start(baseline.nominal, [])
+        pairs = zip(runs, trials, strict=True)
+        runs = tuple(replace(r, angle=repaired(t, signs, problem.angles(start, r)).angle) for r, t in pairs)
+    return baseline, runs
 
 
 def _evaluation_notes(
@@ -308,7 +317,8 @@ def _has_seen(identification: Identification, trials: Sequence[Trial], dt_s: flo
     """Whether it was identified on one of these trials, or on all of them, at any rate."""
     known = {r.fingerprint for r in identification.residuals if r.fingerprint}
     # A file's sample time is rounded: 0.03333333333 s stand for 30 Hz, but 0.03 s for 1 / 0.03 Hz.
-    for taken in (trials, *(_at(trials, rate) for rate in {1 / dt_s, round(1 / dt_s, 4)})):
+    parts = [part for trial in trials for part in _parts(trial)]
+    for taken in (trials, parts, *(_at(parts, rate) for rate in {1 / dt_s, round(1 / dt_s, 4)})):
         if identification.training_data_hash == fingerprint(taken):
             return True
         if any(fingerprint([trial]) in known for trial in taken):
@@ -316,12 +326,19 @@ def _has_seen(identification: Identification, trials: Sequence[Trial], dt_s: flo
     return False
 
 
+def _parts(trial: Trial) -> tuple[Trial, ...]:
+    """The trial cut at its gaps, as an identification takes it; none where it is refused."""
+    with suppress(LogError):
+        return parts_at_gaps(trial)
+    return ()
+
+
 def _at(trials: Sequence[Trial], rate_hz: float) -> list[Trial]:
-    """The trials at that rate, as an identification takes them; those that cannot be brought to it are left out."""
-    taken: list[Trial] = []
+    """The trials resampled to that rate; those that cannot be are left out."""
+    taken = []
     for trial in trials:
         with suppress(LogError):
-            taken += at_rate([trial], rate_hz)
+            taken.append(resample(trial, rate_hz))
     return taken
 
 

@@ -26,6 +26,7 @@ from hystmpc.models.operators.static_curves import Line
 from hystmpc.models.simulator import ChainModel, Simulator
 from hystmpc.trials.check import Severity, time_findings
 from hystmpc.trials.errors import GapError, LogError, ModelError
+from hystmpc.trials.segments import first_flexure_end
 from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Vec
 
@@ -78,7 +79,7 @@ def recorded(given: Simulator, log_hz: float, seed: int, seconds: float = 16.0) 
         theta = staged.simulate(commands[:, None], given.dt_s, rest)[0][:, 0]
         t = np.arange(0.0, fine[-1], 1 / log_hz)
         angle = np.interp(t, fine, theta) + 0.02 * random.standard_normal(t.size)
-        logs.append(Trial(t, np.interp(t, fine, commands), angle, source=f"log_{k}.csv"))
+        logs.append(Trial(t, np.interp(t, fine, commands), angle, source=f"log_{seed}_{k}.csv"))
     return logs
 
 
@@ -93,8 +94,13 @@ def given_rmse(prepared: PreparedTrials) -> float:
     problem = Problem(prepared.baseline)
     start = problem.start(prepared.baseline.nominal, [])
     pairs = zip(prepared.everything, prepared.raw, strict=True)
-    errors = [problem.angles(start, run) - raw for run, raw in pairs]
+    errors = [(problem.angles(start, run) - raw)[run.counts] for run, raw in pairs]
     return prepared.decades.angle * math.sqrt(float(np.mean(np.concatenate(errors) ** 2)))
+
+
+def first_flexure_end_s(log: Trial) -> float:
+    """When the command turns for the first time [s]."""
+    return float(log.t[first_flexure_end(log)])
 
 
 def label(operator: Operator) -> str:
@@ -138,6 +144,25 @@ def test_the_errors_of_evaluate_and_diagnose_are_equal_as_given(own_hz: float, l
         assert evaluated is not None
         assert given_rmse(prepared) == pytest.approx(math.sqrt(evaluated), rel=0.02)
         assert not notes
+
+
+def test_a_first_flexure_is_skipped_as_evaluate_skips_it() -> None:
+    """The same samples count, in a diagnosis of many trials and in one that is cut in parts."""
+    given_one = simulator(Chain(BACKLASH))
+    for count in (1, 2, 4):
+        logs = [log for seed in (1, 2) for log in recorded(given_one, 50.0, seed)][:count]
+        spoilt = [replace(log, angle=log.angle + 9.0 * (log.t < first_flexure_end_s(log))) for log in logs]
+        prepared, evaluated = (
+            prepare(spoilt, given_one, skip_first_flexure=True),
+            evaluated_mse(given_one, spoilt, True),
+        )
+        assert evaluated is not None
+        assert given_rmse(prepared) == pytest.approx(math.sqrt(evaluated), rel=0.02)
+        assert given_rmse(prepared) < 0.1 < given_rmse(prepare(spoilt, given_one))
+        for run in (*prepared.development, *prepared.final):
+            (log,) = (log for log in spoilt if log.source == run.name)
+            assert run.counts.any()
+            assert run.dt_s * np.flatnonzero(run.counts)[0] >= first_flexure_end_s(log) - run.dt_s
 
 
 def test_a_report_warns_where_evaluate_gives_another_error() -> None:

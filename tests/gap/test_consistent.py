@@ -4,20 +4,29 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import Any, cast
 
+import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hystmpc.gap.decide.ambiguity import agreeing, probability, ranking
+from hystmpc.gap.decide.attribution import Attribution, floor_of, never_worse
+from hystmpc.gap.decide.gap_closed import measured_blocks
 from hystmpc.gap.decide.verdict import VERDICTS as CASES
 from hystmpc.gap.decide.verdict import Ruling, VerdictCase, reason_for
 from hystmpc.gap.diagnose import conclude, find_causes
-from hystmpc.gap.diagnosis import Diagnosis, FoundEffect, Gap, Stability, TrackingGap
+from hystmpc.gap.diagnosis import FLIPS, Diagnosis, FoundEffect, Gap, Stability, TrackingGap
+from hystmpc.gap.logs.preparation import PreparedTrials, prepare
 from hystmpc.gap.report.report_data import Evidence
+from hystmpc.gap.tracking.diagnosed import with_tracking
 from hystmpc.models.chain import Chain
+from hystmpc.models.contract.metadata import NoiseModel
 from hystmpc.models.effects.catalogue import diagnosable
+from hystmpc.models.identify.cross_validation import CrossValidation
 from hystmpc.models.operators.slow_changes import Creep
+from hystmpc.models.simulator import Identification, Residual
 
 from ..models.zoo import BACKLASH, simulator
 from .consistency import contradictions
@@ -113,6 +122,60 @@ def test_what_was_found_leads_the_ranking(
     assert [p for _, p in ranked] == sorted(chance.values(), reverse=True)
     assert all(chance[name] == p for name, p in found)
     assert all(chance[name] <= chosen[found[0][0]] for name in rivals), "it explains the trials no better"
+
+
+def attribution_of(prepared: PreparedTrials) -> Attribution:
+    """The retuned simulator, with nothing selected."""
+    validation, nothing = CrossValidation(prepared.baseline, prepared.development), cast("Any", None)
+    return Attribution(validation, validation.retuned(), nothing, {}, None, nothing)
+
+
+@pytest.mark.parametrize("final_gain", [1.0, 1.06, 1.12])
+def test_numbers_that_are_worse_on_final_trials_are_not_taken(final_gain: float) -> None:
+    """The gain moved by 12 % in the trials to choose on, and by less or as much in those that are opened once."""
+    made = trials_of(Chain(BACKLASH), [moves(seed, 12.0) for seed in range(4)])
+    plain = simulator(Chain(BACKLASH))
+    kept_for_the_end = {run.name for run in prepare(made, plain).final}
+    trials = [replace(t, angle=(final_gain if t.source in kept_for_the_end else 1.12) * t.angle) for t in made]
+    prepared = prepare(trials, plain)
+    before = attribution_of(prepared)
+    after = never_worse(prepared, before)
+    problem = before.retuned.problem
+    given_q = problem.start(prepared.baseline.nominal, [])
+    taken = measured_blocks(prepared, after.retuned).mse
+    assert taken <= measured_blocks(prepared, replace(before.retuned, q=given_q)).mse
+    assert (after.retuned is before.retuned) == (final_gain > 1.06)
+
+
+@given(step=st.floats(0.01, 1.5), seed=st.integers(0, 9))
+@settings(max_examples=8, deadline=None)
+def test_no_floor_lies_below_the_rounding_of_the_readings(step: float, seed: int) -> None:
+    """Nor are steps that the sensor had when the simulator was identified a fault of it."""
+    made = trials_of(Chain(BACKLASH), [moves(seed, 12.0), moves(seed + 1, 12.0)], noise_deg=0.0)
+    trials = [replace(trial, angle=step * np.round(trial.angle / step)) for trial in made]
+    residual = Residual(log="a", motion="holds", samples=99, rmse_deg=0.3 * step, bias_deg=0.0, lag_one=0.9)
+    noise = NoiseModel(
+        sensor_sigma_deg=0.3 * step,
+        drift_sigma_deg_per_sqrt_s=0.0,
+        motion_sigma_deg_per_sqrt_unit=0.0,
+        sensor_resolution_deg=step,
+    )
+    known = replace(
+        simulator(Chain(BACKLASH)), identification=Identification(method="fit", residuals=(residual,), noise=noise)
+    )
+    prepared = prepare(trials, known)
+    floor = floor_of(prepared, attribution_of(prepared).retuned)
+    assert min(floor.rmse_deg, floor.noise_deg) >= step / math.sqrt(12) * (1 - 1e-6)
+    assert prepared.excess_mse <= 1e-9
+
+
+def test_no_fall_is_foretold_with_effects_that_flip() -> None:
+    evidence = report_data("named", 3)
+    evidence = replace(evidence, nominal=simulator(Chain(BACKLASH)))
+    flips = replace(evidence, diagnosis=replace(evidence.diagnosis, stability=Stability(0.3, 20), tracking=None))
+    found = with_tracking(flips).diagnosis.tracking
+    assert found is not None
+    assert found.why_not == FLIPS
 
 
 @pytest.mark.slow
