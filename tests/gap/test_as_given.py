@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from hystmpc.gap.logs.as_given import at_own_rate, evaluated_mse
 from hystmpc.gap.logs.preparation import PreparedTrials, prepare
 from hystmpc.gap.logs.trial_choice import choose_trials
+from hystmpc.gap.next.open_hypotheses import free_run
 from hystmpc.models.chain import Chain
 from hystmpc.models.contract.metadata import Range
 from hystmpc.models.evaluate import evaluate
@@ -242,3 +243,12 @@ def test_check_and_diagnose_agree_on_gaps(rows: list[tuple[int, float]], log_hz:
         assert found.severity is not Severity.ERROR
         assert len(chosen.given) == max(found.message.count(" to "), 1)
         assert all(f"{part.t[0]:.6g} to " in found.message or found.severity is Severity.OK for part in chosen.given)
+
+
+@pytest.mark.parametrize("dt_s", [0.01, 0.02, 0.04, 0.1])
+def test_what_is_open_is_simulated_at_the_sample_time_of_its_motion(dt_s: float) -> None:
+    """A motion may be planned at another rate than that of the logs, for which the store of a delay was made."""
+    chain = Chain(Line(10.0, 5.0), before=(Delay(0.16, 4),))
+    t = np.arange(0.0, 6.0, dt_s)
+    theta = free_run(chain, 5.0)(command(t, 1), dt_s)
+    np.testing.assert_allclose(theta, 10.0 * command(np.maximum(t - 0.16, 0.0), 1) + 5.0, atol=1.5 * dt_s * 50 / 4)
