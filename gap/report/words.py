@@ -176,8 +176,8 @@ def floor_words(gap: Gap, unit: str = "deg") -> str:
             "that does not depend on the command alone. The floor is the noise in the upper band of the residual."
         )
     return (
-        "No motion was repeated: the floor is the noise in the upper band of the residual, a lower bound, and every "
-        "share is relative to it."
+        "No motion was repeated: the floor is the noise in the upper band of the residual, or the rounding of the "
+        "readings where that is more. It is a lower bound, and every share is relative to it."
     )
 
 
