@@ -333,7 +333,7 @@ def reason_for(
     sizes = f"retuned {gap.retuned_rmse_deg:#.3g} {unit}, floor {gap.floor_rmse_deg:#.3g} {unit}"
     names = ", ".join(effect.words for effect in effects)
     closed = f"{100 * gap.closed_share:.0f} % of the structural gap closed on trials kept for the end"
-    sets = "; ".join(" or ".join(name.replace("_", " ") for name in names) for names in ruling.ambiguity)
+    sets = "; ".join(_either([name.replace("_", " ") for name in names]) for names in ruling.ambiguity)
     unexplained = "a structural gap that no effect of the library explains"
     if gap.unrepeatable:
         differ = f"repeats of a motion differ by {gap.repeats_rmse_deg:#.3g} {unit}"
@@ -349,6 +349,11 @@ def reason_for(
         "none": f"no structural gap: retuning leaves no more than noise and the simulator's own form error ({sizes})",
         "too_little": f"too little: {too_little} ({sizes})",
     }[ruling.verdict]
+
+
+def _either(names: Sequence[str]) -> str:
+    """Names of a set, as `lag, delay or creep`."""
+    return f"{', '.join(names[:-1])} or {names[-1]}"
 
 
 def _retuned(ruling: Ruling, gap: Gap, moved: Sequence[Moved], unit: str) -> str:
