@@ -16,7 +16,6 @@ from hystmpc.gap.decide.attribution import Attribution, floor_of, never_worse
 from hystmpc.gap.decide.gap_closed import measured_blocks
 from hystmpc.gap.decide.verdict import VERDICTS as CASES
 from hystmpc.gap.decide.verdict import Ruling, VerdictCase, reason_for
-from hystmpc.gap.diagnose import conclude, find_causes
 from hystmpc.gap.diagnosis import FLIPS, Diagnosis, FoundEffect, Gap, Stability, TrackingGap
 from hystmpc.gap.logs.preparation import PreparedTrials, prepare
 from hystmpc.gap.report.report_data import Evidence
@@ -25,7 +24,6 @@ from hystmpc.models.chain import Chain
 from hystmpc.models.contract.metadata import NoiseModel
 from hystmpc.models.effects.catalogue import diagnosable
 from hystmpc.models.identify.cross_validation import CrossValidation
-from hystmpc.models.operators.slow_changes import Creep
 from hystmpc.models.simulator import Identification, Residual
 
 from ..models.zoo import BACKLASH, simulator
@@ -176,11 +174,3 @@ def test_no_fall_is_foretold_with_effects_that_flip() -> None:
     found = with_tracking(flips).diagnosis.tracking
     assert found is not None
     assert found.why_not == FLIPS
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("before", [(), (Creep((0.3,), (6.0,)),)], ids=["nothing missing", "creep"])
-def test_no_diagnosis_of_a_device_contradicts_itself(before: tuple[Creep, ...]) -> None:
-    trials = trials_of(Chain(BACKLASH, before=before), [moves(seed, 20.0) for seed in range(4)])
-    _, evidence = conclude(find_causes(trials, simulator(Chain(BACKLASH)), seed=1))
-    assert contradictions(evidence) == []
