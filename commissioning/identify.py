@@ -11,7 +11,7 @@ import numpy as np
 from hystmpc.ctrl.limits import CommandLimits
 from hystmpc.ctrl.planner.reach import angles_at_rest
 from hystmpc.gap.diagnosis import Diagnosis
-from hystmpc.gap.report.words import closed_sentence, headline
+from hystmpc.gap.report.words import closed_sentence, headline, tracking_sentence
 from hystmpc.gap.whole import diagnose_trials
 from hystmpc.models.contract.metadata import DeviceLimits, Range
 from hystmpc.models.kinds.catalogue import chosen_kind
@@ -162,7 +162,7 @@ class Diagnosed:
     """What the model leaves, in words.
 
     Attributes:
-        verdict: headline, reason and sizes of the gap.
+        verdict: headline, reason, sizes of the gap, and the tracking error that is expected.
         corrected: whether the corrected simulator is used: better on trials that nothing was chosen on.
         next: what to record, empty where nothing is open.
     """
@@ -195,7 +195,7 @@ def diagnose_model(subject: Subject, model: Path, folder: Path, progress: Progre
         save_simulator(corrected, folder / FIXED_FILE)
     motion = diagnosis.next_motion
     return Diagnosed(
-        verdict=(headline(diagnosis), diagnosis.reason, closed_sentence(diagnosis)),
+        verdict=(headline(diagnosis), diagnosis.reason, closed_sentence(diagnosis), tracking_sentence(diagnosis)),
         corrected=corrected is not None,
         next="" if motion is None else f"record {folder.name}/diagnosis/{motion.file} ({motion.duration_s:.0f} s)",
     )

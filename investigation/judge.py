@@ -10,7 +10,7 @@ from typing import Literal
 from hystmpc.commissioning.stages import Figure
 from hystmpc.gap.diagnosis import Diagnosis, Verdict
 from hystmpc.gap.next.open_hypotheses import question
-from hystmpc.gap.report.words import closed_sentence, headline
+from hystmpc.gap.report.words import closed_sentence, headline, tracking_sentence
 from hystmpc.gap.whole import diagnose_trials
 from hystmpc.models.simulator import load_simulator
 from hystmpc.trials.read import read_trials
@@ -35,8 +35,8 @@ class Judged:
     """What a diagnosis of all trials so far says.
 
     Attributes:
-        verdict, effects, ambiguity, reason: of the diagnosis; effects by name, the largest share first.
-        headline, closed: the verdict and the closed share in words.
+        verdict, effects, ambiguity, reason: of the diagnosis; effects by name, the most probable first.
+        headline, closed: the verdict, and in words the closed share and the tracking error that is expected.
         probability: of the first effect; NaN without one.
         closed_share: of the structural gap on the final trials.
         flips: whether verdict and names come out on too few other splits of the trials.
@@ -134,7 +134,7 @@ def judged_of(diagnosis: Diagnosis, trials: int) -> Judged:
         ambiguity=diagnosis.ambiguity,
         reason=diagnosis.reason,
         headline=headline(diagnosis),
-        closed=closed_sentence(diagnosis),
+        closed=" ".join(filter(None, (closed_sentence(diagnosis), tracking_sentence(diagnosis)))),
         probability=diagnosis.effects[0].probability if diagnosis.effects else float("nan"),
         closed_share=gap.closed_share,
         retuned_deg=gap.retuned_rmse_deg,
