@@ -188,7 +188,7 @@ def _left_out(without: Sequence[str], only: Sequence[str] | None) -> tuple[str, 
 
 def _localisation(prepared: PreparedTrials, seed: int) -> Localisation | None:
     """Where the error lies that retuning to all trials leaves: nothing is decided by it, so that none is held out."""
-    retuned = CrossValidation(prepared.baseline, prepared.everything).retuned()
+    retuned = CrossValidation(prepared.baseline, prepared.counted).retuned()
     errors = prepared.scored(prepared.residuals(retuned))
     if not any(np.any(error) for error in errors):
         return None

@@ -51,7 +51,8 @@ class PreparedTrials:
         signs: of the sensor.
         baseline: the nominal simulator and the freedom of retuning.
         development, final: runs for the choice of causes, and runs that are evaluated once.
-        everything: all runs, all scored samples counted; in recording order where it is known, else by content.
+        everything: all runs, every sample counted; in recording order where it is known, else by content.
+        counted: the same, each from its first sample that is scored on.
         raw: angles as measured, before the sensor's faults were repaired (T,) each [deg].
         form_mse: model-form error [deg^2]; zero where unknown.
         too_little: why the trials do not allow a diagnosis, in words; empty where they do.
@@ -69,6 +70,7 @@ class PreparedTrials:
     development: tuple[Run, ...]
     final: tuple[Run, ...]
     everything: tuple[Run, ...]
+    counted: tuple[Run, ...]
     raw: tuple[Vec, ...]
     form_mse: float
     too_little: str
@@ -87,7 +89,7 @@ class PreparedTrials:
 
     def scored(self, residuals: Sequence[Vec]) -> list[Vec]:
         """Residuals (T,) of every run with zeros where it does not count [deg]."""
-        return [np.where(run.counts, error, 0.0) for run, error in zip(self.everything, residuals, strict=True)]
+        return [np.where(run.counts, error, 0.0) for run, error in zip(self.counted, residuals, strict=True)]
 
 
 def prepare(
@@ -123,16 +125,16 @@ def prepare(
     signs = sensor_signs(decades.trials(checked.given), nominal)
     in_working_units = decades.trials(checked.trials)
     baseline, runs = _baseline_and_runs(simulator, checked, signs, decades)
-    if skip_first_flexure:
-        runs = tuple(_from_first_reversal(r, t) for r, t in zip(runs, in_working_units, strict=True))
     motions = checked.excitation.motions
     form_mse = model_form_mse(identification, trials, motions, _sample_time(simulator))
-    runs = common_rest(runs, form_mse)
+    runs = counted = common_rest(runs, form_mse)
+    if skip_first_flexure:
+        counted = tuple(_from_first_reversal(r, t) for r, t in zip(runs, in_working_units, strict=True))
     if isinstance(simulator, Simulator):
-        errors = _given_errors(baseline, runs, in_working_units, decades)
+        errors = _given_errors(baseline, counted, in_working_units, decades)
         notes = _evaluation_notes(simulator, errors, checked, skip_first_flexure)
         checked = replace(checked, notes=(*checked.notes, *notes))
-    development, final = split_runs(runs, motions, known)
+    development, final = split_runs(counted, motions, known)
     new_step = signs.coarse and signs.quantisation_deg > _COARSER * _known_step(identification, decades)
     return PreparedTrials(
         decades=decades,
@@ -143,6 +145,7 @@ def prepare(
         development=development,
         final=final,
         everything=runs,
+        counted=counted,
         raw=tuple(trial.angle for trial in in_working_units),
         form_mse=form_mse,
         too_little=shortage(checked.trials),

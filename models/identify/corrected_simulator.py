@@ -44,6 +44,7 @@ def corrected_simulator(
     trials: Sequence[Trial],
     given: Sequence[Trial],
     decades: Decades,
+    skip_first_flexure: bool = False,
 ) -> Simulator:
     """A simulator retuned, with the effects found.
 
@@ -59,13 +60,13 @@ def corrected_simulator(
         development: those that were fitted.
         trials, given: all trials at the common rate, and as recorded.
         decades: units in which the simulator was fitted and the runs are; the trials are in those of the log.
+        skip_first_flexure: whether the trials counted from their first reversal on only.
     """
     chain = decades.log_chain(chosen.problem.fitted_chain(chosen.q))
     disturbance = _disturbance(chosen, runs[-1], runs[-1].dt_s, decades)
     if disturbance is not None:
         chain = replace(chain, after=(*chain.after, disturbance))
-    names, counted = {run.name for run in development}, all(run.counts.all() for run in runs)
-    skip = simulator.identification.skip_first_flexure or not counted
+    names, skip = {run.name for run in development}, simulator.identification.skip_first_flexure or skip_first_flexure
     fitted = [(run, trial, log) for run, trial, log in zip(runs, trials, given, strict=True) if run.name in names]
     compared = [_compared(chain, decades.angle * run.angle, trial, skip) for run, trial, _ in fitted]
     errors = [(trial.angle - theta)[start:] for trial, theta, start in compared]

@@ -14,6 +14,7 @@ from hystmpc.gap.logs.as_given import at_own_rate, evaluated_mse
 from hystmpc.gap.logs.preparation import PreparedTrials, prepare
 from hystmpc.gap.logs.trial_choice import choose_trials
 from hystmpc.gap.next.open_hypotheses import free_run
+from hystmpc.gap.whole import diagnose_trials
 from hystmpc.models.chain import Chain
 from hystmpc.models.contract.metadata import Range
 from hystmpc.models.evaluate import evaluate
@@ -32,6 +33,7 @@ from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Vec
 
 from ..models.zoo import BACKLASH, EXAMPLES, simulator
+from .consistency import contradictions
 
 OUTPUTS = ("deadband", "periodic_disturbance", "sensor")
 RATES = (10.0, 12.5, 25.0, 30.0, 50.0, 80.0, 100.0, 250.0)
@@ -94,7 +96,7 @@ def given_rmse(prepared: PreparedTrials) -> float:
     """RMSE of the simulator as given over all trials, as a diagnosis has it [deg]."""
     problem = Problem(prepared.baseline)
     start = problem.start(prepared.baseline.nominal, [])
-    pairs = zip(prepared.everything, prepared.raw, strict=True)
+    pairs = zip(prepared.counted, prepared.raw, strict=True)
     errors = [(problem.angles(start, run) - raw)[run.counts] for run, raw in pairs]
     return prepared.decades.angle * math.sqrt(float(np.mean(np.concatenate(errors) ** 2)))
 
@@ -252,3 +254,18 @@ def test_what_is_open_is_simulated_at_the_sample_time_of_its_motion(dt_s: float)
     t = np.arange(0.0, 6.0, dt_s)
     theta = free_run(chain, 5.0)(command(t, 1), dt_s)
     np.testing.assert_allclose(theta, 10.0 * command(np.maximum(t - 0.16, 0.0), 1) + 5.0, atol=1.5 * dt_s * 50 / 4)
+
+
+@pytest.mark.slow
+def test_a_whole_diagnosis_skips_the_first_flexure() -> None:
+    """A set in the first motion of every trial is a gap, and none of what comes after it."""
+    given_one = simulator(Chain(BACKLASH))
+    logs = [log for seed in (1, 2) for log in recorded(given_one, 25.0, seed)]
+    spoilt = [replace(log, angle=log.angle + 9.0 * (log.t < first_flexure_end_s(log))) for log in logs]
+    done = diagnose_trials(spoilt, given_one, skip_first_flexure=True)
+    assert done.diagnosis.verdict == "none"
+    assert done.diagnosis.gap.nominal_rmse_deg < 0.1
+    assert done.evidence.fixed is not None
+    assert done.evidence.fixed.identification.skip_first_flexure
+    assert all(trial.start > 0 and trial.rmse("nominal") < 0.1 for trial in done.evidence.trials)
+    assert contradictions(done.evidence) == []
