@@ -188,7 +188,7 @@ class FinalErrors:
     def _between_trials(self, floor_mse: float) -> float:
         """Half of the 90 % interval that is due to differences between trials, as a share of the closed share."""
         shares = []
-        for run in self._prepared.everything:
+        for run in self._prepared.counted:
             before, after = (
                 float(np.mean(h.problem.held_out_error(h.q, run) ** 2)) for h in (self._retuned, self._chosen)
             )
