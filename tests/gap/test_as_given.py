@@ -124,8 +124,8 @@ def own_rmse(given: Simulator, prepared: PreparedTrials, logs: list[Trial]) -> f
     for log, run in zip(logs, prepared.everything, strict=True):
         own = at_own_rate(log, given.dt_s)
         assert own is not None
-        rest = prepared.decades.command * run.rest_command, prepared.decades.angle * run.rest_angle
-        state = staged.settled(*(np.array([value]) for value in rest), given.dt_s)[0]
+        began = np.array([prepared.decades.command * run.rest_command])
+        state = staged.settled(began, np.array([prepared.decades.angle * run.rest_angle]), given.dt_s)[0]
         errors.append(staged.simulate(own.command[:, None], given.dt_s, state)[0][:, 0] - own.angle)
     return math.sqrt(float(np.mean(np.concatenate(errors) ** 2)))
 
