@@ -336,6 +336,7 @@ def diagnose(
     only: Sequence[str] | None = None,
     seed: int = 1,
     ordered: bool = False,
+    skip_first_flexure: bool = False,
     progress: Progress | None = None,
 ) -> Diagnosis:
     """Say where a simulator departs from its device, which effects cause it, and how far they close the gap.
@@ -350,6 +351,7 @@ def diagnose(
         seed: of every resampling.
         ordered: whether the trials stand in the order of recording. If not, time stamps or a manifest may tell it; else
             it is unknown, and the result does not depend on the order given.
+        skip_first_flexure: count each trial only from the command's first reversal on.
         progress: called with steps done, steps in all and what is done.
 
     Raises:
@@ -358,28 +360,25 @@ def diagnose(
         ModelError: if the simulator cannot be opened or is an inverse map.
         ConfigError: if `out` holds anything but an older diagnosis.
     """
-    from hystmpc.gap import diagnose as gap
-    from hystmpc.gap.report.folder import require_free, save_diagnosis
-    from hystmpc.gap.tracking.diagnosed import with_tracking
+    from hystmpc.gap.whole import diagnose_trials
     from hystmpc.models.load import model_path
     from hystmpc.models.simulator import ChainModel
 
-    if out is not None:
-        require_free(out)
     opened, recorded = _opened(simulator), read_trials(trials, preset)
-    nominal = opened.simulator if isinstance(opened, ChainModel) else opened
-    findings = gap.find_causes(
-        recorded, nominal, seed=seed, without=without, only=only, progress=progress, ordered=ordered
+    done = diagnose_trials(
+        recorded,
+        opened.simulator if isinstance(opened, ChainModel) else opened,
+        out=out,
+        called={"sim": str(simulator), "preset": str(preset)},
+        model=Path(model_path(str(simulator))) if isinstance(simulator, Path | str) else None,
+        seed=seed,
+        without=without,
+        only=only,
+        ordered=ordered,
+        skip_first_flexure=skip_first_flexure,
+        progress=progress,
     )
-    evidence = with_tracking(gap.conclude(findings, progress)[1], progress)
-    if out is None:
-        return evidence.diagnosis
-    logs = [trial.source for trial in recorded]
-    settings = {"logs": logs, "sim": str(simulator), "preset": str(preset), "seed": seed, "without": list(without)}
-    settings["ordered"] = ordered
-    files = (model_path(str(simulator)),) if isinstance(simulator, Path | str) else ()
-    save_diagnosis(evidence, out, settings, models=files)
-    return evidence.diagnosis
+    return done.diagnosis
 
 
 @in_a_line
@@ -602,9 +601,9 @@ def _directed(trials: Logs, preset: Layout, rate_hz: float, inverse: bool) -> li
 
 def _at_rate(trials: Logs, preset: Layout, rate_hz: float) -> list[Trial]:
     """Trials on a uniform grid of that rate, see `at_rate`."""
-    from hystmpc.trials.check import require_sound
+    from hystmpc.trials.recording import require_recorded
 
     recorded = read_trials(trials, preset)
     for trial in recorded:
-        require_sound(trial)
+        require_recorded(trial)
     return at_rate(recorded, rate_hz)

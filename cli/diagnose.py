@@ -4,22 +4,23 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from hystmpc.trials.errors import ConfigError, LogError
+from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.figure_folder import figures_to
 from hystmpc.trials.files import require_writable
 from hystmpc.trials.read import read_trials
+from hystmpc.trials.recording import require_recorded
 from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Progress
 
 from .bars import Bar, bar
 from .console import errors, out, table
-from .options import Figures, Layout, Sim, check_figures, simulator_at, warn_of_units
+from .options import Figures, Layout, Sim, SkipFirstFlexure, check_figures, simulator_at, warn_of_units
 from .time_left import Pace
 
 if TYPE_CHECKING:
@@ -48,9 +49,13 @@ def diagnose(
     without: Annotated[
         list[str] | None, typer.Option("--without", help="Leave this effect out of the library; repeatable.")
     ] = None,
+    only: Annotated[
+        list[str] | None, typer.Option("--only", help="Look for this effect and those named so alone; repeatable.")
+    ] = None,
     ordered: Annotated[
         bool, typer.Option("--ordered", help="LOG... are in recording order; else time stamps or a manifest tell it.")
     ] = False,
+    skip_first_flexure: SkipFirstFlexure = False,
     figures: Figures = None,
     self_test: Annotated[
         bool, typer.Option("--self-test", help="Recover known truths instead of reading logs.")
@@ -66,7 +71,17 @@ def diagnose(
     files, sim, folder = _complete(logs, sim, folder)
     check_figures(figures)
     with figures_to(figures):
-        diagnosis = _diagnosed(files, sim, folder, preset, seed, tuple(without or ()), ordered)
+        diagnosis = _diagnosed(
+            files,
+            sim,
+            folder,
+            preset,
+            seed=seed,
+            without=tuple(without or ()),
+            only=tuple(only) if only else None,
+            ordered=ordered,
+            skip_first_flexure=skip_first_flexure,
+        )
     if as_json:
         from hystmpc.gap.report.folder import diagnosis_json
 
@@ -76,18 +91,15 @@ def diagnose(
     out.print(f"report: {folder / 'report.html'}", soft_wrap=True, highlight=False)
 
 
-def _diagnosed(
-    files: Sequence[Path], sim: Path, folder: Path, preset: str, seed: int, without: tuple[str, ...], ordered: bool
-) -> Diagnosis:
+def _diagnosed(files: Sequence[Path], sim: Path, folder: Path, preset: str, **chosen: Any) -> Diagnosis:
     """Diagnose and write the folder; what is unusable is refused before the long part."""
-    from hystmpc.gap.report.folder import require_free, save_diagnosis
+    from hystmpc.gap.report.folder import require_free
 
     require_writable(folder)
     require_free(folder)
     simulator = simulator_at(sim)
     trials = _recorded(files, preset)
-    from hystmpc.gap.diagnose import conclude, find_causes  # compiles: kept out of the way of refusals
-    from hystmpc.gap.tracking.diagnosed import with_tracking
+    from hystmpc.gap.whole import diagnose_trials  # compiles: kept out of the way of refusals
     from hystmpc.models.load import model_path
 
     with bar("diagnose", pace=_PACE) as show:
@@ -95,20 +107,18 @@ def _diagnosed(
         def told(done: float, total: float, note: str = "", /) -> None:
             show(done, note, total=total + _REPORT)
 
-        findings = find_causes(trials, simulator, seed=seed, without=without, progress=told, say=_say, ordered=ordered)
-        evidence = with_tracking(conclude(findings, told)[1], told)
-        told(100, 100, "writing the report")
-        settings = {
-            "logs": [str(file) for file in files],
-            "sim": str(sim),
-            "preset": preset,
-            "seed": seed,
-            "without": list(without),
-            "ordered": ordered,
-        }
-        save_diagnosis(replace(evidence, simulator=sim.name), folder, settings, models=(model_path(str(sim)),))
+        done = diagnose_trials(
+            trials,
+            simulator,
+            out=folder,
+            called={"sim": str(sim), "preset": preset},
+            model=Path(model_path(str(sim))),
+            progress=told,
+            say=_say,
+            **chosen,
+        )
         told(100 + _REPORT, 100, "writing the report")
-    return evidence.diagnosis
+    return done.diagnosis
 
 
 def print_diagnosis(diagnosis: Diagnosis) -> None:
@@ -152,13 +162,10 @@ def _complete(logs: list[Path] | None, sim: Path | None, folder: Path | None) ->
 
 
 def _recorded(files: Sequence[Path], layout: str) -> list[Trial]:
-    """Trials as recorded; a motion that was proposed but not yet recorded is told from a log."""
-    from hystmpc.gap.next.motion_design import SEPARATION_COLUMN
-
+    """Trials as recorded, all of them fit for a diagnosis."""
     trials = read_trials(files, layout)
     for trial in trials:
-        if SEPARATION_COLUMN in trial.channels:
-            raise LogError(f"{trial.source}: is a motion proposed by a diagnosis, expected what was recorded on it")
+        require_recorded(trial)
     warn_of_units(trials)
     return trials
 

@@ -14,7 +14,7 @@ import typer
 
 from hystmpc.models.contract.checks import parse_model
 from hystmpc.models.contract.metadata import PREFIX
-from hystmpc.trials.check import Severity, check, require_sound
+from hystmpc.trials.check import Severity, check
 from hystmpc.trials.clock_findings import gaps_said
 from hystmpc.trials.config import read_yaml
 from hystmpc.trials.errors import ConfigError, HystmpcError, ModelError
@@ -22,6 +22,7 @@ from hystmpc.trials.files import require_writable
 from hystmpc.trials.from_outside import allow_python
 from hystmpc.trials.layouts import PRESETS
 from hystmpc.trials.read import expand_logs, read_trials
+from hystmpc.trials.recording import require_recorded
 from hystmpc.trials.run_folder import require_vacant
 from hystmpc.trials.trial import Trial, at_rate, parts_at_gaps
 
@@ -90,7 +91,7 @@ def trials_at(logs: Sequence[Path], layout: str, rate_hz: float, sampled_hz: flo
     """
     recorded = read_trials(logs, layout, sampled_hz=sampled_hz)
     for trial in recorded:
-        require_sound(trial)
+        require_recorded(trial)
         if said := gaps_said(trial, parts_at_gaps(trial)):
             errors.print(f"note: {trial.source}: {said}", soft_wrap=True, highlight=False)
     trials = at_rate(recorded, rate_hz)

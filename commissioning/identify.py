@@ -10,18 +10,18 @@ import numpy as np
 
 from hystmpc.ctrl.limits import CommandLimits
 from hystmpc.ctrl.planner.reach import angles_at_rest
-from hystmpc.gap.diagnose import conclude, find_causes
 from hystmpc.gap.diagnosis import Diagnosis
-from hystmpc.gap.report.folder import save_diagnosis
-from hystmpc.gap.report.words import closed_sentence, headline
+from hystmpc.gap.report.words import closed_sentence, headline, tracking_sentence
+from hystmpc.gap.whole import diagnose_trials
 from hystmpc.models.contract.metadata import DeviceLimits, Range
 from hystmpc.models.kinds.catalogue import chosen_kind
 from hystmpc.models.kinds.kind import FitRequest
 from hystmpc.models.simulator import load_simulator, save_simulator
 from hystmpc.sim.study import knowledge
-from hystmpc.trials.check import Severity, check, require_sound
+from hystmpc.trials.check import Severity, check
 from hystmpc.trials.errors import FitError, LogError
 from hystmpc.trials.read import read_trials
+from hystmpc.trials.recording import require_recorded
 from hystmpc.trials.trial import Trial, at_rate
 from hystmpc.trials.types import Progress
 
@@ -95,7 +95,7 @@ def uniform_trials(subject: Subject) -> list[Trial]:
     """
     recorded = read_trials(subject.trials)
     for trial in recorded:
-        require_sound(trial)
+        require_recorded(trial)
     return at_rate(recorded, subject.rate_hz)
 
 
@@ -162,7 +162,7 @@ class Diagnosed:
     """What the model leaves, in words.
 
     Attributes:
-        verdict: headline, reason and sizes of the gap.
+        verdict: headline, reason, sizes of the gap, and the tracking error that is expected.
         corrected: whether the corrected simulator is used: better on trials that nothing was chosen on.
         next: what to record, empty where nothing is open.
     """
@@ -181,16 +181,21 @@ def diagnose_model(subject: Subject, model: Path, folder: Path, progress: Progre
         KeyboardInterrupt: if the user ended it; nothing is kept.
     """
     trials, simulator, seed = uniform_trials(subject), load_simulator(model), subject.block.seed
-    findings = find_causes(trials, simulator, seed=seed, progress=progress)
-    diagnosis, evidence = conclude(findings, progress)
-    settings = {"logs": [str(f) for f in subject.trials], "sim": str(model), "seed": seed}
-    save_diagnosis(evidence, folder / "diagnosis", settings, models=(model,))
-    corrected = evidence.fixed if certified(diagnosis) else None
+    done = diagnose_trials(
+        trials,
+        simulator,
+        out=folder / "diagnosis",
+        called={"sim": str(model)},
+        model=model,
+        seed=seed,
+        progress=progress,
+    )
+    diagnosis, corrected = done.diagnosis, done.evidence.fixed if certified(done.diagnosis) else None
     if corrected is not None:
         save_simulator(corrected, folder / FIXED_FILE)
     motion = diagnosis.next_motion
     return Diagnosed(
-        verdict=(headline(diagnosis), diagnosis.reason, closed_sentence(diagnosis)),
+        verdict=(headline(diagnosis), diagnosis.reason, closed_sentence(diagnosis), tracking_sentence(diagnosis)),
         corrected=corrected is not None,
         next="" if motion is None else f"record {folder.name}/diagnosis/{motion.file} ({motion.duration_s:.0f} s)",
     )

@@ -20,8 +20,8 @@ from hystmpc.trials.errors import GapError, did_you_mean
 from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Progress
 
-from .decide.ambiguity import probability, ranking
-from .decide.attribution import DiagnosisSettings, attribute, confirm
+from .decide.ambiguity import agreeing, probability, ranking
+from .decide.attribution import DiagnosisSettings, attribute, confirm, never_worse
 from .decide.configuration import SHIFT, UNITS, Configuration, configuration_of
 from .decide.findings import Findings
 from .decide.retuning import moved_numbers, retuned_with
@@ -43,6 +43,7 @@ _STEPS, _CONCLUDED = 100, 97  # of the progress
 _COMPILES_S = 75.0  # where nothing is on disk: the kernels of all effects
 _LEFT_BY_A_ROUND = 0.6  # of the progress of the selection
 _STABILITY_UNKNOWN = 0.5
+_SURE_OF_NONE = 0.95  # probability that nothing is missing where every resample says so
 
 
 @one_blas_thread
@@ -58,6 +59,7 @@ def find_causes(
     settings: DiagnosisSettings = DEFAULT_SETTINGS,
     say: Callable[[str], None] | None = None,
     ordered: bool = True,
+    skip_first_flexure: bool = False,
 ) -> Findings:
     """All steps up to the verdict: where a simulator departs from its device, which effects cause it, how far they
     close the gap.
@@ -72,8 +74,10 @@ def find_causes(
         say: called before the long part with a line on each trial that is left out and on the expected duration.
         ordered: whether the caller knows that the trials stand in the order of recording, as who recorded them does. If
             not, time stamps or a manifest may tell it; else the result does not depend on their order.
+        skip_first_flexure: count each trial only from the command's first reversal on.
 
     Raises:
+        LogError: if a trial is a proposed motion, or its command never turns where the first flexure is skipped.
         GapError: on unusable trials (`check_trials`), or an unknown effect.
         ModelError: if the simulator is an inverse map.
     """
@@ -81,7 +85,7 @@ def find_causes(
     progress = progress or _no_progress
     clock = _Clock()
     progress(0, _STEPS, "checking the trials")
-    prepared = prepare(trials, simulator, seed, ordered)
+    prepared = prepare(trials, simulator, seed, ordered, skip_first_flexure)
     if say:
         for line in filter(None, (*prepared.checked.left_out, prepared.checked.workload.estimate)):
             say(line)
@@ -92,6 +96,7 @@ def find_causes(
     attribution = attribute(prepared, validation, retuned, left_out, settings, seed, _selection_progress(progress))
     clock.lap("which")
     progress(88, _STEPS, "measuring the gap on the final trials")
+    attribution = never_worse(prepared, attribution)
     conclusion = confirm(prepared, attribution, settings.verdict, seed)
     clock.lap("how far")
     stability = stability_of(prepared, attribution, conclusion, settings, seed)
@@ -191,8 +196,8 @@ def _left_out(without: Sequence[str], only: Sequence[str] | None) -> tuple[str, 
 
 def _localisation(prepared: PreparedTrials, seed: int) -> Localisation | None:
     """Where the error lies that retuning to all trials leaves: nothing is decided by it, so that none is held out."""
-    retuned = CrossValidation(prepared.baseline, prepared.everything).retuned()
-    errors = prepared.residuals(retuned)
+    retuned = CrossValidation(prepared.baseline, prepared.counted).retuned()
+    errors = prepared.scored(prepared.residuals(retuned))
     if not any(np.any(error) for error in errors):
         return None
     width = prepared.decades.command * prepared.baseline.loop_width(retuned.problem.retuned(retuned.q))
@@ -206,7 +211,8 @@ def _diagnosis(findings: Findings, parameters: Sequence[ParameterRow]) -> Diagno
     grouped = configuration_of(conclusion.chosen, prepared.everything)
     probabilities = _probabilities(findings, grouped)
     effects = _effects(findings, probabilities, parameters, grouped)
-    ambiguity = tuple(tuple(_called(name, grouped) for name in names) for names in ruling.ambiguity)
+    sets = sorted(ruling.ambiguity, key=lambda names: -probabilities.get(names[0], 0.0))
+    ambiguity = tuple(tuple(_called(name, grouped) for name in names) for names in sets)
     decades, units = prepared.decades, prepared.checked.trials[0].units
     nominal, retuned = (
         {name: decades.log_value(v, BASELINE_UNITS[name]) for name, v in prepared.baseline.quantities(z).items()}
@@ -215,7 +221,8 @@ def _diagnosis(findings: Findings, parameters: Sequence[ParameterRow]) -> Diagno
     library = [name for name in diagnosable() if name not in findings.left_out]
     moved = moved_numbers(prepared, hypothesis, parameters) if ruling.verdict == "retuned" else ()
     sizes, checked = decades.log_sizes(conclusion.closed.gap), prepared.checked
-    ranked = ranking(probabilities, attribution.inclusion, ruling.ambiguity or (unseparated(findings),), library)
+    rivals = ruling.ambiguity or (unseparated(findings),)
+    ranked = ranking(probabilities, attribution.inclusion, rivals, library, _left_open(findings))
     return Diagnosis(
         verdict=ruling.verdict,
         reason=reason_for(
@@ -249,7 +256,7 @@ def _diagnosis(findings: Findings, parameters: Sequence[ParameterRow]) -> Diagno
 def _explainable_share(findings: Findings) -> float | None:
     """Share of the structural gap that a flexible model of the command's past explains held out; None without a gap."""
     prepared, conclusion = findings.prepared, findings.conclusion
-    errors = prepared.residuals(findings.attribution.retuned)
+    errors = prepared.scored(prepared.residuals(findings.attribution.retuned))
     mse = float(np.mean(np.concatenate(errors) ** 2))
     structural = mse - conclusion.closed.gap.floor_rmse_deg**2
     if structural <= 0 or conclusion.ruling.case == "moved" or conclusion.ruling.verdict == "none":
@@ -284,13 +291,26 @@ def _probabilities(findings: Findings, grouped: Configuration | None) -> dict[st
     ambiguous = {name for names in findings.conclusion.ruling.ambiguity for name in names}
     gone = {untestable.name for untestable in _untestable(findings)}
     ambiguous |= {name for name in causes if gone & set(EFFECTS[name].also_taken_for)}
-    stable = findings.stability.share if findings.stability else _STABILITY_UNKNOWN
-    return {
-        name: probability(
-            _called(name, grouped), cause.share, name in ambiguous, stable, bool(confounders(name) & missing)
-        )
-        for name, cause in causes.items()
-    }
+    found = {}
+    for name, cause in causes.items():
+        untried = bool(confounders(name) & missing)
+        chance = probability(_called(name, grouped), cause.share, name in ambiguous, _stable(findings), untried)
+        found[name] = agreeing(chance, findings.attribution.inclusion.get(name, 1.0))
+    return found
+
+
+def _left_open(findings: Findings) -> float:
+    """Probability that an effect is there of which the verdict does not speak.
+
+    Where nothing is missing in the simulator, it is the chance that the verdict is another one.
+    """
+    if findings.conclusion.ruling.verdict not in ("none", "retuned"):
+        return 1.0
+    return 1 - _SURE_OF_NONE * _stable(findings)
+
+
+def _stable(findings: Findings) -> float:
+    return findings.stability.share if findings.stability else _STABILITY_UNKNOWN
 
 
 def _called(name: str, grouped: Configuration | None) -> str:
@@ -304,7 +324,7 @@ def _effects(
     parameters: Sequence[ParameterRow],
     grouped: Configuration | None,
 ) -> tuple[FoundEffect, ...]:
-    """Effects found, largest share first."""
+    """Effects found, the most probable first."""
     closed, decades, log = findings.conclusion.closed, findings.prepared.decades, findings.prepared.checked.trials[0]
     units = {
         name: dict(UNITS) if grouped and name == SHIFT else {r.name: r.unit for r in parameters if r.owner == name}
@@ -326,6 +346,6 @@ def _effects(
             units={parameter: log.units.named(unit) or "1" for parameter, unit in units[name].items()},
             undetermined=tuple(row.name for row in parameters if row.owner == name and row.flat),
         )
-        for name, cause in sorted(closed.causes.items(), key=lambda item: -item[1].share)
+        for name, cause in sorted(closed.causes.items(), key=lambda item: (-probabilities[item[0]], -item[1].share))
     )
     return tuple(decades.log_sizes(effect) for effect in found)

@@ -23,6 +23,9 @@ Order = Literal["known", "unknown"]
 """Whether the order in which the trials were recorded is known."""
 
 
+FLIPS = "the verdict flips between splits of the trials, so that no simulator surely stands for the device"
+"""Why nothing can be foretold with effects that cannot be relied on."""
+
 _STABLE = 0.7  # of the resamples: a verdict that comes out less often is said to flip
 _NO_FALL, _HIDDEN = 0.05, 0.3  # of the error: less is no fall; the same where the fall is below the floor
 
@@ -33,7 +36,7 @@ class FoundEffect:
 
     Attributes:
         name: its public name.
-        probability: calibrated probability that this effect is present.
+        probability: calibrated probability that this effect is present, at most (1 + inclusion) / 2.
         inclusion: share of block resamples in which it was chosen.
         closed_share: share of the structural gap that it closes on the final trials, by the error without it.
         closed_ci90: 90 % interval of that share, block bootstrap over the final trials.
@@ -69,8 +72,9 @@ class Gap:
     closed_share = (MSE_retuned - MSE_with) / (MSE_retuned - MSE_floor)
 
     Attributes:
-        nominal_rmse_deg, retuned_rmse_deg, with_effects_rmse_deg: on the final trials [deg].
-        floor_rmse_deg: error that stays with any simulator [deg].
+        nominal_rmse_deg, retuned_rmse_deg, with_effects_rmse_deg: on the final trials [deg]; retuned is never more than
+            nominal: numbers that are worse there are not taken.
+        floor_rmse_deg: error that stays with any simulator [deg], at least the rounding of the readings.
         floor_kind: from repeats of a motion, or from the noise of the residual (a lower bound).
         closed_share, unexplained_share: of the structural gap; they add up to one.
         closed_ci90: 90 % interval of the closed share.
@@ -93,7 +97,7 @@ class Gap:
 
     @property
     def unrepeatable(self) -> bool:
-        """Whether all that retuning leaves differs between repeats of a motion, so that the noise is the floor."""
+        """Whether all that retuning leaves differs between repeats of a motion: no structural gap of the command."""
         return self.floor_kind == "noise" and math.isfinite(self.repeats_rmse_deg)
 
 
@@ -268,7 +272,7 @@ class Diagnosis:
     Attributes:
         verdict: named | one_of (see `ambiguity`) | retuned (see `moved`) | unknown | none | too_little.
         reason: the verdict in one sentence.
-        effects: chosen effects, largest share first.
+        effects: chosen effects, the most probable first.
         ambiguity: sets of effects that these trials cannot tell apart.
         ranking: every effect with its probability, most likely first.
         gap: sizes.
@@ -313,6 +317,16 @@ class Diagnosis:
 
     def __repr__(self) -> str:
         return in_brief(self, f"{self.verdict}: {self.reason}")
+
+    @property
+    def relies_on_its_split(self) -> bool:
+        """Whether effects are named that come out on too few other splits of the trials to be relied on."""
+        return bool(self.effects) and self.stability is not None and self.stability.flips
+
+    @property
+    def kept_as_given(self) -> bool:
+        """Whether retuning was not taken, since it did not lower the error of the final trials."""
+        return bool(self.retuned) and all(given == found for given, found in self.retuned.values())
 
     def as_json(self) -> dict[str, Any]:
         """The fixed form `hystmpc-diagnosis/2`: plain dicts, lists, numbers and strings."""

@@ -8,11 +8,10 @@ from pathlib import Path
 from typing import Literal
 
 from hystmpc.commissioning.stages import Figure
-from hystmpc.gap.diagnose import conclude, find_causes
 from hystmpc.gap.diagnosis import Diagnosis, Verdict
 from hystmpc.gap.next.open_hypotheses import question
-from hystmpc.gap.report.folder import save_diagnosis
-from hystmpc.gap.report.words import closed_sentence, headline
+from hystmpc.gap.report.words import closed_sentence, headline, tracking_sentence
+from hystmpc.gap.whole import diagnose_trials
 from hystmpc.models.simulator import load_simulator
 from hystmpc.trials.read import read_trials
 from hystmpc.trials.types import Progress
@@ -36,8 +35,8 @@ class Judged:
     """What a diagnosis of all trials so far says.
 
     Attributes:
-        verdict, effects, ambiguity, reason: of the diagnosis; effects by name, the largest share first.
-        headline, closed: the verdict and the closed share in words.
+        verdict, effects, ambiguity, reason: of the diagnosis; effects by name, the most probable first.
+        headline, closed: the verdict, and in words the closed share and the tracking error that is expected.
         probability: of the first effect; NaN without one.
         closed_share: of the structural gap on the final trials.
         flips: whether verdict and names come out on too few other splits of the trials.
@@ -98,12 +97,16 @@ def judge(
     """
     seed = settings.investigate.seed
     simulator = load_simulator(model)
-    findings = find_causes(read_trials(files), simulator, seed=seed, progress=progress)
-    diagnosis, evidence = conclude(findings, progress)
-    save_diagnosis(
-        evidence, folder / DIAGNOSIS, {"logs": list(map(str, files)), "sim": str(model), "seed": seed}, models=(model,)
+    done = diagnose_trials(
+        read_trials(files),
+        simulator,
+        out=folder / DIAGNOSIS,
+        called={"sim": str(model)},
+        model=model,
+        seed=seed,
+        progress=progress,
     )
-    judged = judged_of(diagnosis, len(files))
+    findings, judged = done.findings, judged_of(done.diagnosis, len(files))
     sought = judged.verdict in _OPEN or judged.verdict in _NO_GAP
     alike, number = _alike([*before, judged]), len(files) + 1
     longer = _LONGER ** (alike - 1) if sought else 1
@@ -131,7 +134,7 @@ def judged_of(diagnosis: Diagnosis, trials: int) -> Judged:
         ambiguity=diagnosis.ambiguity,
         reason=diagnosis.reason,
         headline=headline(diagnosis),
-        closed=closed_sentence(diagnosis),
+        closed=" ".join(filter(None, (closed_sentence(diagnosis), tracking_sentence(diagnosis)))),
         probability=diagnosis.effects[0].probability if diagnosis.effects else float("nan"),
         closed_share=gap.closed_share,
         retuned_deg=gap.retuned_rmse_deg,

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from hystmpc.gap.next.motion_design import SEPARATION_COLUMN
 from hystmpc.gap.report.words import in_words, listed, percent
 from hystmpc.trials.csv_files import read_csv
+from hystmpc.trials.recording import SEPARATION_COLUMN
 from hystmpc.trials.report import (
     COMMAND,
     MEASURED,

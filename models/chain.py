@@ -65,6 +65,11 @@ class Chain:
         first, last = len(self.before), len(self.before) + 1
         return replace(self, before=tuple(operators[:first]), core=operators[first], after=tuple(operators[last:]))
 
+    def at_sample_time(self, dt_s: float, was_s: float) -> Chain:
+        """The same chain run at sample time `dt_s`, from `was_s` [s]: stores of delays and starts of clocks fit it."""
+        before, after = (tuple(o.resampled(dt_s, was_s) for o in own) for own in (self.before, self.after))
+        return replace(self, before=before, after=after)
+
     @property
     def state_size(self) -> int:
         """Number of state entries."""

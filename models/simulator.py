@@ -26,7 +26,7 @@ from .kernels.chain_kernels import compile_step
 from .kernels.program import dense
 from .model import LoadedModel, StepFunction
 from .motions import probe_commands
-from .operators.dynamics import stored
+from .operators.dynamics import with_room
 from .rest import RestRule
 
 if TYPE_CHECKING:
@@ -140,6 +140,8 @@ class Simulator:
         command_limits, command_rate_per_s: what the device may be sent.
         trained_command, trained_angle_deg, trained_rate_per_s: what identification saw.
         identification: method, data and residuals.
+
+    A delay whose store is too short at that sample time, as in a file written by hand, gets one that is long enough.
     """
 
     chain: Chain
@@ -162,11 +164,15 @@ class Simulator:
         seen = f"{angle.lower:.4g} to {angle.upper:.4g} {self.angle_unit}"
         return in_brief(self, f"{ends}, {seen}, every {self.dt_s:.4g} s: {parts}")
 
+    def __post_init__(self) -> None:
+        chain, dt_s = self.chain, self.dt_s
+        before, after = with_room(chain.before, dt_s), with_room(chain.after, dt_s)
+        if (before, after) != (chain.before, chain.after):
+            object.__setattr__(self, "chain", replace(chain, before=before, after=after))
+
     def at_sample_time(self, dt_s: float) -> Simulator:
-        """The same simulator at sample time `dt_s` [s]: delays get the store that they need at it."""
-        chain = self.chain
-        before, after = stored(chain.before, dt_s), stored(chain.after, dt_s)
-        return replace(self, chain=replace(chain, before=before, after=after), dt_s=dt_s)
+        """The same simulator at sample time `dt_s` [s], see `Chain.at_sample_time`."""
+        return replace(self, chain=self.chain.at_sample_time(dt_s, self.dt_s), dt_s=dt_s)
 
     @property
     def rests_at(self) -> float:

@@ -134,7 +134,7 @@ def require_sound(trial: Trial) -> None:
     Raises:
         LogError: with what `check` says of it.
     """
-    require_seconds(trial)
+    _require_seconds(trial)
     findings, _ = encoding_findings(trial, (Written(), Written()), "sample {}".format)
     for finding in findings:
         raise LogError(f"{trial.source}: {finding.topic}: {finding.message}")
@@ -143,7 +143,7 @@ def require_sound(trial: Trial) -> None:
         raise LogError(f"{trial.source}: {shift_said(shift)}")
 
 
-def require_seconds(trial: Trial) -> None:
+def _require_seconds(trial: Trial) -> None:
     """Refuse a trial whose time is most likely not in seconds.
 
     Raises:

@@ -154,22 +154,44 @@ def _imitates(name: str) -> bool:
     return name in EFFECTS and EFFECTS[name].generic
 
 
+def agreeing(chance: float, inclusion: float) -> float:
+    """A probability that agrees with the share of the resamples in whose best explanation the effect is.
+
+        P <= (1 + inclusion) / 2
+
+    An effect that no resample needs is not likelier than not, whatever it closes where it was chosen.
+    """
+    return min(chance, 0.5 * (1 + min(max(inclusion, 0.0), 1.0)))
+
+
 def ranking(
     chosen: Mapping[str, float],
     inclusion: Mapping[str, float],
     ambiguity: Sequence[Sequence[str]],
     library: Sequence[str],
+    left_open: float = 1.0,
 ) -> tuple[tuple[str, float], ...]:
-    """Every effect of the library with its probability, most likely first.
+    """Every effect of the library with its probability, most likely first; a chosen one leads those equal to it.
 
     Effects that could replace a chosen one, or that these motions do not tell from it, share the probability that it
-    leaves; the others have half of that times their inclusion.
+    leaves; the others have half of that times their inclusion. None of them explains the trials better than what was
+    chosen, so that none is likelier than what it could replace, or than the likeliest that was chosen.
+
+    Args:
+        chosen: probability of each effect found.
+        inclusion: share of the resamples in whose best explanation each effect is.
+        ambiguity: sets of effects that could replace each other, the chosen one first.
+        library: names of all effects.
+        left_open: probability that an effect is there of which the verdict does not speak: small where nothing is
+            missing.
     """
-    left = 1 - max(chosen.values(), default=0.0)
-    rivals = {name for names in ambiguity for name in names[1:]}
+    most = max(chosen.values(), default=1.0)
+    left = left_open * (1 - max(chosen.values(), default=0.0))
+    rivals = {name: chosen.get(names[0], most) for names in ambiguity if names for name in names[1:]}
     even = left / max(len(rivals), 1)
     rows = []
     for name in library:
-        own = chosen.get(name, even if name in rivals else 0.5 * left * min(inclusion.get(name, 0.0), 1.0))
-        rows.append((name, own))
-    return tuple(sorted(rows, key=lambda row: -row[1]))
+        beside = 0.5 * left * min(inclusion.get(name, 0.0), 1.0)
+        other = min(even, rivals[name]) if name in rivals else min(beside, most)
+        rows.append((name, chosen.get(name, other)))
+    return tuple(sorted(rows, key=lambda row: (-row[1], row[0] not in chosen)))

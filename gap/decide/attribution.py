@@ -12,7 +12,7 @@ import numpy as np
 from hystmpc.models.effects.catalogue import candidates
 from hystmpc.models.effects.effect import Candidate, Scale
 from hystmpc.models.identify.cross_validation import CrossValidation, Hypothesis
-from hystmpc.models.identify.runs import Run
+from hystmpc.models.identify.runs import Run, blocks_of
 from hystmpc.models.identify.selection import OWN_TO_TRIALS, Selection, SelectionSettings, select
 
 from ..logs.noise_floor import Floor, find_floor
@@ -20,7 +20,7 @@ from ..logs.preparation import PreparedTrials
 from ..logs.recording_order import NEEDS_ORDER
 from ..logs.sensor import white_noise
 from .ambiguity import ambiguity_of, drift_is_significant, inclusion_shares
-from .gap_closed import GapClosed, measure
+from .gap_closed import GapClosed, measure, measured_blocks
 from .jumps import Jumps, find_jumps
 from .lack_of_fit import structure_left
 from .retuning import Retuning, anew_share, retuning_of, width_grown
@@ -106,7 +106,8 @@ def attribute(
     jumps = find_jumps(prepared.everything, retuned, prepared.signs)
     unusable = bool(prepared.too_little or prepared.checked.unrelated)
     jumping = jumps.seen and "stick_slip" not in left_out and not unusable
-    floor_mse = max(white_noise(prepared.residuals(retuned)) ** 2, prepared.form_mse)
+    noise_mse = max(white_noise(prepared.residuals(retuned)), prepared.rounding_deg) ** 2
+    floor_mse = max(noise_mse, prepared.form_mse)
     if jumping:
         floor_mse = max(floor_mse, min(jumps.mse, _PREDICTABLE * retuned.mse))
     gone = (*left_out, "stick_slip") if jumps.absent else left_out
@@ -187,7 +188,7 @@ def confirm(prepared: PreparedTrials, attribution: Attribution, settings: Verdic
         chosen = attribution.validation.polished(attribution.selection.chosen.hypothesis)
     facts = replace(facts, sensor=provisional.sensor)
     facts, chosen, floor, closed = _proven(prepared, attribution, facts, chosen, seed)
-    repeatable = _floor(prepared, retuned)
+    repeatable = floor_of(prepared, retuned)
     final = FinalFacts(
         closed.gap.closed_share,
         _residual_ratio(closed, prepared.form_mse, floor),
@@ -207,12 +208,26 @@ def confirm(prepared: PreparedTrials, attribution: Attribution, settings: Verdic
     return Conclusion(ruling, facts, chosen, floor, closed.with_repeats(repeatable))
 
 
+def never_worse(prepared: PreparedTrials, attribution: Attribution) -> Attribution:
+    """The attribution, with the simulator as given where retuning raises the error of the final trials.
+
+    As a cause is dropped that does not lower that error: numbers that fit the development trials alone are no better.
+    """
+    problem = attribution.retuned.problem
+    start = problem.start(prepared.baseline.nominal, [])
+    given = Hypothesis(
+        problem, start, blocks_of([problem.error(start, r)[0] for r in prepared.development], prepared.development).mse
+    )
+    worse = measured_blocks(prepared, given).mse < measured_blocks(prepared, attribution.retuned).mse
+    return replace(attribution, retuned=given) if worse else attribution
+
+
 def _proven(
     prepared: PreparedTrials, attribution: Attribution, facts: VerdictFacts, chosen: Hypothesis, seed: int
 ) -> tuple[VerdictFacts, Hypothesis, Floor, GapClosed]:
     """Facts, corrected simulator, floor and sizes, less the causes that do not surely lower the error."""
     while True:
-        floor, jumps = _floor(prepared, chosen), attribution.jumps if facts.jumps else None
+        floor, jumps = floor_of(prepared, chosen), attribution.jumps if facts.jumps else None
         closed = measure(
             prepared, attribution.validation, attribution.retuned, chosen, floor, facts.sensor, jumps, seed
         )
@@ -249,9 +264,10 @@ def _sensor_matters(prepared: PreparedTrials, selection: Selection, settings: Ve
     """Whether the sensor's faults are a good part of the error that the chosen causes leave, or surely a gap alone.
 
     White noise may be a disturbance that is faster than the log. Steps, outliers and held values are read off it.
+    Steps that the sensor had at identification are no fault of it.
     """
     signs, left, mended = prepared.signs, selection.chosen.mse, _mended_mse(prepared)
-    noise = signs.energy if signs.noisy or signs.coarse else 0.0
+    noise = signs.energy if signs.noisy or (signs.coarse and prepared.excess_mse > 0) else 0.0
     good_part = noise > settings.noise_share * left or mended > settings.mended_share * left
     return good_part or _is_gap(prepared, mended + (prepared.excess_mse if signs.coarse else 0.0), settings)
 
@@ -272,13 +288,20 @@ def _is_gap(prepared: PreparedTrials, mse: float, settings: VerdictSettings) -> 
     return 0 < (settings.no_gap - 1) * prepared.form_mse <= mse
 
 
-def _floor(prepared: PreparedTrials, hypothesis: Hypothesis) -> Floor:
-    """What stays with any simulator; what each trial has of its own by a cause is explained, and no part of it."""
+def floor_of(prepared: PreparedTrials, hypothesis: Hypothesis) -> Floor:
+    """What stays with any simulator; what each trial has of its own by a cause is explained, and no part of it.
+
+    It is never less than the rounding of the readings, which leaves no noise where the angle rests.
+    """
     checked, problem = prepared.checked, hypothesis.problem
     residuals = prepared.residuals(hypothesis)
     if problem.terms.names:
         residuals = [-problem.held_out_error(hypothesis.q, run) for run in prepared.everything]
-    return find_floor(checked.trials, residuals, checked.dt, checked.excitation.repeats)
+    found, rounding = (
+        find_floor(checked.trials, residuals, checked.dt, checked.excitation.repeats),
+        prepared.rounding_deg,
+    )
+    return replace(found, rmse_deg=max(found.rmse_deg, rounding), noise_deg=max(found.noise_deg, rounding))
 
 
 def _residual_ratio(closed: GapClosed, form_mse: float, floor: Floor) -> float:

@@ -130,7 +130,7 @@ def measure(
         less = final_errors.blocks(chosen.effects - {name})
         causes[name] = ClosedByCause(share, ci90, float(np.sqrt(less.mse)), parameters[name])
     if sensor:
-        faulty = _measured_blocks(prepared, chosen)
+        faulty = measured_blocks(prepared, chosen)
         share = shares.closed(shares.before.mse - faulty.mse + final_errors.after.mse)
         ci90, rmse = shares.interval(faulty, final_errors.after), float(np.sqrt(faulty.mse))
         causes["sensor"] = ClosedByCause(share, ci90, rmse, _sensor_parameters(prepared))
@@ -173,8 +173,8 @@ class FinalErrors:
         self._floor = floor
         corrected = final_blocks(chosen, prepared.final)
         self._parts = {frozenset(chosen.effects): corrected}
-        before = _measured_blocks(prepared, retuned)
-        self.after = self.less_sensor_noise(corrected) if sensor else _measured_blocks(prepared, chosen)
+        before = measured_blocks(prepared, retuned)
+        self.after = self.less_sensor_noise(corrected) if sensor else measured_blocks(prepared, chosen)
         excess = jumps_mse + (prepared.excess_mse if sensor else 0.0)  # repeats differ by them
         lowest = max(floor.rmse_deg**2 - excess, _LEAST_FLOOR * floor.rmse_deg**2)
         floor_mse = min(lowest, self.after.mse, before.mse)
@@ -188,7 +188,7 @@ class FinalErrors:
     def _between_trials(self, floor_mse: float) -> float:
         """Half of the 90 % interval that is due to differences between trials, as a share of the closed share."""
         shares = []
-        for run in self._prepared.everything:
+        for run in self._prepared.counted:
             before, after = (
                 float(np.mean(h.problem.held_out_error(h.q, run) ** 2)) for h in (self._retuned, self._chosen)
             )
@@ -215,7 +215,7 @@ class FinalErrors:
         shares = self.shares
         closed = shares.closed(self.after.mse)
         return Gap(
-            nominal_rmse_deg=float(np.sqrt(_measured_blocks(self._prepared, nominal).mse)),
+            nominal_rmse_deg=float(np.sqrt(measured_blocks(self._prepared, nominal).mse)),
             retuned_rmse_deg=float(np.sqrt(shares.before.mse)),
             with_effects_rmse_deg=float(np.sqrt(self.after.mse)),
             floor_rmse_deg=float(np.sqrt(shares.floor_mse)),
@@ -232,7 +232,7 @@ def final_blocks(hypothesis: Hypothesis, runs: Sequence[Run]) -> Blocks:
     return blocks_of([hypothesis.problem.held_out_error(hypothesis.q, run) for run in runs], runs)
 
 
-def _measured_blocks(prepared: PreparedTrials, hypothesis: Hypothesis) -> Blocks:
+def measured_blocks(prepared: PreparedTrials, hypothesis: Hypothesis) -> Blocks:
     """Errors on the final runs against the angles as measured, faults of the sensor included."""
     names = [run.name for run in prepared.everything]
     errors = [

@@ -94,11 +94,12 @@ def retuning_of(prepared: PreparedTrials, retuned: Hypothesis, left_out_mse: flo
     checked = prepared.checked
     floor = find_floor(checked.trials, residuals, checked.dt, checked.excitation.repeats)
     differ = floor.rmse_deg**2 if floor.kind == "repeats" else 0.0
+    kept = after > _LEAST_LEFT * before
     return Retuning(
         float(np.mean(nominal**2)) / max(left_out_mse, 1e-12),
         still + grown**2 * (form - still) if form else 0.0,
-        friction_share(prepared.checked.trials, residuals, noise) if after > _LEAST_LEFT * before else 0.0,
-        unrepeatable=differ / max(float(np.mean(np.concatenate(residuals) ** 2)), 1e-12),
+        friction_share(prepared.checked.trials, prepared.scored(residuals), noise) if kept else 0.0,
+        unrepeatable=differ / max(float(np.mean(np.concatenate(prepared.scored(residuals)) ** 2)), 1e-12),
     )
 
 

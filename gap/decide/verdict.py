@@ -333,11 +333,14 @@ def reason_for(
     sizes = f"retuned {gap.retuned_rmse_deg:#.3g} {unit}, floor {gap.floor_rmse_deg:#.3g} {unit}"
     names = ", ".join(effect.words for effect in effects)
     closed = f"{100 * gap.closed_share:.0f} % of the structural gap closed on trials kept for the end"
-    sets = "; ".join(" or ".join(name.replace("_", " ") for name in names) for names in ruling.ambiguity)
+    sets = "; ".join(_either([name.replace("_", " ") for name in names]) for names in ruling.ambiguity)
     unexplained = "a structural gap that no effect of the library explains"
     if gap.unrepeatable:
         differ = f"repeats of a motion differ by {gap.repeats_rmse_deg:#.3g} {unit}"
-        unexplained = f"{unexplained}: {differ}, and no more is left, so that it does not depend on the command alone"
+        unexplained = (
+            f"{differ}, and retuning leaves no more: what is left does not depend on the command alone, and no effect "
+            "of the library explains it"
+        )
     return {
         "named": f"{names}: {closed}, {100 * gap.unexplained_share:.0f} % unexplained ({sizes})",
         "one_of": f"one of {sets}: these trials cannot tell them apart; {closed} ({sizes})",
@@ -346,6 +349,11 @@ def reason_for(
         "none": f"no structural gap: retuning leaves no more than noise and the simulator's own form error ({sizes})",
         "too_little": f"too little: {too_little} ({sizes})",
     }[ruling.verdict]
+
+
+def _either(names: Sequence[str]) -> str:
+    """Names of a set, as `lag, delay or creep`."""
+    return f"{', '.join(names[:-1])} or {names[-1]}"
 
 
 def _retuned(ruling: Ruling, gap: Gap, moved: Sequence[Moved], unit: str) -> str:

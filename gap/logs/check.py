@@ -11,9 +11,10 @@ import numpy as np
 
 from hystmpc.models.contract.metadata import ModelMetadata
 from hystmpc.models.simulator import Simulator
-from hystmpc.trials.check import require_sound
+from hystmpc.trials.clock_findings import gaps_said
 from hystmpc.trials.errors import GapError
-from hystmpc.trials.trial import Trial
+from hystmpc.trials.recording import require_recorded
+from hystmpc.trials.trial import Trial, parts_at_gaps
 
 from .dependence import follows_command
 from .excitation import Excitation, excitation_of
@@ -61,10 +62,11 @@ def check_trials(
 ) -> Checked:
     """Compare units, sign and scale with the simulator's, and bring the trials to one rate.
 
-    The rate is the lowest of 50 Hz and the trials' own median rates; where the simulator's own rate lies within a
-    factor of 1.5 of that and below 50 Hz, it is the simulator's. A network, given by its metadata, always keeps its own
-    rate. Of a log with a gap, the longest part without one is used. Of more trials than can be afforded some are chosen
-    (`affordable`), and those whose angle does not follow the command are left out (`follows_command`).
+    The rate is the simulator's own, at which `evaluate` runs it, where it lies between 10 and 50 Hz and no trial's
+    median rate is lower by a factor of 1.5 or more; else the lowest of 50 Hz and the trials' rates. A network, given by
+    its metadata, always keeps its own rate. A log with gaps is cut there, as `fit` and `check` do it. Of more trials
+    than can be afforded some are chosen (`affordable`), and those whose angle does not follow the command are left out
+    (`follows_command`).
 
     Args:
         trials: of one device.
@@ -81,7 +83,7 @@ def check_trials(
     if not trials:
         raise GapError("no trial given, expected one or more logs of the simulator's device")
     for trial in trials:
-        require_sound(trial)
+        require_recorded(trial)
         _require_units(trial, facts)
     _require_motion(trials)
     _require_commands(trials, facts)
@@ -96,8 +98,8 @@ def check_trials(
     else:
         unrelated = _UNRELATED
     excitation = excitation_of(chosen.trials, ordered)
-    logs = zip(chosen.given, chosen.recorded, strict=True)
-    notes = (*left_out, *(note for pair in logs for note in _log_notes(*pair)), *_set_notes(excitation))
+    notes = (*left_out, *_gap_notes(trials), *(n for trial in chosen.given for n in _log_notes(trial)))
+    notes = (*notes, *_set_notes(excitation))
     return Checked(**vars(chosen), excitation=excitation, notes=notes, left_out=tuple(left_out), unrelated=unrelated)
 
 
@@ -196,21 +198,25 @@ def _unit_remark(factor: float, units: dict[float, str]) -> str:
     return f": looks like {near[0][1]}" if near and near[0][0] < math.log(_UNIT_FACTOR) else ""
 
 
-def _log_notes(trial: Trial, part: Trial) -> Iterator[str]:
-    name, intervals = Path(trial.source).name, np.diff(part.t)
-    if part is not trial:
-        yield f"{name}: gaps in time; only its longest part, {part.t[0]:.4g} to {part.t[-1]:.4g} s, is used."
-    jitter = float(np.std(intervals)) / part.dt
+def _gap_notes(trials: Sequence[Trial]) -> Iterator[str]:
+    for trial in trials:
+        if said := gaps_said(trial, parts_at_gaps(trial)):
+            yield f"{Path(trial.source).name}: gaps in time; {said}."
+
+
+def _log_notes(trial: Trial) -> Iterator[str]:
+    name, intervals, command = Path(trial.source).name, np.diff(trial.t), trial.command
+    jitter = float(np.std(intervals)) / trial.dt
     if jitter > _JITTER:
-        yield f"{name}: sample intervals scatter by {jitter:.0%} of {1e3 * part.dt:.3g} ms."
-    if np.ptp(part.command) == 0:
+        yield f"{name}: sample intervals scatter by {jitter:.0%} of {1e3 * trial.dt:.3g} ms."
+    if np.ptp(command) == 0:
         yield f"{name}: the command is constant; it shows noise and drift only."
         return
-    onward = np.gradient(part.command)
-    for end, at, way in (("greatest", part.angle.max(), 1.0), ("least", part.angle.min(), -1.0)):
+    onward = np.gradient(command)
+    for end, at, way in (("greatest", trial.angle.max(), 1.0), ("least", trial.angle.min(), -1.0)):
         # On the way back backlash holds the angle as well; on the way there a stop or the sensor does.
-        stuck = (part.angle == at) & (way * onward > 0)
-        travel = float(np.ptp(part.command[stuck])) / float(np.ptp(part.command)) if stuck.any() else 0.0
+        stuck = (trial.angle == at) & (way * onward > 0)
+        travel = float(np.ptp(command[stuck])) / float(np.ptp(command)) if stuck.any() else 0.0
         if np.mean(stuck) > _AT_EXTREME and travel > _TRAVEL:
             yield (
                 f"{name}: the angle sits at its {end} value, {at:.4g} {trial.units.angle}, for {np.mean(stuck):.0%} "

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -19,15 +20,16 @@ from hystmpc.models.identify.runs import Run, fingerprint, runs_of
 from hystmpc.models.model import LoadedModel
 from hystmpc.models.simulator import Identification, Simulator
 from hystmpc.trials.errors import GapError, LogError
-from hystmpc.trials.segments import segment
-from hystmpc.trials.trial import Trial, Units, resample
+from hystmpc.trials.segments import first_flexure_end, segment
+from hystmpc.trials.trial import Trial, Units, parts_at_gaps, resample
 from hystmpc.trials.types import Vec
 
 from ..diagnosis import Order
+from .as_given import evaluated_mse, evaluation_notes, with_own_rate
 from .check import Checked, check_trials
 from .recording_order import in_recording_order
 from .rest_angles import common_rest
-from .sensor import SensorSigns, repaired, sensor_signs
+from .sensor import SensorSigns, repaired, sensor_signs, white_noise
 from .trial_choice import split_runs
 
 _LEAST_S, _LEAST_TURNS = 15.0, 3
@@ -50,6 +52,7 @@ class PreparedTrials:
         baseline: the nominal simulator and the freedom of retuning.
         development, final: runs for the choice of causes, and runs that are evaluated once.
         everything: all runs, every sample counted; in recording order where it is known, else by content.
+        counted: the same, each from its first sample that is scored on.
         raw: angles as measured, before the sensor's faults were repaired (T,) each [deg].
         form_mse: model-form error [deg^2]; zero where unknown.
         too_little: why the trials do not allow a diagnosis, in words; empty where they do.
@@ -67,6 +70,7 @@ class PreparedTrials:
     development: tuple[Run, ...]
     final: tuple[Run, ...]
     everything: tuple[Run, ...]
+    counted: tuple[Run, ...]
     raw: tuple[Vec, ...]
     form_mse: float
     too_little: str
@@ -74,13 +78,26 @@ class PreparedTrials:
     order: Order = "known"
     new_step: bool = False
 
+    @property
+    def rounding_deg(self) -> float:
+        """RMS error of readings on a grid; 0 where they lie on none [deg]."""
+        return self.signs.quantisation_deg / math.sqrt(12.0)
+
     def residuals(self, hypothesis: Hypothesis) -> list[Vec]:
         """Measured less simulated angle of every run (T,) each [deg]."""
         return [run.angle - hypothesis.problem.angles(hypothesis.q, run) for run in self.everything]
 
+    def scored(self, residuals: Sequence[Vec]) -> list[Vec]:
+        """Residuals (T,) of every run with zeros where it does not count [deg]."""
+        return [np.where(run.counts, error, 0.0) for run, error in zip(self.counted, residuals, strict=True)]
+
 
 def prepare(
-    trials: Sequence[Trial], simulator: Simulator | LoadedModel, seed: int = 0, ordered: bool = True
+    trials: Sequence[Trial],
+    simulator: Simulator | LoadedModel,
+    seed: int = 0,
+    ordered: bool = True,
+    skip_first_flexure: bool = False,
 ) -> PreparedTrials:
     """Check, resample, repair and split trials, and derive the baseline of the simulator.
 
@@ -89,8 +106,10 @@ def prepare(
         simulator: a chain of operators or an exported model.
         seed: of the choice among more trials than can be diagnosed.
         ordered: whether the trials are known to stand in the order of recording, see `in_recording_order`.
+        skip_first_flexure: count each trial only from the command's first reversal on.
 
     Raises:
+        LogError: if the first flexure is to be skipped and the command of a trial never turns.
         GapError: on unusable trials, see `check_trials` and `in_recording_order`.
         ModelError: if the simulator is an inverse map.
     """
@@ -102,28 +121,20 @@ def prepare(
     if isinstance(simulator, Simulator):
         _require_size(simulator, decades)
     identification = _identification(simulator, decades)
-    nominal = nominal_noise_deg(identification)
-    signs = sensor_signs(decades.trials(checked.recorded), nominal)
+    nominal = nominal_noise_deg(identification, _known_step(identification, decades))
+    signs = sensor_signs(decades.trials(checked.given), nominal)
     in_working_units = decades.trials(checked.trials)
-    repaired_trials = [repaired(trial, signs) for trial in in_working_units]
-    command = Range(
-        lower=min(float(t.command.min()) for t in repaired_trials),
-        upper=max(float(t.command.max()) for t in repaired_trials),
-    )
-    if isinstance(simulator, Simulator):
-        baseline, corrections = baseline_of(decades.chain(simulator.chain), command), None
-    else:
-        baseline, corrections = _network_baseline(simulator, repaired_trials, command, decades)
-    runs = runs_of(repaired_trials, corrections, [b.scaled(1 / decades.command) for b in checked.before])
-    if signs.spikes or signs.drops:
-        problem = Problem(baseline)
-        start = problem.start(baseline.nominal, [])
-        pairs = zip(runs, in_working_units, strict=True)
-        runs = tuple(replace(r, angle=repaired(t, signs, problem.angles(start, r)).angle) for r, t in pairs)
+    baseline, runs = _baseline_and_runs(simulator, checked, signs, decades)
     motions = checked.excitation.motions
     form_mse = model_form_mse(identification, trials, motions, _sample_time(simulator))
-    runs = common_rest(runs, form_mse)
-    development, final = split_runs(runs, motions, known)
+    runs = counted = common_rest(runs, form_mse)
+    if skip_first_flexure:
+        counted = tuple(_from_first_reversal(r, t) for r, t in zip(runs, in_working_units, strict=True))
+    if isinstance(simulator, Simulator):
+        errors = _given_errors(baseline, counted, in_working_units, decades)
+        notes = _evaluation_notes(simulator, errors, checked, skip_first_flexure)
+        checked = replace(checked, notes=(*checked.notes, *notes))
+    development, final = split_runs(counted, motions, known)
     new_step = signs.coarse and signs.quantisation_deg > _COARSER * _known_step(identification, decades)
     return PreparedTrials(
         decades=decades,
@@ -134,6 +145,7 @@ def prepare(
         development=development,
         final=final,
         everything=runs,
+        counted=counted,
         raw=tuple(trial.angle for trial in in_working_units),
         form_mse=form_mse,
         too_little=shortage(checked.trials),
@@ -141,6 +153,54 @@ def prepare(
         order=order,
         new_step=new_step,
     )
+
+
+def _baseline_and_runs(
+    simulator: Simulator | LoadedModel, checked: Checked, signs: SensorSigns, decades: Decades
+) -> tuple[Baseline, tuple[Run, ...]]:
+    """The nominal simulator at the sample time of the trials, and these as runs, faults of the sensor repaired."""
+    trials = decades.trials(checked.trials)
+    repaired_trials = [repaired(trial, signs) for trial in trials]
+    command = Range(
+        lower=min(float(t.command.min()) for t in repaired_trials),
+        upper=max(float(t.command.max()) for t in repaired_trials),
+    )
+    before = [b.scaled(1 / decades.command) for b in checked.before]
+    if isinstance(simulator, Simulator):
+        own, chain = (decades.chain(s.chain) for s in (simulator, simulator.at_sample_time(checked.dt)))
+        baseline, runs = baseline_of(chain, command), runs_of(repaired_trials, None, before)
+        runs = with_own_rate(runs, decades.trials(checked.given), chain, own, simulator.dt_s)
+    else:
+        baseline, corrections = _network_baseline(simulator, repaired_trials, command, decades)
+        runs = runs_of(repaired_trials, corrections, before)
+    if signs.spikes or signs.drops:
+        problem = Problem(baseline)
+        start = problem.start(baseline.nominal, [])
+        pairs = zip(runs, trials, strict=True)
+        runs = tuple(replace(r, angle=repaired(t, signs, problem.angles(start, r)).angle) for r, t in pairs)
+    return baseline, runs
+
+
+def _evaluation_notes(
+    simulator: Simulator, errors: Sequence[Vec], checked: Checked, skip_first_flexure: bool
+) -> tuple[str, ...]:
+    """A sentence where `evaluate` gives another error than these (C,) each, in the unit of the log."""
+    sizes = float(np.mean(np.concatenate(errors) ** 2)), white_noise(errors) ** 2
+    evaluated = evaluated_mse(simulator, checked.given, skip_first_flexure)
+    return evaluation_notes(simulator, *sizes, evaluated, checked.given, checked.dt)
+
+
+def _given_errors(baseline: Baseline, runs: Sequence[Run], measured: Sequence[Trial], decades: Decades) -> list[Vec]:
+    """Errors of the simulator as given against the angles as measured (C,) each, in the unit of the log."""
+    problem = Problem(baseline)
+    start = problem.start(baseline.nominal, [])
+    pairs = zip(runs, measured, strict=True)
+    return [decades.angle * (problem.angles(start, run) - trial.angle)[run.counts] for run, trial in pairs]
+
+
+def _from_first_reversal(run: Run, trial: Trial) -> Run:
+    """A run that counts from the first reversal of its command on, as `fit` and `evaluate` skip a first flexure."""
+    return replace(run, counts=np.arange(len(trial)) >= first_flexure_end(trial))
 
 
 def _excess_mse(signs: SensorSigns, nominal_deg: float | None, new_step: bool) -> float:
@@ -260,12 +320,20 @@ def _has_seen(identification: Identification, trials: Sequence[Trial], dt_s: flo
     """Whether it was identified on one of these trials, or on all of them, at any rate."""
     known = {r.fingerprint for r in identification.residuals if r.fingerprint}
     # A file's sample time is rounded: 0.03333333333 s stand for 30 Hz, but 0.03 s for 1 / 0.03 Hz.
-    for taken in (trials, *(_at(trials, rate) for rate in {1 / dt_s, round(1 / dt_s, 4)})):
+    parts = [part for trial in trials for part in _parts(trial)]
+    for taken in (trials, parts, *(_at(parts, rate) for rate in {1 / dt_s, round(1 / dt_s, 4)})):
         if identification.training_data_hash == fingerprint(taken):
             return True
         if any(fingerprint([trial]) in known for trial in taken):
             return True
     return False
+
+
+def _parts(trial: Trial) -> tuple[Trial, ...]:
+    """The trial cut at its gaps, as an identification takes it; none where it is refused."""
+    with suppress(LogError):
+        return parts_at_gaps(trial)
+    return ()
 
 
 def _at(trials: Sequence[Trial], rate_hz: float) -> list[Trial]:
@@ -277,11 +345,17 @@ def _at(trials: Sequence[Trial], rate_hz: float) -> list[Trial]:
     return taken
 
 
-def nominal_noise_deg(identification: Identification) -> float | None:
-    """Upper bound of the sensor's white noise when the simulator was identified [deg]; None where unknown.
+def nominal_noise_deg(identification: Identification, step_deg: float = 0.0) -> float | None:
+    """Upper bound of the sensor's noise when the simulator was identified [deg]; None where unknown.
 
-    A residual with lag-one correlation c has at most the share 1 - c of its energy in white noise.
+    A residual with lag-one correlation c has at most the share 1 - c of its energy in white noise. The rounding of
+    readings in steps is not white where the angle moves slowly, and counts in full: step / sqrt(12).
+
+    Args:
+        identification: of the simulator.
+        step_deg: of the sensor's readings then; 0 of a continuous sensor.
     """
     if not identification.residuals:
         return None
-    return float(np.median([r.rmse_deg * np.sqrt(max(1 - r.lag_one, 0.0)) for r in identification.residuals]))
+    white = float(np.median([r.rmse_deg * np.sqrt(max(1 - r.lag_one, 0.0)) for r in identification.residuals]))
+    return max(white, step_deg / math.sqrt(12.0))

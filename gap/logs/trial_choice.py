@@ -12,7 +12,7 @@ from scipy.spatial import KDTree
 from hystmpc.models.contract.metadata import ModelMetadata
 from hystmpc.models.identify.runs import Before, Run
 from hystmpc.trials.errors import GapError
-from hystmpc.trials.trial import Trial, gap_limit_s, resample
+from hystmpc.trials.trial import Trial, parts_at_gaps, resample
 from hystmpc.trials.types import Index, Vec
 
 from .motion_type import MotionType, command_segments, motion_type
@@ -39,6 +39,9 @@ _REPEAT = 0.005  # distance of `characters`: the same motion again
 
 MOST_HZ = 50.0
 """Greatest rate of a diagnosis: tip motions end at a few Hz, and time grows with the rate."""
+
+LEAST_HZ = 10.0
+"""A simulator of a lower rate is diagnosed at that of the logs: what is quick would not show at its own."""
 
 LEAST_S = 2.0
 """Shortest trial [s]."""
@@ -72,15 +75,13 @@ class ChosenTrials:
 
     Attributes:
         trials: uniform, all at one rate, in recording order.
-        recorded: the same as recorded, gaps cut off.
-        given: the same as given.
+        given: the same as recorded, cut at gaps.
         before: history of the device before each, trials that were not chosen included.
         dt: sample interval of `trials` [s].
         workload: cost of their diagnosis.
     """
 
     trials: tuple[Trial, ...]
-    recorded: tuple[Trial, ...]
     given: tuple[Trial, ...]
     before: tuple[Before, ...]
     dt: float
@@ -91,7 +92,6 @@ class ChosenTrials:
         return replace(
             self,
             trials=tuple(itertools.compress(self.trials, kept)),
-            recorded=tuple(itertools.compress(self.recorded, kept)),
             given=tuple(itertools.compress(self.given, kept)),
             before=tuple(itertools.compress(self.before, kept)),
         )
@@ -110,20 +110,19 @@ def choose_trials(
         ordered: whether the trials stand in the order of recording; if not, each begins anew.
 
     Raises:
-        GapError: if the gaps of a trial leave no part that is long enough.
-        LogError: if the simulator's rate is fixed and above a log's.
+        GapError: if a part of a trial between gaps is too short.
+        LogError: if the simulator's rate is fixed and above a log's, or too much lies in short parts between gaps.
     """
-    recorded = [_longest_part(trial) for trial in trials]
-    rate = _common_rate(recorded, facts, fixed)
-    uniform = [resample(trial, rate) for trial in recorded]
+    parts = [part for trial in trials for part in _parts(trial)]
+    rate = _common_rate(parts, facts, fixed)
+    uniform = [resample(part, rate) for part in parts]
     before = Before.each(uniform) if ordered else (Before(),) * len(uniform)
     motions: list[MotionType] = [motion_type(trial, command_segments(trial)) for trial in uniform]
     workload = affordable(uniform, motions, seed, ordered=ordered)
     kept = list(zip(workload.kept, workload.samples, strict=True))
     return ChosenTrials(
         tuple(_first(uniform[k], uniform[k].t[count - 1]) for k, count in kept),
-        tuple(_first(recorded[k], uniform[k].t[count - 1]) for k, count in kept),
-        tuple(_first(trials[k], uniform[k].t[count - 1]) for k, count in kept),
+        tuple(_first(parts[k], uniform[k].t[count - 1]) for k, count in kept),
         tuple(before[k] for k, _ in kept),
         1.0 / rate,
         workload,
@@ -136,13 +135,13 @@ def _first(trial: Trial, end_s: float) -> Trial:
     return trial if trial.t[-1] - end_s <= 1.5 * trial.dt else trial.select(0, stop)
 
 
-def _longest_part(trial: Trial) -> Trial:
-    cuts = np.flatnonzero(np.diff(trial.t) > gap_limit_s(trial.dt)) + 1
-    edges = [0, *cuts.tolist(), len(trial)]
-    start, stop = max(itertools.pairwise(edges), key=lambda e: trial.t[e[1] - 1] - trial.t[e[0]])
-    if trial.t[stop - 1] - trial.t[start] < LEAST_S:
-        raise GapError(f"{trial.source}: {cuts.size} gaps leave no part of {LEAST_S:g} s or more")
-    return trial.select(start, stop) if cuts.size else trial
+def _parts(trial: Trial) -> tuple[Trial, ...]:
+    """The trial cut at its gaps: the one rule of `check`, `fit`, `evaluate` and the diagnosis."""
+    parts = parts_at_gaps(trial)
+    for part in parts:
+        if part.duration_s < LEAST_S:
+            raise GapError(f"{trial.source}: gaps leave no part of {LEAST_S:g} s or more")
+    return parts
 
 
 def _common_rate(trials: Sequence[Trial], facts: ModelMetadata, fixed: bool) -> float:
@@ -150,8 +149,7 @@ def _common_rate(trials: Sequence[Trial], facts: ModelMetadata, fixed: bool) -> 
     if fixed:
         return own
     slowest = min(MOST_HZ, *(1.0 / trial.dt for trial in trials))
-    near = slowest / _NEAR_RATE <= own <= min(_NEAR_RATE * slowest, MOST_HZ)
-    return own if near else slowest
+    return own if LEAST_HZ <= own <= min(_NEAR_RATE * slowest, MOST_HZ) else slowest
 
 
 def affordable(
@@ -253,8 +251,9 @@ def split_runs(
 
     A quarter of the trials is final, if possible of motions that the development runs have too: first repeats of a
     motion, then motions most like another, the latest among equals. A motion that is like no other, such as one that a
-    diagnosis asked for, stays with the development runs. Of one or two trials the last third of each is final: it is
-    simulated from the beginning of the trial and scored alone. The other two thirds of a single trial are two folds.
+    diagnosis asked for, stays with the development runs. Of one or two trials the last third of what counts is final:
+    it is simulated from the beginning of the trial and scored alone. The other two thirds of a single
+    trial are two folds.
 
     Args:
         runs: of all trials.
@@ -286,10 +285,10 @@ def split_runs(
 def _cut(runs: Sequence[Run]) -> tuple[tuple[Run, ...], tuple[Run, ...]]:
     development, final = [], []
     for run in runs:
-        samples = np.arange(run.command.size)
-        edge = round((1 - _PART_FINAL) * samples.size)
+        samples, start = np.arange(run.command.size), int(np.argmax(run.counts))
+        edge = start + round((1 - _PART_FINAL) * (samples.size - start))
         final.append(replace(run, counts=samples >= edge))
-        edges = [0, edge // 2, edge] if len(runs) == 1 else [0, edge]
+        edges = [start, (start + edge) // 2, edge] if len(runs) == 1 else [start, edge]
         development += [replace(run, counts=(samples >= a) & (samples < b)) for a, b in itertools.pairwise(edges)]
     return tuple(development), tuple(final)
 

@@ -14,6 +14,7 @@ from hystmpc.trials.csv_files import format_table
 from hystmpc.trials.errors import FitError
 from hystmpc.trials.files import write_atomically
 from hystmpc.trials.layouts import OUTPUT_COLUMN, command_column
+from hystmpc.trials.recording import SEPARATION_COLUMN
 from hystmpc.trials.types import Vec
 
 from ..diagnosis import NextMotion
@@ -22,7 +23,6 @@ from .motion_menu import MenuMotion
 Simulate = Callable[[Vec, float], Vec]
 
 MOTION_FILE = "next_motion.csv"
-SEPARATION_COLUMN = "separation_deg"  # a column that no recording has, by which a proposed motion is told from a log
 _EQUAL_FACTOR, _EQUAL_ERRORS = 1.05, 0.005  # equal probabilities: error up to this factor, plus this, of the least
 _FORM_SPREAD = 2.0  # root of the number of directions that a model-form error may take
 _SHIFT, _SCALE = 0.01, 0.01  # of the command's range, and of the command

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 
@@ -231,7 +232,7 @@ def _simulator(problem: Problem, q: Vec, prepared: PreparedTrials) -> Simulate:
 
 
 def free_run(chain: Chain, rest_angle: float, bent: float = -np.inf, clock_s: float = 0.0) -> Simulate:
-    """Free run of a chain from a long rest at the motion's first command.
+    """Free run of a chain from a long rest at the motion's first command, at the motion's sample time.
 
     Args:
         chain: with its numbers.
@@ -239,14 +240,14 @@ def free_run(chain: Chain, rest_angle: float, bent: float = -np.inf, clock_s: fl
         bent: greatest command that the device has seen [mm or bar]; minus infinity for a new one.
         clock_s: of the device [s].
     """
-    staged = StagedChain(chain)
-    rested: dict[float, Vec] = {}  # every motion of a menu starts at one command
+
+    @cache  # every motion of a menu has one sample time and starts at one command
+    def rested(dt: float, first: float) -> tuple[StagedChain, Vec]:
+        there = chain.at_sample_time(dt, dt)
+        return StagedChain(there), settled(there, first, rest_angle, bent, clock_s)
 
     def simulate(command: Vec, dt: float) -> Vec:
-        first = float(command[0])
-        if first not in rested:
-            rested[first] = settled(chain, first, rest_angle, bent, clock_s)
-        state = rested[first]
+        staged, state = rested(dt, float(command[0]))
         return np.asarray(staged.simulate(command[:, None], dt, state[:, None])[0][:, 0])
 
     return simulate

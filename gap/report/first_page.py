@@ -11,6 +11,7 @@ from hystmpc.models.simulator import Simulator
 from ..diagnosis import Diagnosis, NextMotion, Place
 from .report_data import FIXED_FILE, Evidence
 from .words import (
+    chances,
     closed_sentence,
     floor_words,
     in_words,
@@ -25,6 +26,7 @@ from .words import (
 
 _NEVER_HELD = ("trial_shift", "sensor", "configuration_change")  # of the trials or the sensor, not of the simulator
 _BY_SIGNS = ("stick_slip",)  # found by its jumps, it is in the simulator only where a fit found it as well
+_LIKELY = 0.5  # probability, and share of the resamples, from which an effect counts as likely
 _DENSE, _MOST = 1.5, 0.3  # density and share of the error, above which a place is worth a sentence
 
 
@@ -43,7 +45,8 @@ def what_next(evidence: Evidence) -> tuple[str, ...]:
     """What to do with the corrected simulator, what that brings, and what to record."""
     diagnosis, motion = evidence.diagnosis, evidence.diagnosis.next_motion
     said = [_corrected(evidence)]
-    if (tracking := diagnosis.tracking) is not None and not tracking.why_not:
+    tracking = diagnosis.tracking
+    if tracking is not None and not tracking.why_not and not diagnosis.relies_on_its_split:
         said.append(tracking_sentence(diagnosis))
     if motion is not None:
         said += _recording(motion)
@@ -63,7 +66,8 @@ def how_sure(diagnosis: Diagnosis) -> tuple[str, ...]:
     if diagnosis.verdict == "too_little":
         return tuple(filter(None, ("Nothing is named, and no share is worth reading.", untested)))
     floor = floor_words(diagnosis.gap, diagnosis.unit) if diagnosis.gap.floor_kind == "noise" else ""
-    said = (_probability(diagnosis), stability_sentence(diagnosis), _intervals(diagnosis), floor, untested)
+    chance = _probability(diagnosis), _disagreement(diagnosis)
+    said = (*chance, stability_sentence(diagnosis), _intervals(diagnosis), floor, untested)
     return tuple(filter(None, said))
 
 
@@ -104,7 +108,7 @@ def _corrected(evidence: Evidence) -> str:
     if _unrelated(evidence):
         return "Look for a wrong file or column, a loose sensor, or a tendon or line that is broken."
     names = listed([in_words(effect.name) for effect in diagnosis.effects], "and")
-    if names and diagnosis.stability is not None and diagnosis.stability.flips:
+    if diagnosis.relies_on_its_split:
         return f"Do not rely on {names}: the verdict flips. Record more trials and diagnose all logs together."
     if evidence.fixed is None:
         return f"Use {EFFECTS_FILE} beside the network." if EFFECTS_FILE in evidence.files else ""
@@ -150,7 +154,7 @@ def _recording(motion: NextMotion) -> list[str]:
 
 def _probability(diagnosis: Diagnosis) -> str:
     """Probabilities of the effects found and of those they may stand for; else of the most likely one."""
-    chance = dict(diagnosis.ranking) | {effect.name: effect.probability for effect in diagnosis.effects}
+    chance = chances(diagnosis)
     found = [effect.name for effect in diagnosis.effects]
     shown = list(dict.fromkeys([*found, *(name for names in diagnosis.ambiguity for name in names)]))
     if not shown:
@@ -160,6 +164,18 @@ def _probability(diagnosis: Diagnosis) -> str:
         return f"The most likely effect of the library, {in_words(name)}, has a probability of {percent(p)}."
     each = [f"{in_words(name)} with {percent(chance[name])}" for name in shown if name in chance]
     return _sentence(f"{listed(each, 'and')} probability".replace(" with", " is present with", 1)) if each else ""
+
+
+def _disagreement(diagnosis: Diagnosis) -> str:
+    """Why an effect is likely that few resamples contain, or the other way about; empty where the two agree."""
+    apart = [e for e in diagnosis.effects if (e.probability >= _LIKELY) != (e.inclusion >= _LIKELY)]
+    if not apart:
+        return ""
+    each = listed([f"{in_words(e.name)} in {percent(e.inclusion)}" for e in apart], "and")
+    return (
+        f"In the best explanation of resampled trials, where every further effect has a price, is {each} of the cases; "
+        "the probability also weighs how much it closes and whether another effect could stand for it."
+    )
 
 
 def _sentence(text: str) -> str:

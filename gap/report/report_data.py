@@ -212,7 +212,14 @@ def _fixed(findings: Findings) -> Simulator | None:
         return None
     chosen, checked = findings.conclusion.chosen, prepared.checked
     return corrected_simulator(
-        simulator, chosen, prepared.everything, prepared.development, checked.trials, prepared.given, prepared.decades
+        simulator,
+        chosen,
+        prepared.everything,
+        prepared.development,
+        checked.trials,
+        prepared.given,
+        prepared.decades,
+        skip_first_flexure=not all(run.counts.all() for run in prepared.counted),
     )
 
 
@@ -235,9 +242,8 @@ def _trials(findings: Findings, floor_deg: float) -> tuple[TrialEvidence, ...]:
     final = {run.name: int(np.flatnonzero(run.counts)[0]) for run in prepared.final}
     nominal_q = retuned.problem.start(prepared.baseline.nominal, [])
     made, unit = [], prepared.decades.angle
-    for trial, run, motion in zip(
-        prepared.checked.trials, prepared.everything, prepared.checked.excitation.motions, strict=True
-    ):
+    motions, starts = prepared.checked.excitation.motions, [int(np.argmax(run.counts)) for run in prepared.counted]
+    for trial, run, motion, start in zip(prepared.checked.trials, prepared.everything, motions, starts, strict=True):
         role: Role = "final" if run.name in final else "fit"
         made.append(
             TrialEvidence(
@@ -248,7 +254,7 @@ def _trials(findings: Findings, floor_deg: float) -> tuple[TrialEvidence, ...]:
                 retuned=unit * retuned.problem.angles(retuned.q, run),
                 with_effects=unit * (run.angle + chosen.problem.held_out_error(chosen.q, run)),
                 floor_deg=floor_deg,
-                start=final.get(run.name, 0),
+                start=final.get(run.name, start),
             )
         )
     return tuple(made)

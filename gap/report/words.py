@@ -8,8 +8,10 @@ from collections.abc import Sequence
 from hystmpc.models.identify.uncertainty import BASELINE_UNITS, Interval
 from hystmpc.trials.trial import Units
 
-from ..diagnosis import Detectable, DetectableSizes, Diagnosis, FoundEffect, Gap, TrackingGap
+from ..diagnosis import FLIPS, Detectable, DetectableSizes, Diagnosis, FoundEffect, Gap, TrackingGap
 from ..next.motion_design import MotionProposal
+
+_UNREPEATABLE = "what is left differs between repeats of a motion, and no effect of the library explains that"
 
 
 def headline(diagnosis: Diagnosis) -> str:
@@ -23,7 +25,7 @@ def headline(diagnosis: Diagnosis) -> str:
     said = {
         "named": f"{names} {verb} {much}",
         "one_of": f"{names} {verb} {much}: these trials cannot tell which",
-        "unknown": "no effect of the library explains the gap",
+        "unknown": _UNREPEATABLE if diagnosis.gap.unrepeatable else "no effect of the library explains the gap",
         "retuned": f"the simulator needs other numbers: {moved}",
         "none": "the simulator has no structural gap",
         "too_little": "these logs are too little for a diagnosis",
@@ -35,15 +37,23 @@ def headline(diagnosis: Diagnosis) -> str:
 
 
 def _causes(diagnosis: Diagnosis) -> list[str]:
-    """Effects found, each with those that it may stand for, as `lag or delay`."""
+    """Effects found, the most probable first, each with those that it may stand for, as `lag or delay`."""
     sets = {name: words for names, words in zip(diagnosis.ambiguity, choices(diagnosis), strict=True) for name in names}
-    found = dict.fromkeys(sets.get(effect.name, effect.words) for effect in diagnosis.effects)
+    led = sorted(diagnosis.effects, key=lambda effect: -effect.probability)
+    found = dict.fromkeys(sets.get(effect.name, effect.words) for effect in led)
     return list(found) or choices(diagnosis)
 
 
 def choices(diagnosis: Diagnosis) -> list[str]:
-    """Every set of effects that these trials cannot tell apart, as `lag or delay`."""
-    return [listed([in_words(name) for name in names], "or") for names in diagnosis.ambiguity]
+    """Every set of effects that these trials cannot tell apart, the most probable first, as `lag or delay`."""
+    chance = chances(diagnosis)
+    led = (sorted(names, key=lambda name: -chance.get(name, 0.0)) for names in diagnosis.ambiguity)
+    return [listed([in_words(name) for name in names], "or") for names in led]
+
+
+def chances(diagnosis: Diagnosis) -> dict[str, float]:
+    """Probability of every effect by name."""
+    return dict(diagnosis.ranking) | {effect.name: effect.probability for effect in diagnosis.effects}
 
 
 def closed_sentence(diagnosis: Diagnosis) -> str:
@@ -55,6 +65,10 @@ def closed_sentence(diagnosis: Diagnosis) -> str:
     sizes += [f"{_size(gap.retuned_rmse_deg, unit)} retuned"]
     sizes += [f"{_size(gap.with_effects_rmse_deg, unit)} with effects"] if chosen else []
     text = f"On {trials}, the RMSE is {listed(sizes, 'and')}; the floor is {_size(gap.floor_rmse_deg, unit)}."
+    if diagnosis.kept_as_given:
+        text += " Retuning does not lower it there, so that the simulator's numbers are kept as given."
+    if any(effect.name == "sensor" for effect in diagnosis.effects):
+        text += " From the last two the sensor's own noise is taken off, which counts as a cause."
     if not (chosen and math.isfinite(gap.closed_share)):
         return text
     low, high = gap.closed_ci90
@@ -126,8 +140,8 @@ def tracking_sentence(diagnosis: Diagnosis) -> str:
     found = diagnosis.tracking
     if found is None:
         return ""
-    if found.why_not:
-        return f"How far the closed-loop tracking error falls cannot be said: {found.why_not}."
+    if found.why_not or diagnosis.relies_on_its_split:
+        return f"How far the closed-loop tracking error falls cannot be said: {found.why_not or FLIPS}."
     before, after = (_size_of(v, ends, diagnosis.unit) for v, ends in _errors(found))
     floor = diagnosis.gap.floor_rmse_deg
     if not found.changes(floor):
@@ -158,12 +172,12 @@ def floor_words(gap: Gap, unit: str = "deg") -> str:
         return "The floor comes from repeats of a motion: what differs between them no simulator can follow."
     if gap.unrepeatable:
         return (
-            f"Repeats of a motion differ by {_size(gap.repeats_rmse_deg, unit)}, which is all that retuning leaves: "
-            "that is the gap, so that the floor is the noise in the upper band of the residual."
+            f"Repeats of a motion differ by {_size(gap.repeats_rmse_deg, unit)}, and retuning leaves no more: "
+            "that does not depend on the command alone. The floor is the noise in the upper band of the residual."
         )
     return (
-        "No motion was repeated: the floor is the noise in the upper band of the residual, a lower bound, and every "
-        "share is relative to it."
+        "No motion was repeated: the floor is the noise in the upper band of the residual, or the rounding of the "
+        "readings where that is more. It is a lower bound, and every share is relative to it."
     )
 
 

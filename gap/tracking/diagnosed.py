@@ -12,7 +12,7 @@ from hystmpc.trajectories.drawn import CountedMotion, drawn_motions
 from hystmpc.trials.errors import HystmpcError
 from hystmpc.trials.types import Progress
 
-from ..diagnosis import Diagnosis, TrackingGap
+from ..diagnosis import FLIPS, Diagnosis, TrackingGap
 from ..report.report_data import Evidence, TrackingCurve, TrialEvidence
 from .expected import SEEDS, UnexplainedPlant, expected_tracking
 
@@ -83,6 +83,8 @@ def _why_not(evidence: Evidence) -> str:
         return "these logs do not allow a diagnosis"
     if diagnosis.verdict == "unknown" or evidence.fixed is None:
         return "the gap has a cause that is not known, so that no simulator stands for the device"
+    if diagnosis.relies_on_its_split:
+        return FLIPS
     closed = diagnosis.gap.closed_share
     if diagnosis.verdict not in ("none", "retuned") and not closed >= LEAST_CLOSED:
         return (

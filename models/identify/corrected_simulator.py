@@ -44,6 +44,7 @@ def corrected_simulator(
     trials: Sequence[Trial],
     given: Sequence[Trial],
     decades: Decades,
+    skip_first_flexure: bool = False,
 ) -> Simulator:
     """A simulator retuned, with the effects found.
 
@@ -59,12 +60,13 @@ def corrected_simulator(
         development: those that were fitted.
         trials, given: all trials at the common rate, and as recorded.
         decades: units in which the simulator was fitted and the runs are; the trials are in those of the log.
+        skip_first_flexure: whether the trials counted from their first reversal on only.
     """
     chain = decades.log_chain(chosen.problem.fitted_chain(chosen.q))
-    disturbance = _disturbance(chosen, runs[-1], simulator.dt_s, decades)
+    disturbance = _disturbance(chosen, runs[-1], runs[-1].dt_s, decades)
     if disturbance is not None:
         chain = replace(chain, after=(*chain.after, disturbance))
-    names, skip = {run.name for run in development}, simulator.identification.skip_first_flexure
+    names, skip = {run.name for run in development}, simulator.identification.skip_first_flexure or skip_first_flexure
     fitted = [(run, trial, log) for run, trial, log in zip(runs, trials, given, strict=True) if run.name in names]
     compared = [_compared(chain, decades.angle * run.angle, trial, skip) for run, trial, _ in fitted]
     errors = [(trial.angle - theta)[start:] for trial, theta, start in compared]
@@ -76,7 +78,8 @@ def corrected_simulator(
         residuals=tuple(residual(log, *own) for (*_, log), own in zip(fitted, compared, strict=True)),
         noise=estimation_noise([trial for trial, *_ in compared], errors, chosen.problem.size),
     )
-    return replace(simulator, chain=chain, identification=identification).at_sample_time(simulator.dt_s)
+    corrected = replace(simulator, chain=chain, identification=identification, dt_s=runs[-1].dt_s)
+    return corrected.at_sample_time(simulator.dt_s)
 
 
 def network_effects(

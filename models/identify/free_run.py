@@ -15,10 +15,12 @@ from hystmpc.trials.types import Index, Vec
 
 from ..chain import Chain
 from ..kernels.chain_kernels import DIRECTIONS, stage_kernels
+from ..operators.dynamics import Delay
 from ..start import Runs, TrialStart, found_start, search_box, trial_start
 from .runs import angle_range, check_trial_set, command_range, end_to_end
 from .settling import Settling, Stage
 
+_ROUNDING = 1e-6  # of a store: a delay that fills it but for rounding
 _LANES, _MOST_IDLE = 8, 5  # directions of one vector instruction; idle ones that cost less than a rest one by one
 
 
@@ -43,6 +45,8 @@ class StagedChain:
             self._stages.append((stage_kernels(operator), slice(states, states + s), slice(parameters, parameters + p)))
             states, parameters = states + s, parameters + p
         self.state_size, self.parameter_count = states, parameters
+        places = zip(chain.operators, self._stages, strict=True)
+        self._stores = [(own.start, operator.samples) for operator, (*_, own) in places if isinstance(operator, Delay)]
         self._core = len(chain.before)
 
     def rest(self, command: Vec, angle: Vec, values: Vec | None = None) -> Vec:
@@ -82,11 +86,12 @@ class StagedChain:
             Angles (T, N) [deg] and states (S, N) after the last sample.
 
         Raises:
-            ModelError: if a shape does not fit.
+            ModelError: if a shape does not fit, or a delay is longer than its store at that sample time.
         """
         self._check(commands, states)
         p, x = self._rows(values, commands.shape[1]), np.array(states, dtype=np.float64, order="C")
         signal = np.ascontiguousarray(commands, dtype=np.float64)
+        self._require_room(p, dt_s)
         for kernels, state, parameters in self._stages:
             kept = np.empty((kernels.kept[0], signal.shape[1]))
             kernels.prepare(p[parameters], dt_s, kernels.constants[0], kept)
@@ -178,6 +183,7 @@ class StagedChain:
     def _kept(self, dt_s: float, values: Vec | None) -> list[Vec]:
         """Of every operator, what follows from parameters and sample time alone."""
         p, found = self._rows(values, 1), []
+        self._require_room(p, dt_s)
         for kernels, _, own in self._stages:
             found.append(np.empty((kernels.kept[1], 1)))
             kernels.prepare_slopes(p[own], dt_s, kernels.constants[1], found[-1])
@@ -192,6 +198,15 @@ class StagedChain:
                 f"({self.parameter_count}, {rows})"
             )
         return np.ascontiguousarray(np.broadcast_to(p[:, None] if p.ndim == 1 else p, (self.parameter_count, rows)))
+
+    def _require_room(self, p: Vec, dt_s: float) -> None:
+        """Refuse a delay (P, N) that is longer than its store: all its weights vanish, and its output with them."""
+        for k, samples in self._stores:
+            if (longest := float(np.max(p[k]))) > samples * dt_s * (1 + _ROUNDING):
+                raise ModelError(
+                    f"delay: {longest:.6g} s at a sample time of {dt_s:.6g} s, expected at most {samples * dt_s:.6g} s "
+                    f"from its store of {samples} samples; bring the simulator to that sample time (`at_sample_time`)"
+                )
 
     def _check(self, commands: Vec, states: Vec) -> None:
         if commands.ndim != 2 or states.shape != (self.state_size, commands.shape[1]):

@@ -203,6 +203,14 @@ class Delay(Operator):
         del y, p
         return ca.repmat(u, self.samples, 1)
 
+    def resampled(self, dt_s: float, was_s: float) -> Self:
+        del was_s
+        return self.at_rate(self.delay_s, dt_s)
+
+    def holds(self, dt_s: float) -> bool:
+        """Whether the store is long enough at sample time `dt_s` [s]: beyond it all weights vanish."""
+        return self.samples >= self.at_rate(self.delay_s, dt_s).samples
+
     @property
     def settling_samples(self) -> int:
         """The store's length."""
@@ -211,4 +219,9 @@ class Delay(Operator):
 
 def stored(operators: Sequence[Operator], dt_s: float) -> tuple[Operator, ...]:
     """The operators, delays with just the store that they need at sample time `dt_s` [s]."""
-    return tuple(Delay.at_rate(o.delay_s, dt_s) if isinstance(o, Delay) else o for o in operators)
+    return tuple(operator.resampled(dt_s, dt_s) for operator in operators)
+
+
+def with_room(operators: Sequence[Operator], dt_s: float) -> tuple[Operator, ...]:
+    """The operators, delays whose store is too short at sample time `dt_s` [s] with one that is long enough."""
+    return tuple(o.resampled(dt_s, dt_s) if isinstance(o, Delay) and not o.holds(dt_s) else o for o in operators)

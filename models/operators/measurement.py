@@ -193,3 +193,9 @@ class PeriodicDisturbance(Operator):
     def at_rest(self, u: Symbol, y: Symbol, p: Symbol) -> Symbol:
         del u, y, p
         return ca.vertcat(0)
+
+    def resampled(self, dt_s: float, was_s: float) -> Self:
+        """The clock makes its first step with the first sample: the phases change by 2 pi h f (was_s - dt_s)."""
+        turn = 2 * math.pi * self.frequency_hz * (was_s - dt_s)
+        phases = (math.remainder(p + h * turn, 2 * math.pi) for h, p in enumerate(self.phases_rad, 1))
+        return self if dt_s == was_s else replace(self, phases_rad=tuple(phases))

@@ -126,6 +126,14 @@ class Operator(ABC):
     def _value_fields(self) -> list[str]:
         return [f.name for f in fields(self) if f.name not in self.shape]  # type: ignore[arg-type]  # as above
 
+    def resampled(self, dt_s: float, was_s: float) -> Operator:
+        """The same operator in a chain that runs at sample time `dt_s`, from one that ran at `was_s` [s].
+
+        What counts samples, as the store of a delay, or starts with a sample, as a clock, is fitted to it.
+        """
+        del dt_s, was_s
+        return self
+
     @property
     def settling_samples(self) -> int:
         """Samples of constant input after which the state no longer depends on how `at_rest` guessed it."""

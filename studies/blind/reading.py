@@ -31,6 +31,7 @@ class DiagnosisReading:
 
     Attributes:
         verdict: one of `VERDICTS`, or `failed` where it ended with an error.
+        effects, probabilities: named, the one that closes most first: the truth's largest cause is asked for.
         ranking: names with probabilities, most likely first.
         closed_share, closed_ci90: of the whole gap, with its interval where given.
         floor_deg: that the closed share counts from [deg], where given.
@@ -120,7 +121,7 @@ def reading_of(data: Mapping[str, Any], others: Mapping[str, str] | None = None)
     verdict = data["verdict"]
     if verdict not in VERDICTS:
         raise ValueError(f"verdict {verdict!r}, expected one of {', '.join(VERDICTS)}")
-    effects, gap = data["effects"], data["gap"]
+    effects, gap = sorted(data["effects"], key=lambda e: -float(e.get("closed_share") or 0.0)), data["gap"]
     interval = gap.get("closed_ci90")
     return DiagnosisReading(
         verdict,

@@ -27,9 +27,9 @@ from hystmpc.ctrl.law import LawSettings
 from hystmpc.ctrl.limits import CommandLimits
 from hystmpc.ctrl.loop import Controller
 from hystmpc.ctrl.mpc_settings import LinearisedMpcSettings
-from hystmpc.gap.diagnose import conclude, find_causes
-from hystmpc.gap.tracking.diagnosed import covered_motions, with_tracking
+from hystmpc.gap.tracking.diagnosed import covered_motions
 from hystmpc.gap.tracking.expected import USUAL
+from hystmpc.gap.whole import diagnose_trials
 from hystmpc.models.kinds.catalogue import kind_named
 from hystmpc.models.simulator import ChainModel, load_simulator
 from hystmpc.sim.closed_loop import ClosedLoopRun, run_closed_loop
@@ -315,8 +315,7 @@ def _tracking_gap(bench: StudyBench) -> tuple[str, dict[str, float]]:
     device = bench.device
     trials = recordings(DrawnPlant(device, device.seed + _DIAGNOSED), bench.settings.quick)
     nominal = load_simulator(bench.tip().parent / "rival.yaml")
-    findings = find_causes(trials, nominal, seed=bench.settings.seed)
-    evidence = with_tracking(conclude(findings)[1])
+    evidence = diagnose_trials(trials, nominal, seed=bench.settings.seed).evidence
     said, fixed = evidence.diagnosis.tracking, evidence.fixed
     if said is None or said.why_not or fixed is None:
         return f"not said: {said.why_not if said else ''}", {"gap.said": 0.0}

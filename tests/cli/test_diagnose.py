@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import html
 import json
+import re
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,12 +13,14 @@ import numpy as np
 import pytest
 from rich.console import Console
 
+import hystmpc
 from hystmpc.cli import diagnose
 from hystmpc.ctrl.limits import CommandLimits
 from hystmpc.gap.next.motion_design import Noise, propose, write_motion
 from hystmpc.gap.next.motion_menu import menu
 from hystmpc.models.simulator import ChainModel, Residual, load_simulator, save_simulator
 from hystmpc.trials.csv_files import write_csv
+from hystmpc.trials.errors import LogError
 from hystmpc.trials.trial import Trial
 
 from ..gap.contenders import DELAY, LAG
@@ -82,6 +86,30 @@ def test_unusable_input_is_one_line_and_exit_code_2(
     assert list(tmp_path.iterdir()) == [], "nothing may stay behind"
 
 
+@pytest.mark.parametrize("call", ["fit", "evaluate", "diagnose"])
+def test_a_proposed_motion_is_no_recording_in_python_either(call: str, inputs: dict[str, str], tmp_path: Path) -> None:
+    """Refused before anything is computed or written, whoever takes it for a log."""
+    calls: dict[str, Callable[[], object]] = {
+        "fit": lambda: hystmpc.fit("pi", [inputs["planned"]]),
+        "evaluate": lambda: hystmpc.evaluate(inputs["sim"], [inputs["planned"]]),
+        "diagnose": lambda: hystmpc.diagnose([inputs["log"], inputs["planned"]], inputs["sim"], out=tmp_path / "d"),
+    }
+    with pytest.raises(LogError, match=r"next_motion\.csv: is a motion proposed by a diagnosis, expected what was"):
+        calls[call]()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_one_function_makes_the_whole_diagnosis() -> None:
+    """The steps that make a folder with a tracking gap stand in one file; every caller calls its function."""
+    root, steps = Path(hystmpc.__file__).parent, ("with_tracking(", "save_diagnosis(")
+    sources = {p.relative_to(root).as_posix(): p.read_text(encoding="utf-8") for p in root.rglob("*.py")}
+    own = {name: text for name, text in sources.items() if not name.startswith(("tests/", ".", "build/"))}
+    callers = {n for n, text in own.items() if any(re.search(rf"(?<!def ){re.escape(s)}", text) for s in steps)}
+    assert callers == {"gap/whole.py"}
+    whole = {"api.py", "cli/diagnose.py", "commissioning/identify.py", "investigation/judge.py"}
+    assert whole <= {name for name, text in own.items() if "diagnose_trials(" in text}
+
+
 @pytest.mark.parametrize("verdict", VERDICTS)
 def test_the_console_says_verdict_size_and_next_motion(
     verdict: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
@@ -145,5 +173,6 @@ def test_help_names_the_options(capsys: pytest.CaptureFixture[str], monkeypatch:
     monkeypatch.setenv("COLUMNS", "200")
     code, out, _ = run(capsys, "diagnose", "--help")
     assert code == 0
-    for option in ("--sim", "--out", "--preset", "--json", "--seed", "--without", "--ordered", "--self-test"):
+    options = ("--sim", "--out", "--preset", "--json", "--seed", "--without", "--only", "--ordered", "--self-test")
+    for option in (*options, "--skip-first-flexure"):
         assert option in out

@@ -148,7 +148,10 @@ def test_the_rate_is_the_simulators_where_near_else_the_logs_up_to_50_hz() -> No
     assert rate(500, 0.002) == pytest.approx(50)
     assert rate(30, 0.04) == pytest.approx(25)
     assert rate(25, 0.02) == pytest.approx(25)
-    assert rate(40, 0.1) == pytest.approx(40)
+    assert rate(40, 0.1) == pytest.approx(10)
+    assert rate(50, 0.04) == pytest.approx(25)
+    assert rate(25, 0.01) == pytest.approx(25)
+    assert rate(40, 0.2) == pytest.approx(40)
 
 
 def test_a_network_is_run_at_its_own_rate() -> None:
@@ -160,8 +163,8 @@ def test_gaps_are_cut_and_noted() -> None:
     own = trial(LONG)
     kept = np.r_[0:300, 400 : len(own)]
     checked = check(Trial(own.t[kept], own.command[kept], own.angle[kept], source="log.csv"))
-    assert checked.trials[0].t[0] == pytest.approx(16.0)
-    assert "log.csv: gaps in time; only its longest part, 16 to 48 s, is used." in checked.notes
+    assert [part.t[0] for part in checked.trials] == pytest.approx([0.0, 16.0])
+    assert "log.csv: gaps in time; cut into 2 trials: 0 to 11.96 s, 16 to 48 s." in checked.notes
 
 
 def test_notes_say_what_is_missing() -> None:

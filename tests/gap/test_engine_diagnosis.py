@@ -21,10 +21,12 @@ from hystmpc.models.effects.catalogue import diagnosable
 from hystmpc.models.operators.dynamics import Lag
 from hystmpc.models.operators.operator import Operator
 from hystmpc.models.operators.slow_changes import Creep
+from hystmpc.models.simulator import Simulator
 from hystmpc.trials.errors import GapError
 from hystmpc.trials.trial import Trial
 
 from ..models.zoo import BACKLASH
+from .consistency import contradictions
 from .engine_examples import moves, simulator_of, sine, trials_of
 
 pytestmark = pytest.mark.slow
@@ -53,10 +55,17 @@ def recorded(*before: Operator, motions: tuple[Any, ...] = HOLDS, seed: int = 0)
     return trials_of(Chain(BACKLASH, before), list(motions), seed=seed)
 
 
+def diagnosed(trials: list[Trial], simulator: Simulator, **chosen: Any) -> tuple[Diagnosis, Evidence]:
+    """A diagnosis that does not contradict itself."""
+    diagnosis, evidence = conclude(find_causes(trials, simulator, **chosen))
+    assert contradictions(evidence) == []
+    return diagnosis, evidence
+
+
 @functools.cache
 def creeping() -> tuple[Diagnosis, Evidence]:
     """The diagnosis of a device that creeps."""
-    return conclude(find_causes(recorded(CREEP), SIMULATOR, seed=3))
+    return diagnosed(recorded(CREEP), SIMULATOR, seed=3)
 
 
 def found(diagnosis: Diagnosis) -> set[str]:
@@ -66,7 +75,7 @@ def found(diagnosis: Diagnosis) -> set[str]:
 
 @pytest.mark.slow
 def test_nothing_is_found_where_there_is_nothing() -> None:
-    diagnosis, _ = conclude(find_causes(recorded(), SIMULATOR))
+    diagnosis, _ = diagnosed(recorded(), SIMULATOR)
     assert diagnosis.verdict == "none"
     assert not diagnosis.effects
     assert diagnosis.next_motion is None
@@ -162,16 +171,16 @@ def test_the_result_has_the_fixed_form() -> None:
 
 @pytest.mark.slow
 def test_a_seed_gives_one_result() -> None:
-    again, _ = conclude(find_causes(recorded(CREEP), SIMULATOR, seed=3))
+    again, _ = diagnosed(recorded(CREEP), SIMULATOR, seed=3)
     assert diagnosis_json(again) == diagnosis_json(creeping()[0])
 
 
 @pytest.mark.slow
 def test_an_effect_that_is_left_out_is_not_named() -> None:
-    diagnosis, evidence = conclude(find_causes(recorded(CREEP), SIMULATOR, without=("creep",)))
+    diagnosis, evidence = diagnosed(recorded(CREEP), SIMULATOR, without=("creep",))
     assert "creep" not in found(diagnosis) | {name for name, _ in diagnosis.ranking}
     assert "creep" not in {row.name for row in evidence.candidates}
-    only, _ = conclude(find_causes(recorded(CREEP), SIMULATOR, only=("creep", "lag")))
+    only, _ = diagnosed(recorded(CREEP), SIMULATOR, only=("creep", "lag"))
     assert {name for name, _ in only.ranking} == {"creep", "lag"}
     assert found(only) == {"creep"}
 
@@ -179,7 +188,7 @@ def test_an_effect_that_is_left_out_is_not_named() -> None:
 @pytest.mark.slow
 def test_sines_leave_open_what_lag_is() -> None:
     """Lag, delay and rate dependence look alike in sines: a set of them, or a motion that tells them apart."""
-    diagnosis, _ = conclude(find_causes(recorded(Lag(0.2), motions=SINES), SIMULATOR))
+    diagnosis, _ = diagnosed(recorded(Lag(0.2), motions=SINES), SIMULATOR)
     family = {"lag", "delay", "rate_dependence"}
     assert found(diagnosis) & family
     assert diagnosis.next_motion is not None
@@ -192,7 +201,7 @@ def test_sines_leave_open_what_lag_is() -> None:
 @pytest.mark.parametrize("count", [1, 2])
 def test_few_trials_are_judged_by_their_parts(count: int) -> None:
     motions = (moves(7, 40.0, 2.0), moves(8, 40.0, 3.0))[:count]
-    diagnosis, evidence = conclude(find_causes(recorded(CREEP, motions=motions), SIMULATOR))
+    diagnosis, evidence = diagnosed(recorded(CREEP, motions=motions), SIMULATOR)
     assert "creep" in found(diagnosis)
     assert len(diagnosis.gap.final_trials) == count
     assert all(trial.start > 0 for trial in evidence.trials)
@@ -206,7 +215,7 @@ ONE_WAY = (np.clip(np.arange(1000) / 900.0, 0.0, 1.0) * 6.0,)
 
 @pytest.mark.parametrize(("motions", "lacks"), [(SHORT, "s in all, expected 15 s"), (ONE_WAY, "turns 0 times")])
 def test_too_little_says_what_lacks_and_what_to_record(motions: tuple[Any, ...], lacks: str) -> None:
-    diagnosis, _ = conclude(find_causes(recorded(CREEP, motions=motions), SIMULATOR))
+    diagnosis, _ = diagnosed(recorded(CREEP, motions=motions), SIMULATOR)
     assert diagnosis.verdict == "too_little"
     assert lacks in diagnosis.reason
     assert not diagnosis.effects
@@ -217,12 +226,12 @@ def test_too_little_says_what_lacks_and_what_to_record(motions: tuple[Any, ...],
 def test_a_constant_command_is_refused() -> None:
     still = [replace(trial, command=np.zeros(len(trial))) for trial in recorded()[:2]]
     with pytest.raises(GapError, match="the command is constant in every trial"):
-        conclude(find_causes(still, SIMULATOR))
+        diagnosed(still, SIMULATOR)
 
 
 def test_an_unknown_effect_is_refused_with_the_nearest() -> None:
     with pytest.raises(GapError, match=r"no effect 'crep'.*did you mean 'creep'"):
-        conclude(find_causes(recorded(), SIMULATOR, without=("crep",)))
+        diagnosed(recorded(), SIMULATOR, without=("crep",))
 
 
 def test_what_is_not_finite_is_null() -> None:

@@ -13,7 +13,6 @@ from hypothesis import strategies as st
 
 from hystmpc.ctrl.limits import CommandLimits
 from hystmpc.gap.next.motion_design import (
-    SEPARATION_COLUMN,
     MotionProposal,
     Noise,
     OpenHypothesis,
@@ -28,6 +27,7 @@ from hystmpc.gap.next.open_hypotheses import open_explanations
 from hystmpc.trajectories.trajectory import read_sampled
 from hystmpc.trials.csv_files import read_csv
 from hystmpc.trials.errors import FitError
+from hystmpc.trials.recording import SEPARATION_COLUMN
 
 from .contenders import CREEP, DELAY, LAG, baseline, creep, lag
 

@@ -1,0 +1,124 @@
+"""The simulator as given: its free runs at its own sample time, and whether `evaluate` says the same of it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from hystmpc.models.chain import Chain
+from hystmpc.models.identify.free_run import StagedChain
+from hystmpc.models.identify.runs import Run
+from hystmpc.models.simulator import Simulator
+from hystmpc.trials.errors import LogError
+from hystmpc.trials.segments import first_flexure_end
+from hystmpc.trials.trial import Trial, resample
+from hystmpc.trials.types import Vec
+
+_SAME = 0.1  # of the error: two that differ by less, or by no more energy than the noise has, say the same
+_ROUNDED = 1e-3  # of a sample time, which files round
+
+
+def with_own_rate(
+    runs: Sequence[Run], recorded: Sequence[Trial], chain: Chain, own: Chain, own_dt_s: float
+) -> tuple[Run, ...]:
+    """Runs whose correction makes the simulator as given what it is at its own sample time.
+
+    An operator is exact at any sample time for some inputs only, such as a lag for one in steps. Where the simulator
+    is faster than its diagnosis, the difference of its angles at the two sample times is added to all free runs: exact
+    for the simulator as given, and to first order with other numbers or effects. Nothing is added where it is as fast
+    or slower, or where a log is too slow for its sample time.
+
+    Args:
+        runs: at the sample time of the diagnosis.
+        recorded: the trials as recorded, in the units of the runs.
+        chain, own: the simulator's at that sample time, and at its own.
+        own_dt_s: its own sample time [s].
+    """
+    if own_dt_s >= runs[0].dt_s * (1 - _ROUNDED):
+        return tuple(runs)
+    found = []
+    for run, trial in zip(runs, recorded, strict=True):
+        fast = at_own_rate(trial, own_dt_s)
+        if fast is None:
+            return tuple(runs)
+        there = trial.t[0] + run.dt_s * np.arange(run.command.size)
+        angles = np.interp(there, fast.t, _angles(own, run, fast.command, own_dt_s))
+        found.append(replace(run, correction=angles - _angles(chain, run, run.command, run.dt_s)))
+    return tuple(found)
+
+
+def at_own_rate(trial: Trial, own_dt_s: float) -> Trial | None:
+    """A trial at the simulator's sample time [s], as `evaluate` takes it; None where the log is too slow for it."""
+    with suppress(LogError):
+        return resample(trial, 1 / own_dt_s)
+    return None
+
+
+def evaluated_mse(simulator: Simulator, recorded: Sequence[Trial], skip_first_flexure: bool = False) -> float | None:
+    """Mean square error that `evaluate` finds on trials without gaps [deg^2]; None where one is too slow for it.
+
+    A free run at the simulator's sample time, from its start rule over its warm-up.
+    """
+    facts, staged = simulator.metadata(), StagedChain(simulator.chain)
+    squares, samples = 0.0, 0
+    for trial in recorded:
+        if (own := at_own_rate(trial, simulator.dt_s)) is None:
+            return None
+        commands = np.concatenate([np.full(facts.warmup_samples, own.command[0]), own.command])
+        state = facts.initial.state(np.array([[own.angle[0]]]))
+        theta = staged.simulate(commands[:, None], simulator.dt_s, state.T)[0][facts.warmup_samples :, 0]
+        error = (theta - own.angle)[first_flexure_end(own) if skip_first_flexure else 0 :]
+        squares, samples = squares + float(error @ error), samples + error.size
+    return squares / samples
+
+
+def evaluation_notes(
+    simulator: Simulator,
+    given_mse: float,
+    noise_mse: float,
+    evaluated: float | None,
+    recorded: Sequence[Trial],
+    dt_s: float,
+) -> tuple[str, ...]:
+    """A sentence where `evaluate` gives another error of the simulator as given; none where the two agree.
+
+    Args:
+        simulator: as given.
+        given_mse: its error in the diagnosis, over all trials as measured [deg^2].
+        noise_mse: white noise of the sensor, which other sample times meet in other readings [deg^2].
+        evaluated: the error that `evaluate` finds (`evaluated_mse`) [deg^2].
+        recorded: the trials, cut at gaps.
+        dt_s: sample time of the diagnosis [s].
+    """
+    unit, own_hz, hz = simulator.angle_unit, 1 / simulator.dt_s, 1 / dt_s
+    if evaluated is None:
+        slowest = max(recorded, key=lambda trial: trial.dt)
+        return (
+            f"The simulator is of {own_hz:.4g} Hz and {Path(slowest.source).name} of {1 / slowest.dt:.4g} Hz: "
+            f"`evaluate` does not run it over these trials, and the diagnosis runs it at {hz:.4g} Hz.",
+        )
+    mine, other = math.sqrt(given_mse), math.sqrt(evaluated)
+    if abs(mine - other) <= _SAME * max(mine, other) or abs(given_mse - evaluated) <= noise_mse:
+        return ()
+    rates = abs(simulator.dt_s - dt_s) > _ROUNDED * dt_s
+    why = (
+        f"`evaluate` runs it at {own_hz:.4g} Hz, the diagnosis at {hz:.4g} Hz; and they start a trial in another way"
+        if rates
+        else "`evaluate` starts a trial by the simulator's own start rule, the diagnosis at the trial's first command"
+    )
+    return (
+        f"`evaluate` gives another error of the simulator as given, {other:.3g} {unit} RMS over all trials instead of "
+        f"{mine:.3g} {unit}: {why}.",
+    )
+
+
+def _angles(chain: Chain, run: Run, commands: Vec, dt_s: float) -> Vec:
+    """Angles (T,) of a chain over commands (T,), from the rest that a run begins with [deg]."""
+    staged = StagedChain(chain)
+    state = staged.settled(np.array([run.rest_command]), np.array([run.rest_angle]), dt_s)[0]
+    return np.asarray(staged.simulate(commands[:, None], dt_s, state)[0][:, 0])
