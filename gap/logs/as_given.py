@@ -14,6 +14,7 @@ from hystmpc.models.chain import Chain
 from hystmpc.models.identify.free_run import StagedChain
 from hystmpc.models.identify.runs import Run
 from hystmpc.models.simulator import Simulator
+from hystmpc.models.start import Runs, TrialStart, found_start, search_box, trial_start
 from hystmpc.trials.errors import LogError
 from hystmpc.trials.segments import first_flexure_end
 from hystmpc.trials.trial import Trial, resample
@@ -52,6 +53,21 @@ def with_own_rate(
     return tuple(found)
 
 
+def own_starts(recorded: Sequence[Trial], own_dt_s: float, dt_s: float) -> tuple[TrialStart, ...]:
+    """How trials begin at the simulator's own sample time, as `evaluate` takes them, for runs at that of a diagnosis.
+
+    Args:
+        recorded: the trials as recorded, in the units of the runs.
+        own_dt_s, dt_s: sample time of the simulator, and of the diagnosis [s].
+    """
+    found = []
+    for trial in recorded:
+        own = at_own_rate(trial, own_dt_s) or at_own_rate(trial, dt_s) or trial
+        start = trial_start(own.command, own.angle, own.dt)
+        found.append(replace(start, lead=round(start.lead * own.dt / dt_s)))
+    return tuple(found)
+
+
 def at_own_rate(trial: Trial, own_dt_s: float) -> Trial | None:
     """A trial at the simulator's sample time [s], as `evaluate` takes it; None where the log is too slow for it."""
     with suppress(LogError):
@@ -62,17 +78,18 @@ def at_own_rate(trial: Trial, own_dt_s: float) -> Trial | None:
 def evaluated_mse(simulator: Simulator, recorded: Sequence[Trial], skip_first_flexure: bool = False) -> float | None:
     """Mean square error that `evaluate` finds on trials without gaps [deg^2]; None where one is too slow for it.
 
-    A free run at the simulator's sample time, from its start rule over its warm-up.
+    A free run at the simulator's sample time, from where `evaluate` lets a trial begin (`models.start`).
     """
     facts, staged = simulator.metadata(), StagedChain(simulator.chain)
-    squares, samples = 0.0, 0
+    run = staged.rollouts(simulator.dt_s, simulator.chain.values)
+    box, squares, samples = search_box(facts.trained_command, facts.trained_angle), 0.0, 0
     for trial in recorded:
         if (own := at_own_rate(trial, simulator.dt_s)) is None:
             return None
-        commands = np.concatenate([np.full(facts.warmup_samples, own.command[0]), own.command])
-        state = facts.initial.state(np.array([[own.angle[0]]]))
-        theta = staged.simulate(commands[:, None], simulator.dt_s, state.T)[0][facts.warmup_samples :, 0]
-        error = (theta - own.angle)[first_flexure_end(own) if skip_first_flexure else 0 :]
+        start = trial_start(own.command, own.angle, own.dt)
+        start = found_start(start, own.command, own.angle, own.dt, box, run)
+        error = _from(run, start, own.command) - own.angle
+        error = error[max(start.lead, first_flexure_end(own) if skip_first_flexure else 0) :]
         squares, samples = squares + float(error @ error), samples + error.size
     return squares / samples
 
@@ -107,9 +124,9 @@ def evaluation_notes(
         return ()
     rates = abs(simulator.dt_s - dt_s) > _ROUNDED * dt_s
     why = (
-        f"`evaluate` runs it at {own_hz:.4g} Hz, the diagnosis at {hz:.4g} Hz; and they start a trial in another way"
+        f"`evaluate` runs it at {own_hz:.4g} Hz, the diagnosis at {hz:.4g} Hz"
         if rates
-        else "`evaluate` starts a trial by the simulator's own start rule, the diagnosis at the trial's first command"
+        else "the diagnosis lets trials that rest at one command begin alike, and finds other starts to first order"
     )
     return (
         f"`evaluate` gives another error of the simulator as given, {other:.3g} {unit} RMS over all trials instead of "
@@ -118,7 +135,16 @@ def evaluation_notes(
 
 
 def _angles(chain: Chain, run: Run, commands: Vec, dt_s: float) -> Vec:
-    """Angles (T,) of a chain over commands (T,), from the rest that a run begins with [deg]."""
-    staged = StagedChain(chain)
-    state = staged.settled(np.array([run.rest_command]), np.array([run.rest_angle]), dt_s)[0]
-    return np.asarray(staged.simulate(commands[:, None], dt_s, state)[0][:, 0])
+    """Angles (T,) of a chain over commands (T,) at a sample time, from where a run begins [deg]."""
+    way = np.array(run.approach)
+    if way.size:
+        steps = np.arange(round(way.size * run.dt_s / dt_s)) * dt_s / run.dt_s
+        way = np.interp(steps, np.arange(way.size), way)
+    start = TrialStart(run.rest_command, run.rest_angle, run.lead, tuple(way.tolist()))
+    return _from(StagedChain(chain).rollouts(dt_s, chain.values), start, commands)
+
+
+def _from(run: Runs, start: TrialStart, commands: Vec) -> Vec:
+    """Angles (T,) over commands (T,) from a start on [deg]."""
+    plan = np.concatenate([start.approach, commands])
+    return np.asarray(run(np.array([start.command]), np.array([start.angle]), plan[None])[0, len(start.approach) :])

@@ -12,6 +12,7 @@ import numpy as np
 from hystmpc.models.chain import Chain
 from hystmpc.models.contract.metadata import Range
 from hystmpc.models.decades import Decades
+from hystmpc.models.evaluate import free_run, started
 from hystmpc.models.identify.baseline import Baseline, FreeCoreBaseline, ScaledBaseline, baseline_of
 from hystmpc.models.identify.cross_validation import Hypothesis
 from hystmpc.models.identify.least_squares import fit_problem
@@ -19,13 +20,14 @@ from hystmpc.models.identify.problem import Problem
 from hystmpc.models.identify.runs import Run, fingerprint, runs_of
 from hystmpc.models.model import LoadedModel
 from hystmpc.models.simulator import Identification, Simulator
+from hystmpc.models.start import search_box
 from hystmpc.trials.errors import GapError, LogError
 from hystmpc.trials.segments import first_flexure_end, segment
 from hystmpc.trials.trial import Trial, Units, parts_at_gaps, resample
 from hystmpc.trials.types import Vec
 
 from ..diagnosis import Order
-from .as_given import evaluated_mse, evaluation_notes, with_own_rate
+from .as_given import evaluated_mse, evaluation_notes, own_starts, with_own_rate
 from .check import Checked, check_trials
 from .recording_order import in_recording_order
 from .rest_angles import common_rest
@@ -159,7 +161,7 @@ def _baseline_and_runs(
     simulator: Simulator | LoadedModel, checked: Checked, signs: SensorSigns, decades: Decades
 ) -> tuple[Baseline, tuple[Run, ...]]:
     """The nominal simulator at the sample time of the trials, and these as runs, faults of the sensor repaired."""
-    trials = decades.trials(checked.trials)
+    trials, given = decades.trials(checked.trials), decades.trials(checked.given)
     repaired_trials = [repaired(trial, signs) for trial in trials]
     command = Range(
         lower=min(float(t.command.min()) for t in repaired_trials),
@@ -168,8 +170,10 @@ def _baseline_and_runs(
     before = [b.scaled(1 / decades.command) for b in checked.before]
     if isinstance(simulator, Simulator):
         own, chain = (decades.chain(s.chain) for s in (simulator, simulator.at_sample_time(checked.dt)))
-        baseline, runs = baseline_of(chain, command), runs_of(repaired_trials, None, before)
-        runs = with_own_rate(runs, decades.trials(checked.given), chain, own, simulator.dt_s)
+        baseline = baseline_of(chain, command)
+        starts = own_starts([repaired(trial, signs) for trial in given], simulator.dt_s, checked.dt)
+        runs = _begun(baseline, runs_of(repaired_trials, None, before, starts), simulator, decades)
+        runs = with_own_rate(runs, given, chain, own, simulator.dt_s)
     else:
         baseline, corrections = _network_baseline(simulator, repaired_trials, command, decades)
         runs = runs_of(repaired_trials, corrections, before)
@@ -179,6 +183,18 @@ def _baseline_and_runs(
         pairs = zip(runs, trials, strict=True)
         runs = tuple(replace(r, angle=repaired(t, signs, problem.angles(start, r)).angle) for r, t in pairs)
     return baseline, runs
+
+
+def _begun(baseline: Baseline, runs: Sequence[Run], simulator: Simulator, decades: Decades) -> tuple[Run, ...]:
+    """Runs from where the simulator as given finds that they begin, as `evaluate` does (`models.start`)."""
+    u, y = simulator.trained_command, simulator.trained_angle_deg
+    box = search_box(
+        Range(lower=u.lower / decades.command, upper=u.upper / decades.command),
+        Range(lower=y.lower / decades.angle, upper=y.upper / decades.angle),
+    )
+    problem = Problem(baseline)
+    start = problem.start(baseline.nominal, [])
+    return tuple(problem.begun(start, run, box) for run in runs)
 
 
 def _evaluation_notes(
@@ -200,7 +216,7 @@ def _given_errors(baseline: Baseline, runs: Sequence[Run], measured: Sequence[Tr
 
 def _from_first_reversal(run: Run, trial: Trial) -> Run:
     """A run that counts from the first reversal of its command on, as `fit` and `evaluate` skip a first flexure."""
-    return replace(run, counts=np.arange(len(trial)) >= first_flexure_end(trial))
+    return replace(run, counts=run.counts & (np.arange(len(trial)) >= first_flexure_end(trial)))
 
 
 def _excess_mse(signs: SensorSigns, nominal_deg: float | None, new_step: bool) -> float:
@@ -262,14 +278,8 @@ def _network_baseline(
 
     Effects are applied to the plays: exact without effects, first order with them.
     """
-    from hystmpc.models.prediction.build import predictor_for  # opens onnxruntime and CasADi
-
-    predictor = predictor_for(model)
-    angles = []
-    for trial in trials:
-        commands = decades.command * trial.command
-        state = predictor.initial(decades.angle * float(trial.angle[0]), float(commands[0]))
-        angles.append(predictor.rollout(state, commands[None])[0] / decades.angle)
+    in_log = [replace(t, command=decades.command * t.command, angle=decades.angle * t.angle) for t in trials]
+    angles = [free_run(model, trial.command, started(model, trial)) / decades.angle for trial in in_log]
     copies = [replace(trial, angle=y) for trial, y in zip(trials, angles, strict=True)]
     baseline = ScaledBaseline(_plays(copies, command), command)
     problem = Problem(baseline)

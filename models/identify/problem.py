@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import final
 
 import numpy as np
@@ -316,9 +316,16 @@ class Problem:
         return sum((part.T @ part for part in parts), np.zeros((q.size + 1, q.size + 1))), common
 
     def begun(self, q: Vec, run: Run, box: Box) -> Run:
-        """The run from where this device is found to begin, where it begins in motion; see `found_start`."""
+        """The run from where this device is found to begin, where it begins in motion; see `found_start`.
+
+        A device that rests only after a swing of its own is held before (`Chain.rest_samples`).
+        """
         runs, measured = self._staged.rollouts(run.dt_s, self._values(q)[0]), run.angle - run.correction
-        return run.begun(found_start(run.start, run.command, measured, run.dt_s, box, runs))
+        start = found_start(run.start, run.command, measured, run.dt_s, box, runs)
+        if run.approach and start.at_rest:
+            return run
+        held = (start.command,) * self.chain.rest_samples
+        return run.begun(replace(start, approach=(*held, *start.approach)))
 
     def _pass(self, q: Vec, together: RunsTogether) -> tuple[Vec, Vec]:
         """Angles (T,), their derivative and, in the last column, their error (T, Q + 1) over all samples.
@@ -392,7 +399,10 @@ class Problem:
         command, angle = np.array([(run.rest_command, run.rest_angle) for run in together.runs]).T
         state, slope = self._staged.settled(command, angle, together.dt_s, p, seeds)
         for what, index in self._carried:
-            state[index] = [run.bent_before if what == "bend" else run.clock_s for run in together.runs]
+            state[index] = [
+                run.bent_before if what == "bend" else run.clock_s - len(run.approach) * run.dt_s
+                for run in together.runs
+            ]
             slope[index] = 0.0
         return state, slope
 

@@ -171,7 +171,10 @@ class Before:
 
 
 def runs_of(
-    trials: Sequence[Trial], corrections: Sequence[Vec] | None = None, before: Sequence[Before] | None = None
+    trials: Sequence[Trial],
+    corrections: Sequence[Vec] | None = None,
+    before: Sequence[Before] | None = None,
+    starts: Sequence[TrialStart] | None = None,
 ) -> tuple[Run, ...]:
     """Trials in recording order, uniformly sampled, as runs.
 
@@ -182,12 +185,13 @@ def runs_of(
         trials: all that were recorded, or some of them.
         corrections: see `Run.correction`.
         before: of each trial, where trials in between were left out.
+        starts: of each trial, where they are told by its samples at another rate.
     """
     runs: list[Run] = []
     before = Before.each(trials) if before is None else before
     for k, trial in enumerate(trials):
         command = np.ascontiguousarray(trial.command)
-        start = trial_start(trial.command, trial.angle, trial.dt, trial.inverted)
+        start = starts[k] if starts else trial_start(trial.command, trial.angle, trial.dt, trial.inverted)
         runs.append(
             Run(
                 name=trial.source,

@@ -20,13 +20,14 @@ from hystmpc.models.contract.metadata import Range
 from hystmpc.models.evaluate import evaluate
 from hystmpc.models.identify.free_run import StagedChain
 from hystmpc.models.identify.problem import Problem
-from hystmpc.models.operators.dynamics import Delay, Lag
+from hystmpc.models.operators.dynamics import Delay
 from hystmpc.models.operators.hysteresis import Stop
 from hystmpc.models.operators.measurement import PeriodicDisturbance
 from hystmpc.models.operators.operator import Operator
 from hystmpc.models.operators.static_curves import Line
 from hystmpc.models.simulator import ChainModel, Simulator
-from hystmpc.trials.check import Severity, time_findings
+from hystmpc.trials.check import Severity
+from hystmpc.trials.clock_findings import clock_of, time_findings
 from hystmpc.trials.errors import GapError, LogError, ModelError
 from hystmpc.trials.segments import first_flexure_end
 from hystmpc.trials.trial import Trial
@@ -118,16 +119,11 @@ FORWARD = [
 PAIRS = [(own, log) for own in RATES for log in RATES if log >= own]
 
 
-def own_rmse(given: Simulator, prepared: PreparedTrials, logs: list[Trial]) -> float:
-    """RMSE of the simulator at its own sample time over whole logs, begun as the diagnosis begins them [deg]."""
-    staged, errors = StagedChain(given.chain), []
-    for log, run in zip(logs, prepared.everything, strict=True):
-        own = at_own_rate(log, given.dt_s)
-        assert own is not None
-        began = np.array([prepared.decades.command * run.rest_command])
-        state = staged.settled(began, np.array([prepared.decades.angle * run.rest_angle]), given.dt_s)[0]
-        errors.append(staged.simulate(own.command[:, None], given.dt_s, state)[0][:, 0] - own.angle)
-    return math.sqrt(float(np.mean(np.concatenate(errors) ** 2)))
+def own_rmse(given: Simulator, logs: list[Trial]) -> float:
+    """RMSE of the simulator at its own sample time over whole logs, as `evaluate` says it [deg]."""
+    found = evaluated_mse(given, logs)
+    assert found is not None
+    return math.sqrt(found)
 
 
 @pytest.mark.slow
@@ -140,7 +136,7 @@ def test_a_diagnosis_sees_the_simulator_as_it_is_at_its_own_rate(number: int) ->
     logs = recorded(plain, log_hz, int(random.integers(100)), seconds=12.0)
     given_one = made_for(plain, logs)
     prepared = prepare(logs, given_one)
-    assert given_rmse(prepared) == pytest.approx(own_rmse(given_one, prepared, logs), rel=0.05, abs=0.02)
+    assert given_rmse(prepared) == pytest.approx(own_rmse(given_one, logs), rel=0.05, abs=0.02)
 
 
 @pytest.mark.parametrize("own_hz", [10.0, 25.0, 100.0])
@@ -181,8 +177,8 @@ def test_a_first_flexure_is_skipped_as_evaluate_skips_it() -> None:
 
 
 def test_a_report_warns_where_evaluate_gives_another_error() -> None:
-    """A device that did not rest where the file says: `evaluate` begins there, a diagnosis where the log begins."""
-    given_one = replace(simulator(Chain(BACKLASH, before=(Lag(1.5),))), rest_command=6.0)
+    """A simulator slower than any diagnosis, whose delay is exact for ramps at its own sample time alone."""
+    given_one = simulator(Chain(BACKLASH, before=(Delay(0.2, 1),)), 0.25)
     logs = recorded(given_one, 25.0, 3)
     prepared = prepare(logs, given_one)
     (note,) = (note for note in prepared.checked.notes if "`evaluate`" in note)
@@ -244,7 +240,9 @@ def test_check_and_diagnose_agree_on_gaps(rows: list[tuple[int, float]], log_hz:
     begins = np.cumsum([0.0, *(part[-1] + pause for part, (_, pause) in zip(stretches, rows, strict=True))])
     t = np.concatenate([part + start for part, start in zip(stretches, begins[:-1], strict=True)])
     log = Trial(t, command(t, 3), 10.0 * command(t, 3) + 25.0, source="log.csv")
-    (found,) = (f for f in time_findings(log.t, log.command, log.angle, str) if f.topic == "gaps")
+    (found,) = (
+        f for f in time_findings(clock_of(log.t, log.command), log.command, log.angle, str) if f.topic == "gaps"
+    )
     said, facts = "", simulator(Chain(BACKLASH)).metadata()
     try:
         chosen = choose_trials([log], facts, False, 0)
