@@ -81,7 +81,7 @@ def files_read(logs: Sequence[Path], layout: str) -> list[Path]:
 
 
 def trials_at(logs: Sequence[Path], layout: str, rate_hz: float, sampled_hz: float | None = None) -> list[Trial]:
-    """Read logs and resample them; say what is made of their gaps, and what seems to be in another unit.
+    """Read logs and resample them; say what is made of gaps and noise, and what seems to be in another unit.
 
     Raises:
         LogError: if a log cannot be read or resampled, or its time seems to be in milliseconds.
@@ -93,6 +93,10 @@ def trials_at(logs: Sequence[Path], layout: str, rate_hz: float, sampled_hz: flo
         if said := gaps_said(trial, parts_at_gaps(trial)):
             errors.print(f"note: {trial.source}: {said}", soft_wrap=True, highlight=False)
     trials = at_rate(recorded, rate_hz)
+    for trial in trials:
+        if trial.command_noise > 0:
+            said = f"noise of {trial.command_noise:.2g} {trial.units.command} is taken off the measured command"
+            errors.print(f"note: {trial.source}: {said}", soft_wrap=True, highlight=False)
     warn_of_units(trials)
     return trials
 
