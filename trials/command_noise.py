@@ -6,6 +6,7 @@ that the device never made: at rest the model creeps on with the logarithm of ti
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import replace
@@ -172,8 +173,8 @@ def _answered(left: Vec, rests: NDArray[np.bool_], sigma: float, slope: float) -
 def _smoothed(command: Vec, sigma: float, stride: int) -> Vec:
     """The command by lines through as many samples before and after each as agree with it.
 
-    Of windows that end at a sample, the longest whose value there agrees with those of all shorter ones, and likewise of
-    windows that begin there: steps and corners stay where they are, and a rest is averaged over hundreds of samples.
+    Of windows that end at a sample, the longest whose value there agrees with those of all shorter ones, and likewise
+    of windows that begin there: steps and corners stay where they are, and a rest is averaged over hundreds of samples.
 
     Source: Katkovnik, A new method for varying adaptive bandwidth selection, IEEE Trans. Signal Process. 47 (1999)
     2567-2571 (intersection of confidence intervals).
@@ -210,7 +211,7 @@ def _one_sided(command: Vec, sigma: float, stride: int) -> tuple[Vec, Vec]:
 def _monotone(command: Vec, turn: float) -> Vec:
     """The command between turns of at least that size as the nearest that does not turn round (least squares)."""
     made, ends = command.copy(), _turning_points(command, turn)
-    for a, b in zip(ends[:-1], ends[1:], strict=True):
+    for a, b in itertools.pairwise(ends):
         rising = bool(command[b] >= command[a])
         made[a : b + 1] = isotonic_regression(command[a : b + 1], increasing=rising).x
     return made
