@@ -10,7 +10,7 @@ import numpy as np
 
 from hystmpc.trials.errors import LogError
 from hystmpc.trials.segments import first_flexure_end
-from hystmpc.trials.trial import Trial, resample
+from hystmpc.trials.trial import Trial, Units, resample
 
 from ..chain import Chain
 from ..contract.metadata import NoiseModel
@@ -21,7 +21,7 @@ from .chain_fit import nothing_found
 from .estimation_noise import estimation_noise
 from .least_squares import one_blas_thread
 from .part_intervals import moved_row, widened_rows, without_meaning
-from .runs import Run, check_trial_set, runs_of
+from .runs import Run, check_trial_set, command_range, runs_of
 from .uncertainty import ParameterRow
 
 _AGAIN = 0.1  # time of the fit at the full rate over that of the search, if both had the same rate
@@ -106,7 +106,7 @@ def _identified(
     coarse = _thinned(trials, check_trial_set(trials))
     runs = runs_to_fit(coarse, skip_first_flexure)
     again = 0.0 if coarse is trials else _AGAIN * sum(map(len, trials)) / sum(map(len, coarse))
-    share = 1 / (1 + again)  # of the whole time
+    share, command = 1 / (1 + again), command_range(trials)  # of the whole time
     search = AutoSearch(coarse, runs, settings, lambda done, rmse: progress(share * done, rmse))
     found = search.run()
     parameters = tuple(widened_rows(found, runs, search.tried, settings))
@@ -114,7 +114,7 @@ def _identified(
     last = search
     try:
         lost: set[str] = set()
-        while not search.interrupted and (nothing := without_meaning(found, parameters)):
+        while not search.interrupted and (nothing := without_meaning(found, parameters, command)):
             lost.add(nothing[0])
             found = search.beside(search.less(found, *nothing), lost)
             parameters = tuple(widened_rows(found, runs, search.tried, settings))
@@ -132,26 +132,31 @@ def _identified(
             found = full.again(found)
             wide = {(row.owner, row.name): row for row in parameters}
             parameters = _numbers_at(full, found, wide)
-            while nothing := without_meaning(found, parameters):
+            while nothing := without_meaning(found, parameters, command):
                 found = full.less(found, *nothing)
                 parameters = _numbers_at(full, found, wide)
         except KeyboardInterrupt:  # a delay's store is sized for the rate of the search: that model must not be used
             raise nothing_found("the fit at the full rate", interrupted=True) from None
     try:
-        rows = () if search.interrupted else tuple(last.bought(found))
+        if not search.interrupted:
+            kept, rows = last.bought(found)
+            if kept is not found:
+                found, wide = kept, {(row.owner, row.name): row for row in parameters}
+                parameters = _numbers_at(last, found, wide)
     except KeyboardInterrupt:  # the device is found; only the table of its parts is missing
         search.interrupted = True
     noise = estimation_noise(trials, last.left_out(found))
+    parameters = tuple(row.times(decades.in_log(row.unit)) for row in parameters)
     return AutoFit(
         found,
         tuple(
             replace(row, without_deg=row.without_deg * decades.angle, with_deg=row.with_deg * decades.angle)
             for row in rows
         ),
-        tuple(row.times(decades.in_log(row.unit)) for row in parameters),
+        parameters,
         search.offsets,
         decades.log_noise(noise),
-        tuple(_advice(parameters)),
+        tuple(_advice(parameters, trials[0].units)),
         decades,
         search.interrupted,
     )
@@ -172,7 +177,7 @@ def _numbers_at(
         if before is None:
             return row
         ends = [*row.ci90, *moved_row(before, row.value, found).ci90]
-        return replace(row, ci90=(min(ends), max(ends)))
+        return replace(row, ci90=(min(ends), max(ends)), at_bound=row.at_bound or before.at_bound)
 
     rows = widened_rows(found, search.runs, search.tried, search.settings)
     return tuple(joint(row, wide.get((row.owner, row.name))) for row in rows)
@@ -198,10 +203,15 @@ def _thinned(trials: Sequence[Trial], dt: float) -> Sequence[Trial]:
         return trials
 
 
-def _advice(parameters: Sequence[ParameterRow]) -> Iterator[str]:
+def _advice(parameters: Sequence[ParameterRow], units: Units) -> Iterator[str]:
     """What these trials do not determine, and what would."""
     for owner in dict.fromkeys(row.owner for row in parameters if row.flat or row.at_bound):
-        names = ", ".join(r.name for r in parameters if r.owner == owner and (r.flat or r.at_bound))
+        own, what = [r for r in parameters if r.owner == owner], owner.replace("_", " ")
+        for row in (r for r in own if r.at_bound):
+            value = f"{row.value:.4g} {units.named(row.unit)}".rstrip()
+            way = "more" if math.isinf(row.ci90[1]) else "less"
+            yield f"{what}: {row.name} {value} is at the end of what was searched; it may be {way}"
         motions = [MOTIONS_THAT_SEPARATE[kind] for kind in EFFECTS[owner].separated_by]
         record = f"; record {' and '.join(motions)}" if motions else ""
-        yield f"{owner.replace('_', ' ')}: {names} not identifiable from these logs{record}"
+        if names := ", ".join(r.name for r in own if r.flat and not r.at_bound):
+            yield f"{what}: {names} not identifiable from these logs{record}"
