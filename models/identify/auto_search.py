@@ -21,7 +21,7 @@ from .baseline import FreeCoreBaseline
 from .chain_fit import nothing_found
 from .cross_validation import CrossValidation, HeldOutErrors, Hypothesis, gain
 from .late import dead_time
-from .parts import CoreForm, Form, core_forms, device_parts, plain_of, split_delay, whole_delay
+from .parts import CoreForm, Form, core_forms, device_parts, plain_of, split_delay, straight, whole_delay
 from .problem import Problem, TrialTerms
 from .runs import Blocks, Run, command_range
 
@@ -35,6 +35,7 @@ _FROM_AFAR = 3  # times as many evaluations where a fit starts from a line inste
 _CORE = "core"  # name of the part that every device has
 _NEXT_ROUND = 0.5  # time of a round over that of the round before
 _AT_LAST = 5  # fits that take as long as the last fit and the table of parts
+_A_SAMPLE = 0.75  # samples: a delay of half a sample is one of the hold
 _THREADS = 2  # alternatives that are fitted side by side
 _STARTS = 0.5  # of the held-out mean square error, by which starts of their own have to lower it in several trials
 
@@ -185,7 +186,7 @@ class AutoSearch:
             chosen = self._simplest_tried(present)
             if chosen.core is self._cores[0] is not present.core:
                 chosen = self._simplest_tried(self._simplest(self._alternatives(_CORE, chosen), chosen))
-            return self._polished(self._with_one_zero(chosen))
+            return self._finished(self._with_one_zero(chosen))
         except KeyboardInterrupt:
             self.interrupted, self.terms = True, present.hypothesis.problem.terms
             return self._simplest_tried(present)
@@ -253,7 +254,7 @@ class AutoSearch:
         present = self._judged(core, forms, self._fitted(core, forms, None))
         drives = self._alternatives(drive.name, present)
         self._plan(drives, present)
-        return self._polished(self._simplest(drives, present))
+        return self._finished(self._simplest(drives, present))
 
     def less(self, choice: Choice, part: str, effect: str) -> Choice:
         """The device with a part's next simpler alternative: with the effect if there is one, else without it."""
@@ -274,7 +275,7 @@ class AutoSearch:
         for name in self._names:
             if name not in lost:
                 choice = self._simplest(self._alternatives(name, choice), choice)
-        return self._polished(choice)
+        return self._finished(choice)
 
     def bought(self, choice: Choice) -> tuple[Choice, tuple[PartRow, ...]]:
         """The device less parts that lower the error on trials left out by no more than its standard error, and rows.
@@ -405,6 +406,17 @@ class AutoSearch:
         travel = np.concatenate([problem.angles(q, run)[run.counts] for run in self.runs])
         angle = np.concatenate([run.angle[run.counts] for run in self.runs])
         return Chain(Line(*np.polyfit(travel, angle, 1).tolist()))
+
+    def _finished(self, choice: Choice) -> Choice:
+        """The device with its fit run to the end, and without a delay that only says how a command runs to the next."""
+        choice, drive = self._polished(choice), self._parts[0].name
+        held = straight(choice.forms[drive])
+        delays = [v for label, v in _values(choice.hypothesis).items() if label == "delay/command"]
+        if not held or sum(map(sum, delays)) + whole_delay(choice.forms[drive]) > _A_SAMPLE * self.runs[0].dt_s:
+            return choice
+        forms = {**choice.forms, drive: held}
+        other = self._polished(self._judged(choice.core, forms, self._fitted(choice.core, forms, choice)))
+        return choice if self.settings.worth(other.judged, choice.judged) else other
 
     def _polished(self, choice: Choice) -> Choice:
         validation = self._validation(choice.core)

@@ -121,6 +121,18 @@ def split_delay(delay: Candidate, about_s: float, reach_s: float, dt_s: float) -
     return (first, rest) if pieces else (rest,)
 
 
+def straight(form: Form) -> Form:
+    """A lag behind a command that runs straight between samples, where a form has a lag with a delay; else empty.
+
+    Behind a command in steps such a lag has half a sample of delay, which is none of the device: at another rate it is
+    another one.
+    """
+    lags = [c for c in form if c.effect == "lag"]
+    if not lags or len(lags) == len(form) or any(isinstance(o, RateLimit) for c in lags for o in c.operators):
+        return ()
+    return tuple(replace(c, operators=tuple(replace(o, hold=1) for o in c.operators)) for c in lags)  # type: ignore[type-var]
+
+
 def whole_delay(form: Form) -> float:
     """Delay of whole samples in a form, which its numbers leave out [s]."""
     return sum(sum(operator.values) for c in form if c.variant == WHOLE for operator in c.operators)
