@@ -22,7 +22,8 @@ from hystmpc.trials.from_outside import allow_python
 from hystmpc.trials.layouts import PRESETS
 from hystmpc.trials.read import expand_logs, read_trials
 from hystmpc.trials.run_folder import require_vacant
-from hystmpc.trials.trial import Trial, at_rate, parts_at_gaps
+from hystmpc.trials.trial import Trial, parts_at_gaps
+from hystmpc.trials.uniform import at_rate
 
 from .console import errors
 

@@ -22,8 +22,9 @@ from hystmpc.sim.study import knowledge
 from hystmpc.trials.check import Severity, check, require_seconds
 from hystmpc.trials.errors import FitError, LogError
 from hystmpc.trials.read import read_trials
-from hystmpc.trials.trial import Trial, at_rate
+from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Progress
+from hystmpc.trials.uniform import at_rate
 
 from .config import CommissionBlock
 from .motions import Reached

@@ -18,7 +18,8 @@ from .mat_ import open_mat
 from .mcap_ import open_mcap
 from .rosbag_ import is_bag, open_bag
 from .signals import Raw, Series, Source, canonical_mapping, missing, read_mapped
-from .trial import Trial, at_rate, even_time, positive_rate
+from .trial import Trial, even_time, positive_rate
+from .uniform import at_rate
 
 Layout = str | Preset | LogMapping
 """A layout's name, a mapping file (`*.yaml`), a `Preset` (tables), a `LogMapping`, or `auto`."""

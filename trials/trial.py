@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import TYPE_CHECKING
@@ -266,27 +266,6 @@ def _widest_gap(trial: Trial, limit: float) -> str:
         f"{trial.source}: gap of {intervals[k]:.3g} s from {trial.t[k]:.6g} s (samples {k} and {k + 1}), "
         f"expected at most {limit:.3g} s"
     )
-
-
-def at_rate(trials: Iterable[Trial], rate_hz: float) -> list[Trial]:
-    """Trials cut at their gaps, on a uniform grid, without the noise of a measured command (`quiet`).
-
-    One without such noise that lies on the grid is left as it is.
-
-    Raises:
-        ConfigError, LogError: see `parts_at_gaps` and `resample`.
-    """
-    from .command_noise import quiet  # SciPy takes longer to import than a trial to read
-
-    parts = quiet([part for trial in trials for part in parts_at_gaps(trial)])
-    return [part if _lies_at(part, rate_hz) else resample(part, rate_hz) for part in parts]
-
-
-def _lies_at(trial: Trial, rate_hz: float) -> bool:
-    try:
-        return bool(np.isclose(require_uniform(trial) * rate_hz, 1.0, rtol=1e-9))
-    except LogError:
-        return False
 
 
 def resample(trial: Trial, rate_hz: float, max_gap_s: float = MAX_GAP_S) -> Trial:

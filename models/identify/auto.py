@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,7 +13,7 @@ from hystmpc.trials.segments import first_flexure_end
 from hystmpc.trials.trial import Trial, Units, resample
 
 from ..chain import Chain
-from ..contract.metadata import NoiseModel
+from ..contract.metadata import NoiseModel, Range
 from ..decades import Decades
 from ..effects.catalogue import EFFECTS
 from .auto_search import SEARCH_HZ, AutoSearch, AutoSettings, Choice, PartRow, SearchProgress
@@ -121,7 +121,7 @@ def _identified(
     except KeyboardInterrupt:
         search.interrupted = True
     if coarse is not trials:
-        last = full = AutoSearch(
+        last = AutoSearch(
             trials,
             runs_to_fit(trials, skip_first_flexure),
             settings,
@@ -129,20 +129,14 @@ def _identified(
             search.terms,
         )
         try:
-            found = full.again(found)
-            wide = {(row.owner, row.name): row for row in parameters}
-            parameters = _numbers_at(full, found, wide)
-            while nothing := without_meaning(found, parameters, command):
-                found = full.less(found, *nothing)
-                parameters = _numbers_at(full, found, wide)
+            found, parameters = _at_full_rate(last, found, parameters, command)
         except KeyboardInterrupt:  # a delay's store is sized for the rate of the search: that model must not be used
             raise nothing_found("the fit at the full rate", interrupted=True) from None
     try:
         if not search.interrupted:
             kept, rows = last.bought(found)
             if kept is not found:
-                found, wide = kept, {(row.owner, row.name): row for row in parameters}
-                parameters = _numbers_at(last, found, wide)
+                found, parameters = kept, _numbers_at(last, kept, parameters)
     except KeyboardInterrupt:  # the device is found; only the table of its parts is missing
         search.interrupted = True
     noise = estimation_noise(trials, last.left_out(found))
@@ -168,10 +162,21 @@ def auto_chain(found: AutoFit) -> Chain:
     return found.decades.log_chain(hypothesis.problem.fitted_chain(hypothesis.q))
 
 
-def _numbers_at(
-    search: AutoSearch, found: Choice, wide: Mapping[tuple[str, str], ParameterRow]
-) -> tuple[ParameterRow, ...]:
+def _at_full_rate(
+    full: AutoSearch, found: Choice, parameters: Sequence[ParameterRow], command: Range
+) -> tuple[Choice, tuple[ParameterRow, ...]]:
+    """The device of the search fitted again, less what may do nothing at this rate."""
+    found = full.again(found)
+    rows = _numbers_at(full, found, parameters)
+    while nothing := without_meaning(found, rows, command):
+        found = full.less(found, *nothing)
+        rows = _numbers_at(full, found, parameters)
+    return found, rows
+
+
+def _numbers_at(search: AutoSearch, found: Choice, before: Sequence[ParameterRow]) -> tuple[ParameterRow, ...]:
     """Numbers of a device at the full rate, with intervals that hold those of the search at a lower rate, too."""
+    wide = {(row.owner, row.name): row for row in before}
 
     def joint(row: ParameterRow, before: ParameterRow | None) -> ParameterRow:
         if before is None:
