@@ -113,11 +113,8 @@ def _identified(
     rows: tuple[PartRow, ...] = ()
     last = search
     try:
-        lost: set[str] = set()
-        while not search.interrupted and (nothing := without_meaning(found, parameters, command)):
-            lost.add(nothing[0])
-            found = search.beside(search.less(found, *nothing), lost)
-            parameters = tuple(widened_rows(found, runs, search.tried, settings))
+        if not search.interrupted:
+            found, parameters = _with_meaning(search, found, parameters, command)
     except KeyboardInterrupt:
         search.interrupted = True
     if coarse is not trials:
@@ -162,15 +159,34 @@ def auto_chain(found: AutoFit) -> Chain:
     return found.decades.log_chain(hypothesis.problem.fitted_chain(hypothesis.q))
 
 
+def _with_meaning(
+    search: AutoSearch, found: Choice, parameters: tuple[ParameterRow, ...], command: Range
+) -> tuple[Choice, tuple[ParameterRow, ...]]:
+    """The device less what may do nothing, its other parts chosen anew each time."""
+    lost, needed = set[str](), set[tuple[str, str]]()
+    while nothing := without_meaning(found, parameters, command, needed):
+        less = search.beside(search.less(found, *nothing), {*lost, nothing[0]})
+        if search.settings.needed(less.judged, found.judged):
+            needed.add(nothing)
+            continue
+        lost.add(nothing[0])
+        found = less
+        parameters = tuple(widened_rows(found, search.runs, search.tried, search.settings))
+    return found, parameters
+
+
 def _at_full_rate(
     full: AutoSearch, found: Choice, parameters: Sequence[ParameterRow], command: Range
 ) -> tuple[Choice, tuple[ParameterRow, ...]]:
     """The device of the search fitted again, less what may do nothing at this rate."""
     found = full.again(found)
-    rows = _numbers_at(full, found, parameters)
-    while nothing := without_meaning(found, rows, command):
-        found = full.less(found, *nothing)
-        rows = _numbers_at(full, found, parameters)
+    rows, needed = _numbers_at(full, found, parameters), set[tuple[str, str]]()
+    while nothing := without_meaning(found, rows, command, needed):
+        less = full.less(found, *nothing)
+        if full.settings.needed(less.judged, found.judged):
+            needed.add(nothing)
+            continue
+        found, rows = less, _numbers_at(full, less, parameters)
     return found, rows
 
 

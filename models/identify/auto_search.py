@@ -70,6 +70,11 @@ class AutoSettings:
         fall, error = gain(before, after)
         return fall > max(error, self.least_share * before.mse)
 
+    def needed(self, before: Blocks, after: Blocks) -> bool:
+        """Whether the mean square error without a part is twice as large beyond doubt, whatever its numbers may be."""
+        fall, error = gain(before, after)
+        return fall > max(self.standard_errors * error, 0.5 * before.mse)
+
     def worth(self, before: Blocks, after: Blocks) -> bool:
         """Whether held-out errors fall by enough for a part to be added."""
         fall, error = gain(before, after)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -85,7 +85,12 @@ _NEARLY = 2.0  # times its lower bound: a lag down to there is none
 _EDGE = 0.01  # of the command's range: a slack so near its lowest value is an offset
 
 
-def without_meaning(choice: Choice, parameters: Sequence[ParameterRow], command: Range) -> tuple[str, str] | None:
+def without_meaning(
+    choice: Choice,
+    parameters: Sequence[ParameterRow],
+    command: Range,
+    needed: Collection[tuple[str, str]] = (),
+) -> tuple[str, str] | None:
     """A part and its effect that may do nothing, as far as its intervals tell; None where there is none.
 
     Of an effect with a neutral value that is where the intervals of all such numbers hold it; of several terms of creep
@@ -97,12 +102,13 @@ def without_meaning(choice: Choice, parameters: Sequence[ParameterRow], command:
         choice: the device.
         parameters: its rows, in order.
         command: range of the command in the trials.
+        needed: parts and effects that are not asked, see `AutoSettings.needed`.
     """
     rows = iter(parameters)
     owners = [(name, c) for name, form in choice.forms.items() for c in form]
     for name, candidate in [*owners, *(("core", c) for c in choice.core.curve)]:
         own = [(next(rows), freedom) for freedom in candidate.free]
-        if _may_do_nothing(own, command):
+        if (name, candidate.effect) not in needed and _may_do_nothing(own, command):
             return name, candidate.effect
     return None
 

@@ -35,9 +35,10 @@ _LINE = CoreForm("line", (Chain(Line(12.0, 8.0)),), 2)
 
 def _commands(seed: int, seconds: float = 40.0) -> tuple[Vec, list[Vec]]:
     """Steps, and a sum of sines."""
-    random, t = np.random.default_rng(seed), np.arange(round(seconds / _DT)) * _DT
+    random = np.random.default_rng(seed)
+    t: Vec = np.arange(round(seconds / _DT)) * _DT
     steps = np.repeat(random.uniform(0.5, 5.5, 1 + t.size // 75), 75)[: t.size]
-    return t, [steps, 3 + sum(0.5 * np.sin(2 * np.pi * f * t) for f in random.uniform(0.05, 0.5, 4))]
+    return t, [steps, 3.0 + np.sum([0.5 * np.sin(2 * np.pi * f * t) for f in random.uniform(0.05, 0.5, 4)], axis=0)]
 
 
 def _recorded(t: Vec, commands: list[Vec], travels: list[Vec], seed: int = 1) -> list[Trial]:
@@ -96,7 +97,7 @@ def test_a_delay_of_up_to_a_share_of_the_shortest_trial_lies_within_the_bounds(
     form = next(f for f in device_parts(Scale.of(runs), found)[0].forms if f and f[0].effect == "delay")
     whole, free = whole_delay(form), form[-1].free[0]
     assert whole + free.lower <= delay_s <= whole + free.upper
-    assert max(operator.samples for c in form for operator in c.operators) <= 25
+    assert max(len(operator.states) for c in form for operator in c.operators) <= 25
 
 
 def test_a_delay_beyond_the_usual_bound_is_found() -> None:
@@ -193,12 +194,24 @@ def test_a_part_stays_only_if_it_lowers_the_error_by_more_than_its_standard_erro
     assert AutoSettings().stays(Blocks(energy, samples, run), Blocks(scattered, samples, run)) == stays
 
 
+def test_a_part_without_which_the_error_doubles_beyond_doubt_is_needed() -> None:
+    random, samples, run = np.random.default_rng(1), np.full(20, 75.0), np.zeros(20, dtype=np.intp)
+    energy = 75 * random.uniform(0.9, 1.1, 20)
+    lone = energy.copy()
+    lone[0] *= 40.0  # twice as much in all, in one block alone
+    after = Blocks(energy, samples, run)
+    assert AutoSettings().needed(Blocks(3 * energy, samples, run), after)
+    assert not AutoSettings().needed(Blocks(1.5 * energy, samples, run), after)
+    assert not AutoSettings().needed(Blocks(lone, samples, run), after)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("device", ["servo", "lag and creep"])
 def test_parts_depend_neither_on_the_rate_of_the_logs_nor_on_their_units(device: str) -> None:
     """The same device at 25 to 1000 Hz, in mm, m and um, in deg and rad."""
     random, fine = np.random.default_rng(5), 0.001
-    t, made = np.arange(20000) * fine, []
+    t: Vec = np.arange(20000) * fine
+    made = []
     for _ in range(3):
         levels = random.uniform(0.5, 5.5, 9)
         u = np.interp(t, np.linspace(0, 20, 18), np.repeat(levels, 2))
