@@ -36,7 +36,7 @@ _LINE = CoreForm("line", (Chain(Line(12.0, 8.0)),), 2)
 def _commands(seed: int, seconds: float = 40.0) -> tuple[Vec, list[Vec]]:
     """Steps, and a sum of sines."""
     random = np.random.default_rng(seed)
-    t: Vec = np.arange(round(seconds / _DT)) * _DT
+    t: Vec = np.arange(round(seconds / _DT), dtype=np.float64) * _DT
     steps = np.repeat(random.uniform(0.5, 5.5, 1 + t.size // 75), 75)[: t.size]
     return t, [steps, 3.0 + np.sum([0.5 * np.sin(2 * np.pi * f * t) for f in random.uniform(0.05, 0.5, 4)], axis=0)]
 
@@ -210,7 +210,7 @@ def test_a_part_without_which_the_error_doubles_beyond_doubt_is_needed() -> None
 def test_parts_depend_neither_on_the_rate_of_the_logs_nor_on_their_units(device: str) -> None:
     """The same device at 25 to 1000 Hz, in mm, m and um, in deg and rad."""
     random, fine = np.random.default_rng(5), 0.001
-    t: Vec = np.arange(20000) * fine
+    t: Vec = np.arange(20000, dtype=np.float64) * fine
     made = []
     for _ in range(3):
         levels = random.uniform(0.5, 5.5, 9)

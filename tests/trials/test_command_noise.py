@@ -50,7 +50,7 @@ def _angle(command: Vec, dt: float, random: np.random.Generator) -> Vec:
 @given(seed=st.integers(0, 10**6), kind=st.sampled_from(_SENT), rate=st.sampled_from([10.0, 25.0, 100.0, 250.0]))
 def test_a_command_that_was_sent_is_left_as_it_is(seed: int, kind: str, rate: float) -> None:
     random = np.random.default_rng(seed)
-    t = np.arange(int(random.integers(300, 2500))) / rate
+    t: Vec = np.arange(int(random.integers(300, 2500)), dtype=np.float64) / rate
     command = 10 ** random.uniform(-2, 2) * np.round(_command(kind, t, random), int(random.integers(2, 7)))
     trial = Trial(t, command, _angle(command, 1 / rate, random))
     assert quiet([trial])[0] is trial
@@ -62,7 +62,7 @@ def test_a_command_that_was_sent_is_left_as_it_is(seed: int, kind: str, rate: fl
 def test_noise_of_a_measured_command_is_found_and_leaves_no_travel(seed: int, level: float, held: int) -> None:
     """Of white noise, and of a sensor that is slower than the log."""
     random, dt = np.random.default_rng(seed), 0.04 / held
-    t = np.arange(1500 * held) * dt
+    t: Vec = np.arange(1500 * held, dtype=np.float64) * dt
     commands = [5 * _command(kind, t, random) for kind in ("holds", "steps", "holds", "ramps")]
     sigma = 5 * level
     measured = [u + sigma * np.repeat(random.standard_normal(1500), held) for u in commands]
@@ -82,7 +82,7 @@ def _travel(command: Vec) -> float:
 
 def test_a_command_whose_quick_part_moves_the_device_is_left_as_it_is() -> None:
     random = np.random.default_rng(3)
-    t = np.arange(2000) * 0.04
+    t: Vec = np.arange(2000, dtype=np.float64) * 0.04
     real = 3 * _command("holds", t, random) + 0.05 * random.standard_normal(t.size)
     trial = Trial(t, real, 12 * real + 0.02 * random.standard_normal(t.size))
     assert command_noise(trial) == 0.0
@@ -94,7 +94,9 @@ def test_a_command_whose_quick_part_moves_the_device_is_left_as_it_is() -> None:
 @pytest.mark.parametrize("level", [0.002, 0.02])
 def test_a_model_of_a_noisy_command_is_right_on_the_clean_one(kind: str, level: float) -> None:
     random = np.random.default_rng(7)
-    t, clean, noisy = np.arange(1000) * 0.04, [], []
+    t: Vec = np.arange(1000, dtype=np.float64) * 0.04
+    clean: list[Trial] = []
+    noisy: list[Trial] = []
     for k in range(3):
         command = 5 * _command("holds" if k else "ramps", t, random)
         play, angle = float(command[0]), np.empty_like(command)
