@@ -166,13 +166,21 @@ def _with_meaning(
     lost, needed = set[str](), set[tuple[str, str]]()
     while nothing := without_meaning(found, parameters, command, needed):
         less = search.beside(search.less(found, *nothing), {*lost, nothing[0]})
-        if search.settings.needed(less.judged, found.judged):
+        if _needed(less, found, parameters, nothing[1], search.settings):
             needed.add(nothing)
             continue
         lost.add(nothing[0])
         found = less
         parameters = tuple(widened_rows(found, search.runs, search.tried, search.settings))
     return found, parameters
+
+
+def _needed(
+    less: Choice, found: Choice, parameters: Sequence[ParameterRow], effect: str, settings: AutoSettings
+) -> bool:
+    """Whether an effect stays however its numbers trade; one at the end of what was searched stands in for another."""
+    ended = any(row.at_bound for row in parameters if row.owner == effect)
+    return not ended and settings.needed(less.judged, found.judged)
 
 
 def _at_full_rate(
@@ -183,7 +191,7 @@ def _at_full_rate(
     rows, needed = _numbers_at(full, found, parameters), set[tuple[str, str]]()
     while nothing := without_meaning(found, rows, command, needed):
         less = full.less(found, *nothing)
-        if full.settings.needed(less.judged, found.judged):
+        if _needed(less, found, rows, nothing[1], full.settings):
             needed.add(nothing)
             continue
         found, rows = less, _numbers_at(full, less, parameters)
