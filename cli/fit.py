@@ -16,6 +16,7 @@ from hystmpc.models.contract.export import export_onnx
 from hystmpc.models.contract.metadata import DeviceLimits, ModelMetadata, Range
 from hystmpc.models.evaluate import RANGE_SLACK, error_sentence
 from hystmpc.models.identify.auto import AutoFit
+from hystmpc.models.identify.uncertainty import ParameterRow
 from hystmpc.models.kernels.compiling import about
 from hystmpc.models.kinds.catalogue import KINDS, chosen_kind
 from hystmpc.models.kinds.kind import FitRequest, Identified, ModelKind
@@ -294,12 +295,17 @@ def _part_tables(found: AutoFit, units: Units) -> Iterator[tuple[str, Sequence[s
     if found.rows:
         rows = [(r.part, r.form, _figure(r.without_deg), _figure(r.with_deg)) for r in found.rows]
         yield f"what each part buys, RMSE on trials left out, in {units.angle}", _PARTS, rows
-    numbers = [
-        (f"{r.owner} {r.name}", f"{r.value:.4g}", f"{r.ci90[0]:.4g} to {r.ci90[1]:.4g}", units.named(r.unit))
-        for r in found.parameters
-    ]
+    numbers = [(f"{r.owner} {r.name}", f"{r.value:.4g}", _interval(r), units.named(r.unit)) for r in found.parameters]
     if numbers:
         yield "identified numbers, with intervals of 90 %", ("parameter", "value", "interval", "unit"), numbers
+
+
+def _interval(row: ParameterRow) -> str:
+    """The interval, one-sided of a number at the end of what was searched."""
+    low, high = row.ci90
+    if row.at_bound and math.isinf(high):
+        return f"{low:.4g} or more"
+    return f"{high:.4g} or less" if row.at_bound else f"{low:.4g} to {high:.4g}"
 
 
 def _figure(value: float) -> str:

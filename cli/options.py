@@ -16,6 +16,7 @@ from hystmpc.models.contract.checks import parse_model
 from hystmpc.models.contract.metadata import PREFIX
 from hystmpc.trials.check import Severity, check
 from hystmpc.trials.clock_findings import gaps_said
+from hystmpc.trials.command_noise import noise_said
 from hystmpc.trials.config import read_yaml
 from hystmpc.trials.errors import ConfigError, HystmpcError, ModelError
 from hystmpc.trials.files import require_writable
@@ -24,7 +25,8 @@ from hystmpc.trials.layouts import PRESETS
 from hystmpc.trials.read import expand_logs, read_trials
 from hystmpc.trials.recording import require_recorded
 from hystmpc.trials.run_folder import require_vacant
-from hystmpc.trials.trial import Trial, at_rate, parts_at_gaps
+from hystmpc.trials.trial import Trial, parts_at_gaps
+from hystmpc.trials.uniform import at_rate
 
 from .console import errors
 
@@ -83,7 +85,7 @@ def files_read(logs: Sequence[Path], layout: str) -> list[Path]:
 
 
 def trials_at(logs: Sequence[Path], layout: str, rate_hz: float, sampled_hz: float | None = None) -> list[Trial]:
-    """Read logs and resample them; say what is made of their gaps, and what seems to be in another unit.
+    """Read logs and resample them; say what is made of gaps and noise, and what seems to be in another unit.
 
     Raises:
         LogError: if a log cannot be read or resampled, or its time seems to be in milliseconds.
@@ -95,6 +97,9 @@ def trials_at(logs: Sequence[Path], layout: str, rate_hz: float, sampled_hz: flo
         if said := gaps_said(trial, parts_at_gaps(trial)):
             errors.print(f"note: {trial.source}: {said}", soft_wrap=True, highlight=False)
     trials = at_rate(recorded, rate_hz)
+    for trial in trials:
+        if said := noise_said(trial):
+            errors.print(f"note: {trial.source}: {said}", soft_wrap=True, highlight=False)
     warn_of_units(trials)
     return trials
 

@@ -25,8 +25,9 @@ from .rosbag_ import is_bag, open_bag
 from .signals import Raw, Series, Source, canonical_mapping, missing, read_mapped
 from .tables import Frame, Table
 from .tdms_ import open_tdms
-from .trial import Trial, at_rate, even_time, positive_rate
+from .trial import Trial, even_time, positive_rate
 from .types import Vec
+from .uniform import at_rate
 
 Layout = str | Preset | LogMapping
 """A layout's name, a mapping file (`*.yaml`), a `Preset` (tables), a `LogMapping`, or `auto`."""

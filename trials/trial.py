@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import TYPE_CHECKING
@@ -60,6 +60,7 @@ class Trial:
         channels: further named signals, each of shape (T,), in the units of the log; may hold not-a-number.
         units: units of command and angle.
         source: where the trial came from (a file's path), for messages and reports.
+        command_noise: standard deviation of the noise that was taken off the recorded command, in its unit; 0 for none.
 
     Raises:
         LogError: if shapes differ, fewer than two samples are given, a value is not finite, or time does not
@@ -72,6 +73,7 @@ class Trial:
     channels: Mapping[str, Vec] = field(default_factory=dict)
     units: Units = field(default_factory=Units)
     source: str = "<memory>"
+    command_noise: float = 0.0
 
     def __post_init__(self) -> None:
         for name in ("t", "command", "angle"):
@@ -102,7 +104,8 @@ class Trial:
 
     def __reduce__(self) -> tuple[type[Trial], tuple[object, ...]]:
         # A mapping proxy cannot be pickled, and trials travel to worker processes.
-        return Trial, (self.t, self.command, self.angle, dict(self.channels), self.units, self.source)
+        signals = self.t, self.command, self.angle, dict(self.channels)
+        return Trial, (*signals, self.units, self.source, self.command_noise)
 
     @property
     def inverted(self) -> bool:
@@ -112,7 +115,7 @@ class Trial:
     def swapped(self) -> Trial:
         """The trial with command and angle exchanged, so that a model of it maps angle to command; twice is once."""
         units = Units(self.units.angle, self.units.command, not self.inverted)
-        return Trial(self.t, self.angle, self.command, self.channels, units, self.source)
+        return Trial(self.t, self.angle, self.command, self.channels, units, self.source, self.command_noise)
 
     @property
     def duration_s(self) -> float:
@@ -134,6 +137,7 @@ class Trial:
             {k: v[part] for k, v in self.channels.items()},
             self.units,
             self.source,
+            self.command_noise,
         )
 
     def plot(self) -> Figure:
@@ -264,23 +268,6 @@ def _widest_gap(trial: Trial, limit: float) -> str:
     )
 
 
-def at_rate(trials: Iterable[Trial], rate_hz: float) -> list[Trial]:
-    """Trials cut at their gaps, on a uniform grid; one that lies on it is left as it is.
-
-    Raises:
-        ConfigError, LogError: see `parts_at_gaps` and `resample`.
-    """
-    parts = [part for trial in trials for part in parts_at_gaps(trial)]
-    return [part if _lies_at(part, rate_hz) else resample(part, rate_hz) for part in parts]
-
-
-def _lies_at(trial: Trial, rate_hz: float) -> bool:
-    try:
-        return bool(np.isclose(require_uniform(trial) * rate_hz, 1.0, rtol=1e-9))
-    except LogError:
-        return False
-
-
 class SlowLogError(LogError):
     """A log has too few samples for a rate: a finer grid would only invent them."""
 
@@ -328,6 +315,7 @@ def resample(trial: Trial, rate_hz: float, max_gap_s: float = MAX_GAP_S) -> Tria
         {name: np.interp(t, trial.t, values) for name, values in trial.channels.items()},
         trial.units,
         trial.source,
+        trial.command_noise,
     )
 
 

@@ -12,6 +12,7 @@ import numpy as np
 from hystmpc.models.contract.metadata import ModelMetadata
 from hystmpc.models.simulator import Simulator
 from hystmpc.trials.clock_findings import gaps_said
+from hystmpc.trials.command_noise import noise_said
 from hystmpc.trials.errors import GapError
 from hystmpc.trials.recording import require_recorded
 from hystmpc.trials.trial import Trial, parts_at_gaps
@@ -206,6 +207,8 @@ def _gap_notes(trials: Sequence[Trial]) -> Iterator[str]:
 
 def _log_notes(trial: Trial) -> Iterator[str]:
     name, intervals, command = Path(trial.source).name, np.diff(trial.t), trial.command
+    if said := noise_said(trial):
+        yield f"{name}: {said}."
     jitter = float(np.std(intervals)) / trial.dt
     if jitter > _JITTER:
         yield f"{name}: sample intervals scatter by {jitter:.0%} of {1e3 * trial.dt:.3g} ms."

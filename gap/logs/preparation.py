@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 
@@ -20,7 +21,8 @@ from hystmpc.models.identify.problem import Problem
 from hystmpc.models.identify.runs import Run, fingerprint, runs_of
 from hystmpc.models.model import LoadedModel
 from hystmpc.models.simulator import Identification, Simulator
-from hystmpc.models.start import search_box
+from hystmpc.models.start import motion_line, search_box
+from hystmpc.trials.command_noise import quiet
 from hystmpc.trials.errors import GapError, LogError
 from hystmpc.trials.segments import first_flexure_end, segment
 from hystmpc.trials.trial import Trial, Units, parts_at_gaps, resample
@@ -130,6 +132,8 @@ def prepare(
     motions = checked.excitation.motions
     form_mse = model_form_mse(identification, trials, motions, _sample_time(simulator))
     runs = counted = common_rest(runs, form_mse)
+    begun = [f"{motion_line(Path(run.name).name, run.start, run.dt_s)}." for run in runs if run.lead]
+    checked = replace(checked, notes=(*checked.notes, *begun))
     if skip_first_flexure:
         counted = tuple(_from_first_reversal(r, t) for r, t in zip(runs, in_working_units, strict=True))
     if isinstance(simulator, Simulator):
@@ -330,7 +334,7 @@ def _has_seen(identification: Identification, trials: Sequence[Trial], dt_s: flo
     """Whether it was identified on one of these trials, or on all of them, at any rate."""
     known = {r.fingerprint for r in identification.residuals if r.fingerprint}
     # A file's sample time is rounded: 0.03333333333 s stand for 30 Hz, but 0.03 s for 1 / 0.03 Hz.
-    parts = [part for trial in trials for part in _parts(trial)]
+    parts = quiet([part for trial in trials for part in _parts(trial)])
     for taken in (trials, parts, *(_at(parts, rate) for rate in {1 / dt_s, round(1 / dt_s, 4)})):
         if identification.training_data_hash == fingerprint(taken):
             return True

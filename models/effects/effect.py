@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -51,6 +52,7 @@ class Scale:
         total_s: of all trials together [s].
         dt_s: sample time [s].
         resting: share of the time in which the command stands still.
+        fastest: greatest speed of the command [cmd/s]; where it is not known, that of a step over its range.
     """
 
     low: float
@@ -61,6 +63,10 @@ class Scale:
     total_s: float
     dt_s: float
     resting: float = 1.0
+    fastest: float = math.inf
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "fastest", min(self.fastest, self.span / self.dt_s))
 
     @property
     def span(self) -> float:
@@ -81,7 +87,8 @@ class Scale:
         low, high, angle_low, angle_high = map(float, (command.min(), command.max(), angle[0], angle[1]))
         steps = np.concatenate([np.abs(np.diff(run.command)) for run in runs])
         resting = float(np.mean(steps <= _STILL * (high - low))) if steps.size else 0.0
-        return cls(low, high, angle_low, angle_high, max(durations), sum(durations), runs[0].dt_s, resting)
+        dt_s, fastest = runs[0].dt_s, float(steps.max(initial=0.0)) / runs[0].dt_s
+        return cls(low, high, angle_low, angle_high, max(durations), sum(durations), dt_s, resting, fastest)
 
 
 @dataclass(frozen=True)

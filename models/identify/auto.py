@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from hystmpc.trials.errors import LogError
 from hystmpc.trials.segments import first_flexure_end
-from hystmpc.trials.trial import Trial, resample
+from hystmpc.trials.trial import Trial, Units, resample
 
 from ..chain import Chain
-from ..contract.metadata import NoiseModel
+from ..contract.metadata import NoiseModel, Range
 from ..decades import Decades
 from ..effects.catalogue import EFFECTS
 from .auto_search import SEARCH_HZ, AutoSearch, AutoSettings, Choice, PartRow, SearchProgress
@@ -21,7 +21,7 @@ from .chain_fit import nothing_found
 from .estimation_noise import estimation_noise
 from .least_squares import one_blas_thread
 from .part_intervals import moved_row, widened_rows, without_meaning
-from .runs import Run, check_trial_set, runs_of
+from .runs import Run, check_trial_set, command_range, runs_of
 from .uncertainty import ParameterRow
 
 _AGAIN = 0.1  # time of the fit at the full rate over that of the search, if both had the same rate
@@ -106,22 +106,19 @@ def _identified(
     coarse = _thinned(trials, check_trial_set(trials))
     runs = runs_to_fit(coarse, skip_first_flexure)
     again = 0.0 if coarse is trials else _AGAIN * sum(map(len, trials)) / sum(map(len, coarse))
-    share = 1 / (1 + again)  # of the whole time
+    share, command = 1 / (1 + again), command_range(trials)  # of the whole time
     search = AutoSearch(coarse, runs, settings, lambda done, rmse: progress(share * done, rmse))
     found = search.run()
     parameters = tuple(widened_rows(found, runs, search.tried, settings))
     rows: tuple[PartRow, ...] = ()
     last = search
     try:
-        lost: set[str] = set()
-        while not search.interrupted and (nothing := without_meaning(found, parameters)):
-            lost.add(nothing[0])
-            found = search.beside(search.less(found, *nothing), lost)
-            parameters = tuple(widened_rows(found, runs, search.tried, settings))
+        if not search.interrupted:
+            found, parameters = _with_meaning(search, found, parameters, command)
     except KeyboardInterrupt:
         search.interrupted = True
     if coarse is not trials:
-        last = full = AutoSearch(
+        last = AutoSearch(
             trials,
             runs_to_fit(trials, skip_first_flexure),
             settings,
@@ -129,29 +126,28 @@ def _identified(
             search.terms,
         )
         try:
-            found = full.again(found)
-            wide = {(row.owner, row.name): row for row in parameters}
-            parameters = _numbers_at(full, found, wide)
-            while nothing := without_meaning(found, parameters):
-                found = full.less(found, *nothing)
-                parameters = _numbers_at(full, found, wide)
+            found, parameters = _at_full_rate(last, found, parameters, command)
         except KeyboardInterrupt:  # a delay's store is sized for the rate of the search: that model must not be used
             raise nothing_found("the fit at the full rate", interrupted=True) from None
     try:
-        rows = () if search.interrupted else tuple(last.bought(found))
+        if not search.interrupted:
+            kept, rows = last.bought(found)
+            if kept is not found:
+                found, parameters = kept, _numbers_at(last, kept, parameters)
     except KeyboardInterrupt:  # the device is found; only the table of its parts is missing
         search.interrupted = True
     noise = estimation_noise(trials, last.left_out(found))
+    parameters = tuple(row.times(decades.in_log(row.unit)) for row in parameters)
     return AutoFit(
         found,
         tuple(
             replace(row, without_deg=row.without_deg * decades.angle, with_deg=row.with_deg * decades.angle)
             for row in rows
         ),
-        tuple(row.times(decades.in_log(row.unit)) for row in parameters),
+        parameters,
         search.offsets,
         decades.log_noise(noise),
-        tuple(_advice(parameters)),
+        tuple(_advice(parameters, trials[0].units)),
         decades,
         search.interrupted,
     )
@@ -163,16 +159,54 @@ def auto_chain(found: AutoFit) -> Chain:
     return found.decades.log_chain(hypothesis.problem.fitted_chain(hypothesis.q))
 
 
-def _numbers_at(
-    search: AutoSearch, found: Choice, wide: Mapping[tuple[str, str], ParameterRow]
-) -> tuple[ParameterRow, ...]:
+def _with_meaning(
+    search: AutoSearch, found: Choice, parameters: tuple[ParameterRow, ...], command: Range
+) -> tuple[Choice, tuple[ParameterRow, ...]]:
+    """The device less what may do nothing, its other parts chosen anew each time."""
+    lost, needed = set[str](), set[tuple[str, str]]()
+    while nothing := without_meaning(found, parameters, command, needed):
+        less = search.beside(search.less(found, *nothing), {*lost, nothing[0]})
+        if _needed(less, found, parameters, nothing[1], search.settings):
+            needed.add(nothing)
+            continue
+        lost.add(nothing[0])
+        found = less
+        parameters = tuple(widened_rows(found, search.runs, search.tried, search.settings))
+    return found, parameters
+
+
+def _needed(
+    less: Choice, found: Choice, parameters: Sequence[ParameterRow], effect: str, settings: AutoSettings
+) -> bool:
+    """Whether an effect stays however its numbers trade; one at the end of what was searched stands in for another."""
+    ended = any(row.at_bound for row in parameters if row.owner == effect)
+    return not ended and settings.needed(less.judged, found.judged)
+
+
+def _at_full_rate(
+    full: AutoSearch, found: Choice, parameters: Sequence[ParameterRow], command: Range
+) -> tuple[Choice, tuple[ParameterRow, ...]]:
+    """The device of the search fitted again, less what may do nothing at this rate."""
+    found = full.again(found)
+    rows, needed = _numbers_at(full, found, parameters), set[tuple[str, str]]()
+    while nothing := without_meaning(found, rows, command, needed):
+        less = full.less(found, *nothing)
+        if _needed(less, found, rows, nothing[1], full.settings):
+            needed.add(nothing)
+            continue
+        found, rows = less, _numbers_at(full, less, parameters)
+    return found, rows
+
+
+def _numbers_at(search: AutoSearch, found: Choice, before: Sequence[ParameterRow]) -> tuple[ParameterRow, ...]:
     """Numbers of a device at the full rate, with intervals that hold those of the search at a lower rate, too."""
+    wide = {(row.owner, row.name): row for row in before}
 
     def joint(row: ParameterRow, before: ParameterRow | None) -> ParameterRow:
         if before is None:
             return row
         ends = [*row.ci90, *moved_row(before, row.value, found).ci90]
-        return replace(row, ci90=(min(ends), max(ends)))
+        return replace(row, ci90=(min(ends), max(ends)), at_bound=row.at_bound or before.at_bound)
 
     rows = widened_rows(found, search.runs, search.tried, search.settings)
     return tuple(joint(row, wide.get((row.owner, row.name))) for row in rows)
@@ -198,10 +232,15 @@ def _thinned(trials: Sequence[Trial], dt: float) -> Sequence[Trial]:
         return trials
 
 
-def _advice(parameters: Sequence[ParameterRow]) -> Iterator[str]:
+def _advice(parameters: Sequence[ParameterRow], units: Units) -> Iterator[str]:
     """What these trials do not determine, and what would."""
     for owner in dict.fromkeys(row.owner for row in parameters if row.flat or row.at_bound):
-        names = ", ".join(r.name for r in parameters if r.owner == owner and (r.flat or r.at_bound))
+        own, what = [r for r in parameters if r.owner == owner], owner.replace("_", " ")
+        for row in (r for r in own if r.at_bound):
+            value = f"{row.value:.4g} {units.named(row.unit)}".rstrip()
+            way = "more" if math.isinf(row.ci90[1]) else "less"
+            yield f"{what}: {row.name} {value} is at the end of what was searched; it may be {way}"
         motions = [MOTIONS_THAT_SEPARATE[kind] for kind in EFFECTS[owner].separated_by]
         record = f"; record {' and '.join(motions)}" if motions else ""
-        yield f"{owner.replace('_', ' ')}: {names} not identifiable from these logs{record}"
+        if names := ", ".join(r.name for r in own if r.flat and not r.at_bound):
+            yield f"{what}: {names} not identifiable from these logs{record}"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from typing import final
@@ -16,26 +16,27 @@ from hystmpc.trials.types import Vec
 
 from ..chain import Chain
 from ..effects.effect import Candidate, Scale
-from ..operators.dynamics import Delay
 from ..operators.static_curves import Line
 from ..start import search_box
 from .baseline import FreeCoreBaseline
 from .chain_fit import nothing_found
 from .cross_validation import CrossValidation, HeldOutErrors, Hypothesis, gain
-from .parts import CoreForm, Form, core_forms, device_parts
+from .late import dead_time
+from .parts import CoreForm, Form, core_forms, device_parts, plain_of, split_delay, straight, whole_delay
 from .problem import Problem, TrialTerms
 from .runs import Blocks, Run, angle_range, command_range
 
 SearchProgress = Callable[[float, float], None]
 """Told the share that is done, and the least error on held-out trials so far [deg]."""
 
-SEARCH_HZ = 50.0
-"""The structure is searched on trials of at most this rate [Hz]."""
+SEARCH_HZ = 25.0
+"""The structure is searched on trials of at most this rate [Hz]: what is found hangs on no rate of the logs."""
 
 _FROM_AFAR = 3  # times as many evaluations where a fit starts from a line instead of from a neighbour
 _CORE = "core"  # name of the part that every device has
 _NEXT_ROUND = 0.5  # time of a round over that of the round before
 _AT_LAST = 5  # fits that take as long as the last fit and the table of parts
+_A_SAMPLE = 0.75  # samples: a delay of half a sample is one of the hold
 _THREADS = 2  # alternatives that are fitted side by side
 
 
@@ -64,6 +65,16 @@ class AutoSettings:
     evaluations: int = 12
     widening: float = 1.5
 
+    def stays(self, before: Blocks, after: Blocks) -> bool:
+        """Whether held-out errors are lower by more than their standard error with a part that was chosen."""
+        fall, error = gain(before, after)
+        return fall > max(error, self.least_share * before.mse)
+
+    def needed(self, before: Blocks, after: Blocks) -> bool:
+        """Whether the mean square error without a part is twice as large beyond doubt, whatever its numbers may be."""
+        fall, error = gain(before, after)
+        return fall > max(self.standard_errors * error, 0.5 * before.mse)
+
     def worth(self, before: Blocks, after: Blocks) -> bool:
         """Whether held-out errors fall by enough for a part to be added."""
         fall, error = gain(before, after)
@@ -89,6 +100,11 @@ class Choice:
     def size(self) -> int:
         """Free parameters."""
         return size_of(self.core, self.forms)
+
+    @property
+    def blocks(self) -> int:
+        """Operators of its parts: of two devices with as many numbers the one with fewer poles is the simpler."""
+        return sum(len(c.operators) for form in self.forms.values() for c in form)
 
     @property
     def hypothesis(self) -> Hypothesis:
@@ -144,7 +160,7 @@ class AutoSearch:
     ) -> None:
         self.runs, self.settings, self._progress = tuple(runs), settings, progress
         scale = Scale.of(runs)
-        self._cores, self._parts = core_forms(trials, scale), device_parts(scale)
+        self._cores, self._parts = core_forms(trials, scale), device_parts(scale, dead_time(runs))
         self._names = (*(part.name for part in self._parts), _CORE)
         self._command = command_range(trials)
         self._box = search_box(self._command, angle_range(trials))
@@ -175,7 +191,7 @@ class AutoSearch:
             chosen = self._simplest_tried(present)
             if chosen.core is self._cores[0] is not present.core:
                 chosen = self._simplest_tried(self._simplest(self._alternatives(_CORE, chosen), chosen))
-            return self._polished(self._with_one_zero(chosen))
+            return self._finished(self._with_one_zero(chosen))
         except KeyboardInterrupt:
             self.interrupted, self.terms = True, present.hypothesis.problem.terms
             return self._simplest_tried(present)
@@ -203,7 +219,7 @@ class AutoSearch:
         """The simplest of all that were tried, by the same rule: rounds may end beside a simpler or better device."""
         alike = [present, *(c for c in self.tried if c.hypothesis.problem.terms == self.terms)]
         best = min(alike, key=lambda choice: choice.judged.mse)
-        ordered = sorted(alike, key=lambda choice: (choice.size, choice.judged.mse))
+        ordered = sorted(alike, key=lambda choice: (choice.size, choice.blocks, choice.judged.mse))
         return next(c for c in ordered if c is best or not self.settings.worth(c.judged, best.judged))
 
     def _alternatives(self, name: str, present: Choice) -> list[tuple[CoreForm, dict[str, Form]]]:
@@ -226,30 +242,36 @@ class AutoSearch:
 
     def again(self, choice: Choice) -> Choice:
         """The device of another rate fitted to these trials, its drive chosen anew: some are alike at few samples."""
-        dt_s, values = self.runs[0].dt_s, _values(choice.hypothesis)
+        dt_s, values, drive = self.runs[0].dt_s, _values(choice.hypothesis), self._parts[0]
+        about = whole_delay(choice.forms[drive.name])
 
         def near(form: Form) -> Form:
-            return tuple(_near(c, tuple(values.get(c.label, c.starts[0])), dt_s) for c in form)
+            return tuple(
+                new for c in form if c.free for new in _near(c, tuple(values.get(c.label, c.starts[0])), dt_s, about)
+            )
 
+        self._parts = (replace(drive, forms=tuple(near(form) for form in drive.forms)), *self._parts[1:])
         known = {_names(form): form for part in self._parts for form in part.forms}
         forms = {name: near(known[_names(form)]) for name, form in choice.forms.items()}
         core = next(core for core in self._cores if core.label == choice.core.label)
         z = choice.hypothesis.problem.retuned(choice.hypothesis.q)
         core = replace(core, starts=(core.starts[0].with_values(z.tolist()),))
         present = self._judged(core, forms, self._fitted(core, forms, None))
-        drive = self._parts[0]
-        drives = [(core, present.forms | {drive.name: near(form)}) for form in drive.forms]
+        drives = self._alternatives(drive.name, present)
         self._plan(drives, present)
-        return self._polished(self._simplest(drives, present))
+        return self._finished(self._simplest(drives, present))
 
     def less(self, choice: Choice, part: str, effect: str) -> Choice:
         """The device with a part's next simpler alternative: with the effect if there is one, else without it."""
+        if part == _CORE:
+            core = plain_of(choice.core, self._cores)
+            return self._polished(self._judged(core, choice.forms, self._fitted(core, choice.forms, choice)))
         forms = next(p.forms for p in self._parts if p.name == part)
         present = choice.forms[part]
-        whole, rest = {c.effect for c in present}, {c.label for c in present if c.effect != effect}
+        whole, rest = {c.effect for c in present}, {c.label for c in present if c.free and c.effect != effect}
         simpler = [f for f in forms if {c.effect for c in f} == whole and free_numbers(f) < free_numbers(present)]
-        without = [f for f in forms if {c.label for c in f} == rest]
-        open_forms: list[Form] = [*without, *(simpler if len(present) == 1 else [])]
+        without = [f for f in forms if set(_names(f)) == rest]
+        open_forms: list[Form] = [*without, *(simpler if len(_names(present)) == 1 else [])]
         left = choice.forms | {part: max(open_forms, key=free_numbers)}
         return self._polished(self._judged(choice.core, left, self._fitted(choice.core, left, choice)))
 
@@ -258,22 +280,40 @@ class AutoSearch:
         for name in self._names:
             if name not in lost:
                 choice = self._simplest(self._alternatives(name, choice), choice)
-        return self._polished(choice)
+        return self._finished(choice)
 
-    def bought(self, choice: Choice) -> Iterator[PartRow]:
-        """What each part bought, the chosen device less that part fitted anew."""
+    def bought(self, choice: Choice) -> tuple[Choice, tuple[PartRow, ...]]:
+        """The device less parts that lower the error on trials left out by no more than its standard error, and rows.
+
+        A row says what one part buys: the error of the device less that part, all else fitted anew.
+        """
+        for _ in range(len(self._names) + 2):
+            less = self._without_each(choice)
+            needless = [c for c in less.values() if c and not self.settings.stays(c.judged, choice.judged)]
+            if not needless:
+                break
+            choice = self._polished(min(needless, key=lambda c: c.judged.mse))
+        rows = [
+            PartRow(name, _form_title(form), _rmse(less[name]), choice.rmse_deg) for name, form in choice.forms.items()
+        ]
+        rows.append(PartRow(_CORE, choice.core.label, _rmse(less[_CORE]), choice.rmse_deg))
+        zero = PartRow("sensor zero", "of each trial" if self.offsets else "one", math.nan, choice.rmse_deg)
+        return choice, (*rows, zero)
+
+    def _without_each(self, choice: Choice) -> dict[str, Choice | None]:
+        """The device less each part, fitted anew; of the core a line in its place. None where there is no such part."""
+        found: dict[str, Choice | None] = {}
         for name, form in choice.forms.items():
-            if not form:
-                yield PartRow(name, "none", math.nan, choice.rmse_deg)
-                continue
             forms = {**choice.forms, name: ()}
-            without = self._judged(choice.core, forms, self._fitted(choice.core, forms, choice))
-            yield PartRow(name, " + ".join(_title(c) for c in form), without.rmse_deg, choice.rmse_deg)
-        plain, rmse = self._cores[0], math.nan
+            fit = self._fitted(choice.core, forms, choice) if form else None
+            found[name] = None if fit is None else self._judged(choice.core, forms, fit)
+        plain, found[_CORE] = self._cores[0], None
         if choice.core.label != plain.label:
-            rmse = self._judged(plain, choice.forms, self._fitted(plain, choice.forms, choice)).rmse_deg
-        yield PartRow(_CORE, choice.core.label, rmse, choice.rmse_deg)
-        yield PartRow("sensor zero", "of each trial" if self.offsets else "one", math.nan, choice.rmse_deg)
+            found[_CORE] = self._judged(plain, choice.forms, self._fitted(plain, choice.forms, choice))
+        if choice.core.curve:
+            core = plain_of(choice.core, self._cores)
+            found["curve"] = self._judged(core, choice.forms, self._fitted(core, choice.forms, choice))
+        return found
 
     def left_out(self, choice: Choice) -> tuple[Vec, ...]:
         """Measurement less free run of each trial, left out of the fit; see `CrossValidation.left_out`."""
@@ -300,14 +340,14 @@ class AutoSearch:
         """
         if len(self.runs) == 1:
             return self.terms
-        delay, lag = next(form for form in self._parts[0].forms if len(form) > 1)
+        *delay, lag = next(form for form in self._parts[0].forms if len(_names(form)) > 1)
         valve = next({part.name: part.forms[-1]} for part in self._parts if part.name == "valve")
         plain, zeroed = TrialTerms(), TrialTerms(own_offset=True)
         errors = {}
         for self.terms in (plain, zeroed):
             judged = []
             for core, more in ((self._cores[0], valve), (self._cores[-1], {})):
-                drives = [{self._parts[0].name: (delay, replace(lag, starts=(start,)))} for start in lag.starts]
+                drives = [{self._parts[0].name: (*delay, replace(lag, starts=(start,)))} for start in lag.starts]
                 fits = [self._fitted(core, self._none() | drive | more, None) for drive in drives]
                 judged.append(self._validation(core).judge(min(fits, key=lambda fit: fit.mse)))
             errors[self.terms] = min(judged, key=lambda held_out: held_out.mse)
@@ -370,6 +410,17 @@ class AutoSearch:
         angle = np.concatenate([run.angle[run.counts] for run in self.runs])
         return Chain(Line(*np.polyfit(travel, angle, 1).tolist()))
 
+    def _finished(self, choice: Choice) -> Choice:
+        """The device with its fit run to the end, and without a delay that only says how a command runs to the next."""
+        choice, drive = self._polished(choice), self._parts[0].name
+        held = straight(choice.forms[drive])
+        delays = [v for label, v in _values(choice.hypothesis).items() if label == "delay/command"]
+        if not held or sum(map(sum, delays)) + whole_delay(choice.forms[drive]) > _A_SAMPLE * self.runs[0].dt_s:
+            return choice
+        forms = {**choice.forms, drive: held}
+        other = self._polished(self._judged(choice.core, forms, self._fitted(choice.core, forms, choice)))
+        return choice if self.settings.worth(other.judged, choice.judged) else other
+
     def _polished(self, choice: Choice) -> Choice:
         if any(run.lead for run in self.runs):
             problem, q = choice.hypothesis.problem, choice.hypothesis.q
@@ -389,14 +440,11 @@ class AutoSearch:
         return CrossValidation(baseline, self.runs, self.settings.evaluations, in_time=True)
 
 
-def _near(candidate: Candidate, values: tuple[float, ...], dt_s: float) -> Candidate:
-    """The candidate from known values on; a delay may move by a sample of the search, and has no longer a store."""
-    candidate = replace(candidate, starts=(values,))
+def _near(candidate: Candidate, values: tuple[float, ...], dt_s: float, whole_s: float) -> Form:
+    """The candidate from known values on; a delay may move by half a sample of the search."""
     if candidate.effect != "delay":
-        return candidate
-    operator = Delay.at_rate(values[0] + 1 / SEARCH_HZ, dt_s)
-    free = (replace(candidate.free[0], upper=operator.samples * dt_s),)
-    return replace(candidate, operators=(operator,), free=free)
+        return (replace(candidate, starts=(values,)),)
+    return split_delay(candidate, whole_s + values[0], 0.5 / SEARCH_HZ, dt_s)
 
 
 def _values(hypothesis: Hypothesis) -> dict[str, list[float]]:
@@ -414,11 +462,19 @@ def _points(core: CoreForm, forms: Mapping[str, Form], present: Choice) -> int:
 
 
 def _names(form: Form) -> tuple[str, ...]:
-    return tuple(c.label for c in form)
+    return tuple(c.label for c in form if c.free)
 
 
 def _labels(core: CoreForm, forms: Mapping[str, Form]) -> tuple[str, ...]:
-    return (core.label, *(c.label for form in forms.values() for c in form))
+    return (core.label, *(label for form in forms.values() for label in _names(form)))
+
+
+def _rmse(choice: Choice | None) -> float:
+    return math.nan if choice is None else choice.rmse_deg
+
+
+def _form_title(form: Form) -> str:
+    return " + ".join(_title(c) for c in form if c.free) or "none"
 
 
 def _title(candidate: Candidate) -> str:

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from hystmpc.trials.types import Vec
 
+from ..contract.metadata import Range
+from ..effects.effect import Candidate, Freedom
 from .auto_search import AutoSettings, Choice
 from .cross_validation import Hypothesis, gain
+from .parts import whole_delay
 from .runs import Run
 from .uncertainty import ParameterRow, parameter_rows
 
@@ -27,35 +30,43 @@ def widened_rows(
 
     s: standard error of the fit (sandwich); j: that of a jackknife over the held-out folds; a: root mean square
     difference to alternatives with the same effect that do as well on held-out trials, such as a lag with a delay;
-    k: `AutoSettings.widening`.
+    k: `AutoSettings.widening`. Of a number at the end of what was searched the interval is open there.
 
     Source: Buckland, Burnham, Augustin, Model selection: an integral part of inference, Biometrics 53 (1997), eq. (3).
     """
     rows = [r for r in parameter_rows(choice.hypothesis, runs, {}) if r.owner != "baseline"]
     folds = [_numbers(choice.hypothesis, q) for q in choice.judged.fold_q]
     equals = [other for other in tried if _as_good(gain(other.judged, choice.judged), choice, settings)]
-    for row in rows:
-        key, logarithmic = (row.owner, row.name), _is_logarithmic(choice, row)
+    for row, (candidate, freedom) in zip(rows, _free(choice), strict=True):
+        key, logarithmic = (candidate.label, freedom.name), freedom.scale == 0
         change = _log if logarithmic else _same
         value = change(row.value)
         ends = [abs(change(end) - value) for end in row.ci90 if math.isfinite(end)]
         own = max(ends, default=0.0) / _QUANTILE
         left = np.array([change(fold[key]) for fold in folds])
         jackknife = math.sqrt((left.size - 1) / max(left.size, 1) * float(np.sum((left - left.mean()) ** 2)))
-        alike = [_numbers(o.hypothesis, o.hypothesis.q) for o in equals if _form_of(o, row) == _form_of(choice, row)]
+        alike = [_numbers(o.hypothesis, o.hypothesis.q) for o in equals if candidate.label in _labels(o)]
         away = [change(other[key]) - value for other in alike]
         spread = math.sqrt(float(np.mean(np.square(away)))) if away else 0.0
         half = settings.widening * _QUANTILE * math.hypot(own, jackknife, spread)
         low, high = value - half, value + half
         if logarithmic:
             low, high = math.exp(max(low, -50.0)), math.exp(min(high, 50.0))
-        yield replace(row, ci90=(low, high))
+        if _at_lower(row, freedom):  # what is beyond was not looked at
+            low = 0.0 if freedom.lower >= 0 else -math.inf
+        elif row.at_bound:
+            high = math.inf
+        more = sum(map(whole_delay, choice.forms.values())) if candidate.effect == "delay" else 0.0
+        yield replace(row, value=row.value + more, ci90=(low + more, high + more))
 
 
-def _form_of(choice: Choice, row: ParameterRow) -> set[str]:
-    """Label of the effect that a number belongs to, of the form that the device has of it."""
-    every = [*choice.forms.values(), choice.core.curve]
-    return {c.label for form in every for c in form if c.effect == row.owner}
+def _free(choice: Choice) -> list[tuple[Candidate, Freedom]]:
+    """The free numbers of a device's effects in the order of the rows."""
+    return [(c, freedom) for c in choice.hypothesis.problem.effects for freedom in c.free]
+
+
+def _labels(choice: Choice) -> set[str]:
+    return {c.label for c in choice.hypothesis.problem.effects}
 
 
 def moved_row(row: ParameterRow, value: float, choice: Choice) -> ParameterRow:
@@ -64,37 +75,68 @@ def moved_row(row: ParameterRow, value: float, choice: Choice) -> ParameterRow:
     A lag between samples that are held is half a sample early: at another rate the delay is another one.
     """
     low, high = row.ci90
-    if _is_logarithmic(choice, row):
+    effects = choice.hypothesis.problem.effects
+    if any((c.effect, f.name) == (row.owner, row.name) and f.scale == 0 for c in effects for f in c.free):
         return replace(row, value=value, ci90=(value * low / row.value, value * high / row.value))
     return replace(row, value=value, ci90=(value + low - row.value, value + high - row.value))
 
 
-def _is_logarithmic(choice: Choice, row: ParameterRow) -> bool:
-    effects = choice.hypothesis.problem.effects
-    return any((c.effect, f.name) == (row.owner, row.name) and f.scale == 0 for c in effects for f in c.free)
+_NEARLY = 2.0  # times its lower bound: a lag down to there is none
+_EDGE = 0.01  # of the command's range: a slack so near its lowest value is an offset
 
 
-_NEARLY = 2.0  # times its lower bound: a lag up to there is none
+def without_meaning(
+    choice: Choice,
+    parameters: Sequence[ParameterRow],
+    command: Range,
+    needed: Collection[tuple[str, str]] = (),
+) -> tuple[str, str] | None:
+    """A part and its effect that may do nothing, as far as its intervals tell; None where there is none.
 
+    Of an effect with a neutral value that is where the intervals of all such numbers hold it; of several terms of creep
+    one is enough. A lag does nothing within twice its lower bound, far less than a sample, a top speed where it may be
+    that of the fastest command, a slack where it may end below the lowest command, and a creep as quick as creep may be
+    is a lag. The curve of a core goes with the part `core`.
 
-def without_meaning(choice: Choice, parameters: Sequence[ParameterRow]) -> tuple[str, str] | None:
-    """A part and its effect of which a number may have the value at which it does nothing; None where there is none.
-
-    That is a share of creep or a delay whose interval holds zero, or a lag within twice its lower bound, which is far
-    less than a sample.
+    Args:
+        choice: the device.
+        parameters: its rows, in order.
+        command: range of the command in the trials.
+        needed: parts and effects that are not asked, see `AutoSettings.needed`.
     """
-    for name, form in choice.forms.items():
-        for row in (row for row in parameters if row.owner in {c.effect for c in form}):
-            low, high = row.ci90
-            may_be_none = row.name.startswith(("share", "delay")) and low <= 0.0 <= high
-            if may_be_none or (row.owner == "lag" and _nearly_none(choice, row)):
-                return name, row.owner
+    rows = iter(parameters)
+    owners = [(name, c) for name, form in choice.forms.items() for c in form]
+    for name, candidate in [*owners, *(("core", c) for c in choice.core.curve)]:
+        own = [(next(rows), freedom) for freedom in candidate.free]
+        if (name, candidate.effect) not in needed and _may_do_nothing(own, command):
+            return name, candidate.effect
     return None
 
 
-def _nearly_none(choice: Choice, row: ParameterRow) -> bool:
-    free = [f for c in choice.hypothesis.problem.effects for f in c.free if (c.effect, f.name) == (row.owner, row.name)]
-    return row.name.startswith("tau") and any(row.value < _NEARLY * f.lower for f in free)
+def _may_do_nothing(own: Sequence[tuple[ParameterRow, Freedom]], command: Range) -> bool:
+    neutral: list[bool] = []
+    for row, freedom in own:
+        low, high = row.ci90
+        if row.owner == "lag":
+            none = low < _NEARLY * freedom.lower if row.name.startswith("tau") else False
+            none |= row.name == "top_speed" and high >= freedom.upper
+        elif row.owner == "slack":
+            none = row.name == "slack" and low <= command.lower + _EDGE * (command.upper - command.lower)
+        elif row.owner == "delay":
+            none = low <= 0.0
+        elif row.owner == "creep":
+            none = low <= 0.0 <= high if row.name.startswith("share") else _at_lower(row, freedom)
+        else:
+            if row.neutral is not None:
+                neutral.append(low <= row.neutral <= high)
+            continue
+        if none:
+            return True
+    return bool(neutral) and all(neutral)
+
+
+def _at_lower(row: ParameterRow, freedom: Freedom) -> bool:
+    return row.at_bound and row.value - freedom.lower < freedom.upper - row.value
 
 
 def _log(value: float) -> float:
@@ -108,7 +150,7 @@ def _same(value: float) -> float:
 def _numbers(hypothesis: Hypothesis, q: Vec) -> dict[tuple[str, str], float]:
     found = hypothesis.problem.effect_values(q)
     pairs = zip(hypothesis.problem.effects, found, strict=True)
-    return {(c.effect, name): value for c, values in pairs for name, value in values.items()}
+    return {(c.label, name): value for c, values in pairs for name, value in values.items()}
 
 
 def _as_good(gained: tuple[float, float], choice: Choice, settings: AutoSettings) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -15,7 +16,7 @@ from ..chain import Chain
 from ..effects.catalogue import candidates
 from ..effects.effect import Candidate, Freedom, Scale
 from ..operators.curved_plays import CurvedPlays
-from ..operators.dynamics import Lag, RateLimit, Servo
+from ..operators.dynamics import Delay, Lag, RateLimit, Servo
 from ..operators.hysteresis import Backlash
 from ..operators.operator import Operator
 from ..operators.prandtl_ishlinskii import PrandtlIshlinskii
@@ -27,6 +28,11 @@ Form = tuple[Candidate, ...]
 """One alternative of a part: effects that are added together; empty for a device without that part."""
 
 _FIRST = 5  # place of what acts on the command before delay and lag
+WHOLE = "whole samples"
+"""Variant of a delay that is not fitted."""
+_OFF = 0.3
+_USUAL, _STORE = 0.6, 20  # of the longest usual delay, up to which a device is late as usual; samples of one store
+_DAMPING = (0.06, 0.98)
 _REACHES = (0.3, 0.1, 0.8)  # of the command's range: the widest play at the starts
 _QUICKEST_S = 0.1  # relaxation time of the quick term of two; what is quicker is a lag
 _BENT = "pi, 6 plays"  # the core that is tried with a curve
@@ -49,7 +55,7 @@ class Part:
     forms: tuple[Form, ...]
 
 
-def device_parts(scale: Scale) -> tuple[Part, ...]:
+def device_parts(scale: Scale, late_s: float = 0.0) -> tuple[Part, ...]:
     """Drive, creep and curve of the command, with bounds and starts of the one list of effects.
 
     A drive holds each command over its sample, as a set-point that is sent in steps; where it runs straight between
@@ -60,19 +66,25 @@ def device_parts(scale: Scale) -> tuple[Part, ...]:
 
     A width of the plays that grows with speed is no part: in motion it looks like a delay, and it is wrong in holds.
 
+    Bounds are those of the trials, not of the list of effects: a delay that the shortest trial can show, a lag or creep
+    that the longest can, a top speed that the command exceeds. A servo may ring for long.
+
     Args:
         scale: sizes of the device and its trials.
+        late_s: about how late the device is, see `late.dead_time`; a longer delay than usual is looked for there [s].
     """
     known = {c.label: c for c in candidates(scale, ())}
-    delay = known["delay/command"]
+    delay = _as_late(known["delay/command"], late_s, scale)
     one = replace(known["lag/command"], variant="one pole", operators=(Lag(0.1),))
+    one = replace(one, free=(_as_slow(one.free[0], scale),))
     two = replace(one, variant="two poles", operators=(Lag(0.1), Lag(0.1)))
-    slow = replace(one, free=(_as_slow(one.free[0], scale),), starts=(*one.starts, (2.0,)))
+    slow = replace(one, starts=(*one.starts, (2.0,)))
     servo = replace(known["lag/servo"], operators=(Servo(0.1, 0.7, 0),), starts=((2.0 * scale.dt_s, 0.75), (0.2, 0.75)))
+    servo = replace(servo, free=(_as_slow(servo.free[0], scale), Freedom("damping", *_DAMPING, 0.1)))
     ways = replace(known["lag/two ways"], operators=(Lag(0.1, (0.1,)),), starts=((0.3, 0.3), (2.0, 2.0)))
     ways = replace(ways, free=tuple(_as_slow(way, scale) for way in ways.free))
     lags: tuple[Form, ...] = ((slow,), (two,), (servo,), (ways,))
-    drives = ((), (delay,), (_top_speed(scale),), *lags, *((_short(delay), *lag) for lag in lags))
+    drives = ((), delay, (_top_speed(scale),), *lags, *((*_short(delay), *lag) for lag in lags))
     creeps = ((), *((form,) for form in _creeps(known["creep/command"], scale)))
     valve = replace(known["nonlinear_gain/command"], variant="before the drive", order=_FIRST)
     return Part("drive", drives), Part("creep", creeps), Part("valve", ((), (valve,)))
@@ -83,22 +95,71 @@ def _as_slow(tau: Freedom, scale: Scale) -> Freedom:
     return replace(tau, upper=max(tau.upper, 0.5 * scale.duration_s))
 
 
-def _short(delay: Candidate) -> Candidate:
+def _as_late(delay: Candidate, late_s: float, scale: Scale) -> Form:
+    """A delay about that of the device, where that is more than the usual ones; by a device's list of effects else."""
+    usual = delay.free[0].upper
+    if late_s <= _USUAL * usual:
+        return (delay,)
+    return split_delay(delay, late_s, usual, scale.dt_s)
+
+
+def split_delay(delay: Candidate, about_s: float, reach_s: float, dt_s: float) -> Form:
+    """A delay of `about_s` give or take `reach_s`: one of whole samples that stays, and one that is fitted.
+
+    A store of many samples takes minutes to compile; several short ones of whole samples in series are the same.
+    """
+    whole = max(0, math.floor((about_s - reach_s) / dt_s))
+    count = math.ceil(whole / _STORE)
+    pieces = [len(part) for part in np.array_split(np.arange(whole), count)] if count else []
+    first = Candidate(
+        delay.effect, WHOLE, delay.side, delay.order - 1, tuple(Delay(n * dt_s, _STORE) for n in pieces), (), ((),)
+    )
+    operator = Delay.at_rate(about_s - whole * dt_s + reach_s, dt_s)
+    free = (replace(delay.free[0], upper=operator.samples * dt_s),)
+    start = about_s + _OFF * dt_s - whole * dt_s  # at whole samples the error has a kink
+    rest = replace(delay, operators=(operator,), free=free, starts=((start,),))
+    return (first, rest) if pieces else (rest,)
+
+
+def straight(form: Form) -> Form:
+    """A lag behind a command that runs straight between samples, where a form has a lag with a delay; else empty.
+
+    Behind a command in steps such a lag has half a sample of delay, which is none of the device: at another rate it is
+    another one.
+    """
+    lags = [c for c in form if c.effect == "lag"]
+    if not lags or len(lags) == len(form) or any(isinstance(o, RateLimit) for c in lags for o in c.operators):
+        return ()
+    return tuple(replace(c, operators=tuple(replace(o, hold=1) for o in c.operators)) for c in lags)  # type: ignore[type-var]
+
+
+def whole_delay(form: Form) -> float:
+    """Delay of whole samples in a form, which its numbers leave out [s]."""
+    return sum(sum(operator.values) for c in form if c.variant == WHOLE for operator in c.operators)
+
+
+def _short(delay: Form) -> Form:
     """The delay with one start, where another form is fitted with it."""
-    return replace(delay, starts=delay.starts[:1])
+    return tuple(replace(c, starts=c.starts[:1]) for c in delay)
 
 
 def _top_speed(scale: Scale) -> Candidate:
-    """A follower with a top speed alone; it is a lag by name, as in the list of effects."""
-    free = (Freedom("top_speed", 0.02 * scale.span, 50 * scale.span, 0.0),)
-    return Candidate("lag", "top speed", "command", 20, (RateLimit(1.0),), free, ((0.5 * scale.span,),))
+    """A follower with a top speed alone; it is a lag by name, as in the list of effects.
+
+    It is looked for from one that crosses the range in the longest trial to that of the fastest command, which is none.
+    """
+    slowest = min(0.02 * scale.span, scale.span / scale.duration_s, 0.1 * scale.fastest)
+    free = (Freedom("top_speed", slowest, scale.fastest, 0.0),)
+    start = min(0.5 * scale.span, 0.5 * scale.fastest)
+    return Candidate("lag", "top speed", "command", 20, (RateLimit(1.0),), free, ((start,),))
 
 
 def _creeps(creep: Candidate, scale: Scale) -> tuple[Candidate, Candidate]:
     """One term, and a quick one with a slow one."""
     share, tau = creep.free
     slowest, middle = 3.0 * scale.duration_s, 2.0
-    one = replace(creep, starts=tuple((-0.1, start) for start in (2.0, 10.0)))
+    share = replace(share, lower=-3.0, upper=0.9)
+    one = replace(creep, free=(share, tau), starts=tuple((-0.1, start) for start in (2.0, 10.0)))
     free = (
         replace(share, name="share_1"),
         replace(share, name="share_2"),
@@ -125,6 +186,12 @@ class CoreForm:
     starts: tuple[Chain, ...]
     size: int
     curve: Form = ()
+
+
+def plain_of(core: CoreForm, cores: Sequence[CoreForm]) -> CoreForm:
+    """The core without its curve."""
+    label = core.label.removesuffix("".join(f", {c.label}" for c in core.curve))
+    return next(other for other in cores if other.label == label)
 
 
 _LEADS = 0.1  # of the output's range, half the distance by which the branch of a rise lies above that of a fall

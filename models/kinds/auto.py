@@ -58,6 +58,6 @@ class AutoKind(ModelKind):
 
 def _report(found: AutoFit, unit: str) -> str:
     """One line: what the device consists of, and the error on trials left out."""
-    parts = [c.label for form in found.choice.forms.values() for c in form]
+    parts = [c.label for form in found.choice.forms.values() for c in form if c.free]
     rmse = found.choice.rmse_deg * found.decades.angle
     return f"{' + '.join([*parts, found.choice.core.label])}; {rmse:.4g} {unit} on trials left out"

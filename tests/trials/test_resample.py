@@ -17,12 +17,12 @@ from hystmpc.trials.trial import (
     MAX_GAP_S,
     Trial,
     Units,
-    at_rate,
     clock_advice,
     parts_at_gaps,
     require_uniform,
     resample,
 )
+from hystmpc.trials.uniform import at_rate
 
 
 def jittered(count: int, seed: int, start: float = 3.0) -> Trial:

@@ -1,0 +1,241 @@
+"""Noise of a recorded command: found where nothing answers to it, and taken off so that no turn is left of it.
+
+A play follows the extremes of its input. It turns the noise of a measured command, as of a pressure sensor, into travel
+that the device never made: at rest the model creeps on with the logarithm of time.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import isotonic_regression
+
+from .trial import Trial
+from .types import Vec
+
+_LEAST, _MOST = 2e-4, 0.08  # of the command's range: less moves nothing, and more is a random command
+_LONGEST_S = 0.12  # noise whose samples hang together for longer is a motion
+_BLOCK, _QUIET = 16, 0.3  # samples of a block, and the share of the blocks that are looked at: those that move least
+_LEAST_BLOCKS, _OF_QUIET = 8, 1.5  # noise over its level in the blocks that have least of it
+_NORMAL = 1.4826  # standard deviation over the median distance
+_FARTHER = ((2, 1.3), (4, 1.5))  # times as far apart, and by what factor white noise may seem larger then; a walk
+# would be larger by 1.4 and 2
+_LONE = 4.0  # standard deviations: what is larger is a step or a corner
+_FLAT = 2.5  # by so much may the two parts of the upper half of a white spectrum differ
+_ROUNDED = 0.5  # of the least change: rounding has 0.29
+_LAGS = 8  # samples after which an angle answers
+_BY_CHANCE, _ANSWER = 4.0, 0.02  # times what chance explains; of the device's slope, the least answer to a motion
+_WINDOWS = (4, 6, 8, 12, 16, 24, 32, 48, 64, 96, 128, 192, 256, 384, 512)
+_AGREE = 1.5  # standard deviations; more rounds corners, less leaves noise
+_ALIKE = 1.6  # factor by which the noise of two trials may seem to differ
+_TURN = 2.5  # standard deviations of the noise: a smaller motion back and forth is none
+
+
+def quiet(trials: Sequence[Trial]) -> list[Trial]:
+    """Trials of one device with the noise of the command taken off and told in `command_noise`.
+
+    One without such noise is left as it is. Where it is found in one trial, others whose quietest parts are as noisy
+    have it, too.
+    """
+    found = [(0.0, 1) if trial.command_noise > 0 else _found(trial) for trial in trials]
+    sure = [own for own in found if own[0] > 0]
+    if not sure:
+        return list(trials)
+    usual = sorted(sure)[len(sure) // 2]
+    return [
+        _without(trial, *(own if own[0] > 0 else _like(trial, *usual)))
+        for trial, own in zip(trials, found, strict=True)
+    ]
+
+
+def noise_said(trial: Trial) -> str:
+    """What was taken off the command of a trial, in words; empty where nothing was."""
+    if trial.command_noise == 0:
+        return ""
+    return f"noise of {trial.command_noise:.2g} {trial.units.command} is taken off the measured command"
+
+
+def _without(trial: Trial, sigma: float, stride: int) -> Trial:
+    if sigma == 0:
+        return trial
+    return replace(
+        trial, command=_monotone(_smoothed(trial.command, sigma, stride), _TURN * sigma), command_noise=sigma
+    )
+
+
+def _like(trial: Trial, sigma: float, stride: int) -> tuple[float, int]:
+    """The noise of another trial, where the quietest parts of this one have as much; else none."""
+    thinned = trial.command[::stride]
+    if trial.command_noise > 0 or thinned.size < _LEAST_BLOCKS * _BLOCK:
+        return 0.0, 1
+    own = _quietest(_off_neighbours(trial.t[::stride], thinned[:, None])[:, 0])[0]
+    return (own, stride) if sigma / _ALIKE < own < _ALIKE * sigma else (0.0, 1)
+
+
+def command_noise(trial: Trial) -> float:
+    """Standard deviation of the noise of a recorded command, in its unit; 0 where there is none.
+
+    Noise is what is left of a sample by a cubic through its neighbours, if all this holds in the half of the log that
+    moves least: it is there at all times, it is white (as large between samples that are farther apart, and with a flat
+    spectrum), it is no rounding, and the angle does not answer to it. What was sent in steps or lines is not there at
+    all times, a smooth or a wandering command is not white, and a random one is large or is answered. Samples that hang
+    together, as of a filtered sensor, are looked at again at greater intervals.
+    """
+    return _found(trial)[0]
+
+
+def _found(trial: Trial) -> tuple[float, int]:
+    """Standard deviation, and the number of samples that hang together."""
+    stride, signals = 1, np.column_stack([trial.command, trial.angle])
+    while stride == 1 or stride * trial.dt <= _LONGEST_S:
+        sigma = _white(trial.t[::stride], signals[::stride])
+        if sigma > 0:
+            return sigma, stride
+        stride *= 2
+    return 0.0, 1
+
+
+def _white(t: Vec, signals: Vec) -> float:
+    """Standard deviation of white noise in the command that nothing answers to; 0 where there is none."""
+    span, height = (float(v) for v in np.ptp(signals, axis=0))
+    if t.size < _LEAST_BLOCKS * _BLOCK or not span > 0:
+        return 0.0
+    left = _off_neighbours(t, signals)
+    sigma, rests = _quietest(left[:, 0])
+    changes = np.abs(np.diff(signals[:, 0]))
+    least = max(_LEAST * span, _ROUNDED * float(np.min(changes[changes > 0])))
+    if not least <= sigma <= _MOST * span:
+        return 0.0
+    for farther, factor in _FARTHER:
+        apart = _off_neighbours(t[::farther], signals[::farther, :1])[:, 0]
+        at = np.arange(apart.size) * farther
+        if not sigma / factor <= _deviation(apart[rests[np.minimum(at, rests.size - 1)]]) <= sigma * factor:
+            return 0.0
+    blocks = left[: left.shape[0] // _BLOCK * _BLOCK, 0].reshape(-1, _BLOCK)
+    if not _is_flat(blocks[rests[: blocks.size : _BLOCK]]):
+        return 0.0
+    return 0.0 if _answered(left, rests, sigma, height / span) else sigma
+
+
+def _deviation(left: Vec) -> float:
+    """Standard deviation of white noise from these distances, a few larger ones left aside [of the signal]."""
+    return _NORMAL * float(np.median(np.abs(left)))
+
+
+def _quietest(left: Vec) -> tuple[float, NDArray[np.bool_]]:
+    """Deviation of these distances (T,) where there is least of them, and which samples those are (T,)."""
+    blocks = left[: left.size // _BLOCK * _BLOCK].reshape(-1, _BLOCK)
+    levels = np.median(np.abs(blocks), axis=1)
+    rests = np.zeros(left.size, dtype=bool)
+    for block in np.argsort(levels, kind="stable")[: max(round(_QUIET * levels.size), _LEAST_BLOCKS)]:
+        rests[block * _BLOCK : (block + 1) * _BLOCK] = True
+    return _OF_QUIET * _deviation(left[rests]), rests
+
+
+def _off_neighbours(t: Vec, signals: Vec) -> Vec:
+    """Distance (T - 4, K) from a cubic through two neighbours on either side, of unit variance for unit white noise."""
+    at = [np.arange(k, t.size - 4 + k) for k in (0, 1, 3, 4)]
+    middle, power = np.arange(2, t.size - 2), np.ones(t.size - 4)
+    left = signals[middle].copy()
+    for own in at:
+        weight = np.ones(middle.size)
+        for other in at:
+            if other is not own:
+                weight *= (t[middle] - t[other]) / (t[own] - t[other])
+        left -= weight[:, None] * signals[own]
+        power += weight**2
+    return np.asarray(left / np.sqrt(power)[:, None])
+
+
+def _is_flat(blocks: Vec) -> bool:
+    """Whether the signal behind these distances (B, N) has a white spectrum in the upper half of its band."""
+    power = np.mean(np.abs(np.fft.rfft(blocks * np.hanning(blocks.shape[1]), axis=1)) ** 2, axis=0)
+    turns = np.pi * np.linspace(0, 1, power.size)
+    upper = slice(power.size // 2, None)
+    white = (power / (2 * np.sin(turns / 2) + 1e-9) ** 8)[upper]
+    parts = [float(part.mean()) for part in np.array_split(white, 2)]
+    return max(parts) < _FLAT * min(parts)
+
+
+def _answered(left: Vec, rests: NDArray[np.bool_], sigma: float, slope: float) -> bool:
+    """Whether the angle follows what is quick in the command (T, 2) within some samples at these rests (T,)."""
+    ends = np.flatnonzero(rests)
+    ends = ends[ends >= _LAGS]
+    past = np.column_stack([left[ends - lag, 0] for lag in range(_LAGS + 1)])
+    still = np.all(np.abs(past) < _LONE * sigma, axis=1)
+    past, angle = past[still], left[ends[still], 1]
+    if past.shape[0] < _BLOCK:
+        return True
+    answer = past @ np.linalg.lstsq(past, angle, rcond=None)[0]
+    explained = float(answer @ answer) / max(float(angle @ angle), 1e-300)
+    size = math.sqrt(float(answer @ answer) / max(float(past[:, 0] @ past[:, 0]), 1e-300))
+    return explained > _BY_CHANCE * past.shape[1] / past.shape[0] and size > _ANSWER * slope
+
+
+def _smoothed(command: Vec, sigma: float, stride: int) -> Vec:
+    """The command by lines through as many samples before and after each as agree with it.
+
+    Of windows that end at a sample, the longest whose value there agrees with those of all shorter ones, and likewise
+    of windows that begin there: steps and corners stay where they are, and a rest is averaged over hundreds of samples.
+
+    Source: Katkovnik, A new method for varying adaptive bandwidth selection, IEEE Trans. Signal Process. 47 (1999)
+    2567-2571 (intersection of confidence intervals).
+    """
+    before, sizes = _one_sided(command, sigma, stride)
+    after, others = (part[::-1] for part in _one_sided(command[::-1], sigma, stride))
+    return np.asarray((before / sizes + after / others) / (1 / sizes + 1 / others))
+
+
+def _one_sided(command: Vec, sigma: float, stride: int) -> tuple[Vec, Vec]:
+    """Values (T,) at the ends of lines through the samples before, and their variances."""
+    value, variance = command.copy(), np.full(command.size, sigma**2)
+    low, high, open_ = command - _AGREE * sigma, command + _AGREE * sigma, np.ones(command.size, dtype=bool)
+    sums = [np.concatenate([[0.0], np.cumsum(np.arange(command.size) ** k * (command - command[0]))]) for k in (0, 1)]
+    for size in (stride * window for window in _WINDOWS):
+        if size > command.size:
+            break
+        end = np.arange(size, command.size + 1)
+        total, moment = (s[end] - s[end - size] for s in sums)
+        mean = total / size
+        tilt = (moment - (end - 0.5 * (size + 1)) * total) * 12 / (size * (size**2 - 1.0))
+        found = command[0] + mean + tilt * 0.5 * (size - 1)
+        spread = sigma**2 * min(1.0, (4.0 * size - 2.0) / (size * (size + 1.0)) * stride)
+        at = end - 1
+        low[at] = np.maximum(low[at], found - _AGREE * math.sqrt(spread))
+        high[at] = np.minimum(high[at], found + _AGREE * math.sqrt(spread))
+        open_[: size - 1] = False
+        open_[at] &= low[at] <= high[at]
+        kept = at[open_[at]]
+        value[kept], variance[kept] = found[open_[at]], spread
+    return value, variance
+
+
+def _monotone(command: Vec, turn: float) -> Vec:
+    """The command between turns of at least that size as the nearest that does not turn round (least squares)."""
+    made, ends = command.copy(), _turning_points(command, turn)
+    for a, b in itertools.pairwise(ends):
+        rising = bool(command[b] >= command[a])
+        made[a : b + 1] = isotonic_regression(command[a : b + 1], increasing=rising).x
+    return made
+
+
+def _turning_points(command: Vec, turn: float) -> list[int]:
+    """First and last sample, and those between at which the command turns back by more than `turn`."""
+    found, least, most, way = [0], 0, 0, 0
+    for k, value in enumerate(command.tolist()):
+        least = k if value < command[least] else least
+        most = k if value > command[most] else most
+        if way >= 0 and value < command[most] - turn:
+            if way > 0 or most > 0:
+                found.append(most)
+            way, least = -1, k
+        elif way <= 0 and value > command[least] + turn:
+            if way < 0 or least > 0:
+                found.append(least)
+            way, most = 1, k
+    return [*dict.fromkeys([*found, command.size - 1])]
