@@ -73,6 +73,11 @@ class TrialEvaluation:
     began: TrialStart = AT_REST
 
     @property
+    def unscored_s(self) -> float:
+        """Time at the start of a trial that begins in motion in which its state is found [s]; else zero."""
+        return self.began.lead * self.trial.dt
+
+    @property
     def start_line(self) -> str:
         """What to say of its start; empty where the trial begins at rest."""
         name = Path(self.trial.source).name
@@ -162,18 +167,13 @@ def mean_errors(evaluations: Sequence[TrialEvaluation]) -> Errors:
 
 def evaluation_json(evaluations: Sequence[TrialEvaluation]) -> dict[str, Any]:
     """Plain data in the format `hystmpc-evaluation/1`; of an inverse map, whose errors are commands, in its own."""
-    rows = [{"file": Path(e.trial.source).name, **vars(e.errors), **_unscored(e)} for e in evaluations]
+    rows = [{"file": Path(e.trial.source).name, **vars(e.errors), "unscored_s": e.unscored_s} for e in evaluations]
     mean = dict(vars(mean_errors(evaluations)))
     if not evaluations[0].trial.inverted:
         return {"format": FORMAT, "trials": rows, "mean": mean}
     unit = evaluations[0].trial.units.angle
     plain = [{key.removesuffix("_deg"): value for key, value in row.items()} for row in (*rows, mean)]
     return {"format": INVERSE_FORMAT, "unit": unit, "trials": plain[:-1], "mean": plain[-1]}
-
-
-def _unscored(result: TrialEvaluation) -> dict[str, float]:
-    """Seconds at the start of a trial that begins in motion, in which its state is found."""
-    return {} if result.began.at_rest else {"unscored_s": result.began.lead * result.trial.dt}
 
 
 def start_sentences(results: Sequence[TrialEvaluation]) -> list[str]:

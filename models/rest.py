@@ -4,16 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import cached_property
-from typing import final
+from typing import TYPE_CHECKING, final
 
 import numpy as np
 
 from hystmpc.trials.errors import ModelError
 from hystmpc.trials.types import Vec
 
-from .chain import Chain
-from .chain_rest import ChainRest
 from .contract.metadata import InitialRule, ModelMetadata, Start
+
+if TYPE_CHECKING:
+    from .chain import Chain
+    from .chain_rest import ChainRest
 
 _Part = Callable[[Vec, Vec], Vec]  # commands and angles (N,) -> states (N, S)
 
@@ -59,6 +61,8 @@ class RestRule:
 
     @cached_property
     def _parts(self) -> list[_Part]:
+        from .chain_rest import ChainRest  # loads CasADi
+
         dt_s = self._facts.dt_s
         if self._whole is not None:
             return [ChainRest(self._whole, dt_s).states]

@@ -231,9 +231,10 @@ def _table_and_layout(log: Path | str | Frame, layout: Preset | None) -> tuple[T
 
 def _clock(table: Table, header: Sequence[str], time: str) -> str:
     """The column of dates or times of day that stands in for a missing time column: the one that changes most often."""
-    if time in header or not table.times:
+    dates = sorted(name for name in table.times if name in table.numbers)
+    if time in header or not dates:
         return ""
-    return max(sorted(table.times), key=lambda name: np.unique(table.numbers[name]).size)
+    return max(dates, key=lambda name: np.unique(table.numbers[name]).size)
 
 
 _TIME_UNITS = ("s", "ms", "us", "ns", "min", "h", "d")

@@ -15,7 +15,7 @@ LONGEST = 292
 """Characters of the text of an error: with `error: ` before it, a line has at most 300."""
 
 
-_LONGEST_PLACE = 50
+_LONGEST_PLACE = 120
 
 
 def in_short(text: str) -> str:

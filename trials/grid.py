@@ -171,6 +171,8 @@ def _located(
     data = next((k for k in sample if judged[k][0] == width and _is_data(judged[k])), None)
     if data is None:  # names alone, or cells of which none is a number
         header = tuple(_trimmed(_named(cells(sample[0]), delimiter)))
+        if not header:
+            raise LogError(f"{source}: no name and no number in any row, expected a header and rows of numbers")
         _require_width(header, source, sample[0])
         return Grid(delimiter, header, sample[0], (), sample[0] + 1, count)
     known = {name.casefold() for name in wanted}

@@ -57,9 +57,6 @@ class TipSettings(Settings):
     tolerance_deg: Positive = 0.5
 
 
-_LONGEST_PATH = 200  # characters: an error about a longer one would be no line
-
-
 def read_settings(source: Path | str | Mapping[str, Any] | TipSettings) -> tuple[TipSettings, Path]:
     """Settings, and the folder in which their relative file names start: that of the file, else the present one.
 
@@ -70,7 +67,7 @@ def read_settings(source: Path | str | Mapping[str, Any] | TipSettings) -> tuple
         return source, Path()
     if isinstance(source, Mapping):
         return TipSettings.parse(dict(source)), Path()
-    if not isinstance(source, str | Path) or len(str(source)) > _LONGEST_PATH:
+    if not isinstance(source, str | Path):
         raise ConfigError(f"tip: got {shown(source)}, expected a YAML file, a mapping or TipSettings")
     data = read_yaml(source)
     if not isinstance(data, dict):

@@ -150,7 +150,7 @@ def prepare(
         baseline=baseline,
         development=development,
         final=final,
-        everything=runs,
+        everything=tuple(replace(run, counts=np.ones_like(run.counts)) for run in runs),
         counted=counted,
         raw=tuple(trial.angle for trial in in_working_units),
         form_mse=form_mse,

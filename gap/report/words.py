@@ -177,7 +177,7 @@ def floor_words(gap: Gap, unit: str = "deg") -> str:
         )
     return (
         "No motion was repeated: the floor is the noise in the upper band of the residual, or the rounding of the "
-        "readings where that is more. It is a lower bound, and every share is relative to it."
+        "readings where that is more: a lower bound, to which every share is relative."
     )
 
 

@@ -140,10 +140,10 @@ def _amplification(reference: StepFunction, start: Vec, commands: Vec, expected:
     """
     moved = _free_run(reference.advance, start + step * (1 + np.abs(start)), commands)
     own = float(np.abs(moved - expected)[:, 0].max())
-    what = f"the reference moves by up to {own:.3g} {out[1]} if its own start state moves by this much"
+    what = f"and the reference moved by this much by {own:.3g} {out[1]}"
     if own > TOLERANCE_DEG * out[0]:
-        what += ", so the model itself is sensitive: fit it again with another seed or fewer units"
-    return f"single steps agree to {step:.1e} of the state, {what}"
+        what += ": the model itself is sensitive, fit it with another seed or fewer units"
+    return f"single steps agree to {step:.1e} {what}"
 
 
 def _single_steps(
@@ -180,8 +180,8 @@ def _compare(expected: Vec, got: Vec, out: Output, what: str) -> Vec:
             (f"theta [{name}]", TOLERANCE_DEG * unit) if column == 0 else (f"next_state[{column - 1}]", TOLERANCE_DEG)
         )
         raise ExportError(
-            f"{what} {row}: {entry} is {got[row, column]:.9g}, the reference gives {expected[row, column]:.9g}, "
-            f"expected a difference of at most {allowed:g}"
+            f"{what} {row}: {entry} is {got[row, column]:.9g}, expected {expected[row, column]:.9g} of the reference "
+            f"within {allowed:g}"
         )
     return np.array([unit * difference[:, 0].max(), difference[:, 1:].max(initial=0.0)])
 

@@ -203,13 +203,14 @@ def simulator_of(
 
 
 def _rest_command(trials: Sequence[Trial], limits: Range) -> float | None:
-    """Where the device rests before its trials, None for the lower end of what it may be sent."""
+    """Where the device rests before its trials, None for the lower end of what it may be sent.
+
+    Of trials that all begin in motion it is not known: then where they begin.
+    """
     if trials[0].inverted:
         return None
     starts = [trial_start(trial.command, trial.angle, trial.dt) for trial in trials]
-    rests = [start.command for start in starts if start.at_rest]
-    if not rests:
-        return None
+    rests = [start.command for start in starts if start.at_rest] or [float(trial.command[0]) for trial in trials]
     rest = float(np.median(rests))
     return rest if rest > limits.lower + _FROM_BELOW * (limits.upper - limits.lower) else None
 

@@ -165,7 +165,7 @@ def test_evaluation_json_has_the_fixed_keys() -> None:
     data = evaluation_json([evaluate(model, trial) for trial in GOOD])
     keys = ["rmse_deg", "bias_deg", "offset_free_rmse_deg", "max_abs_error_deg", "nrmse", "hold_drift_deg"]
     assert data["format"] == "hystmpc-evaluation/1"
-    assert [list(row) for row in data["trials"]] == [["file", *keys]] * len(GOOD)
+    assert [list(row) for row in data["trials"]] == [["file", *keys, "unscored_s"]] * len(GOOD)
     assert list(data["mean"]) == keys
     assert data["mean"]["rmse_deg"] == pytest.approx(np.mean([row["rmse_deg"] for row in data["trials"]]))
 
