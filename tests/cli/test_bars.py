@@ -12,7 +12,7 @@ from rich.console import Console
 
 from hystmpc.cli.bars import EVERY_S, FIRST_S, Screen
 from hystmpc.cli.time_left import EVEN
-from hystmpc.models.kernels.compiling import PROCESS, Compilation, watching
+from hystmpc.models.kernels.compiling import Compilation, watching
 from hystmpc.sim.jobs.backend import Processes
 
 
@@ -141,17 +141,17 @@ def test_a_terminal_gets_bars_with_the_time_left() -> None:
         assert words in text
 
 
-def compiles(number: int) -> int:
-    """A call in a worker that has to compile."""
-    PROCESS.begins(number, "module", 95_000)
-    PROCESS.ends()
-    return number
+COMPILES = """
+from hystmpc.models.kernels.compiling import PROCESS
+PROCESS.begins(0, "module", 95_000)
+PROCESS.ends()
+"""
 
 
 @pytest.mark.slow
 def test_what_workers_compile_is_told_where_they_were_asked() -> None:
     told: list[Compilation] = []
     with watching(told.append):
-        assert sorted(Processes(2).results(compiles, range(3))) == [0, 1, 2]
+        assert list(Processes(2).results(exec, [COMPILES] * 3)) == [None] * 3
     assert any(found.busy and found.total_s > 10.0 for found in told)
     assert not told[-1].busy
