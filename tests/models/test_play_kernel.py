@@ -15,10 +15,11 @@ from hystmpc.models.contract.export import ExportBundle, export_onnx
 from hystmpc.models.contract.load import OnnxModel, load_onnx
 from hystmpc.models.contract.metadata import DeviceLimits, ModelMetadata
 from hystmpc.models.evaluate import evaluate, mean_errors
+from hystmpc.models.identify.estimation_noise import ReferenceModel
 from hystmpc.models.identify.least_squares import OperatorFitSettings
 from hystmpc.models.identify.methods import identify
 from hystmpc.models.inverse.one_step import CompiledInverse
-from hystmpc.models.kinds.kind import FitRequest, Identified
+from hystmpc.models.kinds.kind import FitRequest
 from hystmpc.models.kinds.regressions import PlayKernelKind
 from hystmpc.models.play_kernel.fit import PlayKernelSettings, fit_play_kernel, play_kernel_bundle
 from hystmpc.models.play_kernel.predictor import PlayKernelPredictor
@@ -245,30 +246,13 @@ def test_on_real_logs_it_is_far_better_than_a_backlash(real_logs: list[Path]) ->
     for k, trial in enumerate(trials):
         rest = [t for i, t in enumerate(trials) if i != k]
         fit = PlayKernelKind().fit(rest, FitRequest(skip_first_flexure=True))
-        ours.append(evaluate(_Running(fit), trial, True))
+        ours.append(evaluate(ReferenceModel(fit.bundle), trial, True))
         simulator, _ = identify("backlash", rest, OperatorFitSettings(True))
         backlash.append(evaluate(ChainModel(simulator), trial, True))
     best, bar = mean_errors(ours), mean_errors(backlash)
     assert best.offset_free_rmse_deg <= 0.6 * bar.offset_free_rmse_deg
     assert best.offset_free_rmse_deg < 0.4
     assert best.hold_drift_deg < 1e-9
-
-
-class _Running:
-    """A bundle's reference as a model that runs freely."""
-
-    def __init__(self, found: Identified) -> None:
-        self.metadata, self._step = found.bundle.metadata, found.bundle.reference
-        self.nx, self.nu, self.dt = self._step.state_size + 1, 1, self.metadata.dt_s
-
-    def initial(self, y: np.ndarray) -> np.ndarray:
-        return np.hstack([self.metadata.initial.state(y), y])
-
-    def step(self, x: np.ndarray, u: np.ndarray) -> np.ndarray:
-        return np.hstack(self._step.advance(x[:, :-1], u)[::-1])
-
-    def output(self, x: np.ndarray) -> np.ndarray:
-        return x[:, -1:]
 
 
 def test_predictor_of_a_forward_model_only(tmp_path: Path) -> None:
