@@ -37,7 +37,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     plant = {"simulator": "builtin:tendon-catheter", "lag_s": 0.08, "noise_deg": 0.15}
     steps = []
     config = study(plant=plant, motions={"move": MOVE, "scan": SCAN}, controllers=ALL, seed=2)
-    result = compare(config, out, lambda done, total: steps.append((done, total)))
+    result = compare(config, out, lambda done, total, note="": steps.append((done, total)))
     assert [r.controller for r in result.of_motion("scan")] == list(ALL)
     total = steps[-1][1]
     assert steps == [(k, total) for k in range(1, total + 1)]
@@ -175,12 +175,13 @@ def test_a_study_interrupted_in_its_first_run_leaves_no_folder(tmp_path: Path) -
     assert not (tmp_path / "study").exists()
 
 
-def test_model_of_the_plant_itself_beats_inverse_and_pid_where_there_is_a_dead_band() -> None:
+def test_model_of_the_plant_itself_is_exact_with_every_controller_that_has_it() -> None:
+    """They begin where the plant rests: what is left is rounding of the plan, far below what a PID leaves."""
     config = study(model="builtin:tendon-catheter", motions={"move": MOVE, "scan": SCAN}, controllers=ALL)
     errors = {(r.motion, r.controller): r.metrics.rmse_deg for r in compare(config).results}
     for motion in ("move", "scan"):
-        for mpc in ("linearised_mpc", "sampling_mpc"):
-            assert errors[motion, mpc] < min(errors[motion, "inverse"], errors[motion, "pid"])
+        for controller in ("linearised_mpc", "sampling_mpc", "inverse"):
+            assert errors[motion, controller] < 0.03 < 0.01 * errors[motion, "pid"]
 
 
 def test_tuning_is_seeded_never_worse_and_written_down() -> None:
