@@ -64,12 +64,13 @@ plt.show()
 # Identify
 # --------
 # The report names the parts that were found, and the error on trials left out of the fit. The lag that was put in is
-# 0.08 s. The fit finds a little more, since the plays of this device widen with speed: in motion that looks like a lag.
+# 0.08 s. The plays of this device widen with speed: in motion that looks like a lag. The fit finds a little more, or
+# one lag for each direction.
 
 model = hystmpc.fit("auto", trials, limits=hystmpc.Limits(0.0, 6.0, 10.0))
 print(model.found.report)
 found = dict(zip(model.simulator.chain.labels, model.simulator.chain.values, strict=True))
-print(f"lag: {found['lag.tau_s']:.3f} s")
+print({label: f"{value:.3f} s" for label, value in found.items() if label.startswith("lag.tau")})
 
 # %%
 # Check on motions left out

@@ -86,6 +86,6 @@ plt.show()
 
 # %%
 # The measurement takes away much of what a rough model gets wrong: the straight line errs most in the free run, and its
-# loop errs several times less. But the order of the models is another one. ``auto`` and ``pi`` are nearly equal in the
-# free run. In the loop they are far apart, since ``pi`` has no lag and sends its corrections at the wrong time. So a
+# loop errs several times less. But the order of the models is another one. ``auto`` and ``pi`` are not far apart in the
+# free run. In the loop they are, since ``pi`` has no lag and sends its corrections at the wrong time. So a
 # free run finds models that are wrong, and only a closed loop tells how good the right ones are.
