@@ -287,12 +287,10 @@ class AutoSearch:
 
         A row says what one part buys: the error of the device less that part, all else fitted anew.
         """
-        for _ in range(len(self._names) + 2):
-            less = self._without_each(choice)
-            needless = [c for c in less.values() if c and not self.settings.stays(c.judged, choice.judged)]
-            if not needless:
-                break
+        less = self._without_each(choice)
+        while needless := [c for c in less.values() if c and not self.settings.stays(c.judged, choice.judged)]:
             choice = self._polished(min(needless, key=lambda c: c.judged.mse))
+            less = self._without_each(choice)
         rows = [
             PartRow(name, _form_title(form), _rmse(less[name]), choice.rmse_deg) for name, form in choice.forms.items()
         ]

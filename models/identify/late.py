@@ -47,7 +47,7 @@ def _best(
     best, found = math.inf, (0, 0.0)
     for tau in taus:
         kept = math.exp(-runs[0].dt_s / tau) if tau else 0.0
-        late = [lfilter([1 - kept], [1, -kept], run.command - run.command[0]) for run in runs]
+        late = [np.asarray(lfilter([1 - kept], [1, -kept], run.command - run.command[0])) for run in runs]
         for delay in delays:
             left = _left(late, angles, delay)
             if left < best:
