@@ -143,7 +143,7 @@ class KindContract(ModelContract):
     def test_the_file_runs_as_its_reference(self) -> None:
         """The graph that onnxruntime runs is the step that was identified, in every sample of a trial."""
         reference, trial = self._found.bundle.reference, self._trials[-1]
-        state, angles = self._found.bundle.metadata.initial.state(trial.angle[:1, None]), []
+        state, angles = self._loaded.at_rest(float(trial.angle[0]), float(trial.command[0]))[None], []
         for u in trial.command.tolist():
             theta, state = reference.advance(state, np.array([[u]]))
             angles.append(float(theta[0, 0]))
