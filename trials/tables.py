@@ -190,7 +190,16 @@ def read_table(lines: Sequence[str], source: str) -> Table:
     table = text_table(lines, source)
     for name in table.faults:
         raise table.not_numbers(name)
-    return table
+    empty = {name: k for k, name in enumerate(table.header) if name in table.numbers and _is_empty(table.numbers[name])}
+    rows = table.rows() if table.rows is not None and empty else ()
+    cells = {name: tuple(row[k].strip() for _, row in rows) for name, k in empty.items()}
+    words = {name: own for name, own in cells.items() if not {*map(str.lower, own)} <= {"", "nan", "-nan"}}
+    numbers = {name: values for name, values in table.numbers.items() if name not in words}
+    return replace(table, numbers=numbers, texts={**table.texts, **words})  # `-` is a word of this package's own
+
+
+def _is_empty(values: Vec) -> bool:
+    return bool(np.isnan(values).all())
 
 
 def _table(

@@ -15,6 +15,7 @@ from hystmpc.trials.config import Settings
 from hystmpc.trials.errors import ConfigError, LogError
 from hystmpc.trials.report import Report
 from hystmpc.trials.run_folder import FORMAT, RunFolder
+from hystmpc.trials.tables import read_table
 
 
 class Loop(Settings):
@@ -142,3 +143,11 @@ def test_the_mcap_log_holds_the_same_samples(tmp_path: Path) -> None:
         assert sample["command_bar"] == COLUMNS["command_bar"][k]
         assert sample["source"] == COLUMNS["source"][k]
     assert json.loads(messages[0][2].data)["predicted_deg"] is None
+
+
+def test_a_column_of_dashes_in_a_log_of_ours_is_text() -> None:
+    """`-` stands for no fault, and an empty cell for no number."""
+    lines = ["time_s,command,faults,frame_s", "0,1,-,", "0.1,2,-,nan", "0.2,3,-,"]
+    table = read_table(lines, "log.csv")
+    assert table.texts == {"faults": ("-", "-", "-")}
+    assert set(table.numbers) == {"time_s", "command", "frame_s"}
