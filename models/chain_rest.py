@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, final
+from typing import Any, Protocol, Self, TypeVar, final
 
 import casadi as ca
 import numpy as np
@@ -13,8 +14,74 @@ from hystmpc.trials.types import Index, Vec
 from .chain import Chain
 from .kernels.program import dense
 
-ROUNDS, CLOSE, FLAT, WITHIN = 8, 1e-9, 1e-3, 1e-6
-"""Newton steps; difference that is none; derivative that leads nowhere; step back from an edge of what a core holds."""
+FLAT = 1e-3
+"""A derivative of what the chain shows by the core's angle that is smaller leads nowhere."""
+
+_ROUNDS, _CLOSE, _WITHIN = 8, 1e-9, 1e-6  # Newton steps; difference that is none; step back from an edge
+
+
+class HeldCores(Protocol):
+    """N rows held at their commands, see `nearest_shown`: what core and chain show, and the latter's derivative by the
+    angle that the core was told (N,) each."""
+
+    @property
+    def core(self) -> Vec:
+        """Angle that the core shows [deg]."""
+        ...
+
+    @property
+    def signal(self) -> Vec:
+        """Angle that the chain shows [deg]."""
+        ...
+
+    @property
+    def moves(self) -> Vec:
+        """Derivative of `signal` by the angle that the core was told."""
+        ...
+
+    def put(self, n: Index, other: Self) -> None:
+        """Take rows n from another that has just these."""
+
+    def rows(self, n: Index) -> Self:
+        """A copy of some rows."""
+        ...
+
+
+Held = TypeVar("Held", bound=HeldCores)
+
+
+def nearest_shown(angle: Vec, held_at: Callable[[Index, Vec], Held]) -> Held:
+    """Rows whose chain shows angles (N,) [deg], or the nearest that it can.
+
+    Newton's method on the angle that the core is told. Where that is beyond what the core can hold, the search goes on
+    from the edge of what it can, a little within. Rows do not depend on others.
+
+    Args:
+        angle: seen (N,) [deg].
+        held_at: rows of these numbers, whose cores are told these angles.
+    """
+    at, side, out = angle.copy(), np.zeros(angle.size), np.arange(angle.size)
+    held = held_at(out, at)
+    beyond = held.rows(out)  # where a row was first found to be beyond what the core can hold
+    for _ in range(_ROUNDS):
+        out = out[~(np.abs(angle - held.signal)[out] < _CLOSE)]
+        edge = out[np.abs(held.moves[out]) < FLAT]
+        if edge.size:
+            new, past = edge[side[edge] == 0.0], side[edge]
+            beyond.put(new, held.rows(new))
+            side[edge] = np.sign(angle - held.signal)[edge]
+            turned = edge[side[edge] != past]
+            if turned.size:
+                at[turned] = (held.core + side * _WITHIN)[turned]
+                held.put(turned, held_at(turned, at[turned]))
+            lost = edge[(side[edge] == past) | (np.abs(held.moves[edge]) < FLAT)]  # nothing within leads any further
+            held.put(lost, beyond.rows(lost))
+            out = np.setdiff1d(out, lost)
+        if not out.size:
+            break
+        at[out] += (angle - held.signal)[out] / held.moves[out]
+        held.put(out, held_at(out, at[out]))
+    return held
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,8 +116,8 @@ class ChainRest:
     """States of a chain that has been held at a command and shows an angle.
 
     Every operator rests at what the one before it hands on, and the core at the angle for which the whole chain shows
-    the one that was seen; where it cannot, at the nearest. The same rule by the same steps as `StagedChain.settled`,
-    which a fit uses for its derivatives; this one needs no compilation.
+    the one that was seen; where it cannot, at the nearest (`nearest_shown`). `StagedChain.settled` is the same rule
+    with derivatives, which a fit needs; this one needs no compilation.
 
     Args:
         chain: its delays with a store for the sample time.
@@ -78,31 +145,8 @@ class ChainRest:
         """States (N, S) at commands (N,) that show angles (N,) [deg], or the nearest that they can."""
         angle = np.asarray(angle, dtype=np.float64)
         ahead, v = _rows(self._before, np.asarray(command, dtype=np.float64))
-        return np.ascontiguousarray(np.vstack([ahead, self._shown(v[0], angle).state]).T)
-
-    def _shown(self, v: Vec, angle: Vec) -> _Held:
-        """Newton's method on the core's angle; from an edge of what the core can hold on, a little within."""
-        at, side, out = angle.copy(), np.zeros(angle.size), np.arange(angle.size)
-        held = self._held(v, at)
-        beyond = held.rows(out)
-        for _ in range(ROUNDS):
-            out = out[~(np.abs(angle - held.signal)[out] < CLOSE)]
-            edge = out[np.abs(held.moves[out]) < FLAT]
-            if edge.size:
-                new, past = edge[side[edge] == 0.0], side[edge]
-                beyond.put(new, held.rows(new))
-                side[edge] = np.sign(angle - held.signal)[edge]
-                turned = edge[side[edge] != past]
-                at[turned] = (held.core + side * WITHIN)[turned]
-                held.put(turned, self._held(v[turned], at[turned]))
-                lost = edge[(side[edge] == past) | (np.abs(held.moves[edge]) < FLAT)]
-                held.put(lost, beyond.rows(lost))
-                out = np.setdiff1d(out, lost)
-            if not out.size:
-                break
-            at[out] += (angle - held.signal)[out] / held.moves[out]
-            held.put(out, self._held(v[out], at[out]))
-        return held
+        held = nearest_shown(angle, lambda n, at: self._held(v[0, n], at))
+        return np.ascontiguousarray(np.vstack([ahead, held.state]).T)
 
     def _held(self, v: Vec, a: Vec) -> _Held:
         state, core, signal, moves = _rows(self._behind, v, a)

@@ -70,8 +70,9 @@ def trial_start(command: Vec, angle: Vec, dt_s: float, inverted: bool = False) -
     span = float(np.ptp(command))
     if inverted or span == 0.0 or command.size < 4:
         return TrialStart(float(command[0]), float(angle[0]))
-    still, slow, moves = _still(command, span, dt_s)
-    stop, seen = min(still, round(_MEAN_S / dt_s) + 1), min(slow, round(_LONG_S / dt_s) + 1)
+    held, still, slow, moves = _still(command, span, dt_s)
+    held, still = (min(count, round(_MEAN_S / dt_s) + 1) for count in (held, still))
+    stop, seen = _averaged(angle, held, still, dt_s), min(slow, round(_LONG_S / dt_s) + 1)
     start = TrialStart(float(np.mean(command[:stop])), float(np.mean(angle[:stop])))
     share = STILL + _FOLLOWS * float(np.ptp(command[:seen])) / span
     if moves or _drifts(angle[:seen], share * float(np.ptp(angle))):
@@ -173,8 +174,15 @@ def motion_line(name: str, start: TrialStart, dt_s: float) -> str:
     )
 
 
-def _still(command: Vec, span: float, dt_s: float) -> tuple[int, int, bool]:
-    """Samples before the command has moved, and by more than a little; and whether the trial begins in motion.
+def _averaged(angle: Vec, held: int, still: int, dt_s: float) -> int:
+    """Samples whose mean is the angle at rest: those of a little travel too, unless they move it by more than noise."""
+    moved = abs(float(np.mean(angle[:still]) - np.mean(angle[:held])))
+    sure = _SURE * _noise(angle[: round(_NOISE_S / dt_s) + 6]) / held**0.5
+    return still if moved <= sure else held
+
+
+def _still(command: Vec, span: float, dt_s: float) -> tuple[int, int, int, bool]:
+    """Samples before the command has moved at all, has moved, and by more than a little; and whether it is in motion.
 
     Its speed at the first sample is that of the parabola through three samples, v = (3 d_1 - d_2) / 2 in the way d_1,
     d_2 of two intervals; it is none within a part of the change of that way from one interval to the next.
@@ -182,12 +190,12 @@ def _still(command: Vec, span: float, dt_s: float) -> tuple[int, int, bool]:
     look = max(round(_LOOK_S / dt_s), 1)
     noise = _SCATTER * _noise(command[: round(_NOISE_S / dt_s) + 6])
     away = np.abs(command - command[0])
-    first, slow = (max(_first(away > share * span + noise), 1) for share in (STILL, _LITTLE))
+    held, still, slow = (max(_first(away > share * span + noise), 1) for share in (_NO_WAY, STILL, _LITTLE))
     before, after = np.diff(command[: 2 * look + 1 : look]).tolist()
     change = abs(after - before)
     speed = 0.5 * (3.0 * before - after) * (1.0 if after > before else -1.0)
     room = _NO_WAY * span + _SLOW * float(np.max(np.abs(command[look:] - command[:-look]))) + noise
-    return first, slow, not (-_LATER * change - room <= speed <= _EARLIER * change + room)
+    return held, still, slow, not (-_LATER * change - room <= speed <= _EARLIER * change + room)
 
 
 def _first(happens: Mask) -> int:

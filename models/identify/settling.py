@@ -10,12 +10,11 @@ import numpy as np
 
 from hystmpc.trials.types import Index, Mask, Vec
 
+from ..chain_rest import FLAT, nearest_shown
 from ..kernels.chain_kernels import DIRECTIONS, StageKernels
 
 Stage = tuple[StageKernels, slice, slice]
 """Compiled operator, and where its states and its parameters stand among those of the chain."""
-
-_ROUNDS, _CLOSE, _FLAT, _WITHIN = 8, 1e-9, 1e-3, 1e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +50,7 @@ class HeldRows:
     @property
     def leads(self) -> Mask:
         """Rows in which that derivative leads anywhere (N,)."""
-        return ~(np.abs(self.moves) < _FLAT)
+        return ~(np.abs(self.moves) < FLAT)
 
 
 @final
@@ -76,29 +75,7 @@ class Settling:
     def rows(self, command: Vec, angle: Vec) -> HeldRows:
         """Rows (N,) held at commands [cmd] that show angles [deg], or the nearest that they can."""
         before = self._before(command)
-        at, side, out = angle.copy(), np.zeros(angle.size), np.arange(angle.size)
-        held = self._held(before, at)
-        beyond = held.rows(out)  # where a row was first found to be beyond what the core can hold
-        for _ in range(_ROUNDS):
-            out = out[~(np.abs(angle - held.signal)[out] < _CLOSE)]
-            edge = out[~held.leads[out]]
-            if edge.size:  # beyond what the core can hold: go on from the edge, a little within
-                new, past = edge[side[edge] == 0.0], side[edge]
-                beyond.put(new, held.rows(new))
-                side[edge] = np.sign(angle - held.signal)[edge]
-                turned = edge[side[edge] != past]
-                if turned.size:
-                    at[turned] = (held.core + side * _WITHIN)[turned]
-                    held.put(turned, self._held(before.rows(turned), at[turned]))
-                lost = np.zeros(angle.size, dtype=bool)  # nothing within leads any further
-                lost[edge] = (side[edge] == past) | ~held.leads[edge]
-                held.put(given := np.flatnonzero(lost), beyond.rows(given))
-                out = out[~lost[out]]
-            if not out.size:
-                break
-            at[out] += (angle - held.signal)[out] / held.moves[out]
-            held.put(out, self._held(before.rows(out), at[out]))
-        return held
+        return nearest_shown(angle, lambda n, at: self._held(before.rows(n), at))
 
     def _before(self, command: Vec) -> HeldRows:
         """What stands before the core, held at commands (N,)."""
