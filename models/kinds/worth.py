@@ -19,7 +19,6 @@ from ..model import FitProgress, LoadedModel
 from .kind import FitRequest, Identified, ModelKind
 
 _SLACK = 1.02  # of the line's error: a device that is a line is identified up to this much worse
-_LONGEST = 300
 _CAUSES = ("numbers", "clocks", "time base", "units", "sign")
 
 
@@ -48,7 +47,7 @@ def identified(
         unit = trials[0].units.angle
         raise FitError(
             f"{kind.name}: errs by {model:.3g} {unit} over these trials, a straight line by {line:.3g} {unit}: "
-            f"no model of them, and none is kept; {_why(trials)}"[:_LONGEST]
+            f"no model of them, and none is kept; {_why(trials)}"
         )
     return found
 
