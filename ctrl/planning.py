@@ -136,7 +136,12 @@ class Candidates:
         Args:
             remaining: what is left of the last plan, shape (0..H,).
             resting: whether small steps are among them.
+
+        Raises:
+            PlanningError: if the reference is not as long as the horizon.
         """
+        if reference.shape != (self._horizon,):
+            raise PlanningError(f"reference: got {reference.shape} angles, expected ({self._horizon},), the horizon")
         low, high, reach = self._bounds
         ramps = self._all if resting else self._reversals
         plans = np.empty((FOLLOWING + len(ramps), self._horizon))

@@ -15,14 +15,21 @@ LONGEST = 292
 """Characters of the text of an error: with `error: ` before it, a line has at most 300."""
 
 
-_LONGEST_PLACE = 120
+_SHORTEST_PLACE = 24
 
 
 def in_short(text: str) -> str:
-    """The text in at most `LONGEST` characters: without the beginning of a long path, then without its own middle."""
+    """The text in at most `LONGEST` characters: a long path loses its beginning first, then the text its own middle.
+
+    A path keeps its last part whole, and at least `_SHORTEST_PLACE` characters: the same log is refused by the same
+    words wherever it lies.
+    """
     place, colon, rest = text.partition(": ")
-    if len(text) > LONGEST and len(place) > _LONGEST_PLACE and "/" in place:
-        text = f"...{place[3 - _LONGEST_PLACE :]}{colon}{rest}"
+    over = len(text) - LONGEST + len("...")
+    if len(text) > LONGEST and "/" in place:
+        kept = max(len(place) - over, len(place) - place.rindex("/") - 1, _SHORTEST_PLACE)
+        if kept + len("...") < len(place):
+            text = f"...{place[-kept:]}{colon}{rest}"
     if len(text) <= LONGEST:
         return text
     end = (LONGEST - 5) * 2 // 5

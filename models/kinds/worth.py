@@ -19,6 +19,7 @@ from ..model import FitProgress, LoadedModel
 from .kind import FitRequest, Identified, ModelKind
 
 _SLACK = 1.02  # of the line's error: a device that is a line is identified up to this much worse
+_ROUNDING = 1e-9  # of the angle's range: trials that are a line to the last digit are identified, too
 _CAUSES = ("numbers", "clocks", "time base", "units", "sign")
 
 
@@ -43,7 +44,7 @@ def identified(
     if found.interrupted or request.steps is not None:
         return found
     model, line = _errors(_opened(found, kind.name), trials, request.skip_first_flexure)
-    if model > _SLACK * line:
+    if model > _SLACK * line + _ROUNDING * _span(trials):
         unit = trials[0].units.angle
         raise FitError(
             f"{kind.name}: errs by {model:.3g} {unit} over these trials, a straight line by {line:.3g} {unit}: "
@@ -71,6 +72,11 @@ def _errors(model: LoadedModel, trials: Sequence[Trial], skip_first_flexure: boo
     columns = np.column_stack([np.ones(u.size), u])
     left = y - columns @ np.linalg.lstsq(columns, y, rcond=None)[0]
     return float(np.sqrt(np.mean((theta - y) ** 2))), float(np.sqrt(np.mean(left**2)))
+
+
+def _span(trials: Sequence[Trial]) -> float:
+    """Greatest range of the angle in a trial."""
+    return max(float(np.ptp(trial.angle)) for trial in trials)
 
 
 def _why(trials: Sequence[Trial]) -> str:

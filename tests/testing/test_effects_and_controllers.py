@@ -113,9 +113,8 @@ def test_an_effect_that_breaks_a_law_is_found(law: str, effect: Effect) -> None:
 class Broken(Law[int]):
     """The inverse, with a fault."""
 
-    horizon = 1
-
     def __init__(self, inner: Law[Any], fault: str) -> None:
+        self.horizon = inner.horizon
         self._inner, self._fault, self.source, self._count = inner, fault, inner.source, 0
 
     def init(self, y: float, u: float) -> Any:
