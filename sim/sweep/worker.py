@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import platform
 import time
-from collections.abc import Mapping
 from functools import lru_cache
 from typing import Any
 
@@ -19,34 +18,17 @@ from ..study import Knowledge, knowledge, prepare
 from .plan import Hashes, SweepRow
 
 # Columns of every row besides the factors, in the order of the table.
-ROW_COLUMNS: Mapping[str, str] = {
-    "id": "text",
-    "status": "text",
-    "message": "text",
-    "controller": "text",
-    "motion": "text",
-    "draw": "whole",
-    "seed": "whole",
-}
-RESULT_COLUMNS: Mapping[str, str] = {
-    "rmse_deg": "number",
-    "max_abs_deg": "number",
-    "hold_error_deg": "number",
-    "hold_command_range": "number",
-    "command_travel": "number",
-    "limit_violations": "whole",
-    "ladder": "text",
-}
-COST_COLUMNS: Mapping[str, str] = {
-    "samples": "whole",
-    "step_mean_s": "number",
-    "step_p99_s": "number",
-    "wall_s": "number",
-    "cpu_s": "number",
-    "host": "text",
-    "files": "text",
-    "settings": "text",
-}
+ROW_COLUMNS = ("id", "status", "message", "controller", "motion", "draw", "seed")
+RESULT_COLUMNS = (
+    "rmse_deg",
+    "max_abs_deg",
+    "hold_error_deg",
+    "hold_command_range",
+    "command_travel",
+    "limit_violations",
+    "ladder",
+)
+COST_COLUMNS = ("samples", "step_mean_s", "step_p99_s", "wall_s", "cpu_s", "host", "files", "settings")
 _KEPT = 4  # models a process keeps ready
 
 

@@ -23,7 +23,7 @@ from hystmpc.rig.commission.review_page import review_run
 from hystmpc.rig.config import RunSettings, load_record, load_run
 from hystmpc.sim.config import load_simulation
 from hystmpc.sim.results import load_results
-from hystmpc.sim.sweep.store import table_of
+from hystmpc.sim.sweep.table import table_of
 from hystmpc.sim.tuning.settings import load_tuning
 from hystmpc.trials import from_outside
 from hystmpc.trials.config import dump_yaml, read_yaml

@@ -42,7 +42,6 @@ EXTRAS = {
     "distributed",
     "gymnasium",
     "optuna",
-    "pyarrow",
     "cyclonedds",
 }
 
