@@ -14,13 +14,12 @@ from hystmpc.ctrl.limits import CommandLimits
 from hystmpc.rig.bench import Note
 from hystmpc.rig.config import BenchSettings
 from hystmpc.rig.recording.recorder_process import Views
-from hystmpc.sim.jobs.runner import alone_in
 from hystmpc.trials.brief import brief
 from hystmpc.trials.csv_files import write_csv
 from hystmpc.trials.errors import ConfigError, HystmpcError, LogError
 from hystmpc.trials.from_outside import only_reads
 from hystmpc.trials.read import expand_logs, read_trials
-from hystmpc.trials.run_folder import RunFolder
+from hystmpc.trials.run_folder import RunFolder, alone_in
 from hystmpc.trials.types import Progress
 
 from .bounded import Bounded

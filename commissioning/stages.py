@@ -12,10 +12,9 @@ from typing import Annotated, Any, TypeVar, final
 
 from pydantic import BeforeValidator, TypeAdapter
 
-from hystmpc.sim.jobs.runner import resumed_folder
 from hystmpc.trials.errors import ConfigError, LogError
 from hystmpc.trials.files import write_atomically
-from hystmpc.trials.run_folder import require_vacant
+from hystmpc.trials.run_folder import require_vacant, resumed_folder
 
 FORMAT = "hystmpc-commissioning/1"
 RESULT, BEGUN = "result.json", "begun.json"

@@ -9,21 +9,14 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Generic, TypeVar, final
 
-from hystmpc.sim.jobs.runner import (
-    PlannedJob,
-    PlannedResult,
-    ResultFiles,
-    attempt,
-    backend_for,
-    resumed_folder,
-    wall_minutes,
-)
+from hystmpc.sim.jobs.runner import attempt, backend_for
 from hystmpc.trials.config import Settings
 from hystmpc.trials.files import write_atomically
 from hystmpc.trials.report import Report
-from hystmpc.trials.run_folder import RunFolder
+from hystmpc.trials.run_folder import RunFolder, resumed_folder
 from hystmpc.trials.types import Progress
 
+from .result_files import PlannedJob, PlannedResult, ResultFiles, wall_minutes
 from .tables import StudyTable, other_study
 
 S = TypeVar("S", bound=Settings)

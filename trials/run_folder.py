@@ -7,7 +7,8 @@ import json
 import os
 import platform
 import sys
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
@@ -15,6 +16,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
+from filelock import FileLock, Timeout
 from numpy.typing import ArrayLike, NDArray
 
 from . import mcap_
@@ -196,6 +198,43 @@ def require_resumable(folder: Path) -> None:
         RunFolder.open(folder)
     else:
         require_vacant(folder)
+
+
+def resumed_folder(path: Path, settings: Mapping[str, Any], seed: int, refusal: Callable[[Any], str]) -> RunFolder:
+    """A new run folder, or the one in which the same work was begun; its settings are written anew.
+
+    Args:
+        refusal: why a folder with these earlier settings cannot be gone on with; empty where it can.
+
+    Raises:
+        ConfigError: if the folder holds something else.
+        LogError: if it holds a run of another format.
+    """
+    if not (path / "meta.json").exists():
+        return RunFolder.create(path, settings, seed=seed)
+    folder = RunFolder.open(path)
+    if reason := refusal(folder.config()):
+        raise ConfigError(f"{path}: {reason}")
+    write_atomically(path / "config.yaml", dump_yaml(dict(settings)))
+    return folder
+
+
+@contextmanager
+def alone_in(folder: Path) -> Iterator[None]:
+    """One process at a time writes into a folder; the lock of a process that died does not hold.
+
+    Raises:
+        ConfigError: if another process works in it.
+    """
+    lock = FileLock(folder / ".lock", timeout=0)
+    try:
+        lock.acquire()
+    except Timeout:
+        raise ConfigError(f"{folder}: another process works in it, expected to be alone") from None
+    try:
+        yield
+    finally:
+        lock.release()
 
 
 def _column(values: ArrayLike | Sequence[str]) -> NDArray[np.generic] | tuple[str, ...]:

@@ -1,83 +1,63 @@
-"""Plans of jobs that survive a kill or Ctrl-C: finished jobs are kept, the same command does the rest."""
+"""Calls of one function for many jobs, in this process, in a pool of processes or on a cluster."""
 
 from __future__ import annotations
 
-import json
-import math
+import multiprocessing
+import os
+import signal
+import threading
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
-from dataclasses import asdict, dataclass
-from pathlib import Path
-from typing import Any, Generic, Literal, Protocol, TypeVar, final
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, replace
+from itertools import chain, islice
+from multiprocessing.connection import Connection
+from multiprocessing.context import SpawnContext
+from multiprocessing.process import BaseProcess
+from typing import Generic, TypeVar, final
 
-from filelock import FileLock, Timeout
-from pydantic import TypeAdapter
+from threadpoolctl import threadpool_limits
 
-from hystmpc.trials.config import dump_yaml
-from hystmpc.trials.errors import ConfigError, FitInterruptedError, HystmpcError, LogError
-from hystmpc.trials.files import write_atomically
-from hystmpc.trials.run_folder import RunFolder
+from hystmpc.models.kernels.compiling import PROCESS, Compilation, joint
+from hystmpc.trials.errors import ConfigError, FitInterruptedError, HystmpcError
 from hystmpc.trials.types import Progress
 
-from .backend import Backend, InTurn, Processes, R, T
-
-Status = Literal["done", "failed"]
-
-
-class PlannedJob(Protocol):
-    """A job of a plan."""
-
-    @property
-    def key(self) -> str:
-        """Name of the job's files, unique in the plan."""
-        ...
-
-
-class PlannedResult(Protocol):
-    """Outcome of a job."""
-
-    @property
-    def job(self) -> PlannedJob:
-        """The job."""
-        ...
-
-    @property
-    def fingerprint(self) -> str:
-        """Hash of all that the result depends on."""
-        ...
-
-    @property
-    def status(self) -> Status:
-        """Whether it worked."""
-        ...
-
-
-J = TypeVar("J", bound=PlannedJob)
-F = TypeVar("F", bound=PlannedResult)
+T = TypeVar("T")
+R = TypeVar("R")
+THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
+_DEATHS = 3  # in a row, without a result between them
+_LISTENS_S = 0.2  # between two looks at whether the workers are gone
+_AHEAD = 2  # items a worker that are handed over before they are needed
 
 
 def run_jobs(
+    function: Callable[[T], R],
     jobs: Iterable[T],
-    do: Callable[[T], R],
     backend: Backend,
     *,
     is_done: Callable[[T], bool] = lambda job: False,
-    total: int,
+    total: int | None = None,
     progress: Progress | None = None,
     note: Callable[[R], str] = lambda result: "",
 ) -> Iterator[R]:
     """Results of the jobs that are not done yet, as they come, in any order.
 
+    A job whose worker dies is done again. An error of `function` ends all; see `attempt` for jobs that may fail.
+
     Args:
-        do: does one job, in another process where the backend has some.
+        function: does one job; of a module, so that another process finds it.
+        jobs: taken as they are needed, a few ahead of the workers; each can be pickled.
         is_done: whether a job was done by an earlier call.
-        total: number of jobs, for `progress`.
+        total: number of jobs, for `progress`; it is not called where left out.
         progress: called after every job; jobs done earlier count.
         note: text for `progress`.
 
     Raises:
         ConfigError: if workers die again and again, or there are none.
+        KeyboardInterrupt: if the user ended it; the workers are gone by then.
     """
     kept = 0
 
@@ -89,9 +69,9 @@ def run_jobs(
             else:
                 yield job
 
-    for number, result in enumerate(backend.results(do, open_jobs()), start=1):
+    for number, result in enumerate(backend.results(function, open_jobs()), start=1):
         yield result
-        if progress:
+        if progress and total is not None:
             progress(kept + number, total, note(result))
 
 
@@ -132,149 +112,6 @@ def attempt(call: Callable[[], R]) -> Attempt[R]:
     return Attempt(value, None, time.perf_counter() - start)
 
 
-@final
-class ResultFiles(Generic[F]):
-    """Results of jobs as one JSON file each, `results/KEY.json`, written whole or not at all."""
-
-    def __init__(self, folder: Path, kind: type[F], form: str, encode: Callable[[Any], dict[str, Any]] = asdict):
-        self.folder, self._form, self._encode = folder, form, encode
-        self._adapter = TypeAdapter(kind)
-
-    def path(self, job: PlannedJob) -> Path:
-        """File of a job's result."""
-        return self.folder / "results" / f"{job.key}.json"
-
-    def save(self, result: F) -> Path:
-        """Write a result."""
-        data = {"format": self._form} | self._encode(result)
-        return write_atomically(self.path(result.job), json.dumps(data, indent=1) + "\n")
-
-    def load(self, job: PlannedJob) -> F | None:
-        """The result of a job, None where there is none yet.
-
-        Raises:
-            LogError: if the file is not a result.
-        """
-        path = self.path(job)
-        if not path.exists():
-            return None
-        try:
-            data = json.loads(path.read_text(encoding="utf-8"))
-            found = data.pop("format")
-            result = self._adapter.validate_python(data)
-        except (ValueError, KeyError, TypeError, AttributeError) as error:  # pydantic's errors are ValueErrors
-            reason = " ".join(str(error).split())
-            raise LogError(
-                f"{path}: not a result of a study ({reason}); remove it to have the job done again"
-            ) from None
-        if found != self._form:
-            raise LogError(f"{path}: not of the format {self._form}; remove it to have the job done again")
-        return result
-
-    def kept(self, jobs: Iterable[J], fingerprint: Callable[[J], str]) -> dict[str, F]:
-        """Results by key that are done and up to date; a failed or outdated job is done again.
-
-        Raises:
-            LogError: if a file is damaged.
-        """
-        found = ((job, self.load(job)) for job in jobs)
-        return {
-            job.key: result
-            for job, result in found
-            if result and result.status == "done" and result.fingerprint == fingerprint(job)
-        }
-
-    def complete(
-        self,
-        stages: Sequence[Sequence[J]],
-        do: Callable[[J], F],
-        fingerprint: Callable[[J], str],
-        backend: Backend,
-        costs: Mapping[str, float],
-        progress: Progress | None = None,
-    ) -> tuple[F, ...]:
-        """Results of all jobs in their order: kept ones, and the others done stage by stage, the costliest first.
-
-        Args:
-            stages: jobs with different keys; each stage may need files that the stages before it leave.
-            do: does one job and saves its result.
-            fingerprint: hash of all that a job depends on.
-            costs: expected processor time by key [s].
-            progress: called at the start and after every job, in expected seconds, so that a bar's time left is that
-                of the jobs left.
-
-        Raises:
-            ConfigError: if worker processes died again and again.
-            LogError: if a result's file is damaged.
-            KeyboardInterrupt: if the user ended it; finished jobs are kept.
-        """
-        for half in self.folder.glob("*/.*.part"):
-            half.unlink(missing_ok=True)  # left by a process that was killed while it wrote
-        jobs = [job for stage in stages for job in stage]
-        results = self.kept(jobs, fingerprint)
-        spent, total = 0.0, sum(costs.get(job.key, 0.0) for job in jobs if job.key not in results)
-
-        def tell(note: str = "") -> None:
-            if progress:
-                progress(spent, max(total, 1e-9), f"{len(results)} of {len(jobs)} jobs {note}")
-
-        tell()
-        for stage in stages:
-            # Asked again after the first stage: an earlier one may have changed what these jobs read.
-            fresh = results if stage is stages[0] else self.kept(stage, fingerprint)
-            rest = [job for job in stage if job.key not in fresh]
-            total += sum(costs.get(job.key, 0.0) for job in rest if results.pop(job.key, None))
-            rest.sort(key=lambda job: costs.get(job.key, 0.0), reverse=True)
-            for result in backend.results(do, rest):
-                results[result.job.key] = result
-                spent += costs.get(result.job.key, 0.0)
-                tell(result.job.key if result.status == "done" else f"{result.job.key} failed")
-        return tuple(results[job.key] for job in jobs)
-
-
-def resumed_folder(path: Path, settings: Mapping[str, Any], seed: int, refusal: Callable[[Any], str]) -> RunFolder:
-    """A new run folder, or the one in which the same work was begun; its settings are written anew.
-
-    Args:
-        refusal: why a folder with these earlier settings cannot be gone on with; empty where it can.
-
-    Raises:
-        ConfigError: if the folder holds something else.
-        LogError: if it holds a run of another format.
-    """
-    if not (path / "meta.json").exists():
-        return RunFolder.create(path, settings, seed=seed)
-    folder = RunFolder.open(path)
-    if reason := refusal(folder.config()):
-        raise ConfigError(f"{path}: {reason}")
-    write_atomically(path / "config.yaml", dump_yaml(dict(settings)))
-    return folder
-
-
-@contextmanager
-def alone_in(folder: Path) -> Iterator[None]:
-    """One process at a time writes into a folder; the lock of a process that died does not hold.
-
-    Raises:
-        ConfigError: if another process works in it.
-    """
-    lock = FileLock(folder / ".lock", timeout=0)
-    try:
-        lock.acquire()
-    except Timeout:
-        raise ConfigError(f"{folder}: another process works in it, expected to be alone") from None
-    try:
-        yield
-    finally:
-        lock.release()
-
-
-def wall_minutes(costs: Mapping[str, float], workers: int) -> int:
-    """Wall time of jobs of these costs [s] on so many workers, rounded up; never less than the longest job [min]."""
-    longest = max(costs.values(), default=0.0)
-    return math.ceil(max(sum(costs.values()) / workers, longest) / 60)
-
-
 def backend_for(workers: int, cluster: str | None = None, where: str = "") -> Backend:
     """The back end that a command line asks for.
 
@@ -295,3 +132,177 @@ def backend_for(workers: int, cluster: str | None = None, where: str = "") -> Ba
     except ModuleNotFoundError as error:
         raise ConfigError(f"--cluster {cluster}: {error.name} is not installed: pip install 'hystmpc[tune]'") from None
     return DaskCluster(cluster, where)
+
+
+class Backend(ABC):
+    """Calls one function for many items; every item gives one result, however often its worker dies on the way."""
+
+    def check(self) -> None:  # noqa: B027  # only what is elsewhere can be missing
+        """Find out before anything is written whether there is anybody to work.
+
+        Raises:
+            ConfigError: if there is not.
+        """
+
+    @abstractmethod
+    def results(self, function: Callable[[T], R], items: Iterable[T]) -> Iterator[R]:
+        """Results as they come, in any order.
+
+        Args:
+            function: of a module, so that another process finds it.
+            items: taken as they are needed, a few ahead of the workers; each can be pickled.
+
+        Raises:
+            ConfigError: if workers die again and again, or there are none.
+            KeyboardInterrupt: if the user ended it; the workers are gone by then.
+        """
+
+
+@final
+class InTurn(Backend):
+    """One call after the other in this process, on one thread."""
+
+    def results(self, function: Callable[[T], R], items: Iterable[T]) -> Iterator[R]:
+        """See `Backend`."""
+        with threadpool_limits(limits=1):
+            for item in items:
+                yield function(item)
+
+
+@final
+class Processes(Backend):
+    """A process pool, one thread a process."""
+
+    def __init__(self, workers: int, where: str = "") -> None:
+        self.workers = workers
+        self._where = where
+
+    def results(self, function: Callable[[T], R], items: Iterable[T]) -> Iterator[R]:
+        """See `Backend`.
+
+        Raises:
+            ConfigError: if workers died three times without a result between.
+        """
+        rest, deaths = iter(items), 0
+        while True:
+            pending: dict[Future[R], T] = {}
+            try:
+                for result in self._until_broken(function, rest, pending):
+                    deaths = 0
+                    yield result
+                return
+            except BrokenProcessPool:
+                deaths += 1
+                if deaths > _DEATHS:
+                    raise ConfigError(
+                        f"{self._where}: worker processes died {deaths} times without a result (out of memory?); "
+                        "the same command goes on, with fewer --jobs"
+                    ) from None
+                # Which call has killed its worker nobody knows; none of these has given its result yet.
+                rest = chain(list(pending.values()), rest)
+
+    def _until_broken(self, function: Callable[[T], R], items: Iterator[T], pending: dict[Future[R], T]) -> Iterator[R]:
+        """Results of one pool; `pending` holds what has been asked for and not given.
+
+        Raises:
+            BrokenProcessPool: if a worker died.
+        """
+        # Not forked: torch's and numba's threads do not survive a fork.
+        context = multiprocessing.get_context("spawn")
+        with _safe_path(), _compilation_told(context) as told:
+            pool = ProcessPoolExecutor(self.workers, context, prepare_worker, (told,))
+            yield from self._asked(pool, function, items, pending)
+
+    def _asked(
+        self, pool: ProcessPoolExecutor, function: Callable[[T], R], items: Iterator[T], pending: dict[Future[R], T]
+    ) -> Iterator[R]:
+        ours = set(multiprocessing.active_children())
+        try:
+            while True:
+                for item in islice(items, _AHEAD * self.workers - len(pending)):
+                    pending[_submitted(pool, function, item)] = item
+                if not pending:
+                    break
+                for future in wait(pending, return_when=FIRST_COMPLETED).done:
+                    result = future.result()
+                    del pending[future]
+                    yield result
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            _end(set(multiprocessing.active_children()) - ours)
+            raise
+        pool.shutdown()
+
+
+@contextmanager
+def _safe_path() -> Iterator[None]:
+    """While workers are started: a file of the working folder takes the place of no module in them.
+
+    A worker is a Python of its own with a command for it to read, which would look into the working folder first.
+    """
+    before = os.environ.get("PYTHONSAFEPATH")
+    os.environ["PYTHONSAFEPATH"] = before or "1"
+    try:
+        yield
+    finally:
+        if before is None:
+            os.environ.pop("PYTHONSAFEPATH", None)
+
+
+@contextmanager
+def _compilation_told(context: SpawnContext) -> Iterator[Connection]:
+    """Where workers say what they compile; this process tells its own observers."""
+    ears, mouth = context.Pipe(duplex=False)
+    over, found = threading.Event(), dict[int, Compilation]()
+
+    def listen() -> None:
+        while not over.is_set():
+            if ears.poll(_LISTENS_S):
+                worker, told = ears.recv()
+                found[worker] = told
+                PROCESS.tell(joint(found.values()))
+
+    listener = threading.Thread(target=listen, name="compilation of workers", daemon=True)
+    listener.start()
+    try:
+        yield mouth
+    finally:
+        over.set()
+        listener.join()
+        if found:
+            PROCESS.tell(replace(joint(found.values()), busy=False))  # whatever a worker was at, it is gone
+        mouth.close()
+        ears.close()
+
+
+def _submitted(pool: ProcessPoolExecutor, function: Callable[[T], R], item: T) -> Future[R]:
+    """The call's future, broken already where the pool is."""
+    try:
+        return pool.submit(function, item)
+    except BrokenProcessPool as error:
+        future: Future[R] = Future()
+        future.set_exception(error)
+        return future
+
+
+def _end(children: Iterable[BaseProcess]) -> None:
+    for child in children:
+        child.terminate()
+
+
+def prepare_worker(told: Connection | None = None) -> None:
+    """One thread; Ctrl-C is the main process's business, a fit that heard it would pass for a finished one.
+
+    Args:
+        told: where to say what is compiled. A line is shorter than what a pipe takes whole, so that workers share it.
+    """
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    os.environ.update(dict.fromkeys(THREADS, "1"))  # for libraries that are loaded later
+    threadpool_limits(limits=1)
+    if told is not None:
+
+        def tell(found: Compilation) -> None:
+            with suppress(OSError):  # nobody listens any more
+                told.send((os.getpid(), found))
+
+        PROCESS.observers.append(tell)

@@ -10,13 +10,12 @@ from pathlib import Path
 from typing import Any
 
 from hystmpc.trials.errors import ConfigError, LogError, did_you_mean
-from hystmpc.trials.run_folder import RunFolder
+from hystmpc.trials.run_folder import RunFolder, alone_in, resumed_folder
 from hystmpc.trials.types import Progress
 
 from ..compare import compare
 from ..config import SimulationConfig
-from ..jobs.backend import Backend
-from ..jobs.runner import alone_in, resumed_folder, run_jobs
+from ..jobs.runner import Backend, run_jobs
 from .plan import Hashes, SweepPlan, SweepRow
 from .report import SweepView, sweep_report
 from .settings import SweepSettings, sweep_in
@@ -78,7 +77,7 @@ def run_sweep(
 
         try:
             for found in run_jobs(
-                plan.rows(), run_row, backend, is_done=is_done, total=total, progress=progress, note=lambda r: r["id"]
+                run_row, plan.rows(), backend, is_done=is_done, total=total, progress=progress, note=lambda r: r["id"]
             ):
                 table.add(found)
         finally:

@@ -16,8 +16,7 @@ from hystmpc.trials.types import Progress, Vec
 
 from ..closed_loop import run_closed_loop
 from ..config import SimulationConfig
-from ..jobs.backend import Backend
-from ..jobs.runner import run_jobs
+from ..jobs.runner import Backend, run_jobs
 from ..results import result_of
 from ..study import Study, prepare
 from ..sweep.settings import changed, drawn
@@ -203,7 +202,7 @@ def held_out(
     count = settings.held_out.count
     cases = [HeldOutCase(name, number, own, settings) for number in range(count) for name, own in names.items()]
     found: dict[str, dict[int, PlantScore]] = {name: {} for name in names}
-    done = run_jobs(cases, run_case, backend, total=len(cases), progress=progress, note=lambda _: "held-out plants")
+    done = run_jobs(run_case, cases, backend, total=len(cases), progress=progress, note=lambda _: "held-out plants")
     for name, number, score in done:
         found[name][number] = score
     given, tuned = (tuple(found[name][number] for number in range(count)) for name in _NAMES)

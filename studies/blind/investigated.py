@@ -159,8 +159,8 @@ def investigate_blind(
     if progress:
         progress(sum(map(is_done, todo)), len(todo))
     done = run_jobs(
-        todo,
         _investigate,
+        todo,
         backend_for(jobs, where=str(folder)),
         is_done=is_done,
         total=len(todo),

@@ -232,8 +232,8 @@ def diagnose_all(todo: Sequence[DiagnosisJob], processes: int, progress: Progres
     if progress:
         progress(sum(map(is_done, todo)), len(todo), todo[0].kind)
     done = run_jobs(
-        todo,
         diagnose_job,
+        todo,
         backend_for(processes, where=str(todo[0].folder)),
         is_done=is_done,
         total=len(todo),

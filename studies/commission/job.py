@@ -33,7 +33,6 @@ from hystmpc.gap.whole import diagnose_trials
 from hystmpc.models.kinds.catalogue import kind_named
 from hystmpc.models.simulator import ChainModel, load_simulator
 from hystmpc.sim.closed_loop import ClosedLoopRun, run_closed_loop
-from hystmpc.sim.jobs.runner import ResultFiles, Status
 from hystmpc.sim.plants.computed import ComputedPlant
 from hystmpc.sim.study import Knowledge, knowledge
 from hystmpc.sim.tune_pid import searched_gains
@@ -44,6 +43,7 @@ from ..identify.job import DeviceStudy, identified_as, opened_model, tuned_rival
 from ..identify.motions import fresh_motions, recordings
 from ..identify.scores import AS_IDENTIFIED_NOISE_DEG, IdentifiedPlant, scores
 from ..identify.settings import IdentifySettings
+from ..result_files import ResultFiles, Status
 from .device import PreparedPlant, TakenUp, bench_settings, drawn_plants, worn
 from .settings import CommissionStudySettings
 

@@ -14,11 +14,11 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import BeforeValidator
 
-from hystmpc.sim.jobs.runner import ResultFiles, Status
 from hystmpc.trials.errors import LogError
 from hystmpc.trials.files import write_atomically
 from hystmpc.trials.types import Vec
 
+from ..result_files import ResultFiles, Status
 from .controllers import CONTROLLERS, NETWORKS
 from .models import backlash_file, companion_file, network_file
 from .plants import PLANTS

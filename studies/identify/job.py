@@ -27,13 +27,13 @@ from hystmpc.models.kinds.catalogue import chosen_kind, kind_named
 from hystmpc.models.kinds.kind import FitRequest, Identified, ModelKind
 from hystmpc.models.simulator import save_simulator
 from hystmpc.sim.closed_loop import ClosedLoopRun, run_closed_loop
-from hystmpc.sim.jobs.runner import ResultFiles, Status
 from hystmpc.sim.plants.computed import ComputedPlant
 from hystmpc.sim.study import Knowledge, knowledge
 from hystmpc.sim.tune_pid import PidLike, searched_gains
 from hystmpc.trajectories.drawn import CountedMotion
 from hystmpc.trials.trial import Trial
 
+from ..result_files import ResultFiles, Status
 from . import kernels
 from .device import DrawnDevice, DrawnPlant, draw_devices
 from .exact import exact_controller

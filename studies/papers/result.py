@@ -12,10 +12,10 @@ import numpy as np
 from hystmpc.models.contract.load import OnnxModel, load_onnx
 from hystmpc.models.evaluate import Errors, TrialEvaluation, evaluate
 from hystmpc.models.kinds.catalogue import kind_named
-from hystmpc.sim.jobs.runner import ResultFiles, Status
 from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Vec
 
+from ..result_files import ResultFiles, Status
 from .job import LOGS, Splits, TrainingJob, before
 from .settings import StudySettings
 

@@ -18,9 +18,9 @@ from hystmpc.models.evaluate import free_run
 from hystmpc.models.kinds.catalogue import kind_named
 from hystmpc.models.kinds.kind import FitRequest
 from hystmpc.models.simulator import ChainModel, load_simulator, save_simulator
-from hystmpc.sim.jobs.runner import ResultFiles, Status
 from hystmpc.trials.types import Vec
 
+from ..result_files import ResultFiles, Status
 from .catalogue import data_set
 from .records import Case, ScoredRecord
 from .settings import PublicSettings
