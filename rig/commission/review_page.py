@@ -20,7 +20,7 @@ from hystmpc.trials.run_folder import RunFolder
 from hystmpc.trials.trial import Trial, Units
 
 from ..config import RunSettings
-from ..recording.report import Log, causes, numbers, timing_table, tracking_figure
+from ..recording.report import Log, causes, numbers, timing_table, tracked
 from .review import TRIAL_FILE, Review, ReviewedRun, compare_with_model, review
 
 
@@ -83,7 +83,7 @@ def write_page(
         pieces += [
             Heading("Tracking"),
             Plot(
-                tracking_figure(found.t, found.reference_deg, found.measured_deg, found.command, settings.command_unit),
+                tracked(found.t, found.reference_deg, found.measured_deg, found.command, settings.command_unit),
                 "Reference, measured angle and command over time.",
                 zoom=True,
             ),
