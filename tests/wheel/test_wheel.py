@@ -26,7 +26,6 @@ ROOMS = (
     "testing",
     "commissioning",
     "investigation",
-    "studies",
     "cli",
 )
 # These wrap packages of an extra, and may ask for it when they are imported.
