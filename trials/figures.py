@@ -83,7 +83,8 @@ def tracking_figure(
             if motion.approach_s:
                 for axes in (upper, lower):
                     axes.axvspan(0.0, motion.approach_s, color=REFERENCE, alpha=0.12, linewidth=0.0)
-            rules = [lower.axhline(edge, **LIMIT_LOOK, label="command limits") for edge in limits]
+            names = ["command limits", *["_"] * len(limits)]  # a legend names the first
+            rules = [lower.axhline(edge, **LIMIT_LOOK, label=name) for edge, name in zip(limits, names, strict=False)]
             upper.set_title(motion.title)
             lower.set_xlabel("time [s]")
         rows[0, 0].set_ylabel("tip angle [deg]")

@@ -15,7 +15,7 @@ from threadpoolctl import threadpool_limits
 
 from hystmpc.trials.errors import ConfigError
 
-from .runner import THREADS, Backend, R, T
+from .backend import THREADS, Backend, R, T
 
 _TIMEOUT_S = 10.0
 _AHEAD = 4  # calls a worker thread that the scheduler has in hand

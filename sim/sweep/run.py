@@ -15,7 +15,8 @@ from hystmpc.trials.types import Progress
 
 from ..compare import compare
 from ..config import SimulationConfig
-from ..jobs.runner import Backend, run_jobs
+from ..jobs.backend import Backend
+from ..jobs.runner import run_jobs
 from .plan import Hashes, SweepPlan, SweepRow
 from .report import SweepView, sweep_report
 from .settings import SweepSettings, sweep_in

@@ -16,7 +16,8 @@ from hystmpc.trials.types import Progress, Vec
 
 from ..closed_loop import run_closed_loop
 from ..config import SimulationConfig
-from ..jobs.runner import Backend, run_jobs
+from ..jobs.backend import Backend
+from ..jobs.runner import run_jobs
 from ..results import result_of
 from ..study import Study, prepare
 from ..sweep.settings import changed, drawn

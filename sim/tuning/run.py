@@ -17,7 +17,8 @@ from hystmpc.trials.parts import parts
 from hystmpc.trials.run_folder import RunFolder, alone_in, resumed_folder
 from hystmpc.trials.types import Progress
 
-from ..jobs.runner import Backend, run_jobs
+from ..jobs.backend import Backend
+from ..jobs.runner import run_jobs
 from .objective import SearchTrial, Ticket, TicketOutcome, Tuning, held_out
 from .report import tuning_report
 from .settings import TuneSettings

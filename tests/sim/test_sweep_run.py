@@ -13,7 +13,8 @@ from typing import Any
 
 import pytest
 
-from hystmpc.sim.jobs.runner import Backend, InTurn, Processes, backend_for
+from hystmpc.sim.jobs.backend import Backend, InTurn, Processes
+from hystmpc.sim.jobs.runner import backend_for
 from hystmpc.sim.results import load_results
 from hystmpc.sim.sweep.run import SweepOutcome, reproduce, run_sweep
 from hystmpc.sim.sweep.settings import SweepSettings, with_base
