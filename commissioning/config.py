@@ -8,10 +8,9 @@ from typing import Annotated, Any, TypeVar
 
 from pydantic import Field, model_validator
 
-from hystmpc.ctrl.limits import Count, Positive
-from hystmpc.rig.config import BenchSettings, Name, located
+from hystmpc.rig.config import BenchSettings, located
 from hystmpc.trajectories.config import Motion, SampledSettings
-from hystmpc.trials.config import Settings, load_settings
+from hystmpc.trials.config import Count, FolderName, NotNegativeInt, Positive, Settings, load_settings
 
 MOST_MINUTES = 5.0
 _STILL_MARGIN, _MOST_TRAVEL = 1.5, 0.9  # of the travel seen without motion, and of the range
@@ -35,10 +34,10 @@ class CommissionBlock(Settings):
     minutes: Annotated[float, Field(gt=0, le=MOST_MINUTES)] = MOST_MINUTES
     angle_limits_deg: tuple[float, float] | None = None
     range_steps: Annotated[int, Field(ge=4, le=50)] = 12
-    motions: Mapping[Name, Motion] | None = Field(default=None, min_length=1)
+    motions: Mapping[FolderName, Motion] | None = Field(default=None, min_length=1)
     diagnose: bool = True
     tune_evaluations: Annotated[Count, Field(ge=24)] = 150
-    seed: Annotated[int, Field(ge=0)] = 1
+    seed: NotNegativeInt = 1
 
 
 class CommissionSettings(BenchSettings):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import math
 from collections.abc import Callable, Mapping
@@ -14,6 +13,7 @@ from pydantic import BeforeValidator, TypeAdapter
 
 from hystmpc.trials.errors import ConfigError, LogError
 from hystmpc.trials.files import write_atomically
+from hystmpc.trials.json_text import canonical, file_text, json_hash, plain
 from hystmpc.trials.run_folder import require_vacant, resumed_folder
 
 FORMAT = "hystmpc-commissioning/1"
@@ -69,9 +69,9 @@ class StageStore:
         else:
             write_atomically(begun, json.dumps({"format": FORMAT, "fingerprint": self.mark}) + "\n")
             result = do(folder)
-            data = {"format": FORMAT, "stage": name, "result": plain_numbers(adapter.dump_python(result, mode="json"))}
-            write_atomically(folder / RESULT, json.dumps(data, indent=1, allow_nan=False) + "\n")
-        told = json.dumps(plain_numbers(adapter.dump_python(result, mode="json")), sort_keys=True)
+            data = {"format": FORMAT, "stage": name, "result": plain(adapter.dump_python(result, mode="json"))}
+            write_atomically(folder / RESULT, file_text(data))
+        told = canonical(plain(adapter.dump_python(result, mode="json")))
         return result, replace(self, mark=fingerprint([self.mark, name, told]))
 
     def _begun(self, file: Path) -> str:
@@ -117,7 +117,7 @@ def begun_folder(out: Path | str, kind: str, plain: Mapping[str, Any], seed: int
 
 def fingerprint(parts: object) -> str:
     """SHA-256 of plain data."""
-    return hashlib.sha256(json.dumps(parts, sort_keys=True, default=str).encode()).hexdigest()
+    return json_hash(parts, default=str)
 
 
 def differing(before: Any, now: Mapping[str, Any], at: str = "") -> str:
@@ -132,12 +132,3 @@ def differing(before: Any, now: Mapping[str, Any], at: str = "") -> str:
         elif old != new:
             return f"was begun with {name} {old!r}, now it is {new!r}"
     return ""
-
-
-def plain_numbers(value: Any) -> Any:
-    """Plain data with null for numbers that are none, as JSON has it."""
-    if isinstance(value, dict):
-        return {key: plain_numbers(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [plain_numbers(item) for item in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -5,19 +5,18 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Annotated, TypeVar, final
+from typing import TypeVar, final
 
 import numpy as np
-from pydantic import Field
 
 from hystmpc.models.model import Inverse
-from hystmpc.trials.config import Settings
+from hystmpc.trials.config import Count, NotNegativeInt, Settings
 from hystmpc.trials.errors import ControllerError
 from hystmpc.trials.types import Vec
 
 from .command import EMPTY, ControlInput, Source
 from .frozen import replace
-from .limits import CommandLimits, Count
+from .limits import CommandLimits
 
 T = TypeVar("T")
 
@@ -42,7 +41,7 @@ class FallbackSettings(Settings):
     """
 
     stop_after_failures: Count = 25
-    max_missing_samples: Annotated[int, Field(ge=0)] = 25
+    max_missing_samples: NotNegativeInt = 25
     safe_command: float | None = None
 
 

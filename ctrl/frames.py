@@ -10,9 +10,7 @@ from typing import Annotated, Any, Literal, final
 import numpy as np
 from pydantic import Field
 
-from hystmpc.trials.config import Settings
-
-from .limits import NotNegative
+from hystmpc.trials.config import NotNegative, Settings, Share
 
 _OLDEST_S, _GAP_S = 1.0, 2.0  # what a controller is told at least
 _JITTERS, _PERIODS = 4.0, 5.0  # so late, and so many frames lost in a row, is still usual
@@ -52,7 +50,7 @@ class ImagingSettings(Settings):
     kind: Literal["intermittent"] = "intermittent"
     rate_hz: Annotated[float, Field(ge=0.2, le=100)] = 5.0
     latency_s: Annotated[float, Field(ge=0, le=2)] = 0.2
-    jitter_s: Annotated[float, Field(ge=0, le=1)] = 0.0
+    jitter_s: Share = 0.0
     dropout_share: Annotated[float, Field(ge=0, le=0.9)] = 0.0
     noise_deg: NotNegative = 0.0
 

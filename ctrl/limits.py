@@ -9,14 +9,11 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field, model_validator
 
-from hystmpc.trials.config import Settings
+from hystmpc.trials.config import Positive, Settings
 from hystmpc.trials.errors import ControllerError, shown
 from hystmpc.trials.types import Vec
 
 # Bounded numbers of all settings of controllers and benches.
-Positive = Annotated[float, Field(gt=0)]
-NotNegative = Annotated[float, Field(ge=0)]
-Count = Annotated[int, Field(ge=1)]
 Port = Annotated[int, Field(ge=0, le=65535)]
 
 _ROUNDING = 1e-9  # relative; a limit that was written with fewer digits

@@ -6,10 +6,11 @@ from abc import abstractmethod
 from typing import TYPE_CHECKING, Any, Self
 
 from hystmpc.models.model import Inverse, Predictor
+from hystmpc.trials.config import Count
 
 from .estimation.observer import Observer
 from .law import Law
-from .limits import CommandLimits, Count
+from .limits import CommandLimits
 from .planning_settings import LinearisationSettings, PredictiveSettings, SamplingSettings
 
 if TYPE_CHECKING:

@@ -8,14 +8,13 @@ from typing import Annotated, Any, ClassVar, Literal
 import numpy as np
 from pydantic import Field, model_validator
 
-from hystmpc.trials.config import Settings
+from hystmpc.trials.config import Count, NotNegative, NotNegativeInt, Positive, Settings
 from hystmpc.trials.errors import ControllerError
 from hystmpc.trials.types import Mat, Vec
 
 from .estimation.observer import EstimatorSettings
 from .feedback.pid import PidSettings
 from .law import LawSettings
-from .limits import Count, NotNegative, Positive
 
 
 class WeightsSettings(Settings):
@@ -263,7 +262,7 @@ class SamplingSettings(PredictiveSettings):
     finest: Annotated[float, Field(gt=0, le=1)] = 0.01
     temperature: Positive = 0.02
     elites: Annotated[float, Field(gt=0, le=0.5)] = 0.1
-    seed: Annotated[int, Field(ge=0)] = 0
+    seed: NotNegativeInt = 0
     noise: Annotated[SplineNoiseSettings | ColouredNoiseSettings, Field(discriminator="kind")] = ColouredNoiseSettings(
         exponent=1.0
     )

@@ -10,7 +10,7 @@ from pydantic import Field
 
 from hystmpc.commissioning.config import CommissionSettings, located_commission
 from hystmpc.models.load import model_path
-from hystmpc.trials.config import Settings, load_settings
+from hystmpc.trials.config import NotNegativeInt, Settings, load_settings
 
 
 class InvestigateBlock(Settings):
@@ -30,7 +30,7 @@ class InvestigateBlock(Settings):
     model: str | None = None
     first_motions: Annotated[int, Field(ge=2, le=6)] = 3
     longest_motion_s: Annotated[float, Field(ge=8, le=120)] = 14.0
-    seed: Annotated[int, Field(ge=0)] = 1
+    seed: NotNegativeInt = 1
 
 
 class InvestigateSettings(CommissionSettings):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -22,6 +21,7 @@ from hystmpc.trajectories.identification import WHOLE_S
 from hystmpc.trials.csv_files import write_csv
 from hystmpc.trials.errors import ConfigError, HystmpcError, LogError, ModelError
 from hystmpc.trials.files import write_atomically
+from hystmpc.trials.json_text import file_text
 from hystmpc.trials.run_folder import alone_in
 from hystmpc.trials.types import Progress, Vec
 
@@ -308,7 +308,7 @@ def _reported(
         device_s=used_s,
         budget_s=settings.budget_s,
     )
-    write_atomically(root / RESULT_FILE, json.dumps(made.as_json(), indent=1, allow_nan=False) + "\n")
+    write_atomically(root / RESULT_FILE, file_text(made.as_json()))
     from .report import write_report  # matplotlib takes a second to import
 
     write_report(made, settings.name, settings.command_unit)

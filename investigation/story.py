@@ -6,8 +6,9 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from hystmpc.commissioning.stages import Figure, plain_numbers
+from hystmpc.commissioning.stages import Figure
 from hystmpc.trials.brief import brief, in_brief
+from hystmpc.trials.json_text import plain
 
 from .judge import DIAGNOSIS, Ending, Judged
 from .plan import Plan
@@ -100,7 +101,7 @@ class Investigated:
             "diagnosis": (round_folder(self.folder, len(self.rounds)) / "diagnose" / DIAGNOSIS)
             .relative_to(self.folder)
             .as_posix(),
-            "rounds": plain_numbers([asdict(found) for found in self.rounds]),
+            "rounds": plain([asdict(found) for found in self.rounds]),
         }
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -12,6 +11,7 @@ from typing import Any, Generic, TypeVar, final
 from hystmpc.sim.jobs.runner import attempt, backend_for
 from hystmpc.trials.config import Settings
 from hystmpc.trials.files import write_atomically
+from hystmpc.trials.json_text import file_text
 from hystmpc.trials.report import Report
 from hystmpc.trials.run_folder import RunFolder, resumed_folder
 from hystmpc.trials.types import Progress
@@ -77,7 +77,7 @@ class ReadyStudy(Generic[S, J, F]):
         for table in tables:
             table.save(self.folder.path)
         if data is not None:
-            text = json.dumps(data, indent=1, allow_nan=False) + "\n"
+            text = file_text(data)
             write_atomically(self.folder.path / "tables" / f"{self.study}.json", text)
         self.folder.write_report(page)
 

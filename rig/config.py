@@ -10,12 +10,12 @@ from typing import Annotated, Any, Literal
 from pydantic import BeforeValidator, Field, ValidationError, model_validator
 
 from hystmpc.ctrl.config import sensor_fault, told_of_sensor
-from hystmpc.ctrl.limits import LimitsSettings, ModelledLimitsSettings, NotNegative, Positive
+from hystmpc.ctrl.limits import LimitsSettings, ModelledLimitsSettings
 from hystmpc.ctrl.mpc_settings import LinearisedMpcSettings
 from hystmpc.ctrl.planner.settings import TipSettings
 from hystmpc.models.load import model_path
 from hystmpc.trajectories.config import Motion, SampledSettings
-from hystmpc.trials.config import Settings, load_settings
+from hystmpc.trials.config import FolderName, NotNegative, Positive, Settings, load_settings
 from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.from_outside import with_kind
 
@@ -31,9 +31,6 @@ from .transports.from_outside import GROUP, PythonSettings
 from .transports.simulated import ReplaySettings, SimulatedSettings
 from .transports.transport import TransportBase, WireUnits
 from .transports.udp import UdpSettings
-
-Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$", max_length=80)]
-
 
 # The table of transports: a new one of the package is one file and one line here. Those from outside are `python`.
 TRANSPORTS: Mapping[str, type[TransportBase]] = {
@@ -73,7 +70,7 @@ class BenchSettings(Settings):
         latch_file: where a stop is remembered; by name of the device in the user's state folder where left out.
     """
 
-    name: Name
+    name: FolderName
     rate_hz: float = Field(ge=1, le=1000)
     command_unit: Literal["mm", "bar"]
     limits: LimitsSettings
@@ -194,7 +191,7 @@ class RecordSettings(BenchSettings):
         live: the local page; a recording takes no target.
     """
 
-    excitations: Mapping[Name, Excitation] = Field(min_length=1)
+    excitations: Mapping[FolderName, Excitation] = Field(min_length=1)
     settle_s: NotNegative = 1.0
     live: LiveSettings = LiveSettings()
 

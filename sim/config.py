@@ -14,15 +14,11 @@ from hystmpc.ctrl.limits import ModelledLimitsSettings
 from hystmpc.models.effects.place import EffectError, effect_from
 from hystmpc.models.load import model_path
 from hystmpc.trajectories.config import Motion, SampledSettings
-from hystmpc.trials.config import Settings, load_settings
+from hystmpc.trials.config import FolderName, NotNegative, NotNegativeInt, Settings, load_settings
 from hystmpc.trials.errors import ModelError
 from hystmpc.trials.yaml_ import MisplacedError, place_in
 
 from .devices.names import DeviceError, device_parameters
-
-NotNegative = Annotated[float, Field(ge=0)]
-# Names become folders of the run.
-Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$", max_length=80)]
 
 
 class EffectSettings(Settings):
@@ -147,13 +143,13 @@ class SimulationConfig(Settings):
     inverse: str | None = None
     actuator_lag_s: NotNegative = 0.0
     sensor: SimulatedSensor = ContinuousSensorSettings()
-    motions: dict[Name, Motion] = Field(min_length=1)
-    controllers: dict[Name, ControllerSettings] = Field(min_length=1)
+    motions: dict[FolderName, Motion] = Field(min_length=1)
+    controllers: dict[FolderName, ControllerSettings] = Field(min_length=1)
     limits: ModelledLimitsSettings | None = None
     approach: bool = True
     tune_pid: TuningSettings | None = None
-    tuned: tuple[Name, ...] = ()
-    seed: Annotated[int, Field(ge=0)] = 0
+    tuned: tuple[FolderName, ...] = ()
+    seed: NotNegativeInt = 0
 
     @model_validator(mode="before")
     @classmethod

@@ -8,16 +8,13 @@ from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import BeforeValidator, Field
 
-from hystmpc.trials.config import Settings
+from hystmpc.trials.config import NotNegative, Positive, Settings
 from hystmpc.trials.errors import ConfigError, did_you_mean
 
 from .point_to_point import PointToPoint, random_point_to_point
 from .ruckig_ import MotionLimits
 from .scan import Raster, Shape, SinusoidScan, TriangleScan
 from .trajectory import Trajectory, read_sampled
-
-Positive = Annotated[float, Field(gt=0)]
-NotNegative = Annotated[float, Field(ge=0)]
 
 
 class LimitsSettings(Settings):

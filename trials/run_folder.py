@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import os
 import platform
@@ -24,6 +23,7 @@ from .config import Settings, dump_yaml, read_yaml
 from .csv_files import format_table, read_csv
 from .errors import ConfigError, LogError
 from .files import require_writable, write_atomically
+from .json_text import file_hash
 from .layouts import CANONICAL
 from .tables import read_table
 from .text_ import read_lines
@@ -89,7 +89,7 @@ class RunFolder:
             "platform": platform.platform(),
             "command_line": list(sys.argv if command_line is None else command_line),
             "seed": seed,
-            "models": {str(model): _sha256(Path(model)) for model in models},
+            "models": {str(model): file_hash(Path(model)) for model in models},
             "versions": {"python": platform.python_version()} | {name: _version(name) for name in _PACKAGES},
         }
         plain = settings.model_dump(mode="json") if isinstance(settings, Settings) else dict(settings)
@@ -245,13 +245,6 @@ def _column(values: ArrayLike | Sequence[str]) -> NDArray[np.generic] | tuple[st
     if array.dtype.kind == "b":
         return array.astype(np.int64)
     return tuple(str(value) for value in np.asarray(values, dtype=object))
-
-
-def _sha256(model: Path) -> str:
-    try:
-        return hashlib.sha256(model.read_bytes()).hexdigest()
-    except OSError as error:
-        raise ConfigError(f"{model}: cannot be read ({error.strerror}), expected a model file") from None
 
 
 def _version(package: str) -> str | None:

@@ -6,20 +6,19 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Annotated, Literal, final
+from typing import Literal, final
 
 import numpy as np
-from pydantic import Field
 
 from hystmpc.models.model import Predictor
 from hystmpc.trials.brief import brief
-from hystmpc.trials.config import Settings
+from hystmpc.trials.config import NotNegative, NotNegativeInt, Positive, Settings
 from hystmpc.trials.errors import ControllerError
 from hystmpc.trials.types import Vec
 
 from ..command import EMPTY
 from ..frozen import replace
-from ..limits import NotNegative, Positive, number_of
+from ..limits import number_of
 
 ANGLE_BOUND_DEG = 1e4  # far beyond any joint; keeps squares and sums of angles finite
 
@@ -182,7 +181,7 @@ class EstimatorSettings(SensorKindSettings):
     sensor_sigma_deg: Positive | None = None
     drift_sigma_deg_per_sqrt_s: Positive | None = None
     motion_sigma_deg_per_sqrt_unit: NotNegative | None = None
-    delay_samples: Annotated[int, Field(ge=0)] = 0
+    delay_samples: NotNegativeInt = 0
     outlier_deg: Positive = 15.0
     dead_band_gain_deg_per_unit: NotNegative = 0.0
     disturbance_limit_deg: Positive = 90.0

@@ -7,10 +7,11 @@ from typing import Any, Literal
 from pydantic import field_validator
 
 from hystmpc.models.model import Inverse, Predictor
+from hystmpc.trials.config import Count, NotNegative
 
 from ..estimation.observer import EstimatorSettings, Observer
 from ..law import Law, LawSettings
-from ..limits import CommandLimits, Count, NotNegative
+from ..limits import CommandLimits
 from .inverse import REFERENCE_DEAD_ZONE_DEG, InverseFeedforward, InversePid
 from .pid import Pid, PidSettings, needs_sensor
 

@@ -8,13 +8,13 @@ from typing import ClassVar, Literal, TypeVar, final
 from pydantic import field_validator
 
 from hystmpc.models.model import Inverse, Predictor
-from hystmpc.trials.config import Settings
+from hystmpc.trials.config import NotNegative, Positive, Settings
 from hystmpc.trials.errors import ControllerError
 
 from ..command import ControlInput, Source, Stopwatch
 from ..estimation.observer import LastFrame, Observer, SensorKindSettings, WithoutModel
 from ..law import Law, LawSettings, Proposal
-from ..limits import CommandLimits, NotNegative, Positive
+from ..limits import CommandLimits
 
 S = TypeVar("S", bound=SensorKindSettings)
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 import math
 import time
 from collections.abc import Callable, Mapping
@@ -37,6 +35,7 @@ from hystmpc.sim.plants.computed import ComputedPlant
 from hystmpc.sim.study import Knowledge, knowledge
 from hystmpc.sim.tune_pid import searched_gains
 from hystmpc.trajectories.drawn import CountedMotion
+from hystmpc.trials.json_text import json_hash
 
 from ..identify.device import DrawnDevice, DrawnPlant, draw_devices
 from ..identify.job import DeviceStudy, identified_as, opened_model, tuned_rivals
@@ -105,7 +104,7 @@ def commission_jobs(settings: CommissionStudySettings) -> tuple[CommissionJob, .
 def fingerprint(job: CommissionJob, settings: CommissionStudySettings) -> str:
     """SHA-256 over the device's numbers, the stage and the settings."""
     parts = {"device": repr(_devices(settings)[job.number]), "stage": job.stage, "settings": settings.model_dump()}
-    return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
+    return json_hash(parts)
 
 
 def result_files(folder: Path) -> ResultFiles[CommissionResult]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import io
-import json
 import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
@@ -16,6 +15,7 @@ from pydantic import BeforeValidator
 
 from hystmpc.trials.errors import LogError
 from hystmpc.trials.files import write_atomically
+from hystmpc.trials.json_text import json_hash
 from hystmpc.trials.types import Vec
 
 from ..result_files import ResultFiles, Status
@@ -100,7 +100,7 @@ def fingerprint(job: ControlJob, settings: ControlSettings, folder: Path) -> str
         parts |= {"motions": list(settings.motions)}
         parts["evaluations"] = settings.tune_evaluations if job.stage == "tune" else settings.retune_evaluations
     parts["design"] = _design(job)
-    return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
+    return json_hash(parts)
 
 
 def needed_files(job: ControlJob, settings: ControlSettings, folder: Path) -> tuple[Path, ...]:

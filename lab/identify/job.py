@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 import math
 import time
 from collections.abc import Mapping, Sequence
@@ -31,6 +29,7 @@ from hystmpc.sim.plants.computed import ComputedPlant
 from hystmpc.sim.study import Knowledge, knowledge
 from hystmpc.sim.tune_pid import PidLike, searched_gains
 from hystmpc.trajectories.drawn import CountedMotion
+from hystmpc.trials.json_text import json_hash
 from hystmpc.trials.trial import Trial
 
 from ..result_files import ResultFiles, Status
@@ -92,7 +91,7 @@ def fingerprint(job: IdentifyJob, settings: IdentifySettings) -> str:
     """SHA-256 over the device's numbers and the settings."""
     device = draw_devices(settings.devices, settings.seed, settings.quick)[job.number]
     parts = {"device": repr(device), "settings": settings.model_dump(mode="json")}
-    return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
+    return json_hash(parts)
 
 
 def result_files(folder: Path) -> ResultFiles[IdentifyResult]:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
@@ -16,6 +14,7 @@ from hystmpc.models.identify.runs import fingerprint
 from hystmpc.models.kinds.catalogue import kind_named
 from hystmpc.models.kinds.kind import FitRequest
 from hystmpc.trials.errors import ConfigError
+from hystmpc.trials.json_text import json_hash
 from hystmpc.trials.read import expand_logs, read_trials
 from hystmpc.trials.trial import Trial, resample
 
@@ -104,8 +103,7 @@ class TrainingTask:
         parts |= {"before": (self.before,)} if self.before else {}
         hashes = {name: fingerprint(trials) for name, trials in parts.items()}
         names = {name: [trial.source for trial in trials] for name, trials in parts.items()}
-        text = json.dumps([asdict(self.job), hashes, names], sort_keys=True)
-        return hashlib.sha256(text.encode()).hexdigest()
+        return json_hash([asdict(self.job), hashes, names])
 
 
 def preset_for(kind: str, asked: str, paper: str = "paper") -> str:

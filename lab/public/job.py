@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import json
 import re
 import time
 from collections.abc import Mapping, Sequence
@@ -18,6 +17,7 @@ from hystmpc.models.evaluate import free_run
 from hystmpc.models.kinds.catalogue import kind_named
 from hystmpc.models.kinds.kind import FitRequest
 from hystmpc.models.simulator import ChainModel, load_simulator, save_simulator
+from hystmpc.trials.json_text import json_hash
 from hystmpc.trials.types import Vec
 
 from ..result_files import ResultFiles, Status
@@ -89,7 +89,7 @@ def fingerprint(job: PublicJob, settings: PublicSettings) -> str:
     """SHA-256 over the settings and the files."""
     files = [hashlib.sha256(path.read_bytes()).hexdigest() for path in data_set(settings).files(settings)]
     own = settings.model_dump(mode="json") | {"kinds": job.kind, "data": job.case, "test": files}
-    return hashlib.sha256(json.dumps(own, sort_keys=True).encode()).hexdigest()
+    return json_hash(own)
 
 
 def result_files(folder: Path) -> ResultFiles[PublicResult]:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 from scipy.optimize import nnls
 
-from hystmpc.trials.config import Settings
+from hystmpc.trials.config import Count, NotNegative, Positive, Settings
 from hystmpc.trials.errors import FitError
 from hystmpc.trials.segments import first_flexure_end
 from hystmpc.trials.trial import Trial
@@ -29,10 +29,6 @@ from ..model import FitProgress
 from ..motions import initialisation_flexure, probe_commands
 from .predictor import follow_plays
 from .weights import PlayKernelStep, PlayKernelWeights, play_kernel_graph, ramps
-
-Positive = Annotated[float, Field(gt=0)]
-NotNegative = Annotated[float, Field(ge=0)]
-Count = Annotated[int, Field(ge=1)]
 
 
 class PlayKernelSettings(Settings):

@@ -8,8 +8,8 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, model_validator
 
 from hystmpc.ctrl.frames import ContinuousSensorSettings, SimulatedSensor
-from hystmpc.ctrl.limits import LimitsSettings, NotNegative, Positive
-from hystmpc.trials.config import Settings
+from hystmpc.ctrl.limits import LimitsSettings
+from hystmpc.trials.config import NotNegative, NotNegativeInt, Positive, Settings
 
 from ..realtime import SchedulingSettings
 from ..transports.dds import DdsSettings
@@ -110,7 +110,7 @@ class DeviceSettings(Settings):
     faults: tuple[FaultSettings, ...] = ()
     realtime: SchedulingSettings = SchedulingSettings()
     log: Path | None = None
-    seed: Annotated[int, Field(ge=0)] = 0
+    seed: NotNegativeInt = 0
 
     @model_validator(mode="after")
     def _datagrams(self) -> DeviceSettings:

@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hystmpc.trials.errors import LogError
+from hystmpc.trials.json_text import plain
 from hystmpc.trials.types import Vec
 
 Column = Vec | list[str | None]
@@ -68,7 +69,7 @@ class RunTable:
         Raises:
             LogError: if the file is damaged or cannot be written.
         """
-        figures = {name: _plain(value) for name, value in row.items() if name not in ("id", "status", "settings")}
+        figures = plain({name: value for name, value in row.items() if name not in ("id", "status", "settings")})
         self._rows.append((row["id"], row["status"], row.get("settings", ""), json.dumps(figures)))
         if time.monotonic() - self._written >= _PAUSE * self._cost_s:
             self.flush()
@@ -176,11 +177,6 @@ def _column(values: Sequence[Any]) -> Column:
     if kinds and kinds <= {int, float}:
         return np.array([math.nan if value is None else float(value) for value in values], dtype=np.float64)
     return [None if value is None else str(value) for value in values]
-
-
-def _plain(value: Any) -> Any:
-    """The value as JSON has it: NaN is none of its numbers."""
-    return None if isinstance(value, float) and math.isnan(value) else value
 
 
 @contextmanager

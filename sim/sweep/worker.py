@@ -9,6 +9,7 @@ from functools import lru_cache
 from typing import Any
 
 from hystmpc.trials.errors import ConfigError
+from hystmpc.trials.json_text import canonical
 
 from ..closed_loop import run_closed_loop
 from ..config import SimulationConfig
@@ -103,4 +104,4 @@ def metrics_columns(metrics: TrackingMetrics) -> dict[str, Any]:
     """Metrics as columns: all that a repetition gives again to the last bit, and the times of a step."""
     columns = {name: getattr(metrics, name) for name in RESULT_COLUMNS if name != "ladder"}
     times = {"step_mean_s": metrics.step_mean_s, "step_p99_s": metrics.step_p99_s}
-    return columns | times | {"ladder": json.dumps(metrics.ladder, sort_keys=True)}
+    return columns | times | {"ladder": canonical(metrics.ladder)}
