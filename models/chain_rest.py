@@ -157,4 +157,4 @@ def _rows(function: Any, *inputs: Vec) -> list[Vec]:
     """Results (rows, N) of a function of numbers at N points."""
     if not inputs[0].size:
         return [np.empty((function.size1_out(k), 0)) for k in range(function.n_out())]
-    return [np.array(found, dtype=np.float64) for found in function(*(ca.DM(each[None]) for each in inputs))]
+    return [np.array(values, dtype=np.float64) for values in function(*(ca.DM(each[None]) for each in inputs))]

@@ -54,10 +54,10 @@ class RestRule:
         from .chain_spec import chain_from
 
         try:
-            found = chain_from(self._facts.chain, "chain")
+            chain = chain_from(self._facts.chain, "chain")
         except ModelError:  # an effect of somebody else's, whose code is not installed here
             return None
-        return found if found.state_size == self._facts.state_size else None
+        return chain if chain.state_size == self._facts.state_size else None
 
     @cached_property
     def _parts(self) -> list[_Part]:
@@ -87,7 +87,7 @@ def _by_rule(rule: InitialRule, shows: bool) -> _Part:
 
     def states(commands: Vec, angles: Vec) -> Vec:
         seen = angles if shows else np.zeros_like(angles)
-        found = rule.state(seen[:, None], commands[:, None])
-        return np.array(np.broadcast_to(found, (commands.size, len(rule.offset))))
+        state = rule.state(seen[:, None], commands[:, None])
+        return np.array(np.broadcast_to(state, (commands.size, len(rule.offset))))
 
     return states

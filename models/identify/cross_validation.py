@@ -119,16 +119,16 @@ class CrossValidation:
     def retuned(self) -> Hypothesis:
         """The baseline alone."""
         problem = Problem(self.baseline)
-        found = fit_problem(problem, self.runs, problem.start(self.baseline.nominal, []), 40, 1e-6)
-        return Hypothesis(problem, found.q, found.mse)
+        fit = fit_problem(problem, self.runs, problem.start(self.baseline.nominal, []), 40, 1e-6)
+        return Hypothesis(problem, fit.q, fit.mse)
 
     def with_causes(
         self, effects: Sequence[Candidate], terms: TrialTerms, z: Vec, starts: Sequence[Sequence[Sequence[float]]]
     ) -> Hypothesis:
         """Fit causes jointly with the baseline, from baseline values z and several values of the effects."""
         problem = Problem(self.baseline, effects, terms)
-        found = [fit_problem(problem, self.runs, problem.start(z, values), self.evaluations, 1e-3) for values in starts]
-        best = min(found, key=lambda f: f.mse)
+        fits = [fit_problem(problem, self.runs, problem.start(z, values), self.evaluations, 1e-3) for values in starts]
+        best = min(fits, key=lambda f: f.mse)
         return Hypothesis(problem, best.q, best.mse)
 
     def without(self, hypothesis: Hypothesis, dropped: AbstractSet[str]) -> Hypothesis:
@@ -146,8 +146,8 @@ class CrossValidation:
 
     def polished(self, hypothesis: Hypothesis) -> Hypothesis:
         """The same with its fit run to the end."""
-        found = fit_problem(hypothesis.problem, self.runs, hypothesis.q, 60, 1e-6)
-        return Hypothesis(hypothesis.problem, found.q, found.mse)
+        fit = fit_problem(hypothesis.problem, self.runs, hypothesis.q, 60, 1e-6)
+        return Hypothesis(hypothesis.problem, fit.q, fit.mse)
 
     def fitted_errors(self, hypothesis: Hypothesis) -> Blocks:
         """Errors of the fit itself, in the blocks of `judge`."""

@@ -182,12 +182,12 @@ class StagedChain:
 
     def _kept(self, dt_s: float, values: Vec | None) -> list[Vec]:
         """Of every operator, what follows from parameters and sample time alone."""
-        p, found = self._rows(values, 1), []
+        p, slopes = self._rows(values, 1), []
         self._require_room(p, dt_s)
         for kernels, _, own in self._stages:
-            found.append(np.empty((kernels.kept[1], 1)))
-            kernels.prepare_slopes(p[own], dt_s, kernels.constants[1], found[-1])
-        return found
+            slopes.append(np.empty((kernels.kept[1], 1)))
+            kernels.prepare_slopes(p[own], dt_s, kernels.constants[1], slopes[-1])
+        return slopes
 
     def _rows(self, values: Vec | None, rows: int) -> Vec:
         """Parameters (P, N)."""
@@ -295,12 +295,12 @@ class FreeRuns:
 
     def angles(self, p: Vec) -> list[Vec]:
         """Outputs (W + T,) of each run at parameters p (P,)."""
-        found = []
+        angles = []
         for run in self.runs:
             rest = np.array([[run.rest.command], [run.rest.angle]])
             state = self._staged.settled(rest[0], rest[1], self._dt, p)[0]
-            found.append(self._staged.simulate(run.commands[:, None], self._dt, state, p)[0][:, 0])
-        return found
+            angles.append(self._staged.simulate(run.commands[:, None], self._dt, state, p)[0][:, 0])
+        return angles
 
     def mse(self, p: Vec) -> float:
         """Mean over trials of the mean square error at parameters p (P,); infinite where a run is not finite."""

@@ -148,8 +148,8 @@ def _same(value: float) -> float:
 
 
 def _numbers(hypothesis: Hypothesis, q: Vec) -> dict[tuple[str, str], float]:
-    found = hypothesis.problem.effect_values(q)
-    pairs = zip(hypothesis.problem.effects, found, strict=True)
+    values = hypothesis.problem.effect_values(q)
+    pairs = zip(hypothesis.problem.effects, values, strict=True)
     return {(c.label, name): value for c, values in pairs for name, value in values.items()}
 
 

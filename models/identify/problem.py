@@ -260,10 +260,10 @@ class Problem:
     def identified(self, q: Vec) -> dict[str, dict[str, float]]:
         """Parameters by effect and name, those of the core among them."""
         z = self.retuned(q)
-        found = {c.effect: dict(values) for c, values in zip(self.effects, self.effect_values(q), strict=True)}
+        by_effect = {c.effect: dict(values) for c, values in zip(self.effects, self.effect_values(q), strict=True)}
         for name in self._in_core():
-            found[name] = {label: float(z[k]) for label, k in self.baseline.effects[name].items()}
-        return found
+            by_effect[name] = {label: float(z[k]) for label, k in self.baseline.effects[name].items()}
+        return by_effect
 
     def fitted_chain(self, q: Vec) -> Chain:
         """The chain with its numbers."""
@@ -387,12 +387,12 @@ class Problem:
 
     def _indices(self, name: str, operators: Sequence[int], at: Sequence[int]) -> list[int]:
         """Positions of a parameter of that name among the chain's, of every operator that has it."""
-        found = []
+        positions = []
         for k in operators:
             names = [p.name for p in self.chain.operators[k].parameters]
             if name in names:
-                found.append(at[k] + names.index(name))
-        return found
+                positions.append(at[k] + names.index(name))
+        return positions
 
     def _start(self, together: RunsTogether, p: Vec, seeds: Vec) -> tuple[Vec, Vec]:
         """States (S, N) before the first sample of each run, and their derivatives (S, N, D)."""

@@ -133,10 +133,10 @@ class _Search:
         """
         baseline = self._trials.baseline()
         self._baseline_mse = baseline.mse
-        found = self._searched(baseline, baseline)
+        searched = self._searched(baseline, baseline)
         self._strict = True
-        kept = self._dropped(found)
-        return baseline, found if kept is found else self._searched(kept, baseline)
+        kept = self._dropped(searched)
+        return baseline, searched if kept is searched else self._searched(kept, baseline)
 
     def _searched(self, current: HeldOutErrors, baseline: HeldOutErrors) -> HeldOutErrors:
         """Add, drop, swap, until nothing changes."""
@@ -255,17 +255,21 @@ class _Fits:
         self._added: dict[Hypothesis, list[Hypothesis]] = {}
 
     def baseline(self) -> HeldOutErrors:
-        found = self.judged(self._validation.retuned())
-        self._blocks = float(found.energy.size)
-        return found
+        retuned = self.judged(self._validation.retuned())
+        self._blocks = float(retuned.energy.size)
+        return retuned
 
     def without(self, hypothesis: Hypothesis, effect: str) -> Hypothesis | None:
-        """Fitted anew; where that fits no better than what was tried before, that one, of which more is known."""
-        found = self._validation.without(hypothesis, {effect})
-        tried = self.tried.get(found.effects)
-        if tried is None or not _same_structure(tried.hypothesis.problem, found.problem):
-            return found
-        return tried.hypothesis if found.mse >= (1 - _SAME_FIT) * tried.hypothesis.mse else found
+        """The device without one effect, fitted again.
+
+        A device of the same structure that was tried before is kept unless the new fit is better: its errors on trials
+        left out are already known.
+        """
+        refitted = self._validation.without(hypothesis, {effect})
+        tried = self.tried.get(refitted.effects)
+        if tried is None or not _same_structure(tried.hypothesis.problem, refitted.problem):
+            return refitted
+        return tried.hypothesis if refitted.mse >= (1 - _SAME_FIT) * tried.hypothesis.mse else refitted
 
     def judged(self, hypothesis: Hypothesis) -> HeldOutErrors:
         known = self.tried.get(hypothesis.effects)
