@@ -227,8 +227,8 @@ def _paired(difference: Vec, runs: NDArray[np.intp]) -> tuple[float, float]:
     """Sum of the differences of blocks and its standard error by their scatter within the runs."""
     variance = 0.0
     for k in np.unique(runs):
-        own = difference[runs == k]
-        variance += own.size * float(np.var(own, ddof=1)) if own.size > 1 else float(own[0] ** 2)
+        part = difference[runs == k]
+        variance += part.size * float(np.var(part, ddof=1)) if part.size > 1 else float(part[0] ** 2)
     return float(difference.sum()), float(np.sqrt(variance))
 
 

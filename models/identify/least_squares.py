@@ -283,7 +283,10 @@ class _CondensedSearch:
 
     def evaluate(self, q: Vec) -> tuple[Vec, Mat]:
         products = [self._problem.products(q, group, self._white) for group in self._groups]
-        square, common = np.sum([own for own, _ in products], axis=0), [row for _, rows in products for row in rows]
+        square, common = (
+            np.sum([normal for normal, _ in products], axis=0),
+            [row for _, rows in products for row in rows],
+        )
         self._at, self._energy = q.copy(), float(square[-1, -1])
         square = square + self._pull(square, q)
         if common:

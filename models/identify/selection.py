@@ -340,8 +340,8 @@ class _Fits:
             errors = [base.problem.error(base.q, run)[0] for run in runs]
             line = strongest_line(runs, errors, settings.lowest_hz, settings.highest_hz)
             if line > 0:
-                own = bool(motions_own(runs, np.array([2 * line]))[0])
-                made.append(replace(terms, frequency_hz=line, harmonics=1 if own else terms.harmonics))
+                is_motion = bool(motions_own(runs, np.array([2 * line]))[0])
+                made.append(replace(terms, frequency_hz=line, harmonics=1 if is_motion else terms.harmonics))
         return made
 
 
@@ -378,8 +378,8 @@ def _favourites(reached: Mapping[Candidate, float], most: int) -> tuple[Candidat
     """The variants of each effect that did best alone: later rounds try no others."""
     kept = []
     for effect in dict.fromkeys(candidate.effect for candidate in reached):
-        own = sorted((c for c in reached if c.effect == effect), key=lambda c: reached[c])
-        kept += own[:most]
+        reached_by_effect = sorted((c for c in reached if c.effect == effect), key=lambda c: reached[c])
+        kept += reached_by_effect[:most]
     return tuple(kept)
 
 
@@ -401,12 +401,12 @@ def _recurs(before: HeldOutErrors, after: HeldOutErrors, new: AbstractSet[str], 
     but for the best one gain as the mean does.
     """
     runs = [before.run == k for k in np.unique(before.run)]
-    falls = np.array([(before.energy - after.energy)[own].sum() for own in runs])
+    falls = np.array([(before.energy - after.energy)[blocks].sum() for blocks in runs])
     least = settings.recurs * float(np.mean(falls))
     if float(np.median(falls)) > least:
         return True
     everywhere = all(
-        fall > settings.everywhere * before.energy[own].sum() for fall, own in zip(falls, runs, strict=True)
+        fall > settings.everywhere * before.energy[blocks].sum() for fall, blocks in zip(falls, runs, strict=True)
     )
     return new == {"trial_shift"} and everywhere and falls.size > 1 and float(np.mean(np.sort(falls)[:-1])) > least
 

@@ -184,7 +184,7 @@ def core_rows(hypothesis: Hypothesis, runs: Sequence[Run]) -> tuple[ParameterRow
     problem, q = hypothesis.problem, hypothesis.q
     baseline, z = problem.baseline, problem.retuned(hypothesis.q)
     names = [p.name for p in baseline.chain.core.parameters]
-    held = {*baseline.held, *(k for own in baseline.effects.values() for k in own.values())}
+    held = {*baseline.held, *(k for indices in baseline.effects.values() for k in indices.values())}
     plays = [k for k, name in enumerate(names) if _OF_PLAYS.fullmatch(name) and k not in held]
     if z.size != len(names) or not plays:
         return ()

@@ -205,10 +205,10 @@ def _connected(
     limits: DeviceLimits,
 ) -> ExportBundle:
     """The bundle of a connection, its ranges those of the recorded trials."""
-    own = rest.metadata
-    rules = own.initial, own.conditioned
+    facts = rest.metadata
+    rules = facts.initial, facts.conditioned
     return connected_bundle(
-        operators, way, rest, facts_of(own.kind, trials, limits, rules, own.warmup_samples, own.training)
+        operators, way, rest, facts_of(facts.kind, trials, limits, rules, facts.warmup_samples, facts.training)
     )
 
 
