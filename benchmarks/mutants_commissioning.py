@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from mutant import Mutant, mutated_file  # isort: skip
 
-_climb = mutated_file("commissioning", "climb.py", "test_climb.py")
-_bounded = mutated_file("commissioning", "bounded.py", "test_climb.py")
-_device = mutated_file("commissioning", "device.py", "test_climb.py")
-_stopped = mutated_file("commissioning", "device.py", "test_run.py")
-_config = mutated_file("commissioning", "config.py", "test_motions.py", "test_run.py")
-_motions = mutated_file("commissioning", "motions.py", "test_motions.py")
-_run = mutated_file("commissioning", "run.py", "test_run.py")
-_verify = mutated_file("commissioning", "verify.py", "test_verify.py")
-_track = mutated_file("commissioning", "device.py", "test_verify.py")
-_stages = mutated_file("commissioning", "stages.py", "test_run.py")
+_climb = mutated_file("bench", "climb.py", "test_climb.py")
+_bounded = mutated_file("bench", "bounded.py", "test_climb.py")
+_device = mutated_file("bench", "device.py", "test_climb.py")
+_stopped = mutated_file("bench", "device.py", "test_commission.py")
+_config = mutated_file("bench", "config.py", "test_motions.py", "test_commission.py")
+_motions = mutated_file("bench", "motions.py", "test_motions.py")
+_run = mutated_file("bench", "commission.py", "test_commission.py")
+_verify = mutated_file("bench", "verify.py", "test_verify.py")
+_track = mutated_file("bench", "device.py", "test_verify.py")
+_stages = mutated_file("bench", "stages.py", "test_commission.py")
 
 MUTANTS: tuple[Mutant, ...] = (
     _climb(

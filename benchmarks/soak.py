@@ -48,8 +48,8 @@ from hystmpc.models.load import library_file
 from hystmpc.models.motions import probe_commands
 from hystmpc.models.networks.lstm import LstmStep, LstmWeights, lstm_step_graph
 from hystmpc.models.simulator import load_simulator, save_simulator
-from hystmpc.rig.commission.review import compare_with_model, review
 from hystmpc.rig.config import RunSettings
+from hystmpc.rig.experiment.review import compare_with_model, review
 from hystmpc.studies.control.controllers import CONTROLLERS
 from hystmpc.studies.faults.cases import DEVICE, RUN
 from hystmpc.studies.faults.play import end, start, start_device

@@ -15,10 +15,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from typer.testing import CliRunner
 
+from hystmpc.bench import bounded
+from hystmpc.bench.device import SimulatedClock
+from hystmpc.bench.plants import plants_in
 from hystmpc.cli.main import app
-from hystmpc.commissioning import bounded
-from hystmpc.commissioning.device import SimulatedClock
-from hystmpc.commissioning.plants import plants_in
 from hystmpc.rig.safety.gate import Anchor, Gate
 from hystmpc.rig.safety.plausibility import MotionWatch
 from hystmpc.rig.transports.transport import Conversion, Reading, RunContext

@@ -24,8 +24,7 @@ ROOMS = (
     "codegen",
     "gap",
     "testing",
-    "commissioning",
-    "investigation",
+    "bench",
     "studies",
     "cli",
 )
