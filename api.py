@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from hystmpc.bench.commission import Commissioned
-    from hystmpc.bench.investigation import Investigated
+    from hystmpc.bench.rounds import Investigated
     from hystmpc.ctrl.config import AnyControllerSettings
     from hystmpc.ctrl.guarded import GuardedController
     from hystmpc.ctrl.limits import CommandLimits
@@ -413,8 +413,9 @@ def commission(
             was stopped safely; complete trials are kept.
         ConfigError: if there is neither a bench nor logs.
     """
-    from hystmpc.bench.commission import commission_device, commission_logs, opened_device
+    from hystmpc.bench.commission import commission_device, commission_logs
     from hystmpc.bench.config import CommissionSettings, load_commission, located_commission
+    from hystmpc.bench.device import opened_device
     from hystmpc.rig.run import reset_latch
     from hystmpc.trials.errors import ConfigError
 
@@ -465,8 +466,9 @@ def investigate(
         HystmpcError: if a setting is wrong, the folder holds something else, the device does not answer, or a motion
             was stopped safely; complete trials are kept.
     """
-    from hystmpc.bench.investigate import investigate_device, opened_device
-    from hystmpc.bench.investigate_config import InvestigateSettings, load_investigation, located_investigation
+    from hystmpc.bench.config import InvestigateSettings, load_investigation, located_investigation
+    from hystmpc.bench.device import opened_device
+    from hystmpc.bench.investigate import investigate_device
     from hystmpc.rig.run import reset_latch
 
     folder = Path()

@@ -1,9 +1,9 @@
-"""A commissioning from beginning to end: stage after stage, each kept when it is complete."""
+"""A commissioning: safe range, recordings, check, identification, diagnosis, controller, verification, report."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,22 +12,17 @@ import numpy as np
 
 from hystmpc.ctrl.limits import CommandLimits
 from hystmpc.rig.config import BenchSettings
-from hystmpc.rig.recording.recorder_process import Views
-from hystmpc.rig.run import Note
 from hystmpc.sim.jobs.runner import alone_in
 from hystmpc.trials.brief import brief
-from hystmpc.trials.csv_files import write_csv
-from hystmpc.trials.errors import ConfigError, HystmpcError, LogError
+from hystmpc.trials.errors import ConfigError, LogError
 from hystmpc.trials.from_outside import only_reads
 from hystmpc.trials.read import expand_logs, read_trials
 from hystmpc.trials.run_folder import RunFolder
 from hystmpc.trials.types import Progress
 
-from .bounded import Bounded
-from .climb import Climb, Climbed, dash
 from .config import CommissionBlock, CommissionSettings, narrowed
-from .controller import TIP_FILE, ControllerMade, fresh_references, make_controllers
-from .device import BenchDevice, Device, DeviceStoppedError, Tick
+from .controller import TIP_FILE, ControllerMade, Identified, fresh_references, make_controllers
+from .device import Device, Open, opened_device
 from .identify import (
     FIXED_FILE,
     MODEL_FILE,
@@ -38,23 +33,21 @@ from .identify import (
     check_trials,
     diagnose_model,
     fit_model,
+    subject_of,
 )
 from .motions import CONTROLLERS, SCANS_HZ, Budget, budget, directions, recordings
-from .plants import plants_in
-from .stages import NAMES, Figure, StageStore, begun_folder, differing, fingerprint
-from .verify import Tracks, Verified, judge, load_tracks, track_all
+from .phases import Bounded, Climb, Climbed, dash
+from .stages import Figure, Stages, begun, differing, fingerprint
+from .verify import MPC, Tracks, Verified, judge, load_tracks, track_all
+
+NAMES = ("1-range", "2-record", "3-check", "4-fit", "5-diagnose", "6-controller", "7-verify")
+"""Folders of the stages, in their order."""
 
 RANGE, RECORD, CHECK, FIT, DIAGNOSE, CONTROLLER, VERIFY = NAMES
 REPORT_FILE = "report.html"
 _LEAST_RANGE = 0.2  # of the limits: a narrower range says that something is wrong
 _LEAST_MOTION = 0.02  # of the angle limits
-_REPORT = "report"
-_COMPUTING_S = {FIT: 60.0, DIAGNOSE: 150.0, CONTROLLER: 40.0, _REPORT: 10.0}  # expected, for the bar
-_COMPUTED = 0.05  # seconds that a computed device takes for one of its own
-
-
-class EndedEarlyError(HystmpcError):
-    """The device has moved, and a stage could not be completed; what was recorded is kept."""
+_COMPUTING_S = {FIT: 60.0, DIAGNOSE: 150.0, CONTROLLER: 40.0, "report": 10.0}  # expected, for the bar
 
 
 @dataclass(frozen=True)
@@ -107,31 +100,6 @@ class Commissioned:
     __repr__ = brief
 
 
-@dataclass
-class _Bar:
-    """Seconds done of those expected, over all stages."""
-
-    progress: Progress | None
-    total_s: float
-    before_s: float = 0.0
-    _now_s: float = 0.0
-    _note: str = ""
-
-    def tick(self, seconds: float) -> None:
-        """Seconds since the last call, of a motion that lasts."""
-        if self.progress is not None:
-            self.progress(min(self.before_s + self._now_s + seconds, self.total_s), self.total_s, self._note)
-
-    def __call__(self, seconds: float, note: str) -> None:
-        self._now_s, self._note = seconds, note
-        if self.progress is not None:
-            self.progress(min(self.before_s + seconds, self.total_s), self.total_s, note)
-
-    def of(self, expected_s: float, what: str) -> Progress:
-        """A stage's own progress as seconds of the whole."""
-        return lambda done, total, note="": self(expected_s * done / max(total, 1e-9), f"{what} {note}".strip())
-
-
 def plan_rows(settings: CommissionSettings, found: Budget) -> tuple[tuple[str, str, float], ...]:
     """Stages with their motions and minutes of device time, as they are said before anything moves."""
     steps, own = settings.commission.range_steps, settings.commission.motions
@@ -155,7 +123,7 @@ def plan_rows(settings: CommissionSettings, found: Budget) -> tuple[tuple[str, s
 
 def commission_device(
     settings: CommissionSettings,
-    device: Callable[[Path, Tick], Device],
+    device: Open,
     out: Path | str,
     progress: Progress | None = None,
 ) -> Commissioned:
@@ -176,21 +144,10 @@ def commission_device(
         EndedEarlyError: if a stage cannot be completed after the device has moved.
         KeyboardInterrupt: if the user ended it while something was computed.
     """
-    planned = budget(settings)
-    root = begun_folder(out, "commissioning", settings.model_dump(mode="json"), settings.commission.seed)
-    with alone_in(root):
-        bar = _Bar(progress, 0.0)
-        moved = device(root, bar.tick)
-        bar.total_s, before = _expected_s(settings, moved, planned), moved.used_s
-        try:
-            store = StageStore(root, fingerprint(settings.model_dump(mode="json")))
-            return _on_device(settings, moved, store, planned, bar)
-        except (DeviceStoppedError, EndedEarlyError):
-            raise
-        except HystmpcError as error:
-            if moved.used_s > before:
-                raise EndedEarlyError(f"{error} (what was recorded is kept in {root})") from error
-            raise
+    planned, block = budget(settings), settings.commission
+    with begun(out, "commissioning", settings.model_dump(mode="json"), block.seed, device, progress) as stages:
+        stages.expect(planned.total_s, _computing_s(block))
+        return _on_device(settings, stages, planned)
 
 
 def commission_logs(
@@ -212,15 +169,9 @@ def commission_logs(
     files = tuple(path.resolve() for path in expand_logs([Path(log) for log in logs]))
     subject, words = _from_logs(files, settings)
     plain: dict[str, Any] = {} if settings is None else settings.model_dump(mode="json")
-    hashes = _hashes(files)
-    root = begun_folder(out, "commissioning", plain | {"logs": hashes}, subject.block.seed)
-    stages = [FIT, CONTROLLER, _REPORT] + ([DIAGNOSE] if subject.block.diagnose else [])
-    with alone_in(root):
-        store = StageStore(root, fingerprint(plain | {"logs": hashes}))
-        bar = _Bar(progress, sum(_COMPUTING_S[name] for name in stages))
-        known = _identified(subject, store, bar)
-        bar(0.0, _REPORT)
-        return _reported(known, root, words, 0.0, None, None)
+    with begun(out, "commissioning", plain | {"logs": _hashes(files)}, subject.block.seed, None, progress) as stages:
+        stages.expect(0.0, _computing_s(subject.block))
+        return _reported(_identified(subject, stages), stages, words)
 
 
 @only_reads()
@@ -238,101 +189,67 @@ def report_again(folder: Path | str) -> Commissioned:
     plain = {key: value for key, value in config.items() if key != "commissioning"}
     bench = {key: value for key, value in plain.items() if key != "logs"}
     settings = CommissionSettings.parse(bench, str(run.path / "config.yaml")) if bench else None
-    bar = _Bar(None, 0.0)
     with alone_in(run.path):
-        store = StageStore(run.path, fingerprint(plain), closed=True)
         if settings is not None and "logs" not in plain:
-            device = opened_device(settings, run.path)(run.path, bar.tick)
-            return _on_device(settings, device, store, budget(settings), bar)
+            stages = Stages(run.path, plain, opened_device(settings, run.path), closed=True)
+            return _on_device(settings, stages, budget(settings))
         files = tuple(map(Path, plain["logs"]))
         subject, words = _from_logs(files, settings)
+        stages = Stages(run.path, plain, closed=True)
         if text := differing({"logs": plain["logs"]}, {"logs": _hashes(files)}):
             raise LogError(f"{run.path}: {text}; expected the recordings that it was made from")
-        return _reported(_identified(subject, store, bar), run.path, words, 0.0, None, None)
-
-
-def opened_device(
-    settings: CommissionSettings, folder: Path, views: Views = Views(), note: Note = lambda text: None
-) -> Callable[[Path, Tick], Device]:
-    """Opens the device of the settings.
-
-    Args:
-        folder: where file names of a simulated plant start.
-        views: what is shown while a motion lasts.
-        note: told what the loop's process says.
-    """
-    plants = plants_in(folder, settings.command_unit)
-    limits = settings.commission.angle_limits_deg
-    return lambda root, tick: BenchDevice(settings, plants, root, limits, views, note, tick)
+        return _reported(_identified(subject, stages), stages, words)
 
 
 def _hashes(files: Sequence[Path]) -> dict[str, str]:
     return {str(path): fingerprint(path.read_bytes().hex()) for path in files}
 
 
-def _on_device(
-    settings: CommissionSettings, device: Device, store: StageStore, planned: Budget, bar: _Bar
-) -> Commissioned:
-    root = store.root
-    in_time = 1.0 if device.in_real_time else _COMPUTED
-    bar(0.0, "range")
-    ranged, store = store.complete(RANGE, Ranged, lambda folder: _ranged(settings, device))
+def _computing_s(block: CommissionBlock) -> float:
+    """Computing time that is expected [s]."""
+    return sum(seconds for name, seconds in _COMPUTING_S.items() if name != DIAGNOSE or block.diagnose)
+
+
+def _on_device(settings: CommissionSettings, stages: Stages, planned: Budget) -> Commissioned:
+    """All stages, each loaded or done now."""
+    seconds = planned.range_s + planned.prepare_s
+    ranged = stages.complete(RANGE, Ranged, lambda folder: _ranged(settings, stages), device_s=seconds)
     bench = narrowed(settings, ranged.lower, ranged.upper, ranged.rate_per_s, ranged.still)
-    bar.before_s += in_time * (planned.range_s + planned.prepare_s)
-    seconds = in_time * (planned.record_s + planned.prepare_s)
 
     def record(folder: Path) -> RecordedTrials:
-        return _record(settings, bench, device, folder, planned, bar.of(seconds, "record"))
+        motions = recordings(bench, planned.share, settings.commission.seed)
+        return RecordedTrials(tuple(stages.record(motions, bench, folder)))
 
-    recorded, store = store.complete(RECORD, RecordedTrials, record)
-    bar.before_s += seconds
-    subject = Subject(
-        name=settings.name,
-        command_unit=settings.command_unit,
-        rate_hz=settings.rate_hz,
-        limits=bench.limits.build(),
-        safe_command=settings.safe_command,
-        angle_limits=settings.angle_limits,
-        trials=tuple(_trial_file(root / RECORD, name) for name in recorded.names),
-        block=settings.commission,
-    )
-    known = _identified(subject, store, bar)
-    tracks = dict[str, Any]()
-    seconds = in_time * (planned.verify_s + planned.prepare_s)
+    recorded = stages.complete(RECORD, RecordedTrials, record, device_s=planned.record_s + planned.prepare_s)
+    trials = [stages.root / RECORD / "trials" / f"{name}.csv" for name in recorded.names]
+    subject = subject_of(settings, bench.limits.build(), trials)
+    identified = _identified(subject, stages)
 
     def verify(folder: Path) -> Verified:
-        motions = fresh_references(subject, known.made.reached, planned.motion_s)
-        told = bar.of(seconds, "verify")
-        count = len(motions) * len(CONTROLLERS)
-        tracks.update(track_all(device, motions, bench, folder, lambda done, what: told(done, count, what)))
-        noise = known.fitted.sensor_sigma_deg
-        return judge(tracks, subject.limits, settings.dt_s, noise, known.fitted.model_sigma_deg)
+        motions = fresh_references(subject, identified.made.reached, planned.motion_s)
+        tracks = track_all(stages.device, motions, bench, folder, lambda what: stages.say(f"verify {what}"))
+        fitted = identified.fitted
+        return judge(tracks, subject.limits, settings.dt_s, fitted.sensor_sigma_deg, fitted.model_sigma_deg)
 
-    verified, _ = known.store.complete(VERIFY, Verified, verify)
-    if not tracks:
-        tracks.update(load_tracks(root / VERIFY))
-    bar.before_s += seconds
-    bar(0.0, _REPORT)
-    return _reported(known, root, ranged.words, device.used_s, tracks, verified)
+    verified = stages.complete(VERIFY, Verified, verify, device_s=planned.verify_s + planned.prepare_s)
+    tracks = load_tracks(stages.root / VERIFY)
+    in_order = {motion: tracks[motion] for motion in verified.scores[MPC].by_motion if motion in tracks}
+    return _reported(identified, stages, ranged.words, in_order, verified)
 
 
-def _expected_s(settings: CommissionSettings, device: Device, planned: Budget) -> float:
-    computing = sum(s for name, s in _COMPUTING_S.items() if name != DIAGNOSE or settings.commission.diagnose)
-    return computing + planned.total_s * (1.0 if device.in_real_time else _COMPUTED)
-
-
-def _ranged(settings: CommissionSettings, device: Device) -> Ranged:
+def _ranged(settings: CommissionSettings, stages: Stages) -> Ranged:
     """Climb in every direction, then dash; what was found is narrower than the limits or as wide."""
-    block, found = settings.commission, dict[float, Climbed]()
+    stages.say("range")
+    block, climbs = settings.commission, list[Climbed]()
     for k, end in enumerate(directions(settings)):
         climb = Climb(settings, end, settings.angle_limits, block.range_steps, block.angle_limits_deg is None)
-        device.explore(f"{RANGE}/climb-{k + 1}", climb, settings)
-        found[end] = climb.found
+        stages.device.explore(f"{RANGE}/climb-{k + 1}", climb, settings)
+        climbs.append(climb.result)
     safe, limits = settings.safe_command, settings.limits
-    ends = [safe, *(c.end for c in found.values() if math.isfinite(c.end))]
+    ends = [safe, *(c.end for c in climbs if math.isfinite(c.end))]
     lower, upper = min(ends), max(ends)
-    angles = [a for c in found.values() for a in (c.start_deg, c.angle_deg) if math.isfinite(a)]
-    words = "; ".join(f"to {c.end:.4g} {settings.command_unit}: {c.why}" for c in found.values())
+    angles = [a for c in climbs for a in (c.start_deg, c.angle_deg) if math.isfinite(a)]
+    words = "; ".join(f"to {c.end:.4g} {settings.command_unit}: {c.why}" for c in climbs)
     if upper - lower < _LEAST_RANGE * (limits.upper - limits.lower):
         raise LogError(
             f"range: got {lower:.4g} to {upper:.4g} {settings.command_unit} ({words}), expected at least "
@@ -344,15 +261,15 @@ def _ranged(settings: CommissionSettings, device: Device) -> Ranged:
             f"range: the angle moved by {high_deg - low_deg:.2f} deg over {lower:.4g} to {upper:.4g} "
             f"{settings.command_unit}, expected a device that moves; is the tip blocked, the sensor fixed?"
         )
-    first = next(iter(found.values()))
+    first = climbs[0]
     if (first.angle_deg - first.start_deg) * (first.end - safe) < 0:
         raise LogError(
             "range: the angle falls as the command rises, expected it to rise; set wire.angle_sign: -1 (and "
             "wire.angle_offset_deg)"
         )
-    still = max(c.still for c in found.values())
+    still = max(c.still for c in climbs)
     within = narrowed(settings, lower, upper, limits.rate_per_s, still)
-    rate, said = _dashed(within, first.end, device, block.angle_limits_deg)
+    rate, said = _dashed(within, first.end, stages.device, block.angle_limits_deg)
     return Ranged(lower, upper, rate, low_deg, high_deg, f"{words}; {said}", still)
 
 
@@ -368,90 +285,44 @@ def _dashed(
     return rate, f"the device follows {limit:g} per s" if rate == limit else f"it follows {rate:g} of {limit:g} per s"
 
 
-def _record(
-    settings: CommissionSettings,
-    bench: BenchSettings,
-    device: Device,
-    folder: Path,
-    planned: Budget,
-    told: Progress,
-) -> RecordedTrials:
-    """Record what is not there yet."""
-    motions = recordings(bench, planned.share, settings.commission.seed)
-    total, done = sum(commands.size for commands in motions.values()), 0
-    for name, commands in motions.items():
-        told(done, total, name)
-        file = _trial_file(folder, name)
-        if not file.exists():
-            write_csv(device.play(f"{RECORD}/{name}", commands, bench), file)
-        done += commands.size
-    return RecordedTrials(tuple(motions))
+def _identified(subject: Subject, stages: Stages) -> Identified:
+    """Check, identification, diagnosis and controller: what needs no device."""
+    checked = stages.complete(CHECK, Checked, lambda folder: check_trials(subject))
 
+    def fit(folder: Path) -> Fitted:
+        return fit_model(subject, folder, stages.computing("identify"))
 
-def _trial_file(folder: Path, name: str) -> Path:
-    return folder / "trials" / f"{name}.csv"
-
-
-@dataclass(frozen=True, eq=False)
-class _Known:
-    """What stages 3 to 6 have found."""
-
-    subject: Subject
-    checked: Checked
-    fitted: Fitted
-    diagnosed: Diagnosed | None
-    made: ControllerMade
-    model: Path
-    store: StageStore
-
-
-def _identified(subject: Subject, store: StageStore, bar: _Bar) -> _Known:
-    """Stages 3 to 6."""
-    root, diagnosed = store.root, None
-    checked, store = store.complete(CHECK, Checked, lambda folder: check_trials(subject))
-
-    def told(name: str, what: str) -> Progress:
-        return bar.of(_COMPUTING_S[name], what)
-
-    fitted, store = store.complete(FIT, Fitted, lambda folder: fit_model(subject, folder, told(FIT, "identify")))
-    model = root / FIT / MODEL_FILE
-    bar.before_s += _COMPUTING_S[FIT]
-    if subject.block.diagnose:
-        given = model
-        diagnosed, store = store.complete(
-            DIAGNOSE, Diagnosed, lambda folder: diagnose_model(subject, given, folder, told(DIAGNOSE, "diagnose"))
-        )
-        model = root / DIAGNOSE / FIXED_FILE if diagnosed.corrected else model
-        bar.before_s += _COMPUTING_S[DIAGNOSE]
+    def diagnose(folder: Path) -> Diagnosed:
+        return diagnose_model(subject, stages.root / FIT / MODEL_FILE, folder, stages.computing("diagnose"))
 
     def make(folder: Path) -> ControllerMade:
         noise = fitted.sensor_sigma_deg if math.isfinite(fitted.sensor_sigma_deg) else 0.0
-        return make_controllers(subject, model, noise, folder, told(CONTROLLER, "tune"))
+        return make_controllers(subject, model, noise, folder, stages.computing("tune"))
 
-    made, store = store.complete(CONTROLLER, ControllerMade, make)
-    bar.before_s += _COMPUTING_S[CONTROLLER]
-    return _Known(subject, checked, fitted, diagnosed, made, model, store)
+    fitted = stages.complete(FIT, Fitted, fit, _COMPUTING_S[FIT])
+    model, diagnosed = stages.root / FIT / MODEL_FILE, None
+    if subject.block.diagnose:
+        diagnosed = stages.complete(DIAGNOSE, Diagnosed, diagnose, _COMPUTING_S[DIAGNOSE])
+        model = stages.root / DIAGNOSE / FIXED_FILE if diagnosed.corrected else model
+    made = stages.complete(CONTROLLER, ControllerMade, make, _COMPUTING_S[CONTROLLER])
+    return Identified(subject, checked, fitted, diagnosed, made, model)
 
 
 def _reported(
-    known: _Known, root: Path, words: str, used_s: float, tracks: Tracks | None, verified: Verified | None
+    identified: Identified,
+    stages: Stages,
+    range_words: str,
+    tracks: Tracks | None = None,
+    verified: Verified | None = None,
 ) -> Commissioned:
-    from .commission_report import Story, write_report  # matplotlib takes a second to import
+    """Write the page."""
+    from .report import CommissionStory, write_commission  # matplotlib takes a second to import
 
-    story = Story(
-        known.subject,
-        words,
-        known.checked,
-        known.fitted,
-        known.diagnosed,
-        known.made,
-        known.model,
-        used_s,
-        tracks,
-        verified,
-    )
-    report = write_report(story, root / REPORT_FILE)
-    return Commissioned(root, root / TIP_FILE, known.model, report, verified, used_s)
+    stages.say("report")
+    root, used_s = stages.root, stages.used_s
+    story = CommissionStory(identified, range_words, used_s, tracks, verified)
+    report = write_commission(story, root / REPORT_FILE)
+    return Commissioned(root, root / TIP_FILE, identified.model, report, verified, used_s)
 
 
 def _from_logs(files: Sequence[Path], settings: CommissionSettings | None) -> tuple[Subject, str]:
@@ -481,6 +352,4 @@ def _from_logs(files: Sequence[Path], settings: CommissionSettings | None) -> tu
     if not low < high:
         raise ConfigError(f"logs: commands are beyond the bench's limits {bounds.build()}, expected some within them")
     words = f"commands that the recordings show within the bench's limits: {low:.4g} to {high:.4g} {unit}"
-    limits = CommandLimits(low, high, bounds.rate_per_s)
-    found = (settings.name, unit, settings.rate_hz, limits, safe, settings.angle_limits)
-    return Subject(*found, tuple(files), settings.commission), words
+    return subject_of(settings, CommandLimits(low, high, bounds.rate_per_s), files), words

@@ -23,7 +23,7 @@ from hystmpc.trials.config import dump_yaml
 from hystmpc.trials.files import write_atomically
 from hystmpc.trials.types import Progress
 
-from .identify import Subject, reached_angles
+from .identify import Checked, Diagnosed, Fitted, Subject, reached_angles
 from .motions import Reached, references
 from .stages import Figure
 
@@ -50,6 +50,23 @@ class ControllerMade:
     pid_rmse_deg: Figure
     inverse_pid: Mapping[str, float]
     inverse_pid_rmse_deg: Figure
+
+
+@dataclass(frozen=True, eq=False)
+class Identified:
+    """The device as identified, with its controllers.
+
+    Attributes:
+        checked, fitted, diagnosed, made: results of the stages; no diagnosis where it was left out.
+        model: file that the controllers use.
+    """
+
+    subject: Subject
+    checked: Checked
+    fitted: Fitted
+    diagnosed: Diagnosed | None
+    made: ControllerMade
+    model: Path
 
 
 def make_controllers(

@@ -17,10 +17,10 @@ from hystmpc.rig.config import BenchSettings, RunSettings
 from hystmpc.rig.experiment.experiment import tracking_phase
 from hystmpc.rig.experiment.phases import CommandMotion, Phase
 from hystmpc.rig.experiment.record import Recorded
-from hystmpc.rig.realtime import Clock
+from hystmpc.rig.realtime import SimulatedClock
 from hystmpc.rig.recording.recorder_process import Views, open_recorder_process
 from hystmpc.rig.recording.recording import RecordingMeta
-from hystmpc.rig.recording.sample import Sample, Sink, Tee
+from hystmpc.rig.recording.sample import Sample, SampleList, Sink, Tee
 from hystmpc.rig.run import BenchResult, Note, run_bench
 from hystmpc.rig.safety.ramp import way_commands
 from hystmpc.rig.transports.simulated import SimulatedSettings
@@ -34,13 +34,16 @@ from hystmpc.trials.text_ import read_lines
 from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Vec
 
-from .bounded import Bounded
+from .config import CommissionSettings
+from .phases import Bounded
+from .plants import plants_in
 
 TIME_FILE = "device_time.json"
 _SEEDS = 100_003
 _TICK_S = 1.0
 
 Tick = Callable[[float], None]
+"""Told the seconds of the present motion."""
 
 
 class DeviceStoppedError(HystmpcError):
@@ -137,42 +140,8 @@ class Device(Protocol):
         ...
 
 
-@final
-class SimulatedClock(Clock):
-    """Time that passes by waiting alone, so that a computed device is as fast as it computes."""
-
-    def __init__(self) -> None:
-        self._ns = 1_000_000_000
-
-    def now_ns(self) -> int:
-        """Time [ns]."""
-        return self._ns
-
-    def boot_ns(self) -> int:
-        """The same [ns]."""
-        return self._ns
-
-    def wall_ns(self) -> int:
-        """The same [ns]: it has no date."""
-        return self._ns
-
-    def wait_until(self, deadline_ns: int) -> None:
-        """The deadline is now."""
-        self._ns = max(self._ns, deadline_ns)
-
-
-@final
-class Kept(Sink):
-    """Keeps all samples in memory."""
-
-    def __init__(self) -> None:
-        self.samples: list[Sample] = []
-
-    def put(self, sample: Sample) -> None:
-        self.samples.append(sample)
-
-    def close(self) -> None:
-        """Nothing to do."""
+Open = Callable[[Path, Tick], Device]
+"""Opens a device, given the folder of the work and what to tell while a motion lasts."""
 
 
 @final
@@ -185,7 +154,7 @@ class BenchDevice(Device):
 
     Args:
         plants: makes devices of `kind: simulated`.
-        folder: of the commissioning.
+        folder: of the commissioning or investigation.
         angle_limits: beyond which recordings and tracks are stopped safely [deg]; None for those of the sensor.
         views: what is shown while a motion lasts.
         note: told what the loop's process says.
@@ -235,7 +204,7 @@ class BenchDevice(Device):
         def phases() -> list[Phase]:
             return [CommandMotion("approach", approach), phase]
 
-        kept, stage = Kept(), name.partition("/")[0]
+        kept, stage = SampleList(), name.partition("/")[0]
         settings = self._of_motion(name, stage, bench)
         folder = _free(self._folder / stage / "runs", name.rpartition("/")[2]) if self.in_real_time else None
 
@@ -249,7 +218,7 @@ class BenchDevice(Device):
         clock = None if self.in_real_time else SimulatedClock()
         over = Event()
         if self.in_real_time:
-            Thread(target=self._told, args=(kept, settings.dt_s, over), name="progress", daemon=True).start()
+            Thread(target=self._tell, args=(kept, settings.dt_s, over), name="progress", daemon=True).start()
         try:
             result = run_bench(settings, phases, sink, self._plants, folder=folder, note=self._note, clock=clock)
         finally:
@@ -262,7 +231,7 @@ class BenchDevice(Device):
         self._prepared, self._moved = stage, True
         return tuple(kept.samples)
 
-    def _told(self, kept: Kept, dt_s: float, over: Event) -> None:
+    def _tell(self, kept: SampleList, dt_s: float, over: Event) -> None:
         while not over.wait(_TICK_S):
             self._tick(len(kept.samples) * dt_s)
 
@@ -276,6 +245,20 @@ class BenchDevice(Device):
         if self._moved and bench.start_command is not None:
             changes["start_command"] = bench.safe_command  # where the motion before has left it
         return bench.model_copy(update=changes)
+
+
+def opened_device(
+    settings: CommissionSettings, folder: Path, views: Views = Views(), note: Note = lambda text: None
+) -> Open:
+    """Opens the device of the settings.
+
+    Args:
+        folder: where file names of a simulated plant start.
+        views: what is shown while a motion lasts.
+        note: told what the loop's process says.
+    """
+    plants, limits = plants_in(folder, settings.command_unit), settings.commission.angle_limits_deg
+    return lambda root, tick: BenchDevice(settings, plants, root, limits, views, note, tick)
 
 
 def track_of(samples: Sequence[Sample], duration_s: float, dt_s: float) -> Track:
@@ -308,11 +291,11 @@ def track_of(samples: Sequence[Sample], duration_s: float, dt_s: float) -> Track
 
 def _free(folder: Path, name: str) -> Path:
     """A folder that is not there yet: a run that was cut short keeps its own."""
-    found, number = folder / name, 1
-    while found.exists():
+    free, number = folder / name, 1
+    while free.exists():
         number += 1
-        found = folder / f"{name}-{number}"
-    return found
+        free = folder / f"{name}-{number}"
+    return free
 
 
 def _used(folder: Path) -> float:

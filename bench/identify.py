@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -26,7 +27,7 @@ from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Progress
 from hystmpc.trials.uniform import at_rate
 
-from .config import CommissionBlock
+from .config import CommissionBlock, CommissionSettings
 from .motions import Reached
 from .stages import Figure
 
@@ -56,6 +57,20 @@ class Subject:
     angle_limits: tuple[float, float] | None
     trials: tuple[Path, ...]
     block: CommissionBlock
+
+
+def subject_of(settings: CommissionSettings, limits: CommandLimits, trials: Iterable[Path]) -> Subject:
+    """The device of the settings, within these limits, with these recordings."""
+    return Subject(
+        name=settings.name,
+        command_unit=settings.command_unit,
+        rate_hz=settings.rate_hz,
+        limits=limits,
+        safe_command=settings.safe_command,
+        angle_limits=settings.angle_limits,
+        trials=tuple(trials),
+        block=settings.commission,
+    )
 
 
 @dataclass(frozen=True)

@@ -1,97 +1,37 @@
-"""An investigation from beginning to end: round after round, each part kept when it is complete."""
+"""An investigation: round after round recorded, diagnosed and planned, until the verdict is stable or time is spent."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import final
 
 from hystmpc.gap.report.report_data import FIXED_FILE
 from hystmpc.models.simulator import load_simulator
-from hystmpc.rig.recording.recorder_process import Views
-from hystmpc.rig.run import Note
-from hystmpc.sim.jobs.runner import alone_in
 from hystmpc.trajectories.identification import WHOLE_S
-from hystmpc.trials.csv_files import write_csv
-from hystmpc.trials.errors import ConfigError, HystmpcError, LogError, ModelError
+from hystmpc.trials.errors import ConfigError, ModelError
 from hystmpc.trials.files import write_atomically
 from hystmpc.trials.types import Progress, Vec
 
-from .commission import EndedEarlyError
-from .device import BenchDevice, Device, DeviceStoppedError, Tick
-from .identify import MODEL_FILE, Fitted, Subject, check_trials, fit_model
-from .investigate_config import InvestigateSettings
-from .investigation import FIRST, Investigated, RecordedRound, Round, round_folder
+from .config import InvestigateSettings
+from .device import Open
+from .identify import MODEL_FILE, Fitted, check_trials, fit_model, subject_of
 from .motions import LEAST_SHARE, prepare_seconds, recordings, recordings_seconds
-from .plants import plants_in
-from .round_plan import Plan, first_seconds, plan_first, planned_commands, run_seconds
-from .round_verdict import DIAGNOSIS, Judged, judge
-from .stages import StageStore, begun_folder, fingerprint
+from .round_plan import Plan, first_seconds, plan_first, planned_commands
+from .rounds import DIAGNOSIS, FIRST, Investigated, Judged, RecordedRound, Round, judge, round_folder
+from .stages import Stages, begun, fingerprint
 
 RESULT_FILE, REPORT_FILE = "investigation.json", "report.html"
 IDENTIFY = "identify"
 _FIT_S, _JUDGE_S, _ROUNDS = 60.0, 60.0, 3  # expected of a fit, of a diagnosis, and of their number, for the bar
-_COMPUTED = 0.05  # seconds that a computed device takes for one of its own, for the bar
 _IDENTIFY_SHARE = 0.45  # of the device time, where no simulator is given
-
-
-@final
-class _Budgeted:
-    """Plays motions as long as the device time lasts.
-
-    Args:
-        device: that is moved.
-        progress: told the time that has passed of that expected, computations included.
-    """
-
-    def __init__(self, device: Device, settings: InvestigateSettings, progress: Progress | None) -> None:
-        self.device, self._settings, self._progress = device, settings, progress
-        self._stage = ""
-        self._computed_s, self._computing_s = 0.0, 0.0  # of computations that are complete, and of the present one
-        self._expected_s = _ROUNDS * _JUDGE_S + (_FIT_S if settings.investigate.model is None else 0.0)
-
-    @property
-    def left_s(self) -> float:
-        """Device time that is left [s]."""
-        return self._settings.budget_s - self.device.used_s
-
-    def say(self, note: str, more_s: float = 0.0) -> None:
-        """Tell what is done."""
-        if self._progress is None:
-            return
-        pace, computed = 1.0 if self.device.in_real_time else _COMPUTED, self._computed_s + self._computing_s
-        total = pace * self._settings.budget_s + max(self._expected_s, computed)
-        self._progress(min(pace * (self.device.used_s + more_s) + computed, total), total, note)
-
-    def computing(self, seconds: float, what: str) -> Progress:
-        """The progress of a computation that is expected to take so long, as part of the whole."""
-        self._computed_s, self._computing_s = self._computed_s + self._computing_s, 0.0
-
-        def told(done: float, total: float, note: str = "", /) -> None:
-            self._computing_s = seconds * min(done / max(total, 1e-9), 1.0)
-            self.say(f"{what} {note}".strip())
-
-        told(0, 1)
-        return told
-
-    def fits(self, stage: str, commands: int) -> bool:
-        """Whether one more run is certain to end within the device time."""
-        prepare = 0.0 if stage == self._stage else prepare_seconds(self._settings)
-        return run_seconds(self._settings, commands) + prepare <= self.left_s
-
-    def play(self, stage: str, name: str, commands: Vec, file: Path) -> None:
-        """Play and write one motion."""
-        self.say(f"{stage}: {name}")
-        trial = self.device.play(f"{stage}/{name}", commands, self._settings)
-        self._stage = stage
-        write_csv(trial, file)
 
 
 def investigate_device(
     settings: InvestigateSettings,
-    device: Callable[[Path, Tick], Device],
+    device: Open,
     out: Path | str,
     progress: Progress | None = None,
 ) -> Investigated:
@@ -114,28 +54,9 @@ def investigate_device(
     """
     plain = settings.model_dump(mode="json") | {"model_hash": _model_hash(settings)}
     identification_share(settings)
-    root = begun_folder(out, "investigation", plain, settings.investigate.seed)
-    with alone_in(root):
-        told: list[_Budgeted] = []
-        moved = device(root, lambda seconds: told[0].say("moving", seconds))
-        told.append(_Budgeted(moved, settings, progress))
-        before = moved.used_s
-        try:
-            return _investigated(settings, told[0], StageStore(root, fingerprint(plain)))
-        except (DeviceStoppedError, EndedEarlyError):
-            raise
-        except HystmpcError as error:
-            if moved.used_s > before:
-                raise EndedEarlyError(f"{error} (what was recorded is kept in {root})") from error
-            raise
-
-
-def opened_device(
-    settings: InvestigateSettings, folder: Path, views: Views = Views(), note: Note = lambda text: None
-) -> Callable[[Path, Tick], Device]:
-    """Opens the device of the settings, as a commissioning does."""
-    plants, limits = plants_in(folder, settings.command_unit), settings.commission.angle_limits_deg
-    return lambda root, tick: BenchDevice(settings, plants, root, limits, views, note, tick)
+    with begun(out, "investigation", plain, settings.investigate.seed, device, progress) as stages:
+        stages.expect(settings.budget_s, _ROUNDS * _JUDGE_S + (_FIT_S if settings.investigate.model is None else 0.0))
+        return _investigated(settings, stages)
 
 
 def plan_rows(settings: InvestigateSettings) -> tuple[tuple[str, str, float], ...]:
@@ -199,104 +120,72 @@ def _model_hash(settings: InvestigateSettings) -> str:
     return fingerprint(path.read_bytes().hex())
 
 
-def _investigated(settings: InvestigateSettings, moved: _Budgeted, store: StageStore) -> Investigated:
-    root = store.root
-    model, store = _model(settings, moved, store)
-    plan, store = store.complete(
-        FIRST, Plan, lambda folder: plan_first(settings, load_simulator(model), moved.left_s, folder)
+def _investigated(settings: InvestigateSettings, stages: Stages) -> Investigated:
+    """All rounds, each loaded or done now."""
+    model, rounds = _model(settings, stages), list[Round]()
+    plan = stages.complete(
+        FIRST, Plan, lambda folder: plan_first(settings, load_simulator(model), stages.left_s, folder)
     )
-    planned_in, rounds = root / FIRST, list[Round]()
+    planned_in = stages.root / FIRST
     while True:
-        found, store = _round(settings, moved, store, model, rounds, plan, planned_in)
-        rounds.append(found)
-        if found.judged.next is None:
-            return _reported(settings, root, tuple(rounds), model, moved.device.used_s)
-        plan, planned_in = found.judged.next, round_folder(root, found.number) / "diagnose"
+        rounds.append(_round(settings, stages, model, rounds, plan, planned_in))
+        if rounds[-1].judged.next is None:
+            return _reported(settings, stages, tuple(rounds), model)
+        plan, planned_in = rounds[-1].judged.next, round_folder(stages.root, len(rounds)) / "diagnose"
 
 
 def _round(
     settings: InvestigateSettings,
-    moved: _Budgeted,
-    store: StageStore,
+    stages: Stages,
     model: Path,
     before: Sequence[Round],
     plan: Plan,
     planned_in: Path,
-) -> tuple[Round, StageStore]:
+) -> Round:
     """Record what is planned, and judge all recordings so far."""
-    root, number = store.root, len(before) + 1
-    stage = round_folder(root, number).name
-    runs = {name: planned_commands(planned_in, name) for name in plan.motions}
-
-    def record(folder: Path) -> RecordedRound:
-        return _record(moved, stage, runs, folder)
-
-    recorded, store = store.complete(f"{stage}/record", RecordedRound, record)
-    played = [(found.number, name) for found in before for name in found.recorded.names]
-    played += [(number, name) for name in recorded.names]
-    files = [round_folder(root, k) / "record" / "trials" / f"{name}.csv" for k, name in played]
+    number = len(before) + 1
+    name = round_folder(stages.root, number).name
+    runs = {motion: planned_commands(planned_in, motion) for motion in plan.motions}
+    recorded = stages.complete(f"{name}/record", RecordedRound, lambda folder: _record(stages, settings, runs, folder))
+    played = [(earlier.number, motion) for earlier in before for motion in earlier.recorded.names]
+    played += [(number, motion) for motion in recorded.names]
+    files = [round_folder(stages.root, k) / "record" / "trials" / f"{motion}.csv" for k, motion in played]
 
     def diagnose(folder: Path) -> Judged:
-        told, verdicts = moved.computing(_JUDGE_S, f"{stage}: diagnose"), [found.judged for found in before]
-        return judge(settings, model, files, verdicts, settings.budget_s - recorded.device_s, folder, told)
+        left_s, verdicts = settings.budget_s - recorded.device_s, [earlier.judged for earlier in before]
+        return judge(settings, model, files, verdicts, left_s, folder, stages.computing(f"{name}: diagnose"))
 
-    judged, store = store.complete(f"{stage}/diagnose", Judged, diagnose)
-    return Round(number, plan, recorded, judged), store
+    return Round(number, plan, recorded, stages.complete(f"{name}/diagnose", Judged, diagnose, _JUDGE_S))
 
 
-def _model(settings: InvestigateSettings, moved: _Budgeted, store: StageStore) -> tuple[Path, StageStore]:
+def _model(settings: InvestigateSettings, stages: Stages) -> Path:
     """The simulator that is judged: given, or identified from recordings of its own."""
     if settings.investigate.model is not None:
-        return Path(settings.investigate.model), store
+        return Path(settings.investigate.model)
     motions = recordings(settings, identification_share(settings), settings.investigate.seed)
+    record = f"{IDENTIFY}/record"
+    recorded = stages.complete(record, RecordedRound, lambda folder: _record(stages, settings, motions, folder))
+    trials = [stages.root / record / "trials" / f"{name}.csv" for name in recorded.names]
+    subject = subject_of(settings, settings.limits.build(), trials)
+    seeded = replace(subject, block=settings.commission.model_copy(update={"seed": settings.investigate.seed}))
 
     def fit(folder: Path) -> Fitted:
-        check_trials(subject)
-        return fit_model(subject, folder, moved.computing(_FIT_S, f"{IDENTIFY}: fit"))
+        check_trials(seeded)
+        return fit_model(seeded, folder, stages.computing(f"{IDENTIFY}: fit"))
 
-    recorded, store = store.complete(
-        f"{IDENTIFY}/record", RecordedRound, lambda folder: _record(moved, IDENTIFY, motions, folder)
-    )
-    subject = Subject(
-        name=settings.name,
-        command_unit=settings.command_unit,
-        rate_hz=settings.rate_hz,
-        limits=settings.limits.build(),
-        safe_command=settings.safe_command,
-        angle_limits=settings.angle_limits,
-        trials=tuple(store.root / IDENTIFY / "record" / "trials" / f"{name}.csv" for name in recorded.names),
-        block=settings.commission.model_copy(update={"seed": settings.investigate.seed}),
-    )
-    _, store = store.complete(f"{IDENTIFY}/fit", Fitted, fit)
-    return store.root / IDENTIFY / "fit" / MODEL_FILE, store
+    stages.complete(f"{IDENTIFY}/fit", Fitted, fit, _FIT_S)
+    return stages.root / IDENTIFY / "fit" / MODEL_FILE
 
 
-def _record(moved: _Budgeted, stage: str, runs: Mapping[str, Vec], folder: Path) -> RecordedRound:
-    """Record what is not there yet, in order, as long as the device time is certain to suffice.
-
-    Raises:
-        LogError: if it suffices for none.
-    """
-    names = []
-    for name, commands in runs.items():
-        file = folder / "trials" / f"{name}.csv"
-        if not file.exists():
-            if not moved.fits(stage, commands.size):
-                break
-            moved.play(stage, name, commands, file)
-        names.append(name)
-    if not names:
-        raise LogError(
-            f"{stage}: {moved.left_s:.0f} s of device time are left, motions that were cut short included, which is "
-            "too little for what was planned, expected more; another --out begins anew"
-        )
-    return RecordedRound(tuple(names), moved.device.used_s)
+def _record(stages: Stages, settings: InvestigateSettings, runs: Mapping[str, Vec], folder: Path) -> RecordedRound:
+    """Record as much as is certain to end within the device time."""
+    return RecordedRound(tuple(stages.record(runs, settings, folder, limited=True)), stages.used_s)
 
 
-def _reported(
-    settings: InvestigateSettings, root: Path, rounds: tuple[Round, ...], model: Path, used_s: float
-) -> Investigated:
-    last, fixed = rounds[-1].judged, round_folder(root, len(rounds)) / "diagnose" / DIAGNOSIS / FIXED_FILE
+def _reported(settings: InvestigateSettings, stages: Stages, rounds: tuple[Round, ...], model: Path) -> Investigated:
+    """Write result and page."""
+    root, last = stages.root, rounds[-1].judged
+    fixed = round_folder(root, len(rounds)) / "diagnose" / DIAGNOSIS / FIXED_FILE
     made = Investigated(
         folder=root,
         rounds=rounds,
@@ -305,11 +194,11 @@ def _reported(
         model=model,
         fixed=fixed if fixed.exists() else None,
         report=root / REPORT_FILE,
-        device_s=used_s,
+        device_s=stages.used_s,
         budget_s=settings.budget_s,
     )
     write_atomically(root / RESULT_FILE, json.dumps(made.as_json(), indent=1, allow_nan=False) + "\n")
-    from .investigation_report import write_report  # matplotlib takes a second to import
+    from .report import write_investigation  # matplotlib takes a second to import
 
-    write_report(made, settings.name, settings.command_unit)
+    write_investigation(made, settings.name, settings.command_unit)
     return made

@@ -17,8 +17,8 @@ from hystmpc.trajectories.identification import WHOLE_S, identification_motions
 from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.types import Vec
 
-from .climb import climb_seconds, dash
 from .config import CommissionSettings
+from .phases import climb_seconds, dash
 
 CONTROLLERS = ("mpc", "inverse", "pid")
 """What is verified, in the order of the runs along each motion."""
@@ -33,6 +33,7 @@ _SLOPE_SHARE = 0.35  # of the greatest speed that a fast scan may ask for
 _WHOLE_SHARE = (0.5, 0.85)  # of the reached angles that a reference takes
 _EDGE = 0.08  # of the reached angles at either end, which references leave out
 _LEAST_MOTION_S = 4.0
+_RESERVE_S = 1.0  # for a contact or a way back that takes longer than expected
 LEAST_SHARE = 0.15
 """Of the full recordings: with less a device is not identified."""
 
@@ -161,6 +162,11 @@ def directions(bench: BenchSettings) -> tuple[float, ...]:
 def away_seconds(bench: BenchSettings) -> float:
     """Contact, approach and the end of a run at the safe command [s], from a device that rests there."""
     return _BETWEEN_S + 7 * bench.dt_s
+
+
+def run_seconds(bench: BenchSettings, commands: int) -> float:
+    """Device time of one run that plays so many commands, at the most [s]."""
+    return commands * bench.dt_s + away_seconds(bench) + _RESERVE_S
 
 
 def recordings_seconds(bench: BenchSettings, share: float) -> float:

@@ -22,9 +22,9 @@ from hystmpc.trials.csv_files import read_csv
 from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.types import Vec
 
+from .config import InvestigateSettings
 from .first_motions import first_motions, further_motion
-from .investigate_config import InvestigateSettings
-from .motions import away_seconds, prepare_seconds
+from .motions import prepare_seconds, run_seconds
 from .stages import Figure
 
 LEAST_MOTION_S = 8.0
@@ -34,7 +34,6 @@ LEAST_BITS = 0.1
 """Expected information below which a motion tells nothing."""
 
 _CAREFUL = 0.7  # of the travel without motion that stops a run
-_RESERVE_S = 1.0  # for a contact or a way back that takes longer than expected
 _FURTHER = 2.0  # of the longest first motion: a kind of motion that was not recorded yet
 _FIRST_SHARE = 0.6  # of the device time that the first motions may take
 
@@ -66,11 +65,6 @@ class Plan:
     menu: str = ""
     menu_gain: Figure = np.nan
     looked_at: int = 0
-
-
-def run_seconds(bench: BenchSettings, commands: int) -> float:
-    """Device time of one run that plays so many commands, at the most [s]."""
-    return commands * bench.dt_s + away_seconds(bench) + _RESERVE_S
 
 
 def round_seconds(bench: BenchSettings, runs: Mapping[str, Vec]) -> float:

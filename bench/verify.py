@@ -91,13 +91,13 @@ def track_all(
     motions: Mapping[str, MotionSettings],
     bench: BenchSettings,
     folder: Path,
-    told: Callable[[int, str], None],
+    say: Callable[[str], None],
 ) -> Tracks:
     """Track every reference with every controller; tracks that lie in the folder already are not repeated.
 
     Args:
         folder: of the stage; `tip.yaml` lies beside it.
-        told: called before each motion with the number that is done, and its name.
+        say: called before each motion with its name.
 
     Raises:
         DeviceStoppedError: if a run was stopped safely; finished tracks are kept.
@@ -105,17 +105,16 @@ def track_all(
     """
     root = folder.parent
     files = {name: root / "6-controller" / f"{name}.yaml" for name in CONTROLLERS} | {MPC: root / TIP_FILE}
-    done, tracks = 0, dict[str, dict[str, Track]]()
+    tracks = dict[str, dict[str, Track]]()
     for motion, reference in motions.items():
         tracks[motion] = {}
         for name in CONTROLLERS:
             file = folder / "tracks" / f"{motion}.{name}.csv"
-            told(done, f"{motion}, {TITLES[name]}")
+            say(f"{motion}, {TITLES[name]}")
             if not file.exists():
                 key = f"{folder.name}/{motion}.{name}"
                 device.track(key, tip_settings(files[name]), reference, bench).save(file)
             tracks[motion][name] = Track.load(file)
-            done += 1
     return tracks
 
 

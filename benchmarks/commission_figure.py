@@ -9,7 +9,7 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from hystmpc.bench.commission_report import before_and_after
+from hystmpc.bench.report import before_and_after
 from hystmpc.bench.verify import load_tracks
 from hystmpc.trials.config import read_yaml
 

@@ -84,7 +84,8 @@ def _done(
     progress: Progress,
 ) -> Commissioned:
     """From logs, or on the device; a safe stop is said as `run` says it."""
-    from hystmpc.bench.commission import commission_device, commission_logs, opened_device
+    from hystmpc.bench.commission import commission_device, commission_logs
+    from hystmpc.bench.device import opened_device
     from hystmpc.rig.recording.recorder_process import Views
     from hystmpc.rig.run import reset_latch
 

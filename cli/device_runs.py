@@ -128,8 +128,8 @@ def stages_kept(folder: Path) -> Iterator[None]:
     Raises:
         Exit: of typer.
     """
-    from hystmpc.bench.commission import EndedEarlyError
     from hystmpc.bench.device import DeviceStoppedError
+    from hystmpc.bench.stages import EndedEarlyError
 
     try:
         yield

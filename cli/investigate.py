@@ -18,8 +18,8 @@ from .device_runs import InTerminal, OnPage, Overrides, Reset, stages_kept, tell
 from .options import AllowPython, heard
 
 if TYPE_CHECKING:
-    from hystmpc.bench.investigate_config import InvestigateSettings
-    from hystmpc.bench.investigation import Investigated
+    from hystmpc.bench.config import InvestigateSettings
+    from hystmpc.bench.rounds import Investigated
 
 
 def investigate(
@@ -42,7 +42,7 @@ def investigate(
     Ctrl-C keeps what is complete; the same command goes on. Exit code 0 whatever the verdict, 3 after a safe stop, 1 if
     a part could not be completed, 130 if Ctrl-C ended a computation.
     """
-    from hystmpc.bench.investigate_config import load_investigation, located_investigation
+    from hystmpc.bench.config import load_investigation, located_investigation
 
     heard(allow)
     _check(folder, dry_run)
@@ -82,7 +82,8 @@ def _done(
     progress: Progress,
 ) -> Investigated:
     """On the device; a safe stop is said as `run` says it."""
-    from hystmpc.bench.investigate import investigate_device, opened_device
+    from hystmpc.bench.device import opened_device
+    from hystmpc.bench.investigate import investigate_device
     from hystmpc.rig.recording.recorder_process import Views
     from hystmpc.rig.run import reset_latch
 

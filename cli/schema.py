@@ -25,7 +25,7 @@ FILES: Mapping[str, tuple[str, str]] = MappingProxyType(
         "run": ("hystmpc.rig.config:RunSettings", "an experiment of `hystmpc run`"),
         "record": ("hystmpc.rig.config:RecordSettings", "recordings of `hystmpc record`"),
         "commission": ("hystmpc.bench.config:CommissionSettings", "a device of `hystmpc commission`"),
-        "investigate": ("hystmpc.bench.investigate_config:InvestigateSettings", "a device of `hystmpc investigate`"),
+        "investigate": ("hystmpc.bench.config:InvestigateSettings", "a device of `hystmpc investigate`"),
         "device": ("hystmpc.rig.device.config:DeviceSettings", "a simulated device of `hystmpc device`"),
         "layout": ("hystmpc.trials.layouts:LogMapping", "a layout of logs, of `--preset FILE.yaml`"),
         "simulator": ("hystmpc.models.simulator:SimulatorFile", "a simulator that `hystmpc fit` writes"),

@@ -11,10 +11,10 @@ from typing import Any, final
 
 import numpy as np
 
+from hystmpc.bench.config import InvestigateSettings
 from hystmpc.bench.device import Device, Track
 from hystmpc.bench.investigate import RESULT_FILE, investigate_device
-from hystmpc.bench.investigate_config import InvestigateSettings
-from hystmpc.bench.round_plan import run_seconds
+from hystmpc.bench.motions import run_seconds
 from hystmpc.ctrl.planner.settings import TipSettings
 from hystmpc.models.simulator import Simulator
 from hystmpc.rig.config import BenchSettings

@@ -5,11 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+from hystmpc.bench.config import InvestigateSettings, located_investigation
 from hystmpc.bench.device import BenchDevice, Device
 from hystmpc.bench.investigate import investigate_device
-from hystmpc.bench.investigate_config import InvestigateSettings, located_investigation
-from hystmpc.bench.investigation import Investigated
 from hystmpc.bench.plants import plants_in
+from hystmpc.bench.rounds import Investigated
 from hystmpc.ctrl.loop import Plant
 
 from .small_commission import BENCH, Spied

@@ -13,12 +13,12 @@ import pytest
 
 import hystmpc
 from hystmpc.bench import motions
-from hystmpc.bench.commission import EndedEarlyError, commission_logs, report_again
+from hystmpc.bench.commission import NAMES, commission_logs, report_again
 from hystmpc.bench.config import CommissionSettings, load_commission
 from hystmpc.bench.device import DeviceStoppedError
 from hystmpc.bench.identify import Subject
 from hystmpc.bench.motions import CONTROLLERS
-from hystmpc.bench.stages import NAMES
+from hystmpc.bench.stages import EndedEarlyError
 from hystmpc.rig.run import reset_latch
 from hystmpc.trials.config import dump_yaml
 from hystmpc.trials.csv_files import read_csv

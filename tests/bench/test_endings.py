@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hystmpc.bench.round_plan import Plan
-from hystmpc.bench.round_verdict import Judged, with_next
+from hystmpc.bench.rounds import Judged, with_next
 from hystmpc.gap.diagnosis import Verdict
 
 PLAN = Plan(("4-designed",), 15.0, ("lag", "delay"), 0.9, 0.85)

@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 import json
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from hystmpc.bench import investigate as whole
-from hystmpc.bench import round_plan
-from hystmpc.bench.investigate import _Budgeted, identification_share, plan_rows
-from hystmpc.bench.investigate_config import InvestigateSettings
-from hystmpc.bench.investigation import Investigated
+from hystmpc.bench import round_plan, stages
+from hystmpc.bench.config import InvestigateSettings
+from hystmpc.bench.investigate import identification_share, plan_rows
 from hystmpc.bench.round_plan import plan_first, plan_more
+from hystmpc.bench.rounds import Investigated
 from hystmpc.gap.next.motion_design import Noise, OpenHypothesis
 from hystmpc.gap.next.motion_menu import TEMPLATES
 from hystmpc.gap.next.motion_search import SearchSettings
@@ -60,7 +60,7 @@ def test_interrupted_it_goes_on_to_the_same_result_and_ends_with_the_device_time
     block = {"minutes": 0.56, "first_motions": 2}
     short, sent = settings(tmp_path, investigate=block, **changes), list[float]()
     out = tmp_path / "run"
-    real, calls = whole.write_csv, []
+    real, calls = stages.write_csv, []
 
     def interrupted(*arguments: object) -> object:
         calls.append(1)
@@ -68,7 +68,7 @@ def test_interrupted_it_goes_on_to_the_same_result_and_ends_with_the_device_time
             raise KeyboardInterrupt
         return real(*arguments)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(whole, "write_csv", interrupted)
+    monkeypatch.setattr(stages, "write_csv", interrupted)
     with pytest.raises(KeyboardInterrupt):
         investigated(short, out, sent)
     kept = recorded(out)
@@ -162,22 +162,38 @@ def test_unknown_keys_are_errors() -> None:
         InvestigateSettings.parse(bench(investigate={"minute": 3}))
 
 
-class Held:
+class Clocked:
     """A device of which only the time counts."""
 
     in_real_time, used_s = True, 0.0
 
 
+@dataclass(frozen=True)
+class Computed:
+    """The result of a computation."""
+
+
 def test_the_bar_counts_computations_and_never_goes_back(tmp_path: Path) -> None:
     """Rounds beyond the expected number make the total longer, and nothing of it is past the end."""
-    made, told, held = settings(tmp_path, investigate={"minutes": 5.0}), list[tuple[float, float]](), Held()
-    moved = _Budgeted(held, made, lambda done, total, note="": told.append((done, total)))  # type: ignore[arg-type]
-    for k in range(6):
-        held.used_s += 40.0
-        moved.say("moving")
-        step = moved.computing(60.0, f"round-{k + 1}: diagnose")
+    told, clocked = list[tuple[float, float]](), Clocked()
+    counted = stages.Stages(
+        tmp_path,
+        {},
+        lambda root, tick: clocked,  # type: ignore[arg-type,return-value]
+        lambda done, total, note="": told.append((done, total)),
+    )
+    counted.expect(300.0, 3 * 60.0)
+
+    def compute(folder: Path) -> Computed:
+        step = counted.computing(f"{folder.name}: diagnose")
         for share in (0.25, 0.5, 1.0):
             step(share, 1.0, "lag/command")
+        return Computed()
+
+    for k in range(6):
+        clocked.used_s += 40.0
+        counted.say("moving")
+        counted.complete(f"round-{k + 1}", Computed, compute, 60.0)
     done = [value for value, _ in told]
     assert done == sorted(done)
     assert done[-1] == 6 * (40.0 + 60.0)

@@ -10,9 +10,8 @@ import pytest
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
-from hystmpc.bench.bounded import Bounded
-from hystmpc.bench.climb import Climb, dash
 from hystmpc.bench.device import DeviceStoppedError
+from hystmpc.bench.phases import Bounded, Climb, dash
 from hystmpc.ctrl.planner.settings import TipSettings
 from hystmpc.trajectories.config import SinusoidScanSettings
 from hystmpc.trials.errors import ConfigError
@@ -51,12 +50,12 @@ def test_a_healthy_device_passes_the_climb_and_the_dash(
     device = spied_device(bench, folder, sent, tip)
     climb = Climb(bench, 6.0, (20.0, 110.0), 12)
     device.explore("1-range/climb", climb, bench)
-    assert climb.found.still >= 0.8 * play - 0.3
+    assert climb.result.still >= 0.8 * play - 0.3
     assert max(tip.true_deg) <= 110.0 + 2.5
     assert within(sent, bench)
-    device.explore("1-range/dash", Bounded(dash(bench, climb.found.end), (20.0, 110.0), bench.sensor), bench)
+    device.explore("1-range/dash", Bounded(dash(bench, climb.result.end), (20.0, 110.0), bench.sensor), bench)
     if 40.0 + gain * 6.0 < 100.0:
-        assert climb.found.end == 6.0
+        assert climb.result.end == 6.0
 
 
 def test_a_step_is_judged_when_the_tip_has_come_to_rest(tmp_path: Path) -> None:
@@ -64,7 +63,7 @@ def test_a_step_is_judged_when_the_tip_has_come_to_rest(tmp_path: Path) -> None:
     bench, sent, tip = bench_settings(tmp_path), list[float](), Tip(12.0, lag_s=0.5)
     climb = Climb(bench, 6.0, (20.0, 90.0), 6)
     spied_device(bench, tmp_path, sent, tip).explore("1-range/climb", climb, bench)
-    assert climb.found.angle_deg == pytest.approx(40.0 + 12.0 * climb.found.end, abs=2.0)
+    assert climb.result.angle_deg == pytest.approx(40.0 + 12.0 * climb.result.end, abs=2.0)
     assert max(tip.true_deg) <= 90.5
 
 
@@ -75,8 +74,8 @@ def test_a_tip_that_saturates_is_no_blocked_one_whatever_the_steps(steps: int, t
     climb = Climb(bench, 6.0, (6.0, 114.0), steps)
     flat = spied_device(bench, tmp_path, sent, lambda k, u, y: 30.0 + 10.0 * min(u, 1.6) + 1e-6 * (k % 7))
     flat.explore("1-range/climb", climb, bench)
-    assert climb.found.end == pytest.approx(1.6, abs=1.3)
-    assert "stayed at 46.00 deg" in climb.found.why
+    assert climb.result.end == pytest.approx(1.6, abs=1.3)
+    assert "stayed at 46.00 deg" in climb.result.why
 
 
 @pytest.mark.parametrize("gain", [35.0, 60.0])

@@ -13,8 +13,7 @@ import numpy as np
 import pytest
 
 import hystmpc
-from hystmpc.bench.config import load_commission
-from hystmpc.bench.investigate_config import load_investigation
+from hystmpc.bench.config import load_commission, load_investigation
 from hystmpc.ctrl.config import parse_controller
 from hystmpc.ctrl.from_outside import GROUP
 from hystmpc.ctrl.planner.tip_controller import TipController

@@ -18,7 +18,7 @@ from ..ctrl.test_tip_controller import controller_for
 RETURNED = {  # by the public functions that take longer
     "hystmpc.bench.commission": "Commissioned",
     "hystmpc.gap.diagnosis": "Diagnosis",
-    "hystmpc.bench.investigation": "Investigated",
+    "hystmpc.bench.rounds": "Investigated",
     "hystmpc.models.contract.equivalence": "EquivalenceReport",
     "hystmpc.sim.results": "StudyResult",
     "hystmpc.sim.tuning.objective": "Tuning",

@@ -15,7 +15,6 @@ from urllib.parse import urlsplit
 import numpy as np
 import pytest
 
-from hystmpc.bench.device import SimulatedClock
 from hystmpc.bench.plants import plants_in
 from hystmpc.ctrl.loop import Plant
 from hystmpc.rig.config import BenchSettings, RunSettings
@@ -24,6 +23,7 @@ from hystmpc.rig.experiment.phases import CommandMotion, Decision, Past, Phase, 
 from hystmpc.rig.live.controls import Controls
 from hystmpc.rig.live.desk import E_STOP, Answer, Desk, LiveSettings
 from hystmpc.rig.live.page import LivePage
+from hystmpc.rig.realtime import SimulatedClock
 from hystmpc.rig.recording.recorder_process import Views, open_recorder_process
 from hystmpc.rig.recording.recording import RecordingMeta
 from hystmpc.rig.recording.sample import Sample

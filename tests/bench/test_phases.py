@@ -11,10 +11,10 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from hystmpc.bench.climb import Climb, dash
 from hystmpc.bench.config import narrowed
 from hystmpc.bench.device import BenchDevice, DeviceStoppedError
 from hystmpc.bench.motions import recordings
+from hystmpc.bench.phases import Climb, dash
 from hystmpc.bench.plants import plants_in
 from hystmpc.ctrl.planner.settings import TipSettings
 from hystmpc.rig.experiment.phases import Past, PhaseInput
@@ -109,7 +109,7 @@ def test_a_device_that_rests_elsewhere_is_led_to_the_safe_command_first(tmp_path
     climb = Climb(bench, 6.0, (6.0, 114.0), 4)
     device.explore("1-range/climb", climb, bench)
     assert sent[0] == pytest.approx(2.0, abs=0.1)
-    assert climb.found.end == 6.0
+    assert climb.result.end == 6.0
     assert min(sent) == pytest.approx(0.0, abs=1e-9)
     assert sent.index(min(sent)) < sent.index(max(sent))
 
@@ -131,12 +131,12 @@ def test_the_tip_stays_within_its_limits_and_the_range_is_used(
 
     climb = Climb(bench, 6.0, (20.0, high), steps)
     spied_device(bench, folder, sent, angle).explore("1-range/climb", climb, bench)
-    reached = 30.0 + gain * 6.0 * (climb.found.end / 6.0) ** bend
+    reached = 30.0 + gain * 6.0 * (climb.result.end / 6.0) ** bend
     assert reached <= high + 1e-3
-    assert climb.found.angle_deg == pytest.approx(reached, abs=1e-3)
+    assert climb.result.angle_deg == pytest.approx(reached, abs=1e-3)
     assert max(angles) <= high + 1e-3
     if 30.0 + gain * 6.0 <= high - 1.5 * gain * 6.0 / steps:
-        assert climb.found.end == 6.0
+        assert climb.result.end == 6.0
     assert within(sent, bench)
 
 
@@ -149,8 +149,8 @@ def test_an_angle_beyond_its_limits_on_the_way_turns_the_climb_back_at_once(tmp_
         bench, tmp_path, sent, lambda k, u, y: 30.0 + 2.0 * min(u, 2.0) + 60.0 * max(u - 2.0, 0.0) + 1e-6 * (k % 7)
     )
     steep.explore("1-range/climb", climb, bench)
-    assert "the angle reached" in climb.found.why
-    assert climb.found.end == pytest.approx(1.875)
+    assert "the angle reached" in climb.result.why
+    assert climb.result.end == pytest.approx(1.875)
     assert 2.43 < max(sent) < 2.9
 
 
@@ -160,8 +160,8 @@ def test_a_tip_that_saturates_ends_the_climb_before_the_watch_on_motion_stops_it
     climb = Climb(bench, 6.0, (6.0, 114.0), 12)
     flat = spied_device(bench, tmp_path, sent, lambda k, u, y: 30.0 + 10.0 * min(u, 3.0) + 1e-6 * (k % 7))
     flat.explore("1-range/climb", climb, bench)
-    assert climb.found.end == pytest.approx(3.0, abs=0.5)
-    assert "stayed at 60.00 deg" in climb.found.why
+    assert climb.result.end == pytest.approx(3.0, abs=0.5)
+    assert "stayed at 60.00 deg" in climb.result.why
     assert max(sent) <= 3.0 + 0.3 * 6.0
 
 
@@ -170,10 +170,10 @@ def test_a_tip_that_rests_beyond_limits_that_were_given_is_not_moved(tmp_path: P
     climb = Climb(bench, 6.0, (40.0, 100.0), 5)
     spied_device(bench, tmp_path, sent).explore("1-range/climb", climb, bench)
     assert set(sent) == {0.0}
-    assert "beyond its limits" in climb.found.why
+    assert "beyond its limits" in climb.result.why
     wide = Climb(bench, 6.0, (40.0, 100.0), 5, widen=True)
     spied_device(bench, tmp_path, sent).explore("1-range/climb", wide, bench)
-    assert wide.found.end == 6.0
+    assert wide.result.end == 6.0
 
 
 @pytest.mark.parametrize("own", [12.0, 10.0, 6.0, 4.0])

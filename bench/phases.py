@@ -1,4 +1,4 @@
-"""The first motions on an unknown device: a climb in steps until the angle comes near its limits, and a dash."""
+"""Phases of a run that depend on the measured angle: limits of the angle, a climb in steps, a dash at full rate."""
 
 from __future__ import annotations
 
@@ -11,11 +11,16 @@ import numpy as np
 
 from hystmpc.rig.config import BenchSettings
 from hystmpc.rig.experiment.phases import Decision, Past, Phase, PhaseInput
+from hystmpc.rig.safety.intake import SensorSettings
 from hystmpc.rig.safety.plausibility import SMOOTH_S, MotionWatch
 from hystmpc.rig.safety.ramp import stop_commands, way_commands
 from hystmpc.trials.types import Vec
 
-from .bounded import BESIDE, MEDIAN, keep_shown
+MEDIAN = 3
+"""Angles whose median is believed: one outlier is no angle."""
+
+BESIDE = 0.02
+"""Share of the angle limits by which the tip may pass them in motion, before the run is stopped."""
 
 HOLD_S = 0.6
 """Rest at every step of the climb, at least [s]."""
@@ -48,6 +53,54 @@ class Climbed:
     start_deg: float
     why: str
     still: float = 0.0
+
+
+@final
+class Bounded(Phase):
+    """Another phase, stopped safely where the median of the last three angles passes the limits by 2 % of them.
+
+    The command's range is found at rest; a device that overshoots in a fast motion goes farther. Angles count as they
+    are shown, also beyond the sensor's range and faster than plausible: those are beyond the limits, not missing.
+
+    Args:
+        phase: what is done.
+        angle_limits: where the tip may go [deg]; None for the range of the sensor.
+        sensor: that shows the angle.
+    """
+
+    def __init__(self, phase: Phase, angle_limits: tuple[float, float] | None, sensor: SensorSettings) -> None:
+        self.name, self._phase = phase.name, phase
+        self._which = "commission.angle_limits_deg" if angle_limits else "the range of the sensor"
+        low, high = angle_limits or (sensor.lower_deg, sensor.upper_deg)
+        more = BESIDE * (high - low)
+        self._low, self._high = low - more, high + more
+        self._recent: deque[float] = deque(maxlen=MEDIAN)
+
+    @property
+    def closed_loop(self) -> bool:
+        """As the phase itself."""
+        return self._phase.closed_loop
+
+    def begin(self, now: PhaseInput, past: Past) -> None:
+        """As the phase itself."""
+        self._recent.clear()
+        self._phase.begin(now, past)
+
+    def step(self, now: PhaseInput) -> Decision:
+        """What the phase decides; a fault beyond the limits."""
+        decision = self._phase.step(now)
+        keep_shown(self._recent, now)
+        angle = float(np.median(self._recent)) if len(self._recent) == MEDIAN else math.nan
+        if math.isnan(angle) or self._low <= angle <= self._high:
+            return decision
+        return replace(decision, u=now.held, fault=f"the angle is {angle:.2f} deg, beyond {self._which}")
+
+
+def keep_shown(recent: deque[float], now: PhaseInput) -> None:
+    """Keep the angle that is shown in this sample, where one is."""
+    shown = now.angle_deg if math.isfinite(now.angle_deg) else now.shown_deg
+    if math.isfinite(shown):
+        recent.append(shown)
 
 
 @final
@@ -90,7 +143,7 @@ class Climb(Phase):
         window = max(round(_WINDOW_S / bench.dt_s), 1)
         self._settling: deque[float] = deque(maxlen=2 * window)
         self._samples = self._waited = 0
-        self._found = Climbed(math.nan, math.nan, math.nan, "it was not finished")
+        self._result = Climbed(math.nan, math.nan, math.nan, "it was not finished")
 
     def begin(self, now: PhaseInput, past: Past) -> None:
         """Rest first, for an angle to compare with."""
@@ -114,9 +167,9 @@ class Climb(Phase):
         return Decision(u, self.name, finished=self._back and not self._plan)
 
     @property
-    def found(self) -> Climbed:
+    def result(self) -> Climbed:
         """How far it went."""
-        return replace(self._found, still=self._still)
+        return replace(self._result, still=self._still)
 
     def _settles(self, angle: float) -> bool:
         """Whether the tip is still on its way from where it rested last, and there is time for it."""
@@ -177,7 +230,7 @@ class Climb(Phase):
     def _turn(self, now: PhaseInput, why: str) -> None:
         """Back to where it began; what was found is said."""
         self._back = True
-        self._found = Climbed(self._at, self._at_deg, self._start_deg, why)
+        self._result = Climbed(self._at, self._at_deg, self._start_deg, why)
         bench = self._bench
         back = stop_commands(now.held, now.velocity, self._start, bench.ramps, bench.overshoot, bench.dt_s)
         self._plan = deque([*back.tolist(), *self._way(self._start, self._start)])

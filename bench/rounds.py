@@ -1,26 +1,30 @@
-"""A round's verdict on all trials so far, what is open after it, and whether the investigation ends."""
+"""Rounds of an investigation: what was recorded, the verdict on all trials so far, and whether another one follows."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 from hystmpc.gap.diagnosis import Diagnosis, Verdict
 from hystmpc.gap.next.open_hypotheses import question
 from hystmpc.gap.report.words import closed_sentence, headline, tracking_sentence
 from hystmpc.gap.whole import diagnose_trials
 from hystmpc.models.simulator import load_simulator
+from hystmpc.trials.brief import brief, in_brief
 from hystmpc.trials.read import read_trials
 from hystmpc.trials.types import Progress
 
-from .investigate_config import InvestigateSettings
+from .config import InvestigateSettings
 from .round_plan import Plan, least_seconds, plan_more, plan_next
-from .stages import Figure
+from .stages import Figure, plain_numbers
 
 Ending = Literal["", "named", "no_gap", "nothing_gained", "budget"]
-DIAGNOSIS = "diagnosis"
+FORMAT = "hystmpc-investigation/1"
+FIRST, DIAGNOSIS = "first", "diagnosis"
+"""Folders of the first motions, and of a diagnosis in its stage."""
+
 _SURE = 2  # rounds in a row that name the same single effect
 _STUCK = 4  # rounds in a row with the same result, from which on no motion is designed
 _LONGER = 2
@@ -71,6 +75,98 @@ class Judged:
         """
         verdict = _NO_GAP[0] if self.verdict in _NO_GAP else self.verdict
         return verdict, frozenset(self.effects), frozenset(frozenset(names) for names in self.ambiguity)
+
+
+@dataclass(frozen=True)
+class RecordedRound:
+    """What was recorded.
+
+    Attributes:
+        names: of the motions that were played; fewer than planned where the device time did not suffice.
+        device_s: device time used since the beginning, motions that were cut short included [s].
+    """
+
+    names: tuple[str, ...]
+    device_s: Figure
+
+
+@dataclass(frozen=True)
+class Round:
+    """One round of an investigation.
+
+    Attributes:
+        number: from 1.
+        plan: what was to be recorded, and why.
+        recorded: what was.
+        judged: the verdict on all trials so far.
+    """
+
+    number: int
+    plan: Plan
+    recorded: RecordedRound
+    judged: Judged
+    __repr__ = brief
+
+
+@dataclass(frozen=True, eq=False)
+class Investigated:
+    """What an investigation left behind.
+
+    Attributes:
+        folder: of the run.
+        rounds: in their order, one at least.
+        ended, why: what ended it, and that in one sentence.
+        model: simulator that was judged.
+        fixed: that with the effects found; None where the diagnosis made none.
+        report: the page.
+        device_s: device time used, motions that were cut short included [s].
+        budget_s: device time allowed [s].
+    """
+
+    folder: Path
+    rounds: tuple[Round, ...]
+    ended: Ending
+    why: str
+    model: Path
+    fixed: Path | None
+    report: Path
+    device_s: float
+    budget_s: float
+
+    def __repr__(self) -> str:
+        last = self.verdict
+        return in_brief(self, f"{last.verdict} after {len(self.rounds)} rounds, {self.device_s:.4g} s: {last.reason}")
+
+    @property
+    def verdict(self) -> Judged:
+        """The last round's."""
+        return self.rounds[-1].judged
+
+    def as_json(self) -> dict[str, Any]:
+        """The form `hystmpc-investigation/1`: plain dicts, lists, numbers and strings."""
+        last = self.verdict
+        return {
+            "format": FORMAT,
+            "verdict": last.verdict,
+            "effects": list(last.effects),
+            "ambiguity": [list(names) for names in last.ambiguity],
+            "reason": last.reason,
+            "ended": self.ended,
+            "why": self.why,
+            "device_s": round(self.device_s, 3),
+            "budget_s": self.budget_s,
+            "model": str(self.model),
+            "corrected": None if self.fixed is None else self.fixed.relative_to(self.folder).as_posix(),
+            "diagnosis": (round_folder(self.folder, len(self.rounds)) / "diagnose" / DIAGNOSIS)
+            .relative_to(self.folder)
+            .as_posix(),
+            "rounds": plain_numbers([asdict(found) for found in self.rounds]),
+        }
+
+
+def round_folder(root: Path, number: int) -> Path:
+    """Folder of a round."""
+    return root / f"round-{number}"
 
 
 def judge(
