@@ -18,12 +18,12 @@ from hystmpc.trials.uniform import at_rate
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from hystmpc.commissioning.run import Commissioned
+    from hystmpc.bench.commission import Commissioned
+    from hystmpc.bench.rounds import Investigated
     from hystmpc.ctrl.config import AnyControllerSettings
     from hystmpc.ctrl.guarded import GuardedController
     from hystmpc.ctrl.limits import CommandLimits
     from hystmpc.gap.diagnosis import Diagnosis
-    from hystmpc.investigation.story import Investigated
     from hystmpc.models.contract.equivalence import EquivalenceReport
     from hystmpc.models.evaluate import Errors, TrialEvaluation
     from hystmpc.models.kinds.kind import Identified
@@ -413,9 +413,10 @@ def commission(
             was stopped safely; complete trials are kept.
         ConfigError: if there is neither a bench nor logs.
     """
-    from hystmpc.commissioning.config import CommissionSettings, load_commission, located_commission
-    from hystmpc.commissioning.run import commission_device, commission_logs, opened_device
-    from hystmpc.rig.bench import reset_latch
+    from hystmpc.bench.commission import commission_device, commission_logs
+    from hystmpc.bench.config import CommissionSettings, load_commission, located_commission
+    from hystmpc.bench.device import opened_device
+    from hystmpc.rig.run import reset_latch
     from hystmpc.trials.errors import ConfigError
 
     folder, settings = Path(), None
@@ -465,9 +466,10 @@ def investigate(
         HystmpcError: if a setting is wrong, the folder holds something else, the device does not answer, or a motion
             was stopped safely; complete trials are kept.
     """
-    from hystmpc.investigation.config import InvestigateSettings, load_investigation, located_investigation
-    from hystmpc.investigation.run import investigate_device, opened_device
-    from hystmpc.rig.bench import reset_latch
+    from hystmpc.bench.config import InvestigateSettings, load_investigation, located_investigation
+    from hystmpc.bench.device import opened_device
+    from hystmpc.bench.investigate import investigate_device
+    from hystmpc.rig.run import reset_latch
 
     folder = Path()
     if isinstance(config, Path | str):

@@ -19,8 +19,8 @@ from hystmpc.trials.config import Settings, load_settings
 from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.from_outside import with_kind
 
-from .commission.excitation import Excitation, MotionFileSettings
-from .commission.phases import PrepareStep, PretensionSettings
+from .experiment.excitation import Excitation, MotionFileSettings
+from .experiment.phases import PrepareStep, PretensionSettings
 from .live.desk import LiveSettings
 from .realtime import RealtimeSettings
 from .safety.intake import SensorSettings

@@ -25,7 +25,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from hystmpc.commissioning.controller import TIP_FILE, tip_settings
+from hystmpc.bench.controller import TIP_FILE, tip_settings
 from hystmpc.ctrl.build import known_model
 from hystmpc.ctrl.monitor import Change, ChangeMonitor
 from hystmpc.models.load import load_model, model_path

@@ -9,7 +9,7 @@ from typing import Any, final
 
 import numpy as np
 
-from hystmpc.commissioning.config import CommissionSettings
+from hystmpc.bench.config import CommissionSettings
 from hystmpc.ctrl.command import Command
 from hystmpc.ctrl.frames import ImagingSettings
 from hystmpc.ctrl.guarded import GuardedController, GuardedState

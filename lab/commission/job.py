@@ -15,9 +15,9 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import BeforeValidator
 
-from hystmpc.commissioning.controller import TIP_FILE, tip_settings
-from hystmpc.commissioning.device import BenchDevice
-from hystmpc.commissioning.run import Commissioned, commission_device
+from hystmpc.bench.commission import Commissioned, commission_device
+from hystmpc.bench.controller import TIP_FILE, tip_settings
+from hystmpc.bench.device import BenchDevice
 from hystmpc.ctrl.build import build_controller, known_model, limits_of_model
 from hystmpc.ctrl.feedback.inverse_settings import InverseControllerSettings
 from hystmpc.ctrl.feedback.pid import PidControllerSettings
