@@ -4,20 +4,20 @@ from __future__ import annotations
 
 from mutant import Mutant, mutated_file  # isort: skip
 
-_limits = mutated_file("ctrl", "limits.py", "test_limits.py", "test_contract.py")
+_limits = mutated_file("ctrl", "command.py", "test_limits.py", "test_contract.py")
 _guarded = mutated_file(
     "ctrl", "guarded.py", "test_fallback.py", "test_contract.py", "test_tip_controller.py", "test_tip_replay.py"
 )
-_fallback = mutated_file("ctrl", "fallback.py", "test_fallback.py", "test_contract.py")
+_fallback = mutated_file("ctrl", "guarded.py", "test_fallback.py", "test_contract.py")
 _estimator = mutated_file("ctrl", "estimation/observer.py", "test_estimator.py", "test_fallback.py")
 _noise = mutated_file("ctrl", "estimation/noise.py", "test_noise.py", "test_estimator.py")
 _steps = mutated_file("ctrl", "estimation/noise.py", "test_quantised.py")
 _hold = mutated_file("ctrl", "mpc.py", "test_quantised.py")
-_pid = mutated_file("ctrl", "feedback/pid.py", "test_quantised.py")
+_pid = mutated_file("ctrl", "feedback.py", "test_quantised.py")
 _deaf = mutated_file("ctrl", "handover.py", "test_quantised.py")
 _bank = mutated_file("ctrl", "learning/bank.py", "test_learning.py")
-_basis = mutated_file("ctrl", "learning/basis.py", "test_learning.py")
-_learning = mutated_file("ctrl", "learning/estimator.py", "test_learning.py")
+_basis = mutated_file("ctrl", "learning/bank.py", "test_learning.py")
+_learning = mutated_file("ctrl", "learning/predictor.py", "test_learning.py")
 _handover = mutated_file("ctrl", "handover.py", "test_handover.py")
 
 MUTANTS: tuple[Mutant, ...] = (

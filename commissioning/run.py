@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from hystmpc.ctrl.limits import CommandLimits
+from hystmpc.ctrl.command import CommandLimits
 from hystmpc.rig.bench import Note
 from hystmpc.rig.config import BenchSettings
 from hystmpc.rig.recording.recorder_process import Views

@@ -10,9 +10,7 @@ from typing import Annotated, Any, Literal, final
 import numpy as np
 from pydantic import Field
 
-from hystmpc.trials.config import Settings
-
-from .limits import NotNegative
+from hystmpc.trials.config import NotNegative, Settings
 
 _OLDEST_S, _GAP_S = 1.0, 2.0  # what a controller is told at least
 _JITTERS, _PERIODS = 4.0, 5.0  # so late, and so many frames lost in a row, is still usual

@@ -5,17 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, Literal, final
 
-from hystmpc.models.model import Inverse, Predictor
+from hystmpc.models.model import Inverse, Predictor, static_gain
 
-from .analysis import static_gain
-from .command import ControlInput, Source, Stopwatch
-from .fallback import attempt
-from .feedback.inverse import InverseFeedforward, InversePid
-from .feedback.pid import Pid, PidFeedback, PidSettings
-from .frozen import replace
+from .command import CommandLimits, ControlInput, Source, Stopwatch, attempt, replace
+from .feedback import InverseFeedforward, InversePid, Pid, PidFeedback, PidSettings
 from .law import Law, Proposal
-from .limits import CommandLimits
-from .planning_settings import HandoverSettings
+from .mpc_settings import HandoverSettings
 
 Level = Literal["mpc", "inverse_pid", "pid"]
 LEVELS: tuple[Level, ...] = ("mpc", "inverse_pid", "pid")

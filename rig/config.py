@@ -9,13 +9,13 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field, ValidationError, model_validator
 
+from hystmpc.ctrl.command import LimitsSettings, ModelledLimitsSettings
 from hystmpc.ctrl.config import sensor_fault, told_of_sensor
-from hystmpc.ctrl.limits import LimitsSettings, ModelledLimitsSettings, NotNegative, Positive
 from hystmpc.ctrl.mpc_settings import LinearisedMpcSettings
 from hystmpc.ctrl.planner.settings import TipSettings
 from hystmpc.models.load import model_path
 from hystmpc.trajectories.config import Motion, SampledSettings
-from hystmpc.trials.config import Settings, load_settings
+from hystmpc.trials.config import NotNegative, Positive, Settings, load_settings
 from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.from_outside import with_kind
 

@@ -8,9 +8,9 @@ from typing import Annotated, Any, Self
 
 from pydantic import Field, TypeAdapter, ValidationError, model_validator
 
+from hystmpc.ctrl.command import ModelledLimitsSettings
 from hystmpc.ctrl.config import ControllerSettings, sensor_fault, told_of_sensor
 from hystmpc.ctrl.frames import AnySensorSettings, ContinuousSensorSettings, SimulatedSensor
-from hystmpc.ctrl.limits import ModelledLimitsSettings
 from hystmpc.models.effects.place import EffectError, effect_from
 from hystmpc.models.load import model_path
 from hystmpc.trajectories.config import Motion, SampledSettings

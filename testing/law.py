@@ -10,14 +10,12 @@ from typing import Any
 
 import numpy as np
 
-from hystmpc.ctrl.build import build_controller, known_model, limits_of_model
-from hystmpc.ctrl.command import Source
-from hystmpc.ctrl.guarded import GuardedController
+from hystmpc.ctrl.command import CommandLimits, Source, limits_of_model
+from hystmpc.ctrl.guarded import GuardedController, build_controller, pair_for
 from hystmpc.ctrl.law import LawSettings
-from hystmpc.ctrl.limits import CommandLimits
 from hystmpc.ctrl.planner.reach import angles_at_rest
 from hystmpc.models.load import load_model, model_path
-from hystmpc.models.prediction.build import Known
+from hystmpc.models.prediction.build import ControllerModel, controller_model
 from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.types import Vec
 
@@ -30,7 +28,7 @@ _STEPS = 200
 class Device:
     """A device that is known exactly: its model, limits, and the angles at its ends [deg]."""
 
-    known: Known
+    known: ControllerModel
     limits: CommandLimits
     low_deg: float
     high_deg: float
@@ -136,15 +134,14 @@ class ControllerContract(ABC):
     @cached_property
     def _device(self) -> Device:
         opened = load_model(model_path(self.model), start="conditioned")
-        known, limits = known_model(opened, None, 0.0), limits_of_model(opened.metadata)
+        known, limits = controller_model(opened), limits_of_model(opened.metadata)
         low, high = angles_at_rest(known.predictive[0], limits, opened.metadata.trained_angle.lower)
         return Device(known, limits, low, high)
 
     @cached_property
     def _controller(self) -> GuardedController[Any]:
-        settings, known = self.settings(), self._device.known
-        predictor, inverse = settings.model_pair(*(known.predictive if settings.predicts else known.feedforward))
-        return build_controller(settings, predictor, inverse, self._device.limits)
+        settings = self.settings()
+        return build_controller(settings, *pair_for(settings, self._device.known), self._device.limits)
 
     def _follow(self, reference: Vec, missing: range = range(0)) -> Run:
         """The closed loop on the known device."""

@@ -13,13 +13,11 @@ from pydantic import Field
 
 from hystmpc.models.model import Predictor
 from hystmpc.trials.brief import brief
-from hystmpc.trials.config import Settings
+from hystmpc.trials.config import NotNegative, Positive, Settings
 from hystmpc.trials.errors import ControllerError
 from hystmpc.trials.types import Vec
 
-from ..command import EMPTY
-from ..frozen import replace
-from ..limits import NotNegative, Positive, number_of
+from ..command import EMPTY, number_of, replace
 
 ANGLE_BOUND_DEG = 1e4  # far beyond any joint; keeps squares and sums of angles finite
 

@@ -12,11 +12,10 @@ from hystmpc.models.kernels.numba_ import njit
 from hystmpc.models.model import Predictor
 from hystmpc.trials.types import Vec
 
-from ..command import Stopwatch
+from ..command import CommandLimits, Stopwatch
 from ..learning.predictor import LearnedPredictor
-from ..limits import CommandLimits
-from ..planning import CommandPlan, PlanCost, Planner, PlanningError, PlanningProblem
-from ..planning_settings import LinearisationSettings
+from ..mpc import CommandPlan, PlanCost, Planner, PlanningError, PlanningProblem
+from ..mpc_settings import LinearisationSettings
 from .daqp_ import DaqpOptions, DaqpSolver
 from .osqp_ import OsqpOptions, OsqpSolver
 from .program import BlockedQp, MoveBlocking, PlanProgram, QpSolver, TrackingQp

@@ -14,9 +14,9 @@ from hystmpc.models.kernels.numba_ import njit
 from hystmpc.trials.errors import ControllerError
 from hystmpc.trials.types import Mat, Vec
 
-from ..limits import CommandLimits
-from ..planning import CommandPlan, PlanningProblem
-from ..planning_settings import WeightsSettings
+from ..command import CommandLimits
+from ..mpc import CommandPlan, PlanningProblem
+from ..mpc_settings import WeightsSettings
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,12 +14,9 @@ from hystmpc.trials.brief import brief, in_brief
 from hystmpc.trials.errors import ControllerError, shown
 from hystmpc.trials.types import Vec
 
-from ..command import Command, Source
+from ..command import Command, CommandLimits, Source, attempt, number_of, numbers_of, replace
 from ..estimation.observer import Estimate, usable_angle
-from ..fallback import attempt
-from ..frozen import replace
 from ..guarded import GuardedState
-from ..limits import CommandLimits, number_of, numbers_of
 from .controller import PlannersController
 from .reference import Reference, ReferenceRequest, rest_reference
 from .ruckig_ import Kinematics

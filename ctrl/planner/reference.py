@@ -13,8 +13,8 @@ import numpy as np
 from hystmpc.trials.errors import ControllerError, shown
 from hystmpc.trials.types import Vec
 
+from ..command import number_of, numbers_of
 from ..estimation.observer import ANGLE_BOUND_DEG
-from ..limits import number_of, numbers_of
 from .ruckig_ import Kinematics, Segments, move_to_rest
 from .settings import TargetMotionSettings
 

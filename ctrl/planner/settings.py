@@ -8,11 +8,11 @@ from typing import Annotated, Any
 
 from pydantic import Field
 
-from hystmpc.trials.config import Settings, read_yaml
+from hystmpc.trials.config import NotNegative, Positive, Settings, read_yaml
 from hystmpc.trials.errors import ConfigError, shown
 
+from ..command import ModelledLimitsSettings
 from ..config import ControllerSettings
-from ..limits import ModelledLimitsSettings, NotNegative, Positive
 from ..mpc_settings import LinearisedMpcSettings
 
 

@@ -17,11 +17,8 @@ from hystmpc.trials.brief import in_brief
 from hystmpc.trials.errors import ControllerError, shown
 from hystmpc.trials.types import Vec
 
-from ..command import Command
-from ..fallback import attempt
-from ..frozen import replace
+from ..command import Command, attempt, numbers_of, replace
 from ..guarded import GuardedState
-from ..limits import numbers_of
 from .memory import (
     Snapshot,
     TipPlan,

@@ -13,8 +13,7 @@ from typing import TYPE_CHECKING, Any, Protocol, final
 import numpy as np
 from numpy.typing import ArrayLike
 
-from hystmpc.ctrl.build import modelled_limits
-from hystmpc.ctrl.command import Command, ControlInput, Source, Stopwatch
+from hystmpc.ctrl.command import Command, ControlInput, Source, Stopwatch, modelled_limits
 from hystmpc.ctrl.config import ControllerSettings
 from hystmpc.ctrl.estimation.observer import EstimatorSettings
 from hystmpc.ctrl.guarded import GuardedController

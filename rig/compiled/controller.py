@@ -13,8 +13,13 @@ from hystmpc.codegen.controller import ControllerExport, export_controller
 from hystmpc.codegen.loaded import LoadedController
 from hystmpc.ctrl.command import EMPTY, Command, Source, Stopwatch, Timing
 from hystmpc.ctrl.estimation.observer import Estimate, usable_angle
-from hystmpc.ctrl.fallback import FallbackState
-from hystmpc.ctrl.guarded import GuardedController, GuardedState, UnusableReferenceError, usable_reference
+from hystmpc.ctrl.guarded import (
+    FallbackState,
+    GuardedController,
+    GuardedState,
+    UnusableReferenceError,
+    usable_reference,
+)
 from hystmpc.ctrl.handover import LEVELS
 from hystmpc.ctrl.planner.controller import PlannersController
 from hystmpc.ctrl.planner.settings import TipSettings

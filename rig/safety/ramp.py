@@ -7,11 +7,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from hystmpc.ctrl.limits import Positive
 from hystmpc.ctrl.planner.ruckig_ import Kinematics, move_to_rest
 from hystmpc.ctrl.planner.settings import TargetMotionSettings as AngleMotion
 from hystmpc.trajectories.ruckig_ import PiecewiseCubic, hold
-from hystmpc.trials.config import Settings
+from hystmpc.trials.config import Positive, Settings
 from hystmpc.trials.errors import TrajectoryError
 from hystmpc.trials.types import Vec
 

@@ -6,8 +6,7 @@ from typing import Literal
 
 from pydantic import Field
 
-from hystmpc.ctrl.limits import Count
-from hystmpc.trials.config import Settings
+from hystmpc.trials.config import Count, Settings
 
 from .transport import TransportBase
 

@@ -11,8 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from hystmpc.ctrl.command import Source
-from hystmpc.ctrl.limits import CommandLimits
+from hystmpc.ctrl.command import CommandLimits, Source
 from hystmpc.sim.closed_loop import ClosedLoopRun
 from hystmpc.sim.results import holds, tracking_metrics
 from hystmpc.trials.types import Vec

@@ -15,8 +15,8 @@ from hystmpc.commissioning.controller import deaf_to
 from hystmpc.commissioning.device import Track, track_of
 from hystmpc.commissioning.motions import CONTROLLERS
 from hystmpc.commissioning.verify import MPC, PID, Verified, judge
-from hystmpc.ctrl.feedback.pid import PidControllerSettings
-from hystmpc.ctrl.limits import CommandLimits
+from hystmpc.ctrl.command import CommandLimits
+from hystmpc.ctrl.feedback import PidControllerSettings
 from hystmpc.rig.recording.sample import Sample
 from hystmpc.sim.tune_pid import PidTuning
 

@@ -10,15 +10,13 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from hystmpc.ctrl.build import build_controller
-from hystmpc.ctrl.command import Source, Stopwatch
+from hystmpc.ctrl.command import CommandLimits, Source, Stopwatch
 from hystmpc.ctrl.config import CONTROLLERS
-from hystmpc.ctrl.feedback.pid import PidSettings
-from hystmpc.ctrl.guarded import GuardedController, GuardedState
+from hystmpc.ctrl.feedback import PidSettings
+from hystmpc.ctrl.guarded import GuardedController, GuardedState, build_controller
 from hystmpc.ctrl.handover import HandoverLaw, gains_for
-from hystmpc.ctrl.learning.estimator import Learning
-from hystmpc.ctrl.limits import CommandLimits
-from hystmpc.ctrl.planning_settings import HandoverSettings
+from hystmpc.ctrl.learning.predictor import Learning
+from hystmpc.ctrl.mpc_settings import HandoverSettings
 from hystmpc.trials.errors import ConfigError
 
 from .plays import DT, SOUND, Backlash

@@ -10,15 +10,13 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from hystmpc.ctrl.build import build_controller
+from hystmpc.ctrl.command import CommandLimits
 from hystmpc.ctrl.config import CONTROLLERS
 from hystmpc.ctrl.estimation.observer import Estimate, EstimatorSettings
-from hystmpc.ctrl.learning.bank import DRIVES, BankState, FilterBank
-from hystmpc.ctrl.learning.basis import DELAYS, FEATURES, LAGS_S, features, first_memory
-from hystmpc.ctrl.learning.estimator import Learning, LearningEstimator
-from hystmpc.ctrl.learning.predictor import LearnedInverse, LearnedPredictor
-from hystmpc.ctrl.limits import CommandLimits
-from hystmpc.ctrl.planning_settings import AdaptationSettings
+from hystmpc.ctrl.guarded import build_controller
+from hystmpc.ctrl.learning.bank import DELAYS, DRIVES, FEATURES, LAGS_S, BankState, FilterBank, features, first_memory
+from hystmpc.ctrl.learning.predictor import LearnedInverse, LearnedPredictor, Learning, LearningEstimator
+from hystmpc.ctrl.mpc_settings import AdaptationSettings
 from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.types import Vec
 

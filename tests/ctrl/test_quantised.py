@@ -10,14 +10,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hystmpc.ctrl.build import build_controller
+from hystmpc.ctrl.command import CommandLimits
 from hystmpc.ctrl.config import parse_controller
 from hystmpc.ctrl.estimation.noise import NoiseBank
-from hystmpc.ctrl.feedback.pid import PidSettings
+from hystmpc.ctrl.feedback import PidSettings
+from hystmpc.ctrl.guarded import build_controller
 from hystmpc.ctrl.handover import gains_for
-from hystmpc.ctrl.limits import CommandLimits
 from hystmpc.ctrl.mpc import Hold, HoldRule
-from hystmpc.ctrl.planning_settings import HandoverSettings, HoldSettings
+from hystmpc.ctrl.mpc_settings import HandoverSettings, HoldSettings
 from hystmpc.models.chain import Chain
 from hystmpc.models.contract.metadata import NoiseModel
 from hystmpc.models.model import Inverse, Predictor

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hystmpc.ctrl.limits import CommandLimits
+from hystmpc.ctrl.command import CommandLimits
 from hystmpc.ctrl.loop import LoopLog
 from hystmpc.sim.closed_loop import ClosedLoopRun
 from hystmpc.studies.control.bars import BARS, BarVerdict, ControlOutcome, control_figures, exact, limit_cycle, verdicts
