@@ -16,7 +16,7 @@ from hystmpc.ctrl.feedback import REFERENCE_DEAD_ZONE_DEG
 from hystmpc.ctrl.guarded import build_controller
 from hystmpc.ctrl.handover import gains_for
 from hystmpc.ctrl.learning.predictor import LearnedPredictor
-from hystmpc.ctrl.linearised.program import MoveBlocking
+from hystmpc.ctrl.linearised.planner import MoveBlocking
 from hystmpc.ctrl.mpc import FOLLOWING, Candidates, PredictiveLaw
 from hystmpc.ctrl.mpc_settings import LinearisedMpcSettings
 from hystmpc.ctrl.planner.settings import TipSettings

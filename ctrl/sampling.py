@@ -16,7 +16,7 @@ from hystmpc.trials.types import Mat, Vec
 
 from .command import CommandLimits, Stopwatch
 from .linearised.daqp_ import DaqpOptions, DaqpSolver
-from .linearised.program import BlockedQp, MoveBlocking, PlanProgram, TrackingQp
+from .linearised.planner import BlockedQp, MoveBlocking, PlanProgram, TrackingQp
 from .mpc import CommandPlan, PlanCost, Planner, PlanningError, PlanningProblem
 from .mpc_settings import SamplingSettings, WeightsSettings
 

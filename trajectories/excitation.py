@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 from hystmpc.trials.errors import TrajectoryError, did_you_mean
 from hystmpc.trials.types import Vec
 
-from .ruckig_ import PiecewiseCubic, hold, ramp
+from .motion import PiecewiseCubic, hold, ramp
 from .trajectory import PathTrajectory, inside, require_finite, require_positive, require_range
 
 

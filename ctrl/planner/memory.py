@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hystmpc.models.model import Predictor
+from hystmpc.trajectories.motion import Kinematics
 from hystmpc.trials.brief import brief, in_brief
 from hystmpc.trials.errors import ControllerError, shown
 from hystmpc.trials.types import Vec
@@ -19,7 +20,6 @@ from ..estimation.observer import Estimate, usable_angle
 from ..guarded import GuardedState
 from .controller import PlannersController
 from .reference import Reference, ReferenceRequest, rest_reference
-from .ruckig_ import Kinematics
 
 _SAME_COMMAND = 1e-6  # of the command's range: two records of one command may differ by it
 

@@ -10,13 +10,13 @@ from typing import Any, final
 
 import numpy as np
 
+from hystmpc.trajectories.motion import Kinematics, MotionLimits, Segments
+from hystmpc.trajectories.ruckig_ import move_to_rest
 from hystmpc.trials.errors import ControllerError, shown
 from hystmpc.trials.types import Vec
 
 from ..command import number_of, numbers_of
 from ..estimation.observer import ANGLE_BOUND_DEG
-from .ruckig_ import Kinematics, Segments, move_to_rest
-from .settings import TargetMotionSettings
 
 
 class Reference(ABC):
@@ -91,7 +91,7 @@ class GivenReference(Reference):
         start_s: float,
         duration_s: float,
         dt: float,
-        limits: TargetMotionSettings,
+        limits: MotionLimits,
         foreign: bool,
     ) -> None:
         self.foreign = foreign
@@ -127,9 +127,7 @@ def rest_reference(theta_deg: float, start_s: float) -> PiecewiseReference:
     return PiecewiseReference(np.empty((0, 5)), theta_deg, start_s)
 
 
-def waypoint_request(
-    angles_deg: Sequence[float], holds_s: Sequence[float], limits: TargetMotionSettings
-) -> ReferenceRequest:
+def waypoint_request(angles_deg: Sequence[float], holds_s: Sequence[float], limits: MotionLimits) -> ReferenceRequest:
     """Moves from angle to angle, each as fast as the limits allow and each followed by its hold.
 
     Raises:
@@ -156,7 +154,7 @@ def waypoint_request(
     return ReferenceRequest(plan, from_motion=True)
 
 
-def given_request(source: Any, dt: float, limits: TargetMotionSettings) -> ReferenceRequest:
+def given_request(source: Any, dt: float, limits: MotionLimits) -> ReferenceRequest:
     """A callable of the seconds since it was set, or angles (T,) [deg] at the ends of the coming samples.
 
     A callable gets an array of times where it takes one, else one number at a time; with an attribute `duration_s`, as

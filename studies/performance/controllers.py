@@ -13,7 +13,7 @@ import numpy as np
 from hystmpc.ctrl.guarded import GuardedController, build_controller
 from hystmpc.ctrl.linearised.daqp_ import DaqpOptions, DaqpSolver
 from hystmpc.ctrl.linearised.osqp_ import OsqpOptions, OsqpSolver
-from hystmpc.ctrl.linearised.program import QpData, TrackingQp
+from hystmpc.ctrl.linearised.planner import QpData, TrackingQp
 from hystmpc.ctrl.mpc import CommandPlan, PlanCost
 from hystmpc.ctrl.mpc_settings import LinearisedMpcSettings, SamplingMpcSettings, WeightsSettings
 from hystmpc.trials.types import Vec

@@ -12,8 +12,7 @@ from scipy.optimize import LinearConstraint, minimize
 
 from hystmpc.ctrl.command import CommandLimits, Stopwatch
 from hystmpc.ctrl.linearised.osqp_ import OsqpOptions, OsqpSolver
-from hystmpc.ctrl.linearised.planner import LinearisedPlanner
-from hystmpc.ctrl.linearised.program import QpData, TrackingQp
+from hystmpc.ctrl.linearised.planner import LinearisedPlanner, QpData, TrackingQp
 from hystmpc.ctrl.mpc import CommandPlan, PlanCost, PlanningError, PlanningProblem
 from hystmpc.ctrl.mpc_settings import LinearisedMpcSettings, WeightsSettings
 from hystmpc.trials.errors import ConfigError, ControllerError

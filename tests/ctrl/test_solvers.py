@@ -15,8 +15,7 @@ from hystmpc.ctrl.guarded import FallbackChain, GuardedController
 from hystmpc.ctrl.law import FallbackSettings
 from hystmpc.ctrl.linearised.daqp_ import DaqpOptions, DaqpSolver
 from hystmpc.ctrl.linearised.osqp_ import OsqpOptions, OsqpSolver
-from hystmpc.ctrl.linearised.planner import LinearisedPlanner
-from hystmpc.ctrl.linearised.program import QpData, QpPattern, QpSolver, TrackingQp
+from hystmpc.ctrl.linearised.planner import LinearisedPlanner, QpData, QpPattern, QpSolver, TrackingQp
 from hystmpc.ctrl.mpc import PlanningError, PredictiveLaw
 from hystmpc.ctrl.mpc_settings import HoldSettings, LinearisedMpcSettings, WeightsSettings
 from hystmpc.models.inverse.one_step import AccompaniedPredictor
