@@ -14,12 +14,12 @@ from hystmpc.ctrl.command import CommandLimits, limits_of_model, modelled_limits
 from hystmpc.ctrl.estimation.observer import ANGLE_BOUND_DEG, OutputEstimator
 from hystmpc.ctrl.feedback import REFERENCE_DEAD_ZONE_DEG
 from hystmpc.ctrl.guarded import build_controller
-from hystmpc.ctrl.handover import gains_for
 from hystmpc.ctrl.learning.predictor import LearnedPredictor
 from hystmpc.ctrl.linearised.planner import MoveBlocking
 from hystmpc.ctrl.mpc import FOLLOWING, Candidates, PredictiveLaw
 from hystmpc.ctrl.mpc_settings import LinearisedMpcSettings
 from hystmpc.ctrl.planner.settings import TipSettings
+from hystmpc.ctrl.supervisor import feedback_gains
 from hystmpc.models.chain import Chain
 from hystmpc.models.contract.metadata import ModelMetadata
 from hystmpc.models.inverse.drive import DrivenInverse, split
@@ -232,7 +232,7 @@ def _law(
 ) -> tuple[dict[str, int], dict[str, Any]]:
     """Sizes and numbers of law, estimator and fallbacks."""
     learned = settings.model_pair(predictor, inverse)
-    law = settings.model_copy(update={"handover": None}).law(*learned, limits)
+    law = settings.model_copy(update={"supervisor": None}).law(*learned, limits)
     assert isinstance(law, PredictiveLaw)
     delay, dt, horizon = settings.estimator.delay_samples, predictor.dt, law.horizon
     if horizon < 2:
@@ -261,7 +261,7 @@ def _law(
         "most_missing": settings.bridged_samples(dt),
         "senses": int(settings.estimator.sensor == "continuous"),
         "learns": int(settings.adaptation is not None),
-        "hands_over": int(settings.handover is not None),
+        "supervised": int(settings.supervisor is not None),
         "filters": 1,
         **_program_sizes(settings, horizon, dt),
     }
@@ -269,8 +269,8 @@ def _law(
     found: list[Mapping[str, Any]] = [observer.numbers()] if isinstance(observer, OutputEstimator) else []
     if isinstance(learned[0], LearnedPredictor):
         found.append(learned[0].filters(delay).numbers())
-    if settings.handover is not None:
-        found.append(_handover(settings, predictor))
+    if settings.supervisor is not None:
+        found.append(_supervisor(settings, predictor))
     for more in (numbers, *found):
         sizes |= {name: value for name, value in more.items() if isinstance(value, int)}
         numbers = numbers | dict(more)
@@ -322,12 +322,12 @@ def _blocking(settings: LinearisedMpcSettings, horizon: int, dt: float) -> dict[
     }
 
 
-def _handover(settings: LinearisedMpcSettings, predictor: Predictor) -> dict[str, Any]:
-    assert settings.handover is not None
-    gains = gains_for(settings.handover, predictor)
+def _supervisor(settings: LinearisedMpcSettings, predictor: Predictor) -> dict[str, Any]:
+    assert settings.supervisor is not None
+    gains = feedback_gains(settings.supervisor, predictor)
     return {
-        "inverse_pid_above": settings.handover.inverse_pid_above,
-        "pid_above": settings.handover.pid_above,
+        "inverse_pid_above": settings.supervisor.inverse_pid_above,
+        "pid_above": settings.supervisor.pid_above,
         "pid_kp": gains.kp_per_deg,
         "pid_ki": gains.ki_per_deg_s,
         "pid_kd": gains.kd_s_per_deg,

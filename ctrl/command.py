@@ -86,7 +86,7 @@ class ControlInput:
     setpoint: float  # reference angle at the end of this sample [deg]
     reference: Vec  # reference angles at the ends of the samples that the next commands act in, shape (H,)
     remaining_plan: Vec  # what is left of the last good plan, up to H - 1 entries
-    distrust: float = 0.0  # error of the forecasts over that of none, see `Estimate`
+    forecast_error: float = 0.0  # error of the forecasts over that of none, see `Estimate`
 
 
 @final

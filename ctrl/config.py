@@ -150,7 +150,7 @@ def sensor_fault(settings: AnyControllerSettings, kind: str) -> str:
     return f"estimator.sensor: got {wanted}, expected {' or '.join(served)}: the sensor is {kind}"
 
 
-def told_of_sensor(block: Any, told: Mapping[str, Any]) -> Any:
+def with_sensor_facts(block: Any, told: Mapping[str, Any]) -> Any:
     """The block of a controller with what its sensor says of itself, where the block does not say something else.
 
     Args:

@@ -47,8 +47,8 @@ class PidSettings(Settings):
     tracking_s: Positive = 0.1
     dead_zone_deg: NotNegative = 0.2
 
-    def deaf_to(self, step_deg: float) -> PidSettings:
-        """The same with errors within half a step of the sensor's readings not integrated: they may be its own."""
+    def with_dead_zone(self, step_deg: float) -> PidSettings:
+        """The same gains with a dead zone of at least half a step of the sensor's readings."""
         least = _HALF * step_deg
         return self if self.dead_zone_deg >= least else self.model_copy(update={"dead_zone_deg": least})
 
@@ -102,8 +102,8 @@ class Pid:
         seen = (y, given.age) if new else (memory.angle, age)
         return u, PidMemory(min(max(integral, -self._span), self._span), speed, *seen)
 
-    def taken_over(self, error: float, given: ControlInput, feedforward: float) -> PidMemory:
-        """The memory with which the next command is the last one sent; arguments as of `correct`."""
+    def bumpless_start(self, error: float, given: ControlInput, feedforward: float) -> PidMemory:
+        """Memory for a bumpless transfer: the next command is the last one sent; arguments as of `correct`."""
         integral = given.u_last - feedforward - self._gains.kp_per_deg * error
         return PidMemory(integral, 0.0, given.measured, given.age)
 
@@ -127,9 +127,9 @@ class PidFeedback(Law[PidMemory]):
     def init(self, y: float, u: float) -> PidMemory:
         return PidMemory(u - self._rest, 0.0, y)
 
-    def taken_over(self, given: ControlInput) -> PidMemory:
-        """The memory with which it takes over from another law without a jump of the command."""
-        return self._pid.taken_over(given.setpoint - given.measured, given, self._rest)
+    def bumpless_start(self, given: ControlInput) -> PidMemory:
+        """Memory for a bumpless transfer from another law: the next command is the last one sent."""
+        return self._pid.bumpless_start(given.setpoint - given.measured, given, self._rest)
 
     def propose(self, memory: PidMemory, given: ControlInput, watch: Stopwatch) -> Proposal[PidMemory]:
         u, memory = self._pid.correct(memory, given.setpoint - given.measured, given, self._rest)
@@ -284,12 +284,12 @@ class InversePid(Law[InversePidMemory]):
         state = self._predictor.initial(y, u)
         return InversePidMemory(self._feedforward.init(y, u), PidMemory(0.0, 0.0, y), state, u)
 
-    def taken_over(self, given: ControlInput) -> InversePidMemory:
-        """The memory with which it takes over from another law without a jump of the command."""
+    def bumpless_start(self, given: ControlInput) -> InversePidMemory:
+        """Memory for a bumpless transfer from another law: the next command is the last one sent."""
         before = self._feedforward.init(given.due, given.u_last)
         alone = self._feedforward.propose(before, given, Stopwatch())
         u_alone = self._limits.clip(alone.u, given.u_last, self._predictor.dt)
-        pid = self._pid.taken_over(given.due - given.measured, given, u_alone)
+        pid = self._pid.bumpless_start(given.due - given.measured, given, u_alone)
         return InversePidMemory(before, pid, given.state, given.u_last)
 
     def propose(self, memory: InversePidMemory, given: ControlInput, watch: Stopwatch) -> Proposal[InversePidMemory]:

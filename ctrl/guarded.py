@@ -272,8 +272,8 @@ class GuardedController(Generic[M]):
         return ControlInput(
             state=estimate.state,
             disturbance=estimate.disturbance,
-            disturbance_sigma=self._observer.unrest_deg(estimate),
-            distrust=estimate.distrust,
+            disturbance_sigma=self._observer.disturbance_sigma_deg(estimate),
+            forecast_error=estimate.forecast_error,
             measured=estimate.measured,
             age=estimate.age,
             u_last=estimate.command,

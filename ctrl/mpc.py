@@ -327,7 +327,9 @@ class PredictiveLaw(Law[PredictiveMemory[P]]):
         plan, status, planner = self._planner.improve(problem, start, memory.planner, watch)
         commands = plan.commands
         if self.rule.settles(hold):
-            commands = self.rule.gentle(hold, commands, given.u_last, self.rule.error(hold, held), self.slope)
+            commands = self.rule.limited_correction(
+                hold, commands, given.u_last, self.rule.error(hold, held), self.slope
+            )
         if commands is not plan.commands:
             commands = self._limits.clip_plans(commands, given.u_last, self._predictor.dt)
             plan = CommandPlan(commands, self._predictor.rollout(given.state, commands[None])[0], plan.cost)
@@ -420,7 +422,7 @@ class HoldRule:
         """Whether an error that is left over is worked off by now."""
         return self._settle > 0 and hold.constant > self._settle_after
 
-    def gentle(self, hold: Hold, plan: Vec, u_last: float, error: float, slope: float) -> Vec:
+    def limited_correction(self, hold: Hold, plan: Vec, u_last: float, error: float, slope: float) -> Vec:
         """The plan (H,), in a hold within u_last -+ k error / (slope settle), k = 1, 2, ... samples.
 
         Inside what a model has for a dead band and a device does not, a plan takes a whole dead band for free, and the

@@ -69,14 +69,14 @@ class WeightsSettings(Settings):
 
 
 class HoldSettings(Settings):
-    """When a command is held, and how gently an error left over is corrected; see `HoldRule`, which counts samples.
+    """When a command is held, and how slowly a remaining error is corrected; see `HoldRule`, which counts samples.
 
     Attributes:
         tolerance_deg: closeness that is always good enough [deg].
         patience_s: time of constant reference for which one more standard deviation is allowed for [s].
         lead_s: preview that is looked at [s].
-        settle_after_s: time of constant reference after which corrections are gentle [s].
-        settle_s: time over which a gentle correction works off an error at the model's static gain [s]; 0 for none.
+        settle_after_s: time of constant reference after which corrections are limited [s].
+        settle_s: time over which a limited correction removes an error at the model's static gain [s]; 0 for no limit.
     """
 
     tolerance_deg: NotNegative = 0.03
@@ -98,8 +98,8 @@ class AdaptationSettings(Settings):
     walk_share: NotNegative = 0.01
 
 
-class HandoverSettings(Settings):
-    """Block `handover`: which controller acts, by what the forecasts of the last seconds were worth.
+class SupervisorSettings(Settings):
+    """Block `supervisor`: which law acts, by the error of the forecasts of the last seconds.
 
     The error of a forecast over 0.24 s is compared with that of no forecast, which is that the angle stays where it is
     (root mean squares, see `FilterBank`).
@@ -126,7 +126,7 @@ class PredictiveSettings(LawSettings):
 
     Attributes:
         adaptation: learning on top of the model; null for none, which it is without a continuous sensor.
-        handover: to feedback where nothing foretells; null for none, which it is without learning.
+        supervisor: switches to feedback where no forecast is of use; null for none, as without learning.
         horizon: samples of the preview; null for 20, or 0.24 s where that is more, but no more than 60.
         estimator: how state and disturbance are estimated from the measurements.
         weights: of the cost that a plan is chosen by.
@@ -137,7 +137,7 @@ class PredictiveSettings(LawSettings):
 
     estimator: EstimatorSettings = EstimatorSettings()  # pyright: ignore[reportIncompatibleVariableOverride]  # frozen
     adaptation: AdaptationSettings | None = AdaptationSettings()
-    handover: HandoverSettings | None = HandoverSettings()
+    supervisor: SupervisorSettings | None = SupervisorSettings()
     horizon: Count | None = None
     weights: WeightsSettings = WeightsSettings()
     hold: HoldSettings = HoldSettings()
@@ -147,7 +147,7 @@ class PredictiveSettings(LawSettings):
     def _defaults_of_the_sensor(cls, data: Any) -> Any:
         """Defaults that follow from the sensor, written out, so that settings as written are read again.
 
-        Without a continuous sensor nothing can be learned, and there is little noise that a plan has to be deaf to.
+        Without a continuous sensor nothing can be learned, and there is little noise that a plan must not follow.
         Moves weigh less then, and holds are closer.
         """
         if not isinstance(data, dict):
@@ -155,19 +155,19 @@ class PredictiveSettings(LawSettings):
         estimator = data.get("estimator")
         sensor = estimator.get("sensor") if isinstance(estimator, dict) else getattr(estimator, "sensor", None)
         if sensor in ("intermittent", "none"):
-            data = {"adaptation": None, **data, "handover": None}  # a `tip.yaml` has one for its continuous sensor
+            data = {"adaptation": None, **data, "supervisor": None}  # a `tip.yaml` has one for its continuous sensor
             for block, key, value in (("weights", "rate", _BLIND_RATE), ("hold", "tolerance_deg", _BLIND_HOLD_DEG)):
                 if isinstance(own := data.get(block, {}), dict):
                     data[block] = {key: value, **own}
-        return {"handover": None, **data} if data.get("adaptation", {}) is None else data
+        return {"supervisor": None, **data} if data.get("adaptation", {}) is None else data
 
     @model_validator(mode="after")
     def _learns_from_a_sensor(self) -> PredictiveSettings:
         if self.adaptation is not None and self.estimator.sensor != "continuous":
             raise ValueError(f"got adaptation with estimator.sensor {self.estimator.sensor}, expected continuous")
-        if self.handover is not None and self.adaptation is None:
+        if self.supervisor is not None and self.adaptation is None:
             raise ValueError(
-                "got handover with adaptation null, expected handover null: forecasts are judged by learning"
+                "got supervisor with adaptation null, expected supervisor null: forecasts are judged by learning"
             )
         return self
 
@@ -330,11 +330,11 @@ class PredictiveController(PredictiveSettings):
 
         planner = self.refining(inverse).planner(predictor, limits)
         law = PredictiveLaw(predictor, inverse, limits, planner, self)
-        if self.handover is None:
+        if self.supervisor is None:
             return law
-        from .handover import handover_law
+        from .supervisor import supervisory_law
 
-        return handover_law(law, self.handover, (predictor, inverse), limits)
+        return supervisory_law(law, self.supervisor, (predictor, inverse), limits)
 
     def refining(self, inverse: Inverse) -> Self:
         """These settings, with two iterations or more where the inverse is a first guess only; see `steady_inverse`."""

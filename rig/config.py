@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BeforeValidator, Field, ValidationError, model_validator
 
 from hystmpc.ctrl.command import LimitsSettings, ModelledLimitsSettings
-from hystmpc.ctrl.config import sensor_fault, told_of_sensor
+from hystmpc.ctrl.config import sensor_fault, with_sensor_facts
 from hystmpc.ctrl.mpc_settings import LinearisedMpcSettings
 from hystmpc.ctrl.planner.settings import TipSettings
 from hystmpc.models.load import model_path
@@ -175,7 +175,7 @@ class RunSettings(BenchSettings):
             told = SensorSettings.model_validate(data["sensor"]).told()
         except ValidationError:  # the field itself says what is wrong
             return data
-        law = told_of_sensor(tip.get("controller", {"kind": LinearisedMpcSettings().kind}), told)
+        law = with_sensor_facts(tip.get("controller", {"kind": LinearisedMpcSettings().kind}), told)
         return {**data, "controller": {**tip, "controller": law}} if told else data
 
     @model_validator(mode="after")

@@ -9,7 +9,7 @@ from typing import Annotated, Any, Self
 from pydantic import Field, TypeAdapter, ValidationError, model_validator
 
 from hystmpc.ctrl.command import ModelledLimitsSettings
-from hystmpc.ctrl.config import ControllerSettings, sensor_fault, told_of_sensor
+from hystmpc.ctrl.config import ControllerSettings, sensor_fault, with_sensor_facts
 from hystmpc.ctrl.frames import AnySensorSettings, ContinuousSensorSettings, SimulatedSensor
 from hystmpc.models.effects.place import EffectError, effect_from
 from hystmpc.models.load import model_path
@@ -167,7 +167,7 @@ class SimulationConfig(Settings):
         told = sensor.told()
         return {
             **data,
-            "controllers": {name: told_of_sensor(block, told) for name, block in data["controllers"].items()},
+            "controllers": {name: with_sensor_facts(block, told) for name, block in data["controllers"].items()},
         }
 
     @model_validator(mode="after")

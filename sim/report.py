@@ -302,7 +302,7 @@ def _timing(result: StudyResult, colour: dict[str, str]) -> Iterator[Piece]:
     yield Plot(timing_figure(result.results, colour, dt), caption)
     sources = tuple(dict.fromkeys(source for r in result.results for source in r.metrics.ladder))
     rows = [(r.motion, r.controller, *(r.metrics.ladder.get(s, 0) for s in sources)) for r in result.results]
-    yield Table(("motion", "controller", *sources), rows, "Samples by the rung of the ladder that gave the command.")
+    yield Table(("motion", "controller", *sources), rows, "Samples by the fallback level that gave the command.")
 
 
 def _short(file: str) -> str:

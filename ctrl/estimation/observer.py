@@ -46,8 +46,8 @@ class Estimate:
         stalled: number of samples since the model was last advanced; above zero it has failed.
         added: what is learned on top of the model, as part of the first of the angles [deg].
         learning: memory of an observer that learns, see `LearningEstimator`.
-        distrust: mean square error of the best forecast of the last seconds over that of no forecast at all; 0 before
-            there was motion, and of an observer that does not judge its forecasts.
+        forecast_error: of the best forecast of the last seconds, relative to that of no change (root mean squares,
+            Theil's U); 0 before there was motion, and of an observer that does not judge its forecasts.
         bank: filters of `NoiseBank`, of which disturbance and variance are the mixture (3, M).
         earned: of frames, the sums of m z and m^2 [deg^2]; m is the mean of the bank before the offset z came.
         past: corrected estimates of the last instants, the newest last; see `Frames`.
@@ -67,7 +67,7 @@ class Estimate:
     stalled: int = 0
     added: float = 0.0
     learning: object = None
-    distrust: float = 0.0
+    forecast_error: float = 0.0
     bank: Vec = field(default_factory=lambda: EMPTY)
     earned: tuple[float, float] = (0.0, 0.0)
     past: tuple[Estimate, ...] = ()
@@ -107,8 +107,8 @@ class Observer(ABC):
         """
         return np.full(travels.size, self.sigma_deg(estimate))
 
-    def unrest_deg(self, estimate: Estimate) -> float:
-        """Standard deviation of what noise does to the estimated disturbance in the course of a hold [deg]."""
+    def disturbance_sigma_deg(self, estimate: Estimate) -> float:
+        """Standard deviation of the noise of the estimated disturbance in a hold [deg]."""
         return math.sqrt(estimate.variance)
 
     @abstractmethod
@@ -269,7 +269,7 @@ class OutputEstimator(Observer):
     def sigma_ahead_deg(self, estimate: Estimate, travels: Vec) -> Vec:
         return np.asarray(np.sqrt(estimate.variance + self.bank.ahead(estimate.bank, travels)))
 
-    def unrest_deg(self, estimate: Estimate) -> float:
+    def disturbance_sigma_deg(self, estimate: Estimate) -> float:
         return math.sqrt(estimate.variance) * self._share(estimate.earned, estimate.bank)
 
     def _share(self, earned: tuple[float, float], bank: Vec) -> float:
@@ -348,8 +348,8 @@ class Frames(Observer):
     def sigma_ahead_deg(self, estimate: Estimate, travels: Vec) -> Vec:
         return self._inner.sigma_ahead_deg(estimate, travels)
 
-    def unrest_deg(self, estimate: Estimate) -> float:
-        return self._inner.unrest_deg(estimate)
+    def disturbance_sigma_deg(self, estimate: Estimate) -> float:
+        return self._inner.disturbance_sigma_deg(estimate)
 
     def init(self, y: float, u: float) -> Estimate:
         return replace(self._inner.init(y, u), seen=(float(y),))

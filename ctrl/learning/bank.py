@@ -232,7 +232,7 @@ _LEAST_GAIN, _FULL_GAIN = 0.6, 0.3
 _MOVING = 2.0  # variances of the filters by which an angle has to move in a block that counts
 _SENSOR, _LEAST_SENSOR_DEG = 2.0, 0.05  # the basis is not exact: its noise is taken for more than the sensor's
 _OFFSET_DEG, _GAIN, _DRIFT = 10.0, 1.0, 0.3  # standard deviations of offset, w_c; and of a drift [deg/sqrt(s)]
-_RECENT = 0.8  # of the errors that handover is judged by, from block to block
+_RECENT = 0.8  # of the errors that the supervisor judges by, from block to block
 _WORST = 1.2  # error of a block that counts as the worst: one bad block says little
 _SURPRISE = 9.0  # variances of an error in a hold, from which on it is an offset that has jumped
 _FLOOR = 0.5  # standard deviations of the sensor: no model has to foretell better
@@ -252,7 +252,7 @@ class BankState:
         references: at that moment the model's own disturbance and the measured angle [deg].
         sums: squared errors of the forecasts in this block (H + 2,): drives, model alone, last angle held [deg^2].
         scores: means of these over the past blocks with motion (H + 2,) [deg^2].
-        distrust: error of the better forecast, of model or best drive, over that of none (root mean squares); at most
+        forecast_error: of the better forecast, of model or best drive, over that of none (root mean squares); at most
             1.2 in each block, smoothed over the last blocks with motion; 0 at first.
         count: samples in this block.
         blocks: blocks with motion so far.
@@ -269,7 +269,7 @@ class BankState:
     references: tuple[float, float]
     sums: Vec
     scores: Vec
-    distrust: float
+    forecast_error: float
     count: int
     blocks: int
     best: int
@@ -387,7 +387,7 @@ class FilterBank:
             references=(y - angle, y),
             sums=np.zeros(DRIVES + 2),
             scores=np.zeros(DRIVES + 2),
-            distrust=0.0,
+            forecast_error=0.0,
             count=0,
             blocks=0,
             best=0,
@@ -458,7 +458,7 @@ class FilterBank:
         return replace(
             state,
             scores=scores,
-            distrust=_RECENT * state.distrust + (1.0 - _RECENT) * off,
+            forecast_error=_RECENT * state.forecast_error + (1.0 - _RECENT) * off,
             blocks=state.blocks + 1,
             best=best,
             share=min(max((gained - _LEAST_GAIN) / _FULL_GAIN, 0.0), 1.0),

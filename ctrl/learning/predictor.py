@@ -224,7 +224,7 @@ class LearningEstimator(Observer):
             bank=noise,
             added=added[0],
             learning=Learning(model, bank, added),
-            distrust=bank.distrust,
+            forecast_error=bank.forecast_error,
         )
 
 

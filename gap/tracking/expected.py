@@ -30,7 +30,7 @@ from ..report.report_data import TrackingCurve
 SEEDS = (1, 2)
 """Of the noise; the interval of an error is between its least and its greatest value over them."""
 
-USUAL = LinearisedMpcSettings(adaptation=None, handover=None)
+USUAL = LinearisedMpcSettings(adaptation=None, supervisor=None)
 """The controller of which a diagnosis speaks. One that learns finds on the device what its model lacks, and more of it
 than in a simulation, where part of it is a walk that nobody can learn: of it no fall can be foretold."""
 

@@ -20,9 +20,9 @@ from hystmpc.ctrl.guarded import (
     UnusableReferenceError,
     usable_reference,
 )
-from hystmpc.ctrl.handover import LEVELS
 from hystmpc.ctrl.planner.controller import PlannersController
 from hystmpc.ctrl.planner.settings import TipSettings
+from hystmpc.ctrl.supervisor import LEVELS
 from hystmpc.trials.errors import ConfigError, ControllerError, ExportError
 from hystmpc.trials.types import Vec
 
@@ -202,7 +202,7 @@ class CompiledController(PlannersController):
             answer,
             after.estimate.stalled,
             view.feedback.level if answer.source == _FEEDBACK else 0,
-            view.learning.distrust if answer.source == _FEEDBACK else 0.0,
+            view.learning.forecast_error if answer.source == _FEEDBACK else 0.0,
             cause=state.fallback.cause,
             reference=fault,
             stalled=state.estimate.stalled,
@@ -217,7 +217,7 @@ class CompiledController(PlannersController):
             stalled: of the sample before it.
             refusal: why there was no time for a plan, where there was none.
         """
-        status = _line(sample, sample.stalled, sample.level, sample.distrust, stalled=stalled, refusal=refusal)
+        status = _line(sample, sample.stalled, sample.level, sample.forecast_error, stalled=stalled, refusal=refusal)
         return _command(sample.wanted, sample, status, {"law": 1e-9 * sample.step_ns})
 
     def after(self, cause: str = "") -> GuardedState[bytes]:
@@ -268,7 +268,7 @@ def _line(
     answer: Any,
     stalled_after: int,
     level: int,
-    distrust: float,
+    forecast_error: float,
     *,
     cause: str = "",
     reference: str = "",
@@ -283,7 +283,7 @@ def _line(
         )
         notes.append(f"stopped: {said}" if _SOURCES[answer.source] is Source.STOP else said)
     elif answer.source == _FEEDBACK:
-        notes.append(f"{LEVELS[level]}: forecasts are off by {100 * distrust:.0f} % of the motion")
+        notes.append(f"{LEVELS[level]}: forecasts are off by {100 * forecast_error:.0f} % of the motion")
     if answer.missing:
         notes.append(f"measurement missing or outlying for {answer.missing} samples, predicted")
     if stalled_after:

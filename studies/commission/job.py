@@ -349,12 +349,12 @@ def _known(tip: Path) -> tuple[ControllerModel, LawSettings]:
 
 
 def _of(settings: LawSettings, changes: Mapping[str, Any]) -> LawSettings:
-    """A controller with some keys changed, blocks merged; where nothing is learned there is no handover."""
+    """A controller with some keys changed, blocks merged; where nothing is learned there is no supervisor."""
     data = settings.model_dump(exclude_unset=True) | {"kind": type(settings).model_fields["kind"].default}
     for key, value in changes.items():
         data[key] = data.get(key, {}) | value if isinstance(value, dict) else value
     if data.get("adaptation", {}) is None:
-        data.pop("handover", None)
+        data.pop("supervisor", None)
     return type(settings).parse(data, "study commission")
 
 

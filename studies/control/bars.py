@@ -219,7 +219,7 @@ BARS: tuple[ControlBar, ...] = (
     ),
     ControlBar("share of holds with a limit cycle", 0.0, _named("cycling_holds"), lambda _, r: _predictive(r)),
     ControlBar("samples beyond a limit", 0.0, _named("violations"), lambda _, r: True),
-    ControlBar("samples on a rung of the ladder", 0.0, _named("fallbacks"), lambda _, r: True),
+    ControlBar("samples on a fallback level", 0.0, _named("fallbacks"), lambda _, r: True),
 )
 
 

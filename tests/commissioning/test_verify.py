@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hystmpc.commissioning.controller import deaf_to
+from hystmpc.commissioning.controller import with_wider_dead_zone
 from hystmpc.commissioning.device import Track, track_of
 from hystmpc.commissioning.motions import CONTROLLERS
 from hystmpc.commissioning.verify import MPC, PID, Verified, judge
@@ -126,4 +126,4 @@ def test_tracks_of_earlier_versions_are_read(tmp_path: Path) -> None:
 
 def test_gains_that_are_deaf_enough_stay_as_they_were_found() -> None:
     found = PidTuning(PidControllerSettings(), 0.3, 0.4, 24)
-    assert deaf_to(found, None, 0.1) is found  # type: ignore[arg-type]  # nothing is run again
+    assert with_wider_dead_zone(found, None, 0.1) is found  # type: ignore[arg-type]  # nothing is run again
