@@ -20,11 +20,10 @@ from hystmpc.ctrl.mpc import FOLLOWING, Candidates, PredictiveLaw
 from hystmpc.ctrl.mpc_settings import LinearisedMpcSettings
 from hystmpc.ctrl.planner.settings import TipSettings
 from hystmpc.ctrl.supervisor import feedback_gains
-from hystmpc.models.chain import Chain
+from hystmpc.models.chain import Chain, split
 from hystmpc.models.contract.metadata import ModelMetadata
-from hystmpc.models.inverse.drive import DrivenInverse, split
-from hystmpc.models.inverse.one_step import CompiledInverse
-from hystmpc.models.inverse.steady import inverted_after_a_hold
+from hystmpc.models.inverse.drive import DrivenInverse
+from hystmpc.models.inverse.one_step import CompiledInverse, inverted_after_a_hold
 from hystmpc.models.inverse.surrogate_backlash import surrogate_backlash
 from hystmpc.models.load import load_model, model_path
 from hystmpc.models.model import Inverse, LoadedModel, Predictor

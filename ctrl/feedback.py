@@ -328,7 +328,7 @@ class FeedforwardSettings(LawSettings):
     def feedforward(self, predictor: Predictor, inverse: Inverse, limits: CommandLimits) -> InverseFeedforward:
         """The inverse: over the preview for a model that answers late (`steady_inverse` too), else sample by sample."""
         from hystmpc.models.inverse.drive import DrivenInverse  # numba and CasADi, which importing settings spares
-        from hystmpc.models.inverse.steady import inverted_after_a_hold
+        from hystmpc.models.inverse.one_step import inverted_after_a_hold
 
         ahead = None
         if isinstance(inverse, DrivenInverse) or inverted_after_a_hold(inverse):

@@ -338,7 +338,7 @@ class PredictiveController(PredictiveSettings):
 
     def refining(self, inverse: Inverse) -> Self:
         """These settings, with two iterations or more where the inverse is a first guess only; see `steady_inverse`."""
-        from hystmpc.models.inverse.steady import inverted_after_a_hold
+        from hystmpc.models.inverse.one_step import inverted_after_a_hold
 
         from .learning.predictor import LearnedInverse
 

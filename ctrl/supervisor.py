@@ -91,7 +91,7 @@ class SupervisoryLaw(Law[SupervisorMemory]):
         )
 
     def _level(self, now: SupervisorLevel, forecast_error: float) -> SupervisorLevel:
-        """The level at this error of the forecasts; a better one than the present only where the error is clearly lower."""
+        """The level at this error of the forecasts; better than the present one only where it is clearly lower."""
         at = LEVELS.index(now)
         worst = sum(forecast_error > threshold for threshold in self._thresholds)
         best = sum(forecast_error > _BACK * threshold for threshold in self._thresholds)

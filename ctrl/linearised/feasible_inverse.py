@@ -7,7 +7,7 @@ from typing import final
 
 import numpy as np
 
-from hystmpc.models.inverse.steady import inverted_after_a_hold
+from hystmpc.models.inverse.one_step import inverted_after_a_hold
 from hystmpc.models.model import Inverse, Predictor
 from hystmpc.trials.types import Vec
 

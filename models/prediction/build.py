@@ -9,17 +9,18 @@ from typing import TYPE_CHECKING
 
 from hystmpc.trials.errors import ModelError
 
+from ..chain import split
 from ..connections import operators_of, rest_of
 from ..contract.metadata import ModelMetadata
-from ..inverse.drive import Drive, DrivenInverse, split
+from ..inverse.drive import Drive, DrivenInverse
 from ..inverse.one_step import (
     AccompaniedPredictor,
     CompanionInverse,
     MappedPredictor,
     TrainedInverse,
     check_inverse_map,
+    steady_inverse,
 )
-from ..inverse.steady import steady_inverse
 from ..load import load_model
 from ..model import Inverse, InvertiblePredictor, LoadedModel, Predictor
 from ..operators.dynamics import Lag

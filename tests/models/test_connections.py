@@ -11,8 +11,7 @@ from typing import Literal
 import numpy as np
 import pytest
 
-from hystmpc.models.chain import Chain
-from hystmpc.models.chain_spec import chain_spec
+from hystmpc.models.chain import Chain, chain_spec
 from hystmpc.models.connections import connected_bundle, rest_of
 from hystmpc.models.contract.export import ExportBundle, export_onnx, model_bytes
 from hystmpc.models.contract.load import OnnxModel
