@@ -258,5 +258,5 @@ MUTANTS: tuple[Mutant, ...] = (
     _supervisor(
         "another law takes over the memory of the last one", "if level != memory.level:", "if level == memory.level:"
     ),
-    _supervisor("the log says that the MPC acts", "status, law.source)", "status, self.source)"),
+    _supervisor("the log says that the MPC acts", "status, law.source", "status, self.source"),
 )

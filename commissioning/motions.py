@@ -12,7 +12,7 @@ from hystmpc.rig.commission.phases import Past, PhaseInput, PrepareStep
 from hystmpc.rig.config import BenchSettings
 from hystmpc.rig.safety.ramp import ramp_commands
 from hystmpc.trajectories.config import MotionSettings, PointToPointSettings, SinusoidScanSettings
-from hystmpc.trajectories.identification import WHOLE_S, identification_motions
+from hystmpc.trajectories.excitation import WHOLE_S, identification_motions
 from hystmpc.trajectories.motion import MotionLimitsSettings
 from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.types import Vec

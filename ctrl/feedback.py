@@ -17,7 +17,7 @@ from hystmpc.trials.errors import ControllerError
 from hystmpc.trials.types import Vec
 
 from .command import EMPTY, CommandLimits, ControlInput, Source, Stopwatch, replace
-from .estimation.observer import EstimatorSettings, LastFrame, Observer, SensorKindSettings, WithoutModel
+from .estimation.observer import EstimatorSettings, LastMeasurement, Observer, SensorKindSettings
 from .law import Law, LawSettings, Proposal
 
 if TYPE_CHECKING:
@@ -168,9 +168,8 @@ class PidControllerSettings(LawSettings):
         return self.estimator.bridged_samples(self.ladder.max_missing_samples, dt_s)
 
     def observer(self, predictor: Predictor) -> Observer:
-        if self.estimator.sensor == "continuous":
-            return WithoutModel()
-        return LastFrame(self.estimator.oldest_samples(predictor.dt))
+        continuous = self.estimator.sensor == "continuous"
+        return LastMeasurement(None if continuous else self.estimator.oldest_samples(predictor.dt))
 
     def law(self, predictor: Predictor, inverse: Inverse, limits: CommandLimits) -> Law[PidMemory]:
         del inverse

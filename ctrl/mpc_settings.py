@@ -118,11 +118,15 @@ class SupervisorSettings(Settings):
 _LEAST_SAMPLES, _MOST_SAMPLES, _PREVIEW_S = 20, 60, 0.24  # of a preview whose length is not given
 _ALIKE = 3  # blocks of one length
 _BLIND_RATE, _BLIND_HOLD_DEG = 0.1, 0.01
+_REFINED = 2  # iterations from a plan that is late along a motion
 _SIGMA_SHARE = 0.1  # of the greatest move of a sample: more would cross kinks of the model that the step must not see
 
 
+# numba, SciPy and the solvers take over a second to import: a controller is built by functions that import them.
+
+
 class PredictiveSettings(LawSettings):
-    """What both predictive controllers have.
+    """Settings of both predictive controllers, which build law and observer; each kind has a planner of its own.
 
     Attributes:
         adaptation: learning on top of the model; null for none, which it is without a continuous sensor.
@@ -134,6 +138,9 @@ class PredictiveSettings(LawSettings):
     """
 
     predicts: ClassVar[bool] = True
+
+    if TYPE_CHECKING:
+        iterations: Count
 
     estimator: EstimatorSettings = EstimatorSettings()  # pyright: ignore[reportIncompatibleVariableOverride]  # frozen
     adaptation: AdaptationSettings | None = AdaptationSettings()
@@ -178,9 +185,60 @@ class PredictiveSettings(LawSettings):
         """Samples of the preview at sample time `dt_s` [s]."""
         return self.horizon or min(max(_LEAST_SAMPLES, round(_PREVIEW_S / dt_s)), _MOST_SAMPLES)
 
+    def model_pair(self, predictor: Predictor, inverse: Inverse) -> tuple[Predictor, Inverse]:
+        if self.adaptation is None:
+            return predictor, inverse
+        from .learning.predictor import LearnedInverse, LearnedPredictor
 
-class LinearisationSettings(PredictiveSettings):
-    """Numbers of `LinearisedPlanner`, explained in `LinearisedMpcSettings`."""
+        if isinstance(predictor, LearnedPredictor):
+            return predictor, inverse
+        learned = LearnedPredictor(predictor, self.adaptation)
+        return learned, LearnedInverse(learned, inverse)
+
+    def observer(self, predictor: Predictor) -> Observer:
+        from .learning.predictor import LearnedPredictor, LearningEstimator
+
+        if isinstance(predictor, LearnedPredictor):
+            return LearningEstimator(predictor, self.estimator)
+        return self.estimator.observer(predictor)
+
+    def law(self, predictor: Predictor, inverse: Inverse, limits: CommandLimits) -> Law[Any]:
+        from .mpc import PredictiveLaw
+
+        planner = self.refining(inverse).planner(predictor, limits)
+        law = PredictiveLaw(predictor, inverse, limits, planner, self)
+        if self.supervisor is None:
+            return law
+        from .supervisor import supervisory_law
+
+        return supervisory_law(law, self.supervisor, (predictor, inverse), limits)
+
+    def refining(self, inverse: Inverse) -> Self:
+        """These settings, with two iterations or more where the inverse is a first guess only; see `steady_inverse`."""
+        from hystmpc.models.inverse.one_step import inverted_after_a_hold
+
+        from .learning.predictor import LearnedInverse
+
+        own = inverse.inverse if isinstance(inverse, LearnedInverse) else inverse
+        if not inverted_after_a_hold(own):
+            return self
+        return self.model_copy(update={"iterations": max(self.iterations, _REFINED)})
+
+    @abstractmethod
+    def planner(self, predictor: Predictor, limits: CommandLimits) -> Planner[Any]:
+        """What improves the best candidate plan."""
+
+
+class LinearisedMpcSettings(PredictiveSettings):
+    """Real-time iteration; see `LinearisedPlanner`.
+
+    Attributes:
+        iterations: linearisations per step.
+        solver: of the quadratic programs.
+        solver_eps: tolerance of OSQP; DAQP is exact.
+        move_blocking: samples of each block of moves, see `MoveBlocking`; null lets every sample move, but for a
+            preview of more than 20 samples whose length is not given, see `LinearisedMpcSettings.blocks`.
+    """
 
     kind: Literal["linearised_mpc"] = "linearised_mpc"
     iterations: Count = 1
@@ -189,7 +247,7 @@ class LinearisationSettings(PredictiveSettings):
     move_blocking: Annotated[tuple[Count, ...], Field(min_length=1)] | None = None
 
     @model_validator(mode="after")
-    def _blocks_fit(self) -> LinearisationSettings:
+    def _blocks_fit(self) -> LinearisedMpcSettings:
         together, horizon = sum(self.move_blocking or ()), self.horizon or _LEAST_SAMPLES
         if together > horizon:
             raise ValueError(
@@ -207,6 +265,11 @@ class LinearisationSettings(PredictiveSettings):
         if self.move_blocking is not None or self.horizon is not None or horizon <= _LEAST_SAMPLES:
             return self.move_blocking
         return _doubling_blocks(horizon)
+
+    def planner(self, predictor: Predictor, limits: CommandLimits) -> Planner[Any]:
+        from .linearised.planner import LinearisedPlanner
+
+        return LinearisedPlanner(predictor, self, limits)
 
 
 # A noise is a matrix F (H, K): samples are F w with w standard normal (K,). Rows have unit norm, so that every sample
@@ -257,8 +320,22 @@ class ColouredNoiseSettings(Settings):
         return _unit_rows(np.hstack([amplitude * np.cos(phase), amplitude * np.sin(phase)]))
 
 
-class SamplingSettings(PredictiveSettings):
-    """Numbers of `SamplingPlanner`, explained in `SamplingMpcSettings`."""
+class SamplingMpcSettings(PredictiveSettings):
+    """Model-predictive path integral control (MPPI) or the cross-entropy method (CEM).
+
+    Attributes:
+        method: which of them.
+        samples: plans per iteration N; at least twice as many as there are blocks show every direction twice.
+        iterations: times the distribution is moved per step.
+        sigma: largest standard deviation of the perturbations [mm or bar]; null for a tenth of the greatest move that
+            the rate limit allows in a sample.
+        finest: smallest one as a share of `sigma`.
+        temperature: of MPPI's weights exp(-(J - J_min) / lambda), with lambda = temperature (median J - J_min).
+        elites: share of the samples that mean and deviation of CEM are fitted to, at least two plans.
+        seed: of the random numbers.
+        noise: shape of the perturbations, at the ends of the blocks of a preview of more than 20 samples; see
+            `blocks`.
+    """
 
     kind: Literal["sampling_mpc"] = "sampling_mpc"
     method: Literal["mppi", "cem"] = "mppi"
@@ -285,6 +362,12 @@ class SamplingSettings(PredictiveSettings):
         horizon = self.preview_samples(dt_s)
         return (1,) * horizon if horizon <= _LEAST_SAMPLES else _doubling_blocks(horizon)
 
+    def planner(self, predictor: Predictor, limits: CommandLimits) -> Planner[Any]:
+        from .sampling import CrossEntropyPlanner, PathIntegralPlanner
+
+        kind = CrossEntropyPlanner if self.method == "cem" else PathIntegralPlanner
+        return kind(predictor, self, limits)
+
 
 def _doubling_blocks(horizon: int) -> tuple[int, ...]:
     """Blocks of 1, 2, 4, 8, ... samples, three of each length, as long as they fit the horizon."""
@@ -296,98 +379,3 @@ def _doubling_blocks(horizon: int) -> tuple[int, ...]:
 
 def _unit_rows(factor: Mat) -> Mat:
     return factor / np.linalg.norm(factor, axis=1, keepdims=True)
-
-
-_REFINED = 2  # iterations from a plan that is late along a motion
-
-# numba, SciPy and the solvers take over a second to import: a controller is built by functions that import them.
-
-
-class PredictiveController(PredictiveSettings):
-    """Builds the law and the observer; the planner is that of the subclass."""
-
-    iterations: Count = 1
-
-    def model_pair(self, predictor: Predictor, inverse: Inverse) -> tuple[Predictor, Inverse]:
-        if self.adaptation is None:
-            return predictor, inverse
-        from .learning.predictor import LearnedInverse, LearnedPredictor
-
-        if isinstance(predictor, LearnedPredictor):
-            return predictor, inverse
-        learned = LearnedPredictor(predictor, self.adaptation)
-        return learned, LearnedInverse(learned, inverse)
-
-    def observer(self, predictor: Predictor) -> Observer:
-        from .learning.predictor import LearnedPredictor, LearningEstimator
-
-        if isinstance(predictor, LearnedPredictor):
-            return LearningEstimator(predictor, self.estimator)
-        return self.estimator.observer(predictor)
-
-    def law(self, predictor: Predictor, inverse: Inverse, limits: CommandLimits) -> Law[Any]:
-        from .mpc import PredictiveLaw
-
-        planner = self.refining(inverse).planner(predictor, limits)
-        law = PredictiveLaw(predictor, inverse, limits, planner, self)
-        if self.supervisor is None:
-            return law
-        from .supervisor import supervisory_law
-
-        return supervisory_law(law, self.supervisor, (predictor, inverse), limits)
-
-    def refining(self, inverse: Inverse) -> Self:
-        """These settings, with two iterations or more where the inverse is a first guess only; see `steady_inverse`."""
-        from hystmpc.models.inverse.one_step import inverted_after_a_hold
-
-        from .learning.predictor import LearnedInverse
-
-        own = inverse.inverse if isinstance(inverse, LearnedInverse) else inverse
-        if not inverted_after_a_hold(own):
-            return self
-        return self.model_copy(update={"iterations": max(self.iterations, _REFINED)})
-
-    @abstractmethod
-    def planner(self, predictor: Predictor, limits: CommandLimits) -> Planner[Any]:
-        """What improves the best candidate plan."""
-
-
-class LinearisedMpcSettings(PredictiveController, LinearisationSettings):
-    """Real-time iteration; see `LinearisedPlanner`.
-
-    Attributes:
-        iterations: linearisations per step.
-        solver: of the quadratic programs.
-        solver_eps: tolerance of OSQP; DAQP is exact.
-        move_blocking: samples of each block of moves, see `MoveBlocking`; null lets every sample move, but for a
-            preview of more than 20 samples whose length is not given, see `LinearisationSettings.blocks`.
-    """
-
-    def planner(self, predictor: Predictor, limits: CommandLimits) -> Planner[Any]:
-        from .linearised.planner import LinearisedPlanner
-
-        return LinearisedPlanner(predictor, self, limits)
-
-
-class SamplingMpcSettings(PredictiveController, SamplingSettings):
-    """Model-predictive path integral control (MPPI) or the cross-entropy method (CEM).
-
-    Attributes:
-        method: which of them.
-        samples: plans per iteration N; at least twice as many as there are blocks show every direction twice.
-        iterations: times the distribution is moved per step.
-        sigma: largest standard deviation of the perturbations [mm or bar]; null for a tenth of the greatest move that
-            the rate limit allows in a sample.
-        finest: smallest one as a share of `sigma`.
-        temperature: of MPPI's weights exp(-(J - J_min) / lambda), with lambda = temperature (median J - J_min).
-        elites: share of the samples that mean and deviation of CEM are fitted to, at least two plans.
-        seed: of the random numbers.
-        noise: shape of the perturbations, at the ends of the blocks of a preview of more than 20 samples; see
-            `SamplingSettings.blocks`.
-    """
-
-    def planner(self, predictor: Predictor, limits: CommandLimits) -> Planner[Any]:
-        from .sampling import CrossEntropyPlanner, PathIntegralPlanner
-
-        kind = CrossEntropyPlanner if self.method == "cem" else PathIntegralPlanner
-        return kind(predictor, self, limits)

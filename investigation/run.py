@@ -19,7 +19,7 @@ from hystmpc.models.simulator import load_simulator
 from hystmpc.rig.bench import Note
 from hystmpc.rig.recording.recorder_process import Views
 from hystmpc.sim.jobs.runner import alone_in
-from hystmpc.trajectories.identification import WHOLE_S
+from hystmpc.trajectories.excitation import WHOLE_S
 from hystmpc.trials.csv_files import write_csv
 from hystmpc.trials.errors import ConfigError, HystmpcError, LogError, ModelError
 from hystmpc.trials.files import write_atomically

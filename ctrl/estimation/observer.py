@@ -140,7 +140,7 @@ class SensorKindSettings(Settings):
 
     Attributes:
         sensor: `continuous`; `intermittent` for frames of an imaging system, now and then and late, see `Frames` and
-            `LastFrame`; `none` for a device without an angle sensor, see `ModelAlone`.
+            `LastMeasurement`; `none` for a device without an angle sensor, see `ModelAlone`.
         oldest_frame_s: age up to which an intermittent sensor's frame is used [s].
         longest_gap_s: time without a usable frame that is bridged [s]; of a continuous sensor
             `ladder.max_missing_samples` says it.
@@ -439,45 +439,20 @@ class ModelAlone(Observer):
 
 
 @final
-class WithoutModel(Observer):
-    """The observer of a controller that has no model: keeps the last usable measurement."""
-
-    delay_samples = 0
-
-    def sigma_deg(self, estimate: Estimate) -> float:
-        del estimate
-        return math.nan
-
-    def init(self, y: float, u: float) -> Estimate:
-        return Estimate(EMPTY, u, (), (), (), 0.0, 0.0, y)
-
-    def correct(self, estimate: Estimate, y: float) -> Estimate:
-        angle = usable_angle(y)
-        if math.isnan(angle):
-            return replace(estimate, missing=estimate.missing + 1)
-        return replace(estimate, measured=angle, missing=0)
-
-    def advance(self, estimate: Estimate, u: float) -> Estimate:
-        return replace(estimate, command=u)
-
-    def coast(self, estimate: Estimate, u: float) -> Estimate:
-        return replace(estimate, command=u)
-
-
-@final
-class LastFrame(Observer):
-    """The observer of a controller without a model whose measurements are frames: keeps the one taken last.
+class LastMeasurement(Observer):
+    """The observer of a controller that has no model: keeps the measurement taken last.
 
     A frame that arrives after one that was taken later changes nothing, so the order of arrival makes no difference.
 
     Args:
-        samples: age of the oldest frame that is used.
+        frames: age of the oldest frame that is used [samples]; None for a continuous sensor, of which every sample
+            without a usable measurement counts as missing.
     """
 
     delay_samples = 0
 
-    def __init__(self, samples: int) -> None:
-        self._samples = samples
+    def __init__(self, frames: int | None = None) -> None:
+        self._frames = frames
 
     def sigma_deg(self, estimate: Estimate) -> float:
         del estimate
@@ -488,18 +463,22 @@ class LastFrame(Observer):
 
     def correct(self, estimate: Estimate, y: float) -> Estimate:
         angle = usable_angle(y)
-        return estimate if math.isnan(angle) else replace(estimate, measured=angle, missing=0, since=0.0)
+        if not math.isnan(angle):
+            return replace(estimate, measured=angle, missing=0, since=0.0)
+        return estimate if self._frames is not None else replace(estimate, missing=estimate.missing + 1)
 
     def correct_late(self, estimate: Estimate, y: float, age: float) -> Estimate:
         """Use a frame of `age` samples ago.
 
         Raises:
-            ControllerError: if it is too old, not of the past, or no usable angle.
+            ControllerError: if there are no frames, or it is too old, not of the past, or no usable angle.
         """
+        if self._frames is None:
+            return super().correct_late(estimate, y, age)
         angle = usable_angle(y)
-        if not (0 <= age <= self._samples and math.isfinite(angle)):
+        if not (0 <= age <= self._frames and math.isfinite(angle)):
             raise ControllerError(
-                f"measure: got {y} deg of {age:.4g} samples ago, expected a finite angle of the last {self._samples}"
+                f"measure: got {y} deg of {age:.4g} samples ago, expected a finite angle of the last {self._frames}"
             )
         if age >= estimate.age:
             return estimate
@@ -507,7 +486,7 @@ class LastFrame(Observer):
         return replace(estimate, measured=angle, missing=whole, since=whole - age)
 
     def advance(self, estimate: Estimate, u: float) -> Estimate:
-        return replace(estimate, command=u, missing=estimate.missing + 1)
+        return replace(estimate, command=u, missing=estimate.missing + int(self._frames is not None))
 
     def coast(self, estimate: Estimate, u: float) -> Estimate:
         return self.advance(estimate, u)

@@ -20,7 +20,7 @@ from hystmpc.trials.types import Mat, Vec
 from ..command import CommandLimits, Stopwatch
 from ..learning.predictor import LearnedPredictor
 from ..mpc import CommandPlan, PlanCost, Planner, PlanningError, PlanningProblem
-from ..mpc_settings import LinearisationSettings, WeightsSettings
+from ..mpc_settings import LinearisedMpcSettings, WeightsSettings
 
 if TYPE_CHECKING:
     from .daqp_ import DaqpOptions
@@ -453,7 +453,7 @@ _LEARNED_ITERATIONS = 2
 _KEPT = 0.9  # share of the promised decrease from which on no part of the step is worth a roll-out
 
 
-def _options_of(settings: LinearisationSettings) -> OsqpOptions | DaqpOptions:
+def _options_of(settings: LinearisedMpcSettings) -> OsqpOptions | DaqpOptions:
     """Options of the solver that is asked for; the other one is not imported."""
     if settings.solver == "daqp":
         from .daqp_ import DaqpOptions
@@ -483,7 +483,7 @@ class LinearisedPlanner(Planner[None]):
     def __init__(
         self,
         predictor: Predictor,
-        settings: LinearisationSettings,
+        settings: LinearisedMpcSettings,
         limits: CommandLimits,
         options: OsqpOptions | DaqpOptions | None = None,
     ) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -18,8 +18,29 @@ from hystmpc.trials.types import Vec
 from ..command import Command, CommandLimits, Source, attempt, number_of, numbers_of, replace
 from ..estimation.observer import Estimate, usable_angle
 from ..guarded import GuardedState
-from .controller import PlannersController
+from ..loop import Controller
 from .reference import Reference, ReferenceRequest, rest_reference
+
+
+class PlannersController(Controller[GuardedState[Any]], Protocol):
+    """A `GuardedController`, or one that answers as it does, such as its C."""
+
+    def replay(self, commands: Vec, angles: Vec) -> GuardedState[Any]:
+        """State after a recording, see `GuardedController.replay`."""
+        ...
+
+    def sigma_deg(self, state: GuardedState[Any]) -> float:
+        """Standard deviation of the error of the estimated angle [deg]; not-a-number where it is not known."""
+        ...
+
+    def sigma_ahead_deg(self, state: GuardedState[Any], commands: Vec) -> Vec:
+        """Standard deviation of the error of the angles predicted for the ends of the coming samples (H,) [deg]."""
+        ...
+
+    def stop(self, state: GuardedState[Any], cause: str) -> GuardedState[Any]:
+        """The state after which every step stops; only a new `init` releases it."""
+        ...
+
 
 _SAME_COMMAND = 1e-6  # of the command's range: two records of one command may differ by it
 

@@ -48,7 +48,7 @@ from .settings import TipSettings, read_settings
 
 if TYPE_CHECKING:
     from .assembly import Assembly
-    from .controller import PlannersController
+    from .memory import PlannersController
 
 
 _ROUNDS = 3  # evaluations of a reference within one step, where another thread sets a new one each time

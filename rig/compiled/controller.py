@@ -20,7 +20,7 @@ from hystmpc.ctrl.guarded import (
     UnusableReferenceError,
     usable_reference,
 )
-from hystmpc.ctrl.planner.controller import PlannersController
+from hystmpc.ctrl.planner.memory import PlannersController
 from hystmpc.ctrl.planner.settings import TipSettings
 from hystmpc.ctrl.supervisor import LEVELS
 from hystmpc.trials.errors import ConfigError, ControllerError, ExportError
