@@ -150,23 +150,23 @@ def sensor_fault(settings: AnyControllerSettings, kind: str) -> str:
     return f"estimator.sensor: got {wanted}, expected {' or '.join(served)}: the sensor is {kind}"
 
 
-def with_sensor_facts(block: Any, told: Mapping[str, Any]) -> Any:
-    """The block of a controller with what its sensor says of itself, where the block does not say something else.
+def with_sensor_facts(block: Any, keys: Mapping[str, Any]) -> Any:
+    """The block of a controller with the keys that follow from its sensor; what the block gives itself wins.
 
     Args:
         block: as it was given; what is no block of a known kind comes back as it is.
-        told: keys of `estimator`; those that a controller of this kind does not know are left out.
+        keys: keys of `estimator`; those that a controller of this kind does not know are left out.
     """
     if isinstance(block, AnyControllerSettings):
         block = {**block.model_dump(exclude_unset=True), "kind": block.kind}
-    if not told or not isinstance(block, Mapping):
+    if not keys or not isinstance(block, Mapping):
         return block
     try:
-        data, own = _read(block), block.get("estimator", {})
+        data, given = _read(block), block.get("estimator", {})
         settings = PythonControllerSettings.named(data["python"]) if data["kind"] == "python" else _KINDS[data["kind"]]
     except (ConfigError, ValueError):  # the field itself says what is wrong
         return block
-    if not isinstance(own, Mapping):
+    if not isinstance(given, Mapping):
         return block
     known = type(settings.model_fields["estimator"].get_default()).model_fields
-    return {**data, "estimator": {**{key: value for key, value in told.items() if key in known}, **own}}
+    return {**data, "estimator": {**{key: value for key, value in keys.items() if key in known}, **given}}

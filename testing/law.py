@@ -25,7 +25,7 @@ _STEPS = 200
 
 
 @dataclass(frozen=True, eq=False)
-class Device:
+class KnownDevice:
     """A device that is known exactly: its model, limits, and the angles at its ends [deg]."""
 
     known: ControllerModel
@@ -40,7 +40,7 @@ class Device:
 
 
 @dataclass(frozen=True, eq=False)
-class Run:
+class LawRun:
     """Angles (T,) [deg], commands (T,), where each came from; the controller's state and the angle at the end."""
 
     angles: Vec
@@ -132,18 +132,18 @@ class ControllerContract(ABC):
         require(off <= self.settled_deg, f"{off:.2f} deg off after a gap, at most {self.settled_deg} deg")
 
     @cached_property
-    def _device(self) -> Device:
+    def _device(self) -> KnownDevice:
         opened = load_model(model_path(self.model), start="conditioned")
         known, limits = controller_model(opened), limits_of_model(opened.metadata)
         low, high = angles_at_rest(known.predictive[0], limits, opened.metadata.trained_angle.lower)
-        return Device(known, limits, low, high)
+        return KnownDevice(known, limits, low, high)
 
     @cached_property
     def _controller(self) -> GuardedController[Any]:
         settings = self.settings()
         return build_controller(settings, *pair_for(settings, self._device.known), self._device.limits)
 
-    def _follow(self, reference: Vec, missing: range = range(0)) -> Run:
+    def _follow(self, reference: Vec, missing: range = range(0)) -> LawRun:
         """The closed loop on the known device."""
         plant, controller, y = self._device.known.predictive[0], self._controller, self._device.low_deg
         device = plant.initial(y, self._device.limits.lower)
@@ -155,4 +155,4 @@ class ControllerContract(ABC):
             y, device = plant.advance(device, command.u)
             angles[k], commands[k] = y, command.u
             sources.append(command.source)
-        return Run(angles, commands, sources, state, y)
+        return LawRun(angles, commands, sources, state, y)

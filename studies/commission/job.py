@@ -20,10 +20,9 @@ from hystmpc.commissioning.device import BenchDevice
 from hystmpc.commissioning.run import Commissioned, commission_device
 from hystmpc.ctrl.command import CommandLimits, limits_of_model
 from hystmpc.ctrl.feedback import InverseControllerSettings, PidControllerSettings
-from hystmpc.ctrl.frames import ImagingSettings, NoSensorSettings
 from hystmpc.ctrl.guarded import GuardedController, build_controller, pair_for
 from hystmpc.ctrl.law import LawSettings
-from hystmpc.ctrl.loop import Controller
+from hystmpc.ctrl.loop import Controller, ImagingSettings, NoSensorSettings
 from hystmpc.ctrl.mpc_settings import LinearisedMpcSettings
 from hystmpc.gap.tracking.diagnosed import covered_motions
 from hystmpc.gap.tracking.expected import USUAL
@@ -268,7 +267,7 @@ def _changed(
 def _sensors(bench: StudyBench, own: ControllerModel, tip: LawSettings) -> dict[str, float]:
     """Without a sensor and with frames of an imaging system, beside the PID tuned for those."""
     limits, blind, frames = bench.device.limits, NoSensorSettings(), IMAGING
-    alone = _of(tip, {"estimator": dict(blind.told())})
+    alone = _of(tip, {"estimator": dict(blind.estimator_keys())})
     figures, runs = bench.along("none", TakenUp(_built(alone, own, limits), bench.plant), sensor=blind)
     noise = own.predictive[0].noise
     sigma = math.nan if noise is None or noise.model_sigma_deg is None else noise.model_sigma_deg
@@ -277,7 +276,7 @@ def _sensors(bench: StudyBench, own: ControllerModel, tip: LawSettings) -> dict[
         for run, motion in zip(runs, bench.motions, strict=True)
     ]
     figures |= {"none.sigma_deg": sigma, "none.within_band": float(np.mean(np.concatenate(inside)))}
-    seeing = _of(tip, {"estimator": dict(frames.told())})
+    seeing = _of(tip, {"estimator": dict(frames.estimator_keys())})
     figures |= bench.along("imaging", TakenUp(_built(seeing, own, limits), bench.plant, frames), sensor=frames)[0]
     figures |= bench.along("imaging_pid", _imaging_pid(bench, own), sensor=frames)[0]
     model = IdentifiedPlant(own, bench.drawn.true_angle, AS_IDENTIFIED_NOISE_DEG, bench.device.seed)
@@ -305,7 +304,7 @@ def _imaging_pid(bench: StudyBench, own: ControllerModel) -> Controller[Any]:
 
 def _known_to_pid(sensor: ImagingSettings) -> dict[str, Any]:
     keys = type(PidControllerSettings().estimator).model_fields
-    return {key: value for key, value in sensor.told().items() if key in keys}
+    return {key: value for key, value in sensor.estimator_keys().items() if key in keys}
 
 
 def _tracking_gap(bench: StudyBench) -> tuple[str, dict[str, float]]:

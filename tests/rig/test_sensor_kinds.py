@@ -15,7 +15,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hystmpc.commissioning.plants import make_plant
-from hystmpc.ctrl.frames import ImagingSettings
+from hystmpc.ctrl.loop import ImagingSettings
 from hystmpc.rig.commission.experiment import run_experiment
 from hystmpc.rig.commission.phases import Past, PhaseInput, place_frames
 from hystmpc.rig.commission.record import Recorded, record
