@@ -74,8 +74,8 @@ class PlanCost:
 
     def __call__(self, plans: Vec, angles: Vec, problem: PlanningProblem) -> Vec:
         """Costs (N,) of the plans (N, H) whose angles are (N, H); infinite where a prediction is not finite."""
-        found: Vec = costs(*self._arguments(plans, angles, problem))
-        return found
+        values: Vec = costs(*self._arguments(plans, angles, problem))
+        return values
 
     def best(self, plans: Vec, angles: Vec, problem: PlanningProblem) -> CommandPlan:
         """The cheapest of the plans; its cost is infinite where no prediction is finite."""
@@ -221,7 +221,7 @@ def costs(
     high: float,
 ) -> Any:
     """Costs (N,) of `PlanCost`, infinite where they are not finite; low, high: the soft angle limits."""
-    found = np.empty(plans.shape[0])
+    totals = np.empty(plans.shape[0])
     for n in range(plans.shape[0]):
         total, before = 0.0, u_last
         for k in range(plans.shape[1]):
@@ -231,8 +231,8 @@ def costs(
                 excess = max(angles[n, k] - high, 0.0) + max(low - angles[n, k], 0.0)
                 total += soft * excess * excess
             before = plans[n, k]
-        found[n] = total if np.isfinite(total) else np.inf
-    return found
+        totals[n] = total if np.isfinite(total) else np.inf
+    return totals
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
@@ -250,9 +250,9 @@ def cheapest(
     high: float,
 ) -> Any:
     """The first plan of the lowest cost, and that cost; see `costs`."""
-    found = costs(plans, angles, reference, inverse, u_last, tracking, rate, effort, soft, low, high)
-    row = np.argmin(found)
-    return row, found[row]
+    values = costs(plans, angles, reference, inverse, u_last, tracking, rate, effort, soft, low, high)
+    row = np.argmin(values)
+    return row, values[row]
 
 
 _LEAVE_SIGMAS = 5.0  # two independent estimates of one disturbance differ by more than this once in 10^4 samples
@@ -342,8 +342,8 @@ class PredictiveLaw(Law[PredictiveMemory[P]]):
         if holding or known == len(plans):
             return best
         others = plans[known:]
-        found = self._cost.best(others, self._predictor.rollout(problem.state, others), problem)
-        return found if found.cost < best.cost else best
+        searched = self._cost.best(others, self._predictor.rollout(problem.state, others), problem)
+        return searched if searched.cost < best.cost else best
 
     @staticmethod
     def _proposal(plan: CommandPlan, status: str, memory: PredictiveMemory[P]) -> Proposal[PredictiveMemory[P]]:

@@ -164,8 +164,8 @@ class PredictiveSettings(LawSettings):
         if sensor in ("intermittent", "none"):
             data = {"adaptation": None, **data, "supervisor": None}  # a `tip.yaml` has one for its continuous sensor
             for block, key, value in (("weights", "rate", _BLIND_RATE), ("hold", "tolerance_deg", _BLIND_HOLD_DEG)):
-                if isinstance(own := data.get(block, {}), dict):
-                    data[block] = {key: value, **own}
+                if isinstance(given := data.get(block, {}), dict):
+                    data[block] = {key: value, **given}
         return {"supervisor": None, **data} if data.get("adaptation", {}) is None else data
 
     @model_validator(mode="after")
@@ -219,8 +219,8 @@ class PredictiveSettings(LawSettings):
 
         from .learning.predictor import LearnedInverse
 
-        own = inverse.inverse if isinstance(inverse, LearnedInverse) else inverse
-        if not inverted_after_a_hold(own):
+        inner = inverse.inverse if isinstance(inverse, LearnedInverse) else inverse
+        if not inverted_after_a_hold(inner):
             return self
         return self.model_copy(update={"iterations": max(self.iterations, _REFINED)})
 

@@ -243,8 +243,8 @@ class SampledGaussNewton:
         solution = self._solver.solve(self._qp.blocked(problem, start, columns))
         if not solution.usable:
             return np.empty((0, start.commands.size))
-        found: Mat = start.commands + _PARTS * self._qp.deviation(solution.primal)
-        return found
+        parts: Mat = start.commands + _PARTS * self._qp.deviation(solution.primal)
+        return parts
 
 
 @final
@@ -281,11 +281,11 @@ class PathIntegralPlanner(SamplingPlanner):
                 raise PlanningError(f"none of {len(plans)} samples has a finite prediction")
             plans, angles, costs = plans[usable], angles[usable], costs[usable]
         best = int(costs.argmin())
-        found = CommandPlan(plans[best], angles[best], float(costs[best]))
+        sample = CommandPlan(plans[best], angles[best], float(costs[best]))
         polished = self._polish.plans(start, plans, angles, problem)
         averaged = weighted_mean(plans, costs, self._settings.temperature)
         tried = self._cheapest(np.vstack((averaged, polished)), problem)
-        return min((start, tried, found), key=lambda p: p.cost)
+        return min((start, tried, sample), key=lambda p: p.cost)
 
 
 class _Search(NamedTuple):
@@ -338,11 +338,11 @@ class CrossEntropyPlanner(SamplingPlanner):
         if not order.size:
             raise PlanningError(f"none of {len(plans)} samples has a finite prediction")
         elites, first = plans[order], int(order[0])
-        found = CommandPlan(plans[first], angles[first], float(costs[first]))
+        sample = CommandPlan(plans[first], angles[first], float(costs[first]))
         deviation = np.maximum(elites.std(axis=0), self._settings.finest * self._sigma)
         finite = np.isfinite(costs)
         polished = self._cheapest(self._polish.plans(search.best, plans[finite], angles[finite], problem), problem)
-        best = min((search.best, found, polished), key=lambda plan: plan.cost)
+        best = min((search.best, sample, polished), key=lambda plan: plan.cost)
         watch.lap("weigh")
         return _Search(elites.mean(axis=0), deviation, elites[: self._kept], best)
 

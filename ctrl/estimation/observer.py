@@ -190,10 +190,10 @@ class EstimatorSettings(SensorKindSettings):
         """The estimator that these settings describe."""
         if self.sensor == "none":
             return ModelAlone(predictor, self)
-        found = OutputEstimator(predictor, self)
+        estimator = OutputEstimator(predictor, self)
         if self.sensor == "continuous":
-            return found
-        return Frames(found, self.oldest_samples(predictor.dt))
+            return estimator
+        return Frames(estimator, self.oldest_samples(predictor.dt))
 
 
 @final
@@ -284,7 +284,7 @@ class OutputEstimator(Observer):
             return replace(estimate, missing=estimate.missing + 1)
         if not estimate.responsive[0]:
             return replace(estimate, measured=angle, missing=0)
-        bank, found, variance = self.bank.correct(estimate.bank, offset)
+        bank, mean, variance = self.bank.correct(estimate.bank, offset)
         earned = estimate.earned
         if self._frames:
             before = float(estimate.bank[0] @ estimate.bank[2])
@@ -294,8 +294,8 @@ class OutputEstimator(Observer):
             estimate,
             bank=bank,
             earned=earned,
-            disturbance=share * found,
-            variance=variance + ((1.0 - share) * found) ** 2,
+            disturbance=share * mean,
+            variance=variance + ((1.0 - share) * mean) ** 2,
             measured=angle,
             missing=0,
         )

@@ -231,14 +231,14 @@ class MoveBlocking:
     def matrix(self) -> Mat:
         """M (H, m)."""
         count = len(self.lengths)
-        found = np.zeros((self.horizon, count))
+        matrix = np.zeros((self.horizon, count))
         for b, (start, length) in enumerate(zip(self.starts.tolist(), self.lengths, strict=True)):
             along = np.arange(1, length + 1) / length
-            found[start : start + length, b] = along
+            matrix[start : start + length, b] = along
             if b:
-                found[start : start + length, b - 1] = 1.0 - along
-        found[sum(self.lengths) :, count - 1] = 1.0
-        return found
+                matrix[start : start + length, b - 1] = 1.0 - along
+        matrix[sum(self.lengths) :, count - 1] = 1.0
+        return matrix
 
 
 @final
@@ -385,19 +385,19 @@ def condense(
 @njit(cache=True, error_model="numpy", nogil=True)
 def rate_multipliers(gradient: Any, moves: Any, reach: float) -> Any:
     """Multipliers (H,) that hold a plan where it already moves at the greatest rate; see `TrackingQp`."""
-    found = np.zeros(gradient.size)
+    dual = np.zeros(gradient.size)
     balance, touching = 0.0, reach * (1.0 - 1e-6)
     for k in range(gradient.size - 1, -1, -1):
         balance -= gradient[k]
         if moves[k] >= touching:
-            found[k] = max(balance, 0.0)
+            dual[k] = max(balance, 0.0)
         elif moves[k] <= -touching:
-            found[k] = min(balance, 0.0)
-    return found
+            dual[k] = min(balance, 0.0)
+    return dual
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def block_columns(jacobian: Any, blocking: Any, starts: Any, found: Any) -> None:
+def block_columns(jacobian: Any, blocking: Any, starts: Any, columns: Any) -> None:
     """J M (H, m) in place: lower triangular J (H, H) times `MoveBlocking.matrix`, whose column b is zero before
     `starts[b]` and after the end of block b + 1, but for the last.
     """
@@ -408,7 +408,7 @@ def block_columns(jacobian: Any, blocking: Any, starts: Any, found: Any) -> None
             total = 0.0
             for i in range(starts[b], min(k + 1, stop)):
                 total += jacobian[k, i] * blocking[i, b]
-            found[k, b] = total
+            columns[k, b] = total
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
@@ -535,16 +535,16 @@ class LinearisedPlanner(Planner[None]):
         # the solver overshoots limits within its tolerance: clip the whole step, parts are then too
         whole, foreseen = np.empty((2, 1, step.size))
         take_step(start.commands, start.angles, jacobian, step, *self._bounds, problem.u_last, whole, foreseen)
-        found = self._cheapest(whole, problem)
+        better = self._cheapest(whole, problem)
         promised = start.cost - self._cost(whole, foreseen, problem)[0]
-        if not start.cost - found.cost >= _KEPT * promised:  # not-a-number: look further
+        if not start.cost - better.cost >= _KEPT * promised:  # not-a-number: look further
             parts = start.commands + _PARTS[:, None] * (
                 whole - start.commands
             )  # half of a move one way and one the other is none
             clip_plans(parts, *self._bounds, problem.u_last)
             part = self._cheapest(parts, problem)
-            found = part if part.cost < found.cost else found
-        return found if found.cost < start.cost else start
+            better = part if part.cost < better.cost else better
+        return better if better.cost < start.cost else start
 
     def _cheapest(self, plans: Vec, problem: PlanningProblem) -> CommandPlan:
         return self._cost.best(plans, self._predictor.rollout(problem.state, plans), problem)

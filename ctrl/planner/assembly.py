@@ -53,10 +53,10 @@ class Assembly:
 
     def origin(self, settings: TipSettings) -> str:
         """Kind and fingerprint of a controller: equal where settings, limits and model are."""
-        own = settings.model_dump_json(
+        controller = settings.model_dump_json(
             exclude={"model", "inverse", "limits", "motion", "start_command", "tolerance_deg"}
         )
-        facts = (own, self.limits, self.controller.dt, type(self.predictor).__qualname__, self.model_hash)
+        facts = (controller, self.limits, self.controller.dt, type(self.predictor).__qualname__, self.model_hash)
         return f"{settings.controller.kind} {hashlib.sha256(repr(facts).encode()).hexdigest()[:12]}"
 
 

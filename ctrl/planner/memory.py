@@ -96,8 +96,8 @@ class Snapshot:
     def motion(self, t: float) -> Kinematics:
         """The reference's state of motion at `t` [s]; not-a-number where there is none or a user's function fails."""
         reference = self.reference
-        found = None if reference is None else attempt(lambda: reference.motion(t))[0]
-        return found if found is not None and math.isfinite(found.theta_deg) else Kinematics(math.nan)
+        motion = None if reference is None else attempt(lambda: reference.motion(t))[0]
+        return motion if motion is not None and math.isfinite(motion.theta_deg) else Kinematics(math.nan)
 
 
 def initial_snapshot(origin: str, command: float, sent: bool = False) -> Snapshot:

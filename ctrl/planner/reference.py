@@ -133,15 +133,15 @@ def waypoint_request(angles_deg: Sequence[float], holds_s: Sequence[float], limi
     Raises:
         ControllerError: if the counts differ, nothing is given, an angle is not finite or a hold is negative.
     """
-    found, pauses = numbers_of(angles_deg), numbers_of(holds_s)
-    usable = np.all(np.abs(found) <= ANGLE_BOUND_DEG) and np.all((pauses >= 0) & (pauses < math.inf))
-    if found.ndim != 1 or not found.size or found.shape != pauses.shape or not usable:
+    wanted, pauses = numbers_of(angles_deg), numbers_of(holds_s)
+    usable = np.all(np.abs(wanted) <= ANGLE_BOUND_DEG) and np.all((pauses >= 0) & (pauses < math.inf))
+    if wanted.ndim != 1 or not wanted.size or wanted.shape != pauses.shape or not usable:
         raise ControllerError(
             f"waypoints: got angles {shown(angles_deg, 60)} deg and holds {shown(holds_s, 60)} s, "
             f"expected as many of one as of the other, finite angles within {ANGLE_BOUND_DEG:.0f} deg and holds >= 0"
         )
 
-    angles, holds = found.tolist(), pauses.tolist()
+    angles, holds = wanted.tolist(), pauses.tolist()
 
     def plan(start: Kinematics, t: float) -> Reference:
         pieces = []
