@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from hystmpc.ctrl.limits import CommandLimits
+from hystmpc.ctrl.command import CommandLimits
 from hystmpc.rig.config import BenchSettings
 from hystmpc.sim.jobs.runner import alone_in
 from hystmpc.trials.brief import brief

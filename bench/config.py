@@ -8,11 +8,10 @@ from typing import Annotated, Any, TypeVar
 
 from pydantic import Field, model_validator
 
-from hystmpc.ctrl.limits import Count, Positive
 from hystmpc.models.load import model_path
 from hystmpc.rig.config import BenchSettings, Name, located
 from hystmpc.trajectories.config import Motion, SampledSettings
-from hystmpc.trials.config import Settings, load_settings
+from hystmpc.trials.config import Count, Positive, Settings, load_settings
 
 MOST_MINUTES = 5.0
 _STILL_MARGIN, _MOST_TRAVEL = 1.5, 0.9  # of the travel seen without motion, and of the range

@@ -9,8 +9,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from hystmpc.ctrl.feedback.inverse_settings import InversePidControllerSettings
-from hystmpc.ctrl.feedback.pid import PidControllerSettings
+from hystmpc.ctrl.feedback import InversePidControllerSettings, PidControllerSettings
 from hystmpc.ctrl.planner.settings import TipSettings, read_settings
 from hystmpc.models.contract.metadata import Range
 from hystmpc.models.simulator import load_simulator
@@ -91,7 +90,7 @@ def make_controllers(
             progress(before + share * done / of, total, f"gains {note}".strip())
 
         config = study.config.model_copy(update={"tune_pid": TuningSettings(evaluations=shares[name])})
-        found[name] = deaf_to(tuned_gains(replace(study, config=config), start, told), study, step)
+        found[name] = with_wider_dead_zone(tuned_gains(replace(study, config=config), start, told), study, step)
         before += shares[name]
     gains = {name: tuned.settings.gains.model_dump() for name, tuned in found.items()}
     tolerance = max(_TOLERANCE_DEG, _TOLERANCE_SIGMAS * sigma_deg)
@@ -114,7 +113,7 @@ def predictive(subject: Subject, pid: Mapping[str, float]) -> dict[str, Any]:
     Args:
         pid: gains of the feedback to which it hands over where its model foretells nothing.
     """
-    block: dict[str, Any] = {"kind": "linearised_mpc", "handover": {"pid": dict(pid)}}
+    block: dict[str, Any] = {"kind": "linearised_mpc", "supervisor": {"pid": dict(pid)}}
     if subject.block.angle_limits_deg is not None:
         low, high = subject.block.angle_limits_deg
         block["weights"] = {"angle_lower_deg": low, "angle_upper_deg": high}
@@ -163,12 +162,12 @@ def sensor_step_deg(model: Path) -> float:
     return 0.0 if noise is None else noise.sensor_resolution_deg
 
 
-def deaf_to(found: PidTuning, study: Study, step_deg: float) -> PidTuning:
+def with_wider_dead_zone(found: PidTuning, study: Study, step_deg: float) -> PidTuning:
     """Gains that do not integrate half a step of the sensor's readings, so that a hold rests; their error on the model.
 
     The search looks at the error alone, which a command that hunts around a reading may even lower.
     """
-    gains = found.settings.gains.deaf_to(step_deg)
+    gains = found.settings.gains.with_dead_zone(step_deg)
     if gains == found.settings.gains:
         return found
     settings = found.settings.model_copy(update={"gains": gains})

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hystmpc.ctrl.limits import CommandLimits
+from hystmpc.ctrl.command import CommandLimits
 from hystmpc.gap.logs.preparation import nominal_noise_deg
 from hystmpc.gap.next.motion_design import Noise, OpenHypothesis, Option, expected_probability, option_on
 from hystmpc.gap.next.motion_family import MotionFamily

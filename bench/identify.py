@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from hystmpc.ctrl.limits import CommandLimits
+from hystmpc.ctrl.command import CommandLimits
 from hystmpc.ctrl.planner.reach import angles_at_rest
 from hystmpc.gap.diagnosis import Diagnosis
 from hystmpc.gap.report.words import closed_sentence, headline, tracking_sentence
@@ -17,8 +17,8 @@ from hystmpc.gap.whole import diagnose_trials
 from hystmpc.models.contract.metadata import DeviceLimits, Range
 from hystmpc.models.kinds.catalogue import chosen_kind
 from hystmpc.models.kinds.kind import FitRequest
+from hystmpc.models.prediction.build import controller_model
 from hystmpc.models.simulator import load_simulator, save_simulator
-from hystmpc.sim.study import knowledge
 from hystmpc.trials.check import Severity, check
 from hystmpc.trials.errors import FitError, LogError
 from hystmpc.trials.read import read_trials
@@ -236,9 +236,9 @@ def reached_angles(subject: Subject, model: Path) -> Reached:
         FitError: if nothing is left between them.
         ModelError: if the model cannot be used.
     """
-    known, limits = knowledge(str(model)), subject.limits
+    known, limits = controller_model(str(model)), subject.limits
     trained = known.facts.trained_angle
-    rest = angles_at_rest(known.predictor, limits, trained.lower)
+    rest = angles_at_rest(known.predictive[0], limits, trained.lower)
     allowed = subject.angle_limits or (-math.inf, math.inf)
     low, high = max(rest[0], trained.lower, allowed[0]), min(rest[1], trained.upper, allowed[1])
     if not low < high:

@@ -10,7 +10,7 @@ from tempfile import TemporaryDirectory
 
 from hystmpc.gap.report.report_data import FIXED_FILE
 from hystmpc.models.simulator import load_simulator
-from hystmpc.trajectories.identification import WHOLE_S
+from hystmpc.trajectories.excitation import WHOLE_S
 from hystmpc.trials.errors import ConfigError, ModelError
 from hystmpc.trials.files import write_atomically
 from hystmpc.trials.types import Progress, Vec

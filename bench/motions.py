@@ -8,12 +8,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hystmpc.ctrl.planner.settings import TargetMotionSettings
 from hystmpc.rig.config import BenchSettings
 from hystmpc.rig.experiment.phases import Past, PhaseInput, PrepareStep
 from hystmpc.rig.safety.ramp import ramp_commands
-from hystmpc.trajectories.config import LimitsSettings, MotionSettings, PointToPointSettings, SinusoidScanSettings
-from hystmpc.trajectories.identification import WHOLE_S, identification_motions
+from hystmpc.trajectories.config import MotionSettings, PointToPointSettings, SinusoidScanSettings
+from hystmpc.trajectories.excitation import WHOLE_S, identification_motions
+from hystmpc.trajectories.motion import MotionLimitsSettings
 from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.types import Vec
 
@@ -52,10 +52,10 @@ class Reached:
     speed_deg_s: float
 
     @property
-    def motion(self) -> TargetMotionSettings:
+    def motion(self) -> MotionLimitsSettings:
         """Limits of a target's motion that the device can follow: a third of its speed, reached within 0.2 s."""
         velocity = float(f"{min(60.0, _SLOPE_SHARE * self.speed_deg_s):.3g}")
-        return TargetMotionSettings(
+        return MotionLimitsSettings(
             velocity_deg_s=velocity,
             acceleration_deg_s2=float(f"{min(300.0, velocity / 0.2):.3g}"),
             jerk_deg_s3=float(f"{min(3000.0, velocity / 0.02):.3g}"),
@@ -221,15 +221,10 @@ def references(
 
 
 def _drawn(reached: Reached, motion_s: float, random: np.random.Generator) -> Iterator[tuple[str, MotionSettings]]:
-    motion = reached.motion
-    limits = LimitsSettings(
-        velocity_deg_s=motion.velocity_deg_s,
-        acceleration_deg_s2=motion.acceleration_deg_s2,
-        jerk_deg_s3=motion.jerk_deg_s3,
-    )
+    limits = reached.motion
     low, high = _range(reached, random)
     moves = max(2, round(motion_s / 3.0))
-    way_s = 0.5 * (high - low) / motion.velocity_deg_s + 0.3
+    way_s = 0.5 * (high - low) / limits.velocity_deg_s + 0.3
     rest_s = max(motion_s / moves - way_s, 1.2)
     # Alternately in the lower and the upper half, so that every move is one.
     shares = random.uniform(0.0, 0.4, moves + 1) + np.resize([0.0, 0.6], moves + 1)

@@ -9,8 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from hystmpc.ctrl.command import Source
-from hystmpc.ctrl.limits import CommandLimits
+from hystmpc.ctrl.command import CommandLimits, Source
 from hystmpc.models.identify.resolution import resolution
 from hystmpc.rig.config import BenchSettings
 from hystmpc.sim.results import holds, violations

@@ -9,13 +9,13 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field, ValidationError, model_validator
 
-from hystmpc.ctrl.config import sensor_fault, told_of_sensor
-from hystmpc.ctrl.limits import LimitsSettings, ModelledLimitsSettings, NotNegative, Positive
+from hystmpc.ctrl.command import LimitsSettings, ModelledLimitsSettings
+from hystmpc.ctrl.config import sensor_fault, with_sensor_facts
 from hystmpc.ctrl.mpc_settings import LinearisedMpcSettings
 from hystmpc.ctrl.planner.settings import TipSettings
 from hystmpc.models.load import model_path
 from hystmpc.trajectories.config import Motion, SampledSettings
-from hystmpc.trials.config import Settings, load_settings
+from hystmpc.trials.config import NotNegative, Positive, Settings, load_settings
 from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.from_outside import with_kind
 
@@ -167,16 +167,16 @@ class RunSettings(BenchSettings):
 
     @model_validator(mode="before")
     @classmethod
-    def _controller_is_told(cls, data: Any) -> Any:
+    def _controller_knows_the_sensor(cls, data: Any) -> Any:
         tip = data.get("controller") if isinstance(data, Mapping) else None
         if not isinstance(tip, Mapping) or not isinstance(data.get("sensor"), Mapping):
             return data
         try:
-            told = SensorSettings.model_validate(data["sensor"]).told()
+            keys = SensorSettings.model_validate(data["sensor"]).estimator_keys()
         except ValidationError:  # the field itself says what is wrong
             return data
-        law = told_of_sensor(tip.get("controller", {"kind": LinearisedMpcSettings().kind}), told)
-        return {**data, "controller": {**tip, "controller": law}} if told else data
+        law = with_sensor_facts(tip.get("controller", {"kind": LinearisedMpcSettings().kind}), keys)
+        return {**data, "controller": {**tip, "controller": law}} if keys else data
 
     @model_validator(mode="after")
     def _controller_fits_the_sensor(self) -> RunSettings:

@@ -15,8 +15,7 @@ from typing import Literal, Protocol, final
 from pydantic import Field
 from threadpoolctl import threadpool_limits
 
-from hystmpc.ctrl.limits import NotNegative
-from hystmpc.trials.config import Settings
+from hystmpc.trials.config import NotNegative, Settings
 
 # MCL_CURRENT | MCL_FUTURE | MCL_ONFAULT of <sys/mman.h>: without the last one, a new thread waits for its whole stack.
 _LOCK = 7

@@ -10,8 +10,8 @@ import numpy as np
 
 from hystmpc.trials.types import Index, Mask, Vec
 
-from ..chain_rest import FLAT, nearest_shown
 from ..kernels.chain_kernels import DIRECTIONS, StageKernels
+from ..rest import FLAT, nearest_shown
 
 Stage = tuple[StageKernels, slice, slice]
 """Compiled operator, and where its states and its parameters stand among those of the chain."""

@@ -10,7 +10,7 @@ from hystmpc.trials.errors import FitError, did_you_mean
 from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Vec
 
-from ..chain import Chain
+from ..chain import Chain, split
 from ..connections import connected_bundle
 from ..contract.export import ExportBundle, model_bytes
 from ..contract.metadata import DeviceLimits
@@ -20,7 +20,7 @@ from ..identify.auto_search import AutoSettings
 from ..identify.cross_validation import CrossValidation
 from ..identify.methods import simulator_of
 from ..identify.runs import Blocks, blocks_of, facts_of
-from ..inverse.drive import Drive, split
+from ..inverse.drive import Drive
 from ..model import FitProgress
 from ..simulator import ChainModel, Simulator
 from .auto import AutoKind

@@ -7,9 +7,9 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
-from hystmpc.ctrl.frames import ContinuousSensorSettings, SimulatedSensor
-from hystmpc.ctrl.limits import LimitsSettings, NotNegative, Positive
-from hystmpc.trials.config import Settings
+from hystmpc.ctrl.command import LimitsSettings
+from hystmpc.ctrl.loop import ContinuousSensorSettings, SimulatedSensor
+from hystmpc.trials.config import NotNegative, Positive, Settings
 
 from ..realtime import SchedulingSettings
 from ..transports.dds import DdsSettings

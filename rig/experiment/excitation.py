@@ -12,7 +12,6 @@ from typing import Annotated, ClassVar, Literal
 import numpy as np
 from pydantic import Field, model_validator
 
-from hystmpc.ctrl.limits import NotNegative, Positive
 from hystmpc.trajectories.excitation import (
     Offset,
     Split,
@@ -22,7 +21,7 @@ from hystmpc.trajectories.excitation import (
     s2_sinusoid,
 )
 from hystmpc.trajectories.trajectory import Trajectory, sample
-from hystmpc.trials.config import Settings
+from hystmpc.trials.config import NotNegative, Positive, Settings
 from hystmpc.trials.errors import LogError
 from hystmpc.trials.layouts import CANONICAL
 from hystmpc.trials.tables import Table, read_table

@@ -13,8 +13,7 @@ from typing import TYPE_CHECKING, Any, Protocol, final
 import numpy as np
 from numpy.typing import ArrayLike
 
-from hystmpc.ctrl.build import modelled_limits
-from hystmpc.ctrl.command import Command, ControlInput, Source, Stopwatch
+from hystmpc.ctrl.command import Command, ControlInput, Source, Stopwatch, modelled_limits
 from hystmpc.ctrl.config import ControllerSettings
 from hystmpc.ctrl.estimation.observer import EstimatorSettings
 from hystmpc.ctrl.guarded import GuardedController
@@ -22,10 +21,10 @@ from hystmpc.ctrl.law import Law, Proposal
 from hystmpc.ctrl.monitor import ChangeMonitor, MonitorState
 from hystmpc.ctrl.planner.assembly import Assembly, assemble
 from hystmpc.ctrl.planner.reach import beyond_reach
-from hystmpc.ctrl.planner.ruckig_ import Kinematics, move_to_rest
 from hystmpc.ctrl.planner.settings import TipSettings
 from hystmpc.ctrl.planner.tip_controller import TipController
-from hystmpc.trajectories.ruckig_ import PiecewiseCubic
+from hystmpc.trajectories.motion import Kinematics, PiecewiseCubic
+from hystmpc.trajectories.ruckig_ import move_to_rest
 from hystmpc.trajectories.trajectory import Trajectory
 from hystmpc.trials.errors import ConfigError, ControllerError
 from hystmpc.trials.types import Vec
@@ -110,7 +109,7 @@ def tracking_phase(settings: RunSettings, beside: bool = True, note: Note = lamb
     reference = settings.reference.build()
     if beyond := beyond_reach(reference(np.linspace(0.0, reference.duration_s, 1000)), assembly.workspace.model):
         note(f"warning: the reference {beyond}")
-    motion = tip_settings.motion
+    motion = tip_settings.motion.build()
 
     def lead_in(angle_deg: float) -> Trajectory:
         segments = move_to_rest(Kinematics(angle_deg), float(reference(0.0)), motion)

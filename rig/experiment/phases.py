@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Protocol, final
 
 from pydantic import Field, model_validator
 
-from hystmpc.ctrl.limits import Count, NotNegative, Positive
-from hystmpc.trials.config import Settings
+from hystmpc.trials.config import Count, NotNegative, Positive, Settings
 from hystmpc.trials.types import Vec
 
 from ..safety.intake import SeenFrame

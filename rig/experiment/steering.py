@@ -6,8 +6,8 @@ import math
 from pathlib import Path
 from typing import final
 
+from hystmpc.ctrl.command import CommandLimits
 from hystmpc.ctrl.config import sensor_fault
-from hystmpc.ctrl.limits import CommandLimits
 from hystmpc.ctrl.planner.assembly import assemble
 from hystmpc.ctrl.planner.settings import read_settings
 from hystmpc.ctrl.planner.tip_controller import TipController

@@ -11,12 +11,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hystmpc.bench.controller import deaf_to
+from hystmpc.bench.controller import with_wider_dead_zone
 from hystmpc.bench.device import Track, track_of
 from hystmpc.bench.motions import CONTROLLERS
 from hystmpc.bench.verify import MPC, PID, Verified, judge
-from hystmpc.ctrl.feedback.pid import PidControllerSettings
-from hystmpc.ctrl.limits import CommandLimits
+from hystmpc.ctrl.command import CommandLimits
+from hystmpc.ctrl.feedback import PidControllerSettings
 from hystmpc.rig.recording.sample import Sample
 from hystmpc.sim.tune_pid import PidTuning
 
@@ -126,4 +126,4 @@ def test_tracks_of_earlier_versions_are_read(tmp_path: Path) -> None:
 
 def test_gains_that_are_deaf_enough_stay_as_they_were_found() -> None:
     found = PidTuning(PidControllerSettings(), 0.3, 0.4, 24)
-    assert deaf_to(found, None, 0.1) is found  # type: ignore[arg-type]  # nothing is run again
+    assert with_wider_dead_zone(found, None, 0.1) is found  # type: ignore[arg-type]  # nothing is run again

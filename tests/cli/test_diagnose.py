@@ -15,7 +15,7 @@ from rich.console import Console
 
 import hystmpc
 from hystmpc.cli import diagnose
-from hystmpc.ctrl.limits import CommandLimits
+from hystmpc.ctrl.command import CommandLimits
 from hystmpc.gap.next.motion_design import Noise, propose, write_motion
 from hystmpc.gap.next.motion_menu import menu
 from hystmpc.models.simulator import ChainModel, Residual, load_simulator, save_simulator

@@ -14,8 +14,7 @@ import pytest
 
 import hystmpc
 from hystmpc.bench.config import load_commission, load_investigation
-from hystmpc.ctrl.config import parse_controller
-from hystmpc.ctrl.from_outside import GROUP
+from hystmpc.ctrl.config import GROUP, parse_controller
 from hystmpc.ctrl.planner.tip_controller import TipController
 from hystmpc.gap.tracking.measured import measured_runs
 from hystmpc.rig.config import RunSettings, load_record, load_run

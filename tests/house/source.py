@@ -15,7 +15,8 @@ ROOT = Path(__file__).resolve().parents[2]
 TIERS = (
     ("trials",),
     ("models",),
-    ("trajectories", "ctrl"),
+    ("trajectories",),
+    ("ctrl",),
     ("codegen",),
     ("sim", "rig"),
     ("gap", "testing"),

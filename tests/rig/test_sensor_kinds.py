@@ -15,7 +15,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hystmpc.bench.plants import make_plant
-from hystmpc.ctrl.frames import ImagingSettings
+from hystmpc.ctrl.loop import ImagingSettings
 from hystmpc.rig.config import RecordSettings, RunSettings
 from hystmpc.rig.device.config import DeviceSettings
 from hystmpc.rig.device.server import SimulatedDevice, open_link

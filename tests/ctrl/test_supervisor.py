@@ -1,4 +1,4 @@
-"""Laws of the handover: no jump of the command, and feedback where the forecasts are worthless."""
+"""Laws of the supervisor: bumpless transfer, and feedback where the forecasts are worthless."""
 
 from __future__ import annotations
 
@@ -10,15 +10,13 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from hystmpc.ctrl.build import build_controller
-from hystmpc.ctrl.command import Source, Stopwatch
+from hystmpc.ctrl.command import CommandLimits, Source, Stopwatch
 from hystmpc.ctrl.config import CONTROLLERS
-from hystmpc.ctrl.feedback.pid import PidSettings
-from hystmpc.ctrl.guarded import GuardedController, GuardedState
-from hystmpc.ctrl.handover import HandoverLaw, gains_for
-from hystmpc.ctrl.learning.estimator import Learning
-from hystmpc.ctrl.limits import CommandLimits
-from hystmpc.ctrl.planning_settings import HandoverSettings
+from hystmpc.ctrl.feedback import PidSettings
+from hystmpc.ctrl.guarded import GuardedController, GuardedState, build_controller
+from hystmpc.ctrl.learning.predictor import Learning
+from hystmpc.ctrl.mpc_settings import SupervisorSettings
+from hystmpc.ctrl.supervisor import SupervisoryLaw, feedback_gains
 from hystmpc.trials.errors import ConfigError
 
 from .plays import DT, SOUND, Backlash
@@ -27,40 +25,40 @@ LIMITS = CommandLimits(0.0, 6.0, 10.0)
 GAINS = {"kp_per_deg": 0.02, "ki_per_deg_s": 0.15}
 
 
-def controller(**handover: object) -> GuardedController[object]:
+def controller(**given: object) -> GuardedController[object]:
     case = SOUND[0]
-    asked = CONTROLLERS["linearised_mpc"].parse({"kind": "linearised_mpc", "handover": {"pid": GAINS, **handover}})
+    asked = CONTROLLERS["linearised_mpc"].parse({"kind": "linearised_mpc", "supervisor": {"pid": GAINS, **given}})
     return build_controller(asked, case.predictor, case.inverse, LIMITS)
 
 
-def distrusting(state: GuardedState[Any], distrust: float) -> GuardedState[Any]:
+def distrusting(state: GuardedState[Any], forecast_error: float) -> GuardedState[Any]:
     """The state of a controller whose forecasts have been so bad."""
     learning = state.estimate.learning
     assert isinstance(learning, Learning)
-    learning = replace(learning, bank=replace(learning.bank, distrust=distrust))
-    return replace(state, estimate=replace(state.estimate, learning=learning, distrust=distrust))
+    learning = replace(learning, bank=replace(learning.bank, forecast_error=forecast_error))
+    return replace(state, estimate=replace(state.estimate, learning=learning, forecast_error=forecast_error))
 
 
 @given(
-    distrusts=st.lists(st.floats(0.0, 1.2), min_size=1, max_size=25),
+    forecast_errors=st.lists(st.floats(0.0, 1.2), min_size=1, max_size=25),
     wanted=st.floats(30.0, 80.0),
     drift=st.floats(-0.5, 0.5),
 )
-@example(distrusts=[0.1, 1.0, 1.15, 0.1, 1.15, 1.0], wanted=60.0, drift=0.2)
+@example(forecast_errors=[0.1, 1.0, 1.15, 0.1, 1.15, 1.0], wanted=60.0, drift=0.2)
 @settings(max_examples=40, deadline=None)
-def test_at_a_handover_to_feedback_the_command_has_no_jump(distrusts: list[float], wanted: float, drift: float) -> None:
-    """Whatever the distrust does, limits hold, and the first command of a law that takes over is the last one sent."""
+def test_the_transfer_to_feedback_is_bumpless(forecast_errors: list[float], wanted: float, drift: float) -> None:
+    """Whatever the forecasts do, limits hold, and the first command of a law that takes over is the last one sent."""
     loop, y = controller(), 40.0
     law = loop.law
-    assert isinstance(law, HandoverLaw)
+    assert isinstance(law, SupervisoryLaw)
     state = loop.init(y, 1.5)
-    for distrust in distrusts:
-        state = distrusting(state, distrust)
+    for forecast_error in forecast_errors:
+        state = distrusting(state, forecast_error)
         before, level = state.estimate.command, state.memory.level
         reference = wanted + drift * np.arange(loop.horizon)
         command, state = loop.step(state, y, reference)
         assert state.fallback.failures == 0
-        assert state.memory.level == law._level(level, state.estimate.distrust)
+        assert state.memory.level == law._level(level, state.estimate.forecast_error)
         assert LIMITS.lower <= command.u <= LIMITS.upper
         assert abs(command.u - before) <= LIMITS.rate * DT + 1e-12
         if state.memory.level != level and state.memory.level != "mpc":
@@ -69,15 +67,17 @@ def test_at_a_handover_to_feedback_the_command_has_no_jump(distrusts: list[float
 
 
 @pytest.mark.parametrize(
-    ("distrust", "level", "source"),
+    ("forecast_error", "level", "source"),
     [(0.1, "mpc", Source.MPC), (1.0, "inverse_pid", Source.CONTROLLER), (1.15, "pid", Source.CONTROLLER)],
 )
-def test_the_level_follows_the_forecasts_and_stands_in_the_log(distrust: float, level: str, source: Source) -> None:
+def test_the_level_follows_the_forecasts_and_stands_in_the_log(
+    forecast_error: float, level: str, source: Source
+) -> None:
     loop = controller()
     state = loop.init(40.0, 1.5)
     law = loop.law
-    assert isinstance(law, HandoverLaw)
-    given_ = loop._input(distrusting(state, distrust), np.full(loop.horizon, 45.0))
+    assert isinstance(law, SupervisoryLaw)
+    given_ = loop._input(distrusting(state, forecast_error), np.full(loop.horizon, 45.0))
     proposal = law.propose(state.memory, given_, Stopwatch())
     assert proposal.memory.level == level
     assert proposal.source == source
@@ -86,8 +86,8 @@ def test_the_level_follows_the_forecasts_and_stands_in_the_log(distrust: float, 
 
 def test_a_better_level_takes_over_only_where_forecasts_are_twice_as_good() -> None:
     law = controller().law
-    assert isinstance(law, HandoverLaw)
-    thresholds = HandoverSettings()
+    assert isinstance(law, SupervisoryLaw)
+    thresholds = SupervisorSettings()
     assert law._level("pid", 0.9 * thresholds.pid_above) == "pid"
     assert law._level("pid", 0.4 * thresholds.inverse_pid_above) == "mpc"
     assert law._level("mpc", 0.9 * thresholds.inverse_pid_above) == "mpc"
@@ -120,33 +120,33 @@ def test_worthless_forecasts_end_in_feedback_within_limits() -> None:
 
 
 def test_gains_that_nobody_gave_follow_from_the_static_gain() -> None:
-    gains = gains_for(HandoverSettings(), Backlash())
+    gains = feedback_gains(SupervisorSettings(), Backlash())
     assert gains.ki_per_deg_s == pytest.approx(1.5 / 10.4, rel=0.05)
     given_ = PidSettings(kp_per_deg=0.5)
-    assert gains_for(HandoverSettings(pid=given_), Backlash()) == given_
+    assert feedback_gains(SupervisorSettings(pid=given_), Backlash()) == given_
 
 
-def test_without_learning_there_is_no_handover() -> None:
+def test_without_learning_there_is_no_supervisor() -> None:
     case = SOUND[0]
-    for block in ({"adaptation": None}, {"handover": None}, {"estimator": {"sensor": "none"}}):
+    for block in ({"adaptation": None}, {"supervisor": None}, {"estimator": {"sensor": "none"}}):
         asked = CONTROLLERS["linearised_mpc"].parse({"kind": "linearised_mpc", **block})
-        assert not isinstance(build_controller(asked, case.predictor, case.inverse, LIMITS).law, HandoverLaw)
+        assert not isinstance(build_controller(asked, case.predictor, case.inverse, LIMITS).law, SupervisoryLaw)
 
 
-def test_settings_say_what_is_off_and_a_handover_without_learning_is_refused() -> None:
+def test_settings_say_what_is_off_and_a_supervisor_without_learning_is_refused() -> None:
     kind = CONTROLLERS["linearised_mpc"]
     for block in ({"adaptation": None}, {"estimator": {"sensor": "intermittent"}}, {"estimator": {"sensor": "none"}}):
         asked = kind.parse({"kind": "linearised_mpc", **block}).model_dump(mode="json")
-        assert (asked["adaptation"], asked["handover"]) == (None, None)
+        assert (asked["adaptation"], asked["supervisor"]) == (None, None)
         assert kind.parse(asked).model_dump(mode="json") == asked
-    with pytest.raises(ConfigError, match="expected handover null"):
-        kind.parse({"kind": "linearised_mpc", "adaptation": None, "handover": {}})
+    with pytest.raises(ConfigError, match="expected supervisor null"):
+        kind.parse({"kind": "linearised_mpc", "adaptation": None, "supervisor": {}})
 
 
 @pytest.mark.parametrize("sensor", ["none", "intermittent"])
 def test_a_commissioned_controller_serves_another_sensor(sensor: str) -> None:
-    """`tip.yaml` names the gains of a handover; without a continuous sensor there is none, and no error."""
-    block = {"kind": "linearised_mpc", "handover": {"pid": GAINS}, "estimator": {"sensor": sensor}}
+    """`tip.yaml` names the gains of a supervisor; without a continuous sensor there is none, and no error."""
+    block = {"kind": "linearised_mpc", "supervisor": {"pid": GAINS}, "estimator": {"sensor": sensor}}
     parsed = CONTROLLERS["linearised_mpc"].parse(block)
-    assert parsed.handover is None
+    assert parsed.supervisor is None
     assert CONTROLLERS["linearised_mpc"].parse(parsed.model_dump()) == parsed

@@ -5,21 +5,142 @@ from __future__ import annotations
 import math
 from abc import abstractmethod
 from dataclasses import dataclass
-from typing import NamedTuple, final
+from typing import Any, NamedTuple, final
 
 import numpy as np
 
 from hystmpc.models.inverse.follow import Bounds, clip_plans
+from hystmpc.models.kernels.numba_ import njit
 from hystmpc.models.model import Predictor
 from hystmpc.trials.types import Mat, Vec
 
-from ..command import Stopwatch
-from ..limits import CommandLimits
-from ..linearised.daqp_ import DaqpOptions, DaqpSolver
-from ..linearised.program import BlockedQp, MoveBlocking, PlanProgram, TrackingQp
-from ..planning import CommandPlan, PlanCost, Planner, PlanningError, PlanningProblem
-from ..planning_settings import SamplingSettings, WeightsSettings
-from .loops import draw_plans, fit_columns, weighted_mean
+from .command import CommandLimits, Stopwatch
+from .linearised.daqp_ import DaqpOptions, DaqpSolver
+from .linearised.planner import BlockedQp, MoveBlocking, PlanProgram, TrackingQp
+from .mpc import CommandPlan, PlanCost, Planner, PlanningError, PlanningProblem
+from .mpc_settings import SamplingMpcSettings, WeightsSettings
+
+_SMALL = 1e-12  # squared distance of a sample from the start below which it says nothing
+_RIDGE = 1e-6  # of the fit, as a share of its normal matrix's trace
+_TINY = float(np.finfo(np.float64).tiny)
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def draw_plans(
+    normals: Any,
+    shape: Any,
+    mean: Any,
+    deviations: Any,
+    low: float,
+    high: float,
+    reach: float,
+    u_last: float,
+    plans: Any,
+) -> None:
+    """Admissible plans (N, H) = mean + deviations * (w shape), in place; w (N, m) are `normals` made orthogonal.
+
+    shape (m, H); mean (H,); deviations (N, 1) or (1, H).
+    """
+    make_orthogonal(normals)
+    plans[:] = 0.0
+    for n in range(normals.shape[0]):
+        for j in range(normals.shape[1]):
+            add(plans[n], normals[n, j], shape[j])
+    plans[:] = mean + deviations * plans
+    clip_plans(plans, low, high, reach, u_last)
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def make_orthogonal(normals: Any) -> None:
+    """The first m rows of (N, m), the next m and so on made orthogonal in place; every row keeps its length."""
+    count, size = normals.shape
+    squares = np.empty(count)
+    for n in range(count):
+        row = normals[n]
+        squares[n] = product(row, row)
+        for other in range(n - n % size, n):
+            add(row, -product(normals[other], row) / squares[other], normals[other])
+        row *= np.sqrt(squares[n] / product(row, row))
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def fit_columns(
+    plans: Any, angles: Any, commands: Any, start_angles: Any, ends: Any, whitening: Any, columns: Any
+) -> None:
+    """S F^-1 (H, m) in place: the fit in `SampledGaussNewton` to plans (N, H) and angles (N, H) around a start plan.
+
+    ends (m,): last samples of the blocks; whitening (m, m): F^-1, transposed.
+    """
+    size, horizon = ends.size, commands.size
+    normal, products = np.zeros((size, size)), np.zeros((size, horizon))
+    z, column = np.empty(size), np.empty(horizon)
+    for n in range(plans.shape[0]):
+        z[:] = 0.0
+        for j in range(size):
+            add(z, plans[n, ends[j]] - commands[ends[j]], whitening[j])
+        change = angles[n] - start_angles
+        near = 1.0 / max(product(z, z), _SMALL) ** 2
+        for j in range(size):
+            add(normal[j, j:], near * z[j], z[j:])
+            add(products[j], near * z[j], change)
+    # no sample may have moved at all: then the slope is zero
+    ridge = _RIDGE * np.trace(normal) + _TINY
+    for j in range(size):
+        normal[j, j] += ridge
+    solve(normal, products)
+    for i in range(size):
+        column[:] = 0.0
+        for j in range(size):
+            add(column, whitening[i, j], products[j])
+        columns[:, i] = column
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def solve(matrix: Any, right: Any) -> None:
+    """`right` (m, H) becomes X of matrix X = right, by matrix = R'R; only its upper triangle is read, and becomes R."""
+    size = matrix.shape[0]
+    for j in range(size):
+        for i in range(j):
+            factor = -matrix[i, j]
+            add(matrix[j, j:], factor, matrix[i, j:])
+            add(right[j], factor, right[i])
+        root = np.sqrt(matrix[j, j])
+        matrix[j, j:] /= root
+        right[j] /= root
+    for j in range(size - 1, -1, -1):
+        for i in range(j + 1, size):
+            add(right[j], -matrix[j, i], right[i])
+        right[j] /= matrix[j, j]
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def product(a: Any, b: Any) -> Any:
+    """Inner product of two vectors."""
+    total = 0.0
+    for k in range(a.size):
+        total += a[k] * b[k]
+    return total
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def add(target: Any, factor: float, row: Any) -> None:
+    """target += factor * row, in place."""
+    for k in range(target.size):
+        target[k] += factor * row[k]
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def weighted_mean(plans: Any, costs: Any, temperature: float) -> Any:
+    """Mean (H,) of plans (N, H) with finite costs (N,), by exp(-(J - J_min) / lambda); see `SamplingMpcSettings`."""
+    lowest = costs.min()
+    scale = max(temperature * (np.median(costs) - lowest), _TINY)
+    total, mean = 0.0, np.zeros(plans.shape[1])
+    for n in range(plans.shape[0]):
+        weight = np.exp((lowest - costs[n]) / scale)
+        total += weight
+        add(mean, weight, plans[n])
+    return mean / total
+
 
 _LEAST = 0.05  # of every direction in the noise, as a share of the strongest, so that the fit sees all of them
 _PARTS = np.array([1.0, 0.6, 0.35, 0.2, 0.1])[:, None]
@@ -42,7 +163,7 @@ class SamplingPlanner(Planner[SampleCounter]):
     The w of each m samples, one after another, are orthogonal: m samples show every direction once.
     """
 
-    def __init__(self, predictor: Predictor, settings: SamplingSettings, limits: CommandLimits) -> None:
+    def __init__(self, predictor: Predictor, settings: SamplingMpcSettings, limits: CommandLimits) -> None:
         self._predictor, self._settings = predictor, settings
         horizon, dt = settings.preview_samples(predictor.dt), predictor.dt
         self._bounds = Bounds(limits.lower, limits.upper, limits.rate * dt)
@@ -122,8 +243,8 @@ class SampledGaussNewton:
         solution = self._solver.solve(self._qp.blocked(problem, start, columns))
         if not solution.usable:
             return np.empty((0, start.commands.size))
-        found: Mat = start.commands + _PARTS * self._qp.deviation(solution.primal)
-        return found
+        parts: Mat = start.commands + _PARTS * self._qp.deviation(solution.primal)
+        return parts
 
 
 @final
@@ -135,7 +256,7 @@ class PathIntegralPlanner(SamplingPlanner):
     costs least, never to a worse plan. The weighted mean alone would follow the noise of the disturbance estimate.
     """
 
-    def __init__(self, predictor: Predictor, settings: SamplingSettings, limits: CommandLimits) -> None:
+    def __init__(self, predictor: Predictor, settings: SamplingMpcSettings, limits: CommandLimits) -> None:
         super().__init__(predictor, settings, limits)
         self._sigmas = self._sigma * np.geomspace(1.0, settings.finest, settings.samples)[:, None]
 
@@ -160,11 +281,11 @@ class PathIntegralPlanner(SamplingPlanner):
                 raise PlanningError(f"none of {len(plans)} samples has a finite prediction")
             plans, angles, costs = plans[usable], angles[usable], costs[usable]
         best = int(costs.argmin())
-        found = CommandPlan(plans[best], angles[best], float(costs[best]))
+        sample = CommandPlan(plans[best], angles[best], float(costs[best]))
         polished = self._polish.plans(start, plans, angles, problem)
         averaged = weighted_mean(plans, costs, self._settings.temperature)
         tried = self._cheapest(np.vstack((averaged, polished)), problem)
-        return min((start, tried, found), key=lambda p: p.cost)
+        return min((start, tried, sample), key=lambda p: p.cost)
 
 
 class _Search(NamedTuple):
@@ -187,7 +308,7 @@ class CrossEntropyPlanner(SamplingPlanner):
     (Pinneri et al., "Sample-efficient cross-entropy method for real-time planning", CoRL 2020, algorithm 1).
     """
 
-    def __init__(self, predictor: Predictor, settings: SamplingSettings, limits: CommandLimits) -> None:
+    def __init__(self, predictor: Predictor, settings: SamplingMpcSettings, limits: CommandLimits) -> None:
         super().__init__(predictor, settings, limits)
         self._elites = min(max(2, math.ceil(settings.elites * settings.samples)), settings.samples)
         self._kept = math.ceil(_KEPT * self._elites)
@@ -217,11 +338,11 @@ class CrossEntropyPlanner(SamplingPlanner):
         if not order.size:
             raise PlanningError(f"none of {len(plans)} samples has a finite prediction")
         elites, first = plans[order], int(order[0])
-        found = CommandPlan(plans[first], angles[first], float(costs[first]))
+        sample = CommandPlan(plans[first], angles[first], float(costs[first]))
         deviation = np.maximum(elites.std(axis=0), self._settings.finest * self._sigma)
         finite = np.isfinite(costs)
         polished = self._cheapest(self._polish.plans(search.best, plans[finite], angles[finite], problem), problem)
-        best = min((search.best, found, polished), key=lambda plan: plan.cost)
+        best = min((search.best, sample, polished), key=lambda plan: plan.cost)
         watch.lap("weigh")
         return _Search(elites.mean(axis=0), deviation, elites[: self._kept], best)
 
