@@ -9,8 +9,8 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field, ValidationError, model_validator
 
-from hystmpc.ctrl.config import sensor_fault, told_of_sensor
-from hystmpc.ctrl.limits import LimitsSettings, ModelledLimitsSettings
+from hystmpc.ctrl.command import LimitsSettings, ModelledLimitsSettings
+from hystmpc.ctrl.config import sensor_fault, with_sensor_facts
 from hystmpc.ctrl.mpc_settings import LinearisedMpcSettings
 from hystmpc.ctrl.planner.settings import TipSettings
 from hystmpc.models.load import model_path
@@ -19,8 +19,8 @@ from hystmpc.trials.config import FolderName, NotNegative, Positive, Settings, l
 from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.from_outside import with_kind
 
-from .commission.excitation import Excitation, MotionFileSettings
-from .commission.phases import PrepareStep, PretensionSettings
+from .experiment.excitation import Excitation, MotionFileSettings
+from .experiment.phases import PrepareStep, PretensionSettings
 from .live.desk import LiveSettings
 from .realtime import RealtimeSettings
 from .safety.intake import SensorSettings
@@ -164,16 +164,16 @@ class RunSettings(BenchSettings):
 
     @model_validator(mode="before")
     @classmethod
-    def _controller_is_told(cls, data: Any) -> Any:
+    def _controller_knows_the_sensor(cls, data: Any) -> Any:
         tip = data.get("controller") if isinstance(data, Mapping) else None
         if not isinstance(tip, Mapping) or not isinstance(data.get("sensor"), Mapping):
             return data
         try:
-            told = SensorSettings.model_validate(data["sensor"]).told()
+            keys = SensorSettings.model_validate(data["sensor"]).estimator_keys()
         except ValidationError:  # the field itself says what is wrong
             return data
-        law = told_of_sensor(tip.get("controller", {"kind": LinearisedMpcSettings().kind}), told)
-        return {**data, "controller": {**tip, "controller": law}} if told else data
+        law = with_sensor_facts(tip.get("controller", {"kind": LinearisedMpcSettings().kind}), keys)
+        return {**data, "controller": {**tip, "controller": law}} if keys else data
 
     @model_validator(mode="after")
     def _controller_fits_the_sensor(self) -> RunSettings:

@@ -76,6 +76,30 @@ class MonotonicClock(Clock):
             pass
 
 
+@final
+class SimulatedClock(Clock):
+    """Time that passes by waiting alone, so that a computed device is as fast as it computes."""
+
+    def __init__(self) -> None:
+        self._ns = 1_000_000_000
+
+    def now_ns(self) -> int:
+        """Time [ns]."""
+        return self._ns
+
+    def boot_ns(self) -> int:
+        """The same [ns]."""
+        return self._ns
+
+    def wall_ns(self) -> int:
+        """The same [ns]: it has no date."""
+        return self._ns
+
+    def wait_until(self, deadline_ns: int) -> None:
+        """The deadline is now."""
+        self._ns = max(self._ns, deadline_ns)
+
+
 class SchedulingSettings(Settings):
     """Block `realtime` of a device.
 

@@ -13,15 +13,15 @@ from .errors import ConfigError, did_you_mean, shown
 from .from_outside import MEMORY, given_by
 from .yaml_ import Location, MisplacedError, YamlError, format_yaml, parse_yaml, place_in
 
-LARGEST_FILE = 4_000_000  # bytes of a configuration
-
 Positive = Annotated[float, Field(gt=0)]
 NotNegative = Annotated[float, Field(ge=0)]
 Share = Annotated[float, Field(ge=0, le=1)]
 Count = Annotated[int, Field(ge=1)]
 NotNegativeInt = Annotated[int, Field(ge=0)]
+Port = Annotated[int, Field(ge=0, le=65535)]
 FolderName = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$", max_length=80)]
 """A name that becomes a folder of a run."""
+LARGEST_FILE = 4_000_000  # bytes of a configuration
 
 
 class _MisreadError(MisplacedError):

@@ -7,8 +7,8 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
-from hystmpc.ctrl.frames import ContinuousSensorSettings, SimulatedSensor
-from hystmpc.ctrl.limits import LimitsSettings
+from hystmpc.ctrl.command import LimitsSettings
+from hystmpc.ctrl.loop import ContinuousSensorSettings, SimulatedSensor
 from hystmpc.trials.config import NotNegative, NotNegativeInt, Positive, Settings
 
 from ..realtime import SchedulingSettings

@@ -8,8 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TextIO, final
 
-from hystmpc.ctrl.frames import ContinuousSensorSettings, Imaging, ImagingSettings
-from hystmpc.ctrl.loop import Plant
+from hystmpc.ctrl.loop import ContinuousSensorSettings, Imaging, ImagingSettings, Plant
 from hystmpc.trials.errors import ConfigError
 
 from ..realtime import MonotonicClock, scheduled

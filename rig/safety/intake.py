@@ -94,8 +94,8 @@ class SensorSettings(Settings):
         """Time of silence after which the run is stopped safely [s]."""
         return self.longest_gap_s if self.kind == "intermittent" else self.dead_after_s
 
-    def told(self) -> Mapping[str, Any]:
-        """What a controller's block `estimator` should say of this sensor."""
+    def estimator_keys(self) -> Mapping[str, Any]:
+        """Keys of a controller's block `estimator` that follow from this sensor."""
         if self.kind != "intermittent":
             return {} if self.kind == "continuous" else {"sensor": "none"}
         return {"sensor": self.kind, "oldest_frame_s": self.oldest_frame_s, "longest_gap_s": self.longest_gap_s}

@@ -15,7 +15,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hystmpc.ctrl.limits import CommandLimits
+from hystmpc.ctrl.command import CommandLimits
 from hystmpc.rig.config import load_record, load_run
 from hystmpc.rig.device.config import FaultSettings
 from hystmpc.rig.device.faulty_wire import FaultyReadings
