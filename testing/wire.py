@@ -10,7 +10,7 @@ from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass
 from typing import TypeVar
 
-from hystmpc.rig.transports.guarded import lacking, nonsense
+from hystmpc.rig.transports.from_outside import lacking, nonsense
 from hystmpc.rig.transports.transport import Reading, Transport
 
 _COMES_S = 5.0  # for something to arrive, on a busy machine

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from mutant import Mutant, Mutated, mutated_file  # isort: skip
 
-_guard = mutated_file("rig", "transports/guarded.py", "test_from_outside.py")
+_guard = mutated_file("rig", "transports/from_outside.py", "test_from_outside.py")
 _guarded_loop = mutated_file("rig", "loop.py", "test_whatever_raises.py")
 _slow = mutated_file("rig", "loop.py", "test_slow_wire.py")
 _stepped = mutated_file("rig", "loop.py", "test_loop.py")

@@ -328,7 +328,7 @@ class _Requests:
 
 def _sinks(order: dict[str, Any], requests: _Requests) -> tuple[Sink, str]:
     """Recording and views, and the address of the page."""
-    from ..live.controls import Controls
+    from ..live.desk import Controls
     from ..live.page import LivePage
     from ..live.terminal import TerminalView
 

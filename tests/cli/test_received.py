@@ -19,7 +19,7 @@ from hystmpc.ctrl.from_outside import GROUP
 from hystmpc.ctrl.planner.tip_controller import TipController
 from hystmpc.gap.tracking.measured import measured_runs
 from hystmpc.investigation.config import load_investigation
-from hystmpc.rig.commission.review_page import review_run
+from hystmpc.rig.commission.review import review_run
 from hystmpc.rig.config import RunSettings, load_record, load_run
 from hystmpc.sim.config import load_simulation
 from hystmpc.sim.results import load_results

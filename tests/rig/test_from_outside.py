@@ -21,8 +21,7 @@ from hystmpc.rig.bench import first_contact, run_bench
 from hystmpc.rig.config import BenchSettings
 from hystmpc.rig.safety.stop import StopFlag
 from hystmpc.rig.transports import guarded
-from hystmpc.rig.transports.from_outside import PythonSettings
-from hystmpc.rig.transports.guarded import GuardedTransport, nonsense
+from hystmpc.rig.transports.from_outside import GuardedTransport, PythonSettings, nonsense
 from hystmpc.rig.transports.transport import Conversion, Reading, RunContext
 from hystmpc.trials.errors import ConfigError
 

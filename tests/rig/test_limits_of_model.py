@@ -17,7 +17,7 @@ from hystmpc.ctrl.build import modelled_limits
 from hystmpc.ctrl.limits import ModelledLimitsSettings
 from hystmpc.rig.commission.experiment import tracking_phase
 from hystmpc.rig.config import RecordSettings, RunSettings
-from hystmpc.rig.device.config import DeviceSettings
+from hystmpc.rig.device import DeviceSettings
 from hystmpc.sim.config import SimulationConfig
 from hystmpc.sim.study import prepare
 from hystmpc.trials.config import dump_yaml

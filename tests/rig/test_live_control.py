@@ -22,8 +22,7 @@ from hystmpc.rig.bench import BenchResult, run_bench
 from hystmpc.rig.commission.experiment import tracking_phase
 from hystmpc.rig.commission.phases import CommandMotion, Decision, Past, Phase, PhaseInput
 from hystmpc.rig.config import BenchSettings, RunSettings
-from hystmpc.rig.live.controls import Controls
-from hystmpc.rig.live.desk import E_STOP, Answer, Desk, LiveSettings
+from hystmpc.rig.live.desk import E_STOP, Answer, Controls, Desk, LiveSettings
 from hystmpc.rig.live.page import LivePage
 from hystmpc.rig.recording.recorder_process import Views, open_recorder_process
 from hystmpc.rig.recording.recording import RecordingMeta

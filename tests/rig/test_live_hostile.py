@@ -13,8 +13,7 @@ from urllib.parse import urlsplit
 import pytest
 
 from hystmpc.rig.live import server
-from hystmpc.rig.live.controls import MOST_BYTES, Controls
-from hystmpc.rig.live.desk import Answer, Desk
+from hystmpc.rig.live.desk import MOST_BYTES, Answer, Controls, Desk
 from hystmpc.rig.live.page import LivePage
 
 from .test_live_control import CONTROL, Heard, post

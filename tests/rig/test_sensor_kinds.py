@@ -20,8 +20,7 @@ from hystmpc.rig.commission.experiment import run_experiment
 from hystmpc.rig.commission.phases import Past, PhaseInput, place_frames
 from hystmpc.rig.commission.record import Recorded, record
 from hystmpc.rig.config import RecordSettings, RunSettings
-from hystmpc.rig.device.config import DeviceSettings
-from hystmpc.rig.device.server import SimulatedDevice, open_link
+from hystmpc.rig.device import DeviceSettings, SimulatedDevice, open_link
 from hystmpc.rig.safety.intake import Intake, Seen, SeenFrame, SensorSettings
 from hystmpc.rig.safety.plausibility import MotionWatch, PlausibilitySettings
 from hystmpc.rig.safety.stop import StopFlag

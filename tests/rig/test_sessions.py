@@ -15,8 +15,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hystmpc.rig.device.config import DeviceSettings
-from hystmpc.rig.device.server import SimulatedDevice
+from hystmpc.rig.device import DeviceSettings, SimulatedDevice
 from hystmpc.rig.transports.dds import DdsSettings
 from hystmpc.rig.transports.sessions import ANOTHER, NO_GREETING, OLD, Admission
 from hystmpc.rig.transports.transport import Conversion, Incoming, Outgoing

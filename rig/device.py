@@ -1,4 +1,4 @@
-"""A simulated device behind a real wire, with a drive that returns to rest when nobody commands it."""
+"""A simulated device behind a real wire: its settings, and the server whose drive returns to rest without commands."""
 
 from __future__ import annotations
 
@@ -6,23 +6,80 @@ import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TextIO, final
+from pathlib import Path
+from typing import Annotated, Any, Literal, TextIO, final
 
-from hystmpc.ctrl.frames import ContinuousSensorSettings, Imaging, ImagingSettings
+from pydantic import Field, model_validator
+
+from hystmpc.ctrl.frames import ContinuousSensorSettings, Imaging, ImagingSettings, SimulatedSensor
+from hystmpc.ctrl.limits import LimitsSettings, Positive
 from hystmpc.ctrl.loop import Plant
+from hystmpc.trials.config import Settings
 from hystmpc.trials.errors import ConfigError
 
-from ..realtime import MonotonicClock, scheduled
-from ..safety.stop import StopFlag, stopping_on_signals
-from ..transports.transport import Conversion, DeviceLink, Outgoing
-from .config import DeviceSettings
-from .faulty_wire import FaultyDatagrams, FaultyReadings
+from .realtime import MonotonicClock, SchedulingSettings, scheduled
+from .safety.stop import StopFlag, stopping_on_signals
+from .transports.dds import DdsSettings
+from .transports.transport import Conversion, DeviceLink, Outgoing, WireUnits
+from .transports.udp import UdpListenSettings
+from .wire_faults import FaultSettings, FaultyDatagrams, FaultyReadings
 
 _MESSAGES = 64  # taken at most in one sample
 
 _AT_REST = 1e-3  # of the range
 
 _HEADER = "monotonic_ns,time_s,received,held,angle_deg\n"  # of the log
+
+
+class DeviceSettings(Settings):
+    """A simulated device in a process of its own: `hystmpc device`.
+
+    Attributes:
+        rate_hz: samples per second.
+        command_unit: of the plant.
+        plant: `simulator` and effects as in a simulation file, or `device: tendon | muscle | rod`.
+        sensor: the plant's angle in every message; frames of an imaging system, in messages of their own, stamped with
+            the time at which they were taken; or none. A message without an angle has not-a-number in its place and
+            says what the device holds, in every sample.
+        limits: what the drive can do; commands beyond are clipped and counted.
+        wire: units on the wire.
+        link: how it is reached.
+        watchdog_s: silence of the controller after which the drive returns to its rest by itself.
+        watchdog_rate_per_s: how fast it returns.
+        faults: what goes wrong, and when, counted from the first command.
+        realtime: scheduling of the server's process.
+        log: CSV file of every sample: time, command received, angle; for tests of controllers.
+        seed: of noise and faults.
+    """
+
+    rate_hz: float = Field(ge=1, le=1000)
+    command_unit: Literal["mm", "bar"]
+    plant: dict[str, Any]
+    sensor: SimulatedSensor = ContinuousSensorSettings()
+    limits: LimitsSettings
+    wire: WireUnits = WireUnits()
+    link: Annotated[UdpListenSettings | DdsSettings, Field(discriminator="kind")]
+    watchdog_s: Positive = 0.5
+    watchdog_rate_per_s: Positive = 2.0
+    faults: tuple[FaultSettings, ...] = ()
+    realtime: SchedulingSettings = SchedulingSettings()
+    log: Path | None = None
+    seed: Annotated[int, Field(ge=0)] = 0
+
+    @model_validator(mode="after")
+    def _datagrams(self) -> DeviceSettings:
+        wrong = [fault for fault in self.faults if fault.of_datagrams]
+        if wrong and not isinstance(self.link, UdpListenSettings):
+            raise ValueError(
+                f"got fault {wrong[0].fault} of {wrong[0].of} with link {self.link.kind}, expected link udp: only "
+                "datagrams can be got at"
+            )
+        return self
+
+    @property
+    def dt_s(self) -> float:
+        """Sample time [s]."""
+        return 1.0 / self.rate_hz
 
 
 @dataclass(frozen=True)
