@@ -211,12 +211,12 @@ class Dash(Phase):
 
     def begin(self, now: PhaseInput, past: Past) -> None:
         del past
-        self._told, self._k = [now.told], 0
+        self._told, self._k = [now.reported], 0
 
     def step(self, now: PhaseInput) -> Decision:
         """The next command; keeps what the device says that it holds."""
         if self._k:
-            self._told.append(now.told)
+            self._told.append(now.reported)
         u = self._commands[min(self._k, len(self._commands) - 1)]
         self._k += 1
         return Decision(u, self.name, finished=self._k > len(self._commands))

@@ -222,7 +222,7 @@ class BenchDevice(Device):
     def track(self, name: str, tip: TipSettings, reference: MotionSettings, bench: BenchSettings) -> Track:
         plain = {key: getattr(bench, key) for key in BenchSettings.model_fields} | {"limits": bench.limits.model_dump()}
         run = RunSettings.parse(plain | {"controller": tip, "reference": reference.model_dump()}, name)
-        phase = tracking_phase(run, beside=self.in_real_time)
+        phase = tracking_phase(run, threaded=self.in_real_time)
         samples = self._perform(name, Bounded(phase, self._angle_limits, bench.sensor), bench)
         return track_of(samples, reference.build().duration_s, bench.dt_s)
 

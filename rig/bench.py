@@ -170,7 +170,7 @@ def control_loop(
         with suppress(TrajectoryError):
             way(contact.held, velocity)
     gate = Gate(limits, dt_s)
-    if not contact.tells:
+    if not contact.reports_held:
         gate.anchor(contact.held)
     anchor = Anchor(gate, tolerance, max(3.0 * dt_s, sensor.age_limit_s), silence_s, safe, sensor.dead_after_s)
     watch = None
@@ -246,5 +246,5 @@ def first_contact(settings: BenchSettings, transport: Transport, clock: Clock, f
             reading = None
         if reading is None:
             clock.wait_until(clock.now_ns() + _PAUSE_NS)
-        elif found := contact.judge(reading):
-            return found
+        elif answered := contact.judge(reading):
+            return answered

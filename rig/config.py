@@ -167,16 +167,16 @@ class RunSettings(BenchSettings):
 
     @model_validator(mode="before")
     @classmethod
-    def _controller_is_told(cls, data: Any) -> Any:
+    def _sensor_facts_to_controller(cls, data: Any) -> Any:
         tip = data.get("controller") if isinstance(data, Mapping) else None
         if not isinstance(tip, Mapping) or not isinstance(data.get("sensor"), Mapping):
             return data
         try:
-            told = SensorSettings.model_validate(data["sensor"]).told()
+            facts = SensorSettings.model_validate(data["sensor"]).facts()
         except ValidationError:  # the field itself says what is wrong
             return data
-        law = told_of_sensor(tip.get("controller", {"kind": LinearisedMpcSettings().kind}), told)
-        return {**data, "controller": {**tip, "controller": law}} if told else data
+        law = told_of_sensor(tip.get("controller", {"kind": LinearisedMpcSettings().kind}), facts)
+        return {**data, "controller": {**tip, "controller": law}} if facts else data
 
     @model_validator(mode="after")
     def _controller_fits_the_sensor(self) -> RunSettings:
@@ -261,9 +261,9 @@ def _may_latch(file: Path) -> bool:
     """Whether a file may be a latch's: it is one, it is empty, or nothing is there."""
     try:
         text = file.read_text(encoding="utf-8")
-        found = json.loads(text) if text.strip() else {"cause": ""}
+        content = json.loads(text) if text.strip() else {"cause": ""}
     except (FileNotFoundError, NotADirectoryError):
         return True
     except (OSError, ValueError, RecursionError):
         return False
-    return isinstance(found, dict) and "cause" in found
+    return isinstance(content, dict) and "cause" in content

@@ -25,7 +25,7 @@ class DeviceContact:
     newest: Reading  # the loop keeps half a sample's distance from its receipt, and goes by its time of flight
 
     @property
-    def tells(self) -> bool:
+    def reports_held(self) -> bool:
         """Whether the device says itself what it holds."""
         return math.isfinite(self.newest.held)
 

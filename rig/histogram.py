@@ -95,12 +95,12 @@ class Timings:
     def as_dict(self) -> dict[str, object]:
         """Plain data for `timing.json`."""
         parts = {"period": self.period, "execution": self.execution, "jitter": self.jitter}
-        found: dict[str, object] = {"missed": self.missed, "skipped": self.skipped}
+        data: dict[str, object] = {"missed": self.missed, "skipped": self.skipped}
         for name, histogram in parts.items():
             filled = np.flatnonzero(histogram.counts)
-            found[name] = {
+            data[name] = {
                 "summary": {k: None if v != v else v for k, v in vars(histogram.summary()).items()},
                 "bin_s": float(histogram.edges_s[1]),
                 "counts": {int(k): int(histogram.counts[k]) for k in filled},
             }
-        return found
+        return data

@@ -16,7 +16,7 @@ from .realtime import Clock
 from .recording.sample import Sample, Sink
 from .safety.gate import Anchor, Gate
 from .safety.intake import Intake, Seen
-from .safety.stop import StopFlag
+from .safety.stop import StopFlag, cause_of
 from .transports.transport import Reading, Transport
 
 
@@ -152,7 +152,7 @@ class ControlLoop:
                 deadline = self._taken_in_c(deadline)
                 self._clock.wait_until(deadline)
             except Exception as error:  # noqa: BLE001 - as in a sample
-                self._flag.set(_said(error))
+                self._flag.set(cause_of(error))
             going = self.sample(deadline)
         try:
             self._transport.stop(goodbye=self._confirmed)
@@ -175,7 +175,7 @@ class ControlLoop:
         try:
             behind = self._clock.now_ns() - deadline
         except Exception as error:  # noqa: BLE001 - as in a sample
-            self._flag.set(_said(error))
+            self._flag.set(cause_of(error))
             return deadline
         return deadline + max(0, behind // self._dt_ns) * self._dt_ns
 
@@ -186,7 +186,7 @@ class ControlLoop:
         try:
             return self._sample(deadline)
         except Exception as error:  # noqa: BLE001 - whatever is broken, the next samples lead to the safe command
-            return self._failed(_said(error), deadline)
+            return self._failed(cause_of(error), deadline)
 
     def outcome(self) -> RunOutcome:
         """What there is to say of the run so far."""
@@ -207,8 +207,8 @@ class ControlLoop:
             return deadline
         self._calm = 0
         self._begin_at(deadline)
-        own = {"deadline_ns": deadline, "boot_ns": self._boot_ns, "dt_ns": self._dt_ns, "stall_ns": self._stall_ns}
-        compiled.begin({**parts, **self._anchor.numbers(), **own})
+        times = {"deadline_ns": deadline, "boot_ns": self._boot_ns, "dt_ns": self._dt_ns, "stall_ns": self._stall_ns}
+        compiled.begin({**parts, **self._anchor.numbers(), **times})
         taken = phase.taken_in_c(self._flag)
         try:
             for sample, decision in taken:
@@ -216,7 +216,7 @@ class ControlLoop:
                 if decision.finished:
                     self._finished()
         except Exception as error:  # noqa: BLE001 - the loop must end at rest, from what the device says that it holds
-            self._flag.set(_said(error))
+            self._flag.set(cause_of(error))
             self._anchor.not_sent(self._clock.boot_ns())
         finally:
             taken.close()  # the loop in C has ended then
@@ -396,7 +396,7 @@ class ControlLoop:
                 self._thrown += len(readings) - (self._newest is None)
                 self._newest = readings[-1]
         except Exception as error:  # noqa: BLE001 - as in a sample
-            self._flag.set(_said(error))
+            self._flag.set(cause_of(error))
 
     def _look(self) -> Seen:
         """What has arrived, judged; a transport that fails shows as a missing angle, a judgement that does stops."""
@@ -409,7 +409,7 @@ class ControlLoop:
             unheard = bool(readings) and not readings[-1].listens
             seen = self._intake.judge(readings, self._clock.now_ns(), self._gate.last)
         except Exception as error:  # noqa: BLE001 - a reading may hold anything
-            self._flag.set(f"a reading cannot be judged: {_said(error)}")
+            self._flag.set(f"a reading cannot be judged: {cause_of(error)}")
             return Seen(math.nan, ("not-judged", *faults), "")
         if unheard and self._commands and self._gate.anchored:
             self._flag.set("the device listens to this controller no more: its watchdog has acted, or another has it")
@@ -427,7 +427,7 @@ class ControlLoop:
                 decision = self._phase.step(now)
                 wrong, _ = decision.fault, float(decision.u)
             except Exception as error:  # noqa: BLE001 - phases run foreign code; the loop must end at rest
-                self._halt(_said(error), now)
+                self._halt(cause_of(error), now)
                 continue
             if not wrong or isinstance(self._phase, SafeStop):
                 return decision
@@ -526,8 +526,3 @@ class ControlLoop:
             sequence=self._sequence,
             taken_s=_S * (woke - self._start_ns) - seen.age_s if math.isfinite(seen.angle_deg) else math.nan,
         )
-
-
-def _said(error: BaseException) -> str:
-    """An error as a cause."""
-    return f"{type(error).__name__}: {' '.join(str(error).split())[:200]}"

@@ -159,7 +159,7 @@ class FaultyReadings:
 
     def __init__(self, faults: Sequence[FaultSettings], seed: int) -> None:
         self._random, self._last = random.Random(seed), math.nan
-        self._line = FaultyLine([f for f in faults if not f.of_datagrams], self._random, self._spoilt)
+        self._line = FaultyLine([f for f in faults if not f.of_datagrams], self._random, self._changed_content)
 
     def put(self, message: Outgoing, t_s: float) -> None:
         """Take a reading that is measured at `t_s` [s] after the first command."""
@@ -171,7 +171,7 @@ class FaultyReadings:
         """What arrives until `t_s` [s]."""
         return self._line.due(t_s)
 
-    def _spoilt(self, fault: FaultSettings, message: Outgoing) -> Outgoing:
+    def _changed_content(self, fault: FaultSettings, message: Outgoing) -> Outgoing:
         if fault.fault == "stamp_jump":
             return replace(message, stamp_ns=max(0, message.stamp_ns + round(_NS * fault.delay_s)))
         if fault.fault in ("blocked", "dislodged"):
@@ -195,13 +195,13 @@ class FaultyDatagrams:
 
     def __init__(self, wire: Datagrams, faults: Sequence[FaultSettings], seed: int) -> None:
         self._wire, self._random, self._first_ns = wire, random.Random(seed), 0
-        mine = [f for f in faults if f.of_datagrams]
+        datagram_faults = [f for f in faults if f.of_datagrams]
         self._in: FaultyLine[tuple[bytes, Peer]] = FaultyLine(
-            [f for f in mine if f.of == "commands"],
+            [f for f in datagram_faults if f.of == "commands"],
             self._random,
-            lambda fault, one: (self._spoilt(fault, one[0]), one[1]),
+            lambda fault, one: (self._changed_content(fault, one[0]), one[1]),
         )
-        self._out = FaultyLine([f for f in mine if f.of == "readings"], self._random, self._spoilt)
+        self._out = FaultyLine([f for f in datagram_faults if f.of == "readings"], self._random, self._changed_content)
         self._arrived: deque[tuple[bytes, Peer]] = deque()
 
     def recvfrom(self, size: int) -> tuple[bytes, Peer]:
@@ -214,16 +214,16 @@ class FaultyDatagrams:
             except ConnectionError:  # the answer to a datagram that nobody took
                 continue
             self._begin(data)
-            self._in.put((data, peer), self._since_s())
-        self._arrived.extend(self._in.due(self._since_s()))
+            self._in.put((data, peer), self._elapsed_s())
+        self._arrived.extend(self._in.due(self._elapsed_s()))
         if not self._arrived:
             raise BlockingIOError
         return self._arrived.popleft()
 
     def sendto(self, data: bytes, peer: Peer) -> int:
         """Send a datagram, or what the faults leave of it."""
-        self._out.put(data, self._since_s())
-        for one in self._out.due(self._since_s()):
+        self._out.put(data, self._elapsed_s())
+        for one in self._out.due(self._elapsed_s()):
             self._wire.sendto(one, peer)
         return len(data)
 
@@ -239,10 +239,10 @@ class FaultyDatagrams:
         if not self._first_ns and isinstance(message := decode(data), Datagram) and message.kind is Kind.COMMAND:
             self._first_ns = time.monotonic_ns()
 
-    def _since_s(self) -> float:
+    def _elapsed_s(self) -> float:
         return 1e-9 * (time.monotonic_ns() - self._first_ns) if self._first_ns else -1.0
 
-    def _spoilt(self, fault: FaultSettings, data: bytes) -> bytes:
+    def _changed_content(self, fault: FaultSettings, data: bytes) -> bytes:
         """One byte of it is another."""
         del fault
         spoilt, place = bytearray(data), self._random.randrange(len(data))

@@ -10,7 +10,7 @@ from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass
 from typing import TypeVar
 
-from hystmpc.rig.transports.from_outside import lacking, nonsense
+from hystmpc.rig.transports.from_outside import lacking, reading_fault
 from hystmpc.rig.transports.transport import Reading, Transport
 
 _COMES_S = 5.0  # for something to arrive, on a busy machine
@@ -76,7 +76,7 @@ class TransportContract(Wired):
             for k in range(1, 4):
                 c.tell(40.0 + k, 0.5 * k)
                 found = until(c.transport.read)
-                require(nonsense(found, time.monotonic_ns()) == "", nonsense(found, time.monotonic_ns()))
+                require(reading_fault(found, time.monotonic_ns()) == "", reading_fault(found, time.monotonic_ns()))
                 require(self.near(found.angle_deg, 40.0 + k), f"sent angle {40.0 + k}, read {found.angle_deg}")
                 told = math.isnan(found.held) or self.near(found.held, 0.5 * k)
                 require(told, f"the device holds {0.5 * k}, read {found.held}; NaN where the wire does not tell")

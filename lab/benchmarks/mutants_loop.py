@@ -18,7 +18,7 @@ _rest = Mutated("rig", "rig/commission/phases.py", ("tests/ros2/test_planner_mot
 MUTANTS: tuple[Mutant, ...] = (
     _guarded_loop(
         "what a part raises leaves the loop",
-        "            return self._failed(_said(error), deadline)",
+        "            return self._failed(cause_of(error), deadline)",
         "            raise",
     ),
     _guarded_loop(
@@ -36,7 +36,7 @@ MUTANTS: tuple[Mutant, ...] = (
     ),
     _guarded_loop(
         "a reading that nobody can judge is forgotten",
-        'self._flag.set(f"a reading cannot be judged: {_said(error)}")',
+        'self._flag.set(f"a reading cannot be judged: {cause_of(error)}")',
         "pass",
     ),
     _guarded_loop(
@@ -104,12 +104,12 @@ MUTANTS: tuple[Mutant, ...] = (
     ),
     _rest(
         "a rest anywhere is confirmed",
-        "abs(now.told - self._safe) <= self._tolerance",
-        "abs(now.told - self._end) <= self._tolerance",
+        "abs(now.reported - self._safe) <= self._tolerance",
+        "abs(now.reported - self._end) <= self._tolerance",
     ),
-    _guard("a batch drops what has failed", "                found = error\n", "                return\n"),
+    _guard("a batch drops what has failed", "                item = error\n", "                return\n"),
     _guard("what does not fit the units is believed", "if math.isinf(getattr(reading, name)):", "if False:"),
-    _guard("anything listens", "if not isinstance(found.listens, bool | np.bool_):", "if False:"),
-    _guard("numbers of numpy stay what they are", "int(found.sequence),", "found.sequence,"),
+    _guard("anything listens", "if not isinstance(value.listens, bool | np.bool_):", "if False:"),
+    _guard("numbers of numpy stay what they are", "int(raw.sequence),", "raw.sequence,"),
     _guard("a command waits behind a reading that is late", "                self._late = True\n", ""),
 )

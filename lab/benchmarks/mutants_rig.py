@@ -186,8 +186,8 @@ MUTANTS: tuple[Mutant, ...] = (
     ),
     _frames(
         "a silent device without a sensor is commanded on",
-        "silent = self._tells and silent_s",
-        "silent = self._tells and 0.0 * silent_s",
+        "silent = self._reports_held and silent_s",
+        "silent = self._reports_held and 0.0 * silent_s",
     ),
     _intake(
         "a dead sensor does not stop the run",
@@ -307,8 +307,8 @@ MUTANTS: tuple[Mutant, ...] = (
     _loop("goodbye is always said", "stop(goodbye=self._confirmed)", "stop(goodbye=True)"),
     _loop(
         "a phase that raises is held",
-        "                self._halt(_said(error), now)\n                continue",
-        '                return Decision(now.held, "hold", _said(error))',
+        "                self._halt(cause_of(error), now)\n                continue",
+        '                return Decision(now.held, "hold", cause_of(error))',
     ),
     _loop(
         "the fault of a phase is ignored",
@@ -334,7 +334,7 @@ MUTANTS: tuple[Mutant, ...] = (
     ),
     _loop("a wire that takes no command goes on", "if now - self._refused_ns > self._stall_ns:", "if now < 0:"),
     _loop("a way back that was not sent ends well", "if not self._phase.sent and not self._cause:", "if now is None:"),
-    _guard("nonsense is believed", "if fault := nonsense(found, self._now()):", "if fault := '':"),
+    _guard("nonsense is believed", "if fault := reading_fault(item, self._now()):", "if fault := '':"),
     _guard(
         "calls wait behind one that hangs",
         "        if not self.idle:\n            raise",
@@ -349,7 +349,7 @@ MUTANTS: tuple[Mutant, ...] = (
     ),
     _motion(
         "held is claimed without the device's word",
-        "self.confirmed = abs(now.told - self._safe) <= self._tolerance",
+        "self.confirmed = abs(now.reported - self._safe) <= self._tolerance",
         "self.confirmed = True",
     ),
     _motion("the stop ends at once", "there = self.sent and (", "there = True or ("),
@@ -379,7 +379,7 @@ MUTANTS: tuple[Mutant, ...] = (
     _tracking("the model is not watched", "watch.judge(command.disturbance)", '""'),
     _intake(
         "the command held by a device that listens to another counts",
-        "self._held = reading.held if reading.listens and tells else math.nan",
+        "self._held = reading.held if reading.listens and reports_held else math.nan",
         "self._held = reading.held",
     ),
     _admission(
@@ -482,7 +482,7 @@ MUTANTS: tuple[Mutant, ...] = (
     _controls("a foreign name is ours", "return name.lower() in self._names", "return True"),
     _controls(
         "an e-stop waits for other requests",
-        '        if self.is_estop(path):\n            return _answer(self._ask("estop", 0.0))\n',
+        '        if self.is_estop(path):\n            return _http(self._ask("estop", 0.0))\n',
         "",
     ),
     _desk("an e-stop ends the run regularly", "            self.flag.set(E_STOP)\n", "            self.flag.end()\n"),
@@ -516,7 +516,7 @@ MUTANTS: tuple[Mutant, ...] = (
     _asked_phase("the run begins before the start", "finished=started)", "finished=True)"),
     _targets(
         "a target out of reach is taken",
-        "        if not reach:\n            return Answer(False, reach.reason)\n",
+        "        if not reach:\n            return Reply(False, reach.reason)\n",
         "",
     ),
     _targets("a target before the hand-over is taken", "            if not self._tracks:", "            if False:"),

@@ -188,7 +188,7 @@ def _run(settings: dict[str, Any], folder: Path, how: How) -> Move:
         return lambda: _outcome(
             run_experiment(run, lambda: _recorder(run, folder / "run"), plants, folder=folder), folder
         )
-    tracking = tracking_phase(run, beside=False)
+    tracking = tracking_phase(run, threaded=False)
     return lambda: _outcome(run_bench(run, lambda: [tracking], Kept, plants, clock=SimulatedClock()), folder)
 
 

@@ -32,7 +32,7 @@ from hystmpc.trials.types import Vec
 
 from ..bench import BenchResult, Note, run_bench
 from ..config import RunSettings
-from ..live.desk import Answer, Desk
+from ..live.desk import Desk, Reply
 from ..recording.sample import Sink
 from ..safety.intake import SensorSettings
 from ..safety.plausibility import ModelWatch, PlausibilitySettings
@@ -78,7 +78,7 @@ def run_experiment(
     )
 
 
-def tracking_phase(settings: RunSettings, beside: bool = True, note: Note = lambda text: None) -> Tracking:
+def tracking_phase(settings: RunSettings, threaded: bool = True, note: Note = lambda text: None) -> Tracking:
     """The controller of an experiment, compiled and warm, as a phase.
 
     Args:
@@ -96,8 +96,8 @@ def tracking_phase(settings: RunSettings, beside: bool = True, note: Note = lamb
     law = tip_settings.controller
     ladder = law.resolved().ladder
     if ladder.safe_command is None:  # a stop of the controller's own goes where the loop's would
-        own = {"ladder": {**ladder.model_dump(), "safe_command": settings.safe_command}}
-        law = type(law).parse({**law.model_dump(exclude_unset=True), **own})
+        with_safe = {"ladder": {**ladder.model_dump(), "safe_command": settings.safe_command}}
+        law = type(law).parse({**law.model_dump(exclude_unset=True), **with_safe})
         tip_settings = tip_settings.model_copy(update={"controller": law})
     tip_settings = tip_settings.model_copy(
         update={"limits": tip_settings.limits or limits, "start_command": settings.safe_command}
@@ -120,7 +120,7 @@ def tracking_phase(settings: RunSettings, beside: bool = True, note: Note = lamb
     fails = None if drill is None else (drill.solver_fails_from_s, drill.solver_fails_from_s + drill.solver_fails_for_s)
     watch = model_watch(settings.plausibility, law, settings.dt_s)
     monitor = ChangeMonitor(assembly.predictor.noise, settings.dt_s, assembly.workspace.model)
-    return Tracking(tip, law_of_it, lead_in, watch, monitor, fails, settings.sensor, beside, compiled)
+    return Tracking(tip, law_of_it, lead_in, watch, monitor, fails, settings.sensor, threaded, compiled)
 
 
 def _compiled(settings: RunSettings, assembly: Assembly, tip_settings: TipSettings) -> CompiledController | None:
@@ -197,16 +197,16 @@ class Tracking(Phase):
         monitor: ChangeMonitor,
         drill_s: tuple[float, float] | None = None,
         sensor: SensorSettings | None = None,
-        beside: bool = True,
+        threaded: bool = True,
         compiled: CompiledController | None = None,
     ) -> None:
-        self._beside, self._compiled = beside, compiled
+        self._threaded, self._compiled = threaded, compiled
         self._tip, self._law, self._lead_in, self._watch, self._drill = tip, law, lead_in, watch, drill_s
         self._kind, self._rest_deg = ("continuous", None) if sensor is None else (sensor.kind, sensor.rest_deg)
         self._monitor, self._changed = monitor, ""
         self._judged: MonitorState | None = None
         self._held_samples = 0
-        self._early: list[tuple[float, float]] = []
+        self._early_frames: list[tuple[float, float]] = []
         self._reference: Trajectory | None = None
         self._worker: Thread | None = None
         self._past: Past | None = None
@@ -225,7 +225,7 @@ class Tracking(Phase):
         reach = self._tip.reachable(math.nan)
         return reach.low_deg, reach.high_deg
 
-    def target(self, angle_deg: float) -> Answer:
+    def target(self, angle_deg: float) -> Reply:
         """Move to an angle [deg] and stay there, in place of the reference, until the run is ended; by any thread.
 
         Raises:
@@ -233,15 +233,15 @@ class Tracking(Phase):
         """
         reach = self._tip.reachable(angle_deg)
         if not reach:
-            return Answer(False, reach.reason)
+            return Reply(False, reach.reason)
         with self._turn:
             if not self._tracks:
-                return Answer(False, "no target can be set now: the controller does not track")
+                return Reply(False, "no target can be set now: the controller does not track")
             self._tip.set_target(angle_deg)
             self._stays = True
             if self._compiled is not None and self._compiled.loop is not None:
                 self._compiled.loop.interrupt()
-        return Answer(True, reach.reason)
+        return Reply(True, reach.reason)
 
     def begin(self, now: PhaseInput, past: Past) -> None:
         del now
@@ -259,10 +259,10 @@ class Tracking(Phase):
             self._tip.set_reference(self._wanted)  # it begins now
             self._held_samples = 0
         now_s = self._tip.dt * self._tip.snapshot().steps
-        for angle, taken_s in [*self._early, *((frame.angle_deg, now_s - frame.age_s) for frame in now.frames)]:
+        for angle, taken_s in [*self._early_frames, *((frame.angle_deg, now_s - frame.age_s) for frame in now.frames)]:
             with suppress(ControllerError):  # older than what the controller remembers
                 self._tip.measure(angle, taken_s)
-        self._early.clear()
+        self._early_frames.clear()
         self._law.refusal = self._refusal(now)
         control = self._tip.snapshot().control
         if self._kind == "continuous" and control is not None and control.estimate.angles:
@@ -318,13 +318,13 @@ class Tracking(Phase):
                 self._past = None
                 self._worker = Thread(target=self._hand_over, args=(past,), name="hand-over", daemon=True)
                 self._worker.start()
-                if not self._beside:
+                if not self._threaded:
                     self._worker.join()
             return True
         waits = self._worker is not None and self._worker.is_alive()
         if waits and self._kind != "continuous":
             now_s = self._tip.dt * (self._held_samples + now.skipped)
-            self._early += [(frame.angle_deg, now_s - frame.age_s) for frame in now.frames]
+            self._early_frames += [(frame.angle_deg, now_s - frame.age_s) for frame in now.frames]
             self._held_samples += 1 + now.skipped
         return waits
 

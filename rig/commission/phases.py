@@ -29,7 +29,7 @@ class PhaseInput:
     held: float  # the command sent last, or the one that the device was found to hold
     late: bool = False  # whether the previous sample missed its deadline, so that there is no time for a plan
     skipped: int = 0  # whole samples since the previous one in which nothing was sent and the device held `held`
-    told: float = math.nan  # the command that the device says it holds, NaN where it does not tell
+    reported: float = math.nan  # the command that the device says it holds, NaN where it does not tell
     velocity: float = 0.0  # of the command between the last two samples; 0 where the device was found at rest [unit/s]
     frames: tuple[SeenFrame, ...] = ()  # of an intermittent sensor, accepted since the last sample
     shown_deg: float = math.nan  # the newest angle that is not stale, believed or not; NaN where none came [deg]
@@ -261,7 +261,7 @@ class SafeStop(Phase):
         u = self._commands[self._k] if self._k < len(self._commands) else self._end
         self._k += 1
         self._rested += abs(now.held - self._end) <= 1e-9 * (1 + abs(self._end))
-        self.confirmed = abs(now.told - self._safe) <= self._tolerance
+        self.confirmed = abs(now.reported - self._safe) <= self._tolerance
         self.sent = self._k >= len(self._commands) and self._rested >= self._repeats
         there = self.sent and (self.confirmed or self._rested >= self._patience)
         return Decision(u, self.name, self._status, finished=there and not self._stays())

@@ -29,8 +29,8 @@ from hystmpc.trials.trial import Trial, Units
 from hystmpc.trials.types import Vec
 
 from ..config import RunSettings
-from ..recording.csv_log import TAKEN
 from ..recording.report import Log, causes, numbers, timing_table, tracking_figure
+from ..recording.sample import TAKEN
 
 TRIAL_FILE = "trial.csv"
 _LEAST = 10  # samples that can be judged
@@ -129,33 +129,33 @@ def compare_with_model(run: RunFolder, settings: RunSettings) -> ReviewedRun:
     )
 
 
-def review(found: ReviewedRun, due_above_deg: float) -> Review:
+def review(rows: ReviewedRun, due_above_deg: float) -> Review:
     """Figures and advice.
 
-    The free run r over the commands sent is compared with the measured angle y. Up to `due_above_deg` nothing is due.
+    The free run r over the commands sent is rows with the measured angle y. Up to `due_above_deg` nothing is due.
     Beyond it, the line y = offset + gain r decides: where it takes the error below the bar the model has the right
     shape and wants new numbers, otherwise something is missing in it.
 
     Raises:
         LogError: if too few samples can be judged.
     """
-    y, r = found.measured_deg[found.counted], found.free_deg[found.counted]
+    y, r = rows.measured_deg[rows.counted], rows.free_deg[rows.counted]
     if y.size < _LEAST:
         raise LogError(f"review: {y.size} samples with an angle after preparation, expected at least {_LEAST}")
     moved = float(np.ptp(r)) > due_above_deg
     gain, offset = (float(c) for c in np.polyfit(r, y, 1)) if moved else (1.0, float(np.mean(y - r)))
     free, corrected = _rms(y - r), _rms(y - offset - gain * r)
-    error = (found.measured_deg - found.reference_deg)[found.counted]
+    error = (rows.measured_deg - rows.reference_deg)[rows.counted]
     error = error[np.isfinite(error)]
     return Review(
         advice=_advice(free, corrected, offset, gain, due_above_deg),
         tracking_deg=_rms(error),
-        one_step_deg=_rms((found.measured_deg - found.predicted_deg)[found.counted]),
+        one_step_deg=_rms((rows.measured_deg - rows.predicted_deg)[rows.counted]),
         free_run_deg=free,
         offset_deg=offset,
         gain=gain,
         corrected_deg=corrected,
-        change=_change(found, r, y),
+        change=_change(rows, r, y),
         greatest_deg=float(np.max(np.abs(error))) if error.size else math.nan,
     )
 
@@ -177,9 +177,9 @@ def _ends(angles: Range) -> tuple[float, float]:
     return angles.lower, angles.upper
 
 
-def _change(found: ReviewedRun, free_deg: Vec, measured_deg: Vec) -> str:
+def _change(rows: ReviewedRun, free_deg: Vec, measured_deg: Vec) -> str:
     """In a sentence; empty where the model's file does not say how far it is usually off, or too little was seen."""
-    change, when_s = found.monitor.along(free_deg, measured_deg)
+    change, when_s = rows.monitor.along(free_deg, measured_deg)
     if math.isnan(change.probability):
         return ""
     if change.certain:
@@ -248,28 +248,31 @@ def review_run(folder: Path, more: Sequence[Piece] = ()) -> Review:
     """
     run = RunFolder.open(folder)
     settings = RunSettings.parse(run.config(), str(folder / "config.yaml"))
-    found = None
+    rows = None
     try:
-        found = compare_with_model(run, settings)
-        verdict = review(found, settings.review.due_above_deg)
-        usable = np.isfinite(found.measured_deg)
+        rows = compare_with_model(run, settings)
+        verdict = review(rows, settings.review.due_above_deg)
+        usable = np.isfinite(rows.measured_deg)
         trial = Trial(
-            found.t[usable], found.command[usable], found.measured_deg[usable], units=Units(settings.command_unit)
+            rows.t[usable],
+            rows.command[usable],
+            rows.measured_deg[usable],
+            units=Units(settings.command_unit),
         )
         write_csv(trial, folder / TRIAL_FILE)
     except (LogError, TrajectoryError) as error:
         verdict = Review(f"not judged: {error}", *(math.nan,) * 6)
-    write_page(run, settings, found, verdict, more)
+    write_page(run, settings, rows, verdict, more)
     return verdict
 
 
 def write_page(
-    run: RunFolder, settings: RunSettings, found: ReviewedRun | None, verdict: Review, more: Sequence[Piece] = ()
+    run: RunFolder, settings: RunSettings, rows: ReviewedRun | None, verdict: Review, more: Sequence[Piece] = ()
 ) -> Path:
     """Write the page.
 
     Args:
-        found: samples; None where there are too few.
+        rows: samples; None where there are too few.
         more: shown behind the advice.
 
     Raises:
@@ -288,16 +291,16 @@ def write_page(
     pieces += [Paragraph(line[0].upper() + line[1:] + ".") for line in verdict.lines]
     log = run.log()
     pieces += [*more, Heading("Run"), KeyValues(_figures(settings, verdict, log, timing))]
-    if found is not None:
+    if rows is not None:
         pieces += [
             Heading("Tracking"),
             Plot(
-                tracking_figure(found.t, found.reference_deg, found.measured_deg, found.command, settings.command_unit),
+                tracking_figure(rows.t, rows.reference_deg, rows.measured_deg, rows.command, settings.command_unit),
                 "Reference, measured angle and command over time.",
                 zoom=True,
             ),
             Heading("Predicted and measured angle"),
-            Plot(_prediction(found), "Measured less predicted angle: one sample ahead, and in a free run.", True),
+            Plot(_prediction(rows), "Measured less predicted angle: one sample ahead, and in a free run.", True),
         ]
     pieces += [*_timing_pieces(timing, settings.dt_s), Heading("Stages of a sample"), timing_table(log), *causes(log)]
     run_page = Report("Run at the bench", tuple(pieces), f"{settings.name}, {run.meta.get('start', '')}")
@@ -306,10 +309,10 @@ def write_page(
 
 def _timing(file: Path) -> dict[str, Any]:
     try:
-        found = json.loads(file.read_text(encoding="utf-8"))
+        data = json.loads(file.read_text(encoding="utf-8"))
     except (OSError, ValueError):
         return {}
-    return found if isinstance(found, dict) else {}
+    return data if isinstance(data, dict) else {}
 
 
 def _figures(settings: RunSettings, verdict: Review, log: Log, timing: Mapping[str, Any]) -> dict[str, object]:
@@ -341,12 +344,12 @@ def _figures(settings: RunSettings, verdict: Review, log: Log, timing: Mapping[s
     }
 
 
-def _prediction(found: ReviewedRun) -> Figure:
+def _prediction(rows: ReviewedRun) -> Figure:
     with style():
         figure = Figure(figsize=(8, 3), layout="constrained")
         axes = figure.subplots()
-        draw_long(axes, found.t, found.measured_deg - found.free_deg, label="free run", color="C1")
-        draw_long(axes, found.t, found.measured_deg - found.predicted_deg, label="one sample ahead", color="C0")
+        draw_long(axes, rows.t, rows.measured_deg - rows.free_deg, label="free run", color="C1")
+        draw_long(axes, rows.t, rows.measured_deg - rows.predicted_deg, label="one sample ahead", color="C0")
         axes.axhline(0.0, color="0.6", linewidth=0.8)
         axes.set_xlabel("time [s]")
         axes.set_ylabel("measured less predicted [deg]")

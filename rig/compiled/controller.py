@@ -60,15 +60,15 @@ def compiled_controller(
     """
     try:
         export = export_controller(settings)
-        beside = loop.source() if loop.available() else ""
+        loop_source = loop.source() if loop.available() else ""
         fixed = {
             "spin_ns": round(1e9 * spin_s),
             "stop_after": settings.controller.resolved().ladder.stop_after_failures,
         }
-        compiled = CompiledController(controller, export, controller_library(export, beside), fixed)
+        compiled = CompiledController(controller, export, controller_library(export, loop_source), fixed)
     except (ExportError, OSError) as error:
-        said = str(error).removeprefix("export-c: ")
-        raise ConfigError(f"realtime.backend c: {said}; backend: python needs nothing") from None
+        reason = str(error).removeprefix("export-c: ")
+        raise ConfigError(f"realtime.backend c: {reason}; backend: python needs nothing") from None
     if differs := _difference(controller, compiled):
         raise ConfigError(f"realtime.backend c: {differs}; expected another compiler or CC, or backend: python")
     return compiled
@@ -151,11 +151,11 @@ class CompiledController(PlannersController):
             ControllerError: as `GuardedController.replay`.
         """
         first = int(self._python.usable_in(commands, angles)[0])
-        beside = self._begun(float(angles[first]), float(commands[max(first - 1, 0)]))
+        replayed = self._begun(float(angles[first]), float(commands[max(first - 1, 0)]))
         for y, u in zip(angles[first:].tolist(), commands[first:].tolist(), strict=True):
-            if beside.look_on(y, u):
+            if replayed.look_on(y, u):
                 raise ControllerError(f"replay: the model fails at command {u}")
-        return self._state(beside, FallbackState())
+        return self._state(replayed, FallbackState())
 
     def sigma_deg(self, state: GuardedState[Any]) -> float:
         """Standard deviation of the error of the estimated angle [deg]; not-a-number where it is not known."""
@@ -273,10 +273,10 @@ def _line(
     """The line that `GuardedController` would say of an answer with `source`, `status` and `missing`."""
     notes = []
     if answer.status:
-        said = _REASONS[answer.status].format(
+        reason = _REASONS[answer.status].format(
             cause=cause, reference=reference, missing=answer.missing, stalled=stalled, refusal=refusal
         )
-        notes.append(f"stopped: {said}" if _SOURCES[answer.source] is Source.STOP else said)
+        notes.append(f"stopped: {reason}" if _SOURCES[answer.source] is Source.STOP else reason)
     elif answer.source == _FEEDBACK:
         notes.append(f"{LEVELS[level]}: forecasts are off by {100 * distrust:.0f} % of the motion")
     if answer.missing:

@@ -48,7 +48,7 @@ class LiveSettings(Settings):
 
 
 @dataclass(frozen=True)
-class Answer:
+class Reply:
     """What a run says to a request.
 
     Attributes:
@@ -74,7 +74,7 @@ class Access:
 
 
 # An angle [deg] to whether it is tracked from now on.
-SetTarget = Callable[[float], Answer]
+SetTarget = Callable[[float], Reply]
 
 
 @final
@@ -104,7 +104,7 @@ class Desk:
         """Let targets be set; the page shows the range [deg]."""
         self._set_target, self._target_deg = set_target, (low_deg, high_deg)
 
-    def ask(self, action: str, value: float = 0.0) -> Answer:
+    def ask(self, action: str, value: float = 0.0) -> Reply:
         """Do as asked, or say why not; never raises.
 
         Args:
@@ -112,30 +112,30 @@ class Desk:
             value: of a target [deg].
         """
         if not self.settings.control:
-            return Answer(False, "the page only shows this run (live.control is false)")
+            return Reply(False, "the page only shows this run (live.control is false)")
         if action == "estop":
             self.flag.set(E_STOP)
-            return Answer(True)
+            return Reply(True)
         if self.flag.cause or self.flag.ending:
-            return Answer(False, "the run is ending")
+            return Reply(False, "the run is ending")
         if action == "stop":
             self.flag.end()
-            return Answer(True)
+            return Reply(True)
         if action == "start":
             if self.started:
-                return Answer(False, "the run has started")
+                return Reply(False, "the run has started")
             self.started = True
-            return Answer(True)
+            return Reply(True)
         if action != "target" or self._set_target is None:
-            return Answer(False, f"this run knows no {action}")
+            return Reply(False, f"this run knows no {action}")
         try:
             return self._set_target(value)
         except HystmpcError as error:
-            return Answer(False, str(error))
+            return Reply(False, str(error))
 
 
 # An action and its value to what the run says.
-Ask = Callable[[str, float], Answer]
+Ask = Callable[[str, float], Reply]
 
 MOST_BYTES = 200
 """Of the body of a request."""
@@ -174,7 +174,7 @@ class Controls:
         action = _PATHS.get(path)
         if not self._is_ours(said.get("host", "")):
             return HTTPStatus.MISDIRECTED_REQUEST, "unknown host"
-        if not _from_own_page(said):
+        if not _same_origin(said):
             return HTTPStatus.FORBIDDEN, "only the page itself may ask"
         if not self._carries_token(said.get("authorization", "")):
             return HTTPStatus.FORBIDDEN, "wrong token: open the address that the terminal shows"
@@ -192,10 +192,10 @@ class Controls:
         if refused := self.refusal(path, headers, body):
             return refused
         if self.is_estop(path):
-            return _answer(self._ask("estop", 0.0))
+            return _http(self._ask("estop", 0.0))
         value = _angle(body) or 0.0
         with self._one:
-            return _answer(self._ask(_PATHS[path], value))
+            return _http(self._ask(_PATHS[path], value))
 
     def _is_ours(self, host: str) -> bool:
         """Whether a browser that asks this host asks us for certain: a number, or a name of this machine."""
@@ -211,11 +211,11 @@ class Controls:
         return hmac.compare_digest(authorization.encode(errors="replace"), wanted)
 
 
-def _answer(said: Answer) -> tuple[HTTPStatus, str]:
+def _http(said: Reply) -> tuple[HTTPStatus, str]:
     return (HTTPStatus.OK if said.done else HTTPStatus.CONFLICT), said.text
 
 
-def _from_own_page(said: Mapping[str, str]) -> bool:
+def _same_origin(said: Mapping[str, str]) -> bool:
     """Whether no other site's page has made the request; programs say nothing of it, and need the token alone."""
     origin, site = said.get("origin"), said.get("sec-fetch-site", "same-origin")
     return site == "same-origin" and origin in (None, f"http://{said.get('host', '')}")
@@ -224,8 +224,8 @@ def _from_own_page(said: Mapping[str, str]) -> bool:
 def _angle(body: bytes) -> float | None:
     """The angle of a target [deg], None where there is none."""
     try:
-        found = json.loads(body)
+        data = json.loads(body)
     except (ValueError, RecursionError):
         return None
-    value = found.get("deg") if isinstance(found, dict) else None
+    value = data.get("deg") if isinstance(data, dict) else None
     return float(value) if isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < 1e9 else None

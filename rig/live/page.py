@@ -256,16 +256,16 @@ class _Client(asyncio.Protocol):
         self._timer.cancel()
         server.waiting += not emergency
 
-        def asked() -> None:
+        def ask() -> None:
             status, text = controls.take(path, headers, body)
-            server.call(told, status, text)
+            server.call(reply, status, text)
 
-        def told(status: HTTPStatus, text: str) -> None:
+        def reply(status: HTTPStatus, text: str) -> None:
             server.waiting -= not emergency
             self.asks = False
             self.answer(status, text)
 
-        threading.Thread(target=asked, name="hystmpc-page-request", daemon=True).start()
+        threading.Thread(target=ask, name="hystmpc-page-request", daemon=True).start()
 
     def _watch(self) -> None:
         """The stream, where there are not too many."""

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-import threading
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections import Counter, deque
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -16,7 +15,7 @@ from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.types import Vec
 
 from ..histogram import Histogram
-from ..recording.sample import Sample, SampleQueue, Sink
+from ..recording.sample import Sample, ThreadedSink
 
 WINDOW_S = 20.0
 """How much of the run is plotted [s]."""
@@ -24,8 +23,6 @@ WINDOW_S = 20.0
 _POINTS_PER_S = 50.0  # of the plots; the figures are made of all samples
 
 _PERIOD_S = 0.125  # between two snapshots shown
-_QUEUE_S = 30.0
-
 _CLOSE_S = 5.0
 
 
@@ -120,7 +117,7 @@ class LiveState:
         )
 
 
-class LiveView(Sink, ABC):
+class LiveView(ThreadedSink):
     """Shows a snapshot 8 times a second by a thread of its own; what that raises ends the view, never the run.
 
     Raises:
@@ -129,19 +126,8 @@ class LiveView(Sink, ABC):
 
     def __init__(self, rate_hz: float) -> None:
         self._state = LiveState(rate_hz)
-        self._waiting = SampleQueue(max(round(_QUEUE_S * rate_hz), 10))
-        self.problem = ""
-        self._end = threading.Event()
-        self._thread = threading.Thread(target=self._work, name="hystmpc-live", daemon=True)
+        super().__init__("hystmpc-live", rate_hz, _PERIOD_S)
         self._thread.start()
-
-    @property
-    def dropped(self) -> int:
-        """Samples that were not shown."""
-        return self._waiting.dropped
-
-    def put(self, sample: Sample) -> None:
-        self._waiting.put(sample)
 
     def tell(self, text: str) -> None:
         """Show a line, such as that recording has stopped."""
@@ -149,23 +135,19 @@ class LiveView(Sink, ABC):
 
     def close(self) -> None:
         """Show the last state and end."""
-        self._waiting.closed = True
-        self._end.set()
-        self._thread.join(_CLOSE_S)
+        self._finish(_CLOSE_S)
 
     @abstractmethod
     def _show(self, snapshot: LiveSnapshot) -> None:
         """Draw or publish."""
 
-    def _work(self) -> None:
-        ending = False
-        while not ending:
-            ending = self._end.wait(_PERIOD_S)
-            try:
-                self._state.update(self._waiting.take())
-                if (snapshot := self._state.snapshot()) is not None:
-                    self._show(snapshot)
-            except Exception as error:  # noqa: BLE001 - a terminal that goes away or an odd sample must not end a run
-                self.problem = f"{type(error).__name__}: {error}"
-                self._waiting.closed = True
-                return
+    def _turn(self, samples: list[Sample], ending: bool) -> bool:
+        del ending
+        try:
+            self._state.update(samples)
+            if (snapshot := self._state.snapshot()) is not None:
+                self._show(snapshot)
+        except Exception as error:  # noqa: BLE001 - a terminal that goes away or an odd sample must not end a run
+            self.problem = f"{type(error).__name__}: {error}"
+            self._waiting.closed = True
+        return not self.problem

@@ -85,11 +85,11 @@ def _figures(log: Log, dropped: int) -> dict[str, object]:
     t, angle = numbers(log, "time_s"), numbers(log, "angle_deg")
     error = numbers(log, "reference_deg")[:-1] - angle[1:]  # wanted for the end of a sample, measured at the next one
     known = error[np.isfinite(error)]
-    found: dict[str, object] = {"samples": t.size, "duration [s]": float(t[-1] - t[0])}
+    figures: dict[str, object] = {"samples": t.size, "duration [s]": float(t[-1] - t[0])}
     if known.size:
-        found["RMS tracking error [deg]"] = float(np.sqrt(np.mean(known**2)))
-        found["greatest error [deg]"] = float(np.abs(known).max())
-    return found | {
+        figures["RMS tracking error [deg]"] = float(np.sqrt(np.mean(known**2)))
+        figures["greatest error [deg]"] = float(np.abs(known).max())
+    return figures | {
         "samples without an angle": int(np.count_nonzero(~np.isfinite(angle))),
         "deadlines missed": int(np.nansum(numbers(log, "missed"))),
         "samples not in the log": dropped,

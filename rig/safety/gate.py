@@ -23,7 +23,7 @@ _STILL = 0.25  # of the tolerance: how far it may wander meanwhile
 
 _LONGEST_NS = 60_000_000_000  # how long a device may go on to move by itself
 
-_UNTRUE_NS = 2_000_000_000  # how long it may say that it holds what nothing has led it to
+_IMPLAUSIBLE_NS = 2_000_000_000  # how long it may say that it holds what nothing has led it to
 
 
 @final
@@ -114,11 +114,11 @@ class Anchor:
         self._gap_ns, self._silence_ns = round(gap_s / _S), round(silence_s / _S)
         self._watchdog_ns = round(watchdog_s / _S)
         self._recent: deque[tuple[int, float]] = deque()
-        self._tells = False
+        self._reports_held = False
         self._sent_ns: int | None = None
         self._lost_ns: int | None = None
-        self._untrue_ns: int | None = None
-        self._told_ns = self._judged_ns = 0
+        self._implausible_ns: int | None = None
+        self._reported_ns = self._judged_ns = 0
         self.moved = ""
         self.given_up = ""
 
@@ -132,7 +132,7 @@ class Anchor:
             seen: what the sample saw.
             boot_ns: time now, suspension included [ns].
         """
-        self._tells = self._tells or math.isfinite(seen.held)
+        self._reports_held = self._reports_held or math.isfinite(seen.held)
         self._judged_ns = boot_ns
         self.moved = ""
         away = self._sent_ns is not None and boot_ns - self._sent_ns > self._gap_ns
@@ -141,7 +141,7 @@ class Anchor:
         if self._gate.anchored:
             return True
         self._lost_ns = boot_ns if self._lost_ns is None else self._lost_ns
-        return self._found(self._at_rest(seen.held, boot_ns), boot_ns) or self._waits(boot_ns)
+        return self._anchored_at(self._at_rest(seen.held, boot_ns), boot_ns) or self._waits(boot_ns)
 
     def in_time(self, boot_ns: int) -> bool:
         """Whether the judgement of this sample still counts; where it does not, nothing may be sent."""
@@ -160,20 +160,20 @@ class Anchor:
 
     def not_sent(self, boot_ns: int) -> None:
         """A command may not have left; a device that tells is asked, any other holds the one before."""
-        if self._tells:
+        if self._reports_held:
             self._lose(boot_ns)
 
     def _lose(self, boot_ns: int) -> None:
         self._gate.lose()
         self._recent.clear()
-        self._untrue_ns = None
-        self._lost_ns = self._told_ns = boot_ns
+        self._implausible_ns = None
+        self._lost_ns = self._reported_ns = boot_ns
 
     def _at_rest(self, held: float, boot_ns: int) -> float:
         """The held command once it stands still, NaN until then."""
         if math.isnan(held):
             return math.nan
-        self._told_ns = boot_ns
+        self._reported_ns = boot_ns
         recent = self._recent
         recent.append((boot_ns, held))
         while len(recent) > 2 and recent[1][0] <= boot_ns - _STILL_NS:
@@ -182,7 +182,7 @@ class Anchor:
         still = max(values) - min(values) <= _STILL * self._tolerance
         return held if still and boot_ns - recent[0][0] >= _STILL_NS else math.nan
 
-    def _found(self, held: float, boot_ns: int) -> bool:
+    def _anchored_at(self, held: float, boot_ns: int) -> bool:
         if math.isnan(held) or not self._credible(held, boot_ns):
             return False
         before = self._gate.last
@@ -191,7 +191,7 @@ class Anchor:
             return False
         if abs(held - before) > self._tolerance:
             self.moved = f"the device does not follow: it holds {held:.4g}, sent was {before:.4g}"
-        self._lost_ns = self._untrue_ns = None
+        self._lost_ns = self._implausible_ns = None
         return True
 
     def _credible(self, held: float, boot_ns: int) -> bool:
@@ -199,11 +199,11 @@ class Anchor:
         last, sent_ns = self._gate.last, self._sent_ns
         if sent_ns is None:
             return True
-        led = self._safe if boot_ns - sent_ns >= self._watchdog_ns else last
-        if math.isnan(led) or min(last, led) - self._tolerance <= held <= max(last, led) + self._tolerance:
+        goal = self._safe if boot_ns - sent_ns >= self._watchdog_ns else last
+        if math.isnan(goal) or min(last, goal) - self._tolerance <= held <= max(last, goal) + self._tolerance:
             return True
-        self._untrue_ns = boot_ns if self._untrue_ns is None else self._untrue_ns
-        if boot_ns - self._untrue_ns > _UNTRUE_NS:
+        self._implausible_ns = boot_ns if self._implausible_ns is None else self._implausible_ns
+        if boot_ns - self._implausible_ns > _IMPLAUSIBLE_NS:
             self.given_up = (
                 f"the device says that it holds {held:.4g}, to which nothing has led it; sent was {last:.4g}"
             )
@@ -212,7 +212,7 @@ class Anchor:
     def _waits(self, boot_ns: int) -> bool:
         """Always False: nothing may be sent now. Gives up once it has lasted too long."""
         assert self._lost_ns is not None
-        silent_ns = boot_ns - max(self._lost_ns, self._told_ns)
+        silent_ns = boot_ns - max(self._lost_ns, self._reported_ns)
         if silent_ns > self._silence_ns:
             self.given_up = self.given_up or f"the device has not told what it holds for {_S * silent_ns:.2f} s"
         elif boot_ns - self._lost_ns > _LONGEST_NS:

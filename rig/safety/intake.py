@@ -95,7 +95,7 @@ class SensorSettings(Settings):
         """Time of silence after which the run is stopped safely [s]."""
         return self.longest_gap_s if self.kind == "intermittent" else self.dead_after_s
 
-    def told(self) -> Mapping[str, Any]:
+    def estimator_facts(self) -> Mapping[str, Any]:
         """What a controller's block `estimator` should say of this sensor."""
         if self.kind != "intermittent":
             return {} if self.kind == "continuous" else {"sensor": "none"}
@@ -222,7 +222,7 @@ class Intake:
         self._followed = DriveFollowing(settings.held_tolerance, settings.dead_after_s)
         self._dead = ""
         self._held = math.nan
-        self._tells = False
+        self._reports_held = False
         self._shown: tuple[int, float] | None = None
         self._past: deque[tuple[int, float]] = deque()
         self.counts: Counter[str] = Counter()
@@ -315,9 +315,9 @@ class Intake:
         if not (fresh or frame):
             return "stale", None
         if fresh:
-            tells = math.isfinite(reading.held)
-            self._held = reading.held if reading.listens and tells else math.nan
-            self._tells = self._tells or tells
+            reports_held = math.isfinite(reading.held)
+            self._held = reading.held if reading.listens and reports_held else math.nan
+            self._reports_held = self._reports_held or reports_held
         if frame:
             age_s += settings.latency_s
             taken_ns = now_ns - round(age_s / _S)
@@ -404,7 +404,7 @@ class Intake:
         """Why the run has to stop for want of an angle, or of any word where none is wanted."""
         silent_s, wants_angle = _S * (now_ns - self._accepted_ns), self._settings.kind != "none"
         if not wants_angle:
-            silent = self._tells and silent_s > self._settings.silence_s
+            silent = self._reports_held and silent_s > self._settings.silence_s
             return f"device silent: no word of what it holds for {silent_s:.2f} s" if silent else ""
         if silent_s > self._settings.silence_s:
             return f"sensor dead: no plausible angle for {silent_s:.2f} s ({', '.join(sorted(set(faults)))})"

@@ -51,6 +51,11 @@ class StopFlag:
         self.word.value = 1
 
 
+def cause_of(error: BaseException) -> str:
+    """Type and first 200 characters of an error, on one line, as the cause of a stop."""
+    return f"{type(error).__name__}: {' '.join(str(error).split())[:200]}"
+
+
 @contextmanager
 def stopping_on_signals(flag: StopFlag) -> Iterator[None]:
     """SIGINT (Ctrl-C), SIGTERM and SIGHUP set the flag while the block runs; once more changes nothing.
@@ -152,13 +157,13 @@ class Latch:
 
     def _read(self) -> dict[str, object] | None:
         try:
-            found = json.loads(self.file.read_text(encoding="utf-8"))
+            content = json.loads(self.file.read_text(encoding="utf-8"))
         except FileNotFoundError:
             return None
         except (OSError, ValueError):
-            found = None
+            content = None
         # A latch that cannot be read is one that is set.
-        return found if isinstance(found, dict) else {"cause": "unreadable latch", "since": "?"}
+        return content if isinstance(content, dict) else {"cause": "unreadable latch", "since": "?"}
 
 
 def latch_text(cause: str) -> str:

@@ -18,6 +18,7 @@ from pydantic import ConfigDict, Field, PrivateAttr, model_validator
 from hystmpc.trials.errors import ConfigError, did_you_mean
 from hystmpc.trials.from_outside import MODULE_AND_CLASS, class_named, working_folder
 
+from ..safety.stop import cause_of
 from .transport import Reading, RunContext, Transport, TransportBase
 
 METHODS = ("read", "write", "greet", "stop")
@@ -110,14 +111,14 @@ class GuardedTransport(Transport):
         self._conversion, self._now = run.conversion, run.now_ns
         self._counters: Counter[str] = Counter()
         self._worker, self._open = Worker(name), True
-        self._come: deque[Any] = deque()  # fetched and not yet read: readings, whatever they are, and errors
+        self._fetched: deque[Any] = deque()  # fetched and not yet read: readings, whatever they are, and errors
         self._late = False
-        self._at_end: Future[dict[str, int]] = Future()  # what it has counted when it was closed
+        self._final: Future[dict[str, int]] = Future()  # what it has counted when it was closed
         try:
             self._device = self._worker.call(make, _OPENS_S)
             counts = self._worker.call(lambda: hasattr(self._device, "counters"), PATIENCE_S)
         except Exception as error:  # noqa: BLE001 - a device's driver may raise anything
-            raise ConfigError(f"transport {name}: cannot be opened ({_said(error)})") from None
+            raise ConfigError(f"transport {name}: cannot be opened ({cause_of(error)})") from None
         missing = lacking(self._device) or ([] if counts else ["counters"])
         if missing:
             raise ConfigError(f"transport {name}: {lacks(missing)}")
@@ -126,17 +127,17 @@ class GuardedTransport(Transport):
     def counters(self) -> Mapping[str, int]:
         counted = Counter(self._counters)
         try:
-            told = self._worker.call(self._told, PATIENCE_S) if self._open else self._at_end.result(PATIENCE_S)
-            counted.update(told)
+            counts = self._worker.call(self._counts, PATIENCE_S) if self._open else self._final.result(PATIENCE_S)
+            counted.update(counts)
         except Exception:  # noqa: BLE001 - as above; what it has counted is only told
             counted["counters cannot be read"] += 1
         return counted
 
-    def _told(self) -> dict[str, int]:
+    def _counts(self) -> dict[str, int]:
         return {str(cause): int(n) for cause, n in dict(self._device.counters).items()}
 
     def read(self) -> Reading | None:
-        if not self._come:
+        if not self._fetched:
             if self._late and self._open and self._worker.idle:
                 self._late = False
                 return None
@@ -145,42 +146,42 @@ class GuardedTransport(Transport):
             except TimeoutError:
                 self._late = True
                 raise
-            if not self._come:
+            if not self._fetched:
                 return None
-        found = self._come.popleft()
-        if isinstance(found, Exception):
-            self._counters[f"read raised {type(found).__name__}"] += 1
-            raise found
-        if fault := nonsense(found, self._now()):
+        item = self._fetched.popleft()
+        if isinstance(item, Exception):
+            self._counters[f"read raised {type(item).__name__}"] += 1
+            raise item
+        if fault := reading_fault(item, self._now()):
             self._counters[fault] += 1
             raise ValueError(fault)
-        return self._plain(found)
+        return self._plain(item)
 
     def _fetch(self) -> None:
         """Read what is there, by the device's own thread; what fails later than at first is told in its turn."""
         until, count = self._now() + _AT_ONCE_NS, 0
         while count < _AT_ONCE and (not count or self._now() < until):
             try:
-                found = self._device.read()
+                item = self._device.read()
             except Exception as error:
                 if not count:
                     raise
-                found = error
-            if found is None:
+                item = error
+            if item is None:
                 return
-            self._come.append(found)
+            self._fetched.append(item)
             count += 1
 
-    def _plain(self, found: Reading) -> Reading:
+    def _plain(self, raw: Reading) -> Reading:
         """A reading of Python's own numbers, in the run's units."""
         reading = Reading(
-            self._conversion.angle_deg(float(found.angle_deg)),
-            int(found.sequence),
-            int(found.session),
-            int(found.sent_ns),
-            int(found.received_ns),
-            self._conversion.command(float(found.held)),
-            bool(found.listens),
+            self._conversion.angle_deg(float(raw.angle_deg)),
+            int(raw.sequence),
+            int(raw.session),
+            int(raw.sent_ns),
+            int(raw.received_ns),
+            self._conversion.command(float(raw.held)),
+            bool(raw.listens),
         )
         for name in ("angle_deg", "held"):
             if math.isinf(getattr(reading, name)):
@@ -200,7 +201,7 @@ class GuardedTransport(Transport):
         """Close, once; a transport that hangs is closed when it comes back."""
         if self._open:
             self._open = False
-            self._at_end = self._worker.last(lambda: self._device.stop(goodbye), self._told, _CLOSES_S)
+            self._final = self._worker.last(lambda: self._device.stop(goodbye), self._counts, _CLOSES_S)
 
     def _call(self, name: str, function: Callable[[], T]) -> T:
         if not self._open:
@@ -224,24 +225,24 @@ def lacks(missing: list[str]) -> str:
     return f"lacks {', '.join(missing)}, expected the methods {', '.join(METHODS)} and the mapping counters"
 
 
-def nonsense(found: object, now_ns: int) -> str:
+def reading_fault(value: object, now_ns: int) -> str:
     """Why something that `read` returned is no measurement, empty where it is one.
 
     Args:
-        found: what was returned, not None.
+        value: what was returned, not None.
         now_ns: this process's monotonic clock [ns].
     """
-    if not isinstance(found, Reading):
-        return f"read returned {type(found).__name__}, expected Reading or None"
+    if not isinstance(value, Reading):
+        return f"read returned {type(value).__name__}, expected Reading or None"
     for name in ("angle_deg", "held"):
-        if not _is_number(getattr(found, name)):
+        if not _is_number(getattr(value, name)):
             return f"read returned no number as {name}"
     for name in ("sequence", "session", "sent_ns", "received_ns"):
-        if not _is_whole(getattr(found, name)):
+        if not _is_whole(getattr(value, name)):
             return f"read returned no whole number as {name}"
-    if not isinstance(found.listens, bool | np.bool_):
-        return f"read returned {type(found.listens).__name__} as listens, expected a bool"
-    return "received_ns lies ahead, expected time.monotonic_ns()" if found.received_ns > now_ns else ""
+    if not isinstance(value.listens, bool | np.bool_):
+        return f"read returned {type(value.listens).__name__} as listens, expected a bool"
+    return "received_ns lies ahead, expected time.monotonic_ns()" if value.received_ns > now_ns else ""
 
 
 def _is_number(value: object) -> bool:
@@ -254,10 +255,6 @@ def _is_number(value: object) -> bool:
 
 def _is_whole(value: object) -> bool:
     return isinstance(value, Integral) and not isinstance(value, bool) and -_WHOLE <= int(value) < 2 * _WHOLE
-
-
-def _said(error: BaseException) -> str:
-    return f"{type(error).__name__}: {' '.join(str(error).split())[:200]}"
 
 
 GROUP = "hystmpc.transports"
@@ -306,13 +303,13 @@ class PythonSettings(TransportBase):
 
         def made() -> Any:
             with working_folder():  # a class may import more when it is made
-                return found(**arguments)
+                return kind(**arguments)
 
-        found, arguments = class_named(self.python, "transport", GROUP, object), dict(self.model_extra or {})
-        if missing := lacking(found):
+        kind, arguments = class_named(self.python, "transport", GROUP, object), dict(self.model_extra or {})
+        if missing := lacking(kind):
             raise ConfigError(f"transport {self.python}: {lacks(missing)}")
         try:
-            signature = inspect.signature(found)
+            signature = inspect.signature(kind)
         except ValueError:  # compiled, without one
             return made
         try:

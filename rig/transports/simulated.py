@@ -74,9 +74,9 @@ class SimulatedTransport(Transport):
         if self._frames:
             frame = self._frames.popleft()
             self._sequence += 1
-            come_ns = now - round(1e9 * max(self._time_s - frame.arrives_s, 0.0))
-            sent_ns = come_ns - round(1e9 * (frame.arrives_s - frame.taken_s))
-            return Reading(frame.angle_deg, self._sequence, 0, sent_ns, come_ns, self._held)
+            arrived_ns = now - round(1e9 * max(self._time_s - frame.arrives_s, 0.0))
+            sent_ns = arrived_ns - round(1e9 * (frame.arrives_s - frame.taken_s))
+            return Reading(frame.angle_deg, self._sequence, 0, sent_ns, arrived_ns, self._held)
         if self._read_ns is not None and now - self._read_ns < self._dt_ns // 2:
             return None
         self._read_ns, self._sequence = now, self._sequence + 1

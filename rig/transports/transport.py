@@ -46,8 +46,8 @@ class Reading:
             sequence: rises by one a measurement.
             held: command that the device holds; NaN where it does not tell.
         """
-        come_ns = time.monotonic_ns()
-        return cls(angle_deg, sequence, 0, come_ns, come_ns, held)
+        now_ns = time.monotonic_ns()
+        return cls(angle_deg, sequence, 0, now_ns, now_ns, held)
 
 
 class Transport(Protocol):

@@ -271,10 +271,10 @@ class UdpLink(DeviceLink):
             except ConnectionError:  # the answer to a datagram that nobody took
                 continue
             message = decode(data)
-            said = message if isinstance(message, str) else self._said(message, peer)
-            if isinstance(said, Incoming):
-                return said
-            self._counters[said] += 1
+            accepted = message if isinstance(message, str) else self._admitted(message, peer)
+            if isinstance(accepted, Incoming):
+                return accepted
+            self._counters[accepted] += 1
         return None
 
     def send(self, message: Outgoing) -> None:
@@ -289,22 +289,22 @@ class UdpLink(DeviceLink):
     def close(self) -> None:
         self._wire.close()
 
-    def _said(self, message: Datagram, peer: Peer) -> Incoming | str:
+    def _admitted(self, message: Datagram, peer: Peer) -> Incoming | str:
         """What an admitted message says, or why it is refused."""
-        come = peer, message.session, message.sequence, time.monotonic_ns()
+        origin = peer, message.session, message.sequence, time.monotonic_ns()
         if message.kind is Kind.HELLO:
-            if reason := self._admission.greeting(*come):
+            if reason := self._admission.greeting(*origin):
                 return reason
             self._peer = peer
             return Incoming(says="greeting")
         if message.kind is Kind.STOP:
-            if reason := self._admission.goodbye(*come):
+            if reason := self._admission.goodbye(*origin):
                 return reason
             self._peer = None
             return Incoming(says="goodbye")
         if message.kind is not Kind.COMMAND:
             return "not a command"
-        if reason := self._admission.command(*come):
+        if reason := self._admission.command(*origin):
             return reason
         return Incoming(message.value) if math.isfinite(message.value) else "not-a-number"
 

@@ -12,7 +12,7 @@ import pytest
 from ..conftest import ROOT
 
 PYTHON = ("trials", "models", "ctrl", "codegen", "sim", "rig", "gap", "testing", "commissioning", "investigation")
-PYTHON += ("studies", "cli", "ros2", "examples")
+PYTHON += ("lab", "cli", "ros2", "examples")
 # Calls that may carry a command: of a transport or its wire, of a plant, of a socket.
 SENDS = {"write", "apply", "send", "sendto", "publish", "_send"}
 HOLDERS = re.compile(r"transport|wire|device|plant|inner|publisher|writer|_line$|^os$|^self$")
@@ -55,15 +55,15 @@ NO_DEVICE = {
     "testing/wire.py: c.transport.write": 3,
     "rig/live/page.py: self._transport.write": 2,  # to a browser
     "rig/live/page.py: self.send": 1,
-    "studies/faults/play.py: os.write": 1,
+    "lab/faults/play.py: os.write": 1,
 }
 # Here `apply` is that of a computed device: no wire is known to these files.
 COMPUTED = {
     "ctrl/loop.py",
     "sim/environment/gym_.py",
-    "studies/control/loop.py",
-    "studies/control/models.py",
-    "studies/identify/motions.py",
+    "lab/control/loop.py",
+    "lab/control/models.py",
+    "lab/identify/motions.py",
     "testing/plant.py",
     "examples/exported_c/loop.py",
     "examples/mujoco_tendon/tendon.py",
