@@ -51,7 +51,7 @@ TransportSettings = Annotated[
 
 
 class BenchSettings(Settings):
-    """What a bench is.
+    """Settings of a bench: device, limits, ramps, sensor, transport, preparation.
 
     Attributes:
         name: of the device; a latched stop belongs to it.
@@ -115,7 +115,7 @@ class BenchSettings(Settings):
 
     @property
     def overshoot(self) -> float:
-        """How far a stop may go on [mm or bar]."""
+        """Greatest overshoot of a stop in the direction of motion [mm or bar]."""
         return self.stop_overshoot or min(0.2, 0.02 * (self.limits.upper - self.limits.lower))
 
     @property
@@ -125,7 +125,7 @@ class BenchSettings(Settings):
 
 
 class ReviewSettings(Settings):
-    """Block `review`: from which error of the model's free run on something is due; see `review`.
+    """Block `review`: bar of the model's free-run error above which a new identification or diagnosis is due.
 
     Attributes:
         due_above_deg: RMS error of the free run [deg].
@@ -208,7 +208,7 @@ class RecordSettings(BenchSettings):
 
 
 def load_run(path: Path | str, overrides: Iterable[str] = ()) -> RunSettings:
-    """Read an experiment; file names in it start at its own folder and come out absolute.
+    """Read the settings of an experiment; file names relative to its folder become absolute.
 
     Raises:
         ConfigError: on an unreadable file, an unknown key or a value out of bounds.
@@ -225,7 +225,7 @@ def load_run(path: Path | str, overrides: Iterable[str] = ()) -> RunSettings:
 
 
 def load_record(path: Path | str, overrides: Iterable[str] = ()) -> RecordSettings:
-    """Read a recording; as `load_run`.
+    """Read the settings of a recording, as `load_run`.
 
     Raises:
         ConfigError: on an unreadable file, an unknown key or a value out of bounds.
@@ -239,7 +239,7 @@ def load_record(path: Path | str, overrides: Iterable[str] = ()) -> RecordSettin
 
 
 def located(settings: BenchSettings, folder: Path) -> dict[str, Any]:
-    """The settings of every bench that name files, with file names that start at `folder`.
+    """Settings of a bench that hold file names, with these resolved against `folder`.
 
     Raises:
         ConfigError: if the latch's file is another kind of file, which a stop would replace and `--reset` remove.

@@ -25,9 +25,7 @@ from .transports.udp import UdpListenSettings
 from .wire_faults import FaultSettings, FaultyDatagrams, FaultyReadings
 
 _MESSAGES = 64  # taken at most in one sample
-
 _AT_REST = 1e-3  # of the range
-
 _HEADER = "monotonic_ns,time_s,received,held,angle_deg\n"  # of the log
 
 
@@ -84,7 +82,7 @@ class DeviceSettings(Settings):
 
 @dataclass(frozen=True)
 class ServerCounts:
-    """What a device has seen.
+    """Counts of a device server.
 
     Attributes:
         samples: samples computed.
@@ -119,7 +117,7 @@ def open_link(settings: DeviceSettings) -> DeviceLink:
 
 @final
 class SimulatedDevice:
-    """One simulated device.
+    """A simulated device with a drive, a watchdog and a sensor.
 
     Its watchdog leads the drive back to rest once the controller has been silent for `watchdog_s`. From then on no
     command is taken until a controller greets anew; on a wire without greetings, until one lies where the drive is.
@@ -155,7 +153,7 @@ class SimulatedDevice:
         self._sent = 0
 
     def serve(self, flag: StopFlag, duration_s: float = math.inf) -> ServerCounts:
-        """Compute and send until the flag is set or the time is over."""
+        """Compute and send samples until the flag is set or the time is over."""
         clock = MonotonicClock(0.0)
         start = deadline = clock.now_ns()
         dt_ns = round(1e9 * self._dt)
@@ -169,7 +167,7 @@ class SimulatedDevice:
         return ServerCounts(*counts, dict(self._link.counters))
 
     def sample(self, t_s: float) -> None:
-        """Take commands, move for one sample, measure, send what the faults leave."""
+        """One sample: receive commands, move, measure, send the readings that the faults leave."""
         received = self._receive()
         if math.isfinite(received):
             self._first = t_s if math.isnan(self._first) else self._first

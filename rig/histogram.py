@@ -16,7 +16,7 @@ BINS = 400
 
 @dataclass(frozen=True)
 class TimingSummary:
-    """Figures of one quantity; quantiles are upper edges of their bins, NaN without a sample.
+    """Statistics of one time; quantiles are upper edges of their bins, NaN without a sample.
 
     Attributes:
         count: samples.
@@ -73,7 +73,7 @@ class Histogram:
         return self._greatest if k >= BINS - 1 else min(self._width * (k + 1), self._greatest)
 
     def summary(self) -> TimingSummary:
-        """The figures."""
+        """Count, mean, maximum and quantiles."""
         mean = self._sum / self._count if self._count else math.nan
         greatest = self._greatest if self._count else math.nan
         return TimingSummary(self._count, mean, greatest, self.quantile(0.5), self.quantile(0.99), self.quantile(0.999))

@@ -1,4 +1,4 @@
-"""The loop at a bench: absolute deadlines on a monotonic clock, one phase after another, a safe end."""
+"""The control loop at a bench: absolute deadlines on a monotonic clock, a sequence of phases, a safe stop."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from .transports.transport import Reading, Transport
 
 @dataclass(frozen=True)
 class RunOutcome:
-    """What the loop says of a run when it is over.
+    """Outcome of a run: cause of the stop, counts of samples, commands and faults.
 
     Attributes:
         cause: why it was stopped; empty after a run that came to its end.
@@ -58,7 +58,7 @@ _CALM = 5  # samples without a fault before others are taken in C
 
 
 class Times(NamedTuple):
-    """Of one sample [ns]: monotonic its wake-up, deadline and end, and the wall clock."""
+    """Times of one sample [ns]: monotonic wake-up, deadline and end, and the wall clock."""
 
     woke: int
     deadline: int
@@ -72,7 +72,7 @@ ToSafe = Callable[[str], SafeStop]
 
 @final
 class ControlLoop:
-    """Waits for a deadline, reads, decides, limits, writes, hands the sample on; never raises, never logs.
+    """Real-time loop: wait for the deadline, read, decide, limit, write, record; it never raises.
 
     `run` waits by its clock. A caller that has a clock of its own, such as a timer, calls `begin` once, then in each
     period `sample(due())`, and `outcome` in the end; a period that it misses is to the loop a sample that ended late.
@@ -129,7 +129,7 @@ class ControlLoop:
 
     @property
     def cause(self) -> str:
-        """Why it stops, or has stopped; empty while it does not."""
+        """Cause of the stop; empty without one."""
         return self._cause
 
     @property
@@ -138,7 +138,7 @@ class ControlLoop:
         return max(0, self._intake.lost - self._thrown)
 
     def run(self, phases: Sequence[Phase], beat_ns: int = 0) -> RunOutcome:
-        """Go through the phases and lead the device to the safe command; whatever happens, the transport is closed.
+        """Execute the phases, then the motion to the safe command; the transport is closed in every case.
 
         Args:
             phases: what to do.
@@ -161,7 +161,7 @@ class ControlLoop:
         return self.outcome()
 
     def begin(self, phases: Sequence[Phase], beat_ns: int = 0) -> None:
-        """Be ready for the first sample; arguments as of `run`."""
+        """Initialise the loop for its first sample; arguments as of `run`."""
         self._rest = deque(phases)
         self._drain()
         now = self._clock.now_ns()
@@ -189,7 +189,7 @@ class ControlLoop:
             return self._failed(cause_of(error), deadline)
 
     def outcome(self) -> RunOutcome:
-        """What there is to say of the run so far."""
+        """Outcome of the run so far."""
         counts = self._gate.clipped, self._unsent, self._refused
         in_c = self._in_c, dict(self._left_c)
         return RunOutcome(
@@ -197,7 +197,7 @@ class ControlLoop:
         )
 
     def _taken_in_c(self, deadline: int) -> int:
-        """The deadline of the next sample that is to be taken here: those before it are taken in C, where one can."""
+        """Execute samples in C where that is possible; returns the deadline of the next sample in Python."""
         phase = self._phase
         compiled = None if phase is None or self._calm < _CALM or self._flag.word.value else phase.compiled()
         if phase is None or compiled is None:
@@ -227,7 +227,7 @@ class ControlLoop:
         return int(view.deadline_ns)
 
     def _book(self, done: Any, raw: Sequence[tuple[bytes, int]], decision: Decision) -> None:
-        """A sample that was taken in C, by the rules of those that are taken here; what they find ends it there."""
+        """Check and record a sample that was executed in C by the rules of Python; a finding ends the loop in C."""
         self._in_c, self._wire_ns = self._in_c + 1, 0
         self._skip(done.skipped)
         readings = (self._transport.reading(*one) for one in raw)
@@ -291,7 +291,7 @@ class ControlLoop:
         return True
 
     def _finished(self) -> None:
-        """The phase is over. Where the way back is next, it is worked out now, in what is left of the sample."""
+        """End the phase; the return motion, if it is next, is computed now, in the rest of the sample."""
         self._phase = None
         if not self._rest:
             phase = self._to_safe("")
@@ -299,7 +299,7 @@ class ControlLoop:
             self._phase = phase
 
     def _wait(self, woke: int, deadline: int, seen: Seen, stop: str) -> bool:
-        """Send nothing in this sample, since it is not known what the device holds; False where that is given up."""
+        """Send nothing in this sample while the held command is unknown; False where the run is given up."""
         over = self._anchor.given_up or (stop if not self._commands else "")
         held = seen.held if math.isfinite(seen.held) else self._gate.last
         if math.isfinite(held):
@@ -325,7 +325,7 @@ class ControlLoop:
         return True
 
     def _failed(self, cause: str, deadline: int) -> bool:
-        """A sample in which a part has failed that nothing goes without: nothing was decided, or it did not leave.
+        """Record a failed sample: an indispensable part has raised, so nothing was decided or nothing was sent.
 
         The next sample stops safely. Where such samples add up to `stall_s`, the device is left to its watchdog: False.
         """
@@ -342,7 +342,7 @@ class ControlLoop:
         return False
 
     def _remember(self, held: float, seen: Seen) -> None:
-        """Keep the sample for a controller that takes over."""
+        """Append the sample to the history for a controller that starts later."""
         if isinstance(self._phase, AwaitStart):  # the device rests: however long that lasts, it is one sample
             self._past_u.clear()
             self._past_y.clear()
@@ -354,7 +354,7 @@ class ControlLoop:
         return Times(woke, deadline, self._clock.now_ns(), self._clock.wall_ns())
 
     def _conclude(self, times: Times, seen: Seen, decision: Decision, u: float, faults: tuple[str, ...]) -> None:
-        """Count and hand on what the sample was."""
+        """Count and record the sample."""
         period = times.woke - self._woke_ns
         self._count(period, times.woke - times.deadline, times.done - times.woke)
         self._late = times.done > times.deadline + self._dt_ns
@@ -371,7 +371,7 @@ class ControlLoop:
         self._sequence += 1
 
     def _is_slow(self, sent: bool) -> bool:
-        """Whether the wire took longer than a sample; asks for a stop where it alone has put the loop too far behind.
+        """Whether the transport took longer than a sample; requests a stop where it has delayed the loop too far.
 
         Quicker samples make up for slow ones where a command has left in them: a loaded machine is no slow wire.
         """
@@ -383,7 +383,7 @@ class ControlLoop:
         return over > 0
 
     def _drain(self) -> None:
-        """Throw away what has piled up before the first sample, all but the newest; for `stall_s` at most.
+        """Discard readings that queued before the first sample, all but the newest; for `stall_s` at most.
 
         What cannot be read meanwhile is old when it is read, and is judged by its age.
         """
@@ -399,7 +399,7 @@ class ControlLoop:
             self._flag.set(cause_of(error))
 
     def _look(self) -> Seen:
-        """What has arrived, judged; a transport that fails shows as a missing angle, a judgement that does stops."""
+        """Read and check what has arrived; an error of the transport is a missing angle, one of the check stops the run."""
         taken = self._reader.take(spared=bool(self._cause) and self._gate.anchored)
         self._wire_ns += taken.took_ns
         readings = taken.readings if self._newest is None else [self._newest, *taken.readings]
@@ -417,7 +417,7 @@ class ControlLoop:
         return replace(seen, faults=(*seen.faults, *faults)) if faults else seen
 
     def _decide(self, now: PhaseInput) -> Decision:
-        """What the present phase wants; the stop's way out where it fails."""
+        """Decision of the present phase; that of the safe stop where the phase fails."""
         for _ in range(3):
             try:
                 if self._phase is None:
@@ -435,7 +435,7 @@ class ControlLoop:
         return Decision(now.held, "stop", "safe stop: held")  # out of reach: SafeStop never raises
 
     def _halt(self, cause: str, now: PhaseInput) -> None:
-        """Turn to the safe stop, once."""
+        """Begin the safe stop, once."""
         if isinstance(self._phase, SafeStop) and self._phase.cause:
             return
         self._cause, self._stop_s = cause, _S * (self._clock.now_ns() - self._start_ns)
@@ -445,13 +445,13 @@ class ControlLoop:
         self._phase = phase
 
     def _cut_short(self) -> None:
-        """Leave out all phases but the way back where the regular end is asked for."""
+        """Drop the remaining phases where the regular end is requested; the return motion is next."""
         if self._flag.ending and not isinstance(self._phase, SafeStop):
             self._rest.clear()
             self._phase = None
 
     def _send(self, u: float) -> bool:
-        """Whether the command has left; one that has not counts as never sent."""
+        """Send a command; False where it was not sent."""
         if not self._anchor.in_time(self._clock.boot_ns()):
             self._unsent += 1
             return False
@@ -468,14 +468,14 @@ class ControlLoop:
         return True
 
     def _left(self, u: float, at: int) -> None:
-        """A command has left."""
+        """Book a command that was sent."""
         self._gate.sent(u, at)
         self._anchor.sent()
         self._commands += 1
         self._refused_ns = None
 
     def _refused_by_wire(self, now: int) -> None:
-        """Ask for a stop where the wire has taken no command for too long: a device may talk and not listen."""
+        """Request a stop where the transport has accepted no command for too long."""
         self._unsent += 1
         self._anchor.not_sent(now)
         self._refused_ns = now if self._refused_ns is None else self._refused_ns

@@ -23,9 +23,7 @@ M = TypeVar("M")
 
 
 _REMEMBERED = 50  # messages that may be replayed
-
 _NS = 1e9
-
 _STANDING = ("freeze", "blocked", "dislodged")  # faults in which the angle is that of the moment before
 
 _TAKEN = 64  # datagrams taken off the socket in one call
@@ -87,13 +85,13 @@ class FaultSettings(Settings):
 
     @property
     def of_datagrams(self) -> bool:
-        """Whether it needs to get at the datagrams themselves."""
+        """Whether the fault acts on datagrams."""
         return self.of == "commands" or self.fault == "corrupt"
 
 
 @final
 class FaultyLine(Generic[M]):
-    """Messages in, messages out: what is left of them, and when.
+    """Fault injection in a stream of messages: loss, delay, repetition, reordering, changed content.
 
     Args:
         spoil: a fault and a message to the message with another content.
@@ -125,7 +123,7 @@ class FaultyLine(Generic[M]):
             heapq.heappush(self._under_way, (due, self._count, copy))
 
     def due(self, t_s: float) -> list[M]:
-        """What arrives until `t_s` [s]."""
+        """Messages that arrive until `t_s` [s]."""
         arrived = []
         while self._under_way and self._under_way[0][0] <= t_s:
             arrived.append(heapq.heappop(self._under_way)[2])
@@ -155,7 +153,7 @@ class FaultyLine(Generic[M]):
 
 @final
 class FaultyReadings:
-    """Readings in, readings out: what is left of them, and when."""
+    """Fault injection in the readings of a device."""
 
     def __init__(self, faults: Sequence[FaultSettings], seed: int) -> None:
         self._random, self._last = random.Random(seed), math.nan
@@ -168,7 +166,7 @@ class FaultyReadings:
             self._last = message.angle
 
     def due(self, t_s: float) -> list[Outgoing]:
-        """What arrives until `t_s` [s]."""
+        """Messages that arrive until `t_s` [s]."""
         return self._line.due(t_s)
 
     def _changed_content(self, fault: FaultSettings, message: Outgoing) -> Outgoing:
@@ -243,7 +241,7 @@ class FaultyDatagrams:
         return 1e-9 * (time.monotonic_ns() - self._first_ns) if self._first_ns else -1.0
 
     def _changed_content(self, fault: FaultSettings, data: bytes) -> bytes:
-        """One byte of it is another."""
+        """Change one byte at random."""
         del fault
         spoilt, place = bytearray(data), self._random.randrange(len(data))
         spoilt[place] ^= self._random.randrange(1, 256)

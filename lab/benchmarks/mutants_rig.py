@@ -387,11 +387,13 @@ MUTANTS: tuple[Mutant, ...] = (
         "if not known and self._pinned is not None and now_ns - self._heard_ns <= self._silence_ns:",
         "if now_ns < 0:",
     ),
-    _admission("anybody may command", 'return "" if self._pinned == (sender, session) else ANOTHER', 'return ""'),
+    _admission(
+        "anybody may command", "        elif not known:\n            return", "        elif False:\n            return"
+    ),
     _admission(
         "the sender does not matter",
-        'return "" if self._pinned == (sender, session) else ANOTHER',
-        'return "" if self._pinned[1] == session else ANOTHER',
+        "        elif not known:\n",
+        "        elif self._pinned[1] != session:\n",
     ),
     _admission(
         "who has never commanded may say goodbye",

@@ -1,4 +1,4 @@
-"""What `record` can play: the papers' identification commands, ruckig motions, and files.
+"""Excitations of `record`: the identification commands of the papers, jerk-limited ramps, and motion files.
 
 S1 is Wu et al., RA-L 2021 (DOI 10.1109/LRA.2021.3061069), S2 RA-L 2024, PMC11633443.
 """
@@ -179,7 +179,7 @@ def read_motion(path: Path | str, rate_hz: float) -> Vec:
 
 
 def _motion_table(path: Path | str) -> tuple[Table, str]:
-    """The file, and the name of its one column of commands."""
+    """Table of a motion file, and the name of its command column."""
     table = read_table(read_lines(path), str(path))
     names = [name for name in table.header if name in CANONICAL.command]
     if "time_s" not in table.numbers or len(names) != 1 or names[0] not in table.numbers:

@@ -1,4 +1,4 @@
-"""A closed-loop experiment: preparation, hand-over to a controller, tracking of a reference, and back."""
+"""A closed-loop experiment: preparation, bumpless transfer to the controller, tracking of a reference, and return."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def run_experiment(
     transport: Transport | None = None,
     desk: Desk | None = None,
 ) -> BenchResult:
-    """Do the experiment; everything that can be wrong is found before anything moves. Arguments as of `run_bench`.
+    """Run the experiment; settings and model are checked before anything moves. Arguments as of `run_bench`.
 
     With a desk the run takes targets too; after the first one it goes on until somebody ends it.
 
@@ -79,7 +79,7 @@ def run_experiment(
 
 
 def tracking_phase(settings: RunSettings, threaded: bool = True, note: Note = lambda text: None) -> Tracking:
-    """The controller of an experiment, compiled and warm, as a phase.
+    """Phase that tracks the reference of an experiment; its controller is built, compiled and warmed up.
 
     Args:
         beside: whether the hand-over goes on beside the loop, see `Tracking`.
@@ -124,7 +124,7 @@ def tracking_phase(settings: RunSettings, threaded: bool = True, note: Note = la
 
 
 def _compiled(settings: RunSettings, assembly: Assembly, tip_settings: TipSettings) -> CompiledController | None:
-    """The controller as C, None for the backend of Python."""
+    """Controller compiled from C; None for the backend python."""
     if settings.realtime.backend == "python":
         return None
     from ..compiled.controller import compiled_controller
@@ -148,7 +148,7 @@ def _fits(settings: RunSettings, assembly: Assembly) -> None:
 
 
 class LeadInTrajectory:
-    """A reference behind a motion (None where the tip is there already) that leads to where it starts."""
+    """A reference after a lead-in motion to its first angle; None where the tip is there already."""
 
     def __init__(self, lead: PiecewiseCubic | None, reference: Trajectory) -> None:
         self._lead, self._reference = lead, reference
@@ -301,7 +301,7 @@ class Tracking(Phase):
             tip.took(0, command, law.after())
 
     def _judge(self, angle_deg: float, model: float) -> None:
-        """Compare the model's own angle with the measured one; once a second it is asked whether the device changed."""
+        """Compare predicted and measured angle; test once a second whether the device has changed."""
         if self._judged is None:
             self._judged = self._monitor.init(model, angle_deg)
         self._judged = self._monitor.advance(self._judged, model, angle_deg)
@@ -310,7 +310,7 @@ class Tracking(Phase):
             self._changed = f"; {change.sign}" if change.certain else ""
 
     def _waits(self, now: PhaseInput) -> bool:
-        """Whether the hand-over lasts; it starts with the first usable angle, without a sensor at once."""
+        """Whether the transfer to the controller lasts; it starts with the first usable angle, or without a sensor."""
         past = self._past
         if past is not None:
             past.keep(now, self._tip.dt)
@@ -341,13 +341,13 @@ class Tracking(Phase):
 
     @staticmethod
     def _declare(past: Past, rest_deg: float) -> None:
-        """Put the declared angle at the rest before preparation, which has to be remembered from its beginning."""
+        """Set the declared rest angle at the first sample of the history, which has to reach back to the rest."""
         if len(past.commands) >= REMEMBERED:
             raise ConfigError(f"sensor.rest_deg: got {len(past.commands)} samples since the rest, expected fewer")
         past.angles_deg[:] = [rest_deg, *([math.nan] * (len(past.commands) - 1))]
 
     def _wanted(self, t: Vec) -> Vec:
-        """The preview."""
+        """Reference angles at times `t` [s]."""
         assert self._reference is not None
         return self._reference(t)
 
@@ -370,7 +370,7 @@ class Tracking(Phase):
 
 
 def decided(command: Command, due_deg: float, watch: ModelWatch, note: str = "") -> Decision:
-    """A controller's command as a phase hands it on; its own stop, and a device off its model, are faults.
+    """Decision from a controller's command; a stop of the controller and a large model error are faults.
 
     Args:
         due_deg: wanted angle at the end of the sample [deg].
@@ -391,14 +391,14 @@ def decided(command: Command, due_deg: float, watch: ModelWatch, note: str = "")
 
 
 def model_watch(plausibility: PlausibilitySettings, law: ControllerSettings, dt_s: float) -> ModelWatch:
-    """The watch over a controller's model, within the bound of its own estimator."""
+    """Monitor of a controller's model error, bounded by the disturbance limit of its estimator."""
     estimator = law.resolved().estimator
     limit = estimator.disturbance_limit_deg if isinstance(estimator, EstimatorSettings) else math.inf
     return ModelWatch(plausibility, limit, dt_s)
 
 
 def present_angle(tip: TipController) -> float:
-    """Where the tip is now, as the controller estimates it [deg]: the last angle of one without a model."""
+    """Present tip angle as the controller estimates it [deg]; the last measured one without a model."""
     control = tip.snapshot().control
     assert control is not None
     estimate = control.estimate
@@ -406,18 +406,18 @@ def present_angle(tip: TipController) -> float:
 
 
 class Refusing(Protocol):
-    """Something in a controller that can be told why there is no time for a plan; empty: there is."""
+    """A control law that skips planning where `refusal` gives a reason; an empty one lets it plan."""
 
     refusal: str
 
 
 class NoTimeError(Exception):
-    """There is no time for a plan; never leaves the controller's step."""
+    """No time for a plan in this sample; caught inside the controller's step."""
 
 
 @final
 class TimelyLaw(Law[Any]):
-    """The same law, but failing at once where `refusal` says why: shifted plan, inverse, hold, stop are next."""
+    """A control law that fails at once while `refusal` is set, so that the fallback ladder answers the sample."""
 
     def __init__(self, law: Law[Any]) -> None:
         self._law = law
@@ -434,6 +434,6 @@ class TimelyLaw(Law[Any]):
 
 
 def make_timely(controller: GuardedController[Any]) -> tuple[GuardedController[Any], TimelyLaw]:
-    """The same controller around a law that can be told to fail, and that law: only failing leads to the fallbacks."""
+    """Controller with its law wrapped in a `TimelyLaw`, and that law."""
     law = TimelyLaw(controller.law)
     return controller.with_law(law), law

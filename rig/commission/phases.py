@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class PhaseInput:
-    """What a phase may look at."""
+    """Measurements and command state that a phase gets in each sample."""
 
     angle_deg: float  # measured angle, NaN where none is usable [deg]
     held: float  # the command sent last, or the one that the device was found to hold
@@ -37,7 +37,7 @@ class PhaseInput:
 
 @dataclass(frozen=True, slots=True)
 class Decision:
-    """What a phase wants.
+    """Command and status that a phase returns for a sample.
 
     Attributes:
         u: wanted command; the gate has the last word.
@@ -60,13 +60,13 @@ class Decision:
 
 @dataclass(frozen=True, slots=True)
 class Past:
-    """What was sent and measured in the run so far, for a controller that takes over; (T,) each, copies."""
+    """Commands and angles of the run so far, from which a controller starts; (T,) each, copies."""
 
     commands: list[float]
     angles_deg: list[float]
 
     def keep(self, now: PhaseInput, dt_s: float) -> None:
-        """Append a sample; frames go to the samples in which they were taken, or to the first one."""
+        """Append a sample; angles of frames go to the samples at which they were taken, or to the first one."""
         self.commands.append(now.held)
         self.angles_deg.append(math.nan if now.frames else now.angle_deg)
         place_frames(self.angles_deg, now.frames, dt_s)
@@ -77,7 +77,7 @@ REMEMBERED = 200_000
 
 
 def place_frames(angles: MutableSequence[float], frames: Sequence[SeenFrame], dt_s: float) -> None:
-    """Put frames into the samples in which they were taken; the last of `angles` belongs to now."""
+    """Write the angles of frames into the samples at which they were taken; the last sample is the present one."""
     for frame in frames:
         angles[max(-1 - round(frame.age_s / dt_s), -len(angles))] = frame.angle_deg
 
@@ -101,18 +101,18 @@ class Phase(Protocol):
         ...
 
     def compiled(self) -> CompiledLoop | None:
-        """What takes the next samples in C; None where they have to be taken in Python."""
+        """Compiled loop for the next samples; None where Python has to execute them."""
         return None
 
     def taken_in_c(self, flag: StopFlag) -> Generator[tuple[Any, Decision]]:
-        """Samples that `compiled`, which has begun, takes until the flag is set; each with what was decided."""
+        """Samples executed by the compiled loop until the flag is set, each with its decision."""
         del flag
         yield from ()
 
 
 @final
 class CommandMotion(Phase):
-    """Plays commands that are worked out when it begins, from the command held then.
+    """Open-loop motion: commands computed from the held command when the phase begins.
 
     Args:
         commands: held command to the commands (N,) to send.
@@ -137,7 +137,7 @@ class CommandMotion(Phase):
 
 @final
 class AwaitStart(Phase):
-    """Holds the command until somebody lets the run begin; what is sent keeps the device's watchdog quiet.
+    """Hold the command until a person starts the run; sending it keeps the device's watchdog from acting.
 
     Args:
         started: asked once a sample.
@@ -176,7 +176,7 @@ class PretensionCheck(Phase):
         self._before = self._angle = math.nan
 
     def begin(self, now: PhaseInput, past: Past) -> None:
-        """Work the way out; the angle at rest is that of the moments before."""
+        """Compute the commands; the present angle is the angle at rest."""
         del past
         up, back = self._plan(now.held)
         self._commands, self._top, self._k = [*up.tolist(), *back.tolist()], up.size, 0
@@ -204,7 +204,7 @@ class PretensionCheck(Phase):
 
 @final
 class SafeStop(Phase):
-    """Leads the command to rest at the safe one and ends where the device has said that it holds it.
+    """Motion to rest at the safe command; it ends once the device reports that it holds that command.
 
     Every run ends with it: after its last phase, and after a stop. The safe command is sent `repeats` times at least,
     since a wire may lose some; where the device does not say that it is there, `patience` times.
@@ -243,7 +243,7 @@ class SafeStop(Phase):
         self.sent = self.confirmed = False
 
     def begin(self, now: PhaseInput, past: Past) -> None:
-        """Work the way out, also anew from where the device was found; never raises."""
+        """Compute the stop motion from the held command; never raises."""
         del past
         self._attempts -= 1
         try:
@@ -255,7 +255,7 @@ class SafeStop(Phase):
         self._k = self._rested = 0
 
     def step(self, now: PhaseInput) -> Decision:
-        """The next command; finished once the safe one is held, or where no attempt is left."""
+        """Next command; finished once the safe command is held or no attempt is left."""
         if self._attempts < 0:
             return Decision(now.held, self.name, f"{self._status}; given up", finished=True)
         u = self._commands[self._k] if self._k < len(self._commands) else self._end

@@ -62,7 +62,7 @@ class ReviewedRun:
 
 @dataclass(frozen=True)
 class Review:
-    """What a run says about its model.
+    """Assessment of a model by a run: tracking error, prediction errors, and what is due.
 
     Attributes:
         advice: one line: nothing is due, a new identification, or a diagnosis.
@@ -96,7 +96,7 @@ class Review:
 
 
 def compare_with_model(run: RunFolder, settings: RunSettings) -> ReviewedRun:
-    """The run's log against its model.
+    """Predict the run with its model: the log's samples with the model's free run.
 
     Raises:
         LogError: if the log lacks a column or is too short.
@@ -106,10 +106,10 @@ def compare_with_model(run: RunFolder, settings: RunSettings) -> ReviewedRun:
     wanted = ("time_s", "angle_deg", "reference_deg", "predicted_deg", "sequence", "source")
     if gone := [name for name in wanted if name not in log]:
         raise LogError(f"{run.path}: the log lacks {', '.join(gone)}, expected the log of a run at a bench")
-    sequence = _numbers(log, "sequence").astype(np.int64)
+    sequence = numbers(log, "sequence").astype(np.int64)
     if sequence.size < _LEAST:
         raise LogError(f"{run.path}: {sequence.size} samples, expected at least {_LEAST} to be judged")
-    command = _numbers(log, CANONICAL.command_column(list(log)))
+    command = numbers(log, CANONICAL.command_column(list(log)))
     follows = np.flatnonzero(np.diff(sequence) == 1)  # rows whose end is the next row's beginning
     angle = _angles_when_taken(log)
     model = load_model(model_path(settings.controller.model), start="conditioned")
@@ -118,11 +118,11 @@ def compare_with_model(run: RunFolder, settings: RunSettings) -> ReviewedRun:
     sources = [str(text) for text in log["source"]]
     past = max((k for k, name in enumerate(sources) if name in _PREPARATION), default=-1)
     return ReviewedRun(
-        t=_numbers(log, "time_s")[follows] + settings.dt_s,
+        t=numbers(log, "time_s")[follows] + settings.dt_s,
         command=command[follows],
         measured_deg=measured,
-        reference_deg=_numbers(log, "reference_deg")[follows],
-        predicted_deg=_numbers(log, "predicted_deg")[follows],
+        reference_deg=numbers(log, "reference_deg")[follows],
+        predicted_deg=numbers(log, "predicted_deg")[follows],
         free_deg=free[follows],
         counted=np.isfinite(measured) & np.isfinite(free[follows]) & (follows > past),
         monitor=ChangeMonitor(model.metadata.noise, settings.dt_s, _ends(model.metadata.trained_angle)),
@@ -130,7 +130,7 @@ def compare_with_model(run: RunFolder, settings: RunSettings) -> ReviewedRun:
 
 
 def review(rows: ReviewedRun, due_above_deg: float) -> Review:
-    """Figures and advice.
+    """Tracking and prediction errors of a run, and the advice that follows from them.
 
     The free run r over the commands sent is rows with the measured angle y. Up to `due_above_deg` nothing is due.
     Beyond it, the line y = offset + gain r decides: where it takes the error below the bar the model has the right
@@ -162,10 +162,10 @@ def review(rows: ReviewedRun, due_above_deg: float) -> Review:
 
 def _angles_when_taken(log: Mapping[str, Column]) -> Vec:
     """Angles (N,) [deg] in the rows of the times at which they were taken; NaN in all others."""
-    angle = _numbers(log, "angle_deg")
+    angle = numbers(log, "angle_deg")
     if TAKEN not in log:
         return angle
-    time, taken = _numbers(log, "time_s"), _numbers(log, TAKEN)
+    time, taken = numbers(log, "time_s"), numbers(log, TAKEN)
     seen = np.flatnonzero(np.isfinite(angle))
     placed = np.full_like(angle, np.nan)
     when = np.where(np.isfinite(taken), taken, time)[seen]
@@ -178,7 +178,7 @@ def _ends(angles: Range) -> tuple[float, float]:
 
 
 def _change(rows: ReviewedRun, free_deg: Vec, measured_deg: Vec) -> str:
-    """In a sentence; empty where the model's file does not say how far it is usually off, or too little was seen."""
+    """Test for a change of the device, as a sentence; empty without the model's noise or with too few samples."""
     change, when_s = rows.monitor.along(free_deg, measured_deg)
     if math.isnan(change.probability):
         return ""
@@ -229,13 +229,9 @@ def _rms(values: Vec) -> float:
     return float(np.sqrt(np.mean(known**2))) if known.size else math.nan
 
 
-def _numbers(log: Mapping[str, Column], name: str) -> Vec:
-    return np.asarray(log[name], dtype=np.float64)
-
-
 @only_reads()
 def review_run(folder: Path, more: Sequence[Piece] = ()) -> Review:
-    """Judge a run folder, write `trial.csv` (for `fit` and `diagnose`) and `report.html`.
+    """Review a run folder and write its `trial.csv` (for `fit` and `diagnose`) and `report.html`.
 
     A run that is too short to be judged gets a report all the same.
 
@@ -269,7 +265,7 @@ def review_run(folder: Path, more: Sequence[Piece] = ()) -> Review:
 def write_page(
     run: RunFolder, settings: RunSettings, rows: ReviewedRun | None, verdict: Review, more: Sequence[Piece] = ()
 ) -> Path:
-    """Write the page.
+    """Write report.html of a run.
 
     Args:
         rows: samples; None where there are too few.

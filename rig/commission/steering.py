@@ -1,4 +1,4 @@
-"""A controller whose targets come from outside while the loop goes on: the phase of a planner's node."""
+"""Phase of a planner node: a controller that takes targets from outside while the loop runs."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ class Steering(Phase):
         self.watch(PlausibilitySettings())
 
     def watch(self, plausibility: PlausibilitySettings) -> None:
-        """Watch the model anew, by these settings."""
+        """Restart the monitor of the model error with these settings."""
         self._plausibility = plausibility
         self._watch = model_watch(plausibility, self._settings, self.tip.dt)
 

@@ -48,7 +48,7 @@ _REASONS = (
 def compiled_controller(
     controller: GuardedController[Any], settings: TipSettings, spin_s: float = 0.0
 ) -> CompiledController:
-    """The controller that `settings` say, as C.
+    """Export, compile and check the controller of the settings as C.
 
     Args:
         controller: the same in Python.
@@ -75,7 +75,7 @@ def compiled_controller(
 
 
 def _difference(python: GuardedController[Any], compiled: CompiledController) -> str:
-    """Where the two differ over some steps from rest, empty where they do not.
+    """First difference between the controllers in Python and C over some steps from rest; empty without one.
 
     The reference rises and falls, the angle follows as predicted, and some samples have none or one far off.
     """
@@ -99,7 +99,7 @@ def _difference(python: GuardedController[Any], compiled: CompiledController) ->
 
 @final
 class CompiledController(PlannersController):
-    """Answers as its Python does: the same commands, sources and lines of status; a state is its own snapshot.
+    """A controller compiled from C with the commands, sources and status lines of the Python one; states are snapshots.
 
     Of the estimate there is what the rig looks at: angle of now, disturbance, learned part, counts. Of the plan there
     is its first angle. `refusal` says why the next steps have no time for a plan, as that of `TimelyLaw`.
@@ -206,7 +206,7 @@ class CompiledController(PlannersController):
         return _command(answer.u, answer, status, watch.stages), after
 
     def taken(self, sample: Any, stalled: int, refusal: str) -> Command:
-        """The answer of a sample that a loop in C has taken.
+        """Command of a sample that the loop in C has executed.
 
         Args:
             stalled: of the sample before it.
@@ -223,7 +223,7 @@ class CompiledController(PlannersController):
         return after
 
     def take_up(self, state: GuardedState[bytes]) -> None:
-        """Go on from `state`."""
+        """Set the memory of the C to `state`."""
         c = self._loaded
         if state.memory is not self._newest:
             c.remember(state.memory)
@@ -233,7 +233,7 @@ class CompiledController(PlannersController):
             c.stop()
 
     def _begun(self, y: float, u: float) -> LoadedController:
-        """A memory of its own, at rest."""
+        """New memory of the C, initialised at rest."""
         self._python.init(y, u)
         begun = LoadedController(self._export, self._library)
         if refused := begun.init(y, u):
@@ -270,7 +270,7 @@ def _line(
     stalled: int = 0,
     refusal: str = "",
 ) -> str:
-    """The line that `GuardedController` would say of an answer with `source`, `status` and `missing`."""
+    """Status line as `GuardedController` writes it for an answer of the C."""
     notes = []
     if answer.status:
         reason = _REASONS[answer.status].format(

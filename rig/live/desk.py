@@ -1,4 +1,4 @@
-"""Requests from the live page: who may ask, what may be asked of a run, and what the run answers."""
+"""Remote control of a run from the live page: authorisation of requests, their effect, and the replies."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ class LiveSettings(Settings):
 
 @dataclass(frozen=True)
 class Reply:
-    """What a run says to a request.
+    """Reply of a run to a request.
 
     Attributes:
         done: whether it does as asked; nothing has changed where it does not.
@@ -62,7 +62,7 @@ class Reply:
 
 @dataclass(frozen=True)
 class Access:
-    """What a page has to know to take requests.
+    """Access token of the live page, and the range of targets that it offers.
 
     Attributes:
         token: what a request has to carry.
@@ -79,7 +79,7 @@ SetTarget = Callable[[float], Reply]
 
 @final
 class Desk:
-    """Takes the requests of one run; of a run without one, nothing can be asked.
+    """Executes the requests of a person at the live page: start, stop, emergency stop, targets.
 
     A run looks at `flag` and `started` once a sample. Requests come by any thread. An e-stop is never refused.
 
@@ -97,15 +97,15 @@ class Desk:
 
     @property
     def access(self) -> Access | None:
-        """What the page has to know, None where nothing may be asked."""
+        """Access data of the page; None where the page only shows."""
         return Access(self._token, self._target_deg) if self.settings.control else None
 
     def take_targets(self, set_target: SetTarget, low_deg: float, high_deg: float) -> None:
-        """Let targets be set; the page shows the range [deg]."""
+        """Enable targets within a range [deg]."""
         self._set_target, self._target_deg = set_target, (low_deg, high_deg)
 
     def ask(self, action: str, value: float = 0.0) -> Reply:
-        """Do as asked, or say why not; never raises.
+        """Execute a request or refuse it with a reason; never raises.
 
         Args:
             action: an `Action`.
@@ -146,7 +146,7 @@ _SCHEME = "Bearer "
 
 @final
 class Controls:
-    """Judges each request and hands those that may pass to the run; used by many threads.
+    """Authorises requests to the page and forwards the admitted ones to the run; used by many threads.
 
     Nothing is done for a request that does not carry the token, that another site's page has made, or that was sent to
     a foreign name. A foreign page can have its own name point here, but not a number, so only numbers and this
@@ -169,7 +169,7 @@ class Controls:
         return _PATHS.get(path) == "estop"
 
     def refusal(self, path: str, headers: Mapping[str, str], body: bytes) -> tuple[HTTPStatus, str] | None:
-        """Why the run is not asked: a status and one line; None where it is. Waits for nobody."""
+        """Reason for refusing a request: a status and one line; None where it is admitted. Never waits."""
         said = {name.lower(): value for name, value in headers.items()}
         action = _PATHS.get(path)
         if not self._is_ours(said.get("host", "")):
@@ -185,7 +185,7 @@ class Controls:
         return None
 
     def take(self, path: str, headers: Mapping[str, str], body: bytes) -> tuple[HTTPStatus, str]:
-        """What to answer to a request of this path, headers (any case) and body: a status and one line.
+        """HTTP answer to a request with this path, headers (any case) and body: a status and one line.
 
         It waits for the run's answer.
         """

@@ -44,11 +44,9 @@ _SECURE = {
 }
 _ONCE = ("host", "authorization", "content-length", "origin", "sec-fetch-site")
 
-Answered = tuple[HTTPStatus, str]
-
 
 class BadRequestError(Exception):
-    """A request that is not read further; its argument is the status."""
+    """A malformed HTTP request; its argument is the status."""
 
 
 @final
@@ -72,7 +70,7 @@ class PageServer:
         self._thread = threading.Thread(target=self._work, name="hystmpc-page", daemon=True)
 
     def listen(self, host: str, port: int) -> tuple[str, int]:
-        """Start; returns address and port.
+        """Start the server and return address and port.
 
         Raises:
             OSError, OverflowError: if the address cannot be used.
@@ -108,7 +106,7 @@ class PageServer:
             oldest.abort()
 
     def leave(self, client: _Client) -> None:
-        """A connection has ended."""
+        """Forget a connection that has ended."""
         self.clients.pop(client, None)
         self.streams.discard(client)
 
@@ -179,11 +177,11 @@ class _Client(asyncio.Protocol):
             self.answer(error.args[0], "")
 
     def abort(self) -> None:
-        """End at once."""
+        """Abort the connection."""
         self._transport.abort()
 
     def answer(self, status: HTTPStatus, text: str) -> None:
-        """A line of text."""
+        """Answer with a line of text."""
         self._answer(status, "text/plain; charset=utf-8", text.encode())
 
     def send(self, message: bytes) -> None:
@@ -344,7 +342,7 @@ def _hosts(host: str, port: int) -> frozenset[str]:
 
 @final
 class LivePage(LiveView):
-    """Serves what the run does to browsers; nothing that a browser sends is taken in, but requests to `controls`.
+    """Live view for browsers; all input but authorised requests to `controls` is ignored.
 
     Args:
         host: address to listen on; the loopback, unless others are to see the page.
@@ -377,7 +375,7 @@ class LivePage(LiveView):
 
     @property
     def address(self) -> str:
-        """What to open in a browser; with the token, which browsers keep to themselves, where it takes requests."""
+        """URL of the page; with the token in the fragment, which browsers do not send, where it takes requests."""
         host, port = self._where
         token = "" if self._controls is None else f"#{self._controls.access.token}"
         return f"http://{host}:{port}/{token}"
@@ -392,7 +390,7 @@ class LivePage(LiveView):
 
 
 def message(snapshot: LiveSnapshot, unit: str, rate_hz: float) -> dict[str, Any]:
-    """What a browser gets: figures, and the curves of the last 20 s."""
+    """Message to the browsers: figures, and the curves of the last 20 s."""
     last = snapshot.last
     timings = {}
     for name, histogram in (("late", snapshot.late), ("work", snapshot.total)):

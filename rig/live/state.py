@@ -21,14 +21,13 @@ WINDOW_S = 20.0
 """How much of the run is plotted [s]."""
 
 _POINTS_PER_S = 50.0  # of the plots; the figures are made of all samples
-
 _PERIOD_S = 0.125  # between two snapshots shown
 _CLOSE_S = 5.0
 
 
 @dataclass(frozen=True, eq=False)
 class LiveSnapshot:
-    """What the views show.
+    """State of a run for the live views.
 
     Attributes:
         last: the newest sample.
@@ -78,7 +77,7 @@ class LiveState:
         self.notes: deque[str] = deque(maxlen=3)
 
     def update(self, samples: Iterable[Sample]) -> None:
-        """Take in samples in the order of the run."""
+        """Add samples in the order of the run."""
         for sample in samples:
             self._recent.append((sample.t_s, sample.reference_deg, sample.measured_deg, sample.command))
             self._late.add(sample.lateness_s)
@@ -91,7 +90,7 @@ class LiveState:
             self._count += 1
 
     def snapshot(self) -> LiveSnapshot | None:
-        """What there is to show, None before the first sample."""
+        """Snapshot of the last 20 s, None before the first sample."""
         if self._last is None:
             return None
         rows = np.array(self._recent)

@@ -36,11 +36,8 @@ _LENGTH = struct.Struct("<I")
 
 _FEED_S = 0.05
 _BLOCK = 10  # samples about: packing them keeps the interpreter from the control thread
-
 _CLOSE_S = 20.0
-
 _REPLY_S = 2.0  # how long the page waits for the run's answer
-
 _NO_REPLY = "the run has not answered: use the device's own emergency stop"
 
 _logger = logging.getLogger(__name__)
@@ -52,7 +49,7 @@ Replies = Iterable[tuple[int, bool, str]]
 
 
 def pack(samples: Iterable[Sample], answers: Replies = ()) -> bytes:
-    """One block of samples, and of answers.
+    """Serialise samples and replies as one block.
 
     `marshal` is the fastest way to bytes that the interpreter has; the reader is the same interpreter, started by the
     writer, so its limits (one version, trusted data) are none here.
@@ -92,7 +89,7 @@ def _plain(s: Sample) -> tuple[object, ...]:
 
 @dataclass(frozen=True)
 class Views:
-    """What to show while a run goes on.
+    """Live views of a run.
 
     Attributes:
         terminal: the terminal view, on standard error.
@@ -151,7 +148,7 @@ def _take_back(folder: Path, made: bool) -> None:
 
 @final
 class RecorderProcess(ThreadedSink):
-    """Hands samples to a process; see `open_recorder_process`.
+    """Sink that sends samples to the recorder process; see `open_recorder_process`.
 
     Raises:
         ConfigError: if the process does not start.
@@ -189,7 +186,7 @@ class RecorderProcess(ThreadedSink):
         return self._process.pid
 
     def close(self) -> None:
-        """Hand over what is left and wait for the process to write it; told, not raised, where it fails."""
+        """Send the remaining samples and wait for the process to write them; failures are reported, not raised."""
         if not self._finish(_CLOSE_S):
             return
         with suppress(OSError):  # the process has died: that has been told
@@ -265,7 +262,7 @@ def _line(raw: bytes) -> dict[str, Any]:
 
 
 def serve() -> int:
-    """The process: read the order, then samples until the pipe closes, as a killed controller leaves it too."""
+    """Main function of the recorder process: read the order, then samples until the pipe closes."""
     for name in STOPPING:  # meant for the controller; this process ends after it
         if hasattr(signal, name):
             signal.signal(getattr(signal, name), signal.SIG_IGN)
@@ -292,7 +289,7 @@ class _Requests:
         self._open: dict[int, tuple[Event, list[Reply]]] = {}
 
     def ask(self, action: str, value: float) -> Reply:
-        """What the run says; by any thread."""
+        """Reply of the run to a request; by any thread."""
         number, arrived, replies = next(self._numbers), Event(), list[Reply]()
         self._open[number] = arrived, replies
         _say(ask=action, value=value, number=number)

@@ -1,4 +1,4 @@
-"""The sink that writes a run folder, by a thread of its own."""
+"""Recording of a run folder by a thread."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class _Log(Protocol):
 
 @dataclass(frozen=True)
 class RecordingMeta:
-    """What the run folder says beside the configuration.
+    """Metadata of a run folder.
 
     Attributes:
         unit: of the command.
@@ -141,11 +141,11 @@ class Recording(ThreadedSink):
 
     @property
     def on_disk(self) -> int:
-        """Samples that a kill of this process would not cost any more."""
+        """Samples on the disk, which a kill of this process cannot lose."""
         return self._on_disk
 
     def close(self) -> None:
-        """Write what is left, the summary and the report; told, not raised, where that fails. Twice is once."""
+        """Write the remaining samples, the summary and the report, once; failures are reported, not raised."""
         if not self._finish(_CLOSE_S):
             return
         if self._thread.is_alive():

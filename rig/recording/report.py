@@ -1,4 +1,4 @@
-"""report.html of a recording: what was sent and measured, how punctual the loop was, what went wrong."""
+"""report.html of a recording: commands and angles, timing of the loop, faults."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def timing_table(log: Log, more: tuple[str, ...] = ()) -> Table:
 
 
 def causes(log: Log) -> Iterator[Piece]:
-    """A table of samples by what gave the command, and by what went wrong."""
+    """Table of samples by source of the command and by fault."""
     sources = Counter(str(cell) for cell in log["source"])
     faults = Counter(word for cell in log.get("faults", ()) for word in str(cell).split() if word != "-")
     rows: list[tuple[object, ...]] = [("source", name, n) for name, n in sources.most_common()]

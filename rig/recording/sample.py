@@ -1,4 +1,4 @@
-"""One sample at the bench and the sinks that take it: the border between control thread and recording."""
+"""Samples of the control loop, and sinks and queues that take them from the control thread."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ class Sink(Protocol):
         ...
 
     def close(self) -> None:
-        """Write what is left and end."""
+        """Write the remaining samples and end."""
         ...
 
 
@@ -102,7 +102,7 @@ class SampleQueue:
             self._samples.append(sample)
 
     def take(self) -> list[Sample]:
-        """All that waits now, oldest first."""
+        """Samples in the queue, oldest first."""
         count = len(self._samples)
         return [self._samples.popleft() for _ in range(count)]
 
@@ -111,7 +111,7 @@ class SampleQueue:
 
 
 class ThreadedSink(Sink, ABC):
-    """A sink that queues samples for a thread of its own; what that thread is stuck at never holds up the loop.
+    """A sink that queues samples for its own thread, so that a blocked thread never delays the control loop.
 
     Args:
         thread: name of the thread, which a subclass starts once it is ready.

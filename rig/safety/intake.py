@@ -1,4 +1,4 @@
-"""Measurements judged at receipt: age, sequence, plausibility. What fails is rejected and named, never believed."""
+"""Checks of measurements at receipt: age, sequence, plausibility. A measurement that fails is rejected and named."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _NOISY = 5  # turns of the angle that show noise, with a fifth as many repetitio
 
 
 class SensorSettings(Settings):
-    """Block `sensor`: how angles come, what a plausible one is, and when the sensor counts as dead.
+    """Block `sensor`: kind of sensor, plausible angles, and the time after which the sensor counts as failed.
 
     Attributes:
         kind: `continuous`, an angle in every message; `intermittent`, frames of an imaging system: a message with a new
@@ -96,7 +96,7 @@ class SensorSettings(Settings):
         return self.longest_gap_s if self.kind == "intermittent" else self.dead_after_s
 
     def estimator_facts(self) -> Mapping[str, Any]:
-        """What a controller's block `estimator` should say of this sensor."""
+        """Keys of a controller's block `estimator` that follow from this sensor."""
         if self.kind != "intermittent":
             return {} if self.kind == "continuous" else {"sensor": "none"}
         return {"sensor": self.kind, "oldest_frame_s": self.oldest_frame_s, "longest_gap_s": self.longest_gap_s}
@@ -112,7 +112,7 @@ class SeenFrame:
 
 @dataclass(frozen=True, slots=True)
 class Seen:
-    """What one sample saw.
+    """Checked measurements of one sample.
 
     Attributes:
         angle_deg: the newest accepted angle, NaN where none is new.
@@ -139,7 +139,7 @@ class Seen:
 
 @final
 class Absences:
-    """Adds up times without an angle: a sensor that comes and goes is no better than one that is dead.
+    """Sums the times without an angle over the last 10 s: a sensor with frequent dropouts counts as failed.
 
     Two sums over the last 10 s: times in which all readings lay beyond the plausible range, single samples left out;
     and silences, times since an accepted angle, that are longer than `age_limit_s` while readings come and are
@@ -192,7 +192,7 @@ def _sum(times: deque[tuple[int, float]], more_s: float, now_ns: int) -> float:
 
 @final
 class Intake:
-    """Judges readings one after another.
+    """Checks readings in the order of arrival.
 
     The age of an angle is the time since its receipt plus its excess time of flight: arrival less sender's stamp,
     less the least such difference seen, which rises by the drift of two clocks and no faster. That needs no common
@@ -228,7 +228,7 @@ class Intake:
         self.counts: Counter[str] = Counter()
 
     def judge(self, readings: list[Reading], now_ns: int, command: float) -> Seen:
-        """The newest plausible angle among what has arrived.
+        """Newest plausible angle among the readings that have arrived, with the faults of the others.
 
         Args:
             readings: in the order of arrival.
@@ -265,7 +265,7 @@ class Intake:
         )
 
     def numbers(self, dt_s: float, recent: int) -> Mapping[str, Any] | None:
-        """What the same judgement in C begins with; None for a sensor or a moment that it does not know.
+        """Initial state of the same checks in C; None for a sensor or a state that the C does not support.
 
         Args:
             dt_s: sample time [s].
@@ -362,7 +362,7 @@ class Intake:
         return "frozen" if count and self._repeats >= count and self._travel >= settings.frozen_travel else ""
 
     def _count_turns(self, angle: float) -> None:
-        """Count what noise does: it turns the angle to and fro. A coarse sensor repeats it instead."""
+        """Count changes of direction, which noise causes, and repeated angles, which a coarse sensor causes."""
         slope = angle - self._angle
         if slope == 0.0:
             self._same += 1
@@ -378,7 +378,7 @@ class Intake:
         return self._settings.frozen_samples or 0 if noisy else 0
 
     def _accept(self, reading: Reading, taken_ns: int) -> bool:
-        """Whether it is the angle taken last; one that was overtaken is no measure for the next."""
+        """Accept an angle; False for one that was taken before the last accepted one."""
         if taken_ns < self._accepted_ns and math.isfinite(self._angle):
             return False
         self._accepted_ns, self._angle = taken_ns, reading.angle_deg
@@ -401,7 +401,7 @@ class Intake:
             self._past.popleft()
 
     def _silence(self, now_ns: int, readings: int, faults: list[str]) -> str:
-        """Why the run has to stop for want of an angle, or of any word where none is wanted."""
+        """Cause of a stop for a missing angle, or for a silent device without a sensor."""
         silent_s, wants_angle = _S * (now_ns - self._accepted_ns), self._settings.kind != "none"
         if not wants_angle:
             silent = self._reports_held and silent_s > self._settings.silence_s

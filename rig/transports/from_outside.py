@@ -35,7 +35,7 @@ T = TypeVar("T")
 
 @final
 class Worker:
-    """A thread in which a foreign object is made and called; a call that hangs holds up nobody else."""
+    """A thread that creates and calls an external object, so that a blocking call delays no other thread."""
 
     def __init__(self, name: str) -> None:
         self._calls: SimpleQueue[tuple[Future[Any], Callable[[], Any]]] = SimpleQueue()
@@ -48,7 +48,7 @@ class Worker:
         return self._newest is None or self._newest.done()
 
     def call(self, function: Callable[[], T], patience_s: float) -> T:
-        """What the function returns or raises; `TimeoutError` where it, or the call before, does not come back."""
+        """Result or exception of the function; `TimeoutError` where it, or the call before, does not return in time."""
         if not self.idle:
             raise TimeoutError("it still hangs in the call before")
         future = self._newest = self._put(function)
@@ -60,7 +60,7 @@ class Worker:
             raise TimeoutError(f"it has not come back within {patience_s:g} s") from None
 
     def last(self, function: Callable[[], object], then: Callable[[], T], patience_s: float) -> Future[T]:
-        """The last two calls; they come after one that hangs, and the thread ends. Waits for the first of them."""
+        """Queue the last two calls, which follow a blocked one, and end the thread. Waits for the first of them."""
         future, second = self._put(function), self._put(then)
         self._put(_end)
         future.result(patience_s)
@@ -158,7 +158,7 @@ class GuardedTransport(Transport):
         return self._plain(item)
 
     def _fetch(self) -> None:
-        """Read what is there, by the device's own thread; what fails later than at first is told in its turn."""
+        """Fetch the available readings in the device's thread; an error after the first reading is queued behind it."""
         until, count = self._now() + _AT_ONCE_NS, 0
         while count < _AT_ONCE and (not count or self._now() < until):
             try:
@@ -173,7 +173,7 @@ class GuardedTransport(Transport):
             count += 1
 
     def _plain(self, raw: Reading) -> Reading:
-        """A reading of Python's own numbers, in the run's units."""
+        """Reading in Python numbers and the run's units."""
         reading = Reading(
             self._conversion.angle_deg(float(raw.angle_deg)),
             int(raw.sequence),
@@ -214,7 +214,7 @@ class GuardedTransport(Transport):
 
 
 def lacking(device: object) -> list[str]:
-    """Methods that a transport, or its class, lacks; those that it only inherits from the protocol are none."""
+    """Methods that a transport, or its class, does not define; those inherited from the protocol do not count."""
     kind = device if isinstance(device, type) else type(device)
     inherited = [name for name in METHODS if getattr(kind, name, None) is getattr(Transport, name)]
     return [name for name in METHODS if name in inherited or not callable(getattr(device, name, None))]
@@ -226,7 +226,7 @@ def lacks(missing: list[str]) -> str:
 
 
 def reading_fault(value: object, now_ns: int) -> str:
-    """Why something that `read` returned is no measurement, empty where it is one.
+    """Reason for which a value returned by `read` is no measurement; empty where it is one.
 
     Args:
         value: what was returned, not None.
@@ -283,7 +283,7 @@ class PythonSettings(TransportBase):
 
     @classmethod
     def of(cls, transport: Transport) -> PythonSettings:
-        """Of a transport that is there already."""
+        """Settings of an existing transport."""
         settings = cls(python=f"{type(transport).__module__}:{type(transport).__name__}")
         settings._instance = transport
         return settings

@@ -1,4 +1,4 @@
-"""A device in this process, computed or recorded: one sample of it for every command."""
+"""Simulated and replayed devices in this process: one sample for every command."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from .transport import Reading, RunContext, Transport, TransportBase
 
 @final
 class SimulatedTransport(Transport):
-    """A `Plant` behind the wire's interface; its time is the number of commands, so it never lags.
+    """A `Plant` as a transport; its time is the number of commands, so it has no delay.
 
     Args:
         held: the command that the plant holds after its reset.
@@ -100,7 +100,7 @@ class SimulatedTransport(Transport):
 
 @final
 class RecordedPlant:
-    """The angles of a recorded run, one for every command, whatever that is; not-a-number after its end."""
+    """Replay of recorded angles, one for every command; not-a-number after the end."""
 
     def __init__(self, angles_deg: Vec, dt_s: float) -> None:
         self._angles, self.dt, self._k = angles_deg.tolist(), dt_s, 0

@@ -1,4 +1,4 @@
-"""Datagrams between controller and device; what arrives is hostile until checksum, order and number say otherwise.
+"""UDP transport; a datagram is accepted after checks of its checksum, session, sequence and value.
 
 A datagram has 44 bytes, little-endian:
 
@@ -48,6 +48,7 @@ from .transport import (
     Peer,
     Reading,
     RunContext,
+    Says,
     Through,
     Transport,
     TransportBase,
@@ -60,7 +61,7 @@ SIZE = _BODY.size + _CRC.size
 
 
 class Kind(IntEnum):
-    """What a datagram says."""
+    """Kinds of datagrams."""
 
     READING = 1
     COMMAND = 2
@@ -69,6 +70,7 @@ class Kind(IntEnum):
 
 
 KINDS = {int(kind): kind for kind in Kind}
+_SAYS: Mapping[Kind, Says] = {Kind.HELLO: "greeting", Kind.STOP: "goodbye", Kind.COMMAND: "command"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,7 +102,7 @@ def encode(message: Datagram) -> bytes:
 
 
 def decode(data: bytes) -> Datagram | str:
-    """The datagram, or in a word why these bytes are none; never raises on bytes of any content or length."""
+    """Decode a datagram, or name the fault of its bytes; never raises on bytes of any content or length."""
     if len(data) != SIZE:
         return "wrong size"
     body = data[: _BODY.size]
@@ -191,7 +193,7 @@ class UdpTransport(Transport):
         return Reading(angle, message.sequence, message.session, message.stamp_ns, received_ns, held)
 
     def numbers(self) -> Mapping[str, float]:
-        """What a loop in C needs to read and write here."""
+        """Socket, session and conversion by which a loop in C reads and writes here."""
         conversion = self._conversion
         return {
             "descriptor": self._wire.fileno(),
@@ -291,22 +293,15 @@ class UdpLink(DeviceLink):
 
     def _admitted(self, message: Datagram, peer: Peer) -> Incoming | str:
         """What an admitted message says, or why it is refused."""
-        origin = peer, message.session, message.sequence, time.monotonic_ns()
-        if message.kind is Kind.HELLO:
-            if reason := self._admission.greeting(*origin):
-                return reason
-            self._peer = peer
-            return Incoming(says="greeting")
-        if message.kind is Kind.STOP:
-            if reason := self._admission.goodbye(*origin):
-                return reason
-            self._peer = None
-            return Incoming(says="goodbye")
-        if message.kind is not Kind.COMMAND:
+        says = _SAYS.get(message.kind)
+        if says is None:
             return "not a command"
-        if reason := self._admission.command(*origin):
+        if reason := self._admission.admit(says, peer, message.session, message.sequence, time.monotonic_ns()):
             return reason
-        return Incoming(message.value) if math.isfinite(message.value) else "not-a-number"
+        if says == "command":
+            return Incoming(message.value) if math.isfinite(message.value) else "not-a-number"
+        self._peer = peer if says == "greeting" else None
+        return Incoming(says=says)
 
 
 class UdpSettings(TransportBase):
