@@ -12,7 +12,7 @@ import numpy as np
 from hystmpc.rig.commission.phases import Decision, Past, Phase, PhaseInput
 from hystmpc.rig.config import BenchSettings
 from hystmpc.rig.safety.plausibility import SMOOTH_S, MotionWatch
-from hystmpc.rig.safety.ramp import stop_commands, way_commands
+from hystmpc.rig.safety.ramp import stop_commands, waypoint_commands
 from hystmpc.trials.types import Vec
 
 from .bounded import BESIDE, MEDIAN, keep_shown
@@ -183,14 +183,14 @@ class Climb(Phase):
         self._plan = deque([*back.tolist(), *self._way(self._start, self._start)])
 
     def _way(self, held: float, to: float) -> list[float]:
-        return way_commands(held, [to], [HOLD_S], self._bench.ramps, self._bench.dt_s).tolist()
+        return waypoint_commands(held, [to], [HOLD_S], self._bench.ramps, self._bench.dt_s).tolist()
 
 
 def climb_seconds(bench: BenchSettings, end: float, steps: int) -> float:
     """How long a climb to `end` takes, and the way back [s]."""
     safe = bench.safe_command
     stops = [*np.linspace(safe, end, steps + 2).tolist(), safe]
-    return way_commands(safe, stops, [HOLD_S] * len(stops), bench.ramps, bench.dt_s).size * bench.dt_s
+    return waypoint_commands(safe, stops, [HOLD_S] * len(stops), bench.ramps, bench.dt_s).size * bench.dt_s
 
 
 @final

@@ -22,7 +22,7 @@ from hystmpc.rig.realtime import Clock
 from hystmpc.rig.recording.recorder_process import Views, open_recorder_process
 from hystmpc.rig.recording.recording import RecordingMeta
 from hystmpc.rig.recording.sample import Sample, Sink, Tee
-from hystmpc.rig.safety.ramp import way_commands
+from hystmpc.rig.safety.ramp import waypoint_commands
 from hystmpc.rig.transports.simulated import SimulatedSettings
 from hystmpc.rig.transports.transport import PlantFactory
 from hystmpc.trajectories.config import MotionSettings
@@ -230,7 +230,7 @@ class BenchDevice(Device):
         """One run: preparation where it is due, the way to the safe command, the phase, the way back."""
 
         def approach(held: float) -> Vec:
-            return way_commands(held, [bench.safe_command], [bench.dt_s], bench.ramps, bench.dt_s)
+            return waypoint_commands(held, [bench.safe_command], [bench.dt_s], bench.ramps, bench.dt_s)
 
         def phases() -> list[Phase]:
             return [CommandMotion("approach", approach), phase]

@@ -97,9 +97,9 @@ def run_bench(
             contact = first_contact(settings, wire, clock, flag)
             begins: list[Phase] = [] if desk.started else [AwaitStart(lambda: desk.started)]
             work = [*begins, *(step.phase(settings.ramps, settings.dt_s) for step in settings.prepare), *phases()]
-            samples = _opened(latch, sink)
+            samples = _open_latched(latch, sink)
         except BaseException:
-            _part(wire)
+            _close(wire)
             raise
         try:
             with control as notes:
@@ -109,9 +109,12 @@ def run_bench(
                 loop = control_loop(settings, wire, clock, contact, flag, samples, closed_loop=closed)
                 outcome = loop.run(work, contact.newest.received_ns + round(0.5e9 * settings.dt_s))
             result = BenchResult(outcome, loop.timings, dict(wire.counters), loop.lost, tuple(notes))
-            _conclude(latch, outcome.cause)
+            if outcome.cause:
+                latch.set(outcome.cause)
+            else:
+                latch.release()
         finally:
-            _part(wire)
+            _close(wire)
             samples.close()
     if folder is not None:
         _leave_files(result, folder)
@@ -167,7 +170,7 @@ def control_loop(
     return ControlLoop(clock, transport, intake, gate, anchor, dt_s, samples, to_safe, flag, sensor.dead_after_s)
 
 
-def _opened(latch: Latch, sink: Callable[[], Sink]) -> Sink:
+def _open_latched(latch: Latch, sink: Callable[[], Sink]) -> Sink:
     """Latch the run, then open its recording: a run that cannot be latched leaves no folder."""
     latch.set(RUNNING)
     try:
@@ -177,18 +180,10 @@ def _opened(latch: Latch, sink: Callable[[], Sink]) -> Sink:
         raise
 
 
-def _part(transport: Transport) -> None:
+def _close(transport: Transport) -> None:
     """Close the transport without a goodbye; an error of its driver must not hide why the run has ended."""
     with suppress(Exception):
         transport.stop()
-
-
-def _conclude(latch: Latch, cause: str) -> None:
-    """Release the latch, or leave the cause in it."""
-    if cause:
-        latch.set(cause)
-    else:
-        latch.release()
 
 
 def _leave_files(result: BenchResult, folder: Path) -> None:

@@ -143,8 +143,8 @@ class SimulatedDevice:
         self._wire = FaultyReadings(settings.faults, settings.seed)
         self._dt, self._rest, self._held, self._target = settings.dt_s, held, held, held
         self._silent, self._first = math.inf, math.nan
-        self._deaf = False
-        self._samples = self._commands = self._beyond = self._bites = self._unheard = 0
+        self._awaits_greeting = False
+        self._samples = self._commands = self._beyond = self._trips = self._unheard = 0
         self._angle = plant.reset()
         sensor = settings.sensor
         self._imaging: Imaging | None = None
@@ -163,7 +163,7 @@ class SimulatedDevice:
             behind = clock.now_ns() - deadline
             deadline += max(0, behind // dt_ns) * dt_ns  # a stalled machine: samples are left out, not crowded
             self.sample(1e-9 * (clock.now_ns() - start))
-        counts = self._samples, self._commands, self._beyond, self._bites, self._unheard
+        counts = self._samples, self._commands, self._beyond, self._trips, self._unheard
         return ServerCounts(*counts, dict(self._link.counters))
 
     def sample(self, t_s: float) -> None:
@@ -171,15 +171,15 @@ class SimulatedDevice:
         received = self._receive()
         if math.isfinite(received):
             self._first = t_s if math.isnan(self._first) else self._first
-        self._watch()
+        self._run_watchdog()
         self._held = self._limits.clip(self._target, self._held, self._dt)
         self._angle = self._plant.apply(self._held)
         since = t_s - self._first if math.isfinite(self._first) else -1.0
         held, now_ns = self._conversion.raw_command(self._held), time.monotonic_ns()
-        for angle, taken_s in self._shown(t_s):
+        for angle, taken_s in self._measure(t_s):
             stamp_ns = now_ns - round(1e9 * (t_s - taken_s))
             raw = self._conversion.raw_angle(angle)
-            self._wire.put(Outgoing(raw, held, self._sent, stamp_ns, not self._deaf), since)
+            self._wire.put(Outgoing(raw, held, self._sent, stamp_ns, not self._awaits_greeting), since)
             self._sent += 1
         for message in self._wire.due(since):
             self._link.send(message)
@@ -187,7 +187,7 @@ class SimulatedDevice:
             self._log.write(f"{time.monotonic_ns()},{t_s:.6f},{received!r},{self._held!r},{self._angle!r}\n")
         self._samples += 1
 
-    def _shown(self, t_s: float) -> list[tuple[float, float]]:
+    def _measure(self, t_s: float) -> list[tuple[float, float]]:
         """Angles [deg] of the messages of this sample and when they were taken [s]; one without an angle at least."""
         if isinstance(self._settings.sensor, ContinuousSensorSettings):
             return [(self._angle, t_s)]
@@ -204,14 +204,14 @@ class SimulatedDevice:
             if message is None:
                 break
             if message.says == "greeting":
-                self._deaf = False
+                self._awaits_greeting = False
             elif message.says == "goodbye":
-                self._leave()
+                self._goodbye()
             else:
                 newest = self._taken(self._conversion.command(message.command), newest)
         return newest
 
-    def _leave(self) -> None:
+    def _goodbye(self) -> None:
         """The watchdog rests where the drive does; anywhere else it goes on to count, or to return."""
         if abs(self._held - self._rest) <= _AT_REST * (self._limits.upper - self._limits.lower):
             self._silent = math.inf
@@ -219,9 +219,9 @@ class SimulatedDevice:
     def _taken(self, command: float, newest: float) -> float:
         """The command, which is the new target; `newest` where the watchdog has acted and nobody has greeted since."""
         low, high = self._limits.lower, self._limits.upper
-        if self._deaf and not self._link.greeted:
-            self._deaf = abs(command - self._held) > self._limits.rate * self._dt
-        if self._deaf:
+        if self._awaits_greeting and not self._link.greeted:
+            self._awaits_greeting = abs(command - self._held) > self._limits.rate * self._dt
+        if self._awaits_greeting:
             self._unheard += 1
             return newest
         slack = 1e-9 * (high - low)
@@ -230,16 +230,16 @@ class SimulatedDevice:
         self._commands += 1
         return command
 
-    def _watch(self) -> None:
+    def _run_watchdog(self) -> None:
         """Return to rest when the controller that moved the device has fallen silent."""
         if math.isinf(self._silent):
             return
         self._silent += self._dt
         if self._silent <= self._settings.watchdog_s:
             return
-        bites = self._silent - self._dt <= self._settings.watchdog_s
-        self._bites += bites
-        self._deaf = self._deaf or bites
+        trips = self._silent - self._dt <= self._settings.watchdog_s
+        self._trips += trips
+        self._awaits_greeting = self._awaits_greeting or trips
         step = self._settings.watchdog_rate_per_s * self._dt
         self._target = self._held + min(max(self._rest - self._held, -step), step)
 

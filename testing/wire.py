@@ -10,7 +10,7 @@ from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass
 from typing import TypeVar
 
-from hystmpc.rig.transports.from_outside import lacking, reading_fault
+from hystmpc.rig.transports.from_outside import missing_methods, reading_fault
 from hystmpc.rig.transports.transport import Reading, Transport
 
 _COMES_S = 5.0  # for something to arrive, on a busy machine
@@ -64,7 +64,7 @@ class TransportContract(Wired):
     def test_it_has_what_a_transport_has(self) -> None:
         """Four methods and the mapping `counters`."""
         with self.connected() as c:
-            require(not lacking(c.transport), f"it lacks {lacking(c.transport)}")
+            require(not missing_methods(c.transport), f"it lacks {missing_methods(c.transport)}")
             require(
                 all(isinstance(n, int) for n in dict(c.transport.counters).values()), "counters maps causes to counts"
             )

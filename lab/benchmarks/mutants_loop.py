@@ -12,7 +12,7 @@ _reader = mutated_file("rig", "reader.py", "test_slow_wire.py")
 _contact = mutated_file("rig", "contact.py", "test_slow_wire.py")
 _listens = Mutated("rig", "rig/loop.py", ("tests/ros2/test_planner_motion.py",))
 _node = Mutated("ros2", "ros2/hystmpc_ros/hystmpc_ros/planner.py", ("tests/ros2/test_planner_motion.py",))
-_steering = Mutated("rig", "rig/commission/steering.py", ("tests/ros2/test_planner_motion.py",))
+_steering = Mutated("rig", "rig/commission/experiment.py", ("tests/ros2/test_planner_motion.py",))
 _rest = Mutated("rig", "rig/commission/phases.py", ("tests/ros2/test_planner_motion.py",))
 
 MUTANTS: tuple[Mutant, ...] = (
@@ -69,8 +69,8 @@ MUTANTS: tuple[Mutant, ...] = (
     ),
     _listens(
         "a device that listens no more is commanded",
-        "if unheard and self._commands and self._gate.anchored:",
-        "if unheard and self._commands < 0:",
+        "if not_listening and self._commands and self._gate.anchored:",
+        "if not_listening and self._commands < 0:",
     ),
     _listens(
         "what a device holds that listens no more counts",

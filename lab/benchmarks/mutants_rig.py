@@ -303,11 +303,11 @@ MUTANTS: tuple[Mutant, ...] = (
         "if boot_ns - self._judged_ns <= self._gap_ns:",
         "if boot_ns >= 0:",
     ),
-    _loop("commands are sent without an anchor", "if not sure:", "if not sure and not self._commands:"),
+    _loop("commands are sent without an anchor", "if not known:", "if not known and not self._commands:"),
     _loop("goodbye is always said", "stop(goodbye=self._confirmed)", "stop(goodbye=True)"),
     _loop(
         "a phase that raises is held",
-        "                self._halt(cause_of(error), now)\n                continue",
+        "                self._begin_stop(cause_of(error), now)\n                continue",
         '                return Decision(now.held, "hold", cause_of(error))',
     ),
     _loop(
@@ -329,8 +329,8 @@ MUTANTS: tuple[Mutant, ...] = (
     ),
     _loop(
         "a command that did not leave counts as sent",
-        "            self._refused_by_wire(self._clock.boot_ns())\n            return False",
-        "            self._refused_by_wire(0)\n            self._gate.sent(u, self._clock.now_ns())",
+        "            self._command_refused(self._clock.boot_ns())\n            return False",
+        "            self._command_refused(0)\n            self._gate.sent(u, self._clock.now_ns())",
     ),
     _loop("a wire that takes no command goes on", "if now - self._refused_ns > self._stall_ns:", "if now < 0:"),
     _loop("a way back that was not sent ends well", "if not self._phase.sent and not self._cause:", "if now is None:"),
@@ -422,7 +422,11 @@ MUTANTS: tuple[Mutant, ...] = (
     ),
     _dds("every writer is the same", "come = writer, message.session,", "come = 0, 0,"),
     _server("the watchdog never bites", "if self._silent <= self._settings.watchdog_s:", "if self._silent <= 1e9:"),
-    _server("no greeting is wanted after the watchdog", "self._deaf = self._deaf or bites", "self._deaf = False"),
+    _server(
+        "no greeting is wanted after the watchdog",
+        "self._awaits_greeting = self._awaits_greeting or trips",
+        "self._awaits_greeting = False",
+    ),
     _server(
         "a goodbye disarms the watchdog anywhere",
         "if abs(self._held - self._rest) <= _AT_REST * (self._limits.upper - self._limits.lower):",
@@ -430,8 +434,8 @@ MUTANTS: tuple[Mutant, ...] = (
     ),
     _server(
         "a greeting ends the return",
-        "                self._deaf = False\n",
-        "                self._deaf, self._silent = False, 0.0\n",
+        "                self._awaits_greeting = False\n",
+        "                self._awaits_greeting, self._silent = False, 0.0\n",
     ),
     _server(
         "the drive jumps",
@@ -443,8 +447,8 @@ MUTANTS: tuple[Mutant, ...] = (
     _bench("a run is not latched while it lasts", "    latch.set(RUNNING)\n", ""),
     _bench(
         "a stop is not latched",
-        "    if cause:\n        latch.set(cause)",
-        "    if not cause:\n        latch.set(cause)",
+        "            if outcome.cause:\n",
+        "            if not outcome.cause:\n",
     ),
     _bench("a latched stop is ignored", "        latch.require_released()\n", ""),
     _connect(

@@ -22,15 +22,14 @@ from hystmpc.ctrl.planner.settings import TipSettings
 from hystmpc.investigation.config import InvestigateSettings, located_investigation
 from hystmpc.investigation.run import investigate_device
 from hystmpc.rig.bench import BenchResult, run_bench
-from hystmpc.rig.commission.experiment import run_experiment, tracking_phase
+from hystmpc.rig.commission.experiment import Steering, run_experiment, tracking_phase
 from hystmpc.rig.commission.phases import CommandMotion, Phase
 from hystmpc.rig.commission.record import Recorded
-from hystmpc.rig.commission.steering import Steering
 from hystmpc.rig.config import BenchSettings, RunSettings
 from hystmpc.rig.recording.recorder_process import Views, open_recorder_process
 from hystmpc.rig.recording.recording import RecordingMeta
 from hystmpc.rig.recording.sample import Sink
-from hystmpc.rig.safety.ramp import way_commands
+from hystmpc.rig.safety.ramp import waypoint_commands
 from hystmpc.rig.transports.transport import Conversion, RunContext
 from hystmpc.trajectories.config import MotionSettings
 from hystmpc.trials.config import dump_yaml
@@ -209,7 +208,7 @@ def _record(settings: dict[str, Any], folder: Path, how: How) -> Move:
     commands = _excitation(bench)
 
     def approach(held: float) -> Vec:
-        return way_commands(held, [float(commands[0])], [1.0], bench.ramps, bench.dt_s)
+        return waypoint_commands(held, [float(commands[0])], [1.0], bench.ramps, bench.dt_s)
 
     phases: list[Phase] = [CommandMotion("approach", approach), Recorded("excitation", commands, bench.dt_s)]
     plants = plants_in(Path(), bench.command_unit)
@@ -221,7 +220,7 @@ def _excitation(bench: BenchSettings) -> Vec:
     t = bench.dt_s * np.arange(round(10.0 / bench.dt_s))
     way = 0.7 * bench.limits.upper
     sweep = 0.5 * way * (1.0 - np.cos(2.0 * math.pi * (0.2 + 0.02 * t) * t))
-    steps = way_commands(float(sweep[-1]), [1.0, 5.0, 2.0, 4.0, 0.0], [1.0] * 5, bench.ramps, bench.dt_s)
+    steps = waypoint_commands(float(sweep[-1]), [1.0, 5.0, 2.0, 4.0, 0.0], [1.0] * 5, bench.ramps, bench.dt_s)
     return np.concatenate([sweep, steps])
 
 

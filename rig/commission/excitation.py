@@ -29,7 +29,7 @@ from hystmpc.trials.tables import Table, read_table
 from hystmpc.trials.text_ import read_lines
 from hystmpc.trials.types import Vec
 
-from ..safety.ramp import RampSettings, way_commands
+from ..safety.ramp import RampSettings, waypoint_commands
 
 
 class TrajectoryExcitation(Settings):
@@ -126,7 +126,9 @@ class StopsSettings(Settings):
 
     def commands(self, rate_hz: float, ramps: RampSettings) -> Vec:
         """Commands (N,)."""
-        return np.concatenate([[self.start], way_commands(self.start, self.stops, self.holds_s, ramps, 1 / rate_hz)])
+        return np.concatenate(
+            [[self.start], waypoint_commands(self.start, self.stops, self.holds_s, ramps, 1 / rate_hz)]
+        )
 
 
 class MotionFileSettings(Settings):
@@ -155,27 +157,20 @@ class MotionFileSettings(Settings):
             LogError: if the file cannot be read, lacks a column, or holds numbers that are not finite or in order.
         """
         del ramps
-        return read_motion(self.file, rate_hz)
+        table, column = _motion_table(self.file)
+        t, u = table.numbers["time_s"], table.numbers[column]
+        if t.size < 2 or not np.isfinite([t, u]).all() or not (np.diff(t) > 0).all():
+            raise LogError(
+                f"{self.file}: got {t.size} rows, expected at least 2 with finite numbers and increasing time_s"
+            )
+        steps = int(np.ceil((t[-1] - t[0]) * rate_hz - 1e-9))
+        return np.interp(t[0] + np.arange(steps + 1) / rate_hz, t, u)
 
 
 Excitation = Annotated[
     S1SinusoidSettings | S2SinusoidSettings | S2PointToPointSettings | StopsSettings | MotionFileSettings,
     Field(discriminator="kind"),
 ]
-
-
-def read_motion(path: Path | str, rate_hz: float) -> Vec:
-    """Commands (N,) of a motion file at a rate.
-
-    Raises:
-        LogError: if the file cannot be read, lacks a column, or holds numbers that are not finite or in order.
-    """
-    table, column = _motion_table(path)
-    t, u = table.numbers["time_s"], table.numbers[column]
-    if t.size < 2 or not np.isfinite([t, u]).all() or not (np.diff(t) > 0).all():
-        raise LogError(f"{path}: got {t.size} rows, expected at least 2 with finite numbers and increasing time_s")
-    steps = int(np.ceil((t[-1] - t[0]) * rate_hz - 1e-9))
-    return np.interp(t[0] + np.arange(steps + 1) / rate_hz, t, u)
 
 
 def _motion_table(path: Path | str) -> tuple[Table, str]:

@@ -13,8 +13,8 @@ from hystmpc.ctrl.limits import Count, NotNegative, Positive
 from hystmpc.trials.config import Settings
 from hystmpc.trials.types import Vec
 
-from ..safety.intake import SeenFrame
-from ..safety.ramp import RampSettings, ramp_commands, way_commands
+from ..safety.intake import ObservedFrame
+from ..safety.ramp import RampSettings, ramp_commands, waypoint_commands
 
 if TYPE_CHECKING:
     from ..compiled.loop import CompiledLoop
@@ -31,7 +31,7 @@ class PhaseInput:
     skipped: int = 0  # whole samples since the previous one in which nothing was sent and the device held `held`
     reported: float = math.nan  # the command that the device says it holds, NaN where it does not tell
     velocity: float = 0.0  # of the command between the last two samples; 0 where the device was found at rest [unit/s]
-    frames: tuple[SeenFrame, ...] = ()  # of an intermittent sensor, accepted since the last sample
+    frames: tuple[ObservedFrame, ...] = ()  # of an intermittent sensor, accepted since the last sample
     shown_deg: float = math.nan  # the newest angle that is not stale, believed or not; NaN where none came [deg]
 
 
@@ -76,7 +76,7 @@ REMEMBERED = 200_000
 """Samples of preparation that a controller can be told of."""
 
 
-def place_frames(angles: MutableSequence[float], frames: Sequence[SeenFrame], dt_s: float) -> None:
+def place_frames(angles: MutableSequence[float], frames: Sequence[ObservedFrame], dt_s: float) -> None:
     """Write the angles of frames into the samples at which they were taken; the last sample is the present one."""
     for frame in frames:
         angles[max(-1 - round(frame.age_s / dt_s), -len(angles))] = frame.angle_deg
@@ -302,7 +302,7 @@ class FlexureSettings(Settings):
         """The phase of this step."""
         stops = [self.upper, self.lower] * self.cycles
         holds = [self.hold_s] * len(stops)
-        return CommandMotion("flexure", lambda held: way_commands(held, stops, holds, ramps, dt_s))
+        return CommandMotion("flexure", lambda held: waypoint_commands(held, stops, holds, ramps, dt_s))
 
 
 class RelaxationSettings(Settings):
@@ -317,7 +317,7 @@ class RelaxationSettings(Settings):
 
     def phase(self, ramps: RampSettings, dt_s: float) -> Phase:
         """The phase of this step."""
-        return CommandMotion("relaxation", lambda held: way_commands(held, [held], [self.duration_s], ramps, dt_s))
+        return CommandMotion("relaxation", lambda held: waypoint_commands(held, [held], [self.duration_s], ramps, dt_s))
 
 
 class PretensionSettings(Settings):
@@ -348,7 +348,7 @@ class PretensionSettings(Settings):
         """The phase of this step."""
         return PretensionCheck(
             lambda held: (
-                way_commands(held, [held + self.by], [self.hold_s], ramps, dt_s),
+                waypoint_commands(held, [held + self.by], [self.hold_s], ramps, dt_s),
                 ramp_commands(held + self.by, 0.0, held, ramps, dt_s),
             ),
             self.least_move_deg,

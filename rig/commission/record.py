@@ -24,7 +24,7 @@ from ..bench import BenchResult, Note, run_bench
 from ..config import RecordSettings
 from ..live.desk import Desk
 from ..recording.sample import Sink
-from ..safety.ramp import way_commands
+from ..safety.ramp import waypoint_commands
 from ..transports.transport import PlantFactory, Transport
 from .phases import CommandMotion, Decision, Past, Phase, PhaseInput
 
@@ -173,7 +173,7 @@ def record(
 def _approach(settings: RecordSettings, start: float, held: float) -> Vec:
     """Ramp to where an excitation starts, and rest there."""
     rest_s = max(settings.settle_s, settings.dt_s)
-    return way_commands(held, [start], [rest_s], settings.ramps, settings.dt_s)
+    return waypoint_commands(held, [start], [rest_s], settings.ramps, settings.dt_s)
 
 
 def _within(settings: RecordSettings, name: str, commands: Vec) -> None:

@@ -14,7 +14,6 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from hystmpc.ctrl.monitor import ChangeMonitor
-from hystmpc.models.contract.metadata import Range
 from hystmpc.models.evaluate import free_run
 from hystmpc.models.load import load_model, model_path
 from hystmpc.models.model import LoadedModel
@@ -114,7 +113,7 @@ def compare_with_model(run: RunFolder, settings: RunSettings) -> ReviewedRun:
     angle = _angles_when_taken(log)
     model = load_model(model_path(settings.controller.model), start="conditioned")
     free = _free_run(model, settings, command, sequence, angle)
-    measured = angle[follows + 1]
+    measured, trained = angle[follows + 1], model.metadata.trained_angle
     sources = [str(text) for text in log["source"]]
     past = max((k for k, name in enumerate(sources) if name in _PREPARATION), default=-1)
     return ReviewedRun(
@@ -125,7 +124,7 @@ def compare_with_model(run: RunFolder, settings: RunSettings) -> ReviewedRun:
         predicted_deg=numbers(log, "predicted_deg")[follows],
         free_deg=free[follows],
         counted=np.isfinite(measured) & np.isfinite(free[follows]) & (follows > past),
-        monitor=ChangeMonitor(model.metadata.noise, settings.dt_s, _ends(model.metadata.trained_angle)),
+        monitor=ChangeMonitor(model.metadata.noise, settings.dt_s, (trained.lower, trained.upper)),
     )
 
 
@@ -171,10 +170,6 @@ def _angles_when_taken(log: Mapping[str, Column]) -> Vec:
     when = np.where(np.isfinite(taken), taken, time)[seen]
     placed[np.searchsorted(0.5 * (time[1:] + time[:-1]), when)] = angle[seen]
     return placed
-
-
-def _ends(angles: Range) -> tuple[float, float]:
-    return angles.lower, angles.upper
 
 
 def _change(rows: ReviewedRun, free_deg: Vec, measured_deg: Vec) -> str:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import ipaddress
 import json
 import math
 import socket
@@ -17,6 +16,7 @@ from typing import Any, final
 
 from hystmpc.trials.errors import ConfigError
 
+from ..transports.udp import is_loopback
 from .desk import MOST_BYTES, Controls
 from .state import LiveSnapshot, LiveView
 
@@ -332,11 +332,7 @@ def _most_clients() -> int:
 
 def _hosts(host: str, port: int) -> frozenset[str]:
     """What a browser on this machine calls a page on the loopback; empty, any name will do, for other addresses."""
-    try:
-        is_loopback = host == "localhost" or ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        is_loopback = False
-    names = (host.lower(), "127.0.0.1", "localhost", "[::1]") if is_loopback else ()
+    names = (host.lower(), "127.0.0.1", "localhost", "[::1]") if is_loopback(host) else ()
     return frozenset(f"{name}:{port}" for name in names)
 
 

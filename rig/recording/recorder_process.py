@@ -37,7 +37,7 @@ _LENGTH = struct.Struct("<I")
 _FEED_S = 0.05
 _BLOCK = 10  # samples about: packing them keeps the interpreter from the control thread
 _CLOSE_S = 20.0
-_REPLY_S = 2.0  # how long the page waits for the run's answer
+_REPLY_S = 2.0  # how long the page waits for the run's reply
 _NO_REPLY = "the run has not answered: use the device's own emergency stop"
 
 _logger = logging.getLogger(__name__)
@@ -48,7 +48,7 @@ _lock = Lock()  # of the process's standard output
 Replies = Iterable[tuple[int, bool, str]]
 
 
-def pack(samples: Iterable[Sample], answers: Replies = ()) -> bytes:
+def pack(samples: Iterable[Sample], replies: Replies = ()) -> bytes:
     """Serialise samples and replies as one block.
 
     `marshal` is the fastest way to bytes that the interpreter has; the reader is the same interpreter, started by the
@@ -57,23 +57,23 @@ def pack(samples: Iterable[Sample], answers: Replies = ()) -> bytes:
     Raises:
         ValueError, TypeError, AttributeError: on a sample whose fields are of other types than `Sample` says.
     """
-    body = marshal.dumps(([_plain(sample) for sample in samples], list(answers)))
+    body = marshal.dumps(([_plain(sample) for sample in samples], list(replies)))
     return _LENGTH.pack(len(body)) + body
 
 
-def unpack(pipe: BinaryIO, take_replies: Callable[[Replies], object] = lambda answers: None) -> Iterator[list[Sample]]:
+def unpack(pipe: BinaryIO, take_replies: Callable[[Replies], object] = lambda replies: None) -> Iterator[list[Sample]]:
     """Blocks of samples until the other side has closed the pipe or died; a block cut off by that is left out.
 
     Args:
-        answered: takes the answers of each block.
+        take_replies: takes the replies of each block.
     """
     while len(head := pipe.read(_LENGTH.size)) == _LENGTH.size:
         length = _LENGTH.unpack(head)[0]
         body = pipe.read(length)
         if len(body) < length:
             return
-        samples, answers = marshal.loads(body)
-        take_replies(answers)
+        samples, replies = marshal.loads(body)
+        take_replies(replies)
         yield [Sample(*fields) for fields in samples]
 
 
@@ -246,8 +246,8 @@ class RecorderProcess(ThreadedSink):
             answer = _line(raw)
             self.on_disk = int(answer.get("on_disk", self.on_disk))
             if "ask" in answer:
-                replies = self._desk.ask(str(answer["ask"]), float(answer["value"]))
-                self._replies.append((int(answer["number"]), replies.done, replies.text))
+                reply = self._desk.ask(str(answer["ask"]), float(answer["value"]))
+                self._replies.append((int(answer["number"]), reply.done, reply.text))
             if "tell" in answer:
                 self.problem = str(answer["tell"])
                 self._tell(self.problem)
@@ -282,7 +282,7 @@ def serve() -> int:
 
 @final
 class _Requests:
-    """Hands what the page is asked to the controller, and waits for its answer."""
+    """Forwards requests of the page to the controller and waits for its reply."""
 
     def __init__(self) -> None:
         self._numbers = count()
@@ -290,19 +290,19 @@ class _Requests:
 
     def ask(self, action: str, value: float) -> Reply:
         """Reply of the run to a request; by any thread."""
-        number, arrived, replies = next(self._numbers), Event(), list[Reply]()
-        self._open[number] = arrived, replies
+        number, arrived, received = next(self._numbers), Event(), list[Reply]()
+        self._open[number] = arrived, received
         _say(ask=action, value=value, number=number)
         arrived.wait(_REPLY_S)
         del self._open[number]
-        return replies[0] if replies else Reply(False, _NO_REPLY)
+        return received[0] if received else Reply(False, _NO_REPLY)
 
-    def take_replies(self, answers: Replies) -> None:
-        """Take the controller's answers; one that comes too late is dropped."""
-        for number, done, text in answers:
+    def take_replies(self, replies: Replies) -> None:
+        """Take the controller's replies; one that comes too late is dropped."""
+        for number, done, text in replies:
             if number in self._open:
-                arrived, replies = self._open[number]
-                replies.append(Reply(done, text))
+                arrived, received = self._open[number]
+                received.append(Reply(done, text))
                 arrived.set()
 
 

@@ -9,7 +9,7 @@ from typing import final
 
 from hystmpc.ctrl.limits import CommandLimits
 
-from .intake import Seen
+from .intake import Observation
 
 _S = 1e-9
 _SHORTEST = 0.1  # of a sample: time that two commands count as apart at least
@@ -116,7 +116,7 @@ class Anchor:
         self.moved = ""
         self.given_up = ""
 
-    def judge(self, seen: Seen, boot_ns: int) -> bool:
+    def judge(self, seen: Observation, boot_ns: int) -> bool:
         """Whether a command may be sent in this sample.
 
         `moved` then says, in the first sample after a gap, that the device holds something else than it was sent;

@@ -103,7 +103,7 @@ class SensorSettings(Settings):
 
 
 @dataclass(frozen=True, slots=True)
-class SeenFrame:
+class ObservedFrame:
     """The angle of a frame [deg], and how long ago it was taken [s]."""
 
     angle_deg: float
@@ -111,7 +111,7 @@ class SeenFrame:
 
 
 @dataclass(frozen=True, slots=True)
-class Seen:
+class Observation:
     """Checked measurements of one sample.
 
     Attributes:
@@ -132,13 +132,13 @@ class Seen:
     dead: str
     held: float = math.nan
     follows: bool = True
-    frames: tuple[SeenFrame, ...] = ()
+    frames: tuple[ObservedFrame, ...] = ()
     age_s: float = 0.0
     shown_deg: float = math.nan
 
 
 @final
-class Absences:
+class DropoutMonitor:
     """Sums the times without an angle over the last 10 s: a sensor with frequent dropouts counts as failed.
 
     Two sums over the last 10 s: times in which all readings lay beyond the plausible range, single samples left out;
@@ -217,7 +217,7 @@ class Intake:
         self._slope, self._turns = 0.0, 0  # of the angle
         self._equal = self._same = 0  # its repetitions, up to the last change and since
         longest_s = settings.silence_s  # a camera shows nothing for longer than an angle may be old
-        self._absences = Absences(settings.age_limit_s if settings.kind == "continuous" else longest_s, longest_s)
+        self._absences = DropoutMonitor(settings.age_limit_s if settings.kind == "continuous" else longest_s, longest_s)
         self._shown_deg = math.nan
         self._followed = DriveFollowing(settings.held_tolerance, settings.dead_after_s)
         self._dead = ""
@@ -227,7 +227,7 @@ class Intake:
         self._past: deque[tuple[int, float]] = deque()
         self.counts: Counter[str] = Counter()
 
-    def judge(self, readings: list[Reading], now_ns: int, command: float) -> Seen:
+    def judge(self, readings: list[Reading], now_ns: int, command: float) -> Observation:
         """Newest plausible angle among the readings that have arrived, with the faults of the others.
 
         Args:
@@ -236,7 +236,7 @@ class Intake:
             command: the command sent last; its travel tells a frozen sensor from a resting one. NaN before the first.
         """
         faults: list[str] = []
-        frames: list[SeenFrame] = []
+        frames: list[ObservedFrame] = []
         angle = self._held = self._shown_deg = math.nan
         seen_ns, continuous = now_ns, self._settings.kind == "continuous"
         self._travel += abs(command - self._command) if math.isfinite(command - self._command) else 0.0
@@ -248,7 +248,7 @@ class Intake:
                 faults.append(fault)
             elif taken_ns is not None:
                 if not continuous:
-                    frames.append(SeenFrame(reading.angle_deg, _S * (now_ns - taken_ns)))
+                    frames.append(ObservedFrame(reading.angle_deg, _S * (now_ns - taken_ns)))
                 if self._accept(reading, taken_ns):
                     angle, seen_ns = reading.angle_deg, now_ns if continuous else taken_ns
         if continuous and math.isnan(angle) and not faults:
@@ -260,7 +260,7 @@ class Intake:
         self._dead = self._dead or self._silence(now_ns, len(readings), faults)
         self.counts.update(faults)
         age_s, shown_deg = _S * (now_ns - seen_ns), self._shown_deg
-        return Seen(
+        return Observation(
             angle, tuple(dict.fromkeys(faults)), self._dead, self._held, follows, tuple(frames), age_s, shown_deg
         )
 

@@ -87,7 +87,7 @@ def stop_commands(
     return np.concatenate([braking, ramp_commands(float(braking[-1]), 0.0, safe, ramps, dt_s)])
 
 
-def way_commands(
+def waypoint_commands(
     start: float, stops: Sequence[float], holds_s: Sequence[float], ramps: RampSettings, dt_s: float
 ) -> Vec:
     """Commands (N,) from rest at `start` by ramps to every stop, each followed by its hold.

@@ -7,7 +7,7 @@ import importlib.util
 from hystmpc.trials.errors import ConfigError
 
 from .dds_topics import DdsTopics
-from .transport import DeviceLink, RunContext, Through, Transport
+from .transport import DeviceLink, RunContext, SocketWrapper, Transport
 
 
 class DdsSettings(DdsTopics):
@@ -27,7 +27,7 @@ class DdsSettings(DdsTopics):
 
         return dds_transport(self, run.conversion)
 
-    def listen(self, silence_s: float, through: Through | None) -> DeviceLink:
+    def listen(self, silence_s: float, through: SocketWrapper | None) -> DeviceLink:
         """The device's end; datagrams, which faults could be put before, are out of reach.
 
         Raises:

@@ -119,9 +119,9 @@ class GuardedTransport(Transport):
             counts = self._worker.call(lambda: hasattr(self._device, "counters"), PATIENCE_S)
         except Exception as error:  # noqa: BLE001 - a device's driver may raise anything
             raise ConfigError(f"transport {name}: cannot be opened ({cause_of(error)})") from None
-        missing = lacking(self._device) or ([] if counts else ["counters"])
+        missing = missing_methods(self._device) or ([] if counts else ["counters"])
         if missing:
-            raise ConfigError(f"transport {name}: {lacks(missing)}")
+            raise ConfigError(f"transport {name}: {missing_text(missing)}")
 
     @property
     def counters(self) -> Mapping[str, int]:
@@ -155,7 +155,7 @@ class GuardedTransport(Transport):
         if fault := reading_fault(item, self._now()):
             self._counters[fault] += 1
             raise ValueError(fault)
-        return self._plain(item)
+        return self._converted(item)
 
     def _fetch(self) -> None:
         """Fetch the available readings in the device's thread; an error after the first reading is queued behind it."""
@@ -172,7 +172,7 @@ class GuardedTransport(Transport):
             self._fetched.append(item)
             count += 1
 
-    def _plain(self, raw: Reading) -> Reading:
+    def _converted(self, raw: Reading) -> Reading:
         """Reading in Python numbers and the run's units."""
         reading = Reading(
             self._conversion.angle_deg(float(raw.angle_deg)),
@@ -213,14 +213,14 @@ class GuardedTransport(Transport):
             raise
 
 
-def lacking(device: object) -> list[str]:
+def missing_methods(device: object) -> list[str]:
     """Methods that a transport, or its class, does not define; those inherited from the protocol do not count."""
     kind = device if isinstance(device, type) else type(device)
     inherited = [name for name in METHODS if getattr(kind, name, None) is getattr(Transport, name)]
     return [name for name in METHODS if name in inherited or not callable(getattr(device, name, None))]
 
 
-def lacks(missing: list[str]) -> str:
+def missing_text(missing: list[str]) -> str:
     """The end of an error line."""
     return f"lacks {', '.join(missing)}, expected the methods {', '.join(METHODS)} and the mapping counters"
 
@@ -306,8 +306,8 @@ class PythonSettings(TransportBase):
                 return kind(**arguments)
 
         kind, arguments = class_named(self.python, "transport", GROUP, object), dict(self.model_extra or {})
-        if missing := lacking(kind):
-            raise ConfigError(f"transport {self.python}: {lacks(missing)}")
+        if missing := missing_methods(kind):
+            raise ConfigError(f"transport {self.python}: {missing_text(missing)}")
         try:
             signature = inspect.signature(kind)
         except ValueError:  # compiled, without one

@@ -240,7 +240,7 @@ class Datagrams(Protocol):
 
 
 # Puts faults before a socket.
-Through = Callable[[Datagrams], Datagrams]
+SocketWrapper = Callable[[Datagrams], Datagrams]
 
 # Makes the device of `kind: simulated`: its settings and the sample time to a plant and the command that it holds.
 # Given by the program, since this room knows no simulator.

@@ -49,7 +49,7 @@ from .transport import (
     Reading,
     RunContext,
     Says,
-    Through,
+    SocketWrapper,
     Transport,
     TransportBase,
 )
@@ -248,7 +248,7 @@ class UdpLink(DeviceLink):
 
     greeted = True
 
-    def __init__(self, host: str, port: int, silence_s: float, through: Through | None = None) -> None:
+    def __init__(self, host: str, port: int, silence_s: float, through: SocketWrapper | None = None) -> None:
         wire = _open(host, port, "the device")
         self._wire: Datagrams = wire if through is None else through(wire)
         self._session, self._admission = secrets.randbits(32), Admission(silence_s)
@@ -353,7 +353,7 @@ class UdpListenSettings(Settings):
         _require_local("bind_host", self.bind_host, self.allow_network)
         return self
 
-    def listen(self, silence_s: float, through: Through | None) -> DeviceLink:
+    def listen(self, silence_s: float, through: SocketWrapper | None) -> DeviceLink:
         """The device's end of the wire, behind the faults that `through` puts before the socket.
 
         Raises:
@@ -362,11 +362,15 @@ class UdpListenSettings(Settings):
         return UdpLink(self.bind_host, self.bind_port, silence_s, through)
 
 
+def is_loopback(host: str) -> bool:
+    """Whether a host name or address is this machine's loopback."""
+    try:
+        return host == "localhost" or ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return False
+
+
 def _require_local(name: str, host: str, allow_network: bool) -> None:
     """Refuse addresses beyond the loopback unless they were allowed; the error is pydantic's to report."""
-    try:
-        local = host == "localhost" or ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        local = False
-    if not (local or allow_network):
+    if not (is_loopback(host) or allow_network):
         raise ValueError(f"got {name} {host!r}, expected a loopback address, or `allow_network: true`")

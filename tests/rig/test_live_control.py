@@ -27,7 +27,7 @@ from hystmpc.rig.live.page import LivePage
 from hystmpc.rig.recording.recorder_process import Views, open_recorder_process
 from hystmpc.rig.recording.recording import RecordingMeta
 from hystmpc.rig.recording.sample import Sample
-from hystmpc.rig.safety.ramp import way_commands
+from hystmpc.rig.safety.ramp import waypoint_commands
 from hystmpc.rig.transports.simulated import SimulatedSettings
 from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.run_folder import RunFolder
@@ -102,8 +102,8 @@ class Listening(Straight):
 def there_and_back() -> list[Phase]:
     """Two motions, so that the second one can be left out."""
     return [
-        CommandMotion("to 3", lambda held: way_commands(held, [TOP], [0.05], RAMPS, DT)),
-        CommandMotion("to 1", lambda held: way_commands(held, [1.0], [0.05], RAMPS, DT)),
+        CommandMotion("to 3", lambda held: waypoint_commands(held, [TOP], [0.05], RAMPS, DT)),
+        CommandMotion("to 1", lambda held: waypoint_commands(held, [1.0], [0.05], RAMPS, DT)),
     ]
 
 
@@ -177,7 +177,7 @@ def test_a_long_wait_before_start_is_one_sample_of_the_past(tmp_path: Path) -> N
         """A motion that counts what it is told of the past."""
 
         name = "looking"
-        _motion = CommandMotion(name, lambda held: way_commands(held, [1.0], [0.05], RAMPS, DT))
+        _motion = CommandMotion(name, lambda held: waypoint_commands(held, [1.0], [0.05], RAMPS, DT))
 
         def begin(self, now: PhaseInput, past: Past) -> None:
             found.append(len(past.commands))

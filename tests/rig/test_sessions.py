@@ -192,7 +192,7 @@ def test_a_goodbye_at_rest_ends_the_watch() -> None:
     drive = Drive().at(0.0)
     drive.samples(1, Incoming(says="goodbye"))
     drive.samples(40)
-    assert drive.device._bites == 0
+    assert drive.device._trips == 0
 
 
 @dataclass

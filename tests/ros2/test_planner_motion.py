@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 from hystmpc.models.load import load_model
 from hystmpc.models.prediction.build import predictor_for
-from hystmpc.rig.commission.steering import Steering
+from hystmpc.rig.commission.experiment import Steering
 from hystmpc.rig.config import BenchSettings
 from hystmpc.rig.transports.transport import Reading
 

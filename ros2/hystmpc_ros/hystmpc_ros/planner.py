@@ -6,7 +6,7 @@ from typing import final
 
 from hystmpc.rig import Transport
 from hystmpc.rig.bench import control_loop
-from hystmpc.rig.commission.steering import Steering
+from hystmpc.rig.commission.experiment import Steering
 from hystmpc.rig.config import BenchSettings
 from hystmpc.rig.contact import FirstContact
 from hystmpc.rig.loop import ControlLoop

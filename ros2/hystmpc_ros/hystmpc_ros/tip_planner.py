@@ -18,7 +18,7 @@ from rclpy.signals import SignalHandlerOptions
 from std_msgs.msg import Float64
 from std_srvs.srv import Trigger
 
-from hystmpc.rig.commission.steering import Steering
+from hystmpc.rig.commission.experiment import Steering
 from hystmpc.rig.config import BenchSettings
 from hystmpc.rig.realtime import Clock, MonotonicClock
 from hystmpc.rig.transports.dds_topics import DdsTopics
