@@ -167,16 +167,16 @@ class RunSettings(BenchSettings):
 
     @model_validator(mode="before")
     @classmethod
-    def _sensor_facts_to_controller(cls, data: Any) -> Any:
+    def _controller_knows_the_sensor(cls, data: Any) -> Any:
         tip = data.get("controller") if isinstance(data, Mapping) else None
         if not isinstance(tip, Mapping) or not isinstance(data.get("sensor"), Mapping):
             return data
         try:
-            facts = SensorSettings.model_validate(data["sensor"]).facts()
+            keys = SensorSettings.model_validate(data["sensor"]).estimator_keys()
         except ValidationError:  # the field itself says what is wrong
             return data
-        law = told_of_sensor(tip.get("controller", {"kind": LinearisedMpcSettings().kind}), facts)
-        return {**data, "controller": {**tip, "controller": law}} if facts else data
+        law = told_of_sensor(tip.get("controller", {"kind": LinearisedMpcSettings().kind}), keys)
+        return {**data, "controller": {**tip, "controller": law}} if keys else data
 
     @model_validator(mode="after")
     def _controller_fits_the_sensor(self) -> RunSettings:

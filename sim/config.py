@@ -164,7 +164,7 @@ class SimulationConfig(Settings):
             sensor: AnySensorSettings = _SENSORS.validate_python(data.get("sensor", {"kind": "continuous"}))
         except ValidationError:  # the field itself says what is wrong
             return data
-        told = sensor.estimator_facts()
+        told = sensor.told()
         return {
             **data,
             "controllers": {name: told_of_sensor(block, told) for name, block in data["controllers"].items()},

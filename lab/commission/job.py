@@ -270,7 +270,7 @@ def _changed(
 def _sensors(bench: StudyBench, own: Knowledge, tip: LawSettings) -> dict[str, float]:
     """Without a sensor and with frames of an imaging system, beside the PID tuned for those."""
     limits, blind, frames = bench.device.limits, NoSensorSettings(), IMAGING
-    alone = _of(tip, {"estimator": dict(blind.estimator_facts())})
+    alone = _of(tip, {"estimator": dict(blind.told())})
     figures, runs = bench.along("none", TakenUp(_built(alone, own, limits), bench.plant), sensor=blind)
     noise = own.predictor.noise
     sigma = math.nan if noise is None or noise.model_sigma_deg is None else noise.model_sigma_deg
@@ -279,7 +279,7 @@ def _sensors(bench: StudyBench, own: Knowledge, tip: LawSettings) -> dict[str, f
         for run, motion in zip(runs, bench.motions, strict=True)
     ]
     figures |= {"none.sigma_deg": sigma, "none.within_band": float(np.mean(np.concatenate(inside)))}
-    seeing = _of(tip, {"estimator": dict(frames.estimator_facts())})
+    seeing = _of(tip, {"estimator": dict(frames.told())})
     figures |= bench.along("imaging", TakenUp(_built(seeing, own, limits), bench.plant, frames), sensor=frames)[0]
     figures |= bench.along("imaging_pid", _imaging_pid(bench, own), sensor=frames)[0]
     model = IdentifiedPlant(own, bench.drawn.true_angle, AS_IDENTIFIED_NOISE_DEG, bench.device.seed)
@@ -307,7 +307,7 @@ def _imaging_pid(bench: StudyBench, own: Knowledge) -> Controller[Any]:
 
 def _known_to_pid(sensor: ImagingSettings) -> dict[str, Any]:
     keys = type(PidControllerSettings().estimator).model_fields
-    return {key: value for key, value in sensor.estimator_facts().items() if key in keys}
+    return {key: value for key, value in sensor.told().items() if key in keys}
 
 
 def _tracking_gap(bench: StudyBench) -> tuple[str, dict[str, float]]:

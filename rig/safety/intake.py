@@ -95,7 +95,7 @@ class SensorSettings(Settings):
         """Time of silence after which the run is stopped safely [s]."""
         return self.longest_gap_s if self.kind == "intermittent" else self.dead_after_s
 
-    def estimator_facts(self) -> Mapping[str, Any]:
+    def estimator_keys(self) -> Mapping[str, Any]:
         """Keys of a controller's block `estimator` that follow from this sensor."""
         if self.kind != "intermittent":
             return {} if self.kind == "continuous" else {"sensor": "none"}
