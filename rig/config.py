@@ -9,18 +9,18 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field, ValidationError, model_validator
 
-from hystmpc.ctrl.config import sensor_fault, told_of_sensor
-from hystmpc.ctrl.limits import LimitsSettings, ModelledLimitsSettings, NotNegative, Positive
+from hystmpc.ctrl.command import LimitsSettings, ModelledLimitsSettings
+from hystmpc.ctrl.config import sensor_fault, with_sensor_facts
 from hystmpc.ctrl.mpc_settings import LinearisedMpcSettings
 from hystmpc.ctrl.planner.settings import TipSettings
 from hystmpc.models.load import model_path
 from hystmpc.trajectories.config import Motion, SampledSettings
-from hystmpc.trials.config import Settings, load_settings
+from hystmpc.trials.config import NotNegative, Positive, Settings, load_settings
 from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.from_outside import with_kind
 
-from .commission.excitation import Excitation, MotionFileSettings
-from .commission.phases import PrepareStep, PretensionSettings
+from .experiment.excitation import Excitation, MotionFileSettings
+from .experiment.phases import PrepareStep, PretensionSettings
 from .live.desk import LiveSettings
 from .realtime import RealtimeSettings
 from .safety.intake import SensorSettings
@@ -175,7 +175,7 @@ class RunSettings(BenchSettings):
             keys = SensorSettings.model_validate(data["sensor"]).estimator_keys()
         except ValidationError:  # the field itself says what is wrong
             return data
-        law = told_of_sensor(tip.get("controller", {"kind": LinearisedMpcSettings().kind}), keys)
+        law = with_sensor_facts(tip.get("controller", {"kind": LinearisedMpcSettings().kind}), keys)
         return {**data, "controller": {**tip, "controller": law}} if keys else data
 
     @model_validator(mode="after")

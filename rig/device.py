@@ -11,10 +11,9 @@ from typing import Annotated, Any, Literal, TextIO, final
 
 from pydantic import Field, model_validator
 
-from hystmpc.ctrl.frames import ContinuousSensorSettings, Imaging, ImagingSettings, SimulatedSensor
-from hystmpc.ctrl.limits import LimitsSettings, Positive
-from hystmpc.ctrl.loop import Plant
-from hystmpc.trials.config import Settings
+from hystmpc.ctrl.command import LimitsSettings
+from hystmpc.ctrl.loop import ContinuousSensorSettings, Imaging, ImagingSettings, Plant, SimulatedSensor
+from hystmpc.trials.config import Positive, Settings
 from hystmpc.trials.errors import ConfigError
 
 from .realtime import MonotonicClock, SchedulingSettings, scheduled

@@ -15,8 +15,7 @@ from typing import Literal, Protocol, final
 from pydantic import Field
 from threadpoolctl import threadpool_limits
 
-from hystmpc.ctrl.limits import NotNegative
-from hystmpc.trials.config import Settings
+from hystmpc.trials.config import NotNegative, Settings
 
 # MCL_CURRENT | MCL_FUTURE | MCL_ONFAULT of <sys/mman.h>: without the last one, a new thread waits for its whole stack.
 _LOCK = 7
@@ -73,6 +72,30 @@ class MonotonicClock(Clock):
             time.sleep(1e-9 * (left - self._spin_ns))
         while time.monotonic_ns() < deadline_ns:
             pass
+
+
+@final
+class SimulatedClock(Clock):
+    """Time that passes by waiting alone, so that a computed device is as fast as it computes."""
+
+    def __init__(self) -> None:
+        self._ns = 1_000_000_000
+
+    def now_ns(self) -> int:
+        """Time [ns]."""
+        return self._ns
+
+    def boot_ns(self) -> int:
+        """The same [ns]."""
+        return self._ns
+
+    def wall_ns(self) -> int:
+        """The same [ns]: it has no date."""
+        return self._ns
+
+    def wait_until(self, deadline_ns: int) -> None:
+        """The deadline is now."""
+        self._ns = max(self._ns, deadline_ns)
 
 
 class SchedulingSettings(Settings):

@@ -13,8 +13,7 @@ from typing import Generic, Literal, TypeVar, final
 
 from pydantic import Field, model_validator
 
-from hystmpc.ctrl.limits import NotNegative
-from hystmpc.trials.config import Settings
+from hystmpc.trials.config import NotNegative, Settings
 
 from .transports.transport import Datagrams, Outgoing, Peer
 from .transports.udp import Datagram, Kind, decode

@@ -8,9 +8,9 @@ from typing import Annotated, Any, Self
 
 from pydantic import Field, TypeAdapter, ValidationError, model_validator
 
-from hystmpc.ctrl.config import ControllerSettings, sensor_fault, told_of_sensor
-from hystmpc.ctrl.frames import AnySensorSettings, ContinuousSensorSettings, SimulatedSensor
-from hystmpc.ctrl.limits import ModelledLimitsSettings
+from hystmpc.ctrl.command import ModelledLimitsSettings
+from hystmpc.ctrl.config import ControllerSettings, sensor_fault, with_sensor_facts
+from hystmpc.ctrl.loop import AnySensorSettings, ContinuousSensorSettings, SimulatedSensor
 from hystmpc.models.effects.place import EffectError, effect_from
 from hystmpc.models.load import model_path
 from hystmpc.trajectories.config import Motion, SampledSettings
@@ -120,7 +120,7 @@ class SimulationConfig(Settings):
 
     Attributes:
         model: what controllers know of it: a simulator (.yaml), an exported model (.onnx), or `builtin:NAME`.
-        actuator_lag_s: first-order lag of the command that the model does not contain and controllers are told of.
+        actuator_lag_s: first-order lag of the command that the model does not contain and controllers are keys of.
         inverse: simulator (.yaml) that is inverted in the model's place: `inverse` and `inverse_pid` know nothing else,
             predictive controllers take their first guess from it. For networks, which have no inverse of their own;
             where left out, a backlash fitted to the network's free run. Or an inverse map (.onnx, or .yaml for
@@ -164,10 +164,10 @@ class SimulationConfig(Settings):
             sensor: AnySensorSettings = _SENSORS.validate_python(data.get("sensor", {"kind": "continuous"}))
         except ValidationError:  # the field itself says what is wrong
             return data
-        told = sensor.told()
+        keys = sensor.estimator_keys()
         return {
             **data,
-            "controllers": {name: told_of_sensor(block, told) for name, block in data["controllers"].items()},
+            "controllers": {name: with_sensor_facts(block, keys) for name, block in data["controllers"].items()},
         }
 
     @model_validator(mode="after")

@@ -13,8 +13,7 @@ from matplotlib.figure import Figure
 
 from hystmpc.ctrl.analysis import LoopAnalysis, analyse_pid
 from hystmpc.ctrl.estimation.observer import EstimatorSettings
-from hystmpc.ctrl.feedback.inverse_settings import InversePidControllerSettings
-from hystmpc.ctrl.feedback.pid import PidControllerSettings
+from hystmpc.ctrl.feedback import InversePidControllerSettings, PidControllerSettings
 from hystmpc.models.inverse.drive import Drive
 from hystmpc.models.load import load_model, model_path
 from hystmpc.models.model import Predictor
@@ -303,7 +302,7 @@ def _timing(result: StudyResult, colour: dict[str, str]) -> Iterator[Piece]:
     yield Plot(timing_figure(result.results, colour, dt), caption)
     sources = tuple(dict.fromkeys(source for r in result.results for source in r.metrics.ladder))
     rows = [(r.motion, r.controller, *(r.metrics.ladder.get(s, 0) for s in sources)) for r in result.results]
-    yield Table(("motion", "controller", *sources), rows, "Samples by the rung of the ladder that gave the command.")
+    yield Table(("motion", "controller", *sources), rows, "Samples by the fallback level that gave the command.")
 
 
 def _short(file: str) -> str:

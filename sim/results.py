@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hystmpc.ctrl.limits import CommandLimits, LimitsSettings
+from hystmpc.ctrl.command import CommandLimits, LimitsSettings
 from hystmpc.ctrl.loop import LoopLog
 from hystmpc.ctrl.mpc_settings import LinearisedMpcSettings, SamplingMpcSettings
 from hystmpc.trials.brief import brief, in_brief

@@ -8,11 +8,11 @@ _intake = mutated_file("rig", "safety/intake.py", "test_intake.py")
 _gate = mutated_file("rig", "safety/gate.py", "test_anchor.py")
 _motion = mutated_file("rig", "safety/plausibility.py", "test_anchor.py")
 _drive = mutated_file("rig", "safety/plausibility.py", "test_drive_following.py")
-_bench = Mutated("rig", "rig/bench.py", ("tests/commissioning/test_watched.py",))
+_bench = Mutated("rig", "rig/run.py", ("tests/bench/test_watched.py",))
 _taken = mutated_file("rig", "compiled/loop.c", "test_loop_in_c_parts.py")
-_climb = mutated_file("commissioning", "climb.py", "test_watched.py")
-_bounded = mutated_file("commissioning", "bounded.py", "test_watched.py")
-_config = mutated_file("commissioning", "config.py", "test_motions.py")
+_climb = mutated_file("bench", "phases.py", "test_watched.py")
+_bounded = mutated_file("bench", "phases.py", "test_watched.py")
+_config = mutated_file("bench", "config.py", "test_motions.py")
 
 MUTANTS: tuple[Mutant, ...] = (
     _intake("a delay that grows is never seen", "before + _DRIFT * max(heard_ns - then_ns, 0)", "flight"),
@@ -125,8 +125,8 @@ MUTANTS: tuple[Mutant, ...] = (
     _climb("a step is judged before the tip rests", "or self._settles(angle):", "or angle > 1e9:"),
     _climb(
         "the travel without motion is not measured",
-        "return replace(self._found, still=self._still)",
-        "return replace(self._found, still=0.0)",
+        "return replace(self._result, still=self._still)",
+        "return replace(self._result, still=0.0)",
     ),
     _bounded("an angle out of range is missing", "else now.shown_deg", "else math.nan"),
     _bounded(

@@ -13,7 +13,7 @@ _device = mutated_file("codegen", "fmu/c/device.c", "test_fmu.py")
 _planner = mutated_file("ctrl", "planner/tip_controller.py", "test_tip_safety.py", "test_tip_types.py")
 _memory = mutated_file("ctrl", "planner/memory.py", "test_tip_safety.py", "test_tip_types.py", "test_tip_controller.py")
 _settings = mutated_file("ctrl", "planner/settings.py", "test_tip_types.py")
-_numbers = mutated_file("ctrl", "limits.py", "test_tip_types.py")
+_numbers = mutated_file("ctrl", "command.py", "test_tip_types.py")
 _reference = mutated_file("ctrl", "guarded.py", "test_tip_types.py", "test_fallback.py", "test_contract.py")
 _plugin = mutated_file("ros2", "hystmpc_controller/src/controller.cpp", "test_controller.py")
 

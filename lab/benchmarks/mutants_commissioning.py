@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from mutant import Mutant, mutated_file  # isort: skip
 
-_climb = mutated_file("commissioning", "climb.py", "test_climb.py")
-_bounded = mutated_file("commissioning", "bounded.py", "test_climb.py")
-_device = mutated_file("commissioning", "device.py", "test_climb.py")
-_stopped = mutated_file("commissioning", "device.py", "test_run.py")
-_config = mutated_file("commissioning", "config.py", "test_motions.py", "test_run.py")
-_motions = mutated_file("commissioning", "motions.py", "test_motions.py")
-_run = mutated_file("commissioning", "run.py", "test_run.py")
-_verify = mutated_file("commissioning", "verify.py", "test_verify.py")
-_track = mutated_file("commissioning", "device.py", "test_verify.py")
-_stages = mutated_file("commissioning", "stages.py", "test_run.py")
+_climb = mutated_file("bench", "phases.py", "test_phases.py")
+_bounded = mutated_file("bench", "phases.py", "test_phases.py")
+_device = mutated_file("bench", "device.py", "test_phases.py")
+_stopped = mutated_file("bench", "device.py", "test_commission.py")
+_config = mutated_file("bench", "config.py", "test_motions.py", "test_commission.py")
+_motions = mutated_file("bench", "motions.py", "test_motions.py")
+_run = mutated_file("bench", "commission.py", "test_commission.py")
+_verify = mutated_file("bench", "verify.py", "test_verify.py")
+_track = mutated_file("bench", "device.py", "test_verify.py")
+_stages = mutated_file("bench", "stages.py", "test_commission.py")
 
 MUTANTS: tuple[Mutant, ...] = (
     _climb(
@@ -87,18 +87,20 @@ MUTANTS: tuple[Mutant, ...] = (
     ),
     _run(
         "what is recorded is not within the range found",
-        "return _record(settings, bench,",
-        "return _record(settings, settings,",
+        "motions = recordings(bench, planned.share, settings.commission.seed)\n"
+        "        return RecordedTrials(tuple(stages.record(motions, bench, folder)))",
+        "motions = recordings(settings, planned.share, settings.commission.seed)\n"
+        "        return RecordedTrials(tuple(stages.record(motions, settings, folder)))",
     ),
     _run(
         "a device that moves the wrong way is commissioned",
         "if (first.angle_deg - first.start_deg) * (first.end - safe) < 0:",
         "if first.end < -1e9:",
     ),
-    _run("a recording that is there is played again", "if not file.exists():", "if file.name:"),
+    _stages("a recording that is there is played again", "if not file.exists():", "if file.name:"),
     _stages(
         "a stage after another range is gone on with",
-        "if begun.exists() and self._begun(begun) != self.mark:",
-        "if begun.exists() and not self._begun(begun):",
+        "if begun.exists() and _begun_after(begun) != self._mark:",
+        "if begun.exists() and not _begun_after(begun):",
     ),
 )

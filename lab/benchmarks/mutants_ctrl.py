@@ -1,24 +1,24 @@
-"""Mutants of the controllers: limits, guard, ladder, estimator, learning, handover."""
+"""Mutants of the controllers: limits, guard, ladder, estimator, learning, supervisor."""
 
 from __future__ import annotations
 
 from mutant import Mutant, mutated_file  # isort: skip
 
-_limits = mutated_file("ctrl", "limits.py", "test_limits.py", "test_contract.py")
+_limits = mutated_file("ctrl", "command.py", "test_limits.py", "test_contract.py")
 _guarded = mutated_file(
     "ctrl", "guarded.py", "test_fallback.py", "test_contract.py", "test_tip_controller.py", "test_tip_replay.py"
 )
-_fallback = mutated_file("ctrl", "fallback.py", "test_fallback.py", "test_contract.py")
+_fallback = mutated_file("ctrl", "guarded.py", "test_fallback.py", "test_contract.py")
 _estimator = mutated_file("ctrl", "estimation/observer.py", "test_estimator.py", "test_fallback.py")
 _noise = mutated_file("ctrl", "estimation/noise.py", "test_noise.py", "test_estimator.py")
 _steps = mutated_file("ctrl", "estimation/noise.py", "test_quantised.py")
 _hold = mutated_file("ctrl", "mpc.py", "test_quantised.py")
-_pid = mutated_file("ctrl", "feedback/pid.py", "test_quantised.py")
-_deaf = mutated_file("ctrl", "handover.py", "test_quantised.py")
+_pid = mutated_file("ctrl", "feedback.py", "test_quantised.py")
+_deaf = mutated_file("ctrl", "supervisor.py", "test_quantised.py")
 _bank = mutated_file("ctrl", "learning/bank.py", "test_learning.py")
-_basis = mutated_file("ctrl", "learning/basis.py", "test_learning.py")
-_learning = mutated_file("ctrl", "learning/estimator.py", "test_learning.py")
-_handover = mutated_file("ctrl", "handover.py", "test_handover.py")
+_basis = mutated_file("ctrl", "learning/bank.py", "test_learning.py")
+_learning = mutated_file("ctrl", "learning/predictor.py", "test_learning.py")
+_supervisor = mutated_file("ctrl", "supervisor.py", "test_supervisor.py")
 
 MUTANTS: tuple[Mutant, ...] = (
     _limits(
@@ -150,7 +150,7 @@ MUTANTS: tuple[Mutant, ...] = (
     ),
     _pid("half a step is integrated", "least = _HALF * step_deg", "least = 0.0"),
     _pid("a greater dead zone is narrowed", "return self if self.dead_zone_deg >= least else", "return"),
-    _deaf("feedback that takes over hunts", "found.deaf_to(predictor.noise.sensor_resolution_deg)", "found"),
+    _deaf("feedback that takes over hunts", "gains.with_dead_zone(predictor.noise.sensor_resolution_deg)", "gains"),
     _noise("the innovation has the wrong sign", "bank[0, i] + gain * error", "bank[0, i] - gain * error"),
     _noise("the gain of a bank is not bounded", "min(before * by_spread, most)", "before / spread"),
     _noise("weights may die", "share * by_model[i]", "0.0"),
@@ -240,21 +240,23 @@ MUTANTS: tuple[Mutant, ...] = (
     _learning(
         "missing measurements of a learning controller are not counted", "missing=estimate.missing + 1", "missing=0"
     ),
-    _handover(
+    _supervisor(
         "the inverse takes over with a jump",
-        "self._inverse_pid.taken_over(given) if",
+        "self._inverse_pid.bumpless_start(given) if",
         "self._inverse_pid.init(given.due, given.u_last) if",
     ),
-    _handover(
+    _supervisor(
         "the PID takes over with a jump",
-        "else self._pid.taken_over(given)",
+        "else self._pid.bumpless_start(given)",
         "else self._pid.init(given.measured, given.u_last)",
     ),
-    _handover("good forecasts are handed over", "distrust > threshold for", "distrust < threshold for"),
-    _handover("it goes back and forth at a threshold", "distrust > _BACK * threshold", "distrust > threshold"),
-    _handover("it never comes back", "min(at, best)", "at"),
-    _handover(
+    _supervisor("good forecasts are handed over", "forecast_error > threshold for", "forecast_error < threshold for"),
+    _supervisor(
+        "it goes back and forth at a threshold", "forecast_error > _BACK * threshold", "forecast_error > threshold"
+    ),
+    _supervisor("it never comes back", "min(at, best)", "at"),
+    _supervisor(
         "another law takes over the memory of the last one", "if level != memory.level:", "if level == memory.level:"
     ),
-    _handover("the log says that the MPC acts", "status, law.source)", "status, self.source)"),
+    _supervisor("the log says that the MPC acts", "status, law.source", "status, self.source"),
 )

@@ -6,9 +6,9 @@ from mutant import Mutant, Mutated, mutated_file  # isort: skip
 
 _RECEIVED = ("tests/cli/test_received.py",)
 _named = Mutated("trials", "trials/from_outside.py", _RECEIVED)
-_unread = Mutated("ctrl", "ctrl/from_outside.py", _RECEIVED)
+_unread = Mutated("ctrl", "ctrl/config.py", _RECEIVED)
 _parsed = Mutated("trials", "trials/config.py", _RECEIVED)
-_reviewed = Mutated("rig", "rig/commission/review.py", _RECEIVED)
+_reviewed = Mutated("rig", "rig/experiment/review.py", _RECEIVED)
 _measured = Mutated("gap", "gap/tracking/measured.py", _RECEIVED)
 _loaded = Mutated("sim", "sim/results.py", _RECEIVED)
 _workers = Mutated("sim", "sim/jobs/backend.py", _RECEIVED)

@@ -12,8 +12,8 @@ _reader = mutated_file("rig", "reader.py", "test_slow_wire.py")
 _contact = mutated_file("rig", "contact.py", "test_slow_wire.py")
 _listens = Mutated("rig", "rig/loop.py", ("tests/ros2/test_planner_motion.py",))
 _node = Mutated("ros2", "ros2/hystmpc_ros/hystmpc_ros/planner.py", ("tests/ros2/test_planner_motion.py",))
-_steering = Mutated("rig", "rig/commission/experiment.py", ("tests/ros2/test_planner_motion.py",))
-_rest = Mutated("rig", "rig/commission/phases.py", ("tests/ros2/test_planner_motion.py",))
+_steering = Mutated("rig", "rig/experiment/experiment.py", ("tests/ros2/test_planner_motion.py",))
+_rest = Mutated("rig", "rig/experiment/phases.py", ("tests/ros2/test_planner_motion.py",))
 
 MUTANTS: tuple[Mutant, ...] = (
     _guarded_loop(

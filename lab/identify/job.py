@@ -14,22 +14,26 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import BeforeValidator
 
-from hystmpc.ctrl.build import build_controller
-from hystmpc.ctrl.feedback.inverse_settings import InverseControllerSettings, InversePidControllerSettings
-from hystmpc.ctrl.feedback.pid import PidControllerSettings, PidSettings
+from hystmpc.ctrl.command import CommandLimits
+from hystmpc.ctrl.feedback import (
+    InverseControllerSettings,
+    InversePidControllerSettings,
+    PidControllerSettings,
+    PidSettings,
+)
+from hystmpc.ctrl.guarded import build_controller, pair_for
 from hystmpc.ctrl.law import LawSettings
-from hystmpc.ctrl.limits import CommandLimits
 from hystmpc.ctrl.loop import Controller
 from hystmpc.ctrl.mpc_settings import LinearisedMpcSettings, SamplingMpcSettings
 from hystmpc.models.contract.export import export_onnx
 from hystmpc.models.contract.metadata import DeviceLimits, Range
 from hystmpc.models.kinds.catalogue import chosen_kind, kind_named
 from hystmpc.models.kinds.kind import FitRequest, Identified, ModelKind
+from hystmpc.models.prediction.build import ControllerModel, controller_model
 from hystmpc.models.simulator import save_simulator
 from hystmpc.sim.closed_loop import ClosedLoopRun, run_closed_loop
 from hystmpc.sim.jobs.runner import ResultFiles, Status
 from hystmpc.sim.plants.computed import ComputedPlant
-from hystmpc.sim.study import Knowledge, knowledge
 from hystmpc.sim.tune_pid import PidLike, searched_gains
 from hystmpc.trajectories.drawn import CountedMotion
 from hystmpc.trials.trial import Trial
@@ -121,8 +125,8 @@ class DeviceStudy:
     device: DrawnDevice
     plant: DrawnPlant
     motions: tuple[CountedMotion, ...]
-    model: Knowledge
-    rival: Knowledge
+    model: ControllerModel
+    rival: ControllerModel
 
 
 @dataclass
@@ -203,7 +207,7 @@ def identified_as(kind: ModelKind, trials: Sequence[Trial], device: DrawnDevice,
     return found
 
 
-def opened_model(identified: Identified, stem: Path) -> Knowledge:
+def opened_model(identified: Identified, stem: Path) -> ControllerModel:
     """The model written, and opened as a user opens it."""
     stem.parent.mkdir(parents=True, exist_ok=True)
     file = stem.with_name(stem.name + (".onnx" if identified.simulator is None else ".yaml"))
@@ -211,7 +215,7 @@ def opened_model(identified: Identified, stem: Path) -> Knowledge:
         export_onnx(identified.bundle, file)
     else:
         save_simulator(identified.simulator, file)
-    return knowledge(str(file))
+    return controller_model(str(file))
 
 
 def _model_controllers(study: DeviceStudy) -> dict[str, Controller[Any]]:
@@ -225,10 +229,8 @@ def _model_controllers(study: DeviceStudy) -> dict[str, Controller[Any]]:
     }
 
 
-def _built(settings: LawSettings, known: Knowledge, limits: CommandLimits) -> Controller[Any]:
-    predictive = isinstance(settings, LinearisedMpcSettings | SamplingMpcSettings)
-    pair = (known.predictor, known.inverse) if predictive else known.feedforward
-    return build_controller(settings, *pair, limits)
+def _built(settings: LawSettings, known: ControllerModel, limits: CommandLimits) -> Controller[Any]:
+    return build_controller(settings, *pair_for(settings, known), limits)
 
 
 def tuned_rivals(study: DeviceStudy, settings: IdentifySettings) -> dict[str, Controller[Any]]:

@@ -8,13 +8,12 @@ from typing import final
 
 import numpy as np
 
-from hystmpc.ctrl.command import Source
-from hystmpc.ctrl.limits import CommandLimits
+from hystmpc.ctrl.command import CommandLimits, Source
 from hystmpc.models.contract.metadata import Range
+from hystmpc.models.prediction.build import ControllerModel
 from hystmpc.sim.closed_loop import ClosedLoopRun
 from hystmpc.sim.plants.computed import ComputedPlant, Sensing
 from hystmpc.sim.results import holds, violations
-from hystmpc.sim.study import Knowledge
 from hystmpc.trajectories.drawn import CountedMotion
 from hystmpc.trials.types import Vec
 
@@ -75,8 +74,8 @@ class IdentifiedPlant(ComputedPlant):
         seed: of the noise.
     """
 
-    def __init__(self, known: Knowledge, rest_deg: float, noise_deg: float, seed: int) -> None:
-        self._predictor, limits = known.predictor, known.facts.command_limits
+    def __init__(self, known: ControllerModel, rest_deg: float, noise_deg: float, seed: int) -> None:
+        self._predictor, limits = known.predictive[0], known.facts.command_limits
         self._rest = self._predictor.advance(self._predictor.initial(rest_deg, limits.lower), limits.lower)
         self.command_limits = Range(lower=limits.lower, upper=limits.upper)
         super().__init__(self._predictor.dt, limits.lower, known.facts.command_unit, Sensing(noise_deg), seed)

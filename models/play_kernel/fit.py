@@ -364,10 +364,10 @@ def _solve(rows: Sequence[Moments], choice: Choice, frame: Frame, settings: Play
     gram, right = both.T @ gram @ both, both.T @ right
     factor = np.linalg.cholesky(gram + _JITTER * np.trace(gram) * np.eye(len(gram)))
     try:
-        found, _ = nnls(factor.T, np.linalg.solve(factor, right), maxiter=50 * len(gram))
+        weights, _ = nnls(factor.T, np.linalg.solve(factor, right), maxiter=50 * len(gram))
     except RuntimeError as error:
         raise FitError(f"play kernel: non-negative least squares of {len(gram)} unknowns: {error}") from None
-    return found[:count] + settings.least_slope, float(found[count] - found[count + free])
+    return weights[:count] + settings.least_slope, float(weights[count] - weights[count + free])
 
 
 def _roughness(frame: Frame) -> NDArray[Any]:

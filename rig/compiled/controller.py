@@ -13,11 +13,16 @@ from hystmpc.codegen.controller import ControllerExport, export_controller
 from hystmpc.codegen.loaded import LoadedController
 from hystmpc.ctrl.command import EMPTY, Command, Source, Stopwatch, Timing
 from hystmpc.ctrl.estimation.observer import Estimate, usable_angle
-from hystmpc.ctrl.fallback import FallbackState
-from hystmpc.ctrl.guarded import GuardedController, GuardedState, UnusableReferenceError, usable_reference
-from hystmpc.ctrl.handover import LEVELS
-from hystmpc.ctrl.planner.controller import PlannersController
+from hystmpc.ctrl.guarded import (
+    FallbackState,
+    GuardedController,
+    GuardedState,
+    UnusableReferenceError,
+    usable_reference,
+)
+from hystmpc.ctrl.planner.memory import PlannersController
 from hystmpc.ctrl.planner.settings import TipSettings
+from hystmpc.ctrl.supervisor import LEVELS
 from hystmpc.trials.errors import ConfigError, ControllerError, ExportError
 from hystmpc.trials.types import Vec
 
@@ -197,7 +202,7 @@ class CompiledController(PlannersController):
             answer,
             after.estimate.stalled,
             view.feedback.level if answer.source == _FEEDBACK else 0,
-            view.learning.distrust if answer.source == _FEEDBACK else 0.0,
+            view.learning.forecast_error if answer.source == _FEEDBACK else 0.0,
             cause=state.fallback.cause,
             reference=fault,
             stalled=state.estimate.stalled,
@@ -212,7 +217,7 @@ class CompiledController(PlannersController):
             stalled: of the sample before it.
             refusal: why there was no time for a plan, where there was none.
         """
-        status = _line(sample, sample.stalled, sample.level, sample.distrust, stalled=stalled, refusal=refusal)
+        status = _line(sample, sample.stalled, sample.level, sample.forecast_error, stalled=stalled, refusal=refusal)
         return _command(sample.wanted, sample, status, {"law": 1e-9 * sample.step_ns})
 
     def after(self, cause: str = "") -> GuardedState[bytes]:
@@ -263,7 +268,7 @@ def _line(
     answer: Any,
     stalled_after: int,
     level: int,
-    distrust: float,
+    forecast_error: float,
     *,
     cause: str = "",
     reference: str = "",
@@ -278,7 +283,7 @@ def _line(
         )
         notes.append(f"stopped: {reason}" if _SOURCES[answer.source] is Source.STOP else reason)
     elif answer.source == _FEEDBACK:
-        notes.append(f"{LEVELS[level]}: forecasts are off by {100 * distrust:.0f} % of the motion")
+        notes.append(f"{LEVELS[level]}: forecasts are off by {100 * forecast_error:.0f} % of the motion")
     if answer.missing:
         notes.append(f"measurement missing or outlying for {answer.missing} samples, predicted")
     if stalled_after:

@@ -155,6 +155,20 @@ class ThreadedSink(Sink, ABC):
 
 
 @final
+class SampleList(Sink):
+    """All samples, in memory."""
+
+    def __init__(self) -> None:
+        self.samples: list[Sample] = []
+
+    def put(self, sample: Sample) -> None:
+        self.samples.append(sample)
+
+    def close(self) -> None:
+        """Nothing to do."""
+
+
+@final
 class Tee(Sink):
     """Gives every sample to every sink."""
 

@@ -7,7 +7,7 @@ from collections import deque
 from collections.abc import Mapping
 from typing import final
 
-from hystmpc.ctrl.limits import CommandLimits
+from hystmpc.ctrl.command import CommandLimits
 
 from .intake import Observation
 

@@ -11,8 +11,7 @@ from typing import Annotated, Any, Literal, final
 from pydantic import Field, model_validator
 
 from hystmpc.ctrl.estimation.observer import ANGLE_BOUND_DEG
-from hystmpc.ctrl.limits import Count, Positive
-from hystmpc.trials.config import Settings
+from hystmpc.trials.config import Count, Positive, Settings
 
 from ..transports.sessions import NEW, REPLAYED, Order
 from ..transports.transport import Reading

@@ -8,8 +8,7 @@ from collections import deque
 from collections.abc import Mapping
 from typing import Any, final
 
-from hystmpc.ctrl.limits import Positive
-from hystmpc.trials.config import Settings
+from hystmpc.trials.config import Positive, Settings
 
 _S = 1e-9
 SMOOTH_S = 0.2

@@ -7,11 +7,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from hystmpc.ctrl.limits import Positive
-from hystmpc.ctrl.planner.ruckig_ import Kinematics, move_to_rest
-from hystmpc.ctrl.planner.settings import TargetMotionSettings as AngleMotion
-from hystmpc.trajectories.ruckig_ import PiecewiseCubic, hold
-from hystmpc.trials.config import Settings
+from hystmpc.trajectories.motion import Kinematics, MotionLimits, PiecewiseCubic, hold
+from hystmpc.trajectories.ruckig_ import move_to_rest
+from hystmpc.trials.config import Positive, Settings
 from hystmpc.trials.errors import TrajectoryError
 from hystmpc.trials.types import Vec
 
@@ -35,9 +33,9 @@ class RampSettings(Settings):
     brake_per_s2: Positive | None = None
 
     @property
-    def limits(self) -> AngleMotion:
+    def limits(self) -> MotionLimits:
         """The same limits as settings of ruckig, whose numbers have no unit."""
-        return AngleMotion(
+        return MotionLimits(
             velocity_deg_s=self.velocity_per_s,
             acceleration_deg_s2=self.acceleration_per_s2,
             jerk_deg_s3=self.jerk_per_s3,

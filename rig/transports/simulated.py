@@ -12,15 +12,15 @@ from typing import Any, ClassVar, Literal, Self, final
 import numpy as np
 from pydantic import Field
 
-from hystmpc.ctrl.frames import (
+from hystmpc.ctrl.loop import (
     AnySensorSettings,
     ContinuousSensorSettings,
-    Frame,
+    ImageFrame,
     Imaging,
     ImagingSettings,
+    Plant,
     SimulatedSensor,
 )
-from hystmpc.ctrl.loop import Plant
 from hystmpc.trials.errors import ConfigError, LogError
 from hystmpc.trials.run_folder import RunFolder
 from hystmpc.trials.types import Vec
@@ -56,7 +56,7 @@ class SimulatedTransport(Transport):
         self._angle, self._sequence = plant.reset(), 0
         self._read_ns: int | None = None
         self._continuous = sensor is None or isinstance(sensor, ContinuousSensorSettings)
-        self._time_s, self._imaging, self._frames = 0.0, None, deque[Frame]()
+        self._time_s, self._imaging, self._frames = 0.0, None, deque[ImageFrame]()
         if isinstance(sensor, ImagingSettings):
             self._imaging = Imaging.at_rest(sensor, seed, self._angle)
             self._frames.append(replace(self._imaging.newest, arrives_s=sensor.latency_s))

@@ -34,8 +34,7 @@ from typing import Literal, final
 
 from pydantic import model_validator
 
-from hystmpc.ctrl.limits import Port
-from hystmpc.trials.config import Settings
+from hystmpc.trials.config import Port, Settings
 from hystmpc.trials.errors import ConfigError
 
 from .sessions import Admission

@@ -9,13 +9,14 @@ from collections.abc import Mapping
 from functools import lru_cache
 from typing import Any
 
+from hystmpc.models.prediction.build import ControllerModel, controller_model
 from hystmpc.trials.errors import ConfigError
 
 from ..closed_loop import run_closed_loop
 from ..config import SimulationConfig
 from ..jobs.runner import attempt
 from ..results import TrackingMetrics, result_of
-from ..study import Knowledge, knowledge, prepare
+from ..study import prepare
 from .plan import Hashes, SweepRow
 
 # Columns of every row besides the factors, in the order of the table.
@@ -102,19 +103,19 @@ def run_settings(config: SimulationConfig) -> tuple[TrackingMetrics, int]:
     return result_of(study.config, motion, name, run).metrics, len(run.true_deg)
 
 
-def shared_knowledge(config: SimulationConfig) -> Knowledge:
+def shared_knowledge(config: SimulationConfig) -> ControllerModel:
     """Opened models, once a process for each model, inverse and lag.
 
     Raises:
-        HystmpcError: what `knowledge` raises.
+        HystmpcError: what `controller_model` raises.
     """
     return _kept_knowledge(config.model, config.inverse, config.actuator_lag_s, Hashes().of_models(config))
 
 
 @lru_cache(maxsize=_KEPT)
-def _kept_knowledge(model: str, inverse: str | None, actuator_lag_s: float, files: tuple[str, ...]) -> Knowledge:
+def _kept_knowledge(model: str, inverse: str | None, actuator_lag_s: float, files: tuple[str, ...]) -> ControllerModel:
     del files  # of the key: a file that has changed is opened again
-    return knowledge(model, inverse, actuator_lag_s)
+    return controller_model(model, inverse, actuator_lag_s)
 
 
 def metrics_columns(metrics: TrackingMetrics) -> dict[str, Any]:

@@ -93,7 +93,7 @@ def needed_travel(study: Study, motion: str) -> float:
 
     sum_k |u_k - u_{k-1}| with u_k = inverse(x_k, r_k) within the limits, from the plant's rest.
     """
-    predictor, inverse = study.feedforward
+    predictor, inverse = study.model.feedforward
     reference = PreviewTable(study.motions[motion], predictor.dt, 1)
     u, travel = study.plant.rest_command, 0.0
     state = predictor.initial(float(reference.at(0)[0]), u)

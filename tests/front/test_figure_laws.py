@@ -22,9 +22,9 @@ from matplotlib.lines import Line2D
 from matplotlib.text import Text
 from matplotlib.ticker import FixedLocator
 
-from hystmpc.commissioning.motions import CONTROLLERS
-from hystmpc.commissioning.report import before_and_after
-from hystmpc.ctrl.limits import CommandLimits
+from hystmpc.bench.motions import CONTROLLERS
+from hystmpc.bench.report import before_and_after
+from hystmpc.ctrl.command import CommandLimits
 from hystmpc.gap.report.page import diagnosis_report
 from hystmpc.gap.report.report_data import TrackingCurve
 from hystmpc.gap.report.tracking_figure import tracking_figure as tracking_gap_figure

@@ -6,8 +6,8 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
-from hystmpc.ctrl.limits import CommandLimits
-from hystmpc.rig.commission.phases import CommandMotion, Phase, SafeStop
+from hystmpc.ctrl.command import CommandLimits
+from hystmpc.rig.experiment.phases import CommandMotion, Phase, SafeStop
 from hystmpc.rig.loop import ControlLoop, RunOutcome
 from hystmpc.rig.recording.sample import Sample
 from hystmpc.rig.safety.gate import Anchor, Gate

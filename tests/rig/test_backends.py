@@ -19,10 +19,10 @@ from hystmpc.codegen.compiler import EXPECTED, compiler
 from hystmpc.ctrl import TipController
 from hystmpc.ctrl.planner.assembly import assemble
 from hystmpc.ctrl.planner.settings import TipSettings
-from hystmpc.rig.commission.experiment import make_timely, tracking_phase
-from hystmpc.rig.commission.phases import Past, PhaseInput
 from hystmpc.rig.compiled.controller import compiled_controller
 from hystmpc.rig.config import RecordSettings, RunSettings, load_run
+from hystmpc.rig.experiment.experiment import make_timely, tracking_phase
+from hystmpc.rig.experiment.phases import Past, PhaseInput
 from hystmpc.rig.loop import RunOutcome
 from hystmpc.rig.recording.sample import Sample
 from hystmpc.trials.errors import ConfigError

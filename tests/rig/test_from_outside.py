@@ -17,8 +17,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hystmpc.rig.bench import first_contact, run_bench
 from hystmpc.rig.config import BenchSettings
+from hystmpc.rig.run import first_contact, run_bench
 from hystmpc.rig.safety.stop import StopFlag
 from hystmpc.rig.transports import from_outside
 from hystmpc.rig.transports.from_outside import GuardedTransport, PythonSettings, reading_fault
@@ -26,7 +26,7 @@ from hystmpc.rig.transports.transport import Conversion, Reading, RunContext
 from hystmpc.trials.errors import ConfigError
 
 from .bench_parts import ListSink
-from .test_bench import SETTINGS
+from .test_run import SETTINGS
 
 BUS = """
 from hystmpc.rig import Reading

@@ -15,18 +15,18 @@ from urllib.parse import urlsplit
 import numpy as np
 import pytest
 
-from hystmpc.commissioning.device import SimulatedClock
-from hystmpc.commissioning.plants import plants_in
+from hystmpc.bench.plants import plants_in
 from hystmpc.ctrl.loop import Plant
-from hystmpc.rig.bench import BenchResult, run_bench
-from hystmpc.rig.commission.experiment import tracking_phase
-from hystmpc.rig.commission.phases import CommandMotion, Decision, Past, Phase, PhaseInput
 from hystmpc.rig.config import BenchSettings, RunSettings
+from hystmpc.rig.experiment.experiment import tracking_phase
+from hystmpc.rig.experiment.phases import CommandMotion, Decision, Past, Phase, PhaseInput
 from hystmpc.rig.live.desk import E_STOP, Controls, Desk, LiveSettings, Reply
 from hystmpc.rig.live.page import LivePage
+from hystmpc.rig.realtime import SimulatedClock
 from hystmpc.rig.recording.recorder_process import Views, open_recorder_process
 from hystmpc.rig.recording.recording import RecordingMeta
 from hystmpc.rig.recording.sample import Sample
+from hystmpc.rig.run import BenchResult, run_bench
 from hystmpc.rig.safety.ramp import waypoint_commands
 from hystmpc.rig.transports.simulated import SimulatedSettings
 from hystmpc.trials.errors import ConfigError
@@ -36,8 +36,8 @@ from hystmpc_lab.faults.play import end, start
 
 from .bench_parts import RAMPS
 from .recording_samples import sample
-from .test_bench import DT, SETTINGS, Straight
 from .test_processes import RUN, SIMULATED
+from .test_run import DT, SETTINGS, Straight
 
 CONTROL = LiveSettings(control=True)
 TOP = 3.0

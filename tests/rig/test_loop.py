@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hystmpc.rig.commission.phases import CommandMotion, Decision, Past, Phase, PhaseInput, PretensionCheck
+from hystmpc.rig.experiment.phases import CommandMotion, Decision, Past, Phase, PhaseInput, PretensionCheck
 from hystmpc.rig.recording.sample import Sample
 from hystmpc.rig.safety.ramp import ramp_commands, waypoint_commands
 

@@ -11,7 +11,7 @@ import pytest
 
 from ..conftest import ROOT
 
-PYTHON = ("trials", "models", "ctrl", "codegen", "sim", "rig", "gap", "testing", "commissioning", "investigation")
+PYTHON = ("trials", "models", "ctrl", "codegen", "sim", "rig", "gap", "testing", "bench")
 PYTHON += ("lab", "cli", "ros2", "examples")
 # Calls that may carry a command: of a transport or its wire, of a plant, of a socket.
 SENDS = {"write", "apply", "send", "sendto", "publish", "_send"}
@@ -31,8 +31,8 @@ THE_GATE = {
 BEHIND_IT = {
     "rig/transports/from_outside.py: self._device.write": 1,
     "rig/transports/simulated.py: self._plant.apply": 1,
-    "rig/transports/topics.py: self._wire.write": 2,  # a command; a greeting, which carries none
-    "rig/transports/topics.py: wire.write": 1,  # a goodbye
+    "rig/transports/dds.py: self._wire.write": 2,  # a command; a greeting, which carries none
+    "rig/transports/dds.py: wire.write": 1,  # a goodbye
     "rig/transports/dds_.py: self._writer.write": 2,
     "rig/transports/udp.py: self._send": 3,  # a command, a greeting, a goodbye
     "rig/transports/udp.py: self._wire.send": 1,
@@ -114,7 +114,7 @@ def test_files_of_computed_devices_open_no_wire() -> None:
         assert not re.search(r"^\s*(import|from)\s+(socket|serial|rclpy|hystmpc\.rig)\b", text, re.MULTILINE), where
 
 
-@pytest.mark.parametrize("mover", ["rig/bench.py", "ros2/hystmpc_ros/hystmpc_ros/planner.py"])
+@pytest.mark.parametrize("mover", ["rig/run.py", "ros2/hystmpc_ros/hystmpc_ros/planner.py"])
 def test_movers_make_the_one_loop(mover: str) -> None:
     """Gate, anchor, intake and watches are put together in one function; nobody else makes a loop or a gate."""
     assert "control_loop(" in (ROOT / mover).read_text(encoding="utf-8")
@@ -129,7 +129,7 @@ def test_nobody_else_puts_a_loop_together() -> None:
         if isinstance(node, ast.Call) and isinstance(node.func, ast.Name)
         if node.func.id in {"ControlLoop", "Gate", "Anchor", "Intake"}
     }
-    assert makers == {f"rig/bench.py: {name}" for name in ("ControlLoop", "Gate", "Anchor", "Intake")}
+    assert makers == {f"rig/run.py: {name}" for name in ("ControlLoop", "Gate", "Anchor", "Intake")}
 
 
 @pytest.mark.parametrize(

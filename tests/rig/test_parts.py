@@ -15,7 +15,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hystmpc.ctrl.limits import CommandLimits
+from hystmpc.ctrl.command import CommandLimits
 from hystmpc.rig.config import load_record, load_run
 from hystmpc.rig.histogram import BINS, Histogram
 from hystmpc.rig.realtime import RealtimeSettings, SchedulingSettings, control_process, scheduled

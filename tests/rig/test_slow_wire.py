@@ -12,17 +12,17 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from hystmpc.rig.bench import control_loop, first_contact
-from hystmpc.rig.commission.phases import CommandMotion
 from hystmpc.rig.config import BenchSettings
+from hystmpc.rig.experiment.phases import CommandMotion
 from hystmpc.rig.loop import RunOutcome
 from hystmpc.rig.reader import Reader
+from hystmpc.rig.run import control_loop, first_contact
 from hystmpc.rig.safety.ramp import waypoint_commands
 from hystmpc.rig.safety.stop import StopFlag
 from hystmpc.rig.transports.transport import Reading, Transport
 
 from .bench_parts import NS, RAMPS, FakeClock, ListSink
-from .test_bench import SETTINGS
+from .test_run import SETTINGS
 
 MS = 1_000_000
 
