@@ -8,17 +8,17 @@ _RECEIVED = ("tests/cli/test_received.py",)
 _named = Mutated("trials", "trials/from_outside.py", _RECEIVED)
 _unread = Mutated("ctrl", "ctrl/config.py", _RECEIVED)
 _parsed = Mutated("trials", "trials/config.py", _RECEIVED)
-_reviewed = Mutated("rig", "rig/experiment/review_page.py", _RECEIVED)
+_reviewed = Mutated("rig", "rig/experiment/review.py", _RECEIVED)
 _measured = Mutated("gap", "gap/tracking/measured.py", _RECEIVED)
 _loaded = Mutated("sim", "sim/results.py", _RECEIVED)
 _workers = Mutated("sim", "sim/jobs/backend.py", _RECEIVED)
 _recorder = Mutated("rig", "rig/recording/recorder_process.py", _RECEIVED)
 _bench = Mutated("rig", "rig/config.py", _RECEIVED)
-_device = Mutated("rig", "rig/device/server.py", _RECEIVED)
+_device = Mutated("rig", "rig/device.py", _RECEIVED)
 _option = Mutated("cli", "cli/options.py", _RECEIVED)
 _compiled = mutated_file("rig", "compiled/controller.py", "test_library.py")
 _build = Mutated("codegen", "codegen/build.py", ("tests/rig/test_library.py",))
-_server = mutated_file("rig", "live/server.py", "test_live_hostile.py", "test_live_control.py", "test_live.py")
+_server = mutated_file("rig", "live/page.py", "test_live_hostile.py", "test_live_control.py", "test_live.py")
 _hdf5 = mutated_file("trials", "mat_.py", "test_bounds.py", "test_mat.py")
 _version_5 = mutated_file("trials", "mat_bounds.py", "test_bounds.py")
 _mcap = mutated_file("trials", "mcap_.py", "test_bounds.py")
@@ -56,7 +56,7 @@ MUTANTS: tuple[Mutant, ...] = (
     _workers("workers look into the working folder", 'os.environ["PYTHONSAFEPATH"] = before or "1"', "pass"),
     _recorder("the recorder looks into the working folder", '[sys.executable, "-P", "-m"', '[sys.executable, "-m"'),
     _bench("any file may be a latch", "if not _may_latch(place):", "if False:"),
-    _bench("any JSON may be a latch", 'isinstance(found, dict) and "cause" in found', "isinstance(found, dict)"),
+    _bench("any JSON may be a latch", 'isinstance(content, dict) and "cause" in content', "isinstance(content, dict)"),
     _device("a device's log goes into any file", 'if begins not in ("", _HEADER):', "if False:"),
     _option("nobody has to say yes", "    if allow:\n        allow_python()", "    allow_python()"),
     _compiled("the C is not compared", "if differs := _difference(controller, compiled):", "if differs := '':"),
@@ -94,8 +94,8 @@ MUTANTS: tuple[Mutant, ...] = (
     ),
     _server(
         "a request that waits stops the server",
-        'threading.Thread(target=asked, name="hystmpc-page-request", daemon=True).start()',
-        "asked()",
+        'threading.Thread(target=ask, name="hystmpc-page-request", daemon=True).start()',
+        "ask()",
     ),
     _server("requests that wait are never done", "server.waiting -= not emergency", "pass"),
     _server("a head may be long", "if len(head) > _LARGEST_HEAD:", "if False:"),

@@ -18,7 +18,7 @@ from pydantic import Field
 from hystmpc.trials.config import Count, Settings
 from hystmpc.trials.errors import ConfigError
 
-from .transport import Conversion, DeviceLink, Reading, RunContext, Through, Transport, TransportBase
+from .transport import Conversion, DeviceLink, Reading, RunContext, SocketWrapper, Transport, TransportBase
 
 
 class QosSettings(Settings):
@@ -64,7 +64,7 @@ class DdsSettings(TransportBase):
 
         return dds_transport(self, run.conversion)
 
-    def listen(self, silence_s: float, through: Through | None) -> DeviceLink:
+    def listen(self, silence_s: float, through: SocketWrapper | None) -> DeviceLink:
         """The device's end; datagrams, which faults could be put before, are out of reach.
 
         Raises:

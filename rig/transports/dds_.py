@@ -21,7 +21,7 @@ from hystmpc.trials.errors import ConfigError
 
 from .dds import GOODBYE, GREETING, DdsSettings, TopicMessage, TopicTransport, listening, stamp
 from .sessions import Admission
-from .transport import Conversion, DeviceLink, Incoming, Outgoing
+from .transport import Conversion, DeviceLink, Incoming, Outgoing, Says
 
 # Discovery and data on one interface; unicast, so that nothing is announced beyond it.
 _XML = """<CycloneDDS><Domain><General><Interfaces><NetworkInterface name="{name}"/></Interfaces>
@@ -194,11 +194,11 @@ class DdsLink(DeviceLink):
         """What an admitted message says, or why it is refused; it has to come from the writer that has greeted."""
         writer = message.sample_info.publication_handle
         come = writer, message.session, message.sequence, time.monotonic_ns()
-        if message.header.frame_id == GREETING:
-            return self._admission.greeting(*come) or Incoming(says="greeting")
-        if message.header.frame_id == GOODBYE:
-            return self._admission.goodbye(*come) or Incoming(says="goodbye")
-        return self._admission.command(*come) or _command(message.data)
+        note = message.header.frame_id
+        says: Says = note if note in (GREETING, GOODBYE) else "command"
+        if reason := self._admission.admit(says, *come):
+            return reason
+        return _command(message.data) if says == "command" else Incoming(says=says)
 
 
 def _command(raw: float) -> Incoming | str:

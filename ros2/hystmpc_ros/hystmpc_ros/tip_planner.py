@@ -19,7 +19,7 @@ from std_msgs.msg import Float64
 from std_srvs.srv import Trigger
 
 from hystmpc.rig.config import BenchSettings
-from hystmpc.rig.experiment.steering import Steering
+from hystmpc.rig.experiment.experiment import Steering
 from hystmpc.rig.realtime import Clock, MonotonicClock
 from hystmpc.rig.transports.dds import DdsSettings, TopicTransport, stamp
 from hystmpc.rig.transports.transport import Conversion
