@@ -77,9 +77,9 @@ class Evaluation:
 
     def plot(self) -> Figure:
         """Measurement, model and error over time, of the three trials with the greatest error."""
-        from hystmpc.models.evaluation_report import time_figure
+        from hystmpc.models.evaluation_report import free_run_figure
 
-        return time_figure(self.trials)
+        return free_run_figure(self.trials)
 
     @in_a_line
     def report(self, path: Path | str) -> Path:

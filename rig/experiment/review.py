@@ -28,7 +28,7 @@ from hystmpc.trials.trial import Trial, Units
 from hystmpc.trials.types import Vec
 
 from ..config import RunSettings
-from ..recording.report import Log, causes, numbers, timing_table, tracking_figure
+from ..recording.report import Log, causes, numbers, timing_table, tracked
 from ..recording.sample import TAKEN
 
 TRIAL_FILE = "trial.csv"
@@ -286,7 +286,7 @@ def write_page(
         pieces += [
             Heading("Tracking"),
             Plot(
-                tracking_figure(rows.t, rows.reference_deg, rows.measured_deg, rows.command, settings.command_unit),
+                tracked(rows.t, rows.reference_deg, rows.measured_deg, rows.command, settings.command_unit),
                 "Reference, measured angle and command over time.",
                 zoom=True,
             ),
