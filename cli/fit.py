@@ -24,7 +24,7 @@ from hystmpc.models.kinds.worth import identified
 from hystmpc.models.load import load_model
 from hystmpc.models.simulator import save_simulator
 from hystmpc.trials.errors import ConfigError
-from hystmpc.trials.figure_folder import figures_to
+from hystmpc.trials.files import figures_to
 from hystmpc.trials.read import expand_logs
 from hystmpc.trials.trial import SlowLogError, Trial, Units
 

@@ -22,11 +22,10 @@ from hystmpc.trials.errors import ConfigError, HystmpcError, ModelError
 from hystmpc.trials.files import require_writable
 from hystmpc.trials.from_outside import allow_python
 from hystmpc.trials.layouts import PRESETS
-from hystmpc.trials.read import expand_logs, read_trials
+from hystmpc.trials.read import at_rate, expand_logs, read_trials
 from hystmpc.trials.recording import require_recorded
 from hystmpc.trials.run_folder import require_vacant
 from hystmpc.trials.trial import Trial, parts_at_gaps
-from hystmpc.trials.uniform import at_rate
 
 from .console import errors
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from .errors import LogError, shown
 from .files import write_atomically
-from .formats import format_of
+from .formats import format_of, read_lines
 from .layouts import (
     CANONICAL,
     COMMAND_UNIT_OF,
@@ -33,7 +33,6 @@ from .layouts import (
 from .lvm_ import is_lvm, lvm_table
 from .merged import is_merged, merged
 from .tables import Frame, Table, frame_table, text_table
-from .text_ import read_lines
 from .trial import Trial, Units, clock_advice, even_time
 from .types import Index, Vec
 from .xlsx_ import open_xlsx

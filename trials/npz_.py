@@ -14,8 +14,7 @@ from numpy.lib import format as npy
 
 from .arrays import ArrayLog
 from .errors import LogError, shown
-from .formats import MOST_BYTES
-from .text_ import read_bytes
+from .formats import MOST_BYTES, read_bytes
 
 _MOST_ARRAYS = 2000
 _LONGEST_HEADER = 10_000

@@ -1,4 +1,4 @@
-"""Reading recorded trials of any format: files and folders, told by their names; data frames; trials in memory."""
+"""Reading recorded trials of any format: files and folders, data frames, trials in memory; on one uniform grid."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from typing import TypeGuard
 import numpy as np
 
 from .arrays import ArrayLog
+from .command_noise import quiet
 from .csv_files import open_table, read_csv
 from .errors import ConfigError, LogError, in_a_line
 from .formats import ENDINGS, format_of
@@ -20,14 +21,12 @@ from .mat_ import open_mat
 from .mcap_ import open_mcap
 from .merged import is_merged, own_rows, said_of
 from .npz_ import open_npz
-from .rosbag1_ import open_bag1
-from .rosbag_ import is_bag, open_bag
+from .rosbag_ import is_bag, open_bag, open_bag1
 from .signals import Raw, Series, Source, canonical_mapping, missing, read_mapped
 from .tables import Frame, Table
 from .tdms_ import open_tdms
-from .trial import Trial, even_time, positive_rate
+from .trial import Trial, even_time, parts_at_gaps, positive_rate, require_uniform, resample
 from .types import Vec
-from .uniform import at_rate
 
 Layout = str | Preset | LogMapping
 """A layout's name, a mapping file (`*.yaml`), a `Preset` (tables), a `LogMapping`, or `auto`."""
@@ -237,3 +236,22 @@ class _TableLog:
 
 
 _PLACE = re.compile(r"\[\d{1,4}\]")  # a column by its place, also of a table whose columns have names
+
+
+def at_rate(trials: Iterable[Trial], rate_hz: float) -> list[Trial]:
+    """Trials cut at their gaps, on a uniform grid, without the noise of a measured command (`quiet`).
+
+    One without such noise that lies on the grid is left as it is.
+
+    Raises:
+        ConfigError, LogError: see `parts_at_gaps` and `resample`.
+    """
+    parts = quiet([part for trial in trials for part in parts_at_gaps(trial)])
+    return [part if _lies_at(part, rate_hz) else resample(part, rate_hz) for part in parts]
+
+
+def _lies_at(trial: Trial, rate_hz: float) -> bool:
+    try:
+        return bool(np.isclose(require_uniform(trial) * rate_hz, 1.0, rtol=1e-9))
+    except LogError:
+        return False

@@ -24,8 +24,7 @@ from matplotlib.figure import Figure
 from matplotlib.text import Text
 from matplotlib.ticker import FixedLocator, LogFormatter, LogLocator, MaxNLocator, NullFormatter, StrMethodFormatter
 
-from .figure_data import zoomed
-from .figure_files import write_figures
+from .figure_data import write_figures, zoomed
 from .files import write_atomically
 
 

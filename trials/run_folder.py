@@ -22,9 +22,9 @@ from .config import Settings, dump_yaml, read_yaml
 from .csv_files import format_table, read_csv
 from .errors import ConfigError, LogError
 from .files import require_writable, write_atomically
+from .formats import read_lines
 from .layouts import CANONICAL
 from .tables import read_table
-from .text_ import read_lines
 from .trial import Trial
 
 FORMAT = "hystmpc-run/1"

@@ -13,8 +13,7 @@ import numpy as np
 
 from .arrays import ArrayLog
 from .errors import LogError, require
-from .formats import MOST_BYTES
-from .text_ import read_bytes
+from .formats import MOST_BYTES, read_bytes
 from .types import Vec
 
 _MOST_CHANNELS = 2000

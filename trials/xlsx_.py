@@ -10,8 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from .errors import LogError, require
-from .grid import MOST_COLUMNS
-from .tables import Table, sheet_table
+from .tables import MOST_COLUMNS, Table, sheet_table
 
 MOST_BYTES = 1 << 28
 """Of all parts of a workbook, unpacked: a million rows of four columns have half of it."""

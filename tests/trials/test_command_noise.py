@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 
 import hystmpc
 from hystmpc.trials.command_noise import command_noise, quiet
+from hystmpc.trials.read import at_rate
 from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Vec
-from hystmpc.trials.uniform import at_rate
 
 _SENT = ("holds", "steps", "ramps", "sine", "multisine", "chirp", "random levels")
 
