@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from dataclasses import replace
+from collections.abc import Iterator
 
 import numpy as np
 
 from .clock_findings import as_sampled, clock_of, time_findings
 from .clock_shift import IMPOSSIBLE_S, clock_shift
 from .clocks import SLOWEST_HZ, UNUSUAL_HZ, suspected_unit
-from .csv_files import Columns, read_columns
 from .errors import LogError, in_a_line
 from .findings import CheckReport as CheckReport
 from .findings import Finding as Finding
 from .findings import Severity as Severity
-from .layouts import ANGLE_UNIT_OF, CANONICAL, COMMAND_UNIT_OF, LogMapping, Preset, SignalSettings
-from .read import Layout, Log, is_table, read_raw, resolve
+from .layouts import ANGLE_UNIT_OF, COMMAND_UNIT_OF, LogMapping, SignalSettings
+from .read import Layout, Log, read_raw, resolve
 from .signal_findings import Written, encoding_findings, motion_findings, shift_said
 from .signals import Raw
 from .trial import Trial, even_time
@@ -44,46 +42,32 @@ def check(log: Log, preset: Layout = "auto", sampled_hz: float | None = None) ->
         ConfigError: on an unknown preset or a wrong mapping file.
     """
     if isinstance(log, Trial):
-        log = log if sampled_hz is None else replace(log, t=even_time(len(log), sampled_hz))
-        return _report(log, "", CANONICAL, "sample {}".format)
+        t = log.t if sampled_hz is None else even_time(len(log), sampled_hz)
+        return _report(Raw(t, log.command, log.angle, log.channels, log.units, log.source))
     layout = resolve(preset)
-    if not is_table(log) or isinstance(layout, LogMapping):
-        raw = read_raw(log, layout, sampled_hz)
-        mapping = layout if isinstance(layout, LogMapping) and sampled_hz is None else None
-        return _report(raw, raw.preset, CANONICAL, "sample {}".format, raw.note, mapping)
-    columns = read_columns(log, layout, sampled_hz)
-    return _report(columns, columns.preset.name, columns.preset, lambda k: f"row {columns.row(k)}", columns.note)
+    return _report(read_raw(log, layout, sampled_hz), layout if sampled_hz is None else None)
 
 
-def _report(
-    log: Trial | Raw | Columns,
-    name: str,
-    layout: Preset,
-    where: Callable[[int], str],
-    note: str = "",
-    mapping: LogMapping | None = None,
-) -> CheckReport:
+def _report(raw: Raw, layout: Layout | None = None) -> CheckReport:
     """All findings; those on the motion are made on samples that are finite, in order of time, and repaired."""
-    found = [Finding(Severity.NOTE, "file", note)] if note else []
-    found += _value_findings(log, where)
-    unit = mapping.time_unit if mapping is not None and mapping.rate_hz is None else "s"
-    clock = clock_of(log.t, log.command, unit)
-    found += time_findings(clock, log.command, log.angle, where)
-    rows = np.column_stack((as_sampled(clock), log.command, log.angle, np.arange(log.t.size)))
+    mapping = layout if isinstance(layout, LogMapping) else None
+    findings = [Finding(Severity.NOTE, "file", raw.note)] if raw.note else []
+    findings += _value_findings(raw)
+    clock = clock_of(raw.t, raw.command, mapping.time_unit if mapping is not None and mapping.rate_hz is None else "s")
+    findings += time_findings(clock, raw.command, raw.angle, raw.where)
+    rows = np.column_stack((as_sampled(clock), raw.command, raw.angle, np.arange(raw.t.size)))
     rows = rows[np.isfinite(rows).all(axis=1)]
     rows = rows[np.diff(np.maximum.accumulate(rows[:, 0]), prepend=-np.inf) > 0]
     if len(rows) < LEAST_SAMPLES:
-        found.append(
-            Finding(Severity.ERROR, "length", f"{len(rows)} usable samples, expected at least {LEAST_SAMPLES}")
-        )
+        text = f"{len(rows)} usable samples, expected at least {LEAST_SAMPLES}"
+        findings.append(Finding(Severity.ERROR, "length", text))
     if len(rows) > 1:
         t, command, angle = rows.T[:3]
-        found += _short(t)
-        trial = Trial(t, command, angle, units=log.units, source=log.source)
-        encoded, trial = encoding_findings(trial, _written(mapping), lambda k: where(int(rows[k, 3])))
-        found += encoded
-        found += motion_findings(trial, layout)
-    return CheckReport(log.source, name, tuple(found))
+        findings += _short(t)
+        trial = Trial(t, command, angle, units=raw.units, source=raw.source)
+        encoded, trial = encoding_findings(trial, _written(mapping), lambda k: raw.where(int(rows[k, 3])))
+        findings += [*encoded, *motion_findings(trial, raw.ranges)]
+    return CheckReport(raw.source, raw.preset, tuple(findings))
 
 
 def _written(mapping: LogMapping | None) -> tuple[Written, Written]:
@@ -113,19 +97,19 @@ def _short(t: Vec) -> Iterator[Finding]:
         yield Finding(Severity.NOTE, "length", text)
 
 
-def _value_findings(log: Trial | Raw | Columns, where: Callable[[int], str]) -> Iterator[Finding]:
+def _value_findings(raw: Raw) -> Iterator[Finding]:
     """Cells without a finite number, per signal."""
     clean = True
-    main = {"time": log.t, "command": log.command, "angle": log.angle}
-    for name, values in {**main, **log.channels}.items():
+    main = {"time": raw.t, "command": raw.command, "angle": raw.angle}
+    for name, values in {**main, **raw.channels}.items():
         bad = np.flatnonzero(~np.isfinite(values))
         if bad.size:
             clean = False
             severity = Severity.ERROR if name in main else Severity.NOTE
-            message = f"{name}: {bad.size} of {values.size} not finite, first at {where(int(bad[0]))}"
+            message = f"{name}: {bad.size} of {values.size} not finite, first at {raw.where(int(bad[0]))}"
             yield Finding(severity, "values", message)
     if clean:
-        yield Finding(Severity.OK, "values", f"{log.t.size} samples, all finite")
+        yield Finding(Severity.OK, "values", f"{raw.t.size} samples, all finite")
 
 
 def require_sound(trial: Trial) -> None:

@@ -5,10 +5,16 @@ from __future__ import annotations
 import codecs
 import re
 import zipfile
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from .errors import LogError
+from .types import Vec
 
 MOST_BYTES = 1 << 30
 """Of a log, as it lies and unpacked: more is no log of one trial."""
@@ -162,14 +168,17 @@ def read_lines(path: Path | str) -> list[str]:
     return text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
 
 
-def read_bytes(path: Path | str) -> bytes:
-    """All bytes of a file.
+def read_bytes(path: Path | str, count: int | None = None) -> bytes:
+    """All bytes of a file, or its first `count`.
 
     Raises:
         LogError: if the path is missing, a folder or unreadable, or holds more than `MOST_BYTES`.
     """
     blocks, left = [], MOST_BYTES
     try:
+        if count is not None:
+            with Path(path).open("rb") as file:
+                return file.read(count)
         with Path(path).open("rb") as file:
             while left >= 0 and (block := file.read(_BLOCK)):  # as much at once as there is, not as there might be
                 blocks.append(block)
@@ -183,6 +192,36 @@ def read_bytes(path: Path | str) -> bytes:
     if left < 0:
         raise LogError(f"{path}: more than {MOST_BYTES} bytes, expected a log of one trial")
     return b"".join(blocks)
+
+
+def one_line(error: Exception) -> str:
+    """Text of an error on one line; its type where it has none."""
+    return " ".join(str(error).split()) or type(error).__name__
+
+
+def damaged(reason: str) -> str:
+    """Note on a log of which only the part before a fault was read."""
+    return f"cut off or damaged: {reason}; what stands before is read"
+
+
+@contextmanager
+def reading(path: Path | str, what: str) -> Iterator[None]:
+    """A block that reads a file with a third-party library, which may raise anything on a damaged file.
+
+    Raises:
+        LogError: for whatever the library raises; names the file and what it was expected to be.
+    """
+    try:
+        yield
+    except LogError:
+        raise
+    except Exception as error:  # noqa: BLE001 - see above
+        raise LogError(f"{path}: not a readable {what}, or cut off ({one_line(error)[:100]})") from None
+
+
+def seconds_since_first(dates: NDArray[Any]) -> Vec:
+    """Dates (T,) of numpy as seconds since the first one; not-a-number where there is no date."""
+    return np.asarray((dates - dates[:1]) / np.timedelta64(1, "s"), dtype=np.float64)
 
 
 def _decoded(path: Path | str, data: bytes) -> str:

@@ -5,8 +5,9 @@ from __future__ import annotations
 import math
 import struct
 import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ import numpy as np
 
 from .arrays import ArrayLog
 from .errors import LogError, require
-from .formats import MOST_BYTES
+from .formats import MOST_BYTES, read_bytes, reading
 
 _DEEPEST_CELL = 32  # matrices within cells and structs
 _HEADER, _TAG = 128, 8
@@ -23,15 +24,11 @@ _HOLDING = (1, 2, 3)  # cell, struct, object
 _LEAST = 8  # bytes that any element of these takes
 
 
-def require_bounded(path: str) -> None:
+def _require_bounded(path: str, data: bytes) -> None:
     """Refuse a file that would fill the memory, or whose cells say to be more than the file has room for.
 
     A file of version 4 is not packed: it is as large as it is. What is damaged is left to the reader.
-
-    Raises:
-        LogError: if it does.
     """
-    data = Path(path).read_bytes()
     ends = {b"IM": "<", b"MI": ">"}.get(data[126:128])
     if ends is None or not any(data[:4]):
         return
@@ -78,13 +75,13 @@ class _File:
     def _unpacked(self, content: memoryview) -> memoryview:
         unpacking = zlib.decompressobj()
         try:
-            found = unpacking.decompress(content, self.left + 1)
+            unpacked = unpacking.decompress(content, self.left + 1)
         except zlib.error:
             return memoryview(b"")  # the reader says so
-        self.left -= len(found)
+        self.left -= len(unpacked)
         if self.left < 0:
             raise LogError(f"{self.path}: unpacks to more than {MOST_BYTES} bytes, expected a log")
-        return memoryview(found)
+        return memoryview(unpacked)
 
     def _require_room(self, content: memoryview) -> None:
         """Refuse a matrix of cells or structs that there is no room for: each would be made before any is read."""
@@ -115,24 +112,12 @@ def open_mat(path: Path | str) -> ArrayLog:
         LogError: if the file is missing, cut off or no MATLAB file, its links form a loop, or `h5py` (version 7.3) is
             not installed.
     """
-    try:
-        with Path(path).open("rb") as file:
-            head = file.read(520)
-    except FileNotFoundError:
-        raise LogError(f"{path}: no such file") from None
-    except OSError as error:
-        raise LogError(f"{path}: cannot be read ({error.strerror})") from None
+    head = read_bytes(path, 520)
     is_hdf5 = _HDF5 in (head[:8], head[512:520])
     if is_hdf5:
         require("h5py", "logs", f"{path}: reading MATLAB 7.3 files")
-    reader: Callable[[str], tuple[dict[str, Any], dict[str, str]]] = _read_hdf5 if is_hdf5 else _read_scipy
-    try:
-        variables, unread = reader(str(path))
-    except LogError:
-        raise
-    except Exception as error:  # noqa: BLE001 - on damaged files both libraries raise whatever they meet
-        reason = " ".join(str(error).split()) or type(error).__name__
-        raise LogError(f"{path}: not a readable MATLAB file, or cut off ({reason})") from None
+    with reading(path, "MATLAB file"):
+        variables, unread = _read_hdf5(str(path)) if is_hdf5 else _read_scipy(str(path))
     if not variables and not unread:
         raise LogError(f"{path}: holds no variable")
     return ArrayLog(str(path), variables, unread=unread)
@@ -155,14 +140,14 @@ def _read_scipy(path: str) -> tuple[dict[str, Any], dict[str, str]]:
     from scipy.io import loadmat
     from scipy.io.matlab import MatlabFunction, MatlabObject, MatlabOpaque
 
-    require_bounded(path)
-    # Without a name of its own scipy would add .mat to a path that has another ending.
-    found = loadmat(path, appendmat=False, struct_as_record=True, squeeze_me=False, chars_as_strings=True)
+    data = read_bytes(path)
+    _require_bounded(path, data)
+    contents = loadmat(BytesIO(data), struct_as_record=True, squeeze_me=False, chars_as_strings=True)
     variables, unread = {}, {}
-    for name, value in found.items():
+    for name, value in contents.items():
         if isinstance(value, MatlabOpaque | MatlabObject | MatlabFunction):
-            own, kind = _opaque(value, name)
-            unread[own] = _object(kind, own)
+            title, kind = _opaque(value, name)
+            unread[title] = _object(kind, title)
         elif not name.startswith("__"):
             variables[name] = _plain(value)
     return variables, unread
@@ -171,8 +156,8 @@ def _read_scipy(path: str) -> tuple[dict[str, Any], dict[str, str]]:
 def _opaque(value: Any, name: str) -> tuple[str, str]:
     """Name and class of an object; those of a table stand in its content."""
     if value.dtype.names and {"s0", "s2"} <= set(value.dtype.names) and value.size:
-        own, kind = (value.reshape(-1)[0][part] for part in ("s0", "s2"))
-        return _text(own) or name, _text(kind) or "object"
+        title, kind = (value.reshape(-1)[0][part] for part in ("s0", "s2"))
+        return _text(title) or name, _text(kind) or "object"
     return name, str(getattr(value, "classname", "object"))
 
 
@@ -241,10 +226,10 @@ class _Hdf5Tree:
         if not left:
             raise LogError(f"{self._path}: {name!r}: too many links that lead to one another")
         target = links.get_val(key).decode("utf-8", "surrogateescape")
-        found = self._file["/"] if target.startswith("/") else group
+        place = self._file["/"] if target.startswith("/") else group
         for part in target.split("/"):
-            found = self.item(found, part, left - 1) if part not in ("", ".") else found
-        return found
+            place = self.item(place, part, left - 1) if part not in ("", ".") else place
+        return place
 
     def read(self, item: Any) -> Any:
         """Groups as mappings; matrices the way MATLAB shows them, which stores them transposed."""

@@ -11,6 +11,7 @@ from typing import Any, final
 import numpy as np
 
 from .errors import LogError, require
+from .formats import one_line
 from .layouts import HEADER_TIME, LOG_TIME, few
 from .signals import Series, split_path, walk
 
@@ -66,15 +67,8 @@ def cdr_decoder(message_type: str, encoding: str, definition: str) -> Decoder:
 
 
 def late_decoder(message_type: str, encoding: str, definition: str) -> Decoder:
-    """A `cdr_decoder` that looks at the definition when the first message is read."""
-    found: list[Decoder] = []
-
-    def decode(raw: bytes) -> Any:
-        if not found:
-            found.append(cdr_decoder(message_type, encoding, definition))
-        return found[0](raw)
-
-    return decode
+    """Decoder that parses the definition of its messages when the first one is read; see `cdr_decoder`."""
+    return lambda raw: cdr_decoder(message_type, encoding, definition)(raw)
 
 
 @cache
@@ -104,11 +98,6 @@ def fields_of(message: Any, prefix: str = "") -> Mapping[str, float]:
         if not str(name).startswith("__"):
             found |= fields_of(value, f"{prefix}.{name}" if prefix else str(name))
     return found
-
-
-def one_line(error: Exception) -> str:
-    """Text of an error on one line; its type where it has none."""
-    return " ".join(str(error).split()) or type(error).__name__
 
 
 @dataclass(frozen=True)

@@ -7,22 +7,20 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TypeGuard
 
 import numpy as np
 
 from .arrays import ArrayLog
 from .command_noise import quiet
-from .csv_files import open_table, read_csv
+from .csv_files import open_table, read_columns
 from .errors import ConfigError, LogError, in_a_line
 from .formats import ENDINGS, format_of
 from .layouts import LogMapping, Preset, get_preset, is_mapping_file, load_mapping
 from .mat_ import open_mat
 from .mcap_ import open_mcap
-from .merged import is_merged, own_rows, said_of
 from .npz_ import open_npz
 from .rosbag_ import is_bag, open_bag, open_bag1
-from .signals import Raw, Series, Source, canonical_mapping, missing, read_mapped
+from .signals import Raw, Series, Source, canonical_mapping, filled_rows, is_merged, merged_note, missing, read_mapped
 from .tables import Frame, Table
 from .tdms_ import open_tdms
 from .trial import Trial, even_time, parts_at_gaps, positive_rate, require_uniform, resample
@@ -97,10 +95,7 @@ def read_log(log: Log, preset: Layout = "auto", sampled_hz: float | None = None)
     """
     if isinstance(log, Trial):
         return log if sampled_hz is None else replace(log, t=even_time(len(log), sampled_hz))
-    layout = resolve(preset)
-    if is_table(log) and not isinstance(layout, LogMapping):
-        return read_csv(log, layout, sampled_hz)
-    return read_raw(log, layout, sampled_hz).trial()
+    return read_raw(log, preset, sampled_hz).trial()
 
 
 _OTHERS = ", ".join(f"*{ending}" for ending in ENDINGS)
@@ -136,7 +131,7 @@ _NO_LOGS = (".", "~$")  # what macOS and Excel leave beside files
 
 
 def read_raw(log: Path | str | Frame, preset: Layout = "auto", sampled_hz: float | None = None) -> Raw:
-    """Read a log by its named signals without judging its values.
+    """Read a log without any check of its values.
 
     Raises:
         LogError: if the log cannot be read, or lacks a signal.
@@ -145,6 +140,8 @@ def read_raw(log: Path | str | Frame, preset: Layout = "auto", sampled_hz: float
     layout = resolve(preset)
     if isinstance(layout, LogMapping):
         return _read_mapping(log, layout, sampled_hz)
+    if _is_table(log):
+        return read_columns(log, layout, sampled_hz)
     source = _open(log, ())
     if layout != "auto":
         name = layout.name if isinstance(layout, Preset) else layout
@@ -186,19 +183,16 @@ def resolve(preset: Layout) -> Layout:
     return load_mapping(preset) if is_mapping_file(preset) else get_preset(preset)
 
 
-def is_table(log: Path | str | Frame) -> TypeGuard[Path | str | Frame]:
+def _is_table(log: Path | str | Frame) -> bool:
     """Whether a log is delimited text, a workbook or a data frame."""
     return isinstance(log, Frame) or not (is_bag(Path(log)) or format_of(Path(log)) in OPENERS)
 
 
 def _open(log: Path | str | Frame, wanted: Iterable[str]) -> Source:
-    if isinstance(log, Frame):
-        return _TableLog(open_table(log))
+    if isinstance(log, Frame) or _is_table(log):
+        return _TableLog(open_table(log, wanted))
     path = Path(log)
-    if is_bag(path):
-        return open_bag(path)
-    opener = OPENERS.get(format_of(path))
-    return opener(path) if opener is not None else _TableLog(open_table(path, wanted))
+    return open_bag(path) if is_bag(path) else OPENERS[format_of(path)](path)
 
 
 class _TableLog:
@@ -218,8 +212,8 @@ class _TableLog:
             return [Series(np.full(y.size, np.nan), y) for y in columns]
         command, angle, *_ = columns
         if is_merged(command, angle):
-            self.note = "; ".join(filter(None, (said_of(command, angle), self.note)))
-            return [own_rows(t, y) for y in columns]
+            self.note = "; ".join(filter(None, (merged_note(command, angle), self.note)))
+            return [filled_rows(t, y) for y in columns]
         return [Series(t, y) for y in columns]
 
     def _column(self, name: str) -> Vec:

@@ -4,16 +4,20 @@ from __future__ import annotations
 
 import bz2
 import struct
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
+from typing import Any
 
 from .errors import LogError, require
-from .formats import MOST_BYTES, read_bytes
+from .formats import MOST_BYTES, damaged, one_line, read_bytes
 from .mcap_ import open_mcap
-from .messages import MessageLog, Topic, late_decoder, one_line
+from .messages import MessageLog, Topic, late_decoder
 
 METADATA = "metadata.yaml"
-_DEFINITIONS = {"MSG": "ros2msg", "IDL": "ros2idl"}
+_ROS1, _ROS2 = {"MSG": "ros1msg"}, {"MSG": "ros2msg", "IDL": "ros2idl"}  # encodings of definitions
+_MAGIC = b"#ROSBAG V2.0\n"
+_CHUNK = b"\x05"
+_SIZE = struct.Struct("<I")
 
 
 def is_bag(folder: Path) -> bool:
@@ -37,32 +41,61 @@ def open_bag(path: Path | str) -> MessageLog:
     if not place.exists():
         raise LogError(f"{path}: no such file")
     require("rosbags", "logs", f"{path}: reading ROS 2 bags")
-    messages: list[tuple[str, int, bytes]] = []
+    from rosbags.rosbag2 import Reader
+
+    log = _read(place, Reader, _ROS2)
+    storage = sorted(place.glob("*.mcap")) if place.is_dir() else []
+    return _recovered(str(path), storage) if log.note and storage else _not_empty(log, "ROS 2 bag")
+
+
+def open_bag1(path: Path | str) -> MessageLog:
+    """Read the messages of a ROS 1 bag.
+
+    Raises:
+        LogError: if `rosbags` is not installed, or the file is missing, cut off, no bag, unpacks to more than
+            `MOST_BYTES`, or holds no message.
+    """
+    require("rosbags", "logs", f"{path}: reading ROS 1 bags")
+    from rosbags.rosbag1 import Reader
+
+    data = read_bytes(path)
+    if not data.startswith(_MAGIC):
+        raise LogError(f"{path}: not a ROS 1 bag of version 2.0 (starts with {data[:13]!r})")
+
+    def bounded(place: Path) -> Any:
+        _require_bounded(str(path), data)
+        return Reader(place)
+
+    return _not_empty(_read(Path(path), bounded, _ROS1), "ROS 1 bag")
+
+
+def _read(path: Path, reader: Callable[[Path], Any], encodings: Mapping[str, str]) -> MessageLog:
+    """Topics and messages of a bag up to its first fault, which the note tells."""
     topics: dict[str, Topic] = {}
+    messages: list[tuple[str, int, bytes]] = []
     note = ""
     try:
-        _read(place, topics, messages)
-    except Exception as error:  # noqa: BLE001 - on damaged files its parsers raise whatever they meet
-        note = f"cut off or damaged: {one_line(error)}; what stands before is read"
-    storage = sorted(place.glob("*.mcap")) if place.is_dir() else []
-    if note and storage:
-        return _recovered(str(path), storage)
-    if not messages:
-        raise LogError(f"{path}: not a readable ROS 2 bag, or one without a message{f' ({note})' if note else ''}")
+        with reader(path) as bag:
+            for connection in bag.connections:
+                encoding = encodings.get(connection.msgdef.format.name, "")
+                decode = late_decoder(connection.msgtype, encoding, connection.msgdef.data)
+                topics[connection.topic] = Topic(connection.topic, connection.msgtype, decode)
+            for connection, stamp, raw in bag.messages():
+                messages.append((connection.topic, stamp, bytes(raw)))
+    except LogError:
+        raise
+    except Exception as error:  # noqa: BLE001 - on damaged files the library raises whatever it meets
+        reason = one_line(error)[:100]
+        unindexed = encodings is _ROS1 and "index" in reason.lower()
+        note = damaged("it was not closed: run `rosbag reindex FILE`" if unindexed else reason)
     return MessageLog(str(path), topics, messages, note)
 
 
-def _read(place: Path, topics: dict[str, Topic], messages: list[tuple[str, int, bytes]]) -> None:
-    """Fill in topics and messages; what was read before a fault stays."""
-    from rosbags.rosbag2 import Reader
-
-    with Reader(place) as reader:
-        for connection in reader.connections:
-            encoding = _DEFINITIONS.get(connection.msgdef.format.name, "")
-            decode = late_decoder(connection.msgtype, encoding, connection.msgdef.data)
-            topics[connection.topic] = Topic(connection.topic, connection.msgtype, decode)
-        for connection, stamp, raw in reader.messages():
-            messages.append((connection.topic, stamp, bytes(raw)))
+def _not_empty(log: MessageLog, kind: str) -> MessageLog:
+    if not log.messages:
+        note = f" ({log.note})" if log.note else ""
+        raise LogError(f"{log.path}: not a readable {kind}, or one without a message{note}")
+    return log
 
 
 def _recovered(path: str, storage: list[Path]) -> MessageLog:
@@ -80,53 +113,6 @@ def _recovered(path: str, storage: list[Path]) -> MessageLog:
     topics = {name: topic for log in logs for name, topic in log.topics.items()}
     messages = [message for log in logs for message in log.messages]
     return MessageLog(path, topics, messages, next((note for note in notes if note), ""))
-
-
-_MAGIC = b"#ROSBAG V2.0\n"
-_CHUNK = b"\x05"
-_SIZE = struct.Struct("<I")
-_NOT_INDEXED = "it was not closed: run `rosbag reindex FILE`"
-
-
-def open_bag1(path: Path | str) -> MessageLog:
-    """Read the messages of a ROS 1 bag.
-
-    Raises:
-        LogError: if `rosbags` is not installed, or the file is missing, cut off, no bag, unpacks to more than
-            `MOST_BYTES`, or holds no message.
-    """
-    require("rosbags", "logs", f"{path}: reading ROS 1 bags")
-    data = read_bytes(path)
-    if not data.startswith(_MAGIC):
-        raise LogError(f"{path}: not a ROS 1 bag of version 2.0 (starts with {data[:13]!r})")
-    topics: dict[str, Topic] = {}
-    messages: list[tuple[str, int, bytes]] = []
-    note = ""
-    try:
-        _require_bounded(str(path), data)
-        _read_bag1(Path(path), topics, messages)
-    except LogError:
-        raise
-    except Exception as error:  # noqa: BLE001 - on damaged files the library raises whatever it meets
-        reason = one_line(error)[:100]
-        note = (
-            f"cut off or damaged: {_NOT_INDEXED if 'index' in reason.lower() else reason}; what stands before is read"
-        )
-    if not messages:
-        raise LogError(f"{path}: not a readable ROS 1 bag, or one without a message{f' ({note})' if note else ''}")
-    return MessageLog(str(path), topics, messages, note)
-
-
-def _read_bag1(path: Path, topics: dict[str, Topic], messages: list[tuple[str, int, bytes]]) -> None:
-    """Fill in topics and messages; what was read before a fault stays."""
-    from rosbags.rosbag1 import Reader
-
-    with Reader(path) as reader:
-        for connection in reader.connections:
-            decode = late_decoder(connection.msgtype, "ros1msg", connection.msgdef.data)
-            topics[connection.topic] = Topic(connection.topic, connection.msgtype, decode)
-        for connection, stamp, raw in reader.messages():
-            messages.append((connection.topic, stamp, bytes(raw)))
 
 
 def _require_bounded(path: str, data: bytes) -> None:

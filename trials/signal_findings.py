@@ -12,7 +12,6 @@ from .clock_shift import DELAY_S, ClockShift, clock_shift, correlations
 from .encodings import MODULI, Encoding, encodings
 from .errors import LogError
 from .findings import Finding, Severity
-from .layouts import Preset
 from .segments import Motion, Segments, segment
 from .trial import Trial, parts_at_gaps, resample
 from .types import Vec
@@ -212,16 +211,22 @@ _MISTAKEN: dict[str, tuple[tuple[float, float, str], ...]] = {
 }
 
 
+Range = tuple[float, float]
 _COMMANDS, _ANGLES, _ANY = (-100.0, 100.0), (-200.0, 200.0), (-np.inf, np.inf)  # plausible values: mm or bar, deg
 
 
-def motion_findings(trial: Trial, preset: Preset) -> Iterator[Finding]:
-    """Findings on a trial whose values are finite and in order."""
+def motion_findings(trial: Trial, ranges: tuple[Range | None, Range | None]) -> Iterator[Finding]:
+    """Findings on a trial whose values are finite and in order.
+
+    Args:
+        trial: any.
+        ranges: plausible values of command and angle; None for those of a tip that bends.
+    """
     span = float(np.ptp(trial.command))
     bends = trial.units.angle == "deg" and trial.units.command in ("mm", "bar")
-    ranges = (preset.command_range or _COMMANDS, preset.angle_range or _ANGLES) if bends else (_ANY, _ANY)
-    yield _units("command", trial.command, trial.units.command, ranges[0], bends)
-    yield _units("angle", trial.angle, trial.units.angle, ranges[1], bends)
+    commands, angles = (ranges[0] or _COMMANDS, ranges[1] or _ANGLES) if bends else (_ANY, _ANY)
+    yield _units("command", trial.command, trial.units.command, commands, bends)
+    yield _units("angle", trial.angle, trial.units.angle, angles, bends)
     if span == 0:
         text = f"the command is {trial.command[0]:g} {trial.units.command} throughout: nothing can be identified"
         yield Finding(Severity.ERROR, "excitation", text)

@@ -25,8 +25,9 @@ from .layouts import (
     SignalSettings,
     few,
 )
-from .trial import Trial, Units
-from .types import Vec
+from .tables import Table
+from .trial import Trial, Units, clock_advice
+from .types import Index, Vec
 
 _MOST_COMPARED = 2000  # names among which the nearest is looked for
 _STEP = re.compile(r"\.?([^.\[\]]+)|\[([^\[\]]+)\]")
@@ -79,15 +80,17 @@ class Source(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Raw:
-    """A log on one time base, its values not yet judged.
+    """Signals of a log on one time base, before any check of their values: time may repeat, values may be missing.
 
     Attributes:
-        t, command, angle: (T,).
+        t, command, angle: time [s], command and output in `units`, each (T,).
         channels: further signals, (T,) each.
         units: of command and angle.
         source: path of the log.
-        preset: name of the layout it was read with.
+        preset: name of the layout it was read with; empty for a trial from memory.
         note: what a user should know about the file; empty if nothing.
+        ranges: plausible values of command and angle; None for any.
+        cells: of a table, where its samples stand.
     """
 
     t: Vec
@@ -96,16 +99,64 @@ class Raw:
     channels: Mapping[str, Vec]
     units: Units
     source: str
-    preset: str
+    preset: str = ""
     note: str = ""
+    ranges: tuple[tuple[float, float] | None, tuple[float, float] | None] = (None, None)
+    cells: Cells | None = None
+
+    def where(self, sample: int) -> str:
+        """A sample as messages name it: `row 7` of a table, else `sample 5`."""
+        return f"sample {sample}" if self.cells is None else f"row {self.cells.locate(sample, 't')[0]}"
 
     def trial(self) -> Trial:
         """The log as a trial.
 
         Raises:
-            LogError: if values are not finite, time does not increase, or fewer than two samples are left.
+            LogError: if values are not finite, time does not increase, or fewer than two samples are left; of a table
+                with row, column and cell.
         """
+        if self.cells is not None:
+            _require_valid(self, self.cells)
         return Trial(self.t, self.command, self.angle, self.channels, self.units, self.source)
+
+
+@dataclass(frozen=True, eq=False)
+class Cells:
+    """Cells of a table behind the samples of a log.
+
+    Attributes:
+        table: of the log.
+        names: columns of the log behind `t`, `command` and `angle`.
+        rows: of the table, one a sample; None where every row is a sample.
+    """
+
+    table: Table
+    names: Mapping[str, str]
+    rows: Index | None = None
+
+    def locate(self, sample: int, signal: str) -> tuple[int, str]:
+        """Row, 1-based as an editor shows it, and text of a sample of `t`, `command` or `angle`."""
+        return self.table.locate(sample if self.rows is None else int(self.rows[sample]), self.names[signal])
+
+
+def _require_valid(raw: Raw, cells: Cells) -> None:
+    """Refuse values that are not finite and time that does not increase, by row and column."""
+    for name, values in (("t", raw.t), ("command", raw.command), ("angle", raw.angle)):
+        bad = np.flatnonzero(~np.isfinite(values))
+        if bad.size:
+            row, cell = cells.locate(int(bad[0]), name)
+            more = f" ({bad.size} such cells)" if bad.size > 1 else ""
+            got = shown(cell, 60) if cell else "an empty cell"
+            raise LogError(
+                f"{raw.source}, row {row}, column {cells.names[name]!r}: got {got}, expected a finite number{more}"
+            )
+    late = np.flatnonzero(np.diff(raw.t) <= 0)
+    if late.size:
+        k = int(late[0])
+        raise LogError(
+            f"{raw.source}, {raw.where(k + 1)}, column {cells.names['t']!r}: got {raw.t[k + 1]:.9g} s after "
+            f"{raw.t[k]:.9g} s, expected increasing time ({late.size} such rows){clock_advice(raw.t)}"
+        )
 
 
 def read_mapped(source: Source, mapping: LogMapping) -> Raw:
@@ -318,16 +369,70 @@ def _ordered(series: Series) -> Series:
 
 def _at(t: Vec, series: Series, settings: SignalSettings) -> Vec:
     """Values at times t, scaled."""
-    if t.size == series.t.size and np.array_equal(t, series.t):
-        return settings.scale * series.values + settings.offset
-    own = _ordered(series)
-    if settings.hold:
-        values = own.values[np.clip(np.searchsorted(own.t, t, side="right") - 1, 0, None)]
+    same = t.size == series.t.size and np.array_equal(t, series.t)
+    return settings.scale * (series.values if same else at_times(t, series, settings.hold)) + settings.offset
+
+
+def at_times(t: Vec, series: Series, hold: bool) -> Vec:
+    """Values at times t, the last one before each or interpolated; not-a-number outside the signal's span."""
+    known = _ordered(series)
+    if hold:
+        values = known.values[np.clip(np.searchsorted(known.t, t, side="right") - 1, 0, None)]
     else:
-        values = np.interp(t, own.t, own.values)
-    values = np.where((t < own.t[0]) | (t > own.t[-1]), np.nan, values)
-    return settings.scale * values + settings.offset
+        values = np.interp(t, known.t, known.values)
+    return np.where((t < known.t[0]) | (t > known.t[-1]), np.nan, values)
 
 
 def _and(note: str) -> str:
     return f" ({note})" if note else ""
+
+
+_LEAST_ROWS = 10
+_SHARE = 0.2  # of rows that lack one of the two; fewer are single cells that went missing, which are named
+_EVEN = 3.0  # times the median: a longer run of empty cells is a dropout
+
+
+def is_merged(command: Vec, angle: Vec) -> bool:
+    """Whether the signals of a table lie in rows of their own, so that empty cells are no lost values.
+
+    So it is where at least a fifth of the rows hold one of the two signals only, and one of these is true: the command
+    is in every row that holds the angle; fewer than half of the rows hold both; or the command has a value every few
+    rows throughout. A command that is missing for a while among complete rows is lost.
+    """
+    has_command, has_angle = ~np.isnan(command), ~np.isnan(angle)
+    one, both = has_command ^ has_angle, has_command & has_angle
+    if command.size < _LEAST_ROWS or one.sum() < _SHARE * command.size or min(has_command.sum(), has_angle.sum()) < 2:
+        return False
+    runs = np.diff(np.flatnonzero(has_command))
+    regular = bool(runs.max() <= _EVEN * max(1.0, float(np.median(runs))))
+    return bool(not (has_angle & ~has_command).any() or 2 * both.sum() < one.sum() + both.sum() or regular)
+
+
+def filled_rows(t: Vec, values: Vec) -> Series:
+    """Signal of a table in the rows that hold a value of it."""
+    there = ~np.isnan(values) & np.isfinite(t)
+    return Series(t[there], values[there])
+
+
+def merged(t: Vec, command: Vec, angle: Vec, channels: Mapping[str, Vec]) -> tuple[Index, Vec, Vec, dict[str, Vec]]:
+    """Rows of the angle within the span of the command, with the other signals at their times.
+
+    Returns:
+        rows of the table, (T,); time; the command, which keeps its last value until the next one; channels,
+        interpolated between their own rows.
+    """
+    u = filled_rows(t, command)
+    inside = ~np.isnan(angle) & np.isfinite(t)
+    if u.t.size:
+        inside &= (t >= u.t.min()) & (t <= u.t.max())
+    base = t[inside]
+    others = {name: at_times(base, filled_rows(t, values), hold=False) for name, values in channels.items()}
+    return np.flatnonzero(inside), base, at_times(base, u, hold=True), others
+
+
+def merged_note(command: Vec, angle: Vec) -> str:
+    """Note on a log whose signals lie in rows of their own."""
+    return (
+        f"signals lie in rows of their own: {np.count_nonzero(~np.isnan(command))} of the command, "
+        f"{np.count_nonzero(~np.isnan(angle))} of the angle; the command keeps its value until its next row"
+    )

@@ -14,6 +14,7 @@ import numpy as np
 
 from .cells import MISSING, Converted, convert, is_value
 from .errors import LogError, shown
+from .formats import seconds_since_first
 from .types import Vec
 
 BLANK = " "
@@ -332,8 +333,7 @@ def frame_table(frame: Frame, source: str = "<frame>") -> Table:
     numbers = {k: np.asarray(v, dtype=np.float64) for k, v in columns.items() if v.dtype.kind in "fiub"}
     times = frozenset(k for k, v in columns.items() if v.dtype.kind == "M")
     for k in times:
-        since = columns[k] - columns[k][0]
-        numbers[k] = np.where(np.isnat(since), np.nan, since / np.timedelta64(1, "s"))
+        numbers[k] = seconds_since_first(columns[k])
     for k, v in columns.items():  # a column with gaps may hold objects
         if v.dtype.kind == "O":
             with suppress(TypeError, ValueError):

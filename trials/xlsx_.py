@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from .errors import LogError, require
+from .formats import reading
 from .tables import MOST_COLUMNS, Table, sheet_table
 
 MOST_BYTES = 1 << 28
@@ -34,13 +35,8 @@ def open_xlsx(path: Path | str, wanted: Iterable[str] = ()) -> Table:
             sheet holds a table.
     """
     require("openpyxl", "logs", f"{path}: reading Excel workbooks")
-    try:
+    with reading(path, "Excel workbook"):
         sheets = _sheets(path)
-    except LogError:
-        raise
-    except Exception as error:  # noqa: BLE001 - on damaged files the library raises whatever it meets
-        reason = " ".join(str(error).split())[:100] or type(error).__name__
-        raise LogError(f"{path}: not a readable Excel workbook, or cut off ({reason})") from None
     names, tables, faults = frozenset(name.casefold() for name in wanted), [], []
     for title, rows in sheets:
         try:

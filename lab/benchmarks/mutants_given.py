@@ -120,9 +120,9 @@ MUTANTS: tuple[Mutant, ...] = (
         "cells within cells are not looked at", "                self.walk(content, depth + 1)", "                pass"
     ),
     _mat("cells may lie ever deeper", "if depth > _DEEPEST_CELL:", "if False:"),
-    _mat("variables unpack one by one", "self.left -= len(found)", "self.left = MOST_BYTES - len(found)"),
+    _mat("variables unpack one by one", "self.left -= len(unpacked)", "self.left = MOST_BYTES - len(unpacked)"),
     _mcap("chunks unpack one by one", "self.left -= len(records) if chunk.compression else 0", "pass"),
-    _mcap("a chunk may be longer than it says", "if len(found) != size:", "if len(found) < size:"),
+    _mcap("a chunk may be longer than it says", "if len(unpacked) != size:", "if len(unpacked) < size:"),
     _kernels("code of a folder of others runs", "if not only_ours(Path(self._cache_path)):", "if False:"),
     _kernels(
         "kernels lie where others write",
