@@ -1,4 +1,4 @@
-"""Trials from and to tables: delimited text, sheets and data frames, by the columns of a preset."""
+"""Reading and writing of trials as tables: delimited text, sheets and data frames, by the columns of a preset."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ from .layouts import (
     get_preset,
     unit_of,
 )
-from .lvm_ import is_lvm, lvm_table
-from .signals import Cells, Raw, is_merged, merged, merged_note
+from .lvm import is_lvm, lvm_table
+from .signals import Cells, UncheckedLog, is_merged, merged, merged_note
 from .tables import Frame, Table, frame_table, text_table
 from .trial import Trial, Units, even_time
 from .xlsx_ import open_xlsx
@@ -49,10 +49,12 @@ def format_table(columns: Mapping[str, Sequence[str] | NDArray[np.generic]]) -> 
     return out.getvalue()
 
 
-def read_columns(log: Path | str | Frame, preset: str | Preset = "auto", sampled_hz: float | None = None) -> Raw:
-    """Read a log without judging its values: empty cells are not-a-number, time may repeat.
+def read_columns(
+    log: Path | str | Frame, preset: str | Preset = "auto", sampled_hz: float | None = None
+) -> UncheckedLog:
+    """Read a log without any check of its values: empty cells are not-a-number, time may repeat.
 
-    Columns of text are left out; `Raw.cells.table.texts` holds them.
+    Columns of text are left out; `UncheckedLog.cells.table.texts` holds them.
 
     Raises:
         LogError: if the file cannot be read as a table or lacks a column; names file, row and column.
@@ -90,7 +92,7 @@ def read_columns(log: Path | str | Frame, preset: str | Preset = "auto", sampled
             rows, t, u, channels = merged(t, u, angle, channels)
             angle = angle[rows]
     cells, ranges = Cells(table, names, rows), (layout.command_range, layout.angle_range)
-    return Raw(t, u, angle, channels, units, path, layout.name, note, ranges, cells)
+    return UncheckedLog(t, u, angle, channels, units, path, layout.name, note, ranges, cells)
 
 
 def read_csv(log: Path | str | Frame, preset: str | Preset = "auto", sampled_hz: float | None = None) -> Trial:
@@ -153,7 +155,7 @@ def open_table(log: Path | str | Frame, wanted: Iterable[str] = (), names: Seque
 
 
 def _table_and_layout(log: Path | str | Frame, layout: Preset | None) -> tuple[Table, Preset]:
-    """The columns of a log, and their layout: the one given, or what the header tells."""
+    """Columns of a log, and their layout: the given one, otherwise the one that matches the header."""
     wanted = layout.known() if layout is not None else [name for preset in PRESETS for name in preset.known()]
     table = open_table(log, wanted, layout.columns if layout is not None else ())
     header, clock = table.header, _clock(table, (layout or CANONICAL).spelled(table.header), (layout or CANONICAL).time)
@@ -169,7 +171,7 @@ def _table_and_layout(log: Path | str | Frame, layout: Preset | None) -> tuple[T
 
 
 def _clock(table: Table, header: Sequence[str], time: str) -> str:
-    """The column of dates or times of day that stands in for a missing time column: the one that changes most often."""
+    """Column of dates or times of day that replaces a missing time column: the one with most different values."""
     dates = sorted(name for name in table.times if name in table.numbers)
     if time in header or not dates:
         return ""
@@ -180,7 +182,7 @@ _TIME_UNITS = ("s", "ms", "us", "ns", "min", "h", "d")
 
 
 def _require_units(table: Table, expected: Mapping[str, str]) -> None:
-    """Refuse a row of units that says otherwise than the names of the columns."""
+    """Refuse a row of units that contradicts the names of the columns."""
     for name, unit in expected.items():
         said = unit_of(table.units.get(name, ""))
         if said and said != unit and said in {*get_args(UnitName), *_TIME_UNITS} and name not in table.times:
@@ -191,7 +193,7 @@ def _require_units(table: Table, expected: Mapping[str, str]) -> None:
 
 
 def _header_hint(table: Table) -> str:
-    """What to add where the first row holds none of the names."""
+    """Advice for an error line, if the header holds no known name."""
     if table.named:
         return MAPPING_HINT
     return " (the first row holds numbers, expected column names; a mapping file can name columns '[0]', '[1]')"

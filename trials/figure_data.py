@@ -92,8 +92,8 @@ def _rules(axes: Axes) -> list[float]:
 def _bands(axes: Axes) -> list[tuple[float, float]]:
     """Begin and end of the stretches of x that are shaded over the whole height."""
     shaded = (patch for patch in axes.patches if isinstance(patch, Rectangle) and patch.get_height() == 1.0)
-    found = [p for p in shaded if p.get_data_transform() == axes.get_xaxis_transform(which="grid")]
-    return [(float(patch.get_x()), float(patch.get_x() + patch.get_width())) for patch in found]
+    bands = [p for p in shaded if p.get_data_transform() == axes.get_xaxis_transform(which="grid")]
+    return [(float(patch.get_x()), float(patch.get_x() + patch.get_width())) for patch in bands]
 
 
 def rows_of(figure: Figure) -> Iterator[tuple[object, ...]]:
@@ -183,8 +183,8 @@ def zoomed(figure: Figure) -> dict[str, Any]:
     for axes in figure.axes:
         box, first = axes.get_position(), axes.get_shared_x_axes().get_siblings(axes)
         curves = [_of_zoom(curve) for curve in curves_of(axes)]
-        own = dict[str, dict[str, Any]]()
-        entries = own if figure.legends and axes.get_legend() is not None else legend
+        panel_entries = dict[str, dict[str, Any]]()
+        entries = panel_entries if figure.legends and axes.get_legend() is not None else legend
         for curve in curves:
             if curve["label"]:
                 entries.setdefault(curve["label"], curve["look"])
@@ -201,7 +201,7 @@ def zoomed(figure: Figure) -> dict[str, Any]:
                 "rules": _rules(axes),
                 "bands": _bands(axes),
                 "curves": curves,
-                "legend": list(own.items()),
+                "legend": list(panel_entries.items()),
             }
         )
     return {"size": [float(width), float(height)], "panels": panels, "legend": list(legend.items())}

@@ -67,7 +67,7 @@ def require_writable(path: Path | str) -> None:
 
 
 def _mode(path: Path) -> int | None:
-    """What lies at a path, links not followed; None where nothing does.
+    """File mode at a path, without following links; None if nothing is there.
 
     Raises:
         OSError: if that cannot be told.

@@ -237,8 +237,8 @@ def _decoded(path: Path | str, data: bytes) -> str:
     else:
         text, place = data.rstrip(_TAIL.encode()).decode("latin-1"), "byte"
     if bad := _CONTROL.search(text):
-        found = f"{place} {ord(bad.group()):#04x} at offset {bad.start()}"
-        raise LogError(f"{path}: binary ({found}), expected delimited text")
+        control = f"{place} {ord(bad.group()):#04x} at offset {bad.start()}"
+        raise LogError(f"{path}: binary ({control}), expected delimited text")
     if wide:
         return text
     with suppress(UnicodeDecodeError):

@@ -49,7 +49,7 @@ class _File:
     left: int
 
     def walk(self, data: memoryview, depth: int = 0) -> None:
-        """Look at the elements of a file, or of a matrix."""
+        """Check the elements of a file, or of a matrix."""
         if depth > _DEEPEST_CELL:
             raise LogError(
                 f"{self.path}: more than {_DEEPEST_CELL} cells or structs within one another, expected a log"
@@ -124,7 +124,7 @@ def open_mat(path: Path | str) -> ArrayLog:
 
 
 def _object(kind: str, name: str) -> str:
-    """What is said of a variable that only MATLAB can read."""
+    """Advice for a variable that only MATLAB can read."""
     short = name if name.isidentifier() and len(name) <= 40 else "T"
     remedy = {
         "table": f"writetable({short}, 'log.csv')",
@@ -198,7 +198,7 @@ def _read_hdf5(path: str) -> tuple[dict[str, Any], dict[str, str]]:
 
 
 class _Hdf5Tree:
-    """The objects of an HDF5 file, whose links may form a loop, or lead to one object so often that a walk never ends.
+    """Bounded reader of the objects of an HDF5 file, whose links may form loops.
 
     Nothing outside the file is opened, whatever the file says.
 
@@ -276,7 +276,7 @@ class _Hdf5Tree:
 
 
 def _place(item: Any) -> tuple[int, int]:
-    """File and address of an object, the same by whatever link it was come to."""
+    """File and address of an object, independent of the link that leads to it."""
     from h5py import h5o  # pyright: ignore[reportAttributeAccessIssue]  # compiled, without a stub
 
     about = h5o.get_info(item.id)

@@ -1,4 +1,4 @@
-"""MCAP logs: a run's log is written as one channel of JSON messages; signals are read from JSON and ROS 2 messages."""
+"""MCAP logs: writing of a run as one channel of JSON messages; reading of JSON and ROS 2 messages."""
 
 from __future__ import annotations
 
@@ -166,7 +166,7 @@ class McapRecords:
 
 
 def _unpacked(chunk: Any, most: int) -> bytes:
-    """The records of a chunk, of as many bytes as it says.
+    """Unpack the records of a chunk, within its declared size.
 
     Raises:
         ValueError: if it cannot be unpacked, or has other bytes.

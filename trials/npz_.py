@@ -64,7 +64,7 @@ def _members(path: str, data: bytes, unread: dict[str, str]) -> dict[str, Any]:
 
 
 def _array(path: str, file: BinaryIO, size: int, left: int) -> np.ndarray[Any, Any] | None:
-    """One array, whose size is looked at before any memory is taken for it; None of pickled objects."""
+    """Read one array, after a check of its size; None if it holds pickled objects."""
     version = npy.read_magic(file)
     if version == (1, 0):
         shape, by_columns, dtype = npy.read_array_header_1_0(file, max_header_size=_LONGEST_HEADER)

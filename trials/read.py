@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from .arrays import ArrayLog
-from .command_noise import quiet
+from .command_noise import remove_command_noise
 from .csv_files import open_table, read_columns
 from .errors import ConfigError, LogError, in_a_line
 from .formats import ENDINGS, format_of
@@ -20,7 +20,17 @@ from .mat_ import open_mat
 from .mcap_ import open_mcap
 from .npz_ import open_npz
 from .rosbag_ import is_bag, open_bag, open_bag1
-from .signals import Raw, Series, Source, canonical_mapping, filled_rows, is_merged, merged_note, missing, read_mapped
+from .signals import (
+    Series,
+    Source,
+    UncheckedLog,
+    canonical_mapping,
+    filled_rows,
+    is_merged,
+    merged_note,
+    missing,
+    read_mapped,
+)
 from .tables import Frame, Table
 from .tdms_ import open_tdms
 from .trial import Trial, even_time, parts_at_gaps, positive_rate, require_uniform, resample
@@ -71,12 +81,12 @@ def read_trials(
     for log in several or expand_logs([]):  # which refuses to do without any
         files = expand_logs([log]) if isinstance(log, Path | str) else [log]
         trials += [read_log(file, layout, sampled_hz) for file in files]
-    trials = _told_apart(trials)
+    trials = _with_unique_names(trials)
     return trials if rate_hz is None else at_rate(trials, rate_hz)
 
 
-def _told_apart(trials: list[Trial]) -> list[Trial]:
-    """The trials with a number behind each name that stands more than once: results name trials."""
+def _with_unique_names(trials: list[Trial]) -> list[Trial]:
+    """Trials with unique names: a number follows each name that occurs more than once."""
     counts, seen = Counter(trial.source for trial in trials), Counter[str]()
     named = []
     for trial in trials:
@@ -95,7 +105,7 @@ def read_log(log: Log, preset: Layout = "auto", sampled_hz: float | None = None)
     """
     if isinstance(log, Trial):
         return log if sampled_hz is None else replace(log, t=even_time(len(log), sampled_hz))
-    return read_raw(log, preset, sampled_hz).trial()
+    return read_unchecked(log, preset, sampled_hz).trial()
 
 
 _OTHERS = ", ".join(f"*{ending}" for ending in ENDINGS)
@@ -130,7 +140,7 @@ def _logs_in(folder: Path) -> list[Path]:
 _NO_LOGS = (".", "~$")  # what macOS and Excel leave beside files
 
 
-def read_raw(log: Path | str | Frame, preset: Layout = "auto", sampled_hz: float | None = None) -> Raw:
+def read_unchecked(log: Path | str | Frame, preset: Layout = "auto", sampled_hz: float | None = None) -> UncheckedLog:
     """Read a log without any check of its values.
 
     Raises:
@@ -159,7 +169,7 @@ def read_raw(log: Path | str | Frame, preset: Layout = "auto", sampled_hz: float
     return read_mapped(source, _sampled(mapping, sampled_hz))
 
 
-def _read_mapping(log: Path | str | Frame, mapping: LogMapping, sampled_hz: float | None) -> Raw:
+def _read_mapping(log: Path | str | Frame, mapping: LogMapping, sampled_hz: float | None) -> UncheckedLog:
     source = _open(log, (mapping.time, *(name for s in mapping.signals() for name in (s.signal, s.minus or s.signal))))
     times = source.table.times if isinstance(source, _TableLog) else getattr(source, "times", ())
     if mapping.time in times:
@@ -173,7 +183,7 @@ def _sampled(mapping: LogMapping, sampled_hz: float | None) -> LogMapping:
 
 
 def resolve(preset: Layout) -> Layout:
-    """What `--preset` means: a mapping is read from its file; a name is checked.
+    """Resolve `--preset`: read a mapping from its file, or check a name.
 
     Raises:
         ConfigError: on an unknown preset or a wrong mapping file.
@@ -233,14 +243,14 @@ _PLACE = re.compile(r"\[\d{1,4}\]")  # a column by its place, also of a table wh
 
 
 def at_rate(trials: Iterable[Trial], rate_hz: float) -> list[Trial]:
-    """Trials cut at their gaps, on a uniform grid, without the noise of a measured command (`quiet`).
+    """Trials cut at their gaps, on a uniform grid, without the noise of a measured command (`remove_command_noise`).
 
     One without such noise that lies on the grid is left as it is.
 
     Raises:
         ConfigError, LogError: see `parts_at_gaps` and `resample`.
     """
-    parts = quiet([part for trial in trials for part in parts_at_gaps(trial)])
+    parts = remove_command_noise([part for trial in trials for part in parts_at_gaps(trial)])
     return [part if _lies_at(part, rate_hz) else resample(part, rate_hz) for part in parts]
 
 

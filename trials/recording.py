@@ -21,7 +21,7 @@ SEPARATION_COLUMN = "separation_deg"
 
 
 def require_recorded(trial: Trial) -> None:
-    """Refuse a trial that nothing can be learned from: a proposed motion, or signals that are read wrongly.
+    """Refuse a trial that is no recording: a motion proposed by a diagnosis, or wrong signals.
 
     Raises:
         LogError: if its angle is the one that a diagnosis expects, or `check` finds time in
@@ -64,7 +64,7 @@ def write_manifest(folder: Path, files: Sequence[Path], start: datetime | None =
 
 
 def by_clock(trials: Sequence[Trial]) -> list[int] | None:
-    """Numbers of the trials in the order of their time stamps; None where these do not tell it.
+    """Indices of the trials in the order of their time stamps; None if these do not define one.
 
     They tell it where all logs have one clock: no two trials have time in common. The wall clock of a bench's log
     counts before its time stamps, which begin anew in each log.
@@ -77,7 +77,7 @@ def by_clock(trials: Sequence[Trial]) -> list[int] | None:
 
 
 def by_manifest(sources: Sequence[str]) -> list[int] | None:
-    """Numbers of the logs in the order that the manifests beside them tell; None where one is not listed.
+    """Indices of the logs in the order of the manifests in their folders; None if a log is not listed.
 
     Logs of several folders are ordered by the starts of their sessions.
 
@@ -85,15 +85,15 @@ def by_manifest(sources: Sequence[str]) -> list[int] | None:
         ConfigError: if a manifest of this format cannot be used.
     """
     places: list[tuple[str, int]] = []
-    found = {folder: _manifest(folder) for folder in {Path(source).parent for source in sources}}
-    starts = [manifest.start for manifest in found.values() if manifest is not None]
-    if len(starts) < len(found) or (len(found) > 1 and len(set(starts) - {None}) < len(found)):
+    manifests = {folder: _manifest(folder) for folder in {Path(source).parent for source in sources}}
+    starts = [manifest.start for manifest in manifests.values() if manifest is not None]
+    if len(starts) < len(manifests) or (len(manifests) > 1 and len(set(starts) - {None}) < len(manifests)):
         return None
     for path in map(Path, sources):
-        manifest = found[path.parent]
+        manifest = manifests[path.parent]
         if manifest is None or path.name not in manifest.recorded:
             return None
-        begun = manifest.start.astimezone(UTC).isoformat() if manifest.start and len(found) > 1 else ""
+        begun = manifest.start.astimezone(UTC).isoformat() if manifest.start and len(manifests) > 1 else ""
         places.append((begun, manifest.recorded.index(path.name)))
     return sorted(range(len(places)), key=lambda k: places[k]) if len(set(places)) == len(places) else None
 

@@ -70,7 +70,7 @@ def open_bag1(path: Path | str) -> MessageLog:
 
 
 def _read(path: Path, reader: Callable[[Path], Any], encodings: Mapping[str, str]) -> MessageLog:
-    """Topics and messages of a bag up to its first fault, which the note tells."""
+    """Topics and messages of a bag up to its first fault, which is in the note."""
     topics: dict[str, Topic] = {}
     messages: list[tuple[str, int, bytes]] = []
     note = ""
@@ -140,13 +140,13 @@ def _records(data: bytes) -> Iterator[tuple[dict[bytes, bytes], memoryview]]:
 
 
 def _header_fields(head: bytes) -> dict[bytes, bytes]:
-    found, at = {}, 0
+    fields, at = {}, 0
     while at + 4 <= len(head):
         length = _SIZE.unpack_from(head, at)[0]
         name, _, value = head[at + 4 : at + 4 + length].partition(b"=")
-        found[name] = value
+        fields[name] = value
         at += 4 + length
-    return found
+    return fields
 
 
 def _unpacked_size(compression: bytes, content: memoryview, most: int) -> int:

@@ -36,7 +36,7 @@ _UNITS = frozenset(_UNIT_WORDS.split())
 
 @dataclass(frozen=True)
 class Grid:
-    """A table among rows.
+    """Location of a table among rows of text or of a sheet.
 
     Attributes:
         delimiter: of the cells; empty where they are apart already.
@@ -70,7 +70,7 @@ def cells_of(line: str, delimiter: str) -> list[str]:
 
 
 def grid_of_lines(lines: Sequence[str], source: str, wanted: Iterable[str] = ()) -> Grid:
-    """Find the table in lines of text, one of which is not blank.
+    """Locate the table in lines of text, one of which is not blank.
 
     The delimiter is the one that leaves the greatest share of cells with a number, a date or a time.
 
@@ -94,22 +94,22 @@ def grid_of_lines(lines: Sequence[str], source: str, wanted: Iterable[str] = ())
         raise LogError(
             f"{source}, row {sample[0] + 1}: {len(lines[sample[0]])} characters in one row, expected delimited text"
         )
-    if told := _told(lines[sample[0]]):
+    if declared := _declared_delimiter(lines[sample[0]]):
         del sample[0]
     if not sample:
         raise LogError(f"{source}: no rows, expected a header row and at least two rows of numbers")
     choices = {}
-    for delimiter in (told,) if told else _DELIMITERS:
+    for delimiter in (declared,) if declared else _DELIMITERS:
         choices[delimiter] = _judge([_judged(cells_of(_uncommented(lines[k]), delimiter)) for k in sample])
     delimiter = max(choices, key=lambda d: (choices[d][0], d != BLANK, choices[d][1]))
     purity, width = choices[delimiter]
     if not purity:
-        delimiter = told or _of_header(lines[sample[0]])
+        delimiter = declared or _of_header(lines[sample[0]])
     return _located(lambda k: cells_of(lines[k], delimiter), sample, len(lines), delimiter, width, source, wanted)
 
 
 def grid_of_cells(rows: Sequence[Sequence[str]], source: str, wanted: Iterable[str] = ()) -> Grid:
-    """Find the table among rows of cells, such as those of a sheet; see `grid_of_lines`.
+    """Locate the table among rows of cells, such as those of a sheet; see `grid_of_lines`.
 
     Raises:
         LogError: if all are empty, or there are more columns than in any log.
@@ -121,7 +121,7 @@ def grid_of_cells(rows: Sequence[Sequence[str]], source: str, wanted: Iterable[s
     return _located(lambda k: list(rows[k]), sample, len(rows), "", width, source, wanted)
 
 
-def _told(line: str) -> str:
+def _declared_delimiter(line: str) -> str:
     """The delimiter that the first line of a file of Excel names: `sep=;`."""
     text = line.strip("\r\n ").strip('"')
     return text[4:5] if text[:4].lower() == "sep=" and len(text) <= 5 and text[4:5].strip(" ") else ""
@@ -142,7 +142,7 @@ def _uncommented(line: str) -> str:
 
 
 def _judged(cells: Sequence[str]) -> tuple[int, int, int]:
-    """How many cells a row has, how many hold a value, how many hold anything else."""
+    """Counts of a row: cells, cells with a value, cells with anything else."""
     known = [cell for cell in cells if cell.lower() not in MISSING]
     values = sum(map(is_value, known))
     return len(cells), values, len(known) - values
@@ -153,7 +153,7 @@ def _is_data(judged: tuple[int, int, int]) -> bool:
 
 
 def _judge(rows: Sequence[tuple[int, int, int]]) -> tuple[float, int]:
-    """Share of cells that hold a value, in rows of data of one width, and this width; nearly zero for one column."""
+    """Share of value cells in the data rows of the most frequent width, and this width; nearly zero for one column."""
     data = [row for row in rows if _is_data(row)]
     counts = Counter(row[0] for row in data)
     if not counts:
@@ -185,10 +185,10 @@ def _located(
     known = {name.casefold() for name in wanted}
     above = [k for k in sample if k < data]
     names = {k: tuple(_trimmed(_named(cells(k), delimiter))) for k in above}
-    names = {k: found for k, found in names.items() if len(found) > 1 and not _is_data(_judged(found))}
-    hits = {k: sum(name.casefold() in known for name in found) for k, found in names.items()}
+    names = {k: row for k, row in names.items() if len(row) > 1 and not _is_data(_judged(row))}
+    hits = {k: sum(name.casefold() in known for name in row) for k, row in names.items()}
     narrow = width - 1 if not any(cells(k)[-1] for k in sample if k >= data and judged[k][0] == width) else width
-    names = {k: found for k, found in names.items() if narrow <= len(found) <= width or hits[k]}
+    names = {k: row for k, row in names.items() if narrow <= len(row) <= width or hits[k]}
     head = max(names, key=lambda k: (hits[k], not _are_units(names[k]), len(names[k]) == width, k), default=None)
     if head is None:
         _require_width(cells(data), source, data)
@@ -197,8 +197,8 @@ def _located(
     units = next((k for k in below if _are_units(cells(k))), None)
     start = next((k for k in below if judged[k][1] and k != units), data)
     _require_width(names[head], source, head)
-    told = names.get(units, ()) if units is not None else ()
-    return Grid(delimiter, names[head], head, told, start, _end(cells, start, count))
+    unit_cells = names.get(units, ()) if units is not None else ()
+    return Grid(delimiter, names[head], head, unit_cells, start, _end(cells, start, count))
 
 
 def _named(cells: list[str], delimiter: str) -> list[str]:
@@ -208,7 +208,7 @@ def _named(cells: list[str], delimiter: str) -> list[str]:
 
 
 def _trimmed(cells: list[str]) -> list[str]:
-    """Without the empty cells at the end, which a trailing delimiter makes."""
+    """Cells without the empty ones at the end of the row."""
     while cells and not cells[-1]:
         cells = cells[:-1]
     return cells
@@ -284,7 +284,7 @@ class Table:
         )
 
     def left_out(self, asked: Iterable[str]) -> str:
-        """What to say of columns that begin with numbers, hold something else further on, and are not asked for."""
+        """Note on unused columns in which text follows numbers; empty if there are none."""
         faults = {name: fault[0] for name, fault in self.faults.items() if name not in asked}
         if not faults:
             return ""
@@ -294,7 +294,7 @@ class Table:
         return f"column {shown(name, 40)}{more} left out: row {row} holds {shown(cell, 40)}, no number"
 
     def not_numbers(self, column: str) -> LogError:
-        """What to raise where a column of `texts` is asked for as numbers."""
+        """Error for a column of `texts` that is needed as numbers."""
         sample, why = self.faults.get(column, (0, ""))
         row, cell = self.locate(sample, column)
         expected = f"expected a number{f'; {why}' if why else ''}"
@@ -371,11 +371,11 @@ def text_table(lines: Sequence[str], source: str, wanted: Iterable[str] = (), na
     block = _fast(lines[grid.start : stop], grid.delimiter, len(header))
     if block is None:
         kept = rows()
-        found = convert(_columns(kept, len(header)), grid.delimiter != ",") if kept else []
+        converted = convert(_columns(kept, len(header)), grid.delimiter != ",") if kept else []
     else:
-        found = [Converted("number", np.ascontiguousarray(column)) for column in block.T]
+        converted = [Converted("number", np.ascontiguousarray(column)) for column in block.T]
         kept = []
-    return _table(source, grid, header, found, kept, rows, bool(names) or bool(grid.header))
+    return _table(source, grid, header, converted, kept, rows, bool(names) or bool(grid.header))
 
 
 def sheet_table(rows: Sequence[Sequence[str]], source: str, wanted: Iterable[str] = ()) -> Table:
@@ -390,12 +390,12 @@ def sheet_table(rows: Sequence[Sequence[str]], source: str, wanted: Iterable[str
     _require_once(header, f"{source}, row {grid.header_row + 1}")
     short = ((k + 1, rows[k]) for k in range(grid.start, grid.stop) if any(rows[k]))
     kept = _checked(((k, [*row, *[""] * (len(header) - len(row))]) for k, row in short), header, source)
-    found = convert(_columns(kept, len(header)), comma_likely=True) if kept else []
-    return _table(source, grid, header, found, kept, lambda: kept, bool(grid.header))
+    converted = convert(_columns(kept, len(header)), comma_likely=True) if kept else []
+    return _table(source, grid, header, converted, kept, lambda: kept, bool(grid.header))
 
 
 def read_table(lines: Sequence[str], source: str) -> Table:
-    """Columns of a text that this package wrote; every column that begins with a number holds nothing else.
+    """Columns of a text that this package wrote, in which a column is all numbers or all text.
 
     Raises:
         LogError: see `text_table`; also on text among numbers, named by row and column.
@@ -406,7 +406,7 @@ def read_table(lines: Sequence[str], source: str) -> Table:
     empty = {name: k for k, name in enumerate(table.header) if name in table.numbers and _is_empty(table.numbers[name])}
     rows = table.rows() if table.rows is not None and empty else ()
     cells = {name: tuple(row[k].strip() for _, row in rows) for name, k in empty.items()}
-    words = {name: own for name, own in cells.items() if not {*map(str.lower, own)} <= {"", "nan", "-nan"}}
+    words = {name: texts for name, texts in cells.items() if not {*map(str.lower, texts)} <= {"", "nan", "-nan"}}
     numbers = {name: values for name, values in table.numbers.items() if name not in words}
     return replace(table, numbers=numbers, texts={**table.texts, **words})  # `-` is a word of this package's own
 
@@ -419,14 +419,14 @@ def _table(
     source: str,
     grid: Grid,
     header: tuple[str, ...],
-    found: Sequence[Converted],
+    converted: Sequence[Converted],
     kept: Sequence[Row],
     rows: Callable[[], Sequence[Row]],
     named: bool,
 ) -> Table:
-    if not found:
+    if not converted:
         raise LogError(f"{source}: header only, expected at least two rows of numbers")
-    columns = dict(zip(header, found, strict=True))
+    columns = dict(zip(header, converted, strict=True))
     whole = {name: c.values for name, c in columns.items() if c.values is not None and c.fault is None}
     texts = {name: tuple(row[k].strip() for _, row in kept) for k, name in enumerate(header) if name not in whole}
     faults = {name: c.fault for name, c in columns.items() if c.fault is not None and c.kind != "text"}
@@ -487,7 +487,7 @@ def _is_unfinished(line: str, delimiter: str, width: int) -> bool:
 
 
 def _fast(lines: Sequence[str], delimiter: str, width: int) -> Vec | None:
-    """All cells as numbers, (T, width), or None where anything is unusual and must be read cell by cell."""
+    """Fast conversion of all cells to numbers (T, width); None if some need conversion cell by cell."""
     if delimiter != BLANK and {line.count(delimiter) for line in lines if line} != {width - 1}:
         return None
     if delimiter != "," and any("," in line for line in lines):

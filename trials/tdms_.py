@@ -41,7 +41,7 @@ def open_tdms(path: Path | str) -> ArrayLog:
 
 @contextmanager
 def _warnings() -> Iterator[list[str]]:
-    """What the library says of a damaged file, which it would print."""
+    """Collect the warnings of the library on a damaged file."""
     logger, warnings = logging.getLogger("nptdms"), list[str]()
     handler = logging.Handler(logging.WARNING)
     handler.emit = lambda record: warnings.append(" ".join(record.getMessage().split()))  # type: ignore[method-assign]

@@ -23,13 +23,13 @@ Index = NDArray[np.intp]
 
 
 class Progress(Protocol):
-    """What a long computation calls as it goes on: steps done, steps in all, and what is being done."""
+    """Callback of a long computation: steps done, steps in all, and a note on the current step."""
 
     def __call__(self, done: float, total: float, note: str = "", /) -> None: ...
 
 
 def parts(progress: Progress | None, seconds: Sequence[float]) -> tuple[Progress, ...]:
-    """The progress of each part, in units of the whole: a bar's time left is then that of all of them.
+    """Progress callbacks of the parts of a computation, scaled to the progress of the whole.
 
     Args:
         progress: of the whole; None where nobody looks.
@@ -37,12 +37,12 @@ def parts(progress: Progress | None, seconds: Sequence[float]) -> tuple[Progress
     """
     total = sum(seconds)
 
-    def part(before: float, own: float) -> Progress:
+    def part(before: float, share: float) -> Progress:
         def told(done: float, steps: float, note: str = "", /) -> None:
             if progress is not None:
-                progress(before + own * min(done / max(steps, 1e-9), 1.0), total, note)
+                progress(before + share * min(done / max(steps, 1e-9), 1.0), total, note)
 
         return told
 
     starts = [0.0, *accumulate(seconds)][:-1]
-    return tuple(part(before, own) for before, own in zip(starts, seconds, strict=True))
+    return tuple(part(before, share) for before, share in zip(starts, seconds, strict=True))

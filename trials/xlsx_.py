@@ -1,4 +1,4 @@
-"""Sheets of Excel workbooks (.xlsx) as tables; a workbook that one was given runs no code and fills no memory."""
+"""Sheets of Excel workbooks (.xlsx) as tables; no code of a workbook runs, and its unpacked size is bounded."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _UTF_16 = (b"<\0", b"\0<", b"\xff\xfe", b"\xfe\xff")
 
 
 def open_xlsx(path: Path | str, wanted: Iterable[str] = ()) -> Table:
-    """The sheet of a workbook that holds most of the names that are wanted, or else the first that holds a table.
+    """Read the sheet of a workbook that holds most of the wanted names, otherwise the first one with a table.
 
     Formulas count with the values that they had when the workbook was saved; dates and times of day are seconds since
     the first.
@@ -53,7 +53,7 @@ def _sheets(path: Path | str) -> list[tuple[str, list[list[str]]]]:
     from openpyxl import load_workbook
 
     _require_bounded(path)
-    found, left = [], _MOST_CELLS
+    sheets, left = [], _MOST_CELLS
     with warnings.catch_warnings(), Path(path).open("rb") as file:  # of a path, the library asks for its ending
         warnings.simplefilter("ignore")  # of styles and extensions that are not kept
         book = load_workbook(file, read_only=True, data_only=True, keep_links=False)
@@ -71,10 +71,10 @@ def _sheets(path: Path | str) -> list[tuple[str, list[list[str]]]]:
                     if left < 0 or len(cells) > MOST_COLUMNS:
                         raise LogError(f"{path}: more cells than in any log, expected one trial; save it as CSV")
                     rows.append(cells)
-                found.append((str(sheet.title), rows))
+                sheets.append((str(sheet.title), rows))
         finally:
             book.close()
-    return found
+    return sheets
 
 
 def _texts(row: Sequence[Any]) -> list[str]:
@@ -100,7 +100,7 @@ def _text(value: Any) -> str:
 
 
 def _require_bounded(path: Path | str) -> None:
-    """Refuse what would fill the memory, or names other files: parts that unpack to too much, and XML with entities."""
+    """Refuse a workbook that unpacks to too much, or whose XML defines entities."""
     with zipfile.ZipFile(path) as archive:
         parts = archive.infolist()
         size = sum(part.file_size for part in parts)
