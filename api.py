@@ -10,10 +10,9 @@ from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 from hystmpc.trials.brief import in_brief
 from hystmpc.trials.errors import ControllerError, FitError, in_a_line
-from hystmpc.trials.read import Layout, Log, read_trials
+from hystmpc.trials.read import Layout, Log, at_rate, read_trials
 from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Progress
-from hystmpc.trials.uniform import at_rate
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

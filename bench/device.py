@@ -29,8 +29,8 @@ from hystmpc.trajectories.config import MotionSettings
 from hystmpc.trials.csv_files import format_table
 from hystmpc.trials.errors import HystmpcError, LogError
 from hystmpc.trials.files import write_atomically
+from hystmpc.trials.formats import read_lines
 from hystmpc.trials.tables import read_table
-from hystmpc.trials.text_ import read_lines
 from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Vec
 

@@ -10,7 +10,7 @@ import typer
 
 from hystmpc.trials.config import read_yaml
 from hystmpc.trials.errors import ConfigError
-from hystmpc.trials.figure_folder import figures_to
+from hystmpc.trials.files import figures_to
 from hystmpc.trials.from_outside import only_reads
 from hystmpc.trials.run_folder import RunFolder
 

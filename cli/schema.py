@@ -10,10 +10,10 @@ from typing import Annotated, Any
 
 import typer
 
-from hystmpc.trials.described import json_schema
 from hystmpc.trials.errors import ConfigError, did_you_mean
 
 from .console import out
+from .settings_reference import json_schema
 
 FILES: Mapping[str, tuple[str, str]] = MappingProxyType(
     {

@@ -39,7 +39,9 @@ def _pieces(which: str, results: Sequence[TrialEvaluation]) -> Iterator[Piece]:
     yield from (Paragraph(f"{sentence}.") for sentence in start_sentences(results))
     drawn = "of all trials" if len(results) <= _SHOWN else f"of the {_SHOWN} trials with the greatest error"
     worst = _worst(results)
-    yield Plot(free_run_figure(results), f"Measured and simulated output {drawn}, and the error of the model below.", True)
+    yield Plot(
+        free_run_figure(results), f"Measured and simulated output {drawn}, and the error of the model below.", True
+    )
     loops = loop_figure([_loop(run) for run in worst], command, unit)
     yield Plot(loops, f"Output [{unit}] over command [{command}] of the same trials.")
 

@@ -23,9 +23,9 @@ from hystmpc.trajectories.excitation import (
 from hystmpc.trajectories.trajectory import Trajectory, sample
 from hystmpc.trials.config import NotNegative, Positive, Settings
 from hystmpc.trials.errors import LogError
+from hystmpc.trials.formats import read_lines
 from hystmpc.trials.layouts import CANONICAL
 from hystmpc.trials.tables import Table, read_table
-from hystmpc.trials.text_ import read_lines
 from hystmpc.trials.types import Vec
 
 from ..safety.ramp import RampSettings, waypoint_commands

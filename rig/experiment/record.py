@@ -16,7 +16,7 @@ from hystmpc.trials.csv_files import format_table, write_csv
 from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.files import write_atomically
 from hystmpc.trials.layouts import CANONICAL
-from hystmpc.trials.recording_order import write_manifest
+from hystmpc.trials.recording import write_manifest
 from hystmpc.trials.trial import Trial, Units
 from hystmpc.trials.types import Vec
 
