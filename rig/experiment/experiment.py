@@ -81,7 +81,7 @@ def tracking_phase(settings: RunSettings, threaded: bool = True, note: Note = la
     """Phase that tracks the reference of an experiment; its controller is built, compiled and warmed up.
 
     Args:
-        beside: whether the hand-over goes on beside the loop, see `Tracking`.
+        threaded: whether the transfer to the controller runs in a thread, see `Tracking`.
         note: told where the reference goes beyond the model's reach.
 
     Raises:
@@ -180,8 +180,8 @@ class Tracking(Phase):
         monitor: says in the status that the device has changed since identification.
         drill_s: from when until when the law is made to fail, as an exercise [s]; None for never.
         sensor: of the bench; continuous where left out.
-        beside: whether the hand-over goes on beside the loop; False where a sample takes no time, so that each run of a
-            computed device is the same.
+        threaded: whether the transfer runs in a thread of its own; False where a sample takes no time, so that each run
+            of a computed device is the same.
         compiled: the controller, where it is one in C: it may take whole samples.
     """
 

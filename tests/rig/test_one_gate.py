@@ -56,11 +56,19 @@ NO_DEVICE = {
     "rig/live/page.py: self._transport.write": 2,  # to a browser
     "rig/live/page.py: self.send": 1,
     "lab/faults/play.py: os.write": 1,
+    "lab/benchmarks/kill_recording.py: os.write": 1,  # to a pipe
+    "lab/benchmarks/random_moments.py: os.write": 2,  # to a pipe, to standard error
+    "lab/benchmarks/random_moments.py: wire.sendto": 1,  # datagrams that are passed on
 }
 # Here `apply` is that of a computed device: no wire is known to these files.
 COMPUTED = {
     "ctrl/loop.py",
     "sim/environment/gym_.py",
+    "lab/benchmarks/endurance.py",
+    "lab/benchmarks/faults.py",
+    "lab/benchmarks/lstm_presets.py",
+    "lab/benchmarks/make_library.py",
+    "lab/benchmarks/monitor.py",
     "lab/control/loop.py",
     "lab/control/models.py",
     "lab/identify/motions.py",
