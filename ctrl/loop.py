@@ -13,7 +13,7 @@ from pydantic import Field
 from threadpoolctl import threadpool_limits
 
 from hystmpc.trials.brief import brief
-from hystmpc.trials.config import NotNegative, Settings, Share
+from hystmpc.trials.config import NotNegative, Settings
 from hystmpc.trials.errors import ControllerError
 from hystmpc.trials.types import Vec
 
@@ -57,7 +57,7 @@ class ImagingSettings(Settings):
     kind: Literal["intermittent"] = "intermittent"
     rate_hz: Annotated[float, Field(ge=0.2, le=100)] = 5.0
     latency_s: Annotated[float, Field(ge=0, le=2)] = 0.2
-    jitter_s: Share = 0.0
+    jitter_s: Annotated[float, Field(ge=0, le=1)] = 0.0
     dropout_share: Annotated[float, Field(ge=0, le=0.9)] = 0.0
     noise_deg: NotNegative = 0.0
 
