@@ -179,7 +179,7 @@ def _stamp(cell: str) -> re.Match[str] | None:
 
 
 def _times(cells: Sequence[str]) -> Converted:
-    """Seconds since the first stamp. Times of day without a date go on after midnight."""
+    """Convert dates and times of day to seconds since the first; without a date, midnight is passed."""
     stamps = [None if cell.lower() in MISSING else _stamp(cell) for cell in cells]
     known = [k for k, stamp in enumerate(stamps) if stamp is not None]
     fault = next(((k, "") for k, cell in enumerate(cells) if stamps[k] is None and cell.lower() not in MISSING), None)

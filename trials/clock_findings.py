@@ -103,7 +103,7 @@ def time_findings(clock: Clock, command: Vec, angle: Vec, where: Callable[[int],
 
 
 def _base(clock: Clock, duration: float) -> Finding:
-    """Rate and duration, or the unit that they are more likely in."""
+    """Finding on sampling rate and duration, or on the suspected unit of time."""
     assert clock.interval is not None
     t, rate = clock.t, 1 / max(clock.interval.middle, 1e-300)
     if clock.suspicion is None:

@@ -174,7 +174,7 @@ def _plain(text: str) -> str:
 
 
 def zoomed(figure: Figure) -> dict[str, Any]:
-    """What a page needs to draw the curves of a figure anew: panels in its own places, with all points.
+    """Data of an interactive figure: panels, axes and curves with all points.
 
     Drawn before: places are those of the last drawing. A panel's own legend stays with it where the figure has one too.
     """

@@ -83,7 +83,7 @@ _WANTED: ContextVar[Path | None] = ContextVar("figures", default=None)
 
 @contextmanager
 def figures_to(folder: Path | None) -> Iterator[None]:
-    """Within the block every report that is saved also writes its figures into a folder; None writes none."""
+    """Context in which every report also writes its figures into a folder; None writes none."""
     token = _WANTED.set(folder)
     try:
         yield

@@ -1,4 +1,4 @@
-"""Format of a log, told by its first bytes, then by its file name extension; its bytes and its text in any encoding."""
+"""Format of a log file, by its first bytes or its extension; reading of its bytes, and of its text in any encoding."""
 
 from __future__ import annotations
 
@@ -101,7 +101,7 @@ def format_of(path: Path) -> str:
 
 
 def _packed(path: Path) -> str | None:
-    """What a ZIP archive is, by the names in it."""
+    """Format of a ZIP archive, by the names in it."""
     try:
         with zipfile.ZipFile(path) as archive:
             names = archive.namelist()
@@ -129,7 +129,7 @@ def require_known(path: Path | str, data: bytes) -> None:
 
 
 def foreign_text(text: str) -> str:
-    """Name and remedy of text that is no table, `NAME, ...`; empty where it may be one."""
+    """Name and remedy of text in a known format that is no table; empty if it may be one."""
     head = text[:_HEAD]
     if _JSON.match(head):
         return f"JSON, which is not read; {_CSV}"

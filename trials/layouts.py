@@ -339,7 +339,7 @@ class LogMapping(Settings):
 
 
 def is_mapping_file(preset: str) -> bool:
-    """Whether what was written after `--preset` names a mapping file."""
+    """Whether the value of `--preset` is the name of a mapping file."""
     return Path(preset).suffix.lower() in (".yaml", ".yml")
 
 

@@ -245,8 +245,10 @@ def _more_on_logarithmic(axis: Axis, low: float, high: float) -> None:
 
 
 def _print_as_it_is(figure: Figure) -> None:
-    """Take every text literally: names of files and trials come from outside, and two `$` in one would be read as
-    mathematics, which fails. Tick labels of a logarithmic axis are mathematics of the library's own."""
+    """Turn off mathematics in every text but the tick labels of logarithmic axes.
+
+    Names of files and trials come from outside, and two `$` in one would be read as mathematics, which fails.
+    """
     axes = [axis for each in figure.axes for axis in (each.xaxis, each.yaxis)]
     powers = [axis for axis in axes if isinstance(axis.get_major_formatter(), LogFormatter)]
     mathematical = {

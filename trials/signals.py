@@ -58,7 +58,7 @@ class Source(Protocol):
 
     @property
     def note(self) -> str:
-        """What a user should know about the file, such as that it is cut off; empty if nothing."""
+        """Note to the user about the file, such as that it is cut off; empty for none."""
         ...
 
     def names(self) -> tuple[str, ...]:
@@ -194,7 +194,7 @@ def read_mapped(source: Source, mapping: LogMapping) -> UncheckedLog:
 
 
 def _decoded(series: Series, settings: SignalSettings) -> Series:
-    """Decode a signal by the keys of its mapping; codes for missing values are marked as left out."""
+    """Decode a signal by the keys of its mapping, and mark the codes for missing values."""
     values = decoded(series.values, settings.missing, settings.sign_bit, settings.wraps_at)
     return Series(series.t, values, np.isnan(values) & ~np.isnan(series.values))
 

@@ -220,7 +220,7 @@ def _are_units(cells: Iterable[str]) -> bool:
 
 
 def _end(cells: Callable[[int], list[str]], start: int, count: int) -> int:
-    """The end of the rows of data: rows without any value at the end of a file are remarks."""
+    """End of the data rows; rows without a value at the end of a file are comments."""
     stop = count
     while stop > start + 1 and not any(map(is_value, cells(stop - 1))):
         stop -= 1

@@ -276,7 +276,7 @@ class SlowLogError(LogError):
 
 
 def resample(trial: Trial, rate_hz: float, max_gap_s: float = MAX_GAP_S) -> Trial:
-    """Interpolate linearly onto t[0] + k / rate_hz, up to the last sample; channels come along.
+    """Interpolate all signals linearly onto t[0] + k / rate_hz, up to the last sample.
 
     Short parts beside a gap are left out first (`parts_at_gaps`). There is no anti-aliasing filter: a command that a
     controller sent is not band-limited, and a filter would shift its turning points.
