@@ -89,6 +89,15 @@ class ControlInput:
     forecast_error: float = 0.0  # error of the forecasts over that of none, see `Estimate`
 
 
+@dataclass(frozen=True, eq=False)
+class CommandPlan:
+    """Admissible commands (H,), the model's angles along them (H,) [deg], and their cost."""
+
+    commands: Vec
+    angles: Vec
+    cost: float
+
+
 @final
 class Stopwatch:
     """Laps of one step; the only clock a controller reads."""

@@ -15,7 +15,7 @@ from hystmpc.ctrl.config import CONTROLLERS
 from hystmpc.ctrl.feedback import PidSettings
 from hystmpc.ctrl.guarded import GuardedController, GuardedState, build_controller
 from hystmpc.ctrl.learning.predictor import Learning
-from hystmpc.ctrl.mpc_settings import SupervisorSettings
+from hystmpc.ctrl.planning_settings import SupervisorSettings
 from hystmpc.ctrl.supervisor import SupervisoryLaw, feedback_gains
 from hystmpc.trials.errors import ConfigError
 
