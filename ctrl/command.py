@@ -260,9 +260,6 @@ else:
         return new
 
 
-__all__ = ["replace"]
-
-
 def limits_of_model(facts: ModelMetadata) -> CommandLimits:
     """The limits that a model was made for."""
     return CommandLimits(facts.command_limits.lower, facts.command_limits.upper, facts.command_rate)

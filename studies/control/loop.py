@@ -221,4 +221,5 @@ def _rested(study: Study, effects: Effects, dt_s: float) -> Study:
     flexure = initialisation_flexure(limits, dt_s, warmup_samples=1)
     wait_s = _SETTLED_LAGS * effects.lag_s + effects.delay_s
     settling = np.full(round(wait_s / dt_s), limits.lower)
-    return replace(study, predictor=RestedPredictor(known, np.concatenate([flexure, settling])))
+    rested = RestedPredictor(known, np.concatenate([flexure, settling]))
+    return replace(study, model=replace(study.model, predictive=(rested, study.model.predictive[1])))
