@@ -31,8 +31,8 @@ THE_GATE = {
 BEHIND_IT = {
     "rig/transports/from_outside.py: self._device.write": 1,
     "rig/transports/simulated.py: self._plant.apply": 1,
-    "rig/transports/dds.py: self._wire.write": 2,  # a command; a greeting, which carries none
-    "rig/transports/dds.py: wire.write": 1,  # a goodbye
+    "rig/transports/topics.py: self._wire.write": 2,  # a command; a greeting, which carries none
+    "rig/transports/topics.py: wire.write": 1,  # a goodbye
     "rig/transports/dds_.py: self._writer.write": 2,
     "rig/transports/udp.py: self._send": 3,  # a command, a greeting, a goodbye
     "rig/transports/udp.py: self._wire.send": 1,
