@@ -26,8 +26,8 @@ from hystmpc.trials.files import write_atomically
 from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Progress, Vec
 
+from ..study import Rate
 from .device import BlindDevice
-from .measures import Rate
 from .reading import LARGE
 from .run import FAILURE
 from .sealed import Answer, open_answers, read_case

@@ -1,19 +1,16 @@
-"""The jobs of the study: a device commissioned, and its controllers where model, device or sensor are others."""
+"""What a job runs: a device commissioned, and its controllers where model, device or sensor are others."""
 
 from __future__ import annotations
 
-import hashlib
-import json
 import math
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any
 
 import numpy as np
-from pydantic import BeforeValidator
 
 from hystmpc.commissioning.controller import TIP_FILE, tip_settings
 from hystmpc.commissioning.device import BenchDevice
@@ -33,7 +30,6 @@ from hystmpc.gap.whole import diagnose_trials
 from hystmpc.models.kinds.catalogue import kind_named
 from hystmpc.models.simulator import ChainModel, load_simulator
 from hystmpc.sim.closed_loop import ClosedLoopRun, run_closed_loop
-from hystmpc.sim.jobs.runner import ResultFiles, Status
 from hystmpc.sim.plants.computed import ComputedPlant
 from hystmpc.sim.study import Knowledge, knowledge
 from hystmpc.sim.tune_pid import searched_gains
@@ -45,12 +41,7 @@ from ..identify.motions import fresh_motions, recordings
 from ..identify.scores import AS_IDENTIFIED_NOISE_DEG, IdentifiedPlant, scores
 from ..identify.settings import IdentifySettings
 from .device import PreparedPlant, TakenUp, bench_settings, drawn_plants, worn
-from .settings import CommissionStudySettings
-
-FORMAT = "hystmpc-commission-job/1"
-Stage = Literal["commission", "compare", "gap"]
-STAGES: tuple[Stage, ...] = ("commission", "compare", "gap")
-FigureOrNull = Annotated[float, BeforeValidator(lambda value: math.nan if value is None else value)]
+from .settings import CommissionJob, CommissionStudySettings
 
 IMAGING = ImagingSettings(rate_hz=5.0, latency_s=0.2, noise_deg=0.5)
 WORN = {"friction": (2.0, 1.0), "stiffness": (1.0, 2.0)}
@@ -66,79 +57,15 @@ _COMPARED, _DIAGNOSED = 1, 5  # seeds of the noise, beside the device's
 _IMAGING_SHARE = 5  # the search under frames costs more: a share of the evaluations
 
 
-@dataclass(frozen=True)
-class CommissionJob:
-    """One device of the draw in one stage."""
-
-    number: int
-    stage: Stage
-    key: str
-
-
-@dataclass(frozen=True)
-class CommissionResult:
-    """Outcome of one job.
-
-    Attributes:
-        status: `failed` if anything raised.
-        message: the error of a failed job, else the verdict of the commissioning.
-        facts: of the device, for tables.
-        figures: by controller and figure such as `commissioned.rmse_deg`, see `scores`.
-    """
-
-    job: CommissionJob
-    fingerprint: str
-    status: Status
-    message: str
-    seconds: float
-    facts: Mapping[str, str | float] = field(default_factory=dict)
-    figures: Mapping[str, FigureOrNull] = field(default_factory=dict)
-
-
-def commission_jobs(settings: CommissionStudySettings) -> tuple[CommissionJob, ...]:
-    """For each device a job to commission it, one to compare and one for the gap; a quick run diagnoses nothing."""
-    drawn = [d for d in _devices(settings) if not settings.rates_hz or d.rate_hz in settings.rates_hz]
-    stages = STAGES[:2] if settings.quick and not settings.diagnose else STAGES
-    return tuple(CommissionJob(d.number, stage, f"{d.key}-{stage}") for stage in stages for d in drawn)
-
-
-def fingerprint(job: CommissionJob, settings: CommissionStudySettings) -> str:
-    """SHA-256 over the device's numbers, the stage and the settings."""
-    parts = {"device": repr(_devices(settings)[job.number]), "stage": job.stage, "settings": settings.model_dump()}
-    return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
-
-
-def result_files(folder: Path) -> ResultFiles[CommissionResult]:
-    """Results of the study's folder; a figure that is not there is null."""
-    return ResultFiles(folder, CommissionResult, FORMAT, plain)
-
-
-def plain(result: CommissionResult) -> dict[str, Any]:
-    """A result as JSON; a figure that is not there is null."""
-    figures = {name: value if math.isfinite(value) else None for name, value in result.figures.items()}
-    return asdict(result) | {"figures": figures}
-
-
-def as_result(job: CommissionJob, settings: CommissionStudySettings) -> CommissionResult:
-    """A result that says what the device is, and nothing else yet."""
-    device = _devices(settings)[job.number]
-    facts: dict[str, str | float] = {
-        "family": device.family,
-        "rate_hz": device.rate_hz,
-        "noise_deg": device.noise_deg,
-        **device.truth,
-    }
-    return CommissionResult(job, fingerprint(job, settings), "failed", "", 0.0, facts)
-
-
-def do_stage(job: CommissionJob, settings: CommissionStudySettings, folder: Path) -> tuple[str, dict[str, float]]:
+def run_stage(job: CommissionJob, settings: CommissionStudySettings, folder: Path) -> dict[str, Any]:
     """Message and figures of a job.
 
     Raises:
         HystmpcError: if the device cannot be commissioned, or a controller cannot be built.
     """
-    bench = StudyBench(settings, folder, _devices(settings)[job.number])
-    return {"commission": _commission, "compare": _compare, "gap": _tracking_gap}[job.stage](bench)
+    bench = StudyBench(settings, folder, drawn_devices(settings)[job.number])
+    message, figures = {"commission": _commission, "compare": _compare, "gap": _tracking_gap}[job.stage](bench)
+    return {"message": message, "figures": figures}
 
 
 @dataclass(frozen=True, eq=False)
@@ -187,7 +114,8 @@ class StudyBench:
         return {f"{name}.{figure}": value for figure, value in figures.items()}, runs
 
 
-def _devices(settings: CommissionStudySettings) -> tuple[DrawnDevice, ...]:
+def drawn_devices(settings: CommissionStudySettings) -> tuple[DrawnDevice, ...]:
+    """All devices of the draw."""
     return draw_devices(settings.devices, settings.seed, settings.quick)
 
 
@@ -227,7 +155,7 @@ def _compare(bench: StudyBench) -> tuple[str, dict[str, float]]:
     """Models of other devices, a device that has changed, and other sensors."""
     device, settings = bench.device, bench.settings
     own, tip = _known(bench.tip())
-    drawn = _devices(settings)
+    drawn = drawn_devices(settings)
     anywhere = {"estimator": {"rest_tolerance_deg": _ANY_REST_DEG}}
     figures: dict[str, float] = {}
     others: dict[str, Callable[[DrawnDevice], bool]] = {

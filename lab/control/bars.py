@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -17,10 +15,10 @@ from hystmpc.sim.closed_loop import ClosedLoopRun
 from hystmpc.sim.results import holds, tracking_metrics
 from hystmpc.trials.types import Vec
 
+from ..study import Outcome
 from .controllers import BASELINES, CONTROLLERS, ORACLE
-from .job import ControlResult
 from .plants import PLANTS
-from .settings import SCANS_HZ, ControlSettings
+from .settings import SCANS_HZ, ControlResult, ControlSettings
 
 HOLD_RANGE_BAR = 0.1
 """Greatest range of a held command, in half-widths of the backlash."""
@@ -85,18 +83,8 @@ def limit_cycle(command: Vec, band: float) -> bool:
 
 
 @dataclass(frozen=True, eq=False)
-class ControlOutcome:
+class ControlOutcome(Outcome[ControlSettings, ControlResult]):
     """The benchmark with the results of all its jobs."""
-
-    settings: ControlSettings
-    results: tuple[ControlResult, ...]
-    folder: Path
-    meta: Mapping[str, Any] = field(default_factory=dict)
-
-    @property
-    def failed(self) -> tuple[ControlResult, ...]:
-        """Results that hold an error."""
-        return tuple(result for result in self.results if result.status == "failed")
 
     @cached_property
     def runs(self) -> tuple[ControlResult, ...]:

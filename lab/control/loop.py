@@ -31,10 +31,10 @@ from hystmpc.trials.types import Vec
 
 from .bars import control_figures
 from .controllers import CONTROLLERS, NETWORKS, BenchmarkController
-from .job import ControlJob, gains_file, save_signals
+from .job import gains_file, save_signals
 from .models import backlash_file, companion_file, network_file
 from .plants import PLANTS, Plant, half_width
-from .settings import ControlSettings, motion
+from .settings import ControlJob, ControlSettings, motion
 
 State = GuardedState[Any]
 _WHOLE = 1e-9

@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
-import math
 import time
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
-from pydantic import BeforeValidator
 
 from hystmpc.ctrl.build import build_controller
 from hystmpc.ctrl.feedback.inverse_settings import InverseControllerSettings, InversePidControllerSettings
@@ -27,7 +23,6 @@ from hystmpc.models.kinds.catalogue import chosen_kind, kind_named
 from hystmpc.models.kinds.kind import FitRequest, Identified, ModelKind
 from hystmpc.models.simulator import save_simulator
 from hystmpc.sim.closed_loop import ClosedLoopRun, run_closed_loop
-from hystmpc.sim.jobs.runner import ResultFiles, Status
 from hystmpc.sim.plants.computed import ComputedPlant
 from hystmpc.sim.study import Knowledge, knowledge
 from hystmpc.sim.tune_pid import PidLike, searched_gains
@@ -40,74 +35,10 @@ from .exact import exact_controller
 from .kernels import PidNumbers
 from .motions import fresh_motions, recordings
 from .scores import AS_IDENTIFIED_NOISE_DEG, IdentifiedPlant, scores
-from .settings import IdentifySettings
+from .settings import IdentifyJob, IdentifySettings, Interval
 
-FORMAT = "hystmpc-identify-job/1"
-FigureOrNull = Annotated[float, BeforeValidator(lambda value: math.nan if value is None else value)]
-Interval = tuple[FigureOrNull, FigureOrNull, FigureOrNull]
 _RIVAL_MODEL = "pi"
 _TUNING, _COMPARED = 1001, 1  # seeds of the noise, beside the device's
-
-
-@dataclass(frozen=True)
-class IdentifyJob:
-    """One device of the draw."""
-
-    number: int
-    key: str
-
-
-@dataclass(frozen=True)
-class IdentifyResult:
-    """Outcome of one device.
-
-    Attributes:
-        status: `failed` if anything raised.
-        message: the error of a failed job, else how the identification went.
-        truth: what was drawn, 0 for what is not there: lag [s], delay [s], creep [1].
-        found: value and 90 % interval of what was found, by the same names; what is not among them is not there.
-        facts: of the device: family, rate, noise and further numbers, for tables.
-        figures: see `scores.scores`, by controller and figure such as `linearised.rmse_deg`; seconds by stage.
-    """
-
-    job: IdentifyJob
-    fingerprint: str
-    status: Status
-    message: str
-    seconds: float
-    truth: Mapping[str, float] = field(default_factory=dict)
-    found: Mapping[str, Interval] = field(default_factory=dict)
-    facts: Mapping[str, str | float] = field(default_factory=dict)
-    figures: Mapping[str, FigureOrNull] = field(default_factory=dict)
-
-
-def identify_jobs(settings: IdentifySettings) -> tuple[IdentifyJob, ...]:
-    """A job for each device."""
-    drawn = draw_devices(settings.devices, settings.seed, settings.quick)
-    rates = settings.rates_hz
-    return tuple(IdentifyJob(d.number, d.key) for d in drawn if not rates or d.rate_hz in rates)
-
-
-def fingerprint(job: IdentifyJob, settings: IdentifySettings) -> str:
-    """SHA-256 over the device's numbers and the settings."""
-    device = draw_devices(settings.devices, settings.seed, settings.quick)[job.number]
-    parts = {"device": repr(device), "settings": settings.model_dump(mode="json")}
-    return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
-
-
-def result_files(folder: Path) -> ResultFiles[IdentifyResult]:
-    """Results of the study's folder; a figure that is not there is null."""
-    return ResultFiles(folder, IdentifyResult, FORMAT, plain)
-
-
-def plain(result: IdentifyResult) -> dict[str, Any]:
-    """A result as JSON; a figure that is not there is null."""
-
-    def finite(value: float) -> float | None:
-        return value if math.isfinite(value) else None
-
-    found = {name: [finite(v) for v in interval] for name, interval in result.found.items()}
-    return asdict(result) | {"found": found, "figures": {k: finite(v) for k, v in result.figures.items()}}
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,16 +68,19 @@ class _Watch:
         self.seconds[f"seconds.{name}"], self.last = now - self.last, now
 
 
-def study_device(
-    job: IdentifyJob, settings: IdentifySettings, folder: Path
-) -> tuple[str, dict[str, Interval], dict[str, float]]:
+def drawn_devices(settings: IdentifySettings) -> tuple[DrawnDevice, ...]:
+    """All devices of the draw."""
+    return draw_devices(settings.devices, settings.seed, settings.quick)
+
+
+def run_device(job: IdentifyJob, settings: IdentifySettings, folder: Path) -> dict[str, Any]:
     """How the identification went, what it found, and the figures of all controllers; models are written.
 
     Raises:
         FitError: if a model cannot be identified.
         HystmpcError: if a controller cannot be built.
     """
-    device = draw_devices(settings.devices, settings.seed, settings.quick)[job.number]
+    device = drawn_devices(settings)[job.number]
     watch = _Watch({}, time.process_time())
     plant = DrawnPlant(device, device.seed)
     trials = recordings(plant, settings.quick)
@@ -167,7 +101,8 @@ def study_device(
         watch.lap(name)
     figures |= _as_identified(study)
     watch.lap("as_identified")
-    return identified.report, found_parts(identified), figures | watch.seconds
+    found = found_parts(identified)
+    return {"message": identified.report, "found": found, "figures": figures | watch.seconds}
 
 
 def found_parts(identified: Identified) -> dict[str, Interval]:
@@ -299,17 +234,3 @@ def _as_identified(study: DeviceStudy) -> dict[str, float]:
     for name, settings in (("linearised", LinearisedMpcSettings()), ("inverse", InverseControllerSettings())):
         figures |= _along(f"as_identified_{name}", _built(settings, study.model, limits), plant, study, 0.0)
     return figures
-
-
-def as_result(job: IdentifyJob, settings: IdentifySettings) -> IdentifyResult:
-    """A result that says what the device is, and nothing else yet."""
-    device = draw_devices(settings.devices, settings.seed, settings.quick)[job.number]
-    facts: dict[str, str | float] = {
-        "family": device.family,
-        "rate_hz": device.rate_hz,
-        "noise_deg": device.noise_deg,
-        "servo_damping": device.damping,
-        "creep_s": device.creep_s,
-        "rate_per_s": device.rate_per_s,
-    }
-    return IdentifyResult(job, fingerprint(job, settings), "failed", "", 0.0, device.truth, {}, facts)

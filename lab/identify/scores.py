@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import final
 
 import numpy as np
@@ -58,11 +58,6 @@ def scores(
         "violations": float(beyond),
         "stops": float(stops),
     }
-
-
-def rmse_of(figures: Mapping[str, float], controller: str) -> float:
-    """RMSE of a controller over all motions [deg]; infinite where it is not there."""
-    return figures.get(f"{controller}.rmse_deg", math.inf)
 
 
 @final
