@@ -57,15 +57,18 @@ docs: $(VENV)/.installed ## the site with API, commands and configuration keys: 
 	@echo "site/index.html"
 
 # The suite runs on an editable install, where a package or data file that pyproject.toml forgets is found all the same.
-wheel-test: $(VENV)/.installed ## build sdist and wheel, install the wheel alone in an empty venv, test it there
+wheel-test: $(VENV)/.installed ## build sdist and wheels, install that of hystmpc alone in an empty venv, test it there, add the laboratory
 	@set -e; folder=$$(mktemp -d); trap 'rm -rf "$$folder"' EXIT; \
 	$(VENV)/bin/python -m build --outdir "$$folder/dist" . > "$$folder/build.log" || { cat "$$folder/build.log"; exit 1; }; \
-	ls "$$folder/dist"; \
+	$(VENV)/bin/python -m build --wheel --outdir "$$folder/lab" lab > "$$folder/build.log" || { cat "$$folder/build.log"; exit 1; }; \
+	ls "$$folder/dist" "$$folder/lab"; \
 	$(VENV)/bin/python -m venv "$$folder/venv"; \
 	"$$folder/venv/bin/python" $(INSTALL) "$$folder"/dist/*.whl pytest; \
 	cp -r tests/wheel "$$folder/wheel"; \
 	cd "$$folder/wheel"; \
-	HYSTMPC_CHECKOUT="$(CURDIR)" HYSTMPC_WHEEL="$$(ls "$$folder"/dist/*.whl)" ../venv/bin/python -m pytest -q $(ARGS) .
+	HYSTMPC_CHECKOUT="$(CURDIR)" HYSTMPC_WHEEL="$$(ls "$$folder"/dist/*.whl)" ../venv/bin/python -m pytest -q $(ARGS) .; \
+	../venv/bin/python $(INSTALL) --no-deps "$$folder"/lab/*.whl; \
+	../venv/bin/hystmpc study --help | grep -q "Do all jobs of a study"
 
 dist: $(VENV)/.installed ## wheel and sdist of the last commit, built twice: the same bytes each time
 	$(VENV)/bin/python lab/benchmarks/dist.py $(ARGS)

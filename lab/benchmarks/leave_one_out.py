@@ -28,7 +28,7 @@ from hystmpc.models.contract.load import load_onnx
 from hystmpc.models.evaluate import Errors, evaluate
 from hystmpc.models.kinds.catalogue import KINDS, kind_named
 from hystmpc.models.kinds.kind import FitRequest
-from hystmpc.models.kinds.networks import NETWORK_PRESETS
+from hystmpc.models.kinds.networks import NetworkKind
 from hystmpc.models.model import LoadedModel
 from hystmpc.models.train.networks import fit_network, network_bundle
 from hystmpc.models.train.settings import NetworkSettings
@@ -83,9 +83,9 @@ def of_kind(name: str, training: str, changes: Sequence[str], skip: bool) -> Fit
     """How a kind is identified, the first flexure skipped or not; presets of networks may be changed."""
     kind = kind_named(name)
     preset = training if training in kind.presets else kind.presets[0]
-    if name in NETWORK_PRESETS:
+    if isinstance(kind, NetworkKind):
         weight = ["first_flexure_weight=0.0"] if skip else []
-        return network(overridden(NETWORK_PRESETS[name][preset], [*weight, *changes]))
+        return network(overridden(kind.settings[preset], [*weight, *changes]))
     asked = FitRequest(preset=preset, plays=10, skip_first_flexure=skip)
     return lambda trials: kind.fit(trials, asked).bundle
 

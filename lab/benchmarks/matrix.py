@@ -25,6 +25,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
+OURS = {"hystmpc": ".", "hystmpc-lab": "./lab"}
 FOLDER = ROOT / ".matrix"
 SETS = {"pinned": "highest", "lowest": "lowest-direct"}
 UV = Path(sysconfig.get_path("scripts"), "uv")
@@ -86,13 +87,16 @@ def uv(*arguments: object, **environment: str) -> str:
 
 
 def requirements(python: str, resolution: str, override: str) -> str:
-    """The exact versions of the package, its extras and its tools; torch is as `override` says."""
+    """The exact versions of both packages, their extras and tools; torch is as `override` says.
+
+    The two packages themselves, of which each asks for the other, come from the checkout.
+    """
     over = FOLDER / "override.txt"
-    over.write_text(override + "\n", encoding="utf-8")
+    over.write_text("\n".join([override, *(f"{name} ; python_version < '3'" for name in OURS), ""]), encoding="utf-8")
     pins = ["--constraint", "constraints.txt"] if resolution == "highest" else []
     return uv(
         *("pip", "compile", "--quiet", "--no-header", "--no-annotate", "--all-extras", "--only-binary", ":all:"),
-        *("--python", python, "--resolution", resolution, "--override", over, *pins, "pyproject.toml"),
+        *("--python", python, "--resolution", resolution, "--override", over, *pins, *(Path(folder, "pyproject.toml") for folder in OURS.values())),
     )
 
 
@@ -115,7 +119,8 @@ def run_cell(python: str, name: str, resolution: str, keep: bool) -> None:
     uv("venv", "--quiet", "--python", python, venv)
     target = {"VIRTUAL_ENV": str(venv)}
     uv("pip", "install", "--quiet", "--compile-bytecode", "--no-deps", "--only-binary", ":all:", "-r", wanted, **target)
-    uv("pip", "install", "--quiet", "--no-deps", "--editable", ".", **target)
+    for checkout in OURS.values():
+        uv("pip", "install", "--quiet", "--no-deps", "--editable", checkout, **target)
     command = [venv / "bin" / "python", "-m", "pytest", "-n", "auto", "--dist", "worksteal", "-m", "not slow"]
     with (folder / "pytest.log").open("w", encoding="utf-8") as log:
         subprocess.run(

@@ -13,13 +13,13 @@ from hystmpc.models.contract.load import OnnxModel, load_onnx
 from hystmpc.models.evaluate import evaluate
 from hystmpc.models.kinds.catalogue import kind_named
 from hystmpc.models.kinds.kind import FitRequest, Identified
-from hystmpc.models.kinds.networks import network_settings
-from hystmpc.models.networks.settings import FeedForwardSettings
+from hystmpc.models.kinds.networks import NetworkKind
 from hystmpc.models.train.networks import fit_network, network_bundle
 from hystmpc.models.train.settings import NetworkSettings
 from hystmpc.trials.errors import FitError, LogError
 from hystmpc.trials.trial import Trial
 
+from ..rivals.forms import FeedForwardSettings
 from .job import TrainingTask
 from .result import Score, model_file
 from .settings import PaperSettings
@@ -40,7 +40,9 @@ def fit_with_window(kind: str, trials: Sequence[Trial], request: FitRequest, win
     """
     if kind not in WINDOWS:
         raise FitError(f"{kind}: got a window of {window} samples, the window study knows {', '.join(WINDOWS)}")
-    settings = windowed(network_settings(kind, request), window)
+    network = kind_named(kind)
+    assert isinstance(network, NetworkKind)
+    settings = windowed(network.training(request), window)
     found = fit_network(trials, settings, None, request.validation)
     history = tuple((look.step, look.validation_rmse_deg) for look in found.history)
     report = f"weights of step {found.best_step} of {settings.steps}, {window} samples"

@@ -28,12 +28,8 @@ def wrong_way(root: Path) -> Iterator[str]:
 
 def may_need_torch(module: Module) -> bool:
     """Training, the definitions of networks, and the benchmark's rival that runs on torch."""
-    wrapper = module.name.startswith("hystmpc.models.networks.") and module.name.endswith("_")
-    return (
-        wrapper
-        or module.name.startswith("hystmpc.models.train.")
-        or module.name == "hystmpc_lab.performance.pytorch_mppi_"
-    )
+    networks = module.name.startswith(("hystmpc.models.networks.", "hystmpc_lab.rivals.", "hystmpc_lab.performance."))
+    return (networks and module.name.endswith("_")) or module.name.startswith("hystmpc.models.train.")
 
 
 def test_imports_run_one_way() -> None:

@@ -14,7 +14,6 @@ from hystmpc.models.kinds import networks
 from hystmpc.models.kinds.catalogue import KINDS, chosen_kind, kind_named
 from hystmpc.models.kinds.connected import DrivenKind, ResidualKind, behind
 from hystmpc.models.kinds.kind import FitRequest
-from hystmpc.models.kinds.networks import NETWORK_PRESETS
 from hystmpc.models.operators.dynamics import Delay, Lag
 from hystmpc.trials.errors import FitError
 from hystmpc.trials.trial import Trial
@@ -72,10 +71,10 @@ def wavy(trials: list[Trial], amplitude_deg: float) -> list[Trial]:
 
 def small(patch: pytest.MonkeyPatch) -> None:
     """A network of one layer of 16 in the place of the preset, which takes a minute."""
-    presets = NETWORK_PRESETS["gru"]
+    presets = networks.GRU.settings
     network = presets[networks.RESIDUAL].network.model_copy(update={"hidden": 16, "layers": 1})
     tried = presets[networks.RESIDUAL].model_copy(update={"network": network})
-    patch.setattr(networks, "NETWORK_PRESETS", {**NETWORK_PRESETS, "gru": {**presets, networks.RESIDUAL: tried}})
+    patch.setattr(networks.GRU, "settings", {**presets, networks.RESIDUAL: tried})
 
 
 @pytest.mark.slow

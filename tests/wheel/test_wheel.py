@@ -31,13 +31,9 @@ ROOMS = (
 # These wrap packages of an extra, and may ask for it when they are imported.
 EXTRAS = {
     "torch",
-    "sklearn",
-    "skl2onnx",
-    "cma",
     "mcap",
     "h5py",
     "rosbags",
-    "pytorch_mppi",
     "distributed",
     "gymnasium",
     "optuna",

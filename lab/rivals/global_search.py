@@ -9,13 +9,12 @@ from typing import Any, cast
 import numpy as np
 from scipy.optimize import differential_evolution
 
+from hystmpc.models.identify.chain_fit import ChainFit, ChainTask, Tracker
+from hystmpc.models.identify.free_run import FreeRuns
+from hystmpc.models.identify.least_squares import OperatorFitSettings, fit_chain
+from hystmpc.models.model import FitProgress
 from hystmpc.trials.errors import FitError
 from hystmpc.trials.types import Vec
-
-from ..model import FitProgress
-from .chain_fit import ChainFit, ChainTask, Tracker
-from .free_run import FreeRuns
-from .least_squares import OperatorFitSettings, fit_chain
 
 Search = Callable[[Tracker, "Region", "GlobalSettings"], None]
 
@@ -138,17 +137,10 @@ SPREAD = 0.25  # first standard deviation, as a share of the box
 def adapt(tracker: Tracker, region: Region, settings: GlobalSettings) -> None:
     """Covariance matrix adaptation over the box scaled to one, from the start; once settled, from a random point.
 
-    Needs the extra `train`.
-
-    Raises:
-        FitError: without the extra.
-
     Source: Hansen, arXiv 1604.00772.
     """
-    try:
-        import cma
-    except ImportError as error:
-        raise FitError(f"cmaes needs {error.name}, expected it installed: pip install hystmpc[train]") from None
+    import cma
+
     rng = np.random.default_rng(settings.seed)
     lower, width = region.lower, region.upper - region.lower
     point, done = np.clip((region.start - lower) / width, 0.02, 0.98), 0

@@ -10,19 +10,20 @@ from typing import Annotated, Any
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
+from sklearn.svm import SVR  # type: ignore[import-untyped]
 
+from hystmpc.models.contract.export import ExportBundle
+from hystmpc.models.contract.metadata import DeviceLimits, Range
+from hystmpc.models.identify.runs import angle_range, check_trial_set, command_range, facts_of, fixed_rule
+from hystmpc.models.model import FitProgress
+from hystmpc.models.motions import probe_commands
 from hystmpc.trials.config import Settings
 from hystmpc.trials.errors import FitError
 from hystmpc.trials.segments import first_flexure_end
 from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Index, Vec
 
-from ..contract.export import ExportBundle
-from ..contract.metadata import DeviceLimits, Range
-from ..identify.runs import angle_range, check_trial_set, command_range, facts_of, fixed_rule
-from ..model import FitProgress
-from ..motions import probe_commands
-from ..networks.svr import SvrStep, SvrWeights, svr_step_graph
+from .svr import SvrStep, SvrWeights, svr_step_graph
 
 Positive = Annotated[float, Field(gt=0)]
 Count = Annotated[int, Field(ge=1)]
@@ -144,7 +145,6 @@ def fit_svr(
     """
     settings = settings or SvrSettings()
     check_trial_set(trials)
-    _regressor()
     samples, rng = _samples(trials, settings, skip_first_flexure), np.random.default_rng(settings.seed)
     choices = [SvrChoice(*values) for values in itertools.product(settings.c, settings.gamma, settings.epsilon)]
     judged: dict[SvrChoice, float] = {}
@@ -239,9 +239,9 @@ def _left_out(samples: _Samples, folds: Sequence[NDArray[np.bool_]], choice: Svr
 
 
 def _fitted(windows: Vec, angles: Vec, choice: SvrChoice, cache_mb: int) -> Any:
-    machine = _regressor()(
-        kernel="rbf", C=choice.c, gamma=choice.gamma, epsilon=choice.epsilon, cache_size=cache_mb
-    ).fit(windows, angles)
+    machine = SVR(kernel="rbf", C=choice.c, gamma=choice.gamma, epsilon=choice.epsilon, cache_size=cache_mb).fit(
+        windows, angles
+    )
     if not len(machine.support_):
         raise FitError(
             f"SVR: no support vector, all scaled angles lie within epsilon {choice.epsilon:g} of one value; "
@@ -263,16 +263,3 @@ def _weights(machine: Any, choice: SvrChoice, trials: Sequence[Trial], stride: i
         theta_scale=0.5 * (angle.upper - angle.lower),
         stride=stride,
     )
-
-
-def _regressor() -> Any:
-    """scikit-learn's SVR; the core installs without it.
-
-    Raises:
-        FitError: if scikit-learn is not installed.
-    """
-    try:
-        from sklearn.svm import SVR  # type: ignore[import-untyped]
-    except ImportError:
-        raise FitError("SVR needs scikit-learn, expected `pip install hystmpc[train]`") from None
-    return SVR

@@ -7,10 +7,9 @@ from typing import TYPE_CHECKING, final
 
 import numpy as np
 
+from hystmpc.models.model import StepFunction
 from hystmpc.trials.errors import ModelError
 from hystmpc.trials.types import Vec
-
-from ..model import StepFunction
 
 if TYPE_CHECKING:
     import onnx
@@ -115,7 +114,7 @@ def svr_step_graph(weights: SvrWeights) -> onnx.GraphProto:
     ONNX-ML's SVMRegressor, which skl2onnx writes, is single precision and has no derivative: here the same sum stands
     in matrix products, -gamma |w - s|^2 = 2 gamma w.s - gamma |s|^2 - gamma |w|^2.
     """
-    from ..contract.onnx_nodes import graph_of_nodes, node
+    from hystmpc.models.contract.onnx_nodes import graph_of_nodes, node
 
     gamma = weights.gamma
     numbers = {

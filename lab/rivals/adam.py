@@ -7,17 +7,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hystmpc.models.chain import Chain
+from hystmpc.models.decades import size_of
+from hystmpc.models.identify.chain_fit import ChainFit, ChainTask, Tracker
+from hystmpc.models.identify.free_run import FreeRuns, StagedChain
+from hystmpc.models.identify.runs import check_trial_set, end_to_end
+from hystmpc.models.model import FitProgress
 from hystmpc.trials.errors import FitError
 from hystmpc.trials.segments import first_flexure_end
 from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Vec
-
-from ..chain import Chain
-from ..decades import size_of
-from ..model import FitProgress
-from .chain_fit import ChainFit, ChainTask, Tracker
-from .free_run import FreeRuns, StagedChain
-from .runs import check_trial_set, end_to_end
 
 
 @dataclass(frozen=True)

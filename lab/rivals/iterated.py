@@ -8,15 +8,14 @@ from typing import Literal
 
 import numpy as np
 
+from hystmpc.models.identify.chain_fit import ChainFit, ChainTask, Tracker
+from hystmpc.models.identify.free_run import FreeRuns, ScoredRun
+from hystmpc.models.identify.runs import check_trial_set
+from hystmpc.models.model import FitProgress
+from hystmpc.models.operators.hysteresis import Backlash
 from hystmpc.trials.errors import FitError
 from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Vec
-
-from ..model import FitProgress
-from ..operators.hysteresis import Backlash
-from .chain_fit import ChainFit, ChainTask, Tracker
-from .free_run import FreeRuns, ScoredRun
-from .runs import check_trial_set
 
 
 @dataclass(frozen=True)

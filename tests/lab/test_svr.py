@@ -12,13 +12,13 @@ from hystmpc.models.contract.export import export_onnx
 from hystmpc.models.contract.load import OnnxModel, load_onnx
 from hystmpc.models.evaluate import evaluate
 from hystmpc.models.kinds.kind import FitRequest
-from hystmpc.models.kinds.regressions import SvrKind
-from hystmpc.models.networks.svr import SvrStep, SvrWeights, svr_step_graph
-from hystmpc.models.train.svr_ import SVR_PRESETS, SvrSettings, fit_svr
 from hystmpc.trials.errors import FitError, ModelError
 from hystmpc.trials.trial import Trial
+from hystmpc_lab.rivals.kinds import SvrKind
+from hystmpc_lab.rivals.svr import SvrStep, SvrWeights, svr_step_graph
+from hystmpc_lab.rivals.svr_ import SVR_PRESETS, SvrSettings, fit_svr
 
-from .lstm_examples import four_trials
+from ..models.lstm_examples import four_trials
 
 pytest.importorskip("sklearn", reason="scikit-learn is an extra")
 

@@ -13,15 +13,14 @@ import numpy as np
 import torch
 from onnx import TensorProto
 
+from hystmpc.models.contract.onnx_nodes import operator_nodes
+from hystmpc.models.kernels.numba_ import generated_module
+from hystmpc.models.kernels.program import dense, scalar_program
+from hystmpc.models.networks.network_ import Network, numbers
+from hystmpc.models.networks.nodes import GraphWriter
+from hystmpc.models.networks.recurrent_ import LstmNet
+from hystmpc.models.operators.operator import Operator
 from hystmpc.trials.types import Vec
-
-from ..contract.onnx_nodes import operator_nodes
-from ..kernels.numba_ import generated_module
-from ..kernels.program import dense, scalar_program
-from ..operators.operator import Operator
-from .network_ import Network, numbers
-from .nodes import GraphWriter
-from .recurrent_ import LstmNet
 
 
 @dataclass(frozen=True)
@@ -138,7 +137,7 @@ def _compile(serialized: str) -> _Kernels:
     forward = scalar_program(dense("forward_step", [x, u, p], [y, following]), "forward_step")
     partials = scalar_program(dense("partials", [x, u, p], slopes), "partials")
     generated = "".join(_DECORATOR + program.source + "\n\n" for program in (forward, partials))
-    loops = resources.files("hystmpc.models.networks").joinpath("operator_loops.py").read_text(encoding="utf-8")
+    loops = resources.files("hystmpc_lab.rivals").joinpath("operator_loops.py").read_text(encoding="utf-8")
     module = generated_module("import math\n\n\n" + generated + loops)
     return _Kernels(module.run, module.pull_back, np.array(forward.constants), np.array(partials.constants))
 
