@@ -96,7 +96,16 @@ def requirements(python: str, resolution: str, override: str) -> str:
     pins = ["--constraint", "constraints.txt"] if resolution == "highest" else []
     return uv(
         *("pip", "compile", "--quiet", "--no-header", "--no-annotate", "--all-extras", "--only-binary", ":all:"),
-        *("--python", python, "--resolution", resolution, "--override", over, *pins, *(Path(folder, "pyproject.toml") for folder in OURS.values())),
+        *(
+            "--python",
+            python,
+            "--resolution",
+            resolution,
+            "--override",
+            over,
+            *pins,
+            *(Path(folder, "pyproject.toml") for folder in OURS.values()),
+        ),
     )
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from hystmpc.gap.diagnosis import TrackingGap
 from hystmpc.gap.tracking.expected import NEAR
 
-from ..identify.device import FAMILIES
+from ..devices.drawn import FAMILIES
 from ..study import Bar, Figures, Outcome, beyond, by_device, over
 from .job import WORN
 from .settings import CommissionResult, CommissionStudySettings

@@ -1,9 +1,8 @@
-"""Drawn devices as the study needs them: prepared by flexures, changed by wear, and behind a bench."""
+"""Drawn devices as the study needs them: prepared by flexures, and behind a bench."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
 from pathlib import Path
 from typing import Any, final
 
@@ -20,9 +19,7 @@ from hystmpc.rig.transports.transport import PlantFactory
 from hystmpc.sim.plants.computed import ComputedPlant, Sensing
 from hystmpc.trials.types import Vec
 
-from ..blind.cores import CapstanCore, RodCore
-from ..blind.muscle import MuscleCore
-from ..identify.device import DrawnDevice, DrawnPlant
+from ..devices.drawn import DrawnDevice, DrawnPlant
 
 _SLOW_S, _QUICK_S, _TOP_S, _REST_S = 4.0, 1.2, 0.3, 0.5  # of a stroke of either flexure, at its top, and behind it
 _BESIDE = 0.3  # of the reachable angles: how much more than them the sensor shows at either end
@@ -109,22 +106,6 @@ class TakenUp:
     def measure(self, state: GuardedState[Any], y: float, age: float) -> GuardedState[Any]:
         """The state with a late measurement."""
         return self._controller.measure(state, y, age)
-
-
-def worn(device: DrawnDevice, friction: float, stiffness: float) -> DrawnDevice:
-    """The device with other friction and stiffness, as factors; a stiffer one moves less for the same command.
-
-    The friction of a muscle is divided by its factor: with more of it the angle would rise as the pressure falls.
-    """
-    core = device.core
-    changes: dict[str, Any]
-    if isinstance(core, MuscleCore):
-        changes = {"friction": core.friction / friction, "greatest_deg": core.greatest_deg / stiffness}
-    else:
-        own: tuple[str, ...] = ("wrap",) if isinstance(core, CapstanCore) else ("friction",)
-        own += ("drag_n",) if isinstance(core, RodCore) else ()
-        changes = {name: getattr(core, name) * friction for name in own} | {"gain": core.gain / stiffness}
-    return replace(device, core=replace(core, **changes))
 
 
 def bench_settings(plant: DrawnPlant, commission: Mapping[str, Any], folder: Path) -> CommissionSettings:

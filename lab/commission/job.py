@@ -19,9 +19,7 @@ from hystmpc.ctrl.build import build_controller, known_model, limits_of_model
 from hystmpc.ctrl.feedback.inverse_settings import InverseControllerSettings
 from hystmpc.ctrl.feedback.pid import PidControllerSettings
 from hystmpc.ctrl.frames import ImagingSettings, NoSensorSettings
-from hystmpc.ctrl.guarded import GuardedController
 from hystmpc.ctrl.law import LawSettings
-from hystmpc.ctrl.limits import CommandLimits
 from hystmpc.ctrl.loop import Controller
 from hystmpc.ctrl.mpc_settings import LinearisedMpcSettings
 from hystmpc.gap.tracking.diagnosed import covered_motions
@@ -29,18 +27,18 @@ from hystmpc.gap.tracking.expected import USUAL
 from hystmpc.gap.whole import diagnose_trials
 from hystmpc.models.kinds.catalogue import kind_named
 from hystmpc.models.simulator import ChainModel, load_simulator
-from hystmpc.sim.closed_loop import ClosedLoopRun, run_closed_loop
+from hystmpc.sim.closed_loop import ClosedLoopRun
 from hystmpc.sim.plants.computed import ComputedPlant
 from hystmpc.sim.study import Knowledge, knowledge
 from hystmpc.sim.tune_pid import searched_gains
 from hystmpc.trajectories.drawn import CountedMotion
 
-from ..identify.device import DrawnDevice, DrawnPlant, draw_devices
+from ..devices.drawn import DrawnDevice, DrawnPlant, draw_devices, worn
+from ..devices.motions import fresh_motions, recordings
 from ..identify.job import DeviceStudy, identified_as, opened_model, tuned_rivals
-from ..identify.motions import fresh_motions, recordings
-from ..identify.scores import AS_IDENTIFIED_NOISE_DEG, IdentifiedPlant, scores
+from ..identify.scores import AS_IDENTIFIED_NOISE_DEG, IdentifiedPlant, controller_on, tracked
 from ..identify.settings import IdentifySettings
-from .device import PreparedPlant, TakenUp, bench_settings, drawn_plants, worn
+from .device import PreparedPlant, TakenUp, bench_settings, drawn_plants
 from .settings import CommissionJob, CommissionStudySettings
 
 IMAGING = ImagingSettings(rate_hz=5.0, latency_s=0.2, noise_deg=0.5)
@@ -104,14 +102,7 @@ class StudyBench:
         sensor: ImagingSettings | NoSensorSettings | None = None,
     ) -> tuple[dict[str, float], list[ClosedLoopRun]]:
         """Figures of a controller over all motions, `name` before each, and the runs."""
-        found, followed = plant or self.plant, motions or self.motions
-        runs = []
-        for motion in followed:
-            runs.append(run_closed_loop(controller, found, motion.trajectory, sensor=sensor))
-            if runs[-1].log.interrupted:
-                raise KeyboardInterrupt
-        figures = scores(runs, followed, self.device.limits, self.device.delay_s, self.device.lag_s)
-        return {f"{name}.{figure}": value for figure, value in figures.items()}, runs
+        return tracked(name, controller, plant or self.plant, motions or self.motions, self.device, sensor=sensor)
 
 
 def drawn_devices(settings: CommissionStudySettings) -> tuple[DrawnDevice, ...]:
@@ -137,7 +128,7 @@ def _commission(bench: StudyBench) -> tuple[str, dict[str, float]]:
         figures |= bench.along(name, controller)[0]
     cases: dict[str, dict[str, Any]] = {"commissioned": {}, "learning_off": {"adaptation": None}}
     for name, changed in cases.items():
-        controller = _built(_of(tip, changed), known, device.limits)
+        controller = controller_on(_of(tip, changed), known, device.limits)
         figures |= bench.along(name, TakenUp(controller, bench.plant))[0]
     return found.verified.verdict if found.verified else "", figures
 
@@ -169,10 +160,10 @@ def _compare(bench: StudyBench) -> tuple[str, dict[str, float]]:
         known, _ = _known(bench.tip(other))
         cases: dict[str, dict[str, Any]] = {name: anywhere, f"{name}_off": anywhere | {"adaptation": None}}
         for case, changed in cases.items():
-            controller = _built(_of(LinearisedMpcSettings(), changed), known, device.limits)
+            controller = controller_on(_of(LinearisedMpcSettings(), changed), known, device.limits)
             figures |= bench.along(case, TakenUp(controller, bench.plant))[0]
     lagging = knowledge(str(_model(bench.tip())), None, UNKNOWN_LAG_S)
-    figures |= bench.along("wrong_lag", TakenUp(_built(tip, lagging, device.limits), bench.plant))[0]
+    figures |= bench.along("wrong_lag", TakenUp(controller_on(tip, lagging, device.limits), bench.plant))[0]
     for name, factors in WORN.items():
         figures |= _changed(bench, name, factors, own, tip)
     figures |= _sensors(bench, own, tip)
@@ -190,7 +181,7 @@ def _changed(
     anywhere = {"estimator": {"rest_tolerance_deg": _ANY_REST_DEG}}
     cases: dict[str, dict[str, Any]] = {name: anywhere, f"{name}_off": anywhere | {"adaptation": None}}
     for case, changed in cases.items():
-        controller = TakenUp(_built(_of(tip, changed), own, device.limits), plant)
+        controller = TakenUp(controller_on(_of(tip, changed), own, device.limits), plant)
         figures |= bench.along(case, controller, plant, motions)[0]
     return figures
 
@@ -199,7 +190,7 @@ def _sensors(bench: StudyBench, own: Knowledge, tip: LawSettings) -> dict[str, f
     """Without a sensor and with frames of an imaging system, beside the PID tuned for those."""
     limits, blind, frames = bench.device.limits, NoSensorSettings(), IMAGING
     alone = _of(tip, {"estimator": dict(blind.told())})
-    figures, runs = bench.along("none", TakenUp(_built(alone, own, limits), bench.plant), sensor=blind)
+    figures, runs = bench.along("none", TakenUp(controller_on(alone, own, limits), bench.plant), sensor=blind)
     noise = own.predictor.noise
     sigma = math.nan if noise is None or noise.model_sigma_deg is None else noise.model_sigma_deg
     inside = [
@@ -208,13 +199,15 @@ def _sensors(bench: StudyBench, own: Knowledge, tip: LawSettings) -> dict[str, f
     ]
     figures |= {"none.sigma_deg": sigma, "none.within_band": float(np.mean(np.concatenate(inside)))}
     seeing = _of(tip, {"estimator": dict(frames.told())})
-    figures |= bench.along("imaging", TakenUp(_built(seeing, own, limits), bench.plant, frames), sensor=frames)[0]
+    figures |= bench.along("imaging", TakenUp(controller_on(seeing, own, limits), bench.plant, frames), sensor=frames)[
+        0
+    ]
     figures |= bench.along("imaging_pid", _imaging_pid(bench, own), sensor=frames)[0]
     model = IdentifiedPlant(own, bench.drawn.true_angle, AS_IDENTIFIED_NOISE_DEG, bench.device.seed)
     rivals: dict[str, LawSettings] = {"as_identified_none": alone, "as_identified_inverse": InverseControllerSettings()}
     for name, settings in rivals.items():
         sensor = blind if name.endswith("none") else None
-        figures |= bench.along(name, _built(settings, own, limits), model, sensor=sensor)[0]
+        figures |= bench.along(name, controller_on(settings, own, limits), model, sensor=sensor)[0]
     return figures
 
 
@@ -224,13 +217,13 @@ def _imaging_pid(bench: StudyBench, own: Knowledge) -> Controller[Any]:
     plant = PreparedPlant(bench.drawn, bench.device.seed + _COMPARED + 1)
 
     def mean_square(tried: LawSettings) -> float:
-        _, runs = bench.along("", _built(tried, own, bench.device.limits), plant, sensor=IMAGING)
+        _, runs = bench.along("", controller_on(tried, own, bench.device.limits), plant, sensor=IMAGING)
         errors = [run.error_deg[motion.first(run.dt) :] for run, motion in zip(runs, bench.motions, strict=True)]
         return float(np.mean([np.mean(error**2) for error in errors]))
 
     evaluations = max(bench.settings.evaluations // _IMAGING_SHARE, 10)
     best = searched_gains(start, mean_square, evaluations, bench.settings.seed)
-    return _built(best.settings, own, bench.device.limits)
+    return controller_on(best.settings, own, bench.device.limits)
 
 
 def _known_to_pid(sensor: ImagingSettings) -> dict[str, Any]:
@@ -286,9 +279,3 @@ def _of(settings: LawSettings, changes: Mapping[str, Any]) -> LawSettings:
     if data.get("adaptation", {}) is None:
         data.pop("handover", None)
     return type(settings).parse(data, "study commission")
-
-
-def _built(settings: LawSettings, known: Knowledge, limits: CommandLimits) -> GuardedController[Any]:
-    predictive = isinstance(settings, LinearisedMpcSettings)
-    pair = (known.predictor, known.inverse) if predictive else known.feedforward
-    return build_controller(settings, *pair, limits)

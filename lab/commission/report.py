@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 
 from hystmpc.trials.report import MEASURED, MODEL, PALETTE, Heading, Plot, Report
 
-from ..identify.device import FAMILIES
+from ..devices.drawn import FAMILIES
 from ..study import Cell, StudyTable, bars_table, cell, figures_table, ratios_figure, rmse_of, set_up
 from .bars import RIVALS, CommissionOutcome, bars, over_rival
 

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from ..identify.device import DrawnDevice
+from ..devices.drawn import DrawnDevice
 from ..study import Study, StudyTable, bars_summary, plain_result
 from .bars import CommissionOutcome, bars
 from .job import drawn_devices, run_stage

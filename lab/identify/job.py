@@ -10,11 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from hystmpc.ctrl.build import build_controller
 from hystmpc.ctrl.feedback.inverse_settings import InverseControllerSettings, InversePidControllerSettings
 from hystmpc.ctrl.feedback.pid import PidControllerSettings, PidSettings
-from hystmpc.ctrl.law import LawSettings
-from hystmpc.ctrl.limits import CommandLimits
 from hystmpc.ctrl.loop import Controller
 from hystmpc.ctrl.mpc_settings import LinearisedMpcSettings, SamplingMpcSettings
 from hystmpc.models.contract.export import export_onnx
@@ -22,19 +19,18 @@ from hystmpc.models.contract.metadata import DeviceLimits, Range
 from hystmpc.models.kinds.catalogue import chosen_kind, kind_named
 from hystmpc.models.kinds.kind import FitRequest, Identified, ModelKind
 from hystmpc.models.simulator import save_simulator
-from hystmpc.sim.closed_loop import ClosedLoopRun, run_closed_loop
-from hystmpc.sim.plants.computed import ComputedPlant
+from hystmpc.sim.closed_loop import run_closed_loop
 from hystmpc.sim.study import Knowledge, knowledge
 from hystmpc.sim.tune_pid import PidLike, searched_gains
 from hystmpc.trajectories.drawn import CountedMotion
 from hystmpc.trials.trial import Trial
 
-from . import kernels
-from .device import DrawnDevice, DrawnPlant, draw_devices
-from .exact import exact_controller
-from .kernels import PidNumbers
-from .motions import fresh_motions, recordings
-from .scores import AS_IDENTIFIED_NOISE_DEG, IdentifiedPlant, scores
+from ..devices import kernels
+from ..devices.drawn import DrawnDevice, DrawnPlant, draw_devices
+from ..devices.exact import exact_controller
+from ..devices.kernels import PidNumbers
+from ..devices.motions import fresh_motions, recordings
+from .scores import AS_IDENTIFIED_NOISE_DEG, IdentifiedPlant, controller_on, tracked
 from .settings import IdentifyJob, IdentifySettings, Interval
 
 _RIVAL_MODEL = "pi"
@@ -97,7 +93,7 @@ def run_device(job: IdentifyJob, settings: IdentifySettings, folder: Path) -> di
     watch.lap("tune")
     figures: dict[str, float] = {}
     for name, controller in controllers.items():
-        figures |= _along(name, controller, plant, study, device.delay_s)
+        figures |= tracked(name, controller, plant, study.motions, device)[0]
         watch.lap(name)
     figures |= _as_identified(study)
     watch.lap("as_identified")
@@ -153,17 +149,11 @@ def _model_controllers(study: DeviceStudy) -> dict[str, Controller[Any]]:
     """The predictive controllers with default settings, the inverse alone, and the one that knows the device."""
     limits = study.device.limits
     return {
-        "linearised": _built(LinearisedMpcSettings(), study.model, limits),
-        "sampling": _built(SamplingMpcSettings(), study.model, limits),
-        "inverse": _built(InverseControllerSettings(), study.model, limits),
+        "linearised": controller_on(LinearisedMpcSettings(), study.model, limits),
+        "sampling": controller_on(SamplingMpcSettings(), study.model, limits),
+        "inverse": controller_on(InverseControllerSettings(), study.model, limits),
         "exact": exact_controller(study.device, LinearisedMpcSettings()),
     }
-
-
-def _built(settings: LawSettings, known: Knowledge, limits: CommandLimits) -> Controller[Any]:
-    predictive = isinstance(settings, LinearisedMpcSettings | SamplingMpcSettings)
-    pair = (known.predictor, known.inverse) if predictive else known.feedforward
-    return build_controller(settings, *pair, limits)
 
 
 def tuned_rivals(study: DeviceStudy, settings: IdentifySettings) -> dict[str, Controller[Any]]:
@@ -177,7 +167,7 @@ def tuned_rivals(study: DeviceStudy, settings: IdentifySettings) -> dict[str, Co
             return float(np.mean([case.mean_square(tried.gains) for case in cases]))
 
         best = searched_gains(start, mean_square, settings.evaluations, settings.seed)
-        found[name] = _built(best.settings, study.rival, study.device.limits)
+        found[name] = controller_on(best.settings, study.rival, study.device.limits)
     return found
 
 
@@ -197,7 +187,7 @@ class _PidCase:
         if isinstance(settings, InversePidControllerSettings):
             # With gains of zero the feedback is silent, and what is sent is the feedforward.
             silent = PidSettings(kp_per_deg=0.0, ki_per_deg_s=0.0, kd_s_per_deg=0.0)
-            alone = _built(settings.model_copy(update={"gains": silent}), study.rival, study.device.limits)
+            alone = controller_on(settings.model_copy(update={"gains": silent}), study.rival, study.device.limits)
             feedforward = run_closed_loop(alone, plant, motion.trajectory).log.command
             due = np.concatenate([[np.nan], wanted[:-1]])
         return cls(plant, (wanted, due, feedforward, plant.noise(wanted.size)), motion.first(plant.dt))
@@ -212,25 +202,11 @@ class _PidCase:
         return float(kernels.pid_square_error(self.plant.packed, rest, *self.arrays, self.first, numbers, angle))
 
 
-def _along(
-    name: str, controller: Controller[Any], plant: ComputedPlant, study: DeviceStudy, delay_s: float
-) -> dict[str, float]:
-    """Figures of a controller over all motions, `name` before each."""
-    runs: list[ClosedLoopRun] = []
-    for motion in study.motions:
-        runs.append(run_closed_loop(controller, plant, motion.trajectory))
-        if runs[-1].log.interrupted:
-            raise KeyboardInterrupt
-    lag = study.device.lag_s
-    found = scores(runs, study.motions, study.device.limits, delay_s, lag)
-    return {f"{name}.{figure}": value for figure, value in found.items()}
-
-
 def _as_identified(study: DeviceStudy) -> dict[str, float]:
     """The default controller and the inverse alone on a plant that is the identified model, with noise."""
     plant = IdentifiedPlant(study.model, study.plant.true_angle, AS_IDENTIFIED_NOISE_DEG, study.device.seed)
-    limits = study.device.limits
     figures: dict[str, float] = {}
     for name, settings in (("linearised", LinearisedMpcSettings()), ("inverse", InverseControllerSettings())):
-        figures |= _along(f"as_identified_{name}", _built(settings, study.model, limits), plant, study, 0.0)
+        controller = controller_on(settings, study.model, study.device.limits)
+        figures |= tracked(f"as_identified_{name}", controller, plant, study.motions, study.device, 0.0)[0]
     return figures

@@ -6,6 +6,7 @@ from matplotlib.figure import Figure
 
 from hystmpc.trials.report import MEASURED, MODEL, PALETTE, Heading, Plot, Report
 
+from ..devices.drawn import FAMILIES
 from ..study import NOTHING, Cell, StudyTable, bars_table, cell, figures_table, over, ratios_figure, rmse_of, set_up
 from .bars import (
     CONTROLLERS,
@@ -19,7 +20,6 @@ from .bars import (
     over_exact,
     summary,
 )
-from .device import FAMILIES
 from .settings import IdentifyResult
 
 _ABOUT = """Simulated devices drawn at random: a core (rod, capstan, Dahl, muscle) behind a drive with delay, lag or

@@ -1,22 +1,30 @@
-"""Figures of closed-loop runs in the study, and an identified model as a plant."""
+"""Closed-loop runs on a drawn device and their figures, and an identified model as a plant."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import final
+from typing import Any, final
 
 import numpy as np
 
+from hystmpc.ctrl.build import build_controller
 from hystmpc.ctrl.command import Source
+from hystmpc.ctrl.frames import ImagingSettings, NoSensorSettings
+from hystmpc.ctrl.guarded import GuardedController
+from hystmpc.ctrl.law import LawSettings
 from hystmpc.ctrl.limits import CommandLimits
+from hystmpc.ctrl.loop import Controller
+from hystmpc.ctrl.mpc_settings import LinearisedMpcSettings, SamplingMpcSettings
 from hystmpc.models.contract.metadata import Range
-from hystmpc.sim.closed_loop import ClosedLoopRun
+from hystmpc.sim.closed_loop import ClosedLoopRun, run_closed_loop
 from hystmpc.sim.plants.computed import ComputedPlant, Sensing
 from hystmpc.sim.results import holds, violations
 from hystmpc.sim.study import Knowledge
 from hystmpc.trajectories.drawn import CountedMotion
 from hystmpc.trials.types import Vec
+
+from ..devices.drawn import DrawnDevice
 
 AS_IDENTIFIED_NOISE_DEG = 0.15
 SETTLED_S = 1.0
@@ -58,6 +66,40 @@ def scores(
         "violations": float(beyond),
         "stops": float(stops),
     }
+
+
+def tracked(
+    name: str,
+    controller: Controller[Any],
+    plant: ComputedPlant,
+    motions: Sequence[CountedMotion],
+    device: DrawnDevice,
+    delay_s: float | None = None,
+    sensor: ImagingSettings | NoSensorSettings | None = None,
+) -> tuple[dict[str, float], list[ClosedLoopRun]]:
+    """Figures of a controller over all motions, `name` before each, and the runs.
+
+    Args:
+        device: whose limits and lag count.
+        delay_s: of the plant [s]; the device's where left out.
+
+    Raises:
+        KeyboardInterrupt: if the user ended it.
+    """
+    runs = []
+    for motion in motions:
+        runs.append(run_closed_loop(controller, plant, motion.trajectory, sensor=sensor))
+        if runs[-1].log.interrupted:
+            raise KeyboardInterrupt
+    figures = scores(runs, motions, device.limits, device.delay_s if delay_s is None else delay_s, device.lag_s)
+    return {f"{name}.{figure}": value for figure, value in figures.items()}, runs
+
+
+def controller_on(settings: LawSettings, known: Knowledge, limits: CommandLimits) -> GuardedController[Any]:
+    """A controller with a model: its predictor and inverse for a predictive law, else those of a feedforward."""
+    predictive = isinstance(settings, LinearisedMpcSettings | SamplingMpcSettings)
+    pair = (known.predictor, known.inverse) if predictive else known.feedforward
+    return build_controller(settings, *pair, limits)
 
 
 @final

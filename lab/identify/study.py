@@ -6,9 +6,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from ..devices.drawn import DrawnDevice
 from ..study import Study, StudyTable, bars_summary, plain_result
 from .bars import IdentifyOutcome, bars
-from .device import DrawnDevice
 from .job import drawn_devices, run_device
 from .report import identify_report
 from .settings import IdentifyJob, IdentifyResult, IdentifySettings

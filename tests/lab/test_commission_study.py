@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from hystmpc_lab.commission.bars import CommissionOutcome, bars, gap_agrees, over_rival
-from hystmpc_lab.commission.device import PreparedPlant, bench_settings, worn
+from hystmpc_lab.commission.device import PreparedPlant, bench_settings
 from hystmpc_lab.commission.report import commission_report
 from hystmpc_lab.commission.settings import CommissionResult, CommissionStudySettings
 from hystmpc_lab.commission.study import STUDY
-from hystmpc_lab.identify.device import DrawnDevice, DrawnPlant, draw_devices
+from hystmpc_lab.devices.drawn import DrawnDevice, DrawnPlant, draw_devices, worn
 
 FOUR = draw_devices(4, 3, quick=True)  # one of each family
 
