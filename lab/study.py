@@ -268,9 +268,9 @@ class BegunStudy(Generic[S, J, F]):
             ValueError: if a number in the data is not finite: JSON has no word for it.
         """
         study, settings, folder = self.study, self.settings, self.folder.path
-        stages = [[job for job in self.jobs if job.stage == stage] for stage in study.stages] or [self.jobs]
+        stages: list[Sequence[J]] = [[job for job in self.jobs if job.stage == stage] for stage in study.stages]
         results = study.files(folder).complete(
-            stages,
+            stages or [self.jobs],
             partial(study.do, settings=settings, folder=folder),
             lambda job: study.fingerprint(job, settings, folder),
             backend_for(workers, where=str(folder)),

@@ -163,7 +163,7 @@ def _over_devices(changes: dict[str, Any], folder: Path, workers: int) -> None:
     settings = device_settings(file, **changes)
     for name in settings:
         require_resumable(folder / name)
-    outcomes = {}
+    outcomes: dict[str, Any] = {}
     for name, of_device in settings.items():
         errors.print(f"{name}: timing a few steps of every kind ...")
         outcomes[name] = _completed(_listed(Name.REAL).begin(of_device, folder / name), name, workers)
