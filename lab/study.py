@@ -65,7 +65,12 @@ class StudySettings(Settings):
         return settings
 
     def check_names(self) -> None:
-        """Refuse unknown names."""
+        """Refuse unknown names.
+
+        Raises:
+            ConfigError: on an unknown name.
+            FitError: on an unknown kind of model.
+        """
 
 
 @dataclass(frozen=True)
@@ -462,7 +467,9 @@ def bars_summary(judged: Sequence[Bar]) -> StudyTable:
 
 def figures_table(devices: Mapping[str, Figures]) -> StudyTable:
     """Every figure of every device; CSV only."""
-    rows: list[list[Cell]] = [[name, k, cell(value)] for name, own in devices.items() for k, value in own.items()]
+    rows: list[list[Cell]] = [
+        [name, k, cell(value)] for name, figures in devices.items() for k, value in figures.items()
+    ]
     return StudyTable("figures", ("device", "figure", "value"), rows, "", shown=False)
 
 

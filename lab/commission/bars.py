@@ -28,10 +28,10 @@ class CommissionOutcome(Outcome[CommissionStudySettings, CommissionResult]):
     @cached_property
     def figures(self) -> Mapping[str, Figures]:
         """All figures of a device, of both stages, by its name."""
-        found: dict[str, dict[str, float]] = {}
+        merged: dict[str, dict[str, float]] = {}
         for result in self.results:
-            found.setdefault(device_of(result), {}).update(result.figures)
-        return found
+            merged.setdefault(device_of(result), {}).update(result.figures)
+        return merged
 
     @cached_property
     def families(self) -> Mapping[str, str]:
@@ -140,7 +140,7 @@ def _gap(outcome: CommissionOutcome) -> Bar:
 def _total(outcome: CommissionOutcome, name: str, figure: str, learns: bool = False) -> Bar:
     """Samples over all controllers, or those that learn: without, another device's model may end in a latched stop."""
     totals = {
-        device: sum(v for k, v in own.items() if k.endswith(f".{figure}") and not (learns and "_off." in k))
-        for device, own in outcome.figures.items()
+        device: sum(v for k, v in values.items() if k.endswith(f".{figure}") and not (learns and "_off." in k))
+        for device, values in outcome.figures.items()
     }
     return Bar.none(name, totals)

@@ -22,7 +22,7 @@ from hystmpc.trials.types import Vec
 from ..devices.drawn import DrawnDevice, DrawnPlant
 
 _SLOW_S, _QUICK_S, _TOP_S, _REST_S = 4.0, 1.2, 0.3, 0.5  # of a stroke of either flexure, at its top, and behind it
-_BESIDE = 0.3  # of the reachable angles: how much more than them the sensor shows at either end
+_MARGIN = 0.3  # of the reachable angles: how much more than them the sensor shows at either end
 _SENSOR_DEG_S = 5000.0  # an air muscle jumps by 25 deg in a sample of 25 Hz
 _SLACK = 0.8  # of the travel: a slack tendon moves nothing before
 _RAMP = 0.3  # share of the greatest rate at which the bench moves by itself
@@ -41,13 +41,13 @@ class PreparedPlant(ComputedPlant):
         self.command_limits = Range(lower=device.limits.lower, upper=device.limits.upper)
         asked = np.concatenate([_flexure(device, _SLOW_S), _flexure(device, _QUICK_S)])
         self.commands = device.limits.clip_plans(asked, plant.rest_command, plant.dt)
-        own = plant.reseeded(seed)
-        angle, angles = own.reset(), []
+        flexed = plant.reseeded(seed)
+        angle, angles = flexed.reset(), []
         for u in self.commands.tolist():
             angles.append(angle)
-            angle = own.apply(u)
+            angle = flexed.apply(u)
         self.angles_deg: Vec = np.array(angles)
-        self._prepared = own.true_angle, own._state
+        self._prepared = flexed.true_angle, flexed._state
         super().__init__(plant.dt, plant.rest_command, plant.command_unit, Sensing(device.noise_deg), seed)
 
     def _at_rest(self, random: np.random.Generator) -> tuple[float, Any]:
@@ -112,7 +112,7 @@ def bench_settings(plant: DrawnPlant, commission: Mapping[str, Any], folder: Pat
     """The bench of a drawn device and the block `commission`: what a user would write into the file."""
     device, limits = plant.device, plant.device.limits
     low, high = plant.reachable_deg
-    beside = _BESIDE * (high - low)
+    margin = _MARGIN * (high - low)
     ramps = {
         "velocity_per_s": _RAMP * limits.rate,
         "acceleration_per_s2": 5 * limits.rate,
@@ -127,8 +127,8 @@ def bench_settings(plant: DrawnPlant, commission: Mapping[str, Any], folder: Pat
             "ramps": ramps,
             "safe_command": limits.lower,
             "sensor": {
-                "lower_deg": min(low, plant.true_angle) - beside,
-                "upper_deg": high + beside,
+                "lower_deg": min(low, plant.true_angle) - margin,
+                "upper_deg": high + margin,
                 "rate_limit_deg_s": _SENSOR_DEG_S,
             },
             "plausibility": {"travel": _SLACK * limits.upper},

@@ -117,8 +117,10 @@ def _commission(bench: StudyBench) -> tuple[str, dict[str, float]]:
     block = {"minutes": settings.minutes, "diagnose": settings.diagnose} | (_QUICK if settings.quick else {})
     config = bench_settings(bench.drawn, block, folder)
     plants = drawn_plants(device)
-    found = commission_device(config, lambda root, tick: BenchDevice(config, plants, root, None, tick=tick), folder)
-    figures = _verified(found) | {"seconds.commission": time.process_time() - start}
+    commissioned = commission_device(
+        config, lambda root, tick: BenchDevice(config, plants, root, None, tick=tick), folder
+    )
+    figures = _verified(commissioned) | {"seconds.commission": time.process_time() - start}
     trials = recordings(DrawnPlant(device, device.seed), settings.quick)
     rival = opened_model(identified_as(kind_named("pi"), trials, device, settings.seed), folder / "rival")
     known, tip = _known(bench.tip())
@@ -130,22 +132,22 @@ def _commission(bench: StudyBench) -> tuple[str, dict[str, float]]:
     for name, changed in cases.items():
         controller = controller_on(_of(tip, changed), known, device.limits)
         figures |= bench.along(name, TakenUp(controller, bench.plant))[0]
-    return found.verified.verdict if found.verified else "", figures
+    return commissioned.verified.verdict if commissioned.verified else "", figures
 
 
-def _verified(found: Commissioned) -> dict[str, float]:
+def _verified(commissioned: Commissioned) -> dict[str, float]:
     """What the commissioning says of itself."""
-    figures = {"device_s": found.device_s}
-    if found.verified is not None:
-        figures["verified"] = float(found.verified.verified)
-        figures |= {f"verify.{name}.rms_deg": score.rms_deg for name, score in found.verified.scores.items()}
+    figures = {"device_s": commissioned.device_s}
+    if commissioned.verified is not None:
+        figures["verified"] = float(commissioned.verified.verified)
+        figures |= {f"verify.{name}.rms_deg": score.rms_deg for name, score in commissioned.verified.scores.items()}
     return figures
 
 
 def _compare(bench: StudyBench) -> tuple[str, dict[str, float]]:
     """Models of other devices, a device that has changed, and other sensors."""
     device, settings = bench.device, bench.settings
-    own, tip = _known(bench.tip())
+    identified, tip = _known(bench.tip())
     drawn = drawn_devices(settings)
     anywhere = {"estimator": {"rest_tolerance_deg": _ANY_REST_DEG}}
     figures: dict[str, float] = {}
@@ -165,13 +167,13 @@ def _compare(bench: StudyBench) -> tuple[str, dict[str, float]]:
     lagging = knowledge(str(_model(bench.tip())), None, UNKNOWN_LAG_S)
     figures |= bench.along("wrong_lag", TakenUp(controller_on(tip, lagging, device.limits), bench.plant))[0]
     for name, factors in WORN.items():
-        figures |= _changed(bench, name, factors, own, tip)
-    figures |= _sensors(bench, own, tip)
+        figures |= _changed(bench, name, factors, identified, tip)
+    figures |= _sensors(bench, identified, tip)
     return "", figures
 
 
 def _changed(
-    bench: StudyBench, name: str, factors: tuple[float, float], own: Knowledge, tip: LawSettings
+    bench: StudyBench, name: str, factors: tuple[float, float], identified: Knowledge, tip: LawSettings
 ) -> dict[str, float]:
     """The controller on the device after it has changed, with learning and without; motions within its new reach."""
     device, seed = worn(bench.device, *factors), bench.device.seed + _COMPARED
@@ -181,17 +183,17 @@ def _changed(
     anywhere = {"estimator": {"rest_tolerance_deg": _ANY_REST_DEG}}
     cases: dict[str, dict[str, Any]] = {name: anywhere, f"{name}_off": anywhere | {"adaptation": None}}
     for case, changed in cases.items():
-        controller = TakenUp(controller_on(_of(tip, changed), own, device.limits), plant)
+        controller = TakenUp(controller_on(_of(tip, changed), identified, device.limits), plant)
         figures |= bench.along(case, controller, plant, motions)[0]
     return figures
 
 
-def _sensors(bench: StudyBench, own: Knowledge, tip: LawSettings) -> dict[str, float]:
+def _sensors(bench: StudyBench, identified: Knowledge, tip: LawSettings) -> dict[str, float]:
     """Without a sensor and with frames of an imaging system, beside the PID tuned for those."""
     limits, blind, frames = bench.device.limits, NoSensorSettings(), IMAGING
     alone = _of(tip, {"estimator": dict(blind.told())})
-    figures, runs = bench.along("none", TakenUp(controller_on(alone, own, limits), bench.plant), sensor=blind)
-    noise = own.predictor.noise
+    figures, runs = bench.along("none", TakenUp(controller_on(alone, identified, limits), bench.plant), sensor=blind)
+    noise = identified.predictor.noise
     sigma = math.nan if noise is None or noise.model_sigma_deg is None else noise.model_sigma_deg
     inside = [
         np.abs(run.true_deg - run.log.predicted_deg)[motion.first(run.dt) :] <= BAND_SIGMAS * sigma
@@ -199,31 +201,31 @@ def _sensors(bench: StudyBench, own: Knowledge, tip: LawSettings) -> dict[str, f
     ]
     figures |= {"none.sigma_deg": sigma, "none.within_band": float(np.mean(np.concatenate(inside)))}
     seeing = _of(tip, {"estimator": dict(frames.told())})
-    figures |= bench.along("imaging", TakenUp(controller_on(seeing, own, limits), bench.plant, frames), sensor=frames)[
-        0
-    ]
-    figures |= bench.along("imaging_pid", _imaging_pid(bench, own), sensor=frames)[0]
-    model = IdentifiedPlant(own, bench.drawn.true_angle, AS_IDENTIFIED_NOISE_DEG, bench.device.seed)
+    figures |= bench.along(
+        "imaging", TakenUp(controller_on(seeing, identified, limits), bench.plant, frames), sensor=frames
+    )[0]
+    figures |= bench.along("imaging_pid", _imaging_pid(bench, identified), sensor=frames)[0]
+    model = IdentifiedPlant(identified, bench.drawn.true_angle, AS_IDENTIFIED_NOISE_DEG, bench.device.seed)
     rivals: dict[str, LawSettings] = {"as_identified_none": alone, "as_identified_inverse": InverseControllerSettings()}
     for name, settings in rivals.items():
         sensor = blind if name.endswith("none") else None
-        figures |= bench.along(name, controller_on(settings, own, limits), model, sensor=sensor)[0]
+        figures |= bench.along(name, controller_on(settings, identified, limits), model, sensor=sensor)[0]
     return figures
 
 
-def _imaging_pid(bench: StudyBench, own: Knowledge) -> Controller[Any]:
+def _imaging_pid(bench: StudyBench, identified: Knowledge) -> Controller[Any]:
     """A PID whose gains are searched on the very device and motions under other frames."""
     start = PidControllerSettings.parse({"kind": "pid", "estimator": _known_to_pid(IMAGING)})
     plant = PreparedPlant(bench.drawn, bench.device.seed + _COMPARED + 1)
 
     def mean_square(tried: LawSettings) -> float:
-        _, runs = bench.along("", controller_on(tried, own, bench.device.limits), plant, sensor=IMAGING)
+        _, runs = bench.along("", controller_on(tried, identified, bench.device.limits), plant, sensor=IMAGING)
         errors = [run.error_deg[motion.first(run.dt) :] for run, motion in zip(runs, bench.motions, strict=True)]
         return float(np.mean([np.mean(error**2) for error in errors]))
 
     evaluations = max(bench.settings.evaluations // _IMAGING_SHARE, 10)
     best = searched_gains(start, mean_square, evaluations, bench.settings.seed)
-    return controller_on(best.settings, own, bench.device.limits)
+    return controller_on(best.settings, identified, bench.device.limits)
 
 
 def _known_to_pid(sensor: ImagingSettings) -> dict[str, Any]:
@@ -246,8 +248,8 @@ def _tracking_gap(bench: StudyBench) -> tuple[str, dict[str, float]]:
     for name, simulator in (("before", nominal), ("after", fixed)):
         known = known_model(ChainModel(simulator, "conditioned"), None, 0.0)
         controller = build_controller(USUAL, *known.predictive, limits_of_model(nominal.metadata()))
-        found, _ = bench.along(name, controller, bench.drawn, motions)
-        figures[f"gap.{name}_deg"] = found[f"{name}.rmse_deg"]
+        scored, _ = bench.along(name, controller, bench.drawn, motions)
+        figures[f"gap.{name}_deg"] = scored[f"{name}.rmse_deg"]
     return "", figures
 
 

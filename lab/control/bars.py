@@ -57,7 +57,7 @@ def control_figures(
     ranges = [float(np.ptp(command[a:b])) for a, b in held]
     rests = [float(np.ptp(command[a : b - preview])) for a, b in halves if b - preview > a]
     cycling = [limit_cycle(command[a:b], HOLD_RANGE_BAR * half_width) for a, b in held]
-    own = sum(metrics.ladder.get(source, 0) for source in (Source.CONTROLLER, Source.MPC))
+    planned = sum(metrics.ladder.get(source, 0) for source in (Source.CONTROLLER, Source.MPC))
     return {
         "rmse_deg": metrics.rmse_deg,
         "max_deg": metrics.max_abs_deg,
@@ -67,7 +67,7 @@ def control_figures(
         "cycling_holds": float(np.mean(cycling)) if cycling else math.nan,
         "travel": metrics.command_travel,
         "violations": float(metrics.limit_violations),
-        "fallbacks": float(len(command) - own),
+        "fallbacks": float(len(command) - planned),
         "late_share": float(np.mean(run.log.step_s > run.dt)),
         "step_p99_ms": 1e3 * metrics.step_p99_s,
     }
@@ -104,8 +104,8 @@ class ControlOutcome(Outcome[ControlSettings, ControlResult]):
     def rmse(self, like: ControlResult, controller: str) -> float:
         """RMSE of a controller on the same plant, rate and motion; NaN where it was not run [deg]."""
         job = like.job
-        found = self.by_name.get((job.plant, job.rate_hz, controller, job.motion))
-        return math.nan if found is None else found.figures["rmse_deg"]
+        same = self.by_name.get((job.plant, job.rate_hz, controller, job.motion))
+        return math.nan if same is None else same.figures["rmse_deg"]
 
     def over_oracle(self, run: ControlResult) -> float:
         """RMSE over the oracle's; NaN where it was not run."""

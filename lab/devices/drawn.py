@@ -222,12 +222,12 @@ def _virgin(device: DrawnDevice, p: Packed) -> Vec:
     """State (S,) of a device that was never moved, at command 0."""
     core = device.core
     if isinstance(core, RodCore):
-        own = RodCatheter(core.rod()).virgin()
+        core_state = RodCatheter(core.rod()).virgin()
     elif isinstance(core, MuscleCore):
-        own = np.array([0.0, 0.0, -1.0, 0.0, 0.0])
+        core_state = np.array([0.0, 0.0, -1.0, 0.0, 0.0])
     else:
-        own = core.virgin() if isinstance(core, CapstanCore) else np.zeros(_ELEMENTS)
-    return np.concatenate([np.zeros(p.commands + OWN), own])
+        core_state = core.virgin() if isinstance(core, CapstanCore) else np.zeros(_ELEMENTS)
+    return np.concatenate([np.zeros(p.commands + OWN), core_state])
 
 
 def at_rest(device: DrawnDevice, p: Packed) -> tuple[float, Vec]:

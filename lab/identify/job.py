@@ -97,8 +97,7 @@ def run_device(job: IdentifyJob, settings: IdentifySettings, folder: Path) -> di
         watch.lap(name)
     figures |= _as_identified(study)
     watch.lap("as_identified")
-    found = found_parts(identified)
-    return {"message": identified.report, "found": found, "figures": figures | watch.seconds}
+    return {"message": identified.report, "found": found_parts(identified), "figures": figures | watch.seconds}
 
 
 def found_parts(identified: Identified) -> dict[str, Interval]:
@@ -106,17 +105,17 @@ def found_parts(identified: Identified) -> dict[str, Interval]:
 
     Names are those of `DrawnDevice.truth`; a part that it did not find is left out.
     """
-    found: dict[str, Interval] = {}
+    parts: dict[str, Interval] = {}
     for row in identified.parts.parameters if identified.parts else ():
         low, high = row.ci90
         if (row.owner, row.name) in (("lag", "tau_s"), ("delay", "delay_s")):
-            found[row.owner] = (row.value, low, high)
+            parts[row.owner] = (row.value, low, high)
         elif row.owner == "creep" and row.name.startswith("share"):
-            before = found.get("creep", (0.0, 0.0, 0.0))  # of two terms the sum; drawn shares have the other sign
-            found["creep"] = (before[0] - row.value, before[1] - high, before[2] - low)
+            before = parts.get("creep", (0.0, 0.0, 0.0))  # of two terms the sum; drawn shares have the other sign
+            parts["creep"] = (before[0] - row.value, before[1] - high, before[2] - low)
         elif row.owner == "lag" and row.name in ("tau_up_s", "top_speed"):
-            found["lag"] = (row.value, low, high)
-    return found
+            parts["lag"] = (row.value, low, high)
+    return parts
 
 
 def identified_as(kind: ModelKind, trials: Sequence[Trial], device: DrawnDevice, seed: int) -> Identified:
@@ -128,10 +127,10 @@ def identified_as(kind: ModelKind, trials: Sequence[Trial], device: DrawnDevice,
     """
     command = Range(lower=device.limits.lower, upper=device.limits.upper)
     limits = DeviceLimits(command, device.rate_per_s)
-    found = kind.fit(trials, FitRequest(preset=kind.presets[0], seed=seed, limits=limits))
-    if found.interrupted:
+    identified = kind.fit(trials, FitRequest(preset=kind.presets[0], seed=seed, limits=limits))
+    if identified.interrupted:
         raise KeyboardInterrupt
-    return found
+    return identified
 
 
 def opened_model(identified: Identified, stem: Path) -> Knowledge:
@@ -158,7 +157,7 @@ def _model_controllers(study: DeviceStudy) -> dict[str, Controller[Any]]:
 
 def tuned_rivals(study: DeviceStudy, settings: IdentifySettings) -> dict[str, Controller[Any]]:
     """PID, and inverse with PID, their gains searched on the very device and motions under another noise."""
-    found: dict[str, Controller[Any]] = {}
+    rivals: dict[str, Controller[Any]] = {}
     starts: dict[str, PidLike] = {"pid": PidControllerSettings(), "inverse_pid": InversePidControllerSettings()}
     for name, start in starts.items():
         cases = [_PidCase.of(study, motion, start) for motion in study.motions]
@@ -167,8 +166,8 @@ def tuned_rivals(study: DeviceStudy, settings: IdentifySettings) -> dict[str, Co
             return float(np.mean([case.mean_square(tried.gains) for case in cases]))
 
         best = searched_gains(start, mean_square, settings.evaluations, settings.seed)
-        found[name] = controller_on(best.settings, study.rival, study.device.limits)
-    return found
+        rivals[name] = controller_on(best.settings, study.rival, study.device.limits)
+    return rivals
 
 
 @dataclass(frozen=True, eq=False)

@@ -33,8 +33,8 @@ def families_table(outcome: IdentifyOutcome) -> StudyTable:
     """Medians by family."""
     rows: list[list[Cell]] = []
     for family in (*FAMILIES, None):
-        found = summary(outcome, family)
-        rows.append([family or "all", *(cell(value) for value in found.values())])
+        medians = summary(outcome, family)
+        rows.append([family or "all", *(cell(value) for value in medians.values())])
     return StudyTable(
         "families", ("family", *summary(outcome)), rows, "Simulated: medians over the devices of a family."
     )

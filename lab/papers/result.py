@@ -89,8 +89,8 @@ class PaperOutcome(Outcome[PaperSettings, JobResult]):
 
         This is the paper's rule ("the model with lowest error is reported"): it chooses by test trials.
         """
-        found = [result for result in self.matching(**wanted) if result.figures("rmse_deg", splits).size]
-        return min(found, key=lambda r: float(np.mean(r.figures("rmse_deg", splits))), default=None)
+        candidates = [result for result in self.matching(**wanted) if result.figures("rmse_deg", splits).size]
+        return min(candidates, key=lambda r: float(np.mean(r.figures("rmse_deg", splits))), default=None)
 
     def model(self, job: TrainingJob) -> OnnxModel:
         """The model that a job left.

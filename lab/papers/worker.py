@@ -43,10 +43,10 @@ def fit_with_window(kind: str, trials: Sequence[Trial], request: FitRequest, win
     network = kind_named(kind)
     assert isinstance(network, NetworkKind)
     settings = windowed(network.training(request), window)
-    found = fit_network(trials, settings, None, request.validation)
-    history = tuple((look.step, look.validation_rmse_deg) for look in found.history)
-    report = f"weights of step {found.best_step} of {settings.steps}, {window} samples"
-    return Identified(network_bundle(found, trials, request.limits), None, history, report, found.interrupted)
+    trained = fit_network(trials, settings, None, request.validation)
+    history = tuple((look.step, look.validation_rmse_deg) for look in trained.history)
+    report = f"weights of step {trained.best_step} of {settings.steps}, {window} samples"
+    return Identified(network_bundle(trained, trials, request.limits), None, history, report, trained.interrupted)
 
 
 def windowed(settings: NetworkSettings, window: int) -> NetworkSettings:
@@ -76,20 +76,20 @@ def run_task(task: TrainingTask, settings: PaperSettings, folder: Path) -> dict[
 
 
 def _trained(task: TrainingTask, folder: Path) -> tuple[Identified, tuple[Score, ...]]:
-    found = _identified(task)
-    if found.interrupted:
+    identified = _identified(task)
+    if identified.interrupted:
         raise KeyboardInterrupt
     path = model_file(folder, task.job)
     path.parent.mkdir(parents=True, exist_ok=True)
-    export_onnx(found.bundle, path)
-    return found, tuple(_scores(load_onnx(path), task))
+    export_onnx(identified.bundle, path)
+    return identified, tuple(_scores(load_onnx(path), task))
 
 
-def _numbers(found: Identified) -> int:
+def _numbers(identified: Identified) -> int:
     """Numbers that a model holds."""
-    if found.simulator is not None:
-        return int(found.simulator.chain.values.size)
-    graph = found.bundle.graph() if callable(found.bundle.graph) else found.bundle.graph
+    if identified.simulator is not None:
+        return int(identified.simulator.chain.values.size)
+    graph = identified.bundle.graph() if callable(identified.bundle.graph) else identified.bundle.graph
     return sum(math.prod(tensor.dims) for tensor in graph.initializer)
 
 
@@ -126,7 +126,7 @@ def estimated_seconds(tasks: Sequence[TrainingTask], settings: PaperSettings) ->
     samples alone.
     """
     seconds: dict[tuple[object, ...], float | None] = {}
-    found = {}
+    expected = {}
     for task in tasks:
         job = task.job
         size = round(2 * math.log2(max(task.samples, 1)))  # half octaves
@@ -134,9 +134,9 @@ def estimated_seconds(tasks: Sequence[TrainingTask], settings: PaperSettings) ->
         if not settings.quick and group not in seconds:
             seconds[group] = _training_seconds(task)
         training = seconds.get(group)
-        found[job.key] = _FIXED_S + _scoring_seconds(task)
-        found[job.key] += _OPERATOR_S_PER_SAMPLE * task.samples if training is None else training
-    return found
+        expected[job.key] = _FIXED_S + _scoring_seconds(task)
+        expected[job.key] += _OPERATOR_S_PER_SAMPLE * task.samples if training is None else training
+    return expected
 
 
 def _training_seconds(task: TrainingTask) -> float | None:

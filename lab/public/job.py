@@ -33,20 +33,20 @@ def run_kind(job: PublicJob, settings: PublicSettings, folder: Path) -> dict[str
     case = next(case for case in data_set(settings).cases(settings) if case.name == job.case)
     request = FitRequest(kind.usual_preset(False), settings.seed, settings.steps(job.kind))
     start = time.perf_counter()
-    found = kind.fit(case.training, request)
+    identified = kind.fit(case.training, request)
     seconds = time.perf_counter() - start
     (folder / "models").mkdir(exist_ok=True)
-    export_onnx(found.bundle, _file(job, folder, "onnx"))
+    export_onnx(identified.bundle, _file(job, folder, "onnx"))
     parameters: dict[str, float] = {}
-    if found.simulator is not None:
-        save_simulator(found.simulator, _file(job, folder, "yaml"))
-        chain = found.simulator.chain
+    if identified.simulator is not None:
+        save_simulator(identified.simulator, _file(job, folder, "yaml"))
+        chain = identified.simulator.chain
         parameters = dict(zip(chain.labels, chain.values.tolist(), strict=True))
     scores = {}
     for record in case.tests:
         left = record.errors(over_record(job, folder, record))
         scores[record.name] = Score(float(np.sqrt(np.mean(left**2))), float(np.std(left)), record.span)
-    return {"message": found.report, "fit_s": seconds, "parameters": parameters, "scores": scores}
+    return {"message": identified.report, "fit_s": seconds, "parameters": parameters, "scores": scores}
 
 
 def over_record(job: PublicJob, folder: Path, record: ScoredRecord) -> Vec:
