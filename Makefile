@@ -6,7 +6,7 @@ VENV ?= .venv
 DEMO_VENV ?= .venv-demo
 ARGS ?=
 
-ROOMS := trials models trajectories ctrl codegen sim rig gap testing commissioning investigation cli
+ROOMS := trials models trajectories ctrl codegen sim rig gap testing bench cli
 VERSION := $(shell $(PYTHON) -c 'import sys; print("%d.%d" % sys.version_info[:2])' 2>/dev/null)
 # Wheels only: a missing one is said in a line instead of in a compiler's output.
 INSTALL := -m pip install --quiet --disable-pip-version-check --only-binary :all: --constraint constraints.txt
@@ -60,15 +60,15 @@ docs: $(VENV)/.installed ## the site with API, commands and configuration keys: 
 wheel-test: $(VENV)/.installed ## build sdist and wheels, install that of hystmpc alone in an empty venv, test it there, add the laboratory
 	@set -e; folder=$$(mktemp -d); trap 'rm -rf "$$folder"' EXIT; \
 	$(VENV)/bin/python -m build --outdir "$$folder/dist" . > "$$folder/build.log" || { cat "$$folder/build.log"; exit 1; }; \
-	$(VENV)/bin/python -m build --wheel --outdir "$$folder/lab" lab > "$$folder/build.log" || { cat "$$folder/build.log"; exit 1; }; \
+	$(VENV)/bin/python -m build --outdir "$$folder/lab" lab > "$$folder/build.log" || { cat "$$folder/build.log"; exit 1; }; \
 	ls "$$folder/dist" "$$folder/lab"; \
 	$(VENV)/bin/python -m venv "$$folder/venv"; \
 	"$$folder/venv/bin/python" $(INSTALL) "$$folder"/dist/*.whl pytest; \
 	cp -r tests/wheel "$$folder/wheel"; \
-	cd "$$folder/wheel"; \
-	HYSTMPC_CHECKOUT="$(CURDIR)" HYSTMPC_WHEEL="$$(ls "$$folder"/dist/*.whl)" ../venv/bin/python -m pytest -q $(ARGS) .; \
-	../venv/bin/python $(INSTALL) --no-deps "$$folder"/lab/*.whl; \
-	../venv/bin/hystmpc study --help | grep -q "Do all jobs of a study"
+	(cd "$$folder/wheel"; \
+	HYSTMPC_CHECKOUT="$(CURDIR)" HYSTMPC_WHEEL="$$(ls "$$folder"/dist/*.whl)" ../venv/bin/python -m pytest -q $(ARGS) .); \
+	"$$folder/venv/bin/python" $(INSTALL) --no-deps "$$folder"/lab/*.whl; \
+	"$$folder/venv/bin/hystmpc" study --help | grep -q "Do all jobs of a study"
 
 dist: $(VENV)/.installed ## wheel and sdist of the last commit, built twice: the same bytes each time
 	$(VENV)/bin/python lab/benchmarks/dist.py $(ARGS)
@@ -77,7 +77,7 @@ bench: $(VENV)/.installed ## time the roll-outs and controllers on this machine
 	$(VENV)/bin/hystmpc bench $(ARGS)
 
 clean: ## remove caches and build products; run folders and venvs stay
-	rm -rf .matrix .typecheck .pytest_cache .mypy_cache .ruff_cache .hypothesis .benchmarks build dist site docs/*/drawn docs/gallery docs/sg_execution_times.rst ./*.egg-info
+	rm -rf lab/build .matrix .typecheck .pytest_cache .mypy_cache .ruff_cache .hypothesis .benchmarks build dist site docs/*/drawn docs/gallery docs/sg_execution_times.rst ./*.egg-info
 	find . -path './.venv*' -prune -o -name __pycache__ -prune -exec rm -rf {} +
 
 distclean: clean ## also remove the venvs

@@ -22,7 +22,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from hystmpc.ctrl.limits import CommandLimits as Limits
+    from hystmpc.ctrl.command import CommandLimits as Limits
     from hystmpc.ctrl.planner.tip_controller import TipController
     from hystmpc.models.simulator import Simulator
     from hystmpc.trials.check import check
@@ -82,7 +82,7 @@ if not TYPE_CHECKING:  # a type checker knows the names above and no others
             "Evaluation Fit build_controller commission diagnose evaluate export fit investigate load_model "
             "load_simulator simulate tune",
         ),
-        ("hystmpc.ctrl.limits", "Limits=CommandLimits"),
+        ("hystmpc.ctrl.command", "Limits=CommandLimits"),
         ("hystmpc.ctrl.planner.tip_controller", "TipController"),
         ("hystmpc.models.simulator", "Simulator"),
         ("hystmpc.trials.check", "check"),

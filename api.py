@@ -18,12 +18,12 @@ from hystmpc.trials.uniform import at_rate
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from hystmpc.commissioning.run import Commissioned
+    from hystmpc.bench.commission import Commissioned
+    from hystmpc.bench.rounds import Investigated
+    from hystmpc.ctrl.command import CommandLimits
     from hystmpc.ctrl.config import AnyControllerSettings
     from hystmpc.ctrl.guarded import GuardedController
-    from hystmpc.ctrl.limits import CommandLimits
     from hystmpc.gap.diagnosis import Diagnosis
-    from hystmpc.investigation.story import Investigated
     from hystmpc.models.contract.equivalence import EquivalenceReport
     from hystmpc.models.evaluate import Errors, TrialEvaluation
     from hystmpc.models.kinds.kind import Identified
@@ -77,9 +77,9 @@ class Evaluation:
 
     def plot(self) -> Figure:
         """Measurement, model and error over time, of the three trials with the greatest error."""
-        from hystmpc.models.evaluation_report import time_figure
+        from hystmpc.models.evaluation_report import free_run_figure
 
-        return time_figure(self.trials)
+        return free_run_figure(self.trials)
 
     @in_a_line
     def report(self, path: Path | str) -> Path:
@@ -413,9 +413,10 @@ def commission(
             was stopped safely; complete trials are kept.
         ConfigError: if there is neither a bench nor logs.
     """
-    from hystmpc.commissioning.config import CommissionSettings, load_commission, located_commission
-    from hystmpc.commissioning.run import commission_device, commission_logs, opened_device
-    from hystmpc.rig.bench import reset_latch
+    from hystmpc.bench.commission import commission_device, commission_logs
+    from hystmpc.bench.config import CommissionSettings, load_commission, located_commission
+    from hystmpc.bench.device import opened_device
+    from hystmpc.rig.run import reset_latch
     from hystmpc.trials.errors import ConfigError
 
     folder, settings = Path(), None
@@ -465,9 +466,10 @@ def investigate(
         HystmpcError: if a setting is wrong, the folder holds something else, the device does not answer, or a motion
             was stopped safely; complete trials are kept.
     """
-    from hystmpc.investigation.config import InvestigateSettings, load_investigation, located_investigation
-    from hystmpc.investigation.run import investigate_device, opened_device
-    from hystmpc.rig.bench import reset_latch
+    from hystmpc.bench.config import InvestigateSettings, load_investigation, located_investigation
+    from hystmpc.bench.device import opened_device
+    from hystmpc.bench.investigate import investigate_device
+    from hystmpc.rig.run import reset_latch
 
     folder = Path()
     if isinstance(config, Path | str):
@@ -567,10 +569,11 @@ def build_controller(
         ModelError: if a model cannot be used.
         FitError: if a network has no `inverse` and none can be fitted.
     """
-    from hystmpc.ctrl.build import build_controller as build
-    from hystmpc.ctrl.build import known_model, limits_of_model
+    from hystmpc.ctrl.command import limits_of_model
     from hystmpc.ctrl.config import parse_controller
-    from hystmpc.ctrl.mpc_settings import LinearisedMpcSettings, SamplingMpcSettings
+    from hystmpc.ctrl.guarded import build_controller as build
+    from hystmpc.ctrl.guarded import pair_for
+    from hystmpc.models.prediction.build import controller_model
 
     if isinstance(controller, str):
         controller = {"kind": controller}
@@ -579,9 +582,8 @@ def build_controller(
     made_for = limits_of_model(opened.metadata)
     if limits is not None and not made_for.contains(limits):
         raise ControllerError(f"limits: got {limits}, expected them within what the model was made for, {made_for}")
-    known = known_model(opened, None if inverse is None else Path(inverse), actuator_lag_s)
-    predictive = isinstance(settings, LinearisedMpcSettings | SamplingMpcSettings)
-    return build(settings, *(known.predictive if predictive else known.feedforward), limits or made_for)
+    pair = pair_for(settings, controller_model(opened, inverse, actuator_lag_s))
+    return build(settings, *pair, limits or made_for)
 
 
 def _opened(model: Model, start: Start = "initial") -> LoadedModel:

@@ -10,14 +10,14 @@ import typer
 from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.types import Progress
 
-from .at_bench import InTerminal, OnPage, Overrides, Reset, stages_kept, tell
 from .bars import bar
 from .console import INTERRUPTED, errors, out, table
+from .device_runs import InTerminal, OnPage, Overrides, Reset, stages_kept, tell
 from .options import AllowPython, heard
 
 if TYPE_CHECKING:
-    from hystmpc.commissioning.config import CommissionSettings
-    from hystmpc.commissioning.run import Commissioned
+    from hystmpc.bench.commission import Commissioned
+    from hystmpc.bench.config import CommissionSettings
 
 
 def commission(
@@ -40,7 +40,7 @@ def commission(
     The device moves for five minutes at most. Ctrl-C keeps what is complete; the same command goes on. Exit code 3
     after a safe stop, 1 if a stage could not be completed, 130 if Ctrl-C ended a computation.
     """
-    from hystmpc.commissioning.config import load_commission
+    from hystmpc.bench.config import load_commission
 
     heard(allow)
     _check(config, logs, overrides, folder, dry_run)
@@ -84,9 +84,10 @@ def _done(
     progress: Progress,
 ) -> Commissioned:
     """From logs, or on the device; a safe stop is said as `run` says it."""
-    from hystmpc.commissioning.run import commission_device, commission_logs, opened_device
-    from hystmpc.rig.bench import reset_latch
+    from hystmpc.bench.commission import commission_device, commission_logs
+    from hystmpc.bench.device import opened_device
     from hystmpc.rig.recording.recorder_process import Views
+    from hystmpc.rig.run import reset_latch
 
     if logs or settings is None or config is None:
         return commission_logs(logs, folder, settings, progress)
@@ -99,8 +100,8 @@ def _done(
 
 def _print_plan(settings: CommissionSettings) -> None:
     """Stages, motions, minutes and limits, before anything moves."""
-    from hystmpc.commissioning.motions import budget
-    from hystmpc.commissioning.run import plan_rows
+    from hystmpc.bench.commission import plan_rows
+    from hystmpc.bench.motions import budget
 
     rows = [(name, what, f"{minutes:.1f}") for name, what, minutes in plan_rows(settings, budget(settings))]
     where = "computed, faster than time" if settings.transport.in_process else settings.transport.place

@@ -7,12 +7,12 @@ from typing import Annotated
 
 import typer
 
-from hystmpc.rig.device.config import DeviceSettings
+from hystmpc.rig.device import DeviceSettings
 from hystmpc.rig.transports.transport import DeviceLink
 from hystmpc.trials.config import load_settings
 
-from .at_bench import tell
 from .console import out
+from .device_runs import tell
 
 
 def device(
@@ -21,8 +21,8 @@ def device(
     seconds: Annotated[float, typer.Option(min=0, help="End after this time; 0 for Ctrl-C.")] = 0.0,
 ) -> None:
     """Serve a simulated device until Ctrl-C; it listens on the loopback unless told otherwise."""
-    from hystmpc.commissioning.plants import make_plant
-    from hystmpc.rig.device.server import serve
+    from hystmpc.bench.plants import make_plant
+    from hystmpc.rig.device import serve
 
     settings = load_settings(DeviceSettings, config, overrides or ())
     folder = config.resolve().parent

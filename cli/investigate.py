@@ -12,14 +12,14 @@ import typer
 from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.types import Progress
 
-from .at_bench import InTerminal, OnPage, Overrides, Reset, stages_kept, tell
 from .bars import bar
 from .console import INTERRUPTED, errors, out, table
+from .device_runs import InTerminal, OnPage, Overrides, Reset, stages_kept, tell
 from .options import AllowPython, heard
 
 if TYPE_CHECKING:
-    from hystmpc.investigation.config import InvestigateSettings
-    from hystmpc.investigation.story import Investigated
+    from hystmpc.bench.config import InvestigateSettings
+    from hystmpc.bench.rounds import Investigated
 
 
 def investigate(
@@ -42,7 +42,7 @@ def investigate(
     Ctrl-C keeps what is complete; the same command goes on. Exit code 0 whatever the verdict, 3 after a safe stop, 1 if
     a part could not be completed, 130 if Ctrl-C ended a computation.
     """
-    from hystmpc.investigation.config import load_investigation, located_investigation
+    from hystmpc.bench.config import load_investigation, located_investigation
 
     heard(allow)
     _check(folder, dry_run)
@@ -82,9 +82,10 @@ def _done(
     progress: Progress,
 ) -> Investigated:
     """On the device; a safe stop is said as `run` says it."""
-    from hystmpc.investigation.run import investigate_device, opened_device
-    from hystmpc.rig.bench import reset_latch
+    from hystmpc.bench.device import opened_device
+    from hystmpc.bench.investigate import investigate_device
     from hystmpc.rig.recording.recorder_process import Views
+    from hystmpc.rig.run import reset_latch
 
     if reset:
         reset_latch(settings)
@@ -95,7 +96,7 @@ def _done(
 
 def _print_plan(settings: InvestigateSettings) -> None:
     """Parts, motions, minutes and limits, before anything moves."""
-    from hystmpc.investigation.run import plan_rows
+    from hystmpc.bench.investigate import plan_rows
 
     rows = [(name, what, f"{minutes:.1f}") for name, what, minutes in plan_rows(settings)]
     where = "computed, faster than time" if settings.transport.in_process else settings.transport.place

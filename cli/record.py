@@ -9,8 +9,8 @@ import typer
 
 from hystmpc.rig.config import load_record
 
-from .at_bench import Folder, InTerminal, OnPage, Overrides, Reset, begin, end, finish, recording_in, tell, views_of
 from .console import out
+from .device_runs import Folder, InTerminal, OnPage, Overrides, Reset, begin, end, finish, recording_in, tell, views_of
 from .options import AllowPython, heard
 
 
@@ -24,8 +24,8 @@ def record(
     allow: AllowPython = False,
 ) -> None:
     """Play every excitation and write trials that `check`, `fit` and `diagnose` read. Exit code 3 after a stop."""
-    from hystmpc.commissioning.plants import plants_in
-    from hystmpc.rig.commission.record import record as play
+    from hystmpc.bench.plants import plants_in
+    from hystmpc.rig.experiment.record import record as play
     from hystmpc.rig.live.desk import Desk
     from hystmpc.rig.recording.recording import RecordingMeta
 

@@ -49,7 +49,7 @@ def _report(run: Path, before: list[Path] | None, diagnosis: Path | None) -> Non
         return
     more = _fall(run, before or [], diagnosis)
     if {"transport", "sensor", "reference"} <= keys:
-        from hystmpc.rig.commission.review_page import review_run
+        from hystmpc.rig.experiment.review import review_run
 
         for line in review_run(run, more).lines:
             out.print(f"review: {line}", soft_wrap=True, markup=False)
@@ -68,7 +68,7 @@ def _commissioning(run: Path, before: list[Path] | None, diagnosis: Path | None)
     """The report of a commissioning; it compares with no other run."""
     if before or diagnosis is not None:
         raise ConfigError("report: a commissioning has no use for --before and --diagnosis, expected a run of `run`")
-    from hystmpc.commissioning.run import report_again
+    from hystmpc.bench.commission import report_again
 
     out.print(f"report: {report_again(run).report}", soft_wrap=True)
 

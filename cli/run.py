@@ -9,8 +9,8 @@ import typer
 
 from hystmpc.rig.config import load_run
 
-from .at_bench import Folder, InTerminal, OnPage, Overrides, Reset, begin, end, finish, recording_in, tell, views_of
 from .console import out
+from .device_runs import Folder, InTerminal, OnPage, Overrides, Reset, begin, end, finish, recording_in, tell, views_of
 from .options import AllowPython, heard
 
 
@@ -24,8 +24,8 @@ def run(
     allow: AllowPython = False,
 ) -> None:
     """Prepare the device, track the reference, return to the safe command; exit code 3 after a safe stop."""
-    from hystmpc.commissioning.plants import plants_in
-    from hystmpc.rig.commission.experiment import run_experiment
+    from hystmpc.bench.plants import plants_in
+    from hystmpc.rig.experiment.experiment import run_experiment
     from hystmpc.rig.live.desk import Desk
     from hystmpc.rig.recording.recording import RecordingMeta
 
@@ -48,7 +48,7 @@ def run(
         desk=desk,
     )
     finish(settings, result)
-    from hystmpc.rig.commission.review_page import review_run  # matplotlib takes a second to import: after the run
+    from hystmpc.rig.experiment.review import review_run  # matplotlib takes a second to import: after the run
 
     report = folder / "report.html"
     try:

@@ -24,9 +24,9 @@ FILES: Mapping[str, tuple[str, str]] = MappingProxyType(
         "controller": ("hystmpc.ctrl.config:ControllerSettings", "one controller, of `hystmpc simulate --controller`"),
         "run": ("hystmpc.rig.config:RunSettings", "an experiment of `hystmpc run`"),
         "record": ("hystmpc.rig.config:RecordSettings", "recordings of `hystmpc record`"),
-        "commission": ("hystmpc.commissioning.config:CommissionSettings", "a device of `hystmpc commission`"),
-        "investigate": ("hystmpc.investigation.config:InvestigateSettings", "a device of `hystmpc investigate`"),
-        "device": ("hystmpc.rig.device.config:DeviceSettings", "a simulated device of `hystmpc device`"),
+        "commission": ("hystmpc.bench.config:CommissionSettings", "a device of `hystmpc commission`"),
+        "investigate": ("hystmpc.bench.config:InvestigateSettings", "a device of `hystmpc investigate`"),
+        "device": ("hystmpc.rig.device:DeviceSettings", "a simulated device of `hystmpc device`"),
         "layout": ("hystmpc.trials.layouts:LogMapping", "a layout of logs, of `--preset FILE.yaml`"),
         "simulator": ("hystmpc.models.simulator:SimulatorFile", "a simulator that `hystmpc fit` writes"),
     }

@@ -10,28 +10,26 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from hystmpc.ctrl.build import build_controller, known_model, limits_of_model, modelled_limits
+from hystmpc.ctrl.command import CommandLimits, limits_of_model, modelled_limits, narrowed_limits
 from hystmpc.ctrl.estimation.observer import ANGLE_BOUND_DEG, OutputEstimator
-from hystmpc.ctrl.feedback.inverse import REFERENCE_DEAD_ZONE_DEG
-from hystmpc.ctrl.handover import gains_for
+from hystmpc.ctrl.feedback import REFERENCE_DEAD_ZONE_DEG
+from hystmpc.ctrl.guarded import build_controller
 from hystmpc.ctrl.learning.predictor import LearnedPredictor
-from hystmpc.ctrl.limits import CommandLimits
-from hystmpc.ctrl.linearised.program import MoveBlocking
-from hystmpc.ctrl.mpc import PredictiveLaw
+from hystmpc.ctrl.linearised.planner import MoveBlocking
+from hystmpc.ctrl.mpc import FOLLOWING, Candidates, PredictiveLaw
 from hystmpc.ctrl.mpc_settings import LinearisedMpcSettings
 from hystmpc.ctrl.planner.settings import TipSettings
-from hystmpc.ctrl.planning import FOLLOWING, Candidates
-from hystmpc.models.chain import Chain
+from hystmpc.ctrl.supervisor import feedback_gains
+from hystmpc.models.chain import Chain, split
 from hystmpc.models.contract.metadata import ModelMetadata
-from hystmpc.models.inverse.drive import DrivenInverse, split
-from hystmpc.models.inverse.one_step import CompiledInverse
-from hystmpc.models.inverse.steady import inverted_after_a_hold
+from hystmpc.models.inverse.drive import DrivenInverse
+from hystmpc.models.inverse.one_step import CompiledInverse, inverted_after_a_hold
 from hystmpc.models.inverse.surrogate_backlash import surrogate_backlash
 from hystmpc.models.load import load_model, model_path
 from hystmpc.models.model import Inverse, LoadedModel, Predictor
 from hystmpc.models.operators.dynamics import Lag
 from hystmpc.models.operators.operator import Operator
-from hystmpc.models.prediction.build import Known, known_pairs
+from hystmpc.models.prediction.build import ControllerModel, controller_model
 from hystmpc.models.prediction.compiled import CompiledPredictor
 from hystmpc.models.simulator import ChainModel
 from hystmpc.trials.errors import ExportError
@@ -97,8 +95,7 @@ def problem_of(settings: TipSettings, folder: Path) -> Problem:
     facts = loaded.metadata
     limits = modelled_limits(settings.limits, limits_of_model(facts))
     build_controller(controller, predictor, inverse, limits)  # raises what is wrong with limits and ladder
-    own = controller.limits
-    limits = limits if own is None else own.build()
+    limits = narrowed_limits(limits, controller.limits)
     dt = predictor.dt
     steps = {name: Step(chain.transition, chain.values, dt) for name, chain in model.parts.items()}
     steps["middle"] = _inverted(inverse, steps["middle"])
@@ -134,7 +131,7 @@ def problem_of(settings: TipSettings, folder: Path) -> Problem:
 class _Model:
     """A model in parts; `known` is what the Python controller has of it."""
 
-    known: Known
+    known: ControllerModel
     parts: Mapping[str, Chain]
     rest: Rest
     words: str
@@ -150,7 +147,7 @@ def _of_chain(model: ChainModel, settings: TipSettings) -> _Model:
         raise ExportError("export-c: got a delay with a longer store than its time needs, expected the store it needs")
     rest = _behind(parts["front"] if lag_s else None, _at_rest(facts), model.simulator.chain.rest_samples)
     words = " + ".join(operator.name for operator in parts["whole"].operators)
-    return _Model(known_model(model, None, lag_s), parts, rest, words)
+    return _Model(controller_model(model, None, lag_s), parts, rest, words)
 
 
 def _of_network(model: LoadedModel, settings: TipSettings) -> _Model:
@@ -160,10 +157,9 @@ def _of_network(model: LoadedModel, settings: TipSettings) -> _Model:
     assert isinstance(model, OnnxModel)  # there are these two
     network, facts, lag_s = network_of(model), model.metadata, settings.actuator_lag_s
     companion = surrogate_backlash(model)
-    known, beside = known_pairs(model, companion), companion.metadata()
+    known, beside = controller_model(model, companion, lag_s), companion.metadata()
     parts = {"middle": companion.chain}
     if lag_s:
-        known = known.behind((Lag(lag_s),), facts)
         parts["front"] = Chain(Lag(lag_s))
     shown = np.array([[0.0], [1.0], [0.0]])  # the measured angle, by both
     at_rest = np.concatenate([_at_rest(facts), shown, _at_rest(beside), shown], axis=1)
@@ -235,7 +231,7 @@ def _law(
 ) -> tuple[dict[str, int], dict[str, Any]]:
     """Sizes and numbers of law, estimator and fallbacks."""
     learned = settings.model_pair(predictor, inverse)
-    law = settings.model_copy(update={"handover": None}).law(*learned, limits)
+    law = settings.model_copy(update={"supervisor": None}).law(*learned, limits)
     assert isinstance(law, PredictiveLaw)
     delay, dt, horizon = settings.estimator.delay_samples, predictor.dt, law.horizon
     if horizon < 2:
@@ -264,7 +260,7 @@ def _law(
         "most_missing": settings.bridged_samples(dt),
         "senses": int(settings.estimator.sensor == "continuous"),
         "learns": int(settings.adaptation is not None),
-        "hands_over": int(settings.handover is not None),
+        "supervised": int(settings.supervisor is not None),
         "filters": 1,
         **_program_sizes(settings, horizon, dt),
     }
@@ -272,8 +268,8 @@ def _law(
     found: list[Mapping[str, Any]] = [observer.numbers()] if isinstance(observer, OutputEstimator) else []
     if isinstance(learned[0], LearnedPredictor):
         found.append(learned[0].filters(delay).numbers())
-    if settings.handover is not None:
-        found.append(_handover(settings, predictor))
+    if settings.supervisor is not None:
+        found.append(_supervisor(settings, predictor))
     for more in (numbers, *found):
         sizes |= {name: value for name, value in more.items() if isinstance(value, int)}
         numbers = numbers | dict(more)
@@ -325,12 +321,12 @@ def _blocking(settings: LinearisedMpcSettings, horizon: int, dt: float) -> dict[
     }
 
 
-def _handover(settings: LinearisedMpcSettings, predictor: Predictor) -> dict[str, Any]:
-    assert settings.handover is not None
-    gains = gains_for(settings.handover, predictor)
+def _supervisor(settings: LinearisedMpcSettings, predictor: Predictor) -> dict[str, Any]:
+    assert settings.supervisor is not None
+    gains = feedback_gains(settings.supervisor, predictor)
     return {
-        "inverse_pid_above": settings.handover.inverse_pid_above,
-        "pid_above": settings.handover.pid_above,
+        "inverse_pid_above": settings.supervisor.inverse_pid_above,
+        "pid_above": settings.supervisor.pid_above,
         "pid_kp": gains.kp_per_deg,
         "pid_ki": gains.ki_per_deg_s,
         "pid_kd": gains.kd_s_per_deg,

@@ -146,14 +146,14 @@ def step_source(name: str, step: Step, linkage: str = "static") -> str:
     )
 
 
-_ROUNDS, _CLOSE, _FLAT, _WITHIN = 8, 1e-9, 1e-3, 1e-6  # as in `models.chain_rest`
+_ROUNDS, _CLOSE, _FLAT, _WITHIN = 8, 1e-9, 1e-3, 1e-6  # as in `models.rest`
 _NUDGE, _COARSE = 1e-6, 1e-2  # of the angle, for a slope: in double and in single precision
 
 
 def chain_rest_source(offset: Vec, by_angle: Vec, by_command: Vec, held: int) -> str:
     """C of the state at rest of a chain: offset + by_angle a + by_command u, with the a for which it shows y.
 
-    Newton's method as `models.chain_rest.ChainRest` has it, its slope by a difference; then so many samples are held.
+    Newton's method as `models.rest.ChainRest` has it, its slope by a difference; then so many samples are held.
     """
     return "\n".join(
         [

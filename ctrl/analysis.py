@@ -12,28 +12,15 @@ from hystmpc.models.model import Predictor
 from hystmpc.trials.errors import ControllerError
 from hystmpc.trials.types import Vec
 
-from .feedback.pid import PidSettings
-from .limits import CommandLimits
+from .command import CommandLimits
+from .feedback import PidSettings
 
 Complex = NDArray[np.complex128]
 
-_SETTLING_S = 2.0  # many times the lag of any catheter drive
 _PERIODS = 2  # driven; the last one counts, the hysteresis has closed its loop by then
 _AMPLITUDES, _SMALLEST = 40, 4e-3  # of half the command range
 _SAMPLES_PER_PERIOD = (5, 400)
 _FREQUENCIES = 48
-
-
-def static_gain(model: Predictor) -> float:
-    """Angle at rest at the highest command less that at the lowest, over the range of commands [deg per unit].
-
-    Dead bands and lags do not count.
-    """
-    low, high = model.command_range
-    samples = max(round(_SETTLING_S / model.dt), 1)
-    plans = np.array([np.full(samples, low), np.full(samples, high)])
-    ends = model.rollout(model.initial(0.0, low), plans)[:, -1]
-    return abs(float(ends[1] - ends[0])) / (high - low)
 
 
 @dataclass(frozen=True)

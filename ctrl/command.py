@@ -1,17 +1,24 @@
-"""What a control law is given in a step, and what a controller answers: the command, its source, prediction, timing."""
+"""The command: what a law is given and a controller answers in a step, and the hard limits on value and rate."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 from time import perf_counter
-from typing import final
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar, final
 
 import numpy as np
+from pydantic import Field, model_validator
 
+from hystmpc.models.contract.metadata import ModelMetadata
 from hystmpc.trials.brief import brief
+from hystmpc.trials.config import Positive, Settings
+from hystmpc.trials.errors import ControllerError, shown
 from hystmpc.trials.types import Vec
+
+T = TypeVar("T")
 
 EMPTY: Vec = np.empty(0)
 EMPTY.setflags(write=False)
@@ -79,7 +86,7 @@ class ControlInput:
     setpoint: float  # reference angle at the end of this sample [deg]
     reference: Vec  # reference angles at the ends of the samples that the next commands act in, shape (H,)
     remaining_plan: Vec  # what is left of the last good plan, up to H - 1 entries
-    distrust: float = 0.0  # error of the forecasts over that of none, see `Estimate`
+    forecast_error: float = 0.0  # error of the forecasts over that of none, see `Estimate`
 
 
 @final
@@ -95,3 +102,189 @@ class Stopwatch:
         now = perf_counter()
         self.stages[stage] = self.stages.get(stage, 0.0) + now - self._since
         self._since = now
+
+
+def attempt(action: Callable[[], T]) -> tuple[T | None, str]:
+    """Result of `action`, or None and one line on what it raised; floating-point faults stay silent NaNs."""
+    try:
+        with np.errstate(all="ignore"):
+            return action(), ""
+    except Exception as error:  # noqa: BLE001 - models and solvers may raise anything, the loop must go on
+        text = " ".join(str(error).split())
+        return None, f"{type(error).__name__}: {text}"[:200]
+
+
+_ROUNDING = 1e-9  # relative; a limit that was written with fewer digits
+
+
+def number_of(value: object) -> float | None:
+    """`value` as a number; None where it is none, such as a text, a truth value, a list or nothing at all."""
+    if isinstance(value, str | bytes | bytearray | bool | np.bool_ | complex | np.complexfloating):
+        return None
+    try:
+        return float(value)  # type: ignore[arg-type]  # anything may come from outside
+    except Exception:  # noqa: BLE001 - what `__float__` of anything raises
+        return None
+
+
+def numbers_of(values: object) -> Vec:
+    """`values` as an array of numbers; a single not-a-number where they are none, such as ragged lists."""
+    try:
+        array = np.asarray(values)
+        usable = array.dtype.kind in "iufO"
+        return array.astype(np.float64) if usable else np.array(math.nan)
+    except Exception:  # noqa: BLE001 - what `__array__` or `__float__` of anything raises
+        return np.array(math.nan)
+
+
+@dataclass(frozen=True)
+class CommandLimits:
+    """Box and rate limits of a command: lower <= u_k <= upper, |u_k - u_{k-1}| <= rate * dt.
+
+    Attributes:
+        lower, upper: least and greatest command [mm or bar].
+        rate: greatest change per second, either way [mm/s or bar/s].
+
+    Raises:
+        ControllerError: if a limit is not finite, the box is empty or the rate is not positive.
+    """
+
+    lower: float
+    upper: float
+    rate: float
+
+    def __post_init__(self) -> None:
+        values = [number_of(v) for v in (self.lower, self.upper, self.rate)]
+        known = all(v is not None and math.isfinite(v) for v in values)
+        if not known or self.lower >= self.upper or self.rate <= 0:
+            raise ControllerError(
+                f"command limits: got lower {shown(self.lower, 50)}, upper {shown(self.upper, 50)}, "
+                f"rate {shown(self.rate, 50)}, "
+                "expected finite lower < upper and rate > 0"
+            )
+
+    def __str__(self) -> str:
+        return f"{self.lower:g} to {self.upper:g} at {self.rate:g} per s"
+
+    def contains(self, other: CommandLimits) -> bool:
+        """Whether `other` allows nothing beyond these limits; rounding of the last digits passes."""
+        slack = _ROUNDING * (self.upper - self.lower)
+        inside = self.lower - slack <= other.lower and other.upper <= self.upper + slack
+        return inside and other.rate <= self.rate * (1 + _ROUNDING)
+
+    def window(self, last: float, dt: float) -> tuple[float, float]:
+        """Least and greatest command that may follow `last` after `dt` seconds."""
+        last = min(max(last, self.lower), self.upper)
+        return max(self.lower, last - self.rate * dt), min(self.upper, last + self.rate * dt)
+
+    def clip(self, u: float, last: float, dt: float) -> float:
+        """Nearest admissible command; `last` itself where `u` is not a finite number."""
+        low, high = self.window(last, dt)
+        return min(max(u if math.isfinite(u) else last, low), high)
+
+    def clip_plans(self, plans: Vec, last: float, dt: float) -> Vec:
+        """Nearest admissible plans, sample by sample from the first on; shape (..., H).
+
+        Not-a-number stays what it is, and what follows it too; callers pass finite plans.
+        """
+        # numba takes longer to import than a planner's first call may
+        from hystmpc.models.inverse.follow import clip_plans
+
+        admissible: Vec = np.array(plans, dtype=np.float64, order="C")
+        rows = admissible.reshape(-1, admissible.shape[-1])
+        clip_plans(rows, self.lower, self.upper, self.rate * dt, last)
+        return admissible
+
+
+class LimitsSettings(Settings):
+    """Hard limits of the command [mm or bar] and of its rate [mm/s or bar/s].
+
+    Attributes:
+        lower: least command [mm or bar].
+        upper: greatest command [mm or bar].
+        rate_per_s: greatest change of the command [mm/s or bar/s].
+    """
+
+    lower: float
+    upper: float
+    rate_per_s: Positive
+
+    @model_validator(mode="after")
+    def _ordered(self) -> LimitsSettings:
+        if not self.lower < self.upper:
+            raise ValueError(f"got lower {self.lower} and upper {self.upper}, expected lower < upper")
+        return self
+
+    def build(self) -> CommandLimits:
+        """The limits that the settings name."""
+        return CommandLimits(self.lower, self.upper, self.rate_per_s)
+
+
+class ModelledLimitsSettings(LimitsSettings):
+    """Hard limits where a model is known: those of the model may be narrowed, and exceeded only where it is said.
+
+    Attributes:
+        beyond_model: whether the limits may be wider than the command limits and rate that the model was made for; its
+            predictions there are extrapolated, and the device may not be made for them either.
+    """
+
+    beyond_model: Annotated[bool, Field(strict=True)] = False
+
+
+if TYPE_CHECKING:
+    from dataclasses import replace  # type checkers know its arguments
+else:
+
+    def replace(old: Any, /, **changes: Any) -> Any:
+        """As `dataclasses.replace`, for classes without slots, `__post_init__` and cached properties.
+
+        Raises:
+            TypeError: if a changed field does not exist.
+        """
+        new = object.__new__(type(old))
+        fields = new.__dict__
+        fields.update(old.__dict__)
+        count = len(fields)
+        fields.update(changes)
+        if len(fields) != count:
+            raise TypeError(f"{type(old).__name__}: got {sorted(changes)}, expected {sorted(old.__dict__)}")
+        return new
+
+
+__all__ = ["replace"]
+
+
+def limits_of_model(facts: ModelMetadata) -> CommandLimits:
+    """The limits that a model was made for."""
+    return CommandLimits(facts.command_limits.lower, facts.command_limits.upper, facts.command_rate)
+
+
+def modelled_limits(settings: ModelledLimitsSettings | None, model: CommandLimits) -> CommandLimits:
+    """Hard limits of command and rate: those of the settings; those of the model where they are left out.
+
+    Raises:
+        ControllerError: if the settings go beyond the model and do not say that they may.
+    """
+    if settings is None:
+        return model
+    limits = settings.build()
+    if not (settings.beyond_model or model.contains(limits)):
+        raise ControllerError(
+            f"limits: got {limits}, expected them within what the model was made for, {model}; "
+            "limits.beyond_model: true allows more"
+        )
+    return limits
+
+
+def narrowed_limits(device: CommandLimits, settings: LimitsSettings | None) -> CommandLimits:
+    """Limits of the device, or those of the settings, which have to lie within them.
+
+    Raises:
+        ControllerError: if they go beyond the device's limits.
+    """
+    if settings is None:
+        return device
+    limits = settings.build()
+    if not device.contains(limits):
+        raise ControllerError(f"limits: got {limits}, expected them within those of the device, {device}")
+    return limits

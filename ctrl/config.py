@@ -1,19 +1,104 @@
-"""The table of controllers: their settings, told apart by `kind`."""
+"""The table of controllers, told apart by `kind`: those of the package, and those from outside by `python`."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Annotated, Any, get_args
+from functools import cached_property
+from typing import Annotated, Any, ClassVar, Literal, NoReturn, get_args
 
-from pydantic import BeforeValidator, Field
+from pydantic import BeforeValidator, ConfigDict, Field, PrivateAttr, ValidationError, model_validator
 
+from hystmpc.trials.config import Settings
 from hystmpc.trials.errors import ConfigError, did_you_mean
-from hystmpc.trials.from_outside import MEMORY, given_by, with_kind
+from hystmpc.trials.from_outside import MEMORY, MODULE_AND_CLASS, class_named, given_by, is_reading, refusal, with_kind
 
-from .feedback.inverse_settings import InverseControllerSettings, InversePidControllerSettings
-from .feedback.pid import PidControllerSettings
-from .from_outside import GROUP, PythonControllerSettings
+from .estimation.observer import SensorKindSettings
+from .feedback import InverseControllerSettings, InversePidControllerSettings, PidControllerSettings
+from .law import LawSettings
 from .mpc_settings import LinearisedMpcSettings, SamplingMpcSettings
+
+GROUP = "hystmpc.controllers"
+"""Entry points by which an installed package makes `kind: NAME` known; the value is MODULE:CLASS."""
+
+
+class PythonControllerSettings(Settings):
+    """`python: MODULE:CLASS`: settings of yours, derived from `LawSettings`; every further key is one of theirs.
+
+    Attributes:
+        kind: says which block this is; may be left out.
+        python: module and class, such as `mylab.law:SlidingMode`, of an installed package or of the working folder.
+    """
+
+    model_config: ClassVar[ConfigDict] = ConfigDict(extra="allow")
+
+    kind: Literal["python"] = "python"
+    python: str = Field(pattern=MODULE_AND_CLASS)
+    _read_only: str = PrivateAttr("")  # why the class is not imported, for a reader of a folder
+
+    @model_validator(mode="before")
+    @classmethod
+    def _known_keys(cls, data: Any) -> Any:
+        """Every key may be one of the class, which says what is wrong with it."""
+        return data
+
+    @model_validator(mode="after")
+    def _fits_its_class(self) -> PythonControllerSettings:
+        self._read_only = refusal(self.python, GROUP) if is_reading() else ""
+        try:
+            self.resolved()
+        except ConfigError as error:
+            raise ValueError(str(error)) from None
+        return self
+
+    def resolved(self) -> LawSettings:
+        """The settings that are meant; of a class that is not imported, what stands in the file for every controller.
+
+        Raises:
+            ConfigError: if there is no such class, or a key does not fit it.
+        """
+        return self._resolved
+
+    @cached_property
+    def _resolved(self) -> LawSettings:
+        if self._read_only:
+            return _unread(self._read_only, dict(self.model_extra or {}))
+        return self.named(self.python).parse(dict(self.model_extra or {}), f"controller {self.python}")
+
+    @staticmethod
+    def named(python: str) -> type[LawSettings]:
+        """The class MODULE:CLASS.
+
+        Raises:
+            ConfigError: if there is none.
+        """
+        return class_named(python, "controller", GROUP, LawSettings)  # type: ignore[type-abstract]
+
+
+class _Unread(LawSettings):
+    """What a report may know of a controller whose class it does not import."""
+
+    _why: str = PrivateAttr("")
+
+    def observer(self, predictor: object) -> NoReturn:
+        del predictor
+        raise ConfigError(f"controller: {self._why}")
+
+    def law(self, predictor: object, inverse: object, limits: object) -> NoReturn:
+        del predictor, inverse, limits
+        raise ConfigError(f"controller: {self._why}")
+
+
+def _unread(why: str, given: dict[str, Any]) -> LawSettings:
+    """Limits and sensor of a controller, where the file says them in the words of the package."""
+    told = given.get("estimator")
+    estimator = {key: told[key] for key in SensorKindSettings.model_fields if key in told} if type(told) is dict else {}
+    try:
+        settings = _Unread.model_validate({"limits": given.get("limits"), "estimator": estimator})
+    except ValidationError:  # a class may mean something else by these names
+        settings = _Unread()
+    settings._why = why
+    return settings
+
 
 # A new controller of the package is one class of settings, which builds it, and one line here; all that lists
 # controllers reads this. Those from outside are `python`.
@@ -65,23 +150,23 @@ def sensor_fault(settings: AnyControllerSettings, kind: str) -> str:
     return f"estimator.sensor: got {wanted}, expected {' or '.join(served)}: the sensor is {kind}"
 
 
-def told_of_sensor(block: Any, told: Mapping[str, Any]) -> Any:
-    """The block of a controller with what its sensor says of itself, where the block does not say something else.
+def with_sensor_facts(block: Any, keys: Mapping[str, Any]) -> Any:
+    """The block of a controller with the keys that follow from its sensor; what the block gives itself wins.
 
     Args:
         block: as it was given; what is no block of a known kind comes back as it is.
-        told: keys of `estimator`; those that a controller of this kind does not know are left out.
+        keys: keys of `estimator`; those that a controller of this kind does not know are left out.
     """
     if isinstance(block, AnyControllerSettings):
         block = {**block.model_dump(exclude_unset=True), "kind": block.kind}
-    if not told or not isinstance(block, Mapping):
+    if not keys or not isinstance(block, Mapping):
         return block
     try:
-        data, own = _read(block), block.get("estimator", {})
+        data, given = _read(block), block.get("estimator", {})
         settings = PythonControllerSettings.named(data["python"]) if data["kind"] == "python" else _KINDS[data["kind"]]
     except (ConfigError, ValueError):  # the field itself says what is wrong
         return block
-    if not isinstance(own, Mapping):
+    if not isinstance(given, Mapping):
         return block
     known = type(settings.model_fields["estimator"].get_default()).model_fields
-    return {**data, "estimator": {**{key: value for key, value in told.items() if key in known}, **own}}
+    return {**data, "estimator": {**{key: value for key, value in keys.items() if key in known}, **given}}

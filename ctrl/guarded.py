@@ -1,24 +1,40 @@
-"""Every controller of hystmpc: a law inside an estimator, a chain of fallbacks and hard limits."""
+"""Every controller of hystmpc: a law inside an estimator, a chain of fallback levels and hard limits."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
-from typing import Generic, TypeVar, final
+from typing import TYPE_CHECKING, Any, Generic, TypeVar, final
 
 import numpy as np
 
+from hystmpc.models.model import Inverse, Predictor
 from hystmpc.trials.brief import brief, in_brief
 from hystmpc.trials.errors import ControllerError, HystmpcError, shown
 from hystmpc.trials.types import Index, Vec
 
-from .command import EMPTY, Command, ControlInput, Stopwatch, Timing
+from .command import (
+    EMPTY,
+    Command,
+    CommandLimits,
+    ControlInput,
+    Source,
+    Stopwatch,
+    Timing,
+    attempt,
+    narrowed_limits,
+    number_of,
+    numbers_of,
+    replace,
+)
 from .estimation.observer import ANGLE_BOUND_DEG, Estimate, Observer, usable_angle
-from .fallback import FallbackChain, FallbackState, Level, attempt
-from .frozen import replace
-from .law import Law, Proposal
-from .limits import CommandLimits, number_of, numbers_of
+from .law import FallbackSettings, Law, LawSettings, Proposal
+
+if TYPE_CHECKING:
+    from hystmpc.models.prediction.build import ControllerModel
+
+    from .config import PythonControllerSettings
 
 _ROUNDING = 1e-6  # of a sample
 
@@ -256,8 +272,8 @@ class GuardedController(Generic[M]):
         return ControlInput(
             state=estimate.state,
             disturbance=estimate.disturbance,
-            disturbance_sigma=self._observer.unrest_deg(estimate),
-            distrust=estimate.distrust,
+            disturbance_sigma=self._observer.disturbance_sigma_deg(estimate),
+            forecast_error=estimate.forecast_error,
             measured=estimate.measured,
             age=estimate.age,
             u_last=estimate.command,
@@ -306,3 +322,125 @@ def usable_reference(reference: object, horizon: int) -> Vec:
     if not np.abs(wanted).max() <= ANGLE_BOUND_DEG:  # or not a number
         raise UnusableReferenceError(f"reference: not finite or beyond {ANGLE_BOUND_DEG:.0f} deg")
     return wanted
+
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True, eq=False)
+class FallbackState:
+    """Counters and what is left of the last good plan."""
+
+    failures: int = 0  # consecutive failed samples
+    stopped: bool = False  # whether the stop is latched; only a new `init` releases it
+    plan: Vec = field(default_factory=lambda: EMPTY)  # remaining planned commands
+    predicted: Vec = field(default_factory=lambda: EMPTY)  # the angles that belong to them [deg], without disturbance
+    cause: str = "after repeated failures"  # why the stop is latched
+
+
+@dataclass(frozen=True, eq=False)
+class Level:
+    """One level of fallback: a finite command, not yet limited, and the plan behind it if there is one."""
+
+    u: float
+    source: Source
+    status: str
+    plan: Vec = field(default_factory=lambda: EMPTY)
+    predicted: Vec = field(default_factory=lambda: EMPTY)
+
+
+@final
+class FallbackChain:
+    """Chooses the level of fallback: shifted plan, inverse, hold, stop.
+
+    Args:
+        inverse: of the model; None where there is none.
+
+    Raises:
+        ControllerError: if the safe command lies beyond the limits.
+    """
+
+    def __init__(self, limits: CommandLimits, settings: FallbackSettings, inverse: Inverse | None) -> None:
+        safe = settings.safe_command
+        if safe is not None and not limits.lower <= safe <= limits.upper:
+            raise ControllerError(
+                f"ladder: got safe_command {safe}, expected one within {limits.lower} to {limits.upper}"
+            )
+        self._settings = settings
+        self._inverse = inverse
+
+    def on_success(self, plan: Vec, predicted: Vec) -> FallbackState:
+        """State after a success: counters at zero, the plan shifted by the sample that is being sent."""
+        return FallbackState(plan=plan[1:], predicted=predicted[1:])
+
+    def pause(self, state: FallbackState, given: ControlInput, reason: str) -> tuple[Level, FallbackState]:
+        """Hold because there is nothing to follow; not a failure; the old plan is dropped."""
+        return Level(given.u_last, Source.HOLD, reason), replace(state, plan=EMPTY, predicted=EMPTY)
+
+    def on_failure(
+        self, state: FallbackState, given: ControlInput, reason: str, blind: bool = False
+    ) -> tuple[Level, FallbackState]:
+        """The best level left after a failure.
+
+        Args:
+            blind: the measurement has been missing for too long; plans are no longer to be trusted: hold.
+        """
+        state = replace(state, failures=state.failures + 1)
+        if state.failures >= self._settings.stop_after_failures:
+            state = replace(state, stopped=True)
+            return self.stop(given, reason), state
+        if blind:
+            return self.pause(state, given, reason)
+        if state.plan.size:
+            level = Level(float(state.plan[0]), Source.SHIFTED_PLAN, reason, state.plan, state.predicted)
+            return level, replace(state, plan=state.plan[1:], predicted=state.predicted[1:])
+        u, more = self._inverse_command(given)
+        if u is not None:
+            return Level(u, Source.INVERSE, reason), state
+        return Level(given.u_last, Source.HOLD, f"{reason}; {more}" if more else reason), state
+
+    def halt(self, cause: str) -> FallbackState:
+        """The latched state of a stop that was asked for."""
+        return FallbackState(stopped=True, cause=cause)
+
+    def stop(self, given: ControlInput, reason: str) -> Level:
+        """The last level: towards the safe command, or stay."""
+        safe = self._settings.safe_command
+        return Level(given.u_last if safe is None else safe, Source.STOP, f"stopped: {reason}")
+
+    def _inverse_command(self, given: ControlInput) -> tuple[float | None, str]:
+        if self._inverse is None:
+            return None, ""
+        inverse, wanted = self._inverse, float(given.reference[0] - given.disturbance)
+        u, reason = attempt(lambda: float(inverse.command(given.state, wanted, given.u_last)))
+        if u is None:
+            return None, reason
+        return (u, "") if math.isfinite(u) else (None, f"the inverse answers {u}")
+
+
+def pair_for(settings: LawSettings | PythonControllerSettings, model: ControllerModel) -> tuple[Predictor, Inverse]:
+    """Predictor and inverse that a controller works with, with a learned part where its settings ask for one."""
+    settings = settings.resolved()
+    return settings.model_pair(*(model.predictive if settings.predicts else model.feedforward))
+
+
+def build_controller(
+    settings: LawSettings | PythonControllerSettings, predictor: Predictor, inverse: Inverse, limits: CommandLimits
+) -> GuardedController[Any]:
+    """The controller that `settings` describe.
+
+    Args:
+        settings: one of the classes of `CONTROLLERS`, or a class of yours derived from `LawSettings`.
+        predictor: the model; PID takes only the sample time from it.
+        inverse: its inverse, for feedforward, candidate plans and fallback.
+        limits: hard limits of the device; `settings.limits` may narrow them.
+
+    Raises:
+        ControllerError: if the settings contradict each other or go beyond the device's limits.
+    """
+    settings = settings.resolved()
+    limits = narrowed_limits(limits, settings.limits)
+    predictor, inverse = settings.model_pair(predictor, inverse)
+    fallback = FallbackChain(limits, settings.ladder, inverse if settings.falls_back_on_inverse else None)
+    law, observer = settings.law(predictor, inverse, limits), settings.observer(predictor)
+    return GuardedController(law, observer, fallback, limits, predictor.dt, settings.bridged_samples(predictor.dt))

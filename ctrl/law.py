@@ -7,13 +7,11 @@ from dataclasses import dataclass, field
 from typing import Any, ClassVar, Generic, TypeVar
 
 from hystmpc.models.model import Inverse, Predictor
-from hystmpc.trials.config import Settings
+from hystmpc.trials.config import Count, NotNegativeInt, Settings
 from hystmpc.trials.types import Vec
 
-from .command import EMPTY, ControlInput, Source, Stopwatch
+from .command import EMPTY, CommandLimits, ControlInput, LimitsSettings, Source, Stopwatch
 from .estimation.observer import Observer, SensorKindSettings
-from .fallback import FallbackSettings
-from .limits import CommandLimits, LimitsSettings
 
 M = TypeVar("M")
 
@@ -46,6 +44,20 @@ class Law(ABC, Generic[M]):
     @abstractmethod
     def propose(self, memory: M, given: ControlInput, watch: Stopwatch) -> Proposal[M]:
         """The wanted command; stages worth telling apart are booked on `watch`."""
+
+
+class FallbackSettings(Settings):
+    """Block `ladder`: when prediction, fallback and stop set in.
+
+    Attributes:
+        stop_after_failures: consecutive failed samples after which the stop is latched.
+        max_missing_samples: consecutive samples without usable measurement that are bridged by prediction.
+        safe_command: where a stop goes, within the rate limit [mm or bar]; null stays at the last command.
+    """
+
+    stop_after_failures: Count = 25
+    max_missing_samples: NotNegativeInt = 25
+    safe_command: float | None = None
 
 
 class LawSettings(Settings):

@@ -7,9 +7,7 @@ resumes where an earlier one ended. Then the tables, the bars and the page are w
 from __future__ import annotations
 
 import csv
-import hashlib
 import io
-import json
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
@@ -20,12 +18,15 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Generic, Literal, Se
 import numpy as np
 from pydantic import BeforeValidator
 
-from hystmpc.sim.jobs.runner import ResultFiles, Status, attempt, backend_for, resumed_folder, wall_minutes
+from hystmpc.sim.jobs.runner import attempt, backend_for
 from hystmpc.trials.config import Settings
 from hystmpc.trials.files import write_atomically
+from hystmpc.trials.json_text import file_text, json_hash, plain
 from hystmpc.trials.report import REFERENCE, Heading, KeyValues, Paragraph, Piece, Report, Table, new_figure
-from hystmpc.trials.run_folder import RunFolder
+from hystmpc.trials.run_folder import RunFolder, resumed_folder
 from hystmpc.trials.types import Progress
+
+from .result_files import ResultFiles, Status, wall_minutes
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as Plotted
@@ -123,15 +124,6 @@ class Outcome(Generic[S, F]):
         return tuple(result for result in self.results if result.status == "failed")
 
 
-def plain(value: Any) -> Any:
-    """A value as JSON; a number that is not finite is null."""
-    if isinstance(value, dict):
-        return {key: plain(part) for key, part in value.items()}
-    if isinstance(value, list | tuple):
-        return [plain(part) for part in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
-
-
 def plain_result(result: Any) -> dict[str, Any]:
     """A result as JSON; a number that is not finite is null."""
     return dict(plain(asdict(result)))
@@ -191,7 +183,7 @@ class Study(Generic[S, J, F]):
 
     def fingerprint(self, job: J, settings: S, folder: Path) -> str:
         """SHA-256 over all that a job's result depends on."""
-        return hashlib.sha256(json.dumps(self.inputs(job, settings, folder), sort_keys=True).encode()).hexdigest()
+        return json_hash(self.inputs(job, settings, folder))
 
     def blank(self, job: J, settings: S, folder: Path) -> F:
         """The result before anything is done, of status `failed`."""
@@ -287,8 +279,7 @@ class BegunStudy(Generic[S, J, F]):
         for table in tables:
             table.save(folder)
         if study.data is not None:
-            text = json.dumps(study.data(outcome), indent=1, allow_nan=False) + "\n"
-            write_atomically(folder / "tables" / f"{study.name}.json", text)
+            write_atomically(folder / "tables" / f"{study.name}.json", file_text(study.data(outcome)))
         self.folder.write_report(page)
         return outcome
 

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, Literal, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -13,7 +13,12 @@ import numpy as np
 from hystmpc.trials.errors import ModelError
 
 from .kernels.program import dense
+from .operators.catalogue import operator_from, operator_spec
+from .operators.dynamics import Delay, Lag, RateLimit, Servo
 from .operators.operator import Operator, Parameter
+
+DYNAMICS = (Delay, Lag, Servo, RateLimit)
+"""Operators that are not inverted sample by sample: that would amplify every deviation."""
 
 
 @dataclass(frozen=True)
@@ -70,6 +75,14 @@ class Chain:
         before, after = (tuple(o.resampled(dt_s, was_s) for o in own) for own in (self.before, self.after))
         return replace(self, before=before, after=after)
 
+    def with_room(self, dt_s: float) -> Chain:
+        """The same chain at sample time `dt_s` [s], with a longer store in every delay whose store is too short."""
+        sides = [
+            tuple(o.resampled(dt_s, dt_s) if isinstance(o, Delay) and not o.holds(dt_s) else o for o in side)
+            for side in (self.before, self.after)
+        ]
+        return self if sides == [self.before, self.after] else replace(self, before=sides[0], after=sides[1])
+
     @property
     def state_size(self) -> int:
         """Number of state entries."""
@@ -121,3 +134,49 @@ class Chain:
             parts.append((operator, x[i : i + n], p[j : j + m]))
             i, j = i + n, j + m
         return parts
+
+
+def chain_spec(chain: Chain) -> dict[Literal["before", "core", "after"], Any]:
+    """Plain data from which `chain_from` builds the same chain."""
+    return {
+        "before": [operator_spec(operator) for operator in chain.before],
+        "core": operator_spec(chain.core),
+        "after": [operator_spec(operator) for operator in chain.after],
+    }
+
+
+def chain_from(spec: Mapping[Literal["before", "core", "after"], Any], where: str) -> Chain:
+    """A chain from plain data.
+
+    Raises:
+        ModelError: if it has no core, or names what the catalogue of operators does not know.
+    """
+    if "core" not in spec:
+        raise ModelError(f"{where} has no 'core', got {', '.join(spec) or 'nothing'}")
+    return Chain(
+        operator_from(spec["core"], f"{where}.core"),
+        _side(spec.get("before"), f"{where}.before"),
+        _side(spec.get("after"), f"{where}.after"),
+    )
+
+
+def _side(specs: Any, where: str) -> tuple[Any, ...]:
+    if specs is not None and not isinstance(specs, list):
+        raise ModelError(f"{where}: got {type(specs).__name__}, expected a list of operators")
+    return tuple(operator_from(spec, f"{where}[{k}]") for k, spec in enumerate(specs or []))
+
+
+class Split(NamedTuple):
+    """A chain in three: dynamics on the command, what is inverted, dynamics on the angle."""
+
+    front: tuple[Operator, ...]
+    middle: Chain
+    back: tuple[Operator, ...]
+
+
+def split(chain: Chain) -> Split:
+    """The chain up to its last and from its first dynamic operator, and what lies between."""
+    last = max((k + 1 for k, o in enumerate(chain.before) if isinstance(o, DYNAMICS)), default=0)
+    first = min((k for k, o in enumerate(chain.after) if isinstance(o, DYNAMICS)), default=len(chain.after))
+    middle = Chain(chain.core, chain.before[last:], chain.after[:first])
+    return Split(chain.before[:last], middle, chain.after[first:])

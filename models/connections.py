@@ -10,8 +10,7 @@ import numpy as np
 from hystmpc.trials.errors import ModelError
 from hystmpc.trials.types import Vec
 
-from .chain import Chain
-from .chain_spec import chain_from, chain_spec
+from .chain import Chain, chain_from, chain_spec
 from .contract.export import ExportBundle, graph_bytes
 from .contract.metadata import Connection, InitialRule, ModelMetadata
 from .model import LoadedModel, StepFunction

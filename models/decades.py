@@ -105,10 +105,10 @@ class Decades:
             sensor_resolution_deg=noise.sensor_resolution_deg * self.angle,
         )
 
-    def log_sizes(self, found: _R) -> _R:
+    def log_sizes(self, row: _R) -> _R:
         """A record in working units, brought back: numbers, arrays and pairs whose names end in `_deg` or `_deg_s`."""
-        named = [(f.name, unit) for f in fields(found) for end, unit in _SUFFIXES.items() if f.name.endswith(end)]
-        return replace(found, **{name: _times(getattr(found, name), self.in_log(unit)) for name, unit in named})
+        named = [(f.name, unit) for f in fields(row) for end, unit in _SUFFIXES.items() if f.name.endswith(end)]
+        return replace(row, **{name: _times(getattr(row, name), self.in_log(unit)) for name, unit in named})
 
     def in_log(self, unit: str) -> float:
         """Log units in one working unit of a quantity, as `deg s/cmd` or `1/deg^2`; 1 of what has none of these."""
@@ -137,8 +137,8 @@ def size_of(unit: str, sizes: Mapping[str, float]) -> float:
     """Size of a quantity from those of the units in its own, such as `cmd s^2/deg`; a unit without a size counts 1."""
 
     def product(part: str) -> float:
-        found = [match for factor in part.split() if (match := _FACTOR.fullmatch(factor))]
-        return math.prod(sizes.get(match[1], 1.0) ** int(match[2] or 1) for match in found)
+        matches = [match for factor in part.split() if (match := _FACTOR.fullmatch(factor))]
+        return math.prod(sizes.get(match[1], 1.0) ** int(match[2] or 1) for match in matches)
 
     above, *below = unit.split("/")
     return product(above) / math.prod(map(product, below))

@@ -7,12 +7,14 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
-from hystmpc.trials.figure_data import draw_long
-from hystmpc.trials.report import MEASURED, MODEL, REFERENCE, Heading, Paragraph, Piece, Plot, Report, Table, new_figure
+from hystmpc.trials.figures import Look, LoopPanel, SimulatedTrial, loop_figure, time_figure
+from hystmpc.trials.report import MEASURED, MODEL, Heading, Paragraph, Piece, Plot, Report, Table
 
 from .evaluate import ERROR_COLUMNS, TrialEvaluation, error_rows, error_sentence, start_sentences
 
 _SHOWN = 3  # trials in a figure
+_MEASURED: Look = {"color": MEASURED, "label": "measured"}
+_MODEL: Look = {"color": MODEL, "label": "model", "linewidth": 0.9}
 
 
 def evaluation_report(
@@ -36,44 +38,29 @@ def _pieces(which: str, results: Sequence[TrialEvaluation]) -> Iterator[Piece]:
     yield Table(ERROR_COLUMNS, error_rows(results), note)
     yield from (Paragraph(f"{sentence}.") for sentence in start_sentences(results))
     drawn = "of all trials" if len(results) <= _SHOWN else f"of the {_SHOWN} trials with the greatest error"
-    yield Plot(time_figure(results), f"Measured and simulated output {drawn}, and the error of the model below.", True)
-    yield Plot(loop_figure(results), f"Output [{unit}] over command [{command}] of the same trials.")
-
-
-def time_figure(results: Sequence[TrialEvaluation]) -> Figure:
-    """Measurement and model over time, of the three trials with the greatest error, and below each the error."""
     worst = _worst(results)
-    with new_figure(7.0, 0.6 + 2.5 * len(worst)) as figure:
-        rows = figure.subplots(2 * len(worst), 1, height_ratios=(3, 1) * len(worst))
-        for above, below, run in zip(rows[::2], rows[1::2], worst, strict=True):
-            unit, t = run.trial.units.angle, run.trial.t
-            draw_long(above, t, run.trial.angle, color=MEASURED, label="measured")
-            draw_long(above, t, run.theta, color=MODEL, label="model", linewidth=0.9)
-            name = Path(run.trial.source).name
-            above.set(ylabel=f"[{unit}]", title=f"{name}: RMSE {run.errors.rmse_deg:.3g} {unit}")
-            above.tick_params(labelbottom=False)
-            draw_long(below, t[run.start :], (run.theta - run.trial.angle)[run.start :], color=MODEL, linewidth=0.8)
-            below.axhline(0.0, color=REFERENCE, linewidth=0.6)
-            below.set(ylabel=f"error [{unit}]")
-            below.sharex(above)
-        rows[-1].set(xlabel="time [s]")
-        figure.legend(*rows[0].get_legend_handles_labels(), loc="outside upper right", ncols=2)
-    return figure
+    yield Plot(
+        free_run_figure(results), f"Measured and simulated output {drawn}, and the error of the model below.", True
+    )
+    loops = loop_figure([_loop(run) for run in worst], command, unit)
+    yield Plot(loops, f"Output [{unit}] over command [{command}] of the same trials.")
 
 
-def loop_figure(results: Sequence[TrialEvaluation]) -> Figure:
-    """Output over command, measured and simulated, of the three trials with the greatest error."""
-    worst = _worst(results)
-    with new_figure(7.0, 2.9) as figure:
-        row = figure.subplots(1, len(worst), squeeze=False, sharey=True)[0]
-        for axes, run in zip(row, worst, strict=True):
-            axes.plot(run.trial.command, run.trial.angle, color=MEASURED, label="measured")
-            axes.plot(run.trial.command, run.theta, color=MODEL, label="model", linewidth=0.9)
-            axes.set(xlabel=f"command [{run.trial.units.command}]", title=Path(run.trial.source).name)
-        row[0].set(ylabel=f"output [{worst[0].trial.units.angle}]")
-        figure.legend(*row[0].get_legend_handles_labels(), loc="outside upper right", ncols=2)
-    return figure
+def free_run_figure(results: Sequence[TrialEvaluation]) -> Figure:
+    """Measurement, model and error over time, of the three trials with the greatest error."""
+    return time_figure([_simulated(run) for run in _worst(results)], "error")
 
 
 def _worst(results: Sequence[TrialEvaluation]) -> list[TrialEvaluation]:
     return sorted(results, key=lambda run: -run.errors.rmse_deg)[:_SHOWN]
+
+
+def _simulated(run: TrialEvaluation) -> SimulatedTrial:
+    unit, trial = run.trial.units.angle, run.trial
+    title = f"{Path(trial.source).name}: RMSE {run.errors.rmse_deg:.3g} {unit}"
+    return SimulatedTrial(title, trial.t, (trial.angle, _MEASURED), [(run.theta, _MODEL)], unit, run.start)
+
+
+def _loop(run: TrialEvaluation) -> LoopPanel:
+    command = run.trial.command
+    return LoopPanel(Path(run.trial.source).name, [(command, run.trial.angle, _MEASURED), (command, run.theta, _MODEL)])

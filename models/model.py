@@ -15,6 +15,8 @@ from hystmpc.trials.types import Vec
 from .contract.metadata import ModelMetadata, NoiseModel, Start
 from .rest import RestRule
 
+_SETTLING_S = 2.0  # many times the lag of any catheter drive
+
 
 class Model(Protocol):
     """A tip-angle model with explicit state (architecture, section 3).
@@ -226,3 +228,15 @@ class Inverse(ABC):
 
 FitProgress = Callable[[int, float], None]
 """What an identification calls as it goes on: steps done, and the least error so far in the unit of the output."""
+
+
+def static_gain(model: Predictor) -> float:
+    """Angle at rest at the highest command less that at the lowest, over the range of commands [deg per unit].
+
+    Dead bands and lags do not count.
+    """
+    low, high = model.command_range
+    samples = max(round(_SETTLING_S / model.dt), 1)
+    plans = np.array([np.full(samples, low), np.full(samples, high)])
+    ends = model.rollout(model.initial(0.0, low), plans)[:, -1]
+    return abs(float(ends[1] - ends[0])) / (high - low)

@@ -18,15 +18,13 @@ from hystmpc.trials.errors import ConfigError, ModelError
 from hystmpc.trials.files import write_atomically
 from hystmpc.trials.types import Vec
 
-from .chain import Chain
-from .chain_spec import chain_from, chain_spec
+from .chain import Chain, chain_from, chain_spec
 from .contract.export import ExportBundle, export_onnx
 from .contract.metadata import ModelMetadata, NoiseModel, Range, Rate, SampleTime, Start, rest_within
 from .kernels.chain_kernels import compile_step
 from .kernels.program import dense
 from .model import LoadedModel, StepFunction
 from .motions import probe_commands
-from .operators.dynamics import with_room
 from .rest import RestRule
 
 if TYPE_CHECKING:
@@ -165,10 +163,7 @@ class Simulator:
         return in_brief(self, f"{ends}, {seen}, every {self.dt_s:.4g} s: {parts}")
 
     def __post_init__(self) -> None:
-        chain, dt_s = self.chain, self.dt_s
-        before, after = with_room(chain.before, dt_s), with_room(chain.after, dt_s)
-        if (before, after) != (chain.before, chain.after):
-            object.__setattr__(self, "chain", replace(chain, before=before, after=after))
+        object.__setattr__(self, "chain", self.chain.with_room(self.dt_s))
 
     def at_sample_time(self, dt_s: float) -> Simulator:
         """The same simulator at sample time `dt_s` [s], see `Chain.at_sample_time`."""

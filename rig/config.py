@@ -9,18 +9,18 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field, ValidationError, model_validator
 
-from hystmpc.ctrl.config import sensor_fault, told_of_sensor
-from hystmpc.ctrl.limits import LimitsSettings, ModelledLimitsSettings, NotNegative, Positive
+from hystmpc.ctrl.command import LimitsSettings, ModelledLimitsSettings
+from hystmpc.ctrl.config import sensor_fault, with_sensor_facts
 from hystmpc.ctrl.mpc_settings import LinearisedMpcSettings
 from hystmpc.ctrl.planner.settings import TipSettings
 from hystmpc.models.load import model_path
 from hystmpc.trajectories.config import Motion, SampledSettings
-from hystmpc.trials.config import Settings, load_settings
+from hystmpc.trials.config import FolderName, NotNegative, Positive, Settings, load_settings
 from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.from_outside import with_kind
 
-from .commission.excitation import Excitation, MotionFileSettings
-from .commission.phases import PrepareStep, PretensionSettings
+from .experiment.excitation import Excitation, MotionFileSettings
+from .experiment.phases import PrepareStep, PretensionSettings
 from .live.desk import LiveSettings
 from .realtime import RealtimeSettings
 from .safety.intake import SensorSettings
@@ -31,9 +31,6 @@ from .transports.from_outside import GROUP, PythonSettings
 from .transports.simulated import ReplaySettings, SimulatedSettings
 from .transports.transport import TransportBase, WireUnits
 from .transports.udp import UdpSettings
-
-Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$", max_length=80)]
-
 
 # The table of transports: a new one of the package is one file and one line here. Those from outside are `python`.
 TRANSPORTS: Mapping[str, type[TransportBase]] = {
@@ -51,7 +48,7 @@ TransportSettings = Annotated[
 
 
 class BenchSettings(Settings):
-    """What a bench is.
+    """Settings of a bench: device, limits, ramps, sensor, transport, preparation.
 
     Attributes:
         name: of the device; a latched stop belongs to it.
@@ -73,7 +70,7 @@ class BenchSettings(Settings):
         latch_file: where a stop is remembered; by name of the device in the user's state folder where left out.
     """
 
-    name: Name
+    name: FolderName
     rate_hz: float = Field(ge=1, le=1000)
     command_unit: Literal["mm", "bar"]
     limits: LimitsSettings
@@ -115,7 +112,7 @@ class BenchSettings(Settings):
 
     @property
     def overshoot(self) -> float:
-        """How far a stop may go on [mm or bar]."""
+        """Greatest overshoot of a stop in the direction of motion [mm or bar]."""
         return self.stop_overshoot or min(0.2, 0.02 * (self.limits.upper - self.limits.lower))
 
     @property
@@ -125,7 +122,7 @@ class BenchSettings(Settings):
 
 
 class ReviewSettings(Settings):
-    """Block `review`: from which error of the model's free run on something is due; see `review`.
+    """Block `review`: bar of the model's free-run error above which a new identification or diagnosis is due.
 
     Attributes:
         due_above_deg: RMS error of the free run [deg].
@@ -167,16 +164,16 @@ class RunSettings(BenchSettings):
 
     @model_validator(mode="before")
     @classmethod
-    def _controller_is_told(cls, data: Any) -> Any:
+    def _controller_knows_the_sensor(cls, data: Any) -> Any:
         tip = data.get("controller") if isinstance(data, Mapping) else None
         if not isinstance(tip, Mapping) or not isinstance(data.get("sensor"), Mapping):
             return data
         try:
-            told = SensorSettings.model_validate(data["sensor"]).told()
+            keys = SensorSettings.model_validate(data["sensor"]).estimator_keys()
         except ValidationError:  # the field itself says what is wrong
             return data
-        law = told_of_sensor(tip.get("controller", {"kind": LinearisedMpcSettings().kind}), told)
-        return {**data, "controller": {**tip, "controller": law}} if told else data
+        law = with_sensor_facts(tip.get("controller", {"kind": LinearisedMpcSettings().kind}), keys)
+        return {**data, "controller": {**tip, "controller": law}} if keys else data
 
     @model_validator(mode="after")
     def _controller_fits_the_sensor(self) -> RunSettings:
@@ -194,7 +191,7 @@ class RecordSettings(BenchSettings):
         live: the local page; a recording takes no target.
     """
 
-    excitations: Mapping[Name, Excitation] = Field(min_length=1)
+    excitations: Mapping[FolderName, Excitation] = Field(min_length=1)
     settle_s: NotNegative = 1.0
     live: LiveSettings = LiveSettings()
 
@@ -208,7 +205,7 @@ class RecordSettings(BenchSettings):
 
 
 def load_run(path: Path | str, overrides: Iterable[str] = ()) -> RunSettings:
-    """Read an experiment; file names in it start at its own folder and come out absolute.
+    """Read the settings of an experiment; file names relative to its folder become absolute.
 
     Raises:
         ConfigError: on an unreadable file, an unknown key or a value out of bounds.
@@ -225,7 +222,7 @@ def load_run(path: Path | str, overrides: Iterable[str] = ()) -> RunSettings:
 
 
 def load_record(path: Path | str, overrides: Iterable[str] = ()) -> RecordSettings:
-    """Read a recording; as `load_run`.
+    """Read the settings of a recording, as `load_run`.
 
     Raises:
         ConfigError: on an unreadable file, an unknown key or a value out of bounds.
@@ -239,7 +236,7 @@ def load_record(path: Path | str, overrides: Iterable[str] = ()) -> RecordSettin
 
 
 def located(settings: BenchSettings, folder: Path) -> dict[str, Any]:
-    """The settings of every bench that name files, with file names that start at `folder`.
+    """Settings of a bench that hold file names, with these resolved against `folder`.
 
     Raises:
         ConfigError: if the latch's file is another kind of file, which a stop would replace and `--reset` remove.
@@ -261,9 +258,9 @@ def _may_latch(file: Path) -> bool:
     """Whether a file may be a latch's: it is one, it is empty, or nothing is there."""
     try:
         text = file.read_text(encoding="utf-8")
-        found = json.loads(text) if text.strip() else {"cause": ""}
+        content = json.loads(text) if text.strip() else {"cause": ""}
     except (FileNotFoundError, NotADirectoryError):
         return True
     except (OSError, ValueError, RecursionError):
         return False
-    return isinstance(found, dict) and "cause" in found
+    return isinstance(content, dict) and "cause" in content

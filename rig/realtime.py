@@ -1,4 +1,4 @@
-"""The control process: clock, scheduling, core, memory, garbage collection, thread switching; set and restored."""
+"""Real-time setup of the control process: clock, scheduling, CPU affinity, locked memory, garbage collection."""
 
 from __future__ import annotations
 
@@ -15,19 +15,16 @@ from typing import Literal, Protocol, final
 from pydantic import Field
 from threadpoolctl import threadpool_limits
 
-from hystmpc.ctrl.limits import NotNegative
-from hystmpc.trials.config import Settings
+from hystmpc.trials.config import NotNegative, Settings
 
 # MCL_CURRENT | MCL_FUTURE | MCL_ONFAULT of <sys/mman.h>: without the last one, a new thread waits for its whole stack.
 _LOCK = 7
-
 _SWITCH_S = 0.00005  # how long another thread may keep the interpreter while the loop wants it
-
 _BOOT: int | None = getattr(time, "CLOCK_BOOTTIME", None)  # Linux
 
 
 class Clock(Protocol):
-    """Where time comes from."""
+    """Source of time."""
 
     def now_ns(self) -> int:
         """Monotonic time [ns]."""
@@ -77,6 +74,30 @@ class MonotonicClock(Clock):
             pass
 
 
+@final
+class SimulatedClock(Clock):
+    """Time that passes by waiting alone, so that a computed device is as fast as it computes."""
+
+    def __init__(self) -> None:
+        self._ns = 1_000_000_000
+
+    def now_ns(self) -> int:
+        """Time [ns]."""
+        return self._ns
+
+    def boot_ns(self) -> int:
+        """The same [ns]."""
+        return self._ns
+
+    def wall_ns(self) -> int:
+        """The same [ns]: it has no date."""
+        return self._ns
+
+    def wait_until(self, deadline_ns: int) -> None:
+        """The deadline is now."""
+        self._ns = max(self._ns, deadline_ns)
+
+
 class SchedulingSettings(Settings):
     """Block `realtime` of a device.
 
@@ -107,7 +128,7 @@ class RealtimeSettings(SchedulingSettings):
 
 @contextmanager
 def scheduled(settings: SchedulingSettings) -> Iterator[list[str]]:
-    """Core, scheduling class and locked memory of this process, put back afterwards.
+    """Set CPU affinity, scheduling class and locked memory of this process, and restore them.
 
     Yields:
         One line for everything that the system did not permit, and how to permit it.
@@ -129,7 +150,7 @@ def scheduled(settings: SchedulingSettings) -> Iterator[list[str]]:
 
 @contextmanager
 def control_process(settings: RealtimeSettings) -> Iterator[list[str]]:
-    """Prepare the process for the loop and put everything back after it.
+    """Set up the process for the control loop, and restore it.
 
     What exists is frozen and the collector is off, so that nothing is collected in the loop; one BLAS thread.
 

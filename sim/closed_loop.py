@@ -8,8 +8,15 @@ from typing import Any
 
 import numpy as np
 
-from hystmpc.ctrl.frames import AnySensorSettings, ContinuousSensorSettings, Viewer
-from hystmpc.ctrl.loop import Controller, LoopLog, LoopSample, run_loop
+from hystmpc.ctrl.loop import (
+    AnySensorSettings,
+    ContinuousSensorSettings,
+    Controller,
+    LoopLog,
+    LoopSample,
+    Viewer,
+    run_loop,
+)
 from hystmpc.trajectories import PreviewTable, Trajectory
 from hystmpc.trials.brief import brief
 from hystmpc.trials.types import Vec

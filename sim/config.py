@@ -8,21 +8,17 @@ from typing import Annotated, Any, Self
 
 from pydantic import Field, TypeAdapter, ValidationError, model_validator
 
-from hystmpc.ctrl.config import ControllerSettings, sensor_fault, told_of_sensor
-from hystmpc.ctrl.frames import AnySensorSettings, ContinuousSensorSettings, SimulatedSensor
-from hystmpc.ctrl.limits import ModelledLimitsSettings
+from hystmpc.ctrl.command import ModelledLimitsSettings
+from hystmpc.ctrl.config import ControllerSettings, sensor_fault, with_sensor_facts
+from hystmpc.ctrl.loop import AnySensorSettings, ContinuousSensorSettings, SimulatedSensor
 from hystmpc.models.effects.place import EffectError, effect_from
 from hystmpc.models.load import model_path
 from hystmpc.trajectories.config import Motion, SampledSettings
-from hystmpc.trials.config import Settings, load_settings
+from hystmpc.trials.config import FolderName, NotNegative, NotNegativeInt, Settings, load_settings
 from hystmpc.trials.errors import ModelError
 from hystmpc.trials.yaml_ import MisplacedError, place_in
 
 from .devices.names import DeviceError, device_parameters
-
-NotNegative = Annotated[float, Field(ge=0)]
-# Names become folders of the run.
-Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$", max_length=80)]
 
 
 class EffectSettings(Settings):
@@ -120,7 +116,7 @@ class SimulationConfig(Settings):
 
     Attributes:
         model: what controllers know of it: a simulator (.yaml), an exported model (.onnx), or `builtin:NAME`.
-        actuator_lag_s: first-order lag of the command that the model does not contain and controllers are told of.
+        actuator_lag_s: first-order lag of the command that the model does not contain and controllers are keys of.
         inverse: simulator (.yaml) that is inverted in the model's place: `inverse` and `inverse_pid` know nothing else,
             predictive controllers take their first guess from it. For networks, which have no inverse of their own;
             where left out, a backlash fitted to the network's free run. Or an inverse map (.onnx, or .yaml for
@@ -147,13 +143,13 @@ class SimulationConfig(Settings):
     inverse: str | None = None
     actuator_lag_s: NotNegative = 0.0
     sensor: SimulatedSensor = ContinuousSensorSettings()
-    motions: dict[Name, Motion] = Field(min_length=1)
-    controllers: dict[Name, ControllerSettings] = Field(min_length=1)
+    motions: dict[FolderName, Motion] = Field(min_length=1)
+    controllers: dict[FolderName, ControllerSettings] = Field(min_length=1)
     limits: ModelledLimitsSettings | None = None
     approach: bool = True
     tune_pid: TuningSettings | None = None
-    tuned: tuple[Name, ...] = ()
-    seed: Annotated[int, Field(ge=0)] = 0
+    tuned: tuple[FolderName, ...] = ()
+    seed: NotNegativeInt = 0
 
     @model_validator(mode="before")
     @classmethod
@@ -164,10 +160,10 @@ class SimulationConfig(Settings):
             sensor: AnySensorSettings = _SENSORS.validate_python(data.get("sensor", {"kind": "continuous"}))
         except ValidationError:  # the field itself says what is wrong
             return data
-        told = sensor.told()
+        keys = sensor.estimator_keys()
         return {
             **data,
-            "controllers": {name: told_of_sensor(block, told) for name, block in data["controllers"].items()},
+            "controllers": {name: with_sensor_facts(block, keys) for name, block in data["controllers"].items()},
         }
 
     @model_validator(mode="after")

@@ -13,8 +13,7 @@ from matplotlib.figure import Figure
 
 from hystmpc.ctrl.analysis import LoopAnalysis, analyse_pid
 from hystmpc.ctrl.estimation.observer import EstimatorSettings
-from hystmpc.ctrl.feedback.inverse_settings import InversePidControllerSettings
-from hystmpc.ctrl.feedback.pid import PidControllerSettings
+from hystmpc.ctrl.feedback import InversePidControllerSettings, PidControllerSettings
 from hystmpc.models.inverse.drive import Drive
 from hystmpc.models.load import load_model, model_path
 from hystmpc.models.model import Predictor
@@ -22,6 +21,7 @@ from hystmpc.models.operators.dynamics import Lag
 from hystmpc.models.prediction.build import predictor_for
 from hystmpc.models.prediction.connected import SeriesPredictor
 from hystmpc.trials.errors import ModelError
+from hystmpc.trials.figures import LIMIT_LOOK, LoopPanel, loop_figure
 from hystmpc.trials.report import (
     REFERENCE,
     Heading,
@@ -35,21 +35,19 @@ from hystmpc.trials.report import (
 )
 
 from .results import (
-    LIMIT_LINE,
     Result,
     StudyResult,
     approach_sentence,
     best_figures,
     colours,
     conclusion,
+    controllers_figure,
     limits_of,
     load_results,
     looks,
-    tracking_figure,
 )
 
 _BINS = 61
-_ROWS = 3  # a loop plot smaller than a third of the width cannot be read
 _COLUMNS = (
     "controller",
     "RMSE [deg]",
@@ -78,21 +76,13 @@ def error_figure(results: Sequence[Result], colour: Mapping[str, str]) -> Figure
     return figure
 
 
-def loop_figure(results: Sequence[Result], colour: Mapping[str, str], unit: str) -> Figure:
+def _loops(results: Sequence[Result], colour: Mapping[str, str], unit: str) -> Figure:
     """Angle over command: the hysteresis that each controller went through."""
-    lines = -(-len(results) // _ROWS)
-    with new_figure(7.0, 0.4 + 2.1 * lines) as figure:
-        grid = figure.subplots(lines, _ROWS, sharex=True, sharey=True, squeeze=False).ravel()
-        for axes, result in zip(grid, results, strict=False):
-            axes.plot(result.run.log.command, result.run.true_deg, color=colour[result.controller], linewidth=0.8)
-            axes.set_title(result.controller)
-        for axes in grid[len(results) :]:
-            axes.remove()
-        figure.supxlabel(f"command [{unit}]", fontsize=9.0)
-        figure.supylabel("tip angle [deg]", fontsize=9.0)
-        for axes in grid[max(len(results) - _ROWS, 0) : len(results)]:
-            axes.tick_params(labelbottom=True)
-    return figure
+    panels = []
+    for result in results:
+        look = {"color": colour[result.controller], "linewidth": 0.8}
+        panels.append(LoopPanel(result.controller, [(result.run.log.command, result.run.true_deg, look)]))
+    return loop_figure(panels, unit, "deg")
 
 
 def histogram_figure(results: Sequence[Result], look: Mapping[str, Mapping[str, Any]]) -> Figure:
@@ -120,7 +110,7 @@ def timing_figure(results: Sequence[Result], colour: Mapping[str, str], dt_s: fl
             axes.barh(k, median, height=0.7, color=colour[controller])
             axes.plot((median, slow), (k, k), color=REFERENCE, linewidth=0.9)
             axes.plot(slow, k, color=REFERENCE, marker="|", markersize=6)
-        axes.axvline(1e3 * dt_s, color=REFERENCE, **LIMIT_LINE)
+        axes.axvline(1e3 * dt_s, **LIMIT_LOOK)
         axes.set(xscale="log", xlabel="execution time [ms]", ylim=(len(rows) - 0.4, -0.6))
         axes.set_yticks(range(len(rows)), [f"{controller}: {stage}" for controller, stage, _ in rows])
         axes.grid(visible=False, axis="y")
@@ -150,12 +140,12 @@ def study_report(result: StudyResult, more: Sequence[Piece] = ()) -> Report:
             Heading(f"Motion: {motion}"),
             _metrics_table(runs, result.unit),
             Plot(
-                tracking_figure(runs, look, result.unit),
+                controllers_figure(runs, look, result.unit),
                 "Tip angle without sensor noise, and the command; grey dots: command limits.",
                 True,
             ),
             Plot(error_figure(runs, colour), "Error: tip angle without sensor noise less reference."),
-            Plot(loop_figure(runs, colour, result.unit), "Tip angle over command."),
+            Plot(_loops(runs, colour, result.unit), "Tip angle over command."),
             Plot(histogram_figure(runs, look), "Distribution of the error; the outermost bins hold all beyond them."),
         ]
     pieces += [*_stability(result), *_timing(result, colour)]
@@ -303,7 +293,7 @@ def _timing(result: StudyResult, colour: dict[str, str]) -> Iterator[Piece]:
     yield Plot(timing_figure(result.results, colour, dt), caption)
     sources = tuple(dict.fromkeys(source for r in result.results for source in r.metrics.ladder))
     rows = [(r.motion, r.controller, *(r.metrics.ladder.get(s, 0) for s in sources)) for r in result.results]
-    yield Table(("motion", "controller", *sources), rows, "Samples by the rung of the ladder that gave the command.")
+    yield Table(("motion", "controller", *sources), rows, "Samples by the fallback level that gave the command.")
 
 
 def _short(file: str) -> str:

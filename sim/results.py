@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hystmpc.ctrl.limits import CommandLimits, LimitsSettings
+from hystmpc.ctrl.command import CommandLimits, LimitsSettings
 from hystmpc.ctrl.loop import LoopLog
 from hystmpc.ctrl.mpc_settings import LinearisedMpcSettings, SamplingMpcSettings
 from hystmpc.trials.brief import brief, in_brief
@@ -29,7 +29,6 @@ if TYPE_CHECKING:
 
 _PREDICTIVE = (LinearisedMpcSettings, SamplingMpcSettings)
 HOLD_S = 0.5
-LIMIT_LINE: Any = {"linestyle": (0, (2, 4)), "linewidth": 0.8}
 _STILL_DEG = 1e-9
 _ROUNDING = 1e-9  # of the command's range: a limit that is met exactly is not violated
 Column = Vec | tuple[str, ...]
@@ -215,7 +214,7 @@ class StudyResult:
 
     def plot(self, motion: str | None = None) -> Figure:
         """Angle and command of every controller along one motion, the first where left out."""
-        return tracking_figure(self.of_motion(motion or self.motions[0]), looks(self.controllers), self.unit)
+        return controllers_figure(self.of_motion(motion or self.motions[0]), looks(self.controllers), self.unit)
 
     def _repr_html_(self) -> str:
         from hystmpc.trials.report import Plot, Report, Table
@@ -286,29 +285,18 @@ def looks(controllers: Sequence[str]) -> dict[str, dict[str, Any]]:
     return {name: {"color": colour[name], "linestyle": DASHES[k % len(DASHES)]} for k, name in enumerate(controllers)}
 
 
-def tracking_figure(results: Sequence[Result], look: Mapping[str, Mapping[str, Any]], unit: str) -> Figure:
-    """Angle and command over time, with reference and command limits."""
-    from hystmpc.trials.report import REFERENCE, new_figure
+def controllers_figure(results: Sequence[Result], look: Mapping[str, Mapping[str, Any]], unit: str) -> Figure:
+    """Angle and command over time of each controller along one motion, with reference and command limits."""
+    from hystmpc.trials.figures import TrackedLine, TrackedMotion, tracking_figure
 
-    wanted: Any = {"color": REFERENCE, "linewidth": 2.4, "alpha": 0.45}
-    with new_figure(7.0, 5.0) as figure:
-        angle, command = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
-        first = results[0]
-        angle.plot(first.run.log.time_s, first.run.log.reference_deg, label="reference", **wanted)
-        if first.run.first:
-            for axes in (angle, command):
-                axes.axvspan(0.0, first.run.first * first.run.dt, color=REFERENCE, alpha=0.12, linewidth=0.0)
-        for result in results:
-            t, style = result.run.log.time_s, {**look[result.controller], "linewidth": 1.0}
-            angle.plot(t, result.run.true_deg, label=result.controller, **style)
-            command.step(t, result.run.log.command, where="pre", **style)
-        edges = sorted({edge for result in results for edge in (result.limits.lower, result.limits.upper)})
-        rules = [command.axhline(edge, color=REFERENCE, label="command limits", **LIMIT_LINE) for edge in edges]
-        angle.set_ylabel("tip angle [deg]")
-        command.set(xlabel="time [s]", ylabel=f"command [{unit}]")
-        lines = [*angle.get_legend_handles_labels()[0], rules[0]]
-        figure.legend(handles=lines, loc="outside upper center", ncols=4)
-    return figure
+    lines = []
+    for result in results:
+        run, style = result.run, {**look[result.controller], "linewidth": 1.0, "label": result.controller}
+        lines.append(TrackedLine(run.log.time_s, run.true_deg, run.log.command, style))
+    run = results[0].run
+    motion = TrackedMotion(run.log.time_s, run.log.reference_deg, lines, approach_s=run.first * run.dt)
+    limits = sorted({edge for result in results for edge in (result.limits.lower, result.limits.upper)})
+    return tracking_figure([motion], f"command [{unit}]", height=5.0, limits=limits, held=True)
 
 
 def result_of(config: SimulationConfig, motion: str, controller: str, run: ClosedLoopRun) -> Result:

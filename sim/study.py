@@ -9,14 +9,13 @@ from typing import Any
 
 import numpy as np
 
-from hystmpc.ctrl.build import build_controller, known_model, limits_of_model, modelled_limits
+from hystmpc.ctrl.command import CommandLimits, ModelledLimitsSettings, limits_of_model, modelled_limits
 from hystmpc.ctrl.config import AnyControllerSettings
-from hystmpc.ctrl.guarded import GuardedController
-from hystmpc.ctrl.limits import CommandLimits, ModelledLimitsSettings
+from hystmpc.ctrl.guarded import GuardedController, build_controller, pair_for
 from hystmpc.ctrl.planner.reach import angles_at_rest, beyond_reach
-from hystmpc.models.contract.metadata import ModelMetadata, Range
-from hystmpc.models.load import load_model, model_path
-from hystmpc.models.model import Inverse, Predictor
+from hystmpc.models.contract.metadata import Range
+from hystmpc.models.load import model_path
+from hystmpc.models.prediction.build import ControllerModel, controller_model
 from hystmpc.trajectories import PreviewTable, Trajectory
 from hystmpc.trajectories.drawn import approached
 from hystmpc.trials.errors import ConfigError, ControllerError
@@ -34,17 +33,12 @@ class Study:
     Attributes:
         motions: references, each behind an approach where it starts far from the plant's rest.
         approach_s: time of each approach, 0 for none [s]; it does not count.
-        feedforward: predictor and inverse of the controllers that only invert: the same for a model that has an
-            inverse and for an inverse map, else the operator that stands in for it. Corrected by the network at every
-            sample, as predictive controllers want it for their first guess, that inverse would go back and forth across
-            the dead band.
+        model: predictors and inverses that the controllers work with.
     """
 
     config: SimulationConfig
     plant: ComputedPlant
-    predictor: Predictor
-    inverse: Inverse
-    feedforward: tuple[Predictor, Inverse]
+    model: ControllerModel
     limits: CommandLimits
     motions: Mapping[str, Trajectory]
     approach_s: Mapping[str, float]
@@ -56,13 +50,11 @@ class Study:
         Raises:
             ControllerError: if the settings contradict each other or go beyond the limits.
         """
-        predicts = settings.resolved().predicts
-        predictor, inverse = (self.predictor, self.inverse) if predicts else self.feedforward
-        return build_controller(settings, predictor, inverse, self.limits)
+        return build_controller(settings, *pair_for(settings, self.model), self.limits)
 
     def warnings(self) -> tuple[str, ...]:
         """What of the motions the model cannot be brought to, a sentence each."""
-        reach = angles_at_rest(self.predictor, self.limits, self.plant.true_angle)
+        reach = angles_at_rest(self.model.predictive[0], self.limits, self.plant.true_angle)
         found = {name: beyond_reach(_angles(motion), reach) for name, motion in self.motions.items()}
         return tuple(f"{name} {beyond}." for name, beyond in found.items() if beyond)
 
@@ -71,37 +63,11 @@ class Study:
         return PreviewTable(self.motions[motion], self.plant.dt, 1).steps
 
 
-@dataclass(frozen=True, eq=False)
-class Knowledge:
-    """Opened models of a device: the costly part of a study, which studies of one model may share.
-
-    Attributes:
-        predictor, inverse, feedforward: see `Study`.
-    """
-
-    facts: ModelMetadata
-    predictor: Predictor
-    inverse: Inverse
-    feedforward: tuple[Predictor, Inverse]
-
-
-def knowledge(model: str, inverse: str | None = None, actuator_lag_s: float = 0.0) -> Knowledge:
-    """Open a model; the arguments are those of `SimulationConfig`.
-
-    Raises:
-        ModelError: if a model file is missing or unusable, or `inverse` is a forward model or of another unit.
-        FitError: if a network has no `inverse` and none can be fitted.
-    """
-    opened = load_model(model_path(model), start="conditioned")
-    known = known_model(opened, None if inverse is None else model_path(inverse), actuator_lag_s)
-    return Knowledge(opened.metadata, *known.predictive, known.feedforward)
-
-
-def prepare(config: SimulationConfig, known: Knowledge | None = None) -> Study:
+def prepare(config: SimulationConfig, known: ControllerModel | None = None) -> Study:
     """Open and build everything that a study needs; whatever is wrong is found here.
 
     Args:
-        known: what `knowledge` has found for the same `model`, `inverse` and `actuator_lag_s`; opened where left out.
+        known: the `controller_model` of the same `model`, `inverse` and `actuator_lag_s`; opened where left out.
 
     Raises:
         ModelError: if a model file is missing or unusable, or `inverse` is a forward model or of another unit.
@@ -111,11 +77,11 @@ def prepare(config: SimulationConfig, known: Knowledge | None = None) -> Study:
         FitError: if a network has no `inverse` and none can be fitted.
     """
     models = [model_path(text) for text in (config.model, config.inverse) if text is not None]
-    known = known or knowledge(config.model, config.inverse, config.actuator_lag_s)
+    known = known or controller_model(config.model, config.inverse, config.actuator_lag_s)
     facts = known.facts
     limits = modelled_limits(config.limits, limits_of_model(facts))
     flexure = Range(lower=limits.lower, upper=limits.upper)
-    plant = make_plant(config.plant, known.predictor.dt, flexure, config.seed)
+    plant = make_plant(config.plant, known.predictive[0].dt, flexure, config.seed)
     if plant.command_unit != facts.command_unit:
         raise ConfigError(
             f"plant {config.plant.name} takes {plant.command_unit} and model {config.model} "
@@ -127,9 +93,7 @@ def prepare(config: SimulationConfig, known: Knowledge | None = None) -> Study:
     study = Study(
         config=config.model_copy(update={"limits": config.limits or _as_settings(limits)}),
         plant=plant,
-        predictor=known.predictor,
-        inverse=known.inverse,
-        feedforward=known.feedforward,
+        model=known,
         limits=limits,
         motions={name: motion for name, (motion, _) in led.items()},
         approach_s={name: seconds for name, (_, seconds) in led.items()},

@@ -10,14 +10,12 @@ from typing import Any
 
 import numpy as np
 
-from hystmpc.ctrl.build import build_controller, known_model, limits_of_model
-from hystmpc.ctrl.command import Source
-from hystmpc.ctrl.guarded import GuardedController
+from hystmpc.ctrl.command import CommandLimits, Source, limits_of_model
+from hystmpc.ctrl.guarded import GuardedController, build_controller, pair_for
 from hystmpc.ctrl.law import LawSettings
-from hystmpc.ctrl.limits import CommandLimits
 from hystmpc.ctrl.planner.reach import angles_at_rest
 from hystmpc.models.load import load_model, model_path
-from hystmpc.models.prediction.build import Known
+from hystmpc.models.prediction.build import ControllerModel, controller_model
 from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.types import Vec
 
@@ -27,10 +25,10 @@ _STEPS = 200
 
 
 @dataclass(frozen=True, eq=False)
-class Device:
+class KnownDevice:
     """A device that is known exactly: its model, limits, and the angles at its ends [deg]."""
 
-    known: Known
+    known: ControllerModel
     limits: CommandLimits
     low_deg: float
     high_deg: float
@@ -42,7 +40,7 @@ class Device:
 
 
 @dataclass(frozen=True, eq=False)
-class Run:
+class LawRun:
     """Angles (T,) [deg], commands (T,), where each came from; the controller's state and the angle at the end."""
 
     angles: Vec
@@ -134,19 +132,18 @@ class ControllerContract(ABC):
         require(off <= self.settled_deg, f"{off:.2f} deg off after a gap, at most {self.settled_deg} deg")
 
     @cached_property
-    def _device(self) -> Device:
+    def _device(self) -> KnownDevice:
         opened = load_model(model_path(self.model), start="conditioned")
-        known, limits = known_model(opened, None, 0.0), limits_of_model(opened.metadata)
+        known, limits = controller_model(opened), limits_of_model(opened.metadata)
         low, high = angles_at_rest(known.predictive[0], limits, opened.metadata.trained_angle.lower)
-        return Device(known, limits, low, high)
+        return KnownDevice(known, limits, low, high)
 
     @cached_property
     def _controller(self) -> GuardedController[Any]:
-        settings, known = self.settings(), self._device.known
-        predictor, inverse = settings.model_pair(*(known.predictive if settings.predicts else known.feedforward))
-        return build_controller(settings, predictor, inverse, self._device.limits)
+        settings = self.settings()
+        return build_controller(settings, *pair_for(settings, self._device.known), self._device.limits)
 
-    def _follow(self, reference: Vec, missing: range = range(0)) -> Run:
+    def _follow(self, reference: Vec, missing: range = range(0)) -> LawRun:
         """The closed loop on the known device."""
         plant, controller, y = self._device.known.predictive[0], self._controller, self._device.low_deg
         device = plant.initial(y, self._device.limits.lower)
@@ -158,4 +155,4 @@ class ControllerContract(ABC):
             y, device = plant.advance(device, command.u)
             angles[k], commands[k] = y, command.u
             sources.append(command.source)
-        return Run(angles, commands, sources, state, y)
+        return LawRun(angles, commands, sources, state, y)

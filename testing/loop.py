@@ -18,11 +18,11 @@ from tempfile import TemporaryDirectory
 from threading import Event, Thread
 from typing import NoReturn, final
 
-from hystmpc.rig.bench import BenchResult, run_bench
-from hystmpc.rig.commission.phases import CommandMotion
 from hystmpc.rig.config import BenchSettings
+from hystmpc.rig.experiment.phases import CommandMotion
 from hystmpc.rig.recording.sample import Sample
-from hystmpc.rig.safety.ramp import way_commands
+from hystmpc.rig.run import BenchResult, run_bench
+from hystmpc.rig.safety.ramp import waypoint_commands
 from hystmpc.rig.transports.transport import Reading, Transport
 from hystmpc.trials.types import Vec
 
@@ -213,7 +213,7 @@ class LoopContract(Wired):
 
             def work() -> list[CommandMotion]:
                 def way(held: float) -> Vec:
-                    return way_commands(held, [_AWAY], [0.3], settings.ramps, settings.dt_s)
+                    return waypoint_commands(held, [_AWAY], [0.3], settings.ramps, settings.dt_s)
 
                 return [CommandMotion("away", way)]
 

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 from hystmpc.trials import lazily
 
 if TYPE_CHECKING:
+    from .motion import MotionLimits
     from .point_to_point import PointToPoint, random_point_to_point
-    from .ruckig_ import MotionLimits
     from .scan import Raster, SinusoidScan, TriangleScan
     from .trajectory import PreviewTable, Sampled, Trajectory, preview, sample
 
@@ -34,7 +34,7 @@ if not TYPE_CHECKING:
     __getattr__ = lazily(
         __name__,
         ("hystmpc.trajectories.point_to_point", "PointToPoint random_point_to_point"),
-        ("hystmpc.trajectories.ruckig_", "MotionLimits"),
+        ("hystmpc.trajectories.motion", "MotionLimits"),
         ("hystmpc.trajectories.scan", "Raster SinusoidScan TriangleScan"),
         ("hystmpc.trajectories.trajectory", "PreviewTable Sampled Trajectory preview sample"),
     )

@@ -8,34 +8,13 @@ from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import BeforeValidator, Field
 
-from hystmpc.trials.config import Settings
+from hystmpc.trials.config import NotNegative, Positive, Settings
 from hystmpc.trials.errors import ConfigError, did_you_mean
 
+from .motion import MotionLimitsSettings
 from .point_to_point import PointToPoint, random_point_to_point
-from .ruckig_ import MotionLimits
 from .scan import Raster, Shape, SinusoidScan, TriangleScan
 from .trajectory import Trajectory, read_sampled
-
-Positive = Annotated[float, Field(gt=0)]
-NotNegative = Annotated[float, Field(ge=0)]
-
-
-class LimitsSettings(Settings):
-    """Block `limits`; defaults as MotionLimits.
-
-    Attributes:
-        velocity_deg_s: greatest velocity [deg/s].
-        acceleration_deg_s2: greatest acceleration [deg/s^2].
-        jerk_deg_s3: greatest jerk [deg/s^3].
-    """
-
-    velocity_deg_s: Positive = MotionLimits.velocity_deg_s
-    acceleration_deg_s2: Positive = MotionLimits.acceleration_deg_s2
-    jerk_deg_s3: Positive = MotionLimits.jerk_deg_s3
-
-    def build(self) -> MotionLimits:
-        """The limits."""
-        return MotionLimits(self.velocity_deg_s, self.acceleration_deg_s2, self.jerk_deg_s3)
 
 
 class MotionSettings(Settings):
@@ -56,7 +35,7 @@ class MotionSettings(Settings):
         del folder
         given = {name: getattr(self, name) for name in type(self).model_fields if name != "kind"}
         limits = given.get("limits")
-        return self.make(**given | ({"limits": limits.build()} if isinstance(limits, LimitsSettings) else {}))
+        return self.make(**given | ({"limits": limits.build()} if isinstance(limits, MotionLimitsSettings) else {}))
 
 
 class PointToPointSettings(MotionSettings):
@@ -74,7 +53,7 @@ class PointToPointSettings(MotionSettings):
     start_deg: float
     targets_deg: tuple[float, ...] = Field(min_length=1)
     holds_s: tuple[NotNegative, ...] = Field(min_length=1)
-    limits: LimitsSettings = LimitsSettings()
+    limits: MotionLimitsSettings = MotionLimitsSettings()
 
 
 class RandomPointToPointSettings(MotionSettings):
@@ -96,7 +75,7 @@ class RandomPointToPointSettings(MotionSettings):
     range_deg: tuple[float, float]
     moves: int = Field(default=10, ge=1)
     hold_range_s: tuple[NotNegative, NotNegative] = (1.0, 5.0)
-    limits: LimitsSettings = LimitsSettings()
+    limits: MotionLimitsSettings = MotionLimitsSettings()
 
 
 class _ScanSettings(MotionSettings):
@@ -115,7 +94,7 @@ class _ScanSettings(MotionSettings):
     centre_deg: float
     frequency_hz: Positive
     cycles: float = Field(gt=0, multiple_of=0.5)
-    limits: LimitsSettings | None = None
+    limits: MotionLimitsSettings | None = None
 
 
 class SinusoidScanSettings(_ScanSettings):

@@ -10,8 +10,8 @@ import numpy as np
 
 from hystmpc.trials.types import Vec
 
+from .motion import MotionLimits
 from .point_to_point import PointToPoint
-from .ruckig_ import MotionLimits
 from .scan import SinusoidScan
 from .trajectory import Chain, PreviewTable, Trajectory
 

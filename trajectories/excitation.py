@@ -1,12 +1,13 @@
-"""The papers' identification and test commands, as printed; where they are silent the value is an argument.
+"""Commands to identify and to test on: those of the papers as printed, and three minutes for a whole device.
 
-S1 is Wu et al., RA-L 2021 (DOI 10.1109/LRA.2021.3061069): pressure [bar], 0 to 3.
-S2 is RA-L 2024, PMC11633443: tendon displacement [mm], 0 to 6."""
+Where a paper is silent the value is an argument. S1 is Wu et al., RA-L 2021 (DOI 10.1109/LRA.2021.3061069): pressure
+[bar], 0 to 3. S2 is RA-L 2024, PMC11633443: tendon displacement [mm], 0 to 6.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -16,8 +17,8 @@ from numpy.typing import ArrayLike
 from hystmpc.trials.errors import TrajectoryError, did_you_mean
 from hystmpc.trials.types import Vec
 
-from .ruckig_ import PiecewiseCubic, hold, ramp
-from .trajectory import PathTrajectory, inside, require_finite, require_positive, require_range
+from .motion import PiecewiseCubic, hold, ramp
+from .trajectory import PathTrajectory, Trajectory, inside, require_finite, require_positive, require_range
 
 
 @dataclass(frozen=True)
@@ -276,3 +277,54 @@ def s2_point_to_point(seed: int | np.random.Generator, split: Split = "train") -
 def s2_initialisation() -> DecayingSine:
     """S2's initialisation flexure: one period of 0.1 Hz from 0 to 6 mm (90 deg) and back, to be discarded."""
     return DecayingSine(S2_TRAVEL_MM / 2, 0.1, 0.0, 10.0)
+
+
+WHOLE_S = 170.0
+"""Time that all motions take together at full length, ways back to rest left out [s]."""
+
+_INNER, _OUTER = 0.03, 0.97  # of the stroke
+
+
+def identification_motions(
+    stroke: float, rate: float, random: np.random.Generator, share: float = 1.0
+) -> Iterator[tuple[str, Trajectory]]:
+    """Commands from 0 to `stroke` by name: what separates lag, delay, creep and hysteresis from each other.
+
+    Steps and ramps with holds, long holds, slow, shrinking and fast sines, and reversals at random. Each begins at 0
+    and ends anywhere; a sine may ask for more than `rate`, so that the caller limits the commands.
+
+    Args:
+        stroke: greatest command [mm or bar].
+        rate: greatest change of the command per second.
+        random: what targets, speeds and holds are drawn from.
+        share: of the full length, see `WHOLE_S`.
+
+    Raises:
+        TrajectoryError: if a number is not positive.
+    """
+    ends = (_INNER * stroke, _OUTER * stroke)
+    steps = RampHoldDraw(max(round(20 * share), 3), ends, (0.1 * rate, 0.8 * rate), (1.0, 4.0), (0.1 * stroke, stroke))
+    yield "steps", _cut(steps(random), 38.0 * share)
+    holds = RampHoldDraw(max(round(8 * share), 1), ends, (0.05 * rate, 0.3 * rate), (6.0, 9.0), (0.2 * stroke, stroke))
+    yield "long_holds", _cut(holds(random), 33.0 * share)
+    half = 0.5 * (_OUTER * stroke)
+    yield "slow_sine", DecayingSine(half, 0.1, 0.0, 28.0 * share)
+    yield "shrinking_sine", DecayingSine(half, 0.25, 0.06, 24.0 * share, lift=1.0)
+    yield "fast_sine", DecayingSine(0.3 * stroke, 0.6, 0.0, 14.0 * share, lift=1.0)
+    turns = RampHoldDraw(200, ends, (0.05 * rate, 0.5 * rate), (0.0, 0.2), (0.05 * stroke, 0.6 * stroke))
+    yield "reversals", _cut(turns(random), 33.0 * share)
+
+
+@dataclass(frozen=True)
+class _Cut:
+    """The beginning of a trajectory."""
+
+    whole: Trajectory
+    duration_s: float
+
+    def __call__(self, t: ArrayLike) -> Vec:
+        return self.whole(np.minimum(np.asarray(t, dtype=np.float64), self.duration_s))
+
+
+def _cut(whole: Trajectory, longest_s: float) -> Trajectory:
+    return _Cut(whole, min(longest_s, whole.duration_s))

@@ -11,7 +11,8 @@ from numpy.typing import ArrayLike
 from hystmpc.trials.errors import TrajectoryError
 from hystmpc.trials.types import Vec
 
-from .ruckig_ import MotionLimits, PiecewiseCubic, RestingState, Segments, hold, move
+from .motion import Kinematics, MotionLimits, PiecewiseCubic, Segments, hold
+from .ruckig_ import move
 from .trajectory import PathTrajectory, require_finite, require_range
 
 
@@ -22,7 +23,7 @@ def rest_to_rest(start_deg: float, target_deg: float, limits: MotionLimits) -> P
         TrajectoryError: if start and target are the same, or an angle is not finite.
     """
     require_finite(start_deg=start_deg, target_deg=target_deg)
-    leg = move(RestingState(start_deg), RestingState(target_deg), limits)
+    leg = move(Kinematics(start_deg), Kinematics(target_deg), limits)
     return PiecewiseCubic(np.vstack((leg, hold(target_deg, 0.0))))
 
 
@@ -66,7 +67,7 @@ class PointToPoint(PathTrajectory):
     def _segments(self) -> Segments:
         pieces, at = [], self.start_deg
         for target, rest in zip(self.targets_deg, self.holds_s, strict=True):
-            leg = move(RestingState(at), RestingState(target), self.limits)
+            leg = move(Kinematics(at), Kinematics(target), self.limits)
             at = target if leg.size else at
             pieces += [leg, hold(at, rest)]
         return np.vstack(pieces)

@@ -1,163 +1,36 @@
-"""Jerk-limited moves by ruckig, in units in which its absolute tolerances are harmless."""
+"""Jerk-limited moves by ruckig, in units in which its absolute tolerances are harmless.
+
+ruckig's tolerances are absolute: in degrees and seconds it silently plans no motion at all for 1e-10 deg, and extreme
+limits leave them meaningless (compare ruckig#58, #86). So every move is planned in units of its own length L and of the
+time (L / jerk)^(1/3), scaled back, and checked.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+import math
 
 import numpy as np
 import ruckig
-from numpy.typing import ArrayLike, NDArray
 
 from hystmpc.trials.errors import TrajectoryError
 from hystmpc.trials.types import Vec
 
-from .trajectory import inside, require_positive
-
-
-@dataclass(frozen=True)
-class MotionLimits:
-    """Greatest speed, acceleration and jerk of a tip-angle reference, either way.
-
-    The defaults let a tendon catheter be driven at the 6 mm/s that S2 (RA-L 2024, PMC11633443) used, at about
-    10 deg/mm, with ramps of a few tenths of a second.
-
-    Attributes:
-        velocity_deg_s: [deg/s].
-        acceleration_deg_s2: [deg/s^2].
-        jerk_deg_s3: [deg/s^3].
-
-    Raises:
-        TrajectoryError: if a limit is not finite and positive.
-    """
-
-    velocity_deg_s: float = 60.0
-    acceleration_deg_s2: float = 300.0
-    jerk_deg_s3: float = 3000.0
-
-    def __post_init__(self) -> None:
-        require_positive(
-            velocity_deg_s=self.velocity_deg_s,
-            acceleration_deg_s2=self.acceleration_deg_s2,
-            jerk_deg_s3=self.jerk_deg_s3,
-        )
-
-    def __str__(self) -> str:
-        return f"{self.velocity_deg_s:g} deg/s, {self.acceleration_deg_s2:g} deg/s^2, {self.jerk_deg_s3:g} deg/s^3"
-
-
-# One row per piece: duration [s], then theta, velocity, acceleration at its start, and its jerk.
-Segments = NDArray[np.float64]
-
-
-def hold(value: float, duration_s: float) -> Segments:
-    """One piece that keeps `value`, shape (1, 5)."""
-    return np.array([[duration_s, value, 0.0, 0.0, 0.0]])
-
-
-def ramp(start: float, end: float, duration_s: float) -> Segments:
-    """One piece of constant velocity, shape (1, 5)."""
-    return np.array([[duration_s, start, (end - start) / duration_s, 0.0, 0.0]])
-
-
-def peak_rates(segments: Segments) -> tuple[float, float, float]:
-    """Greatest |velocity|, |acceleration| and |jerk| over all pieces, exactly (vertices included)."""
-    duration, _, v0, a0, jerk = segments.T
-    vertex = np.clip(np.divide(-a0, jerk, out=np.zeros_like(jerk), where=jerk != 0), 0.0, duration)
-    velocity = [v0 + a0 * s + jerk * s**2 / 2 for s in (np.zeros_like(duration), vertex, duration)]
-    acceleration = [a0, a0 + jerk * duration]
-    return float(np.abs(velocity).max()), float(np.abs(acceleration).max()), float(np.abs(jerk).max())
-
-
-def end_state(segment: Vec) -> tuple[float, float, float]:
-    """Value, velocity and acceleration at the end of one piece (5,)."""
-    s, p, v, a, j = (float(x) for x in segment)
-    return p + s * (v + s * (a / 2 + s * j / 6)), v + s * (a + s * j / 2), a + s * j
-
-
-@dataclass(frozen=True, eq=False)
-class PiecewiseCubic:
-    """theta(t) = p + v s + a s^2/2 + j s^3/6 with s = t - t_i, the time since the start of piece i.
-
-    Attributes:
-        segments: rows of duration [s], p [deg], v [deg/s], a [deg/s^2], j [deg/s^3], shape (M, 5).
-
-    Raises:
-        TrajectoryError: if a number is not finite, a duration is negative, or their sum is zero.
-    """
-
-    segments: Segments
-    _knots: Vec = field(init=False, repr=False)
-    _rows: Vec = field(init=False, repr=False)
-
-    def __post_init__(self) -> None:
-        segments = np.array(self.segments, dtype=np.float64)
-        if segments.ndim != 2 or segments.shape[1] != 5 or not np.isfinite(segments).all():
-            raise TrajectoryError(f"pieces: got shape {segments.shape}, expected finite numbers of shape (M, 5)")
-        if (segments[:, 0] < 0).any() or segments[:, 0].sum() <= 0:
-            raise TrajectoryError("motion of no duration: no target differs from the start and no hold is above 0 s")
-        segments.setflags(write=False)
-        object.__setattr__(self, "segments", segments)
-        object.__setattr__(self, "_knots", np.concatenate(([0.0], np.cumsum(segments[:, 0]))))
-        # The row after the last piece holds its end value.
-        object.__setattr__(self, "_rows", np.vstack((segments[:, 1:], (end_state(segments[-1])[0], 0.0, 0.0, 0.0))))
-
-    @property
-    def duration_s(self) -> float:
-        """Sum of the durations [s]."""
-        return float(self._knots[-1])
-
-    def __call__(self, t: ArrayLike) -> Vec:
-        """Values at `t` [s]."""
-        s, (p, v, a, j) = self._locate(t)
-        return p + s * (v + s * (a / 2 + s * j / 6))
-
-    def derivative(self, t: ArrayLike, order: int) -> Vec:
-        """Velocity (order 1), acceleration (2) or jerk (3) at `t` [s]; at a knot that of the later piece.
-
-        Raises:
-            TrajectoryError: if the order is not 1, 2 or 3.
-        """
-        s, (_, v, a, j) = self._locate(t)
-        if order == 1:
-            return v + s * (a + s * j / 2)
-        if order == 2:
-            return a + s * j
-        if order == 3:
-            return j + 0 * s
-        raise TrajectoryError(f"derivative: got order {order}, expected 1, 2 or 3")
-
-    def _locate(self, t: ArrayLike) -> tuple[Vec, Vec]:
-        """Time since the start of the piece, and its polynomial, for each `t`."""
-        time = inside(t, self.duration_s)
-        piece = np.searchsorted(self._knots, time, side="right") - 1
-        return time - self._knots[piece], np.moveaxis(self._rows[piece], -1, 0)
-
+from .motion import Kinematics, MotionLimits, Segments, end_state, hold, peak_rates
 
 # Targets closer than this, relative to the angle, are the same target (ruckig#160: a move of some ulp fails).
 _SNAP = 1e-12
-# Relative excess over a limit, and gap at the target, that pass as rounding.
-_EXCESS = 1e-9
+# Relative excess over a limit that passes as rounding, and gap at the target, in units of the move.
+_EXCESS, _GAP, _BRAKED_GAP = 1e-9, 1e-8, 1e-7
 # Where distance and limits are whole multiples of each other, ruckig sometimes finds no motion; a hair beside it does.
 _JERKS = (1.0, 1.0 - 1e-9, 1.0 - 1e-6)
-_GAP = 1e-8
 # ruckig is made for durations up to 7600 of its units of time and may refuse longer ones (ruckig#109).
 _LONGEST = 1000.0
 
 
-@dataclass(frozen=True)
-class RestingState:
-    """Angle [deg] and acceleration [deg/s^2] at a moment of no velocity."""
-
-    theta_deg: float
-    acceleration_deg_s2: float = 0.0
-
-
-def move(start: RestingState, target: RestingState, limits: MotionLimits, duration_s: float | None = None) -> Segments:
+def move(start: Kinematics, target: Kinematics, limits: MotionLimits, duration_s: float | None = None) -> Segments:
     """Fastest move between two states of no velocity, or the one that takes `duration_s`.
 
-    ruckig's tolerances are absolute: in degrees and seconds it silently plans no motion at all for 1e-10 deg, and
-    extreme limits leave them meaningless (compare ruckig#58, #86). So every move is planned over the distance 1 with
-    a unit of time near (distance / jerk)^(1/3), scaled back, and checked: limits to 1e-9, end state to 1e-8.
+    It is checked to 1e-9 of the limits, and to 1e-8 of its length at the target.
 
     Args:
         start, target: states at both ends.
@@ -170,48 +43,80 @@ def move(start: RestingState, target: RestingState, limits: MotionLimits, durati
     Raises:
         TrajectoryError: if the move cannot be made within the limits or in the duration.
     """
-    distance = target.theta_deg - start.theta_deg
-    if abs(distance) <= _SNAP * max(1.0, abs(start.theta_deg)):
+    unit = abs(target.theta_deg - start.theta_deg)
+    if unit <= _SNAP * max(1.0, abs(start.theta_deg)):
         return _stay(start, target, duration_s)
-    unit = abs(distance)
-    tick = max(
-        (unit / limits.jerk_deg_s3) ** (1 / 3),
-        unit / limits.velocity_deg_s / _LONGEST,
-        (duration_s or 0.0) / _LONGEST,
-    )
-    scale = np.array([tick, unit, unit / tick, unit / tick**2, unit / tick**3])
-    wanted = _input(start, target, limits, scale, duration_s)
-    where = f"move from {start.theta_deg:.6g} to {target.theta_deg:.6g} deg"
-    segments = _calculate(wanted, where)
-    least_s = float(segments[:, 0].sum()) * tick
+    scale, where = _units(unit, limits, duration_s or 0.0), _words(start, target)
+    wanted = _problem(start, target, limits, scale, duration_s)
+    segments = _planned(wanted, where)
+    least_s = float(segments[:, 0].sum()) * scale[0]
     if duration_s is not None and least_s > duration_s * (1 + _EXCESS):
         raise TrajectoryError(f"{where}: got {duration_s:.6g} s, expected at least {least_s:.6g} s within {limits}")
-    _check(segments, wanted, where)
-    segments *= scale
-    segments[:, 1] += start.theta_deg
-    return segments
+    _check_limits(segments, wanted, where)
+    _check_end(segments, wanted, _GAP, where)
+    return _scaled(segments, scale, start)
 
 
-def _stay(start: RestingState, target: RestingState, duration_s: float | None) -> Segments:
+def move_to_rest(start: Kinematics, target_deg: float, limits: MotionLimits) -> Segments:
+    """Fastest motion from `start` to rest at `target_deg`; where `start` exceeds a limit, it is braked first.
+
+    The unit of length of a motion that has begun is
+
+        L = max(|distance|, |v|^(3/2) / jerk^(1/2), |a|^3 / jerk^2)
+
+    Args:
+        start: where and how fast the motion is now.
+        target_deg: angle of rest [deg].
+        limits: greatest velocity, acceleration and jerk.
+
+    Returns:
+        Pieces of constant jerk, shape (M, 5); of shape (0, 5) where `start` is that rest already.
+
+    Raises:
+        TrajectoryError: if ruckig finds no motion, or one that misses the target.
+    """
+    target, jerk = Kinematics(target_deg), limits.jerk_deg_s3
+    speed, bend = abs(start.velocity_deg_s), abs(start.acceleration_deg_s2)
+    unit = max(abs(target_deg - start.theta_deg), math.sqrt(speed**3 / jerk), bend**3 / jerk**2)
+    if unit <= _SNAP * max(1.0, abs(start.theta_deg)):
+        return np.empty((0, 5))
+    scale, where = _units(unit, limits), _words(start, target)
+    wanted = _problem(start, target, limits, scale)
+    segments = _planned(wanted, where)
+    segments = segments[segments[:, 0] > 0]
+    _check_end(segments, wanted, _BRAKED_GAP, where)
+    return _scaled(segments, scale, start)
+
+
+def _words(start: Kinematics, target: Kinematics) -> str:
+    moving = f", begun at {start.velocity_deg_s:.6g} deg/s" if start.velocity_deg_s else ""
+    return f"move from {start.theta_deg:.6g} to {target.theta_deg:.6g} deg{moving}"
+
+
+def _stay(start: Kinematics, target: Kinematics, duration_s: float | None) -> Segments:
     """No motion, which is only possible without acceleration."""
     if start.acceleration_deg_s2 or target.acceleration_deg_s2:
         raise TrajectoryError(f"move: start and target are both {start.theta_deg:.6g} deg, expected some distance")
     return hold(start.theta_deg, duration_s or 0.0)[: duration_s is not None]
 
 
-def _input(
-    start: RestingState,
-    target: RestingState,
-    limits: MotionLimits,
-    scale: Vec,
-    duration_s: float | None,
+def _units(unit: float, limits: MotionLimits, duration_s: float = 0.0) -> Vec:
+    """Units of time, angle, velocity, acceleration and jerk of a move of length `unit` [deg] (5,)."""
+    least = max(unit / limits.velocity_deg_s, duration_s) / _LONGEST
+    tick = max((unit / limits.jerk_deg_s3) ** (1 / 3), least)
+    return np.array([tick, unit, unit / tick, unit / tick**2, unit / tick**3])
+
+
+def _problem(
+    start: Kinematics, target: Kinematics, limits: MotionLimits, scale: Vec, duration_s: float | None = None
 ) -> ruckig.InputParameter:
-    """The problem in units of `scale`: time, angle, velocity, acceleration, jerk."""
-    tick, _, velocity, acceleration, jerk = scale
+    """The problem from angle 0, in units of `scale`."""
+    tick, angle, velocity, acceleration, jerk = scale
     wanted = ruckig.InputParameter(1)
     wanted.current_position = [0.0]
+    wanted.current_velocity = [start.velocity_deg_s / velocity]
     wanted.current_acceleration = [start.acceleration_deg_s2 / acceleration]
-    wanted.target_position = [float(np.sign(target.theta_deg - start.theta_deg))]
+    wanted.target_position = [(target.theta_deg - start.theta_deg) / angle]
     wanted.target_acceleration = [target.acceleration_deg_s2 / acceleration]
     wanted.max_velocity = [limits.velocity_deg_s / velocity]
     wanted.max_acceleration = [limits.acceleration_deg_s2 / acceleration]
@@ -221,8 +126,8 @@ def _input(
     return wanted
 
 
-def _calculate(wanted: ruckig.InputParameter, where: str) -> Segments:
-    """Plan in the scaled units; rows as in `Segments`."""
+def _planned(wanted: ruckig.InputParameter, where: str) -> Segments:
+    """The motion in the scaled units, with the piece that brakes into the limits where there is one."""
     trajectory, problem, jerk = ruckig.Trajectory(1), "", wanted.max_jerk[0]
     for share in _JERKS:
         wanted.max_jerk = [share * jerk]
@@ -235,20 +140,35 @@ def _calculate(wanted: ruckig.InputParameter, where: str) -> Segments:
     else:
         raise TrajectoryError(f"{where}: ruckig finds none ({problem})")
     profile = trajectory.profiles[0][0]
-    return np.column_stack((profile.t, profile.p[:-1], profile.v[:-1], profile.a[:-1], profile.j))
+    brake = profile.brake
+    main = np.column_stack((profile.t, profile.p[:-1], profile.v[:-1], profile.a[:-1], profile.j))
+    if not brake.duration > 0:
+        return main
+    return np.vstack((np.column_stack((brake.t, brake.p, brake.v, brake.a, brake.j)), main))
 
 
-def _check(segments: Segments, wanted: ruckig.InputParameter, where: str) -> None:
-    """Refuse a result that exceeds a limit or misses the target: ruckig's own checks are looser."""
+def _check_limits(segments: Segments, wanted: ruckig.InputParameter, where: str) -> None:
+    """Refuse a result that exceeds a limit: ruckig's own checks are looser."""
     bounds = (wanted.max_velocity[0], wanted.max_acceleration[0], wanted.max_jerk[0])
     for name, got, bound in zip(("velocity", "acceleration", "jerk"), peak_rates(segments), bounds, strict=True):
         if not got <= bound * (1 + _EXCESS):
             raise TrajectoryError(f"{where}: planned {name} is {got / bound:.9g} of its limit, expected at most 1")
+
+
+def _check_end(segments: Segments, wanted: ruckig.InputParameter, accepted: float, where: str) -> None:
+    """Refuse a result that misses the target."""
     theta, velocity, acceleration = end_state(segments[-1])
-    gaps = (
+    gap = max(
         abs(theta - wanted.target_position[0]),
-        abs(velocity) / bounds[0],
-        abs(acceleration - wanted.target_acceleration[0]) / bounds[1],
+        abs(velocity) / max(wanted.max_velocity[0], 1.0),
+        abs(acceleration - wanted.target_acceleration[0]) / max(wanted.max_acceleration[0], 1.0),
     )
-    if not max(gaps) <= _GAP:
-        raise TrajectoryError(f"{where}: the plan misses its target by {max(gaps):.2g} of it, expected {_GAP:g}")
+    if not gap <= accepted:
+        raise TrajectoryError(f"{where}: the plan misses its target by {gap:.2g} of it, expected {accepted:g}")
+
+
+def _scaled(segments: Segments, scale: Vec, start: Kinematics) -> Segments:
+    """In degrees and seconds, from where the move starts."""
+    segments *= scale
+    segments[:, 1] += start.theta_deg
+    return segments

@@ -13,7 +13,8 @@ from numpy.typing import ArrayLike
 from hystmpc.trials.errors import TrajectoryError
 from hystmpc.trials.types import Vec
 
-from .ruckig_ import MotionLimits, PiecewiseCubic, RestingState, move, ramp
+from .motion import Kinematics, MotionLimits, PiecewiseCubic, ramp
+from .ruckig_ import move
 from .trajectory import Chain, PathTrajectory, Trajectory, inside, require_finite, require_positive
 
 
@@ -103,10 +104,10 @@ def sinusoid_sweeps(plan: ScanParts, limits: MotionLimits | None) -> Trajectory:
     """
     limits = _covering(limits, plan.needed)
     omega = 2 * np.pi * plan.frequency_hz
-    at, parts = RestingState(plan.start_deg), list[Trajectory]()
+    at, parts = Kinematics(plan.start_deg), list[Trajectory]()
     for amplitude, (begin, end) in zip(plan.amplitudes_deg, plan.sides, strict=True):
         turns = [
-            RestingState(plan.centre_deg + side * amplitude, -side * float(amplitude * omega**2))
+            Kinematics(plan.centre_deg + side * amplitude, 0.0, -side * float(amplitude * omega**2))
             for side in (begin, end)
         ]
         parts.append(PiecewiseCubic(move(at, turns[0], limits)))
@@ -146,8 +147,8 @@ def triangle_sweeps(plan: ScanParts, limits: MotionLimits | None) -> PiecewiseCu
         legs = [ramp(plan.start_deg, turns[0], lead_s)]
         legs += [ramp(a, b, leg_s) for a, b in pairwise(turns)]
     else:
-        legs = [move(RestingState(plan.start_deg), RestingState(turns[0]), limits)]
-        legs += [move(RestingState(a), RestingState(b), limits, leg_s) for a, b in pairwise(turns)]
+        legs = [move(Kinematics(plan.start_deg), Kinematics(turns[0]), limits)]
+        legs += [move(Kinematics(a), Kinematics(b), limits, leg_s) for a, b in pairwise(turns)]
     return PiecewiseCubic(np.vstack(legs))
 
 

@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
-from .config import Settings, load_settings
+from .config import Positive, Settings, load_settings
 from .errors import ConfigError, LogError, did_you_mean
 
 
@@ -269,7 +269,7 @@ class SignalSettings(Settings):
     hold: bool = False
     missing: tuple[float, ...] = ()
     sign_bit: Annotated[int, Field(ge=1, le=62)] | None = None
-    wraps_at: Annotated[float, Field(gt=0)] | None = None
+    wraps_at: Positive | None = None
     shift_s: float = 0.0
 
     @model_validator(mode="before")
@@ -324,8 +324,8 @@ class LogMapping(Settings):
     channels: dict[str, SignalSettings] = Field(default_factory=dict)
     time: Annotated[str, Field(min_length=1)] = LOG_TIME
     time_unit: Literal["s", "ms", "us", "ns", "min", "h", "d"] = "s"
-    time_wraps_at: Annotated[float, Field(gt=0)] | None = None
-    rate_hz: Annotated[float, Field(gt=0)] | None = None
+    time_wraps_at: Positive | None = None
+    rate_hz: Positive | None = None
     base: Literal["angle", "command"] = "angle"
 
     @property

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import os
 import platform
 import sys
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
+from filelock import FileLock, Timeout
 from numpy.typing import ArrayLike, NDArray
 
 from . import mcap_
@@ -22,6 +23,7 @@ from .config import Settings, dump_yaml, read_yaml
 from .csv_files import format_table, read_csv
 from .errors import ConfigError, LogError
 from .files import require_writable, write_atomically
+from .json_text import file_hash
 from .layouts import CANONICAL
 from .tables import read_table
 from .text_ import read_lines
@@ -87,7 +89,7 @@ class RunFolder:
             "platform": platform.platform(),
             "command_line": list(sys.argv if command_line is None else command_line),
             "seed": seed,
-            "models": {str(model): _sha256(Path(model)) for model in models},
+            "models": {str(model): file_hash(Path(model)) for model in models},
             "versions": {"python": platform.python_version()} | {name: _version(name) for name in _PACKAGES},
         }
         plain = settings.model_dump(mode="json") if isinstance(settings, Settings) else dict(settings)
@@ -198,6 +200,43 @@ def require_resumable(folder: Path) -> None:
         require_vacant(folder)
 
 
+def resumed_folder(path: Path, settings: Mapping[str, Any], seed: int, refusal: Callable[[Any], str]) -> RunFolder:
+    """A new run folder, or the one in which the same work was begun; its settings are written anew.
+
+    Args:
+        refusal: why a folder with these earlier settings cannot be gone on with; empty where it can.
+
+    Raises:
+        ConfigError: if the folder holds something else.
+        LogError: if it holds a run of another format.
+    """
+    if not (path / "meta.json").exists():
+        return RunFolder.create(path, settings, seed=seed)
+    folder = RunFolder.open(path)
+    if reason := refusal(folder.config()):
+        raise ConfigError(f"{path}: {reason}")
+    write_atomically(path / "config.yaml", dump_yaml(dict(settings)))
+    return folder
+
+
+@contextmanager
+def alone_in(folder: Path) -> Iterator[None]:
+    """One process at a time writes into a folder; the lock of a process that died does not hold.
+
+    Raises:
+        ConfigError: if another process works in it.
+    """
+    lock = FileLock(folder / ".lock", timeout=0)
+    try:
+        lock.acquire()
+    except Timeout:
+        raise ConfigError(f"{folder}: another process works in it, expected to be alone") from None
+    try:
+        yield
+    finally:
+        lock.release()
+
+
 def _column(values: ArrayLike | Sequence[str]) -> NDArray[np.generic] | tuple[str, ...]:
     """Numbers as an array, texts (and enumerations of texts) as plain strings."""
     array = np.asarray(values)
@@ -206,13 +245,6 @@ def _column(values: ArrayLike | Sequence[str]) -> NDArray[np.generic] | tuple[st
     if array.dtype.kind == "b":
         return array.astype(np.int64)
     return tuple(str(value) for value in np.asarray(values, dtype=object))
-
-
-def _sha256(model: Path) -> str:
-    try:
-        return hashlib.sha256(model.read_bytes()).hexdigest()
-    except OSError as error:
-        raise ConfigError(f"{model}: cannot be read ({error.strerror}), expected a model file") from None
 
 
 def _version(package: str) -> str | None:

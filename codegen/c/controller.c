@@ -13,8 +13,8 @@ static real within_range(real u, real otherwise) {
 /* The law has done nothing yet. */
 static void forget(hystmpc_controller *c) {
     init_predictive(c);
-#if HYSTMPC_HANDS_OVER
-    init_handover(c);
+#if HYSTMPC_SUPERVISED
+    init_supervisor(c);
 #endif
     c->planned = 0;
 }
@@ -103,10 +103,10 @@ static void look(const hystmpc_controller *c, const real *wanted, given *g) {
 #if HYSTMPC_LEARNS
     copy(c->plain.model, g->state.model, S);
     learning_state(&c->learning, &g->state);
-    g->distrust = c->learning.distrust;
+    g->forecast_error = c->learning.forecast_error;
 #else
     copy(e->model, g->state.model, S);
-    g->distrust = R(0.0);
+    g->forecast_error = R(0.0);
 #endif
     copy(wanted + HYSTMPC_DELAY, g->reference, H);
     g->disturbance = e->disturbance;
@@ -172,8 +172,8 @@ static void propose(hystmpc_controller *c, const given *g, proposal *out) {
         out->status = HYSTMPC_NO_TIME;
         return;
     }
-#if HYSTMPC_HANDS_OVER
-    propose_handover(c, g, out);
+#if HYSTMPC_SUPERVISED
+    propose_supervised(c, g, out);
 #else
     propose_predictive(c, g, out);
 #endif

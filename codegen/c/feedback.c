@@ -1,4 +1,4 @@
-/* Handover: predictive control where the model foretells what is measured, feedback where it does not. */
+/* Supervisory switching: predictive control where the model predicts what is measured, else feedback. */
 #include "internal.h"
 
 /* The nearest admissible command; the last one where u is no number. */
@@ -7,13 +7,13 @@ HYSTMPC_LOCAL real within_limits(real u, real last) {
     return clamp(finite(u) ? u : last, most(HYSTMPC_LOWER, at - HYSTMPC_REACH), least(HYSTMPC_UPPER, at + HYSTMPC_REACH));
 }
 
-#if HYSTMPC_HANDS_OVER
+#if HYSTMPC_SUPERVISED
 
 enum { PREDICTIVE = 0, INVERSE_PID = 1, PID_ALONE = 2 };
 
 static const real thresholds[2] = {HYSTMPC_INVERSE_PID_ABOVE, HYSTMPC_PID_ABOVE};
 
-HYSTMPC_LOCAL void init_handover(hystmpc_controller *c) { c->feedback.level = PREDICTIVE; }
+HYSTMPC_LOCAL void init_supervisor(hystmpc_controller *c) { c->feedback.level = PREDICTIVE; }
 
 /* kp e + I - kd dy/dt on top of a feedforward, with I' = ki e + (u_limited - u) / tracking; the slope is that between two
  * measurements. */
@@ -68,11 +68,11 @@ static void take_over(hystmpc_controller *c, const given *g, int level) {
 
 /* A level is left for a worse one as soon as the forecasts are worse than its threshold, and taken again once they are
  * twice as good. */
-static int level_for(int now, real distrust) {
+static int level_for(int now, real forecast_error) {
     int worst = 0, best = 0;
     for (int i = 0; i < 2; i++) {
-        worst += distrust > thresholds[i];
-        best += distrust > R(0.5) * thresholds[i];
+        worst += forecast_error > thresholds[i];
+        best += forecast_error > R(0.5) * thresholds[i];
     }
     const int kept = now < best ? now : best;
     return worst > kept ? worst : kept;
@@ -88,8 +88,8 @@ static void propose_inverse_pid(hystmpc_feedback *f, const given *g, proposal *o
 }
 
 /* One of three laws acts. It changes where the forecasts get better or worse; the command has no jump then. */
-HYSTMPC_LOCAL void propose_handover(hystmpc_controller *c, const given *g, proposal *out) {
-    const int level = level_for(c->feedback.level, g->distrust);
+HYSTMPC_LOCAL void propose_supervised(hystmpc_controller *c, const given *g, proposal *out) {
+    const int level = level_for(c->feedback.level, g->forecast_error);
     const hystmpc_feedback before = c->feedback;
     const int holding = c->holding, constant = c->constant;
     const real hold_target = c->hold_target;

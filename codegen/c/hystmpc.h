@@ -108,7 +108,7 @@ typedef struct {
     hystmpc_real references[2];
     hystmpc_real sums[HYSTMPC_DRIVES + 2];
     hystmpc_real scores[HYSTMPC_DRIVES + 2];
-    hystmpc_real distrust;
+    hystmpc_real forecast_error;
     hystmpc_real share;
     hystmpc_real added[HYSTMPC_UNDER_WAY];    /* to each of the model's angles */
     int count;
@@ -117,7 +117,7 @@ typedef struct {
 } hystmpc_learning;
 #endif
 
-#if HYSTMPC_HANDS_OVER
+#if HYSTMPC_SUPERVISED
 /* Memory of the two feedback laws. */
 typedef struct {
     hystmpc_state alone;                      /* the model under the feedforward command alone */
@@ -162,7 +162,7 @@ typedef struct {
     hystmpc_estimate plain;                   /* of the model alone */
     hystmpc_learning learning;
 #endif
-#if HYSTMPC_HANDS_OVER
+#if HYSTMPC_SUPERVISED
     hystmpc_feedback feedback;
 #endif
     hystmpc_real plan[HYSTMPC_HORIZON];       /* what is left of the last good plan, and its angles */

@@ -103,7 +103,7 @@ HYSTMPC_LOCAL void state_linearise(hystmpc_work *w, const hystmpc_state *s, cons
 HYSTMPC_LOCAL real state_inverse(const hystmpc_state *s, real theta, real u_last);
 HYSTMPC_LOCAL void state_follow(hystmpc_work *w, const hystmpc_state *s, const real *wanted, real u_last, real *boxed,
                                 real *limited);
-#if HYSTMPC_HANDS_OVER
+#if HYSTMPC_SUPERVISED
 HYSTMPC_LOCAL void state_advance(hystmpc_state *s, real u);
 #endif
 
@@ -135,7 +135,7 @@ HYSTMPC_LOCAL void deviation(const real *primal, real *commands);
 typedef struct {
     hystmpc_state state;
     real reference[HYSTMPC_HORIZON];
-    real disturbance, sigma, measured, age, u_last, due, setpoint, distrust;
+    real disturbance, sigma, measured, age, u_last, due, setpoint, forecast_error;
 } given;
 
 typedef struct {
@@ -148,9 +148,9 @@ typedef struct {
 HYSTMPC_LOCAL void init_predictive(hystmpc_controller *c);
 HYSTMPC_LOCAL void propose_predictive(hystmpc_controller *c, const given *g, proposal *out);
 HYSTMPC_LOCAL real within_limits(real u, real last);
-#if HYSTMPC_HANDS_OVER
-HYSTMPC_LOCAL void init_handover(hystmpc_controller *c);
-HYSTMPC_LOCAL void propose_handover(hystmpc_controller *c, const given *g, proposal *out);
+#if HYSTMPC_SUPERVISED
+HYSTMPC_LOCAL void init_supervisor(hystmpc_controller *c);
+HYSTMPC_LOCAL void propose_supervised(hystmpc_controller *c, const given *g, proposal *out);
 #endif
 
 /* estimator.c */

@@ -82,7 +82,7 @@ static void judge_hold(hystmpc_controller *c, const given *g, const real *held) 
 }
 
 /* In a hold a correction as small as the error asks for, so that it meets the measurement before it is too far. */
-static int gentle(const hystmpc_controller *c, real *commands, real u_last, real error) {
+static int limit_correction(const hystmpc_controller *c, real *commands, real u_last, real error) {
     if (!(HYSTMPC_HOLD_SETTLE > 0 && c->constant > HYSTMPC_HOLD_SETTLE_AFTER && HYSTMPC_SLOPE > R(0.0))) return 0;
     for (int k = 0; k < H; k++) {
         const real reach = error / (HYSTMPC_SLOPE * (real)HYSTMPC_HOLD_SETTLE) * (real)(k + 1);
@@ -134,7 +134,7 @@ HYSTMPC_LOCAL void propose_predictive(hystmpc_controller *c, const given *g, pro
     if (out->status == HYSTMPC_OK && !c->holding) {
         const real error = farthest(c->work.angles[HELD], H, g->disturbance, c->hold_target);
         out->status = improve(&c->work, &p, &best);
-        if (out->status == HYSTMPC_OK && gentle(c, best.commands, g->u_last, error))
+        if (out->status == HYSTMPC_OK && limit_correction(c, best.commands, g->u_last, error))
             state_run(&g->state, best.commands, best.angles);
     }
     if (out->status != HYSTMPC_OK) {

@@ -51,7 +51,7 @@ HYSTMPC_LOCAL void learning_init(hystmpc_learning *l, real angle, real u, real y
     l->references[1] = y;
     fill(l->sums, R(0.0), DRIVES + 2);
     fill(l->scores, R(0.0), DRIVES + 2);
-    l->distrust = l->share = R(0.0);
+    l->forecast_error = l->share = R(0.0);
     l->count = l->blocks = l->best = 0;
     fill(l->added, R(0.0), HYSTMPC_UNDER_WAY);
 }
@@ -127,7 +127,7 @@ static void judge(hystmpc_learning *l, const real *means) {
     const real gained =
         R(1.0) - (l->scores[l->best] + HYSTMPC_FLOOR) / (l->scores[MODEL_ALONE] + HYSTMPC_FLOOR);
     const real off = root(least(means[MODEL_ALONE], means[l->best]) / means[LAST_ANGLE]);
-    l->distrust = HYSTMPC_RECENT * l->distrust + (R(1.0) - HYSTMPC_RECENT) * least(off, HYSTMPC_WORST);
+    l->forecast_error = HYSTMPC_RECENT * l->forecast_error + (R(1.0) - HYSTMPC_RECENT) * least(off, HYSTMPC_WORST);
     l->blocks++;
     l->share = clamp((gained - HYSTMPC_LEAST_GAIN) / HYSTMPC_FULL_GAIN, R(0.0), R(1.0));
 }

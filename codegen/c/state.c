@@ -150,7 +150,7 @@ HYSTMPC_LOCAL void state_follow(hystmpc_work *w, const hystmpc_state *s, const r
     }
 }
 
-#if HYSTMPC_HANDS_OVER
+#if HYSTMPC_SUPERVISED
 /* One sample later under the command u. */
 HYSTMPC_LOCAL void state_advance(hystmpc_state *s, real u) {
     real angle, next[HYSTMPC_STATES];

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import io
 import re
 import zipfile
@@ -17,6 +16,7 @@ from hystmpc.models.operators.measurement import Sensor
 from hystmpc.models.simulator import Simulator
 from hystmpc.trials.errors import ExportError, did_you_mean
 from hystmpc.trials.files import write_atomically
+from hystmpc.trials.json_text import text_hash
 from hystmpc.trials.types import Vec
 
 from ..steps import Step, functions_used, number, step_source
@@ -133,7 +133,7 @@ def _identifier(name: str) -> str:
 def _token(described: Described, step: str, rest: tuple[float, Vec], version: str) -> str:
     """A name for exactly this device: its states are accepted by no other FMU."""
     text = repr((described, step, rest[0], rest[1].tolist(), version))
-    digits = hashlib.sha256(text.encode()).hexdigest()
+    digits = text_hash(text)
     return "{" + "-".join((digits[:8], digits[8:12], digits[12:16], digits[16:20], digits[20:32])) + "}"
 
 

@@ -145,7 +145,7 @@ class NoiseBank:
         variance = advance_filters(bank, self._drift, self._motion, travel, self._widest, disturbance, after)
         return after, float(variance)
 
-    def found(self, bank: Vec) -> NoiseModel:
+    def estimated_noise(self, bank: Vec) -> NoiseModel:
         """The sigmas as the bank sees them: geometric means over the filters."""
         sensor, drift, motion = np.sqrt(self._variances(bank)).tolist()
         return NoiseModel(
@@ -153,11 +153,11 @@ class NoiseBank:
         )
 
     def sensor_variance(self, bank: Vec) -> float:
-        """Variance of the sensor's noise [deg^2], as `found`."""
+        """Variance of the noise of the sensor [deg^2], as `estimated_noise`."""
         return float(self._variances(bank)[0])
 
     def growth(self, bank: Vec, travel: float) -> float:
-        """Variance that the disturbance gains in a sample in which the command travels so far [deg^2], as `found`."""
+        """Variance that the disturbance gains in a sample of so much travel [deg^2], as `estimated_noise`."""
         _, drift, motion = self._variances(bank).tolist()
         return float(drift * self._dt + motion * travel)
 

@@ -6,20 +6,17 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Annotated, Literal, final
+from typing import Literal, final
 
 import numpy as np
-from pydantic import Field
 
 from hystmpc.models.model import Predictor
 from hystmpc.trials.brief import brief
-from hystmpc.trials.config import Settings
+from hystmpc.trials.config import NotNegative, NotNegativeInt, Positive, Settings
 from hystmpc.trials.errors import ControllerError
 from hystmpc.trials.types import Vec
 
-from ..command import EMPTY
-from ..frozen import replace
-from ..limits import NotNegative, Positive, number_of
+from ..command import EMPTY, number_of, replace
 
 ANGLE_BOUND_DEG = 1e4  # far beyond any joint; keeps squares and sums of angles finite
 
@@ -48,8 +45,8 @@ class Estimate:
         stalled: number of samples since the model was last advanced; above zero it has failed.
         added: what is learned on top of the model, as part of the first of the angles [deg].
         learning: memory of an observer that learns, see `LearningEstimator`.
-        distrust: mean square error of the best forecast of the last seconds over that of no forecast at all; 0 before
-            there was motion, and of an observer that does not judge its forecasts.
+        forecast_error: of the best forecast of the last seconds, relative to that of no change (root mean squares,
+            Theil's U); 0 before there was motion, and of an observer that does not judge its forecasts.
         bank: filters of `NoiseBank`, of which disturbance and variance are the mixture (3, M).
         earned: of frames, the sums of m z and m^2 [deg^2]; m is the mean of the bank before the offset z came.
         past: corrected estimates of the last instants, the newest last; see `Frames`.
@@ -69,7 +66,7 @@ class Estimate:
     stalled: int = 0
     added: float = 0.0
     learning: object = None
-    distrust: float = 0.0
+    forecast_error: float = 0.0
     bank: Vec = field(default_factory=lambda: EMPTY)
     earned: tuple[float, float] = (0.0, 0.0)
     past: tuple[Estimate, ...] = ()
@@ -109,8 +106,8 @@ class Observer(ABC):
         """
         return np.full(travels.size, self.sigma_deg(estimate))
 
-    def unrest_deg(self, estimate: Estimate) -> float:
-        """Standard deviation of what noise does to the estimated disturbance in the course of a hold [deg]."""
+    def disturbance_sigma_deg(self, estimate: Estimate) -> float:
+        """Standard deviation of the noise of the estimated disturbance in a hold [deg]."""
         return math.sqrt(estimate.variance)
 
     @abstractmethod
@@ -142,7 +139,7 @@ class SensorKindSettings(Settings):
 
     Attributes:
         sensor: `continuous`; `intermittent` for frames of an imaging system, now and then and late, see `Frames` and
-            `LastFrame`; `none` for a device without an angle sensor, see `ModelAlone`.
+            `LastMeasurement`; `none` for a device without an angle sensor, see `ModelAlone`.
         oldest_frame_s: age up to which an intermittent sensor's frame is used [s].
         longest_gap_s: time without a usable frame that is bridged [s]; of a continuous sensor
             `ladder.max_missing_samples` says it.
@@ -182,7 +179,7 @@ class EstimatorSettings(SensorKindSettings):
     sensor_sigma_deg: Positive | None = None
     drift_sigma_deg_per_sqrt_s: Positive | None = None
     motion_sigma_deg_per_sqrt_unit: NotNegative | None = None
-    delay_samples: Annotated[int, Field(ge=0)] = 0
+    delay_samples: NotNegativeInt = 0
     outlier_deg: Positive = 15.0
     dead_band_gain_deg_per_unit: NotNegative = 0.0
     disturbance_limit_deg: Positive = 90.0
@@ -192,10 +189,10 @@ class EstimatorSettings(SensorKindSettings):
         """The estimator that these settings describe."""
         if self.sensor == "none":
             return ModelAlone(predictor, self)
-        found = OutputEstimator(predictor, self)
+        estimator = OutputEstimator(predictor, self)
         if self.sensor == "continuous":
-            return found
-        return Frames(found, self.oldest_samples(predictor.dt))
+            return estimator
+        return Frames(estimator, self.oldest_samples(predictor.dt))
 
 
 @final
@@ -271,7 +268,7 @@ class OutputEstimator(Observer):
     def sigma_ahead_deg(self, estimate: Estimate, travels: Vec) -> Vec:
         return np.asarray(np.sqrt(estimate.variance + self.bank.ahead(estimate.bank, travels)))
 
-    def unrest_deg(self, estimate: Estimate) -> float:
+    def disturbance_sigma_deg(self, estimate: Estimate) -> float:
         return math.sqrt(estimate.variance) * self._share(estimate.earned, estimate.bank)
 
     def _share(self, earned: tuple[float, float], bank: Vec) -> float:
@@ -286,7 +283,7 @@ class OutputEstimator(Observer):
             return replace(estimate, missing=estimate.missing + 1)
         if not estimate.responsive[0]:
             return replace(estimate, measured=angle, missing=0)
-        bank, found, variance = self.bank.correct(estimate.bank, offset)
+        bank, mean, variance = self.bank.correct(estimate.bank, offset)
         earned = estimate.earned
         if self._frames:
             before = float(estimate.bank[0] @ estimate.bank[2])
@@ -296,8 +293,8 @@ class OutputEstimator(Observer):
             estimate,
             bank=bank,
             earned=earned,
-            disturbance=share * found,
-            variance=variance + ((1.0 - share) * found) ** 2,
+            disturbance=share * mean,
+            variance=variance + ((1.0 - share) * mean) ** 2,
             measured=angle,
             missing=0,
         )
@@ -350,8 +347,8 @@ class Frames(Observer):
     def sigma_ahead_deg(self, estimate: Estimate, travels: Vec) -> Vec:
         return self._inner.sigma_ahead_deg(estimate, travels)
 
-    def unrest_deg(self, estimate: Estimate) -> float:
-        return self._inner.unrest_deg(estimate)
+    def disturbance_sigma_deg(self, estimate: Estimate) -> float:
+        return self._inner.disturbance_sigma_deg(estimate)
 
     def init(self, y: float, u: float) -> Estimate:
         return replace(self._inner.init(y, u), seen=(float(y),))
@@ -441,45 +438,20 @@ class ModelAlone(Observer):
 
 
 @final
-class WithoutModel(Observer):
-    """The observer of a controller that has no model: keeps the last usable measurement."""
-
-    delay_samples = 0
-
-    def sigma_deg(self, estimate: Estimate) -> float:
-        del estimate
-        return math.nan
-
-    def init(self, y: float, u: float) -> Estimate:
-        return Estimate(EMPTY, u, (), (), (), 0.0, 0.0, y)
-
-    def correct(self, estimate: Estimate, y: float) -> Estimate:
-        angle = usable_angle(y)
-        if math.isnan(angle):
-            return replace(estimate, missing=estimate.missing + 1)
-        return replace(estimate, measured=angle, missing=0)
-
-    def advance(self, estimate: Estimate, u: float) -> Estimate:
-        return replace(estimate, command=u)
-
-    def coast(self, estimate: Estimate, u: float) -> Estimate:
-        return replace(estimate, command=u)
-
-
-@final
-class LastFrame(Observer):
-    """The observer of a controller without a model whose measurements are frames: keeps the one taken last.
+class LastMeasurement(Observer):
+    """The observer of a controller that has no model: keeps the measurement taken last.
 
     A frame that arrives after one that was taken later changes nothing, so the order of arrival makes no difference.
 
     Args:
-        samples: age of the oldest frame that is used.
+        frames: age of the oldest frame that is used [samples]; None for a continuous sensor, of which every sample
+            without a usable measurement counts as missing.
     """
 
     delay_samples = 0
 
-    def __init__(self, samples: int) -> None:
-        self._samples = samples
+    def __init__(self, frames: int | None = None) -> None:
+        self._frames = frames
 
     def sigma_deg(self, estimate: Estimate) -> float:
         del estimate
@@ -490,18 +462,22 @@ class LastFrame(Observer):
 
     def correct(self, estimate: Estimate, y: float) -> Estimate:
         angle = usable_angle(y)
-        return estimate if math.isnan(angle) else replace(estimate, measured=angle, missing=0, since=0.0)
+        if not math.isnan(angle):
+            return replace(estimate, measured=angle, missing=0, since=0.0)
+        return estimate if self._frames is not None else replace(estimate, missing=estimate.missing + 1)
 
     def correct_late(self, estimate: Estimate, y: float, age: float) -> Estimate:
         """Use a frame of `age` samples ago.
 
         Raises:
-            ControllerError: if it is too old, not of the past, or no usable angle.
+            ControllerError: if there are no frames, or it is too old, not of the past, or no usable angle.
         """
+        if self._frames is None:
+            return super().correct_late(estimate, y, age)
         angle = usable_angle(y)
-        if not (0 <= age <= self._samples and math.isfinite(angle)):
+        if not (0 <= age <= self._frames and math.isfinite(angle)):
             raise ControllerError(
-                f"measure: got {y} deg of {age:.4g} samples ago, expected a finite angle of the last {self._samples}"
+                f"measure: got {y} deg of {age:.4g} samples ago, expected a finite angle of the last {self._frames}"
             )
         if age >= estimate.age:
             return estimate
@@ -509,7 +485,7 @@ class LastFrame(Observer):
         return replace(estimate, measured=angle, missing=whole, since=whole - age)
 
     def advance(self, estimate: Estimate, u: float) -> Estimate:
-        return replace(estimate, command=u, missing=estimate.missing + 1)
+        return replace(estimate, command=u, missing=estimate.missing + int(self._frames is not None))
 
     def coast(self, estimate: Estimate, u: float) -> Estimate:
         return self.advance(estimate, u)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from hystmpc.trials.types import Vec
 
-from .program import QpData, QpPattern, QpSolution, QpSolver
+from .planner import QpData, QpPattern, QpSolution, QpSolver
 
 _STATUS = {
     1: "solved",
@@ -32,6 +32,10 @@ class DaqpOptions:
     """Bound on the time of one solve: changes of the active set."""
 
     iterations: int = 1000
+
+    def solver(self, pattern: QpPattern) -> DaqpSolver:
+        """A solver of programs of this pattern."""
+        return DaqpSolver(pattern, self)
 
 
 @final

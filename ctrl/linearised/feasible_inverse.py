@@ -7,15 +7,13 @@ from typing import final
 
 import numpy as np
 
-from hystmpc.models.inverse.steady import inverted_after_a_hold
+from hystmpc.models.inverse.one_step import inverted_after_a_hold
 from hystmpc.models.model import Inverse, Predictor
 from hystmpc.trials.types import Vec
 
-from ..command import Stopwatch
-from ..limits import CommandLimits
-from ..mpc_settings import LinearisedMpcSettings
-from ..planning import HOLD, INVERSE, Candidates, CommandPlan, PlanCost, PlanningError, PlanningProblem
-from ..planning_settings import WeightsSettings
+from ..command import CommandLimits, Stopwatch
+from ..mpc import HOLD, INVERSE, Candidates, CommandPlan, PlanCost, PlanningError, PlanningProblem
+from ..mpc_settings import LinearisedMpcSettings, WeightsSettings
 from .planner import LinearisedPlanner
 
 _RATE_WEIGHT = 0.01  # at 25 Hz [deg^2 per squared command unit]: next to nothing beside an error of the angle

@@ -9,7 +9,7 @@ from typing import Any, final
 import numpy as np
 import osqp
 
-from .program import QpData, QpPattern, QpSolution, QpSolver
+from .planner import QpData, QpPattern, QpSolution, QpSolver
 
 _UNFINISHED = "maximum iterations reached"
 _USABLE = ("solved", "solved inaccurate", _UNFINISHED)  # inaccurate: within ten times the tolerance
@@ -30,6 +30,10 @@ class OsqpOptions:
     eps: float = 1e-5
     rhos: tuple[float, ...] = (0.1, 10.0, 1.0, 10.0)
     iterations: int = 60
+
+    def solver(self, pattern: QpPattern) -> OsqpSolver:
+        """A solver of programs of this pattern."""
+        return OsqpSolver(pattern, self)
 
 
 @final

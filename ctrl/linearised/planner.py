@@ -1,30 +1,467 @@
-"""Real-time iteration: linearise along the best plan, solve one quadratic program, search along its answer."""
+"""Real-time iteration: linearise along the best plan, solve one condensed quadratic program, search along its step."""
 
 from __future__ import annotations
 
 import math
-from typing import Any, final
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
 
 from hystmpc.models.inverse.follow import Bounds, clip_plans
 from hystmpc.models.kernels.numba_ import njit
 from hystmpc.models.model import Predictor
-from hystmpc.trials.types import Vec
+from hystmpc.trials.errors import ControllerError
+from hystmpc.trials.types import Mat, Vec
 
-from ..command import Stopwatch
+from ..command import CommandLimits, Stopwatch
 from ..learning.predictor import LearnedPredictor
-from ..limits import CommandLimits
-from ..planning import CommandPlan, PlanCost, Planner, PlanningError, PlanningProblem
-from ..planning_settings import LinearisationSettings
-from .daqp_ import DaqpOptions, DaqpSolver
-from .osqp_ import OsqpOptions, OsqpSolver
-from .program import BlockedQp, MoveBlocking, PlanProgram, QpSolver, TrackingQp
+from ..mpc import CommandPlan, PlanCost, Planner, PlanningError, PlanningProblem
+from ..mpc_settings import LinearisedMpcSettings, WeightsSettings
+
+if TYPE_CHECKING:
+    from .daqp_ import DaqpOptions
+    from .osqp_ import OsqpOptions
+
+
+@dataclass(frozen=True, eq=False)
+class QpPattern:
+    """What never changes: sparsity and size of  min 1/2 z'Pz + q'z  s.t.  lower <= A z <= upper.
+
+    Attributes:
+        hessian: P, upper triangle in CSC order, with placeholder values.
+        constraints: A in CSC order.
+        moving: positions of the Jacobian's entries in the data of `constraints`; empty without soft limits.
+        bounds: leading rows of A that are those of the identity: bounds on the first entries of z.
+    """
+
+    hessian: sparse.csc_matrix
+    constraints: sparse.csc_matrix
+    moving: NDArray[np.intp]
+    bounds: int
+
+    @property
+    def variables(self) -> int:
+        """Entries of z."""
+        return self.hessian.get_shape()[0]
+
+    @property
+    def rows(self) -> int:
+        """Rows of A."""
+        return self.constraints.get_shape()[0]
+
+
+@dataclass(frozen=True, eq=False)
+class QpData:
+    """What changes from step to step.
+
+    Attributes:
+        hessian_data: entries of P in the order of the pattern.
+        gradient, lower, upper: q and the bounds of A z.
+        constraint_data: entries of A in the order of the pattern; None while A stays as it is.
+        dual: where the multipliers of A z start.
+    """
+
+    hessian_data: Vec
+    gradient: Vec
+    lower: Vec
+    upper: Vec
+    constraint_data: Vec | None
+    dual: Vec
+
+    @property
+    def finite(self) -> bool:
+        """Whether cost and gradient are."""
+        return bool(all_finite(self.hessian_data, self.gradient))
+
+
+@dataclass(frozen=True, eq=False)
+class QpSolution:
+    """What the solver found."""
+
+    primal: Vec  # z, shape (n,)
+    usable: bool  # whether `primal` is a step worth trying: solved, or finite when the iterations ran out
+    status: str  # the solver's own words
+    iterations: int  # taken
+    unfinished: bool = False  # whether the iterations ran out
+
+
+class QpSolver(ABC):
+    """Solves the quadratic programs of one pattern; equal data give equal answers, to the last bit."""
+
+    name: str  # in messages
+
+    @abstractmethod
+    def solve(self, data: QpData) -> QpSolution:
+        """Solve one program of the family; a failure shows in the solution, not as an exception."""
+
+
+class PlanProgram(ABC):
+    """The quadratic program around a plan, and what its answer means."""
+
+    pattern: QpPattern
+    _weights: WeightsSettings
+
+    @abstractmethod
+    def data(self, problem: PlanningProblem, around: CommandPlan, jacobian: Mat) -> QpData:
+        """The program around the plan `around` with Jacobian (H, H), lower triangular [deg per command unit]."""
+
+    @abstractmethod
+    def blocked(self, problem: PlanningProblem, around: CommandPlan, columns: Mat) -> QpData:
+        """The program around the plan `around` with J M = `columns` (H, m) [deg per command unit].
+
+        A column is zero before its block starts; what stands there is not read.
+        """
+
+    @abstractmethod
+    def deviation(self, primal: Vec) -> Vec:
+        """What z = `primal` adds to the commands of the plan (H,)."""
+
+    def _softened(self, hard: QpData, problem: PlanningProblem, around: CommandPlan, entries: Vec) -> QpData:
+        """The program with soft angle limits beside the hard limits; `entries` of their rows, column by column."""
+        low, high = problem.angle_limits
+        none = np.zeros(around.angles.size)
+        constraint_data = np.array(self.pattern.constraints.data, dtype=np.float64)
+        constraint_data[self.pattern.moving] = entries
+        return QpData(
+            np.concatenate([hard.hessian_data, none + 2.0 * self._weights.soft_limit]),
+            np.concatenate([hard.gradient, none]),
+            np.concatenate([hard.lower, low - around.angles]),
+            np.concatenate([hard.upper, high - around.angles]),
+            constraint_data,
+            np.concatenate([hard.dual, none]),
+        )
+
+
+@final
+class TrackingQp(PlanProgram):
+    """The planning cost with linearised angles, in the deviation v of the commands from a plan p.
+
+        theta(p + v) ~ theta_p + J v
+        P = 2 (J'QJ + w_r D'D + w_e I),  q = 2 (J'Q (theta_p - r) + w_r D'(D p - e_1 u_last) + w_e (p - f))
+        lower <= p + v <= upper,  -rate dt <= D (p + v) - e_1 u_last <= rate dt
+
+    with D the difference matrix. Soft angle limits add H free variables s with cost w_s s^2 and the rows
+    a <= theta_p + J v + s <= b, which is the squared distance to [a, b] exactly.
+
+    Multipliers start where they hold the plan that already moves at the greatest rate: stationarity D'y = -q, solved
+    backwards in time, of the right sign, and zero where the rate limit is not touched. First-order methods take
+    thousands of iterations to find these, and the best candidates of a reversal touch the limit over many samples.
+    """
+
+    def __init__(self, weights: WeightsSettings, limits: CommandLimits, horizon: int, dt: float) -> None:
+        self._weights, self._horizon = weights, horizon
+        self._soft = weights.limits_angle
+        self._tracking = weights.over(horizon)
+        self._factors = np.array((weights.rate, weights.effort, limits.lower, limits.upper, limits.rate * dt))
+        self._triangle = horizon * (horizon + 1) // 2
+        # the Jacobian is lower triangular; column by column its entries are those of the transpose, row by row
+        self._columns = np.triu_indices(horizon)
+        rows = np.vstack([np.eye(horizon), np.eye(horizon) - np.eye(horizon, k=-1)])
+        self.pattern = _pattern(rows, np.tril(np.ones((horizon, horizon))) if self._soft else None)
+
+    def data(self, problem: PlanningProblem, around: CommandPlan, jacobian: Mat) -> QpData:
+        size = self._horizon
+        hessian, gradient = np.empty(self._triangle), np.empty(size)
+        lower, upper, dual = np.empty((3, 2 * size))
+        tracking_program(
+            jacobian,
+            around.angles,
+            problem.reference,
+            around.commands,
+            problem.feedforward,
+            problem.u_last,
+            self._tracking,
+            self._factors,
+            hessian,
+            gradient,
+            lower,
+            upper,
+            dual,
+        )
+        hard = QpData(hessian, gradient, lower, upper, None, dual)
+        return self._softened(hard, problem, around, jacobian.T[self._columns]) if self._soft else hard
+
+    def blocked(self, problem: PlanningProblem, around: CommandPlan, columns: Mat) -> QpData:
+        return self.data(problem, around, columns)  # every sample is a block: M is the identity
+
+    def deviation(self, primal: Vec) -> Vec:
+        return primal[: self._horizon]
+
+
+@dataclass(frozen=True)
+class MoveBlocking:
+    """Which deviations v (H,) from a plan the program may choose: v = M w, one w a block (Cagienard et al., 2007).
+
+        v_k = w_{b-1} + (k - s_b + 1) / L_b (w_b - w_{b-1})   in block b of length L_b from sample s_b on,  w_{-1} = 0
+        v_k = w_{m-1}                                         after the last block
+
+    That is offset blocking of the moves: within a block the deviation's move is constant, after the last one zero. A
+    block of held commands would have to make its whole move in one sample, whose rate is limited; here a block of L
+    samples moves by up to L times as much. The plan itself, the best candidate, may do what it likes in every sample.
+
+    Raises:
+        ControllerError: if there is no block, one is shorter than a sample, or they are longer than the horizon.
+    """
+
+    lengths: tuple[int, ...]  # L, samples in each block, the first one first
+    horizon: int  # H
+
+    def __post_init__(self) -> None:
+        if not self.lengths or min(self.lengths) < 1 or sum(self.lengths) > self.horizon:
+            raise ControllerError(
+                f"move_blocking: got blocks of {list(self.lengths)} samples, {sum(self.lengths)} together, expected at "
+                f"least one, each of at least 1 sample, together at most the horizon of {self.horizon}"
+            )
+
+    @property
+    def starts(self) -> NDArray[np.intp]:
+        """s (m,): the first sample of each block."""
+        return np.cumsum((0, *self.lengths[:-1]))
+
+    @property
+    def ends(self) -> NDArray[np.intp]:
+        """Last sample of each block (m,): where v is w itself."""
+        return np.cumsum(self.lengths) - 1
+
+    @property
+    def matrix(self) -> Mat:
+        """M (H, m)."""
+        count = len(self.lengths)
+        matrix = np.zeros((self.horizon, count))
+        for b, (start, length) in enumerate(zip(self.starts.tolist(), self.lengths, strict=True)):
+            along = np.arange(1, length + 1) / length
+            matrix[start : start + length, b] = along
+            if b:
+                matrix[start : start + length, b - 1] = 1.0 - along
+        matrix[sum(self.lengths) :, count - 1] = 1.0
+        return matrix
+
+
+@final
+class BlockedQp(PlanProgram):
+    """`TrackingQp` in the deviations w (m,) at the ends of blocks, v = M w; see `MoveBlocking`.
+
+        P = 2 ((J M)'Q (J M) + w_r (D M)'D M + w_e M'M),  q = M' q_full
+        lower <= p + M w <= upper in every sample
+        L_b (-rate dt - min D p) <= w_b - w_{b-1} <= L_b (rate dt - max D p),  min and max over block b
+
+    It is the same program under the equality v = M w: the move of v is one number a block, so the rate of all its
+    samples is one row, and what is left of the box are the rows of M. Soft angle limits add H slacks as there.
+    """
+
+    def __init__(self, weights: WeightsSettings, limits: CommandLimits, blocking: MoveBlocking, dt: float) -> None:
+        self._weights, self._limits, self._reach = weights, limits, limits.rate * dt
+        self._soft = weights.limits_angle
+        self._matrix, self._starts, self._ends = blocking.matrix, blocking.starts, blocking.ends
+        horizon = blocking.horizon
+        self._between = np.setdiff1d(np.arange(horizon), self._ends)
+        self._doubled = 2.0 * weights.over(horizon)
+        difference = np.eye(horizon) - np.eye(horizon, k=-1)
+        self._by_move = 2.0 * weights.rate * (difference @ self._matrix)
+        self._by_command = 2.0 * weights.effort * self._matrix
+        self._constant = (difference @ self._matrix).T @ self._by_move + self._matrix.T @ self._by_command
+        count = self._starts.size
+        rows = np.vstack([np.eye(count), np.eye(count) - np.eye(count, k=-1), self._matrix[self._between]])
+        self.pattern = _pattern(rows, np.ones((horizon, count)) if self._soft else None)
+
+    def data(self, problem: PlanningProblem, around: CommandPlan, jacobian: Mat) -> QpData:
+        columns = np.empty(self._matrix.shape)
+        block_columns(jacobian, self._matrix, self._starts, columns)
+        return self.blocked(problem, around, columns)
+
+    def blocked(self, problem: PlanningProblem, around: CommandPlan, columns: Mat) -> QpData:
+        plan, count = around.commands, self._starts.size
+        moves, off = moves_of(plan, problem.u_last), plan - problem.feedforward
+        weighted = np.stack((self._doubled, self._doubled * (around.angles - problem.reference)))
+        gradient, hessian = moves @ self._by_move + off @ self._by_command, np.empty(count * (count + 1) // 2)
+        condense_blocked(columns, self._starts, weighted, self._constant, gradient, hessian)
+        low, high, extreme = np.empty((3, count))
+        block_room(moves, self._starts, self._ends, self._reach, low, high, extreme)
+        down, up = self._limits.lower - plan, self._limits.upper - plan
+        hard = QpData(
+            hessian,
+            gradient,
+            np.concatenate([down[self._ends], low, down[self._between]]),
+            np.concatenate([up[self._ends], high, up[self._between]]),
+            None,
+            np.concatenate(
+                [np.zeros(count), rate_multipliers(gradient, extreme, self._reach), np.zeros(self._between.size)]
+            ),
+        )
+        return self._softened(hard, problem, around, columns.T.ravel()) if self._soft else hard
+
+    def deviation(self, primal: Vec) -> Vec:
+        deviation: Vec = self._matrix @ primal[: self._starts.size]
+        return deviation
+
+
+def _pattern(rows: Mat, angles: Mat | None) -> QpPattern:
+    """Sparsity from the rows of the hard limits (N, n), and ones (H, n) where the rows of soft limits have entries."""
+    count = rows.shape[1]
+    hessian = sparse.csc_matrix(np.triu(np.ones((count, count))))
+    if angles is None:
+        return QpPattern(hessian, sparse.csc_matrix(rows), np.empty(0, dtype=np.intp), count)
+    marker, slacks = 2.0, sparse.eye(len(angles))  # told apart from the other entries, which are at most one
+    blocks = [[sparse.csc_matrix(rows), None], [sparse.csc_matrix(marker * angles), slacks]]
+    constraints = sparse.csc_matrix(sparse.bmat(blocks, format="csc"))
+    hessian = sparse.csc_matrix(sparse.block_diag([hessian, slacks], format="csc"))
+    return QpPattern(hessian, constraints, np.flatnonzero(constraints.data == marker), count)
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def moves_of(plan: Any, u_last: float) -> Any:
+    """D p - e_1 u_last (H,)."""
+    moves = plan.copy()
+    moves[0] -= u_last
+    for k in range(1, plan.size):
+        moves[k] -= plan[k - 1]
+    return moves
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def all_finite(hessian: Any, gradient: Any) -> Any:
+    """A sum is finite only where its terms are."""
+    return np.isfinite(hessian.sum() + gradient.sum())
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def tracking_program(
+    jacobian: Any,
+    angles: Any,
+    reference: Any,
+    plan: Any,
+    feedforward: Any,
+    u_last: float,
+    tracking: Any,
+    factors: Any,
+    hessian: Any,
+    gradient: Any,
+    lower: Any,
+    upper: Any,
+    dual: Any,
+) -> None:
+    """The hard limits' part of `TrackingQp` around a plan, in place; factors: rate, effort, least, greatest, reach."""
+    size, reach = plan.size, factors[4]
+    moves = moves_of(plan, u_last)
+    condense(jacobian, angles - reference, tracking, moves, plan - feedforward, factors, hessian, gradient)
+    for k in range(size):
+        lower[k], upper[k], dual[k] = factors[2] - plan[k], factors[3] - plan[k], 0.0
+        lower[size + k], upper[size + k] = -reach - moves[k], reach - moves[k]
+    dual[size:] = rate_multipliers(gradient, moves, reach)
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def condense(
+    jacobian: Any, error: Any, tracking: Any, moves: Any, off: Any, weights: Any, hessian: Any, gradient: Any
+) -> None:
+    """Gradient (H,) and upper triangle (H (H + 1) / 2,), column by column, of `TrackingQp`, in place.
+
+    jacobian (H, H) is lower triangular; moves = D p - e_1 u_last and off = p - f, each (H,); weights: rate, effort.
+    """
+    size, at = error.size, 0
+    rate, effort = 2.0 * weights[0], 2.0 * weights[1]
+    for i in range(size):
+        total = effort * off[i] + rate * moves[i]
+        if i + 1 < size:
+            total -= rate * moves[i + 1]
+        for j in range(i + 1):
+            hessian[at + j] = 0.0
+        for k in range(i, size):
+            weighted = 2.0 * tracking[k] * jacobian[k, i]
+            total += weighted * error[k]
+            for j in range(i + 1):
+                hessian[at + j] += weighted * jacobian[k, j]
+        hessian[at + i] += effort + (2.0 * rate if i + 1 < size else rate)
+        if i:
+            hessian[at + i - 1] -= rate
+        gradient[i] = total
+        at += i + 1
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def rate_multipliers(gradient: Any, moves: Any, reach: float) -> Any:
+    """Multipliers (H,) that hold a plan where it already moves at the greatest rate; see `TrackingQp`."""
+    dual = np.zeros(gradient.size)
+    balance, touching = 0.0, reach * (1.0 - 1e-6)
+    for k in range(gradient.size - 1, -1, -1):
+        balance -= gradient[k]
+        if moves[k] >= touching:
+            dual[k] = max(balance, 0.0)
+        elif moves[k] <= -touching:
+            dual[k] = min(balance, 0.0)
+    return dual
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def block_columns(jacobian: Any, blocking: Any, starts: Any, columns: Any) -> None:
+    """J M (H, m) in place: lower triangular J (H, H) times `MoveBlocking.matrix`, whose column b is zero before
+    `starts[b]` and after the end of block b + 1, but for the last.
+    """
+    horizon, count = blocking.shape
+    for b in range(count):
+        stop = starts[b + 2] if b + 2 < count else horizon
+        for k in range(horizon):
+            total = 0.0
+            for i in range(starts[b], min(k + 1, stop)):
+                total += jacobian[k, i] * blocking[i, b]
+            columns[k, b] = total
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def condense_blocked(columns: Any, starts: Any, weighted: Any, constant: Any, gradient: Any, hessian: Any) -> None:
+    """Gradient (m,) += 2 (J M)'Q e and the upper triangle, column by column, of `constant` + 2 (J M)'Q J M, in place.
+
+    columns: J M (H, m); weighted (2, H): 2 Q, and 2 Q e.
+    """
+    horizon, count = columns.shape
+    at = 0
+    for b in range(count):
+        for k in range(starts[b], horizon):
+            gradient[b] += weighted[1, k] * columns[k, b]
+        for a in range(b + 1):
+            total = constant[a, b]
+            for k in range(starts[b], horizon):
+                total += weighted[0, k] * columns[k, a] * columns[k, b]
+            hessian[at] = total
+            at += 1
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def block_room(moves: Any, starts: Any, ends: Any, reach: float, low: Any, high: Any, extreme: Any) -> None:
+    """How far the move of a block's last deviation may differ from that of the one before, both (m,), in place.
+
+    The deviation's move is the same in all samples of a block: those of the plan that move most leave the least room.
+    extreme: the move of the plan (m,) nearest to a limit. The plan is admissible but for rounding, so zero always is.
+    """
+    for b in range(starts.size):
+        least, most = moves[starts[b]], moves[starts[b]]
+        for k in range(starts[b] + 1, ends[b] + 1):
+            least, most = min(least, moves[k]), max(most, moves[k])
+        length = ends[b] + 1 - starts[b]
+        low[b] = length * min(-reach - least, 0.0)
+        high[b] = length * max(reach - most, 0.0)
+        extreme[b] = most if most >= -least else least
+
 
 _PARTS = np.array([0.5, 0.25, 0.125])
 # A learned part may well be as large as the model: candidates that follow the model's inverse are then far off.
 _LEARNED_ITERATIONS = 2
 _KEPT = 0.9  # share of the promised decrease from which on no part of the step is worth a roll-out
+
+
+def _options_of(settings: LinearisedMpcSettings) -> OsqpOptions | DaqpOptions:
+    """Options of the solver that is asked for; the other one is not imported."""
+    if settings.solver == "daqp":
+        from .daqp_ import DaqpOptions
+
+        return DaqpOptions()
+    from .osqp_ import OsqpOptions
+
+    return OsqpOptions(eps=settings.solver_eps)
 
 
 @final
@@ -46,7 +483,7 @@ class LinearisedPlanner(Planner[None]):
     def __init__(
         self,
         predictor: Predictor,
-        settings: LinearisationSettings,
+        settings: LinearisedMpcSettings,
         limits: CommandLimits,
         options: OsqpOptions | DaqpOptions | None = None,
     ) -> None:
@@ -58,12 +495,7 @@ class LinearisedPlanner(Planner[None]):
         self._qp: PlanProgram = TrackingQp(weights, limits, horizon, dt)
         if blocks is not None:
             self._qp = BlockedQp(weights, limits, MoveBlocking(blocks, horizon), dt)
-        if options is None:
-            options = DaqpOptions() if settings.solver == "daqp" else OsqpOptions(eps=settings.solver_eps)
-        pattern = self._qp.pattern
-        self._solver: QpSolver = (
-            OsqpSolver(pattern, options) if isinstance(options, OsqpOptions) else DaqpSolver(pattern, options)
-        )
+        self._solver = (options or _options_of(settings)).solver(self._qp.pattern)
 
     def init(self) -> None:
         return None
@@ -103,16 +535,16 @@ class LinearisedPlanner(Planner[None]):
         # the solver overshoots limits within its tolerance: clip the whole step, parts are then too
         whole, foreseen = np.empty((2, 1, step.size))
         take_step(start.commands, start.angles, jacobian, step, *self._bounds, problem.u_last, whole, foreseen)
-        found = self._cheapest(whole, problem)
+        better = self._cheapest(whole, problem)
         promised = start.cost - self._cost(whole, foreseen, problem)[0]
-        if not start.cost - found.cost >= _KEPT * promised:  # not-a-number: look further
+        if not start.cost - better.cost >= _KEPT * promised:  # not-a-number: look further
             parts = start.commands + _PARTS[:, None] * (
                 whole - start.commands
             )  # half of a move one way and one the other is none
             clip_plans(parts, *self._bounds, problem.u_last)
             part = self._cheapest(parts, problem)
-            found = part if part.cost < found.cost else found
-        return found if found.cost < start.cost else start
+            better = part if part.cost < better.cost else better
+        return better if better.cost < start.cost else start
 
     def _cheapest(self, plans: Vec, problem: PlanningProblem) -> CommandPlan:
         return self._cost.best(plans, self._predictor.rollout(problem.state, plans), problem)

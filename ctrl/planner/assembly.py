@@ -12,12 +12,12 @@ import numpy as np
 from hystmpc.models.contract.metadata import rest_within
 from hystmpc.models.load import load_model, model_path
 from hystmpc.models.model import Predictor
+from hystmpc.models.prediction.build import controller_model
 from hystmpc.trials.errors import ControllerError
 
-from ..build import build_controller, known_model, limits_of_model, modelled_limits
-from ..guarded import GuardedController
-from ..limits import CommandLimits
-from ..planning_settings import PredictiveSettings, WeightsSettings
+from ..command import CommandLimits, limits_of_model, modelled_limits, narrowed_limits
+from ..guarded import GuardedController, build_controller, pair_for
+from ..mpc_settings import PredictiveSettings, WeightsSettings
 from .reach import Workspace, angles_at_rest
 from .settings import TipSettings
 
@@ -53,10 +53,10 @@ class Assembly:
 
     def origin(self, settings: TipSettings) -> str:
         """Kind and fingerprint of a controller: equal where settings, limits and model are."""
-        own = settings.model_dump_json(
+        controller = settings.model_dump_json(
             exclude={"model", "inverse", "limits", "motion", "start_command", "tolerance_deg"}
         )
-        facts = (own, self.limits, self.controller.dt, type(self.predictor).__qualname__, self.model_hash)
+        facts = (controller, self.limits, self.controller.dt, type(self.predictor).__qualname__, self.model_hash)
         return f"{settings.controller.kind} {hashlib.sha256(repr(facts).encode()).hexdigest()[:12]}"
 
 
@@ -71,14 +71,12 @@ def assemble(settings: TipSettings, folder: Path) -> Assembly:
     model = load_model(model_path(settings.model, folder), start="conditioned")
     facts = model.metadata
     file = None if settings.inverse is None else model_path(settings.inverse, folder)
-    known = known_model(model, file, settings.actuator_lag_s)
     wanted = settings.controller.resolved()
-    predictor, inverse = wanted.model_pair(*(known.predictive if wanted.predicts else known.feedforward))
+    predictor, inverse = pair_for(wanted, controller_model(model, file, settings.actuator_lag_s))
     made_for = limits_of_model(facts)
     device = modelled_limits(settings.limits, made_for)
     controller = build_controller(wanted, predictor, inverse, device)
-    own = wanted.limits
-    limits = device if own is None else own.build()
+    limits = narrowed_limits(device, wanted.limits)
     weights = wanted.weights if isinstance(wanted, PredictiveSettings) else WeightsSettings()
     soft = weights.angle_limits_deg
     trained = facts.trained_angle.lower, facts.trained_angle.upper

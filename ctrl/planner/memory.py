@@ -4,25 +4,43 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from hystmpc.models.model import Predictor
+from hystmpc.trajectories.motion import Kinematics
 from hystmpc.trials.brief import brief, in_brief
 from hystmpc.trials.errors import ControllerError, shown
 from hystmpc.trials.types import Vec
 
-from ..command import Command, Source
+from ..command import Command, CommandLimits, Source, attempt, number_of, numbers_of, replace
 from ..estimation.observer import Estimate, usable_angle
-from ..fallback import attempt
-from ..frozen import replace
 from ..guarded import GuardedState
-from ..limits import CommandLimits, number_of, numbers_of
-from .controller import PlannersController
+from ..loop import Controller
 from .reference import Reference, ReferenceRequest, rest_reference
-from .ruckig_ import Kinematics
+
+
+class PlannersController(Controller[GuardedState[Any]], Protocol):
+    """A `GuardedController`, or one that answers as it does, such as its C."""
+
+    def replay(self, commands: Vec, angles: Vec) -> GuardedState[Any]:
+        """State after a recording, see `GuardedController.replay`."""
+        ...
+
+    def sigma_deg(self, state: GuardedState[Any]) -> float:
+        """Standard deviation of the error of the estimated angle [deg]; not-a-number where it is not known."""
+        ...
+
+    def sigma_ahead_deg(self, state: GuardedState[Any], commands: Vec) -> Vec:
+        """Standard deviation of the error of the angles predicted for the ends of the coming samples (H,) [deg]."""
+        ...
+
+    def stop(self, state: GuardedState[Any], cause: str) -> GuardedState[Any]:
+        """The state after which every step stops; only a new `init` releases it."""
+        ...
+
 
 _SAME_COMMAND = 1e-6  # of the command's range: two records of one command may differ by it
 
@@ -78,8 +96,8 @@ class Snapshot:
     def motion(self, t: float) -> Kinematics:
         """The reference's state of motion at `t` [s]; not-a-number where there is none or a user's function fails."""
         reference = self.reference
-        found = None if reference is None else attempt(lambda: reference.motion(t))[0]
-        return found if found is not None and math.isfinite(found.theta_deg) else Kinematics(math.nan)
+        motion = None if reference is None else attempt(lambda: reference.motion(t))[0]
+        return motion if motion is not None and math.isfinite(motion.theta_deg) else Kinematics(math.nan)
 
 
 def initial_snapshot(origin: str, command: float, sent: bool = False) -> Snapshot:

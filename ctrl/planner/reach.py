@@ -12,7 +12,7 @@ from hystmpc.trials.brief import brief
 from hystmpc.trials.errors import ControllerError
 from hystmpc.trials.types import Vec
 
-from ..limits import CommandLimits
+from ..command import CommandLimits
 
 _SETTLING_S = 2.0  # at either end: many times the lag of any catheter drive
 

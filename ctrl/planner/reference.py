@@ -10,13 +10,13 @@ from typing import Any, final
 
 import numpy as np
 
+from hystmpc.trajectories.motion import Kinematics, MotionLimits, Segments
+from hystmpc.trajectories.ruckig_ import move_to_rest
 from hystmpc.trials.errors import ControllerError, shown
 from hystmpc.trials.types import Vec
 
+from ..command import number_of, numbers_of
 from ..estimation.observer import ANGLE_BOUND_DEG
-from ..limits import number_of, numbers_of
-from .ruckig_ import Kinematics, Segments, move_to_rest
-from .settings import TargetMotionSettings
 
 
 class Reference(ABC):
@@ -91,7 +91,7 @@ class GivenReference(Reference):
         start_s: float,
         duration_s: float,
         dt: float,
-        limits: TargetMotionSettings,
+        limits: MotionLimits,
         foreign: bool,
     ) -> None:
         self.foreign = foreign
@@ -127,23 +127,21 @@ def rest_reference(theta_deg: float, start_s: float) -> PiecewiseReference:
     return PiecewiseReference(np.empty((0, 5)), theta_deg, start_s)
 
 
-def waypoint_request(
-    angles_deg: Sequence[float], holds_s: Sequence[float], limits: TargetMotionSettings
-) -> ReferenceRequest:
+def waypoint_request(angles_deg: Sequence[float], holds_s: Sequence[float], limits: MotionLimits) -> ReferenceRequest:
     """Moves from angle to angle, each as fast as the limits allow and each followed by its hold.
 
     Raises:
         ControllerError: if the counts differ, nothing is given, an angle is not finite or a hold is negative.
     """
-    found, pauses = numbers_of(angles_deg), numbers_of(holds_s)
-    usable = np.all(np.abs(found) <= ANGLE_BOUND_DEG) and np.all((pauses >= 0) & (pauses < math.inf))
-    if found.ndim != 1 or not found.size or found.shape != pauses.shape or not usable:
+    wanted, pauses = numbers_of(angles_deg), numbers_of(holds_s)
+    usable = np.all(np.abs(wanted) <= ANGLE_BOUND_DEG) and np.all((pauses >= 0) & (pauses < math.inf))
+    if wanted.ndim != 1 or not wanted.size or wanted.shape != pauses.shape or not usable:
         raise ControllerError(
             f"waypoints: got angles {shown(angles_deg, 60)} deg and holds {shown(holds_s, 60)} s, "
             f"expected as many of one as of the other, finite angles within {ANGLE_BOUND_DEG:.0f} deg and holds >= 0"
         )
 
-    angles, holds = found.tolist(), pauses.tolist()
+    angles, holds = wanted.tolist(), pauses.tolist()
 
     def plan(start: Kinematics, t: float) -> Reference:
         pieces = []
@@ -156,7 +154,7 @@ def waypoint_request(
     return ReferenceRequest(plan, from_motion=True)
 
 
-def given_request(source: Any, dt: float, limits: TargetMotionSettings) -> ReferenceRequest:
+def given_request(source: Any, dt: float, limits: MotionLimits) -> ReferenceRequest:
     """A callable of the seconds since it was set, or angles (T,) [deg] at the ends of the coming samples.
 
     A callable gets an array of times where it takes one, else one number at a time; with an attribute `duration_s`, as

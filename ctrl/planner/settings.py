@@ -8,26 +8,13 @@ from typing import Annotated, Any
 
 from pydantic import Field
 
-from hystmpc.trials.config import Settings, read_yaml
+from hystmpc.trajectories.motion import MotionLimitsSettings
+from hystmpc.trials.config import NotNegative, Positive, Settings, read_yaml
 from hystmpc.trials.errors import ConfigError, shown
 
+from ..command import ModelledLimitsSettings
 from ..config import ControllerSettings
-from ..limits import ModelledLimitsSettings, NotNegative, Positive
 from ..mpc_settings import LinearisedMpcSettings
-
-
-class TargetMotionSettings(Settings):
-    """How fast `set_target` and `set_waypoints` let the reference move.
-
-    Attributes:
-        velocity_deg_s: greatest velocity of the reference [deg/s].
-        acceleration_deg_s2: greatest acceleration of the reference [deg/s^2].
-        jerk_deg_s3: greatest jerk of the reference [deg/s^3].
-    """
-
-    velocity_deg_s: Positive = 60.0
-    acceleration_deg_s2: Positive = 300.0
-    jerk_deg_s3: Positive = 3000.0
 
 
 class TipSettings(Settings):
@@ -52,7 +39,7 @@ class TipSettings(Settings):
     actuator_lag_s: NotNegative = 0.0
     controller: Annotated[ControllerSettings, Field(validate_default=True)] = LinearisedMpcSettings()
     limits: ModelledLimitsSettings | None = None
-    motion: TargetMotionSettings = TargetMotionSettings()
+    motion: MotionLimitsSettings = MotionLimitsSettings()
     start_command: float | None = None
     tolerance_deg: Positive = 0.5
 

@@ -13,15 +13,13 @@ from typing import TYPE_CHECKING, Any, Self, final
 import numpy as np
 from numpy.typing import ArrayLike
 
+from hystmpc.trajectories.motion import Kinematics
 from hystmpc.trials.brief import in_brief
 from hystmpc.trials.errors import ControllerError, shown
 from hystmpc.trials.types import Vec
 
-from ..command import Command
-from ..fallback import attempt
-from ..frozen import replace
+from ..command import Command, attempt, numbers_of, replace
 from ..guarded import GuardedState
-from ..limits import numbers_of
 from .memory import (
     Snapshot,
     TipPlan,
@@ -46,12 +44,11 @@ from .memory import (
 )
 from .reach import Reach
 from .reference import ReferenceRequest, given_request, waypoint_request
-from .ruckig_ import Kinematics
 from .settings import TipSettings, read_settings
 
 if TYPE_CHECKING:
     from .assembly import Assembly
-    from .controller import PlannersController
+    from .memory import PlannersController
 
 
 _ROUNDS = 3  # evaluations of a reference within one step, where another thread sets a new one each time
@@ -87,6 +84,7 @@ class TipController:
         if not limits.lower <= start <= limits.upper:
             raise ControllerError(f"start_command: got {start}, expected {limits.lower} to {limits.upper}")
         self._assembly, self._settings, self._lock = assembly, settings, RLock()
+        self._motion = settings.motion.build()
         self._controller: PlannersController = controller or assembly.controller
         self._nothing = np.empty(0)  # a reference that is too short: the controller holds
         self._ahead: Vec = self.dt * np.arange(1, self._controller.horizon + 1, dtype=np.float64)
@@ -225,7 +223,7 @@ class TipController:
             ControllerError: if it is not a finite angle, or the stop is latched.
         """
         angle = require_number(theta_deg, "set_target")
-        self._request(waypoint_request([angle], [0.0], self._settings.motion))
+        self._request(waypoint_request([angle], [0.0], self._motion))
         return self.reachable(angle)
 
     def set_waypoints(self, angles_deg: Sequence[float], holds_s: Sequence[float]) -> None:
@@ -234,7 +232,7 @@ class TipController:
         Raises:
             ControllerError: if the counts differ, a number makes no sense, or the stop is latched.
         """
-        self._request(waypoint_request(angles_deg, holds_s, self._settings.motion))
+        self._request(waypoint_request(angles_deg, holds_s, self._motion))
 
     def set_reference(self, source: Callable[[Any], Any] | ArrayLike) -> None:
         """Follow a preview exactly as given, from the next sample on.
@@ -246,7 +244,7 @@ class TipController:
         Raises:
             ControllerError: if it is neither or does not answer with finite angles, or the stop is latched.
         """
-        self._request(given_request(source, self.dt, self._settings.motion))
+        self._request(given_request(source, self.dt, self._motion))
 
     def state(self) -> TipState:
         """Where the controller is."""

@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from hystmpc.ctrl.limits import CommandLimits
+from hystmpc.ctrl.command import CommandLimits
 from hystmpc.trials.errors import TrajectoryError
 from hystmpc.trials.types import Vec
 

@@ -8,7 +8,7 @@ from functools import cache
 
 import numpy as np
 
-from hystmpc.ctrl.limits import CommandLimits
+from hystmpc.ctrl.command import CommandLimits
 from hystmpc.models.chain import Chain
 from hystmpc.models.contract.metadata import ModelMetadata
 from hystmpc.models.effects.catalogue import confounders

@@ -12,13 +12,14 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from hystmpc.models.identify.uncertainty import Interval
+from hystmpc.trials.figures import ZERO_LOOK, TrackedLine, TrackedMotion, output_label, shortened, tracking_figure
 from hystmpc.trials.report import ACCENTS, MEASURED, MODEL, PALETTE, REFERENCE, new_figure
 from hystmpc.trials.types import Vec
 
 from ..diagnosis import Diagnosis, Gap
 from ..next.motion_design import MotionProposal
-from .figure_style import COLOUR, COMMANDED, INTERVAL, LABEL, MARKER, QUIET, measured_label, short, shown, thin
-from .report_data import CandidateRow, Evidence, Stage, TrialEvidence
+from .figure_style import AFTER, BEFORE, COLOUR, COMMANDED, INTERVAL, LABEL, MARKER, shown, thin
+from .report_data import CandidateRow, Evidence, Stage, TrackingCurve, TrialEvidence
 from .words import in_words
 
 _BLOCK_S, _LEAST_BLOCKS = 2.0, 4
@@ -46,7 +47,7 @@ def closed_figure(evidence: Evidence) -> Figure:
             _points(axes, stage, values, [rmse_interval(group, stage) for group in groups])
         floors = [gap.floor_rmse_deg, *(trial.floor_deg for trial in trials)]
         axes.plot(floors, np.arange(rows), "|", color=REFERENCE, markersize=17, markeredgewidth=1.6, label="floor")
-        names = [f"all {evidence.measured_on}", *(short(trial.name) for trial in trials)]
+        names = [f"all {evidence.measured_on}", *(shortened(trial.name) for trial in trials)]
         axes.set_yticks(range(rows), names)
         axes.get_yticklabels()[0].set_fontweight("bold")
         axes.axhline(0.5, color=REFERENCE, linewidth=0.6)
@@ -163,7 +164,7 @@ def _gains(axes: Axes, rows: Sequence[CandidateRow | None], unit: str) -> None:
             continue
         axes.errorbar(row.gain_deg, k, xerr=2 * row.standard_error_deg, **INTERVAL)
         axes.plot(row.gain_deg, k, "o", color=MEASURED, markersize=4.5)
-    axes.axvline(0.0, **QUIET)
+    axes.axvline(0.0, **ZERO_LOOK)
     axes.margins(x=0.08)
     axes.set(xlabel=f"fall of RMSE [{unit}]", title="Held-out gain, alone")
 
@@ -181,7 +182,7 @@ def _shares(axes: Axes, diagnosis: Diagnosis, names: Sequence[str]) -> None:
         axes.errorbar(effect.closed_share, k, xerr=reach, **INTERVAL)
     ends = [end for effect in chosen.values() for end in effect.closed_ci90 if np.isfinite(end)]
     axes.set_xlim(min(0.0, *ends, 0.0) * 1.05, max(1.0, *ends, 0.0) * 1.02)
-    axes.axvline(0.0, **QUIET)
+    axes.axvline(0.0, **ZERO_LOOK)
     axes.set(xlabel="of the structural gap", title="Closed share")
     if not chosen:
         axes.text(0.5, 0.5, "no effect chosen", transform=axes.transAxes, ha="center", color=REFERENCE)
@@ -205,7 +206,7 @@ def next_figure(proposal: MotionProposal, command_unit: str, unit: str = "deg") 
         for k, (name, angle) in enumerate(zip(proposal.names, angles, strict=True)):
             style = {"color": _COLOURS[k % 5], "linestyle": _DASHES[k % 5], "linewidth": 1.2}
             rows[1].plot(t, angle, label=f"if {in_words(name)}", **style)
-        rows[1].set_ylabel(measured_label(unit))
+        rows[1].set_ylabel(output_label(unit))
         rows[1].legend(loc="upper right", ncols=min(len(angles), 3))
         low, high = rows[1].get_ylim()
         rows[1].set_ylim(low, high + 0.22 * (high - low))
@@ -215,3 +216,14 @@ def next_figure(proposal: MotionProposal, command_unit: str, unit: str = "deg") 
         rows[2].set_xlabel("time [s]")
         rows[2].axhline(0.0, color=REFERENCE, linewidth=0.6)
     return figure
+
+
+def closed_loop_figure(curves: Sequence[TrackingCurve]) -> Figure:
+    """Angle and error over time of the closed loops before and after the correction, a column for each motion."""
+    motions = []
+    for curve in curves:
+        both = ((curve.before_deg, BEFORE), (curve.after_deg, AFTER))
+        lines = [TrackedLine(curve.t, angle, angle - curve.reference_deg, look) for angle, look in both]
+        approach_s = float(curve.t[curve.first - 1]) if curve.first else 0.0
+        motions.append(TrackedMotion(curve.t, curve.reference_deg, lines, in_words(curve.name), approach_s))
+    return tracking_figure(motions, "error [deg]")

@@ -20,14 +20,10 @@ MARKER: dict[Stage, str] = {"nominal": "s", "retuned": "o", "with_effects": "D"}
 REAL: Any = {"color": MEASURED, "linewidth": 2.6, "alpha": 0.5, "label": "real"}
 COMMANDED: Any = {"color": COMMAND, "linewidth": 0.9}
 INTERVAL: Any = {"color": REFERENCE, "linewidth": 1.1, "capsize": 2.5, "capthick": 1.1, "fmt": "none"}
-QUIET: Any = {"color": REFERENCE, "linewidth": 0.6}
+BEFORE: Any = {"color": ACCENTS[2], "linewidth": 1.0, "linestyle": DASHES[1], "label": "before"}
+AFTER: Any = {"color": MODEL, "linewidth": 1.0, "label": "after"}
 HEAT = "magma_r"  # even steps of lightness: also read in grey and by colour-blind readers
 _POINTS = 3000
-
-
-def measured_label(unit: str) -> str:
-    """Label of an axis of the measured and simulated output."""
-    return "tip angle [deg]" if unit == "deg" else f"output [{unit}]"
 
 
 def worst_first(trials: Sequence[TrialEvidence]) -> list[TrialEvidence]:
@@ -39,14 +35,6 @@ def shown(trials: Sequence[TrialEvidence], most: int) -> list[TrialEvidence]:
     """At most so many trials, final ones before others and worse before better, in recording order."""
     ranked = sorted(worst_first(trials), key=lambda trial: trial.role != "final")[:most]
     return [trial for trial in trials if any(trial is other for other in ranked)]
-
-
-def short(name: str, most: int = 26) -> str:
-    """A file's name that fits beside a figure; its middle gives way."""
-    if len(name) <= most:
-        return name
-    head = (most - 1) // 2
-    return f"{name[:head]}…{name[head + 1 - most :]}"
 
 
 def thin(*signals: Vec) -> tuple[Vec, ...]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 import os
 import shutil
 import tempfile
@@ -16,6 +15,7 @@ import numpy as np
 from hystmpc.models.simulator import save_simulator
 from hystmpc.trials.errors import ConfigError, LogError
 from hystmpc.trials.files import write_atomically
+from hystmpc.trials.json_text import file_text, plain
 from hystmpc.trials.layouts import OUTPUT_COLUMN, command_column
 from hystmpc.trials.run_folder import RunFolder
 
@@ -87,7 +87,7 @@ def save_diagnosis(
 
 def diagnosis_json(diagnosis: Diagnosis) -> str:
     """The text of `diagnosis.json`; numbers that are not finite are null."""
-    return json.dumps(_plain(diagnosis.as_json()), indent=2, allow_nan=False) + "\n"
+    return file_text(plain(diagnosis.as_json()), indent=2)
 
 
 def _write(evidence: Evidence, run: RunFolder) -> None:
@@ -123,16 +123,3 @@ def _log(evidence: Evidence) -> dict[str, Any]:
         "role": [trial.role for trial in trials for _ in range(len(trial.trial))],
     }
     return {name: np.concatenate(parts) for name, parts in joined.items()} | texts
-
-
-def _plain(value: Any) -> Any:
-    """Only what JSON knows: numbers of NumPy as plain ones, tuples as lists, not-a-number and infinity as null."""
-    if isinstance(value, Mapping):
-        return {str(key): _plain(item) for key, item in value.items()}
-    if isinstance(value, np.ndarray):
-        return _plain(value.tolist())
-    if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
-    if isinstance(value, np.generic):
-        return _plain(value.item())
-    return None if isinstance(value, float) and not math.isfinite(value) else value

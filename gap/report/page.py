@@ -9,7 +9,7 @@ from pathlib import Path
 from hystmpc.trials.report import Folded, Heading, Paragraph, Piece, Plot, Points, Report, Table
 
 from ..next.motion_design import MOTION_FILE
-from .effect_figures import MOST_ROWS, closed_figure, effects_figure, next_figure
+from .effect_figures import MOST_ROWS, closed_figure, closed_loop_figure, effects_figure, next_figure
 from .figure_style import LABEL, shown, worst_first
 from .first_page import how_sure, what_next, why
 from .report_data import Evidence
@@ -17,11 +17,11 @@ from .residual_figures import (
     before_after_figure,
     bins_figure,
     heat_figure,
-    loop_figure,
+    loops,
     memory_figure,
+    over_time,
     share_figure,
     spectrum_figure,
-    time_figure,
 )
 from .tables import (
     candidates_table,
@@ -35,7 +35,6 @@ from .tables import (
     tracking_table,
     trials_table,
 )
-from .tracking_figure import tracking_figure
 from .words import (
     ceiling_sentence,
     choices,
@@ -114,7 +113,7 @@ def _closed_loop(evidence: Evidence) -> Iterator[Piece]:
         yield tracking_table(found)
     if evidence.curves:
         yield Plot(
-            tracking_figure(evidence.curves),
+            closed_loop_figure(evidence.curves),
             "Simulated on the corrected simulator with the noise of its file. Before: the controller's model is "
             "the simulator as given. After: it is the corrected one. Grey: the approach, which does not count.",
             zoom=True,
@@ -155,9 +154,9 @@ def _where(evidence: Evidence) -> Iterator[Piece]:
         )
     of = evidence.measured_on
     what = "Tip angle" if evidence.unit == "deg" else "Output"
-    yield Plot(loop_figure(shown(final, MOST_LOOPS), unit, after), f"{what} over command, real and simulated: {of}.")
+    yield Plot(loops(shown(final, MOST_LOOPS), unit, after), f"{what} over command, real and simulated: {of}.")
     worst = worst_first(final)[:MOST_TIMES]
-    yield Plot(time_figure(worst, after), f"{what} and residual over time: the {of} with the largest gap.", zoom=True)
+    yield Plot(over_time(worst, after), f"{what} and residual over time: the {of} with the largest gap.", zoom=True)
     bins = bins_figure(final, after)
     if bins is not None:
         yield Plot(bins, "RMSE by command, angle and speed of the command; grey: share of time, of the whole height.")

@@ -12,13 +12,22 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from scipy.signal import welch
 
-from hystmpc.trials.figure_data import draw_long, draw_part
+from hystmpc.trials.figure_data import draw_part
+from hystmpc.trials.figures import (
+    ZERO_LOOK,
+    LoopPanel,
+    SimulatedTrial,
+    loop_figure,
+    output_label,
+    shortened,
+    time_figure,
+)
 from hystmpc.trials.report import MEASURED, REFERENCE, new_figure
 from hystmpc.trials.types import Vec
 
 from ..diagnosis import Place
 from ..residual.spectrum import SpectralLine
-from .figure_style import COLOUR, COMMANDED, HEAT, INTERVAL, LABEL, LOOK, QUIET, REAL, measured_label, short, thin
+from .figure_style import COLOUR, COMMANDED, HEAT, INTERVAL, LABEL, LOOK, REAL, thin
 from .report_data import Stage, TrialEvidence
 from .words import in_words
 
@@ -27,7 +36,6 @@ _ROUNDING = 1e-9
 
 _COLUMNS = 400  # more cannot be told apart across a page
 
-_PER_LINE = 3
 _WINDOW_S = 40.0
 _LOOK: dict[Stage, Any] = {stage: {**look, "linewidth": 0.9} for stage, look in LOOK.items()}
 
@@ -59,7 +67,7 @@ def _command(axes: Axes, trial: TrialEvidence, unit: str) -> None:
     t, command = thin(trial.trial.t - trial.trial.t[0], trial.trial.command)
     axes.plot(t, command, **COMMANDED)
     axes.set_ylabel(unit)
-    axes.set_title(f"{short(trial.name, 50)} ({trial.role})", fontsize=8.5)
+    axes.set_title(f"{shortened(trial.name, 50)} ({trial.role})", fontsize=8.5)
 
 
 def _strip(axes: Axes, trial: TrialEvidence, stages: Sequence[Stage], top: float) -> None:
@@ -82,47 +90,25 @@ def _columns(trial: TrialEvidence, stage: Stage) -> np.ndarray:
     return np.array([np.nanmax(part) if np.isfinite(part).any() else np.nan for part in parts])
 
 
-def loop_figure(trials: Sequence[TrialEvidence], unit: str, stages: Sequence[Stage]) -> Figure:
-    """Loops of angle over command: real and of each simulator."""
-    across = min(_PER_LINE, len(trials))
-    lines = -(-len(trials) // across)
-    with new_figure(7.0, 0.6 + (2.3 if across == _PER_LINE else 2.9) * lines) as figure:
-        grid = figure.subplots(lines, across, sharex=True, sharey=True, squeeze=False).ravel()
-        for axes, trial in zip(grid, trials, strict=False):
-            command, real, *runs = thin(trial.trial.command, trial.trial.angle, *_runs(trial, stages))
-            axes.plot(command, real, **REAL)
-            for stage, run in zip(stages, runs, strict=True):
-                axes.plot(command, run, **_LOOK[stage])
-            axes.set_title(short(trial.name, 30 if across == _PER_LINE else 46), fontsize=8.5)
-        for axes in grid[len(trials) :]:
-            axes.remove()
-        for axes in grid[max(len(trials) - across, 0) : len(trials)]:
-            axes.tick_params(labelbottom=True)
-        figure.supxlabel(f"command [{unit}]", fontsize=9.0)
-        figure.supylabel(measured_label(trials[0].trial.units.angle), fontsize=9.0)
-        figure.legend(*grid[0].get_legend_handles_labels(), loc="outside upper center", ncols=3)
-    return figure
+def loops(trials: Sequence[TrialEvidence], unit: str, stages: Sequence[Stage]) -> Figure:
+    """Loops of the output over the command: real and of each simulator."""
+    panels = []
+    for trial in trials:
+        command = trial.trial.command
+        runs = [(command, run, _LOOK[stage]) for stage, run in zip(stages, _runs(trial, stages), strict=True)]
+        panels.append(LoopPanel(trial.name, [(command, trial.trial.angle, REAL), *runs]))
+    return loop_figure(panels, unit, trials[0].trial.units.angle)
 
 
-def time_figure(trials: Sequence[TrialEvidence], stages: Sequence[Stage]) -> Figure:
-    """Angle over time: real and of each simulator, and what the simulators leave of it."""
-    with new_figure(7.0, 0.7 + 2.6 * len(trials)) as figure:
-        rows = figure.subplots(2 * len(trials), 1, height_ratios=(5, 3) * len(trials))
-        for angle, left, trial in zip(rows[::2], rows[1::2], trials, strict=True):
-            t, real = trial.trial.t - trial.trial.t[0], trial.trial.angle
-            draw_long(angle, t, real, **REAL)
-            for stage, run in zip(stages, _runs(trial, stages), strict=True):
-                draw_long(angle, t, run, **_LOOK[stage])
-                draw_long(left, t, run - real, **_LOOK[stage])
-            angle.set_title(short(trial.name, 60), fontsize=8.5)
-            angle.set_ylabel(measured_label(trial.trial.units.angle))
-            angle.tick_params(labelbottom=False)
-            left.axhline(0.0, **QUIET)
-            left.set_ylabel(f"residual [{trial.trial.units.angle}]")
-            left.sharex(angle)
-        rows[-1].set_xlabel("time [s]")
-        figure.legend(*rows[0].get_legend_handles_labels(), loc="outside upper center", ncols=3)
-    return figure
+def over_time(trials: Sequence[TrialEvidence], stages: Sequence[Stage]) -> Figure:
+    """Output over time: real and of each simulator, and the residuals of the simulators."""
+    shown = []
+    for evidence in trials:
+        trial = evidence.trial
+        runs = [(run, _LOOK[stage]) for stage, run in zip(stages, _runs(evidence, stages), strict=True)]
+        title, t = shortened(evidence.name, 60), trial.t - trial.t[0]
+        shown.append(SimulatedTrial(title, t, (trial.angle, REAL), runs, trial.units.angle))
+    return time_figure(shown)
 
 
 def before_after_figure(trial: TrialEvidence, after: Stage) -> Figure:
@@ -138,8 +124,8 @@ def before_after_figure(trial: TrialEvidence, after: Stage) -> Figure:
             run = getattr(trial, stage)
             draw_part(angle, t, run, part, **_LOOK[stage])
             draw_part(error, t, run - trial.trial.angle, part, **_LOOK[stage])
-        error.axhline(0.0, **QUIET)
-        angle.set_ylabel(measured_label(trial.trial.units.angle))
+        error.axhline(0.0, **ZERO_LOOK)
+        angle.set_ylabel(output_label(trial.trial.units.angle))
         error.set(ylabel=f"simulated less\nmeasured [{trial.trial.units.angle}]", xlabel="time [s]")
         figure.legend(*angle.get_legend_handles_labels(), loc="outside upper center", ncols=3)
     return figure
@@ -295,7 +281,7 @@ def memory_figure(gains: Mapping[str, float]) -> Figure:
         axes: Axes = figure.subplots()
         axes.barh(range(len(ordered)), [gain for _, gain in ordered], height=0.6, color=_BAR)
         axes.set_yticks(range(len(ordered)), [in_words(name) for name, _ in ordered])
-        axes.axvline(0.0, **QUIET)
+        axes.axvline(0.0, **ZERO_LOOK)
         axes.set(ylim=(len(ordered) - 0.5, -0.5), xlabel="share of the residual's energy explained on trials left out")
         axes.grid(visible=False, axis="y")
     return figure

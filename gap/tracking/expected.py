@@ -8,12 +8,13 @@ from typing import Any, final
 
 import numpy as np
 
-from hystmpc.ctrl.build import build_controller, known_model, limits_of_model
+from hystmpc.ctrl.command import CommandLimits, limits_of_model
+from hystmpc.ctrl.guarded import build_controller, pair_for
 from hystmpc.ctrl.law import LawSettings
-from hystmpc.ctrl.limits import CommandLimits
 from hystmpc.ctrl.loop import Controller
 from hystmpc.ctrl.mpc_settings import LinearisedMpcSettings
 from hystmpc.models.contract.metadata import NoiseModel
+from hystmpc.models.prediction.build import controller_model
 from hystmpc.models.prediction.compiled import CompiledPredictor
 from hystmpc.models.simulator import ChainModel, Simulator
 from hystmpc.sim.closed_loop import ClosedLoopRun, run_closed_loop
@@ -29,7 +30,7 @@ from ..report.report_data import TrackingCurve
 SEEDS = (1, 2)
 """Of the noise; the interval of an error is between its least and its greatest value over them."""
 
-USUAL = LinearisedMpcSettings(adaptation=None, handover=None)
+USUAL = LinearisedMpcSettings(adaptation=None, supervisor=None)
 """The controller of which a diagnosis speaks. One that learns finds on the device what its model lacks, and more of it
 than in a simulation, where part of it is a walk that nobody can learn: of it no fall can be foretold."""
 
@@ -130,8 +131,8 @@ def _curve(motion: CountedMotion, pair: Sequence[ClosedLoopRun], dt_s: float) ->
 
 
 def _controller(simulator: Simulator, settings: LawSettings, limits: CommandLimits) -> Controller[Any]:
-    known = known_model(ChainModel(simulator, "conditioned"), None, 0.0)
-    return build_controller(settings, *known.predictive, limits)
+    model = controller_model(ChainModel(simulator, "conditioned"))
+    return build_controller(settings, *pair_for(settings, model), limits)
 
 
 @final

@@ -18,9 +18,11 @@ from hystmpc.models.simulator import Simulator, load_simulator
 from hystmpc.trajectories.drawn import CountedMotion, approached
 from hystmpc.trajectories.trajectory import sample
 from hystmpc.trials.errors import ConfigError, HystmpcError, LogError
-from hystmpc.trials.report import ACCENTS, MODEL, REFERENCE, Heading, Paragraph, Piece, Plot, Table, new_figure
+from hystmpc.trials.figures import TrackedLine, TrackedMotion, tracking_figure
+from hystmpc.trials.report import Heading, Paragraph, Piece, Plot, Table
 
 from ..diagnosis import FORMATS, TrackingGap
+from ..report.figure_style import AFTER, BEFORE
 from ..report.folder import DIAGNOSIS_FILE, GIVEN_FILE
 from ..report.report_data import FIXED_FILE
 from .expected import NEAR, UnexplainedPlant, expected_tracking
@@ -222,13 +224,6 @@ def _noise_words(*runs: MeasuredRun) -> str:
 
 
 def _figure(before: MeasuredRun, after: MeasuredRun) -> Figure:
-    with new_figure(7.0, 4.0) as figure:
-        angle, error = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
-        angle.plot(after.t, after.reference_deg, color=REFERENCE, linewidth=2.4, alpha=0.45, label="reference")
-        for run, colour, label in ((before, ACCENTS[2], "before"), (after, MODEL, "after")):
-            angle.plot(run.t, run.angle_deg, color=colour, linewidth=1.0, label=label)
-            error.plot(run.t, run.angle_deg - run.reference_deg, color=colour, linewidth=1.0)
-        angle.set_ylabel("tip angle [deg]")
-        error.set(xlabel="time [s]", ylabel="error [deg]")
-        figure.legend(*angle.get_legend_handles_labels(), loc="outside upper center", ncols=3)
-    return figure
+    runs = ((before, BEFORE), (after, AFTER))
+    lines = [TrackedLine(run.t, run.angle_deg, run.angle_deg - run.reference_deg, look) for run, look in runs]
+    return tracking_figure([TrackedMotion(after.t, after.reference_deg, lines)], "error [deg]", height=4.0)

@@ -10,8 +10,8 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from hystmpc.commissioning.report import before_and_after
-from hystmpc.commissioning.verify import load_tracks
+from hystmpc.bench.report import before_and_after
+from hystmpc.bench.verify import load_tracks
 from hystmpc.trials.config import read_yaml
 
 

@@ -60,7 +60,7 @@ class Endured:
         stalls, watched_s, longest_stall_s: how often a bare loop beside it stood still for longer than a period, in how
             many seconds of spinning, and the longest time.
         resident_mb, growth_mb: memory at the end, and what it has grown by since the first steps.
-        sources: steps by the rung of the ladder that gave the command.
+        sources: steps by the fallback level that gave the command.
     """
 
     rate_hz: float

@@ -27,13 +27,13 @@ from rich.table import Table
 from threadpoolctl import threadpool_limits
 
 from hystmpc.ctrl import CommandLimits, TipController
-from hystmpc.ctrl.build import build_controller
+from hystmpc.ctrl.guarded import build_controller
 from hystmpc.ctrl.planner.assembly import Assembly
 from hystmpc.ctrl.planner.reach import Workspace, angles_at_rest
 from hystmpc.ctrl.planner.settings import TipSettings
 from hystmpc.models.load import library_file, load_model
 from hystmpc.models.model import Inverse, Predictor
-from hystmpc.models.prediction.build import predictor_and_inverse
+from hystmpc.models.prediction.build import controller_model
 from hystmpc.models.simulator import load_simulator
 from hystmpc.sim.plants.simulated import Effects, SimulatedPlant
 from hystmpc.trials.errors import ControllerError, HystmpcError
@@ -206,7 +206,7 @@ class Injector:
 def faulty(settings: dict[str, Any]) -> tuple[TipController, Sick, CommandLimits]:
     """A controller whose model can be made sick."""
     model = load_model(library_file("pi"), start="conditioned")
-    predictor, inverse = predictor_and_inverse(model)
+    predictor, inverse = controller_model(model).predictive
     sick, facts = Sick(predictor), model.metadata
     limits = CommandLimits(facts.command_limits.lower, facts.command_limits.upper, facts.command_rate)
     tip = TipSettings.parse({"model": "builtin:pi", "controller": {**settings, "ladder": LADDER}})

@@ -25,10 +25,10 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from hystmpc.commissioning.controller import TIP_FILE, tip_settings
-from hystmpc.ctrl.build import known_model
+from hystmpc.bench.controller import TIP_FILE, tip_settings
 from hystmpc.ctrl.monitor import Change, ChangeMonitor
 from hystmpc.models.load import load_model, model_path
+from hystmpc.models.prediction.build import controller_model
 from hystmpc.trials.config import load_settings
 from hystmpc.trials.types import Vec
 from hystmpc_lab.commission.settings import CommissionStudySettings
@@ -104,7 +104,7 @@ def judge(device: DrawnDevice, folder: Path, hours: float, minutes: float, seed:
     """Its hours and its changes."""
     tip = tip_settings(folder / "commissioned" / device.key / TIP_FILE)
     model = load_model(model_path(tip.model), start="conditioned")
-    predictor = known_model(model, None, 0.0).feedforward[0]
+    predictor = controller_model(model).feedforward[0]
     ends = model.metadata.trained_angle.lower, model.metadata.trained_angle.upper
     monitor = ChangeMonitor(predictor.noise, predictor.dt, ends)
     random = np.random.default_rng([seed, device.number])

@@ -51,7 +51,7 @@ _LEFT_OUT = (
 )
 _FAILED, _INTERRUPTED, _NO_TESTS = 1, 2, 5  # exit codes of pytest; an import that fails is an interruption
 _FIRST_FAILED = re.compile(r"^(?:FAILED|ERROR) (\S+)", re.MULTILINE)
-_WHERE = "import hystmpc.ctrl.limits, hystmpc.rig.safety.intake as i; print(hystmpc.ctrl.limits.__file__, i.__file__)"
+_WHERE = "import hystmpc.ctrl.command, hystmpc.rig.safety.intake as i; print(hystmpc.ctrl.command.__file__, i.__file__)"
 
 Verdict = Literal["killed", "survived", "error"]
 

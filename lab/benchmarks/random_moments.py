@@ -40,9 +40,9 @@ from rich.console import Console
 from rich.table import Table
 
 from hystmpc.cli.main import main as hystmpc
-from hystmpc.rig.commission.experiment import tracking_phase
-from hystmpc.rig.commission.review_page import review_run
 from hystmpc.rig.config import load_run
+from hystmpc.rig.experiment.experiment import tracking_phase
+from hystmpc.rig.experiment.review import review_run
 from hystmpc.rig.recording.recording import FLUSH_S
 from hystmpc.trials.errors import HystmpcError
 from hystmpc.trials.run_folder import RunFolder

@@ -49,8 +49,8 @@ from hystmpc.models.load import library_file
 from hystmpc.models.motions import probe_commands
 from hystmpc.models.networks.lstm import LstmStep, LstmWeights, lstm_step_graph
 from hystmpc.models.simulator import load_simulator, save_simulator
-from hystmpc.rig.commission.review import compare_with_model, review
 from hystmpc.rig.config import RunSettings
+from hystmpc.rig.experiment.review import compare_with_model, review
 from hystmpc.trials.config import dump_yaml
 from hystmpc.trials.errors import ConfigError, HystmpcError
 from hystmpc.trials.run_folder import RunFolder

@@ -22,10 +22,9 @@ import numpy as np
 
 from hystmpc.sim.jobs.backend import Processes
 from hystmpc.sim.jobs.runner import backend_for
-from hystmpc.sim.sweep.csv_rows import numbers
 from hystmpc.sim.sweep.run import run_sweep
 from hystmpc.sim.sweep.settings import SweepSettings, with_base
-from hystmpc.sim.sweep.store import table_of
+from hystmpc.sim.sweep.table import numbers, table_of
 
 STUDY: dict[str, Any] = {
     "plant": {"simulator": "builtin:tendon-catheter", "noise_deg": 0.15},

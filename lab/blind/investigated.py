@@ -11,14 +11,14 @@ from typing import Any, final
 
 import numpy as np
 
-from hystmpc.commissioning.device import Device, Track
+from hystmpc.bench.config import InvestigateSettings
+from hystmpc.bench.device import Device, Track
+from hystmpc.bench.investigate import RESULT_FILE, investigate_device
+from hystmpc.bench.motions import run_seconds
 from hystmpc.ctrl.planner.settings import TipSettings
-from hystmpc.investigation.config import InvestigateSettings
-from hystmpc.investigation.plan import run_seconds
-from hystmpc.investigation.run import RESULT_FILE, investigate_device
 from hystmpc.models.simulator import Simulator
-from hystmpc.rig.commission.phases import Phase
 from hystmpc.rig.config import BenchSettings
+from hystmpc.rig.experiment.phases import Phase
 from hystmpc.sim.jobs.runner import attempt
 from hystmpc.trajectories.config import MotionSettings
 from hystmpc.trials.errors import LogError

@@ -257,7 +257,7 @@ def make_blind(
         for place, (name, number) in zip(order, wanted, strict=True)
     ]
     backend = backend_for(jobs, where=str(folder))
-    answers = dict(run_jobs(todo, _make, backend, total=count, progress=progress))
+    answers = dict(run_jobs(_make, todo, backend, total=count, progress=progress))
     return seal(folder, [answers[name] for name in sorted(answers)])
 
 

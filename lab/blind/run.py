@@ -273,8 +273,8 @@ def complete_cases(
     if progress:
         progress(sum(map(is_done, todo)), len(todo), kind)
     done = run_jobs(
-        todo,
         do,
+        todo,
         backend_for(processes, where=str(todo[0].folder)),
         is_done=is_done,
         total=len(todo),

@@ -13,8 +13,9 @@ import numpy as np
 
 from hystmpc.models.effects.catalogue import confusable
 from hystmpc.trials.files import write_atomically
+from hystmpc.trials.json_text import plain
 
-from ..study import Bar, Rate, plain
+from ..study import Bar, Rate
 from .bars import HEALTHY, alarm, bars, confidently_wrong, covers_perfection, metrics
 from .generators import LABELS, NAMES
 from .make import RATIOS, SUITES

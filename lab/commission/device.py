@@ -8,11 +8,10 @@ from typing import Any, final
 
 import numpy as np
 
-from hystmpc.commissioning.config import CommissionSettings
+from hystmpc.bench.config import CommissionSettings
 from hystmpc.ctrl.command import Command
-from hystmpc.ctrl.frames import ImagingSettings
 from hystmpc.ctrl.guarded import GuardedController, GuardedState
-from hystmpc.ctrl.loop import Plant
+from hystmpc.ctrl.loop import ImagingSettings, Plant
 from hystmpc.models.contract.metadata import Range
 from hystmpc.rig.transports.simulated import SimulatedSettings
 from hystmpc.rig.transports.transport import PlantFactory

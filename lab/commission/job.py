@@ -12,24 +12,23 @@ from typing import Any
 
 import numpy as np
 
-from hystmpc.commissioning.controller import TIP_FILE, tip_settings
-from hystmpc.commissioning.device import BenchDevice
-from hystmpc.commissioning.run import Commissioned, commission_device
-from hystmpc.ctrl.build import build_controller, known_model, limits_of_model
-from hystmpc.ctrl.feedback.inverse_settings import InverseControllerSettings
-from hystmpc.ctrl.feedback.pid import PidControllerSettings
-from hystmpc.ctrl.frames import ImagingSettings, NoSensorSettings
+from hystmpc.bench.commission import Commissioned, commission_device
+from hystmpc.bench.controller import TIP_FILE, tip_settings
+from hystmpc.bench.device import BenchDevice
+from hystmpc.ctrl.command import limits_of_model
+from hystmpc.ctrl.feedback import InverseControllerSettings, PidControllerSettings
+from hystmpc.ctrl.guarded import build_controller
 from hystmpc.ctrl.law import LawSettings
-from hystmpc.ctrl.loop import Controller
+from hystmpc.ctrl.loop import Controller, ImagingSettings, NoSensorSettings
 from hystmpc.ctrl.mpc_settings import LinearisedMpcSettings
 from hystmpc.gap.tracking.diagnosed import covered_motions
 from hystmpc.gap.tracking.expected import USUAL
 from hystmpc.gap.whole import diagnose_trials
 from hystmpc.models.kinds.catalogue import kind_named
+from hystmpc.models.prediction.build import ControllerModel, controller_model
 from hystmpc.models.simulator import ChainModel, load_simulator
 from hystmpc.sim.closed_loop import ClosedLoopRun
 from hystmpc.sim.plants.computed import ComputedPlant
-from hystmpc.sim.study import Knowledge, knowledge
 from hystmpc.sim.tune_pid import searched_gains
 from hystmpc.trajectories.drawn import CountedMotion
 
@@ -164,7 +163,7 @@ def _compare(bench: StudyBench) -> tuple[str, dict[str, float]]:
         for case, changed in cases.items():
             controller = controller_on(_of(LinearisedMpcSettings(), changed), known, device.limits)
             figures |= bench.along(case, TakenUp(controller, bench.plant))[0]
-    lagging = knowledge(str(_model(bench.tip())), None, UNKNOWN_LAG_S)
+    lagging = controller_model(str(_model(bench.tip())), None, UNKNOWN_LAG_S)
     figures |= bench.along("wrong_lag", TakenUp(controller_on(tip, lagging, device.limits), bench.plant))[0]
     for name, factors in WORN.items():
         figures |= _changed(bench, name, factors, identified, tip)
@@ -173,7 +172,7 @@ def _compare(bench: StudyBench) -> tuple[str, dict[str, float]]:
 
 
 def _changed(
-    bench: StudyBench, name: str, factors: tuple[float, float], identified: Knowledge, tip: LawSettings
+    bench: StudyBench, name: str, factors: tuple[float, float], identified: ControllerModel, tip: LawSettings
 ) -> dict[str, float]:
     """The controller on the device after it has changed, with learning and without; motions within its new reach."""
     device, seed = worn(bench.device, *factors), bench.device.seed + _COMPARED
@@ -188,19 +187,19 @@ def _changed(
     return figures
 
 
-def _sensors(bench: StudyBench, identified: Knowledge, tip: LawSettings) -> dict[str, float]:
+def _sensors(bench: StudyBench, identified: ControllerModel, tip: LawSettings) -> dict[str, float]:
     """Without a sensor and with frames of an imaging system, beside the PID tuned for those."""
     limits, blind, frames = bench.device.limits, NoSensorSettings(), IMAGING
-    alone = _of(tip, {"estimator": dict(blind.told())})
+    alone = _of(tip, {"estimator": dict(blind.estimator_keys())})
     figures, runs = bench.along("none", TakenUp(controller_on(alone, identified, limits), bench.plant), sensor=blind)
-    noise = identified.predictor.noise
+    noise = identified.predictive[0].noise
     sigma = math.nan if noise is None or noise.model_sigma_deg is None else noise.model_sigma_deg
     inside = [
         np.abs(run.true_deg - run.log.predicted_deg)[motion.first(run.dt) :] <= BAND_SIGMAS * sigma
         for run, motion in zip(runs, bench.motions, strict=True)
     ]
     figures |= {"none.sigma_deg": sigma, "none.within_band": float(np.mean(np.concatenate(inside)))}
-    seeing = _of(tip, {"estimator": dict(frames.told())})
+    seeing = _of(tip, {"estimator": dict(frames.estimator_keys())})
     figures |= bench.along(
         "imaging", TakenUp(controller_on(seeing, identified, limits), bench.plant, frames), sensor=frames
     )[0]
@@ -213,7 +212,7 @@ def _sensors(bench: StudyBench, identified: Knowledge, tip: LawSettings) -> dict
     return figures
 
 
-def _imaging_pid(bench: StudyBench, identified: Knowledge) -> Controller[Any]:
+def _imaging_pid(bench: StudyBench, identified: ControllerModel) -> Controller[Any]:
     """A PID whose gains are searched on the very device and motions under other frames."""
     start = PidControllerSettings.parse({"kind": "pid", "estimator": _known_to_pid(IMAGING)})
     plant = PreparedPlant(bench.drawn, bench.device.seed + _COMPARED + 1)
@@ -230,7 +229,7 @@ def _imaging_pid(bench: StudyBench, identified: Knowledge) -> Controller[Any]:
 
 def _known_to_pid(sensor: ImagingSettings) -> dict[str, Any]:
     keys = type(PidControllerSettings().estimator).model_fields
-    return {key: value for key, value in sensor.told().items() if key in keys}
+    return {key: value for key, value in sensor.estimator_keys().items() if key in keys}
 
 
 def _tracking_gap(bench: StudyBench) -> tuple[str, dict[str, float]]:
@@ -246,7 +245,7 @@ def _tracking_gap(bench: StudyBench) -> tuple[str, dict[str, float]]:
     figures = {"gap.said": 1.0, "gap.said_before_deg": said.before_deg, "gap.said_after_deg": said.after_deg}
     figures["gap.floor_deg"] = evidence.diagnosis.gap.floor_rmse_deg
     for name, simulator in (("before", nominal), ("after", fixed)):
-        known = known_model(ChainModel(simulator, "conditioned"), None, 0.0)
+        known = controller_model(ChainModel(simulator, "conditioned"))
         controller = build_controller(USUAL, *known.predictive, limits_of_model(nominal.metadata()))
         scored, _ = bench.along(name, controller, bench.drawn, motions)
         figures[f"gap.{name}_deg"] = scored[f"{name}.rmse_deg"]
@@ -268,16 +267,16 @@ def _model(tip: Path) -> Path:
     return Path(tip_settings(tip).model)
 
 
-def _known(tip: Path) -> tuple[Knowledge, LawSettings]:
+def _known(tip: Path) -> tuple[ControllerModel, LawSettings]:
     """Model and controller of a commissioned device."""
-    return knowledge(str(_model(tip))), tip_settings(tip).controller.resolved()
+    return controller_model(str(_model(tip))), tip_settings(tip).controller.resolved()
 
 
 def _of(settings: LawSettings, changes: Mapping[str, Any]) -> LawSettings:
-    """A controller with some keys changed, blocks merged; where nothing is learned there is no handover."""
+    """A controller with some keys changed, blocks merged; where nothing is learned there is no supervisor."""
     data = settings.model_dump(exclude_unset=True) | {"kind": type(settings).model_fields["kind"].default}
     for key, value in changes.items():
         data[key] = data.get(key, {}) | value if isinstance(value, dict) else value
     if data.get("adaptation", {}) is None:
-        data.pop("handover", None)
+        data.pop("supervisor", None)
     return type(settings).parse(data, "study commission")

@@ -9,8 +9,7 @@ from functools import cached_property
 
 import numpy as np
 
-from hystmpc.ctrl.command import Source
-from hystmpc.ctrl.limits import CommandLimits
+from hystmpc.ctrl.command import CommandLimits, Source
 from hystmpc.sim.closed_loop import ClosedLoopRun
 from hystmpc.sim.results import holds, tracking_metrics
 from hystmpc.trials.types import Vec
@@ -208,7 +207,7 @@ BARS: tuple[ControlBar, ...] = (
     ),
     ControlBar("share of holds with a limit cycle", 0.0, _named("cycling_holds"), lambda _, r: _predictive(r)),
     ControlBar("samples beyond a limit", 0.0, _named("violations"), lambda _, r: True),
-    ControlBar("samples on a rung of the ladder", 0.0, _named("fallbacks"), lambda _, r: True),
+    ControlBar("samples on a fallback level", 0.0, _named("fallbacks"), lambda _, r: True),
 )
 
 

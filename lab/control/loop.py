@@ -12,8 +12,7 @@ from typing import Any, final
 import numpy as np
 
 from hystmpc.ctrl.command import Command
-from hystmpc.ctrl.feedback.inverse_settings import InversePidControllerSettings
-from hystmpc.ctrl.feedback.pid import PidControllerSettings, PidSettings
+from hystmpc.ctrl.feedback import InversePidControllerSettings, PidControllerSettings, PidSettings
 from hystmpc.ctrl.guarded import GuardedController, GuardedState
 from hystmpc.ctrl.loop import Controller
 from hystmpc.models.model import Predictor
@@ -217,8 +216,9 @@ def _gains(job: ControlJob, rival: BenchmarkController, settings: ControlSetting
 
 def _rested(study: Study, effects: Effects, dt_s: float) -> Study:
     """The study with an oracle that knows the plant's memory after its initialisation flexure."""
-    known, limits = study.predictor, study.plant.command_limits
+    (known, inverse), limits = study.model.predictive, study.plant.command_limits
     flexure = initialisation_flexure(limits, dt_s, warmup_samples=1)
     wait_s = _SETTLED_LAGS * effects.lag_s + effects.delay_s
     settling = np.full(round(wait_s / dt_s), limits.lower)
-    return replace(study, predictor=RestedPredictor(known, np.concatenate([flexure, settling])))
+    rested = RestedPredictor(known, np.concatenate([flexure, settling]))
+    return replace(study, model=replace(study.model, predictive=(rested, inverse)))

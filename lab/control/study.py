@@ -8,8 +8,9 @@ from pathlib import Path
 from typing import Any
 
 from hystmpc.trajectories.config import parse_motion
+from hystmpc.trials.json_text import plain
 
-from ..study import Study, StudyTable, plain
+from ..study import Study, StudyTable
 from .bars import ControlOutcome, verdicts
 from .controllers import CONTROLLERS
 from .job import control_jobs, job_inputs

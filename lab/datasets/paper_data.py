@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
-from hystmpc.sim.devices.device import Quantities, quantity, to_plain
+from hystmpc.sim.devices.device import Quantities, quantity
 from hystmpc.sim.devices.muscle import MuscleRecorder
 from hystmpc.sim.devices.recorder import generator
 from hystmpc.sim.devices.rod import RodRecorder
@@ -28,6 +28,7 @@ from hystmpc.trajectories.excitation import (
 )
 from hystmpc.trajectories.trajectory import Trajectory
 from hystmpc.trials.errors import ConfigError, did_you_mean
+from hystmpc.trials.json_text import plain
 from hystmpc.trials.types import Progress
 
 from .dataset import Dataset
@@ -148,9 +149,9 @@ class RodSettings:
 
     def plain(self) -> dict[str, Any]:
         """As plain data for the manifest."""
-        motions: Mapping[str, Any] = to_plain(self.motions)
+        motions: Mapping[str, Any] = plain(asdict(self.motions))
         kept = {name: value for name, value in motions.items() if name != "recorder"}
-        return {"recorder": to_plain(self.recorder), "motions": kept}
+        return {"recorder": plain(asdict(self.recorder)), "motions": kept}
 
 
 Settings = S1Settings | S2Settings | RodSettings
@@ -193,8 +194,8 @@ def make_dataset(
             if progress:
                 progress(done, total)
         splits[split] = tuple(trials)
-    plain = settings.plain() if isinstance(settings, RodSettings) else to_plain(settings)
-    return Dataset(name, seed, plain, splits)
+    parameters = settings.plain() if isinstance(settings, RodSettings) else plain(asdict(settings))
+    return Dataset(name, seed, parameters, splits)
 
 
 def _motions(settings: Settings, seed: int) -> Mapping[str, Mapping[str, Trajectory]]:

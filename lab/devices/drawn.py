@@ -11,7 +11,7 @@ from typing import Any, final
 
 import numpy as np
 
-from hystmpc.ctrl.limits import CommandLimits
+from hystmpc.ctrl.command import CommandLimits
 from hystmpc.models.contract.metadata import Range
 from hystmpc.sim.devices.rod import RodCatheter
 from hystmpc.sim.devices.rod_equations import new_knots

@@ -271,7 +271,7 @@ def place_for(p: Packed, state: Any, theta: float, low: float, high: float) -> f
 
 
 class PidNumbers(NamedTuple):
-    """Gains as `ctrl.feedback.pid.PidSettings`, and the limits of the command with its greatest change a sample."""
+    """Gains as `ctrl.feedback.PidSettings`, and the limits of the command with its greatest change a sample."""
 
     kp: float
     ki: float
@@ -289,7 +289,7 @@ class PidNumbers(NamedTuple):
 def pid_square_error(
     p: Packed, rest: Any, wanted: Any, due: Any, feedforward: Any, noise: Any, first: int, g: PidNumbers, angle: float
 ) -> float:
-    """Mean square true error from sample `first` on under `ctrl.feedback.pid.Pid`, in one compiled call [deg^2].
+    """Mean square true error from sample `first` on under `ctrl.feedback.Pid`, in one compiled call [deg^2].
 
     A search takes some hundred such runs; a test holds it against the controller itself.
 

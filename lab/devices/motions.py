@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from hystmpc.trajectories.drawn import CountedMotion, drawn_motions
-from hystmpc.trajectories.identification import identification_motions
+from hystmpc.trajectories.excitation import identification_motions
 from hystmpc.trajectories.trajectory import Trajectory
 from hystmpc.trials.trial import Trial, Units
 

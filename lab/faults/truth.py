@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from hystmpc.commissioning.bounded import BESIDE, MEDIAN
+from hystmpc.bench.phases import BESIDE, MEDIAN
 from hystmpc.rig.safety.plausibility import PlausibilitySettings
 from hystmpc.trials.types import Vec
 

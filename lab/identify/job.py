@@ -10,17 +10,21 @@ from typing import Any
 
 import numpy as np
 
-from hystmpc.ctrl.feedback.inverse_settings import InverseControllerSettings, InversePidControllerSettings
-from hystmpc.ctrl.feedback.pid import PidControllerSettings, PidSettings
+from hystmpc.ctrl.feedback import (
+    InverseControllerSettings,
+    InversePidControllerSettings,
+    PidControllerSettings,
+    PidSettings,
+)
 from hystmpc.ctrl.loop import Controller
 from hystmpc.ctrl.mpc_settings import LinearisedMpcSettings, SamplingMpcSettings
 from hystmpc.models.contract.export import export_onnx
 from hystmpc.models.contract.metadata import DeviceLimits, Range
 from hystmpc.models.kinds.catalogue import chosen_kind, kind_named
 from hystmpc.models.kinds.kind import FitRequest, Identified, ModelKind
+from hystmpc.models.prediction.build import ControllerModel, controller_model
 from hystmpc.models.simulator import save_simulator
 from hystmpc.sim.closed_loop import run_closed_loop
-from hystmpc.sim.study import Knowledge, knowledge
 from hystmpc.sim.tune_pid import PidLike, searched_gains
 from hystmpc.trajectories.drawn import CountedMotion
 from hystmpc.trials.trial import Trial
@@ -48,8 +52,8 @@ class DeviceStudy:
     device: DrawnDevice
     plant: DrawnPlant
     motions: tuple[CountedMotion, ...]
-    model: Knowledge
-    rival: Knowledge
+    model: ControllerModel
+    rival: ControllerModel
 
 
 @dataclass
@@ -133,7 +137,7 @@ def identified_as(kind: ModelKind, trials: Sequence[Trial], device: DrawnDevice,
     return identified
 
 
-def opened_model(identified: Identified, stem: Path) -> Knowledge:
+def opened_model(identified: Identified, stem: Path) -> ControllerModel:
     """The model written, and opened as a user opens it."""
     stem.parent.mkdir(parents=True, exist_ok=True)
     file = stem.with_name(stem.name + (".onnx" if identified.simulator is None else ".yaml"))
@@ -141,7 +145,7 @@ def opened_model(identified: Identified, stem: Path) -> Knowledge:
         export_onnx(identified.bundle, file)
     else:
         save_simulator(identified.simulator, file)
-    return knowledge(str(file))
+    return controller_model(str(file))
 
 
 def _model_controllers(study: DeviceStudy) -> dict[str, Controller[Any]]:

@@ -8,19 +8,15 @@ from typing import Any, final
 
 import numpy as np
 
-from hystmpc.ctrl.build import build_controller
-from hystmpc.ctrl.command import Source
-from hystmpc.ctrl.frames import ImagingSettings, NoSensorSettings
-from hystmpc.ctrl.guarded import GuardedController
+from hystmpc.ctrl.command import CommandLimits, Source
+from hystmpc.ctrl.guarded import GuardedController, build_controller, pair_for
 from hystmpc.ctrl.law import LawSettings
-from hystmpc.ctrl.limits import CommandLimits
-from hystmpc.ctrl.loop import Controller
-from hystmpc.ctrl.mpc_settings import LinearisedMpcSettings, SamplingMpcSettings
+from hystmpc.ctrl.loop import Controller, ImagingSettings, NoSensorSettings
 from hystmpc.models.contract.metadata import Range
+from hystmpc.models.prediction.build import ControllerModel
 from hystmpc.sim.closed_loop import ClosedLoopRun, run_closed_loop
 from hystmpc.sim.plants.computed import ComputedPlant, Sensing
 from hystmpc.sim.results import holds, violations
-from hystmpc.sim.study import Knowledge
 from hystmpc.trajectories.drawn import CountedMotion
 from hystmpc.trials.types import Vec
 
@@ -95,11 +91,9 @@ def tracked(
     return {f"{name}.{figure}": value for figure, value in figures.items()}, runs
 
 
-def controller_on(settings: LawSettings, known: Knowledge, limits: CommandLimits) -> GuardedController[Any]:
-    """A controller with a model: its predictor and inverse for a predictive law, else those of a feedforward."""
-    predictive = isinstance(settings, LinearisedMpcSettings | SamplingMpcSettings)
-    pair = (known.predictor, known.inverse) if predictive else known.feedforward
-    return build_controller(settings, *pair, limits)
+def controller_on(settings: LawSettings, known: ControllerModel, limits: CommandLimits) -> GuardedController[Any]:
+    """A controller with a model: predictor and inverse as its law needs them."""
+    return build_controller(settings, *pair_for(settings, known), limits)
 
 
 @final
@@ -112,8 +106,8 @@ class IdentifiedPlant(ComputedPlant):
         seed: of the noise.
     """
 
-    def __init__(self, known: Knowledge, rest_deg: float, noise_deg: float, seed: int) -> None:
-        self._predictor, limits = known.predictor, known.facts.command_limits
+    def __init__(self, known: ControllerModel, rest_deg: float, noise_deg: float, seed: int) -> None:
+        self._predictor, limits = known.predictive[0], known.facts.command_limits
         self._rest = self._predictor.advance(self._predictor.initial(rest_deg, limits.lower), limits.lower)
         self.command_limits = Range(lower=limits.lower, upper=limits.upper)
         super().__init__(self._predictor.dt, limits.lower, known.facts.command_unit, Sensing(noise_deg), seed)

@@ -11,10 +11,9 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from hystmpc.ctrl.command import Command
+from hystmpc.ctrl.command import Command, CommandLimits
 from hystmpc.ctrl.guarded import GuardedController, GuardedState
-from hystmpc.ctrl.limits import CommandLimits
-from hystmpc.ctrl.planning import PlanningProblem
+from hystmpc.ctrl.mpc import PlanningProblem
 from hystmpc.models.chain import Chain
 from hystmpc.models.contract.export import ExportBundle, export_onnx
 from hystmpc.models.contract.load import OnnxModel, load_onnx
@@ -27,7 +26,7 @@ from hystmpc.models.networks.nodes import Scaling
 from hystmpc.models.operators.hysteresis import Backlash
 from hystmpc.models.operators.operator import Operator
 from hystmpc.models.operators.prandtl_ishlinskii import PrandtlIshlinskii
-from hystmpc.models.prediction.build import predictor_and_inverse, predictor_for
+from hystmpc.models.prediction.build import controller_model, predictor_for
 from hystmpc.models.simulator import ChainModel, Identification, Simulator
 from hystmpc.trials.types import Vec
 
@@ -180,7 +179,7 @@ def operator_subjects() -> list[Subject]:
 
 
 def _subject(name: str, source: str, model: LoadedModel, function: Any, weights: LstmWeights | None = None) -> Subject:
-    predictor, inverse = predictor_and_inverse(model)
+    predictor, inverse = controller_model(model).predictive
     own = predictor_for(model)
     return Subject(name, source, model.metadata, predictor, inverse, own, function, weights)
 

@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 from pydantic import Field
 
-from hystmpc.models.networks.settings import CellSettings, Count, DeviceFacts, FormSettings
+from hystmpc.models.networks.settings import CellSettings, DeviceFacts, FormSettings
+from hystmpc.trials.config import Count
 
 if TYPE_CHECKING:
     from hystmpc.models.networks.network_ import Network

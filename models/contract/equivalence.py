@@ -104,8 +104,8 @@ def check_equivalence(reference: StepFunction, model: OnnxModel, probe: Vec) -> 
 def _working_units(facts: ModelMetadata) -> tuple[float, float]:
     """Units of the model in one working unit of its input, and of its output."""
     ranges = (facts.trained_command, facts.trained_angle)[:: -1 if facts.inverted else 1]
-    found = Decades.of_ranges(*ranges)
-    return (found.angle, found.command) if facts.inverted else (found.command, found.angle)
+    decades = Decades.of_ranges(*ranges)
+    return (decades.angle, decades.command) if facts.inverted else (decades.command, decades.angle)
 
 
 def _precision(model: OnnxModel) -> str:

@@ -99,5 +99,5 @@ def _check_form(effect: Effect, form: Candidate) -> None:
 
 @cache
 def _installed() -> Mapping[str, Effect]:
-    found = installed_objects(GROUP, "effect", Effect, shipped_operators())
-    return {name: checked(effect) for name, effect in found.items()}
+    effects = installed_objects(GROUP, "effect", Effect, shipped_operators())
+    return {name: checked(effect) for name, effect in effects.items()}

@@ -105,16 +105,16 @@ def _identified(
 ) -> AutoFit:
     coarse = _thinned(trials, check_trial_set(trials))
     runs = runs_to_fit(coarse, skip_first_flexure)
-    again = 0.0 if coarse is trials else _AGAIN * sum(map(len, trials)) / sum(map(len, coarse))
-    share, command = 1 / (1 + again), command_range(trials)  # of the whole time
+    refit_share = 0.0 if coarse is trials else _AGAIN * sum(map(len, trials)) / sum(map(len, coarse))
+    share, command = 1 / (1 + refit_share), command_range(trials)  # of the whole time
     search = AutoSearch(coarse, runs, settings, lambda done, rmse: progress(share * done, rmse))
-    found = search.run()
-    parameters = tuple(widened_rows(found, runs, search.tried, settings))
+    device = search.run()
+    parameters = tuple(widened_rows(device, runs, search.tried, settings))
     rows: tuple[PartRow, ...] = ()
     last = search
     try:
         if not search.interrupted:
-            found, parameters = _with_meaning(search, found, parameters, command)
+            device, parameters = _with_meaning(search, device, parameters, command)
     except KeyboardInterrupt:
         search.interrupted = True
     if coarse is not trials:
@@ -126,20 +126,20 @@ def _identified(
             search.terms,
         )
         try:
-            found, parameters = _at_full_rate(last, found, parameters, command)
+            device, parameters = _at_full_rate(last, device, parameters, command)
         except KeyboardInterrupt:  # a delay's store is sized for the rate of the search: that model must not be used
             raise nothing_found("the fit at the full rate", interrupted=True) from None
     try:
         if not search.interrupted:
-            kept, rows = last.bought(found)
-            if kept is not found:
-                found, parameters = kept, _numbers_at(last, kept, parameters)
+            kept, rows = last.part_contributions(device)
+            if kept is not device:
+                device, parameters = kept, _numbers_at(last, kept, parameters)
     except KeyboardInterrupt:  # the device is found; only the table of its parts is missing
         search.interrupted = True
-    noise = estimation_noise(trials, last.left_out(found))
+    noise = estimation_noise(trials, last.left_out(device))
     parameters = tuple(row.times(decades.in_log(row.unit)) for row in parameters)
     return AutoFit(
-        found,
+        device,
         tuple(
             replace(row, without_deg=row.without_deg * decades.angle, with_deg=row.with_deg * decades.angle)
             for row in rows
@@ -153,62 +153,62 @@ def _identified(
     )
 
 
-def auto_chain(found: AutoFit) -> Chain:
+def auto_chain(fit: AutoFit) -> Chain:
     """The identified device in the units of the log."""
-    hypothesis = found.choice.hypothesis
-    return found.decades.log_chain(hypothesis.problem.fitted_chain(hypothesis.q))
+    hypothesis = fit.choice.hypothesis
+    return fit.decades.log_chain(hypothesis.problem.fitted_chain(hypothesis.q))
 
 
 def _with_meaning(
-    search: AutoSearch, found: Choice, parameters: tuple[ParameterRow, ...], command: Range
+    search: AutoSearch, device: Choice, parameters: tuple[ParameterRow, ...], command: Range
 ) -> tuple[Choice, tuple[ParameterRow, ...]]:
     """The device less what may do nothing, its other parts chosen anew each time."""
     lost, needed = set[str](), set[tuple[str, str]]()
-    while nothing := without_meaning(found, parameters, command, needed):
-        less = search.beside(search.less(found, *nothing), {*lost, nothing[0]})
-        if _needed(less, found, parameters, nothing[1], search.settings):
+    while nothing := without_meaning(device, parameters, command, needed):
+        reduced = search.reselect_other_parts(search.without_effect(device, *nothing), {*lost, nothing[0]})
+        if _needed(reduced, device, parameters, nothing[1], search.settings):
             needed.add(nothing)
             continue
         lost.add(nothing[0])
-        found = less
-        parameters = tuple(widened_rows(found, search.runs, search.tried, search.settings))
-    return found, parameters
+        device = reduced
+        parameters = tuple(widened_rows(device, search.runs, search.tried, search.settings))
+    return device, parameters
 
 
 def _needed(
-    less: Choice, found: Choice, parameters: Sequence[ParameterRow], effect: str, settings: AutoSettings
+    reduced: Choice, device: Choice, parameters: Sequence[ParameterRow], effect: str, settings: AutoSettings
 ) -> bool:
     """Whether an effect stays however its numbers trade; one at the end of what was searched stands in for another."""
     ended = any(row.at_bound for row in parameters if row.owner == effect)
-    return not ended and settings.needed(less.judged, found.judged)
+    return not ended and settings.needed(reduced.judged, device.judged)
 
 
 def _at_full_rate(
-    full: AutoSearch, found: Choice, parameters: Sequence[ParameterRow], command: Range
+    full: AutoSearch, device: Choice, parameters: Sequence[ParameterRow], command: Range
 ) -> tuple[Choice, tuple[ParameterRow, ...]]:
     """The device of the search fitted again, less what may do nothing at this rate."""
-    found = full.again(found)
-    rows, needed = _numbers_at(full, found, parameters), set[tuple[str, str]]()
-    while nothing := without_meaning(found, rows, command, needed):
-        less = full.less(found, *nothing)
-        if _needed(less, found, rows, nothing[1], full.settings):
+    device = full.refit_at_full_rate(device)
+    rows, needed = _numbers_at(full, device, parameters), set[tuple[str, str]]()
+    while nothing := without_meaning(device, rows, command, needed):
+        reduced = full.without_effect(device, *nothing)
+        if _needed(reduced, device, rows, nothing[1], full.settings):
             needed.add(nothing)
             continue
-        found, rows = less, _numbers_at(full, less, parameters)
-    return found, rows
+        device, rows = reduced, _numbers_at(full, reduced, parameters)
+    return device, rows
 
 
-def _numbers_at(search: AutoSearch, found: Choice, before: Sequence[ParameterRow]) -> tuple[ParameterRow, ...]:
+def _numbers_at(search: AutoSearch, device: Choice, before: Sequence[ParameterRow]) -> tuple[ParameterRow, ...]:
     """Numbers of a device at the full rate, with intervals that hold those of the search at a lower rate, too."""
     wide = {(row.owner, row.name): row for row in before}
 
     def joint(row: ParameterRow, before: ParameterRow | None) -> ParameterRow:
         if before is None:
             return row
-        ends = [*row.ci90, *moved_row(before, row.value, found).ci90]
+        ends = [*row.ci90, *moved_row(before, row.value, device).ci90]
         return replace(row, ci90=(min(ends), max(ends)), at_bound=row.at_bound or before.at_bound)
 
-    rows = widened_rows(found, search.runs, search.tried, search.settings)
+    rows = widened_rows(device, search.runs, search.tried, search.settings)
     return tuple(joint(row, wide.get((row.owner, row.name))) for row in rows)
 
 
@@ -235,12 +235,12 @@ def _thinned(trials: Sequence[Trial], dt: float) -> Sequence[Trial]:
 def _advice(parameters: Sequence[ParameterRow], units: Units) -> Iterator[str]:
     """What these trials do not determine, and what would."""
     for owner in dict.fromkeys(row.owner for row in parameters if row.flat or row.at_bound):
-        own, what = [r for r in parameters if r.owner == owner], owner.replace("_", " ")
-        for row in (r for r in own if r.at_bound):
+        rows_of_effect, what = [r for r in parameters if r.owner == owner], owner.replace("_", " ")
+        for row in (r for r in rows_of_effect if r.at_bound):
             value = f"{row.value:.4g} {units.named(row.unit)}".rstrip()
             way = "more" if math.isinf(row.ci90[1]) else "less"
             yield f"{what}: {row.name} {value} is at the end of what was searched; it may be {way}"
         motions = [MOTIONS_THAT_SEPARATE[kind] for kind in EFFECTS[owner].separated_by]
         record = f"; record {' and '.join(motions)}" if motions else ""
-        if names := ", ".join(r.name for r in own if r.flat and not r.at_bound):
+        if names := ", ".join(r.name for r in rows_of_effect if r.flat and not r.at_bound):
             yield f"{what}: {names} not identifiable from these logs{record}"

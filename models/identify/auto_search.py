@@ -240,8 +240,11 @@ class AutoSearch:
         self.terms = replace(self.terms, own_offset=True)
         return choice
 
-    def again(self, choice: Choice) -> Choice:
-        """The device of another rate fitted to these trials, its drive chosen anew: some are alike at few samples."""
+    def refit_at_full_rate(self, choice: Choice) -> Choice:
+        """The device of another rate refitted to these trials, with its drive selected again.
+
+        Some drives cannot be told from each other at few samples.
+        """
         dt_s, values, drive = self.runs[0].dt_s, _values(choice.hypothesis), self._parts[0]
         about = whole_delay(choice.forms[drive.name])
 
@@ -261,8 +264,11 @@ class AutoSearch:
         self._plan(drives, present)
         return self._finished(self._simplest(drives, present))
 
-    def less(self, choice: Choice, part: str, effect: str) -> Choice:
-        """The device with a part's next simpler alternative: with the effect if there is one, else without it."""
+    def without_effect(self, choice: Choice, part: str, effect: str) -> Choice:
+        """The device whose part has its next simpler form.
+
+        That is the same effect with fewer numbers where there is one, else no effect.
+        """
         if part == _CORE:
             core = plain_of(choice.core, self._cores)
             return self._polished(self._judged(core, choice.forms, self._fitted(core, choice.forms, choice)))
@@ -275,43 +281,51 @@ class AutoSearch:
         left = choice.forms | {part: max(open_forms, key=free_numbers)}
         return self._polished(self._judged(choice.core, left, self._fitted(choice.core, left, choice)))
 
-    def beside(self, choice: Choice, lost: Collection[str]) -> Choice:
-        """The device with all parts chosen anew but those that lost an effect: the others were chosen beside it."""
+    def reselect_other_parts(self, choice: Choice, lost: Collection[str]) -> Choice:
+        """The device with all parts selected again except those that lost an effect.
+
+        The other parts were selected while that effect was part of the device.
+        """
         for name in self._names:
             if name not in lost:
                 choice = self._simplest(self._alternatives(name, choice), choice)
         return self._finished(choice)
 
-    def bought(self, choice: Choice) -> tuple[Choice, tuple[PartRow, ...]]:
-        """The device less parts that lower the error on trials left out by no more than its standard error, and rows.
+    def part_contributions(self, choice: Choice) -> tuple[Choice, tuple[PartRow, ...]]:
+        """The device without needless parts, and by how much each part that is left lowers the error.
 
-        A row says what one part buys: the error of the device less that part, all else fitted anew.
+        A part is needless where it lowers the error on trials left out by no more than the standard error. A row has
+        the error of the device without that part, with all other numbers fitted again.
         """
-        less = self._without_each(choice)
-        while needless := [c for c in less.values() if c and not self.settings.stays(c.judged, choice.judged)]:
+        reduced = self._without_each(choice)
+        while needless := [c for c in reduced.values() if c and not self.settings.stays(c.judged, choice.judged)]:
             choice = self._polished(min(needless, key=lambda c: c.judged.mse))
-            less = self._without_each(choice)
+            reduced = self._without_each(choice)
         rows = [
-            PartRow(name, _form_title(form), _rmse(less[name]), choice.rmse_deg) for name, form in choice.forms.items()
+            PartRow(name, _form_title(form), _rmse(reduced[name]), choice.rmse_deg)
+            for name, form in choice.forms.items()
         ]
-        rows.append(PartRow(_CORE, choice.core.label, _rmse(less[_CORE]), choice.rmse_deg))
+        rows.append(PartRow(_CORE, choice.core.label, _rmse(reduced[_CORE]), choice.rmse_deg))
         zero = PartRow("sensor zero", "of each trial" if self.offsets else "one", math.nan, choice.rmse_deg)
         return choice, (*rows, zero)
 
     def _without_each(self, choice: Choice) -> dict[str, Choice | None]:
-        """The device less each part, fitted anew; of the core a line in its place. None where there is no such part."""
-        found: dict[str, Choice | None] = {}
+        """The device without each part, fitted again; None where there is no such part.
+
+        A line takes the place of the core.
+        """
+        reduced: dict[str, Choice | None] = {}
         for name, form in choice.forms.items():
             forms = {**choice.forms, name: ()}
             fit = self._fitted(choice.core, forms, choice) if form else None
-            found[name] = None if fit is None else self._judged(choice.core, forms, fit)
-        plain, found[_CORE] = self._cores[0], None
+            reduced[name] = None if fit is None else self._judged(choice.core, forms, fit)
+        plain, reduced[_CORE] = self._cores[0], None
         if choice.core.label != plain.label:
-            found[_CORE] = self._judged(plain, choice.forms, self._fitted(plain, choice.forms, choice))
+            reduced[_CORE] = self._judged(plain, choice.forms, self._fitted(plain, choice.forms, choice))
         if choice.core.curve:
             core = plain_of(choice.core, self._cores)
-            found["curve"] = self._judged(core, choice.forms, self._fitted(core, choice.forms, choice))
-        return found
+            reduced["curve"] = self._judged(core, choice.forms, self._fitted(core, choice.forms, choice))
+        return reduced
 
     def left_out(self, choice: Choice) -> tuple[Vec, ...]:
         """Measurement less free run of each trial, left out of the fit; see `CrossValidation.left_out`."""
@@ -365,7 +379,7 @@ class AutoSearch:
             choices = list(pool.map(lambda fit: self._choice(*fit), near))
         best = min(choices, key=lambda choice: choice.judged.mse)
         judged = {id(choice.hypothesis): choice for choice in choices}
-        found = best
+        selected = best
         for core, forms, hypothesis in sorted(fits, key=lambda fit: size_of(fit[0], fit[1])):
             if hypothesis is best.hypothesis:
                 break
@@ -375,10 +389,10 @@ class AutoSearch:
                     continue
                 judged[id(hypothesis)] = self._choice(core, forms, hypothesis)
             if not self.settings.worth(judged[id(hypothesis)].judged, best.judged):
-                found = judged[id(hypothesis)]
+                selected = judged[id(hypothesis)]
                 break
         self.tried += judged.values()
-        return found
+        return selected
 
     def _fitted(self, core: CoreForm, forms: Mapping[str, Form], present: Choice | None) -> Hypothesis:
         """Joint fit from the present values where a part stays, from its own starts where it is new."""
@@ -397,8 +411,8 @@ class AutoSearch:
             validation = replace(validation, baseline=FreeCoreBaseline(chains[0], self._command))
         longer = replace(validation, evaluations=_FROM_AFAR * self.settings.evaluations)
         cores = [np.array(chain.core.values) for chain in chains]
-        found = [longer.with_causes(effects, terms, z, values[:1]) for z in cores]
-        return min(found, key=lambda fit: fit.mse)
+        fits = [longer.with_causes(effects, terms, z, values[:1]) for z in cores]
+        return min(fits, key=lambda fit: fit.mse)
 
     def _line_behind(self, effects: Sequence[Candidate], values: Sequence[Sequence[float]]) -> Chain:
         """The line through what a drive hands on: behind a slow one its gain is many times that over the command."""
@@ -447,8 +461,8 @@ def _near(candidate: Candidate, values: tuple[float, ...], dt_s: float, whole_s:
 
 def _values(hypothesis: Hypothesis) -> dict[str, list[float]]:
     """Free values of each effect of a fit, by label."""
-    found = hypothesis.problem.effect_values(hypothesis.q)
-    return {c.label: list(v.values()) for c, v in zip(hypothesis.problem.effects, found, strict=True)}
+    values = hypothesis.problem.effect_values(hypothesis.q)
+    return {c.label: list(v.values()) for c, v in zip(hypothesis.problem.effects, values, strict=True)}
 
 
 def _points(core: CoreForm, forms: Mapping[str, Form], present: Choice) -> int:

@@ -65,8 +65,12 @@ class Baseline(ABC):
 
     def loop_height(self, z: Vec) -> float:
         """Height of the loop [deg]."""
-        found = self.quantities(z)
-        return 2 * found["friction"] if "friction" in found else found["gain"] * found["backlash_width"]
+        quantities = self.quantities(z)
+        return (
+            2 * quantities["friction"]
+            if "friction" in quantities
+            else quantities["gain"] * quantities["backlash_width"]
+        )
 
     def loop_width(self, z: Vec) -> float:
         """Travel after a reversal over which the loop changes its branch [cmd]."""

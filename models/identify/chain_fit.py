@@ -154,7 +154,7 @@ class ChainFit:
     interrupted: bool = False
 
 
-def in_log_units(found: ChainFit, decades: Decades, output: float) -> ChainFit:
+def in_log_units(fit: ChainFit, decades: Decades, output: float) -> ChainFit:
     """A fit that was made in working units, in those of the log.
 
     Args:
@@ -162,8 +162,8 @@ def in_log_units(found: ChainFit, decades: Decades, output: float) -> ChainFit:
         decades: the working units.
         output: log units of one working unit of what the chain predicts.
     """
-    report = replace(found.report, losses=tuple(loss * output**2 for loss in found.report.losses))
-    return replace(found, chain=decades.log_chain(found.chain), rmse_deg=found.rmse_deg * output, report=report)
+    report = replace(fit.report, losses=tuple(loss * output**2 for loss in fit.report.losses))
+    return replace(fit, chain=decades.log_chain(fit.chain), rmse_deg=fit.rmse_deg * output, report=report)
 
 
 def told_in_log_units(progress: FitProgress | None, output: float) -> FitProgress | None:

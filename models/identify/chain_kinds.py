@@ -381,7 +381,7 @@ def _drdpi_box(e: Extent, structure: Structure) -> Ends:
 
 
 def _drdpi_first(e: Extent, structure: Structure) -> Ends:
-    """Middle piece near the middle of the angle, no piece much steeper: else the bottom is taken for the middle."""
+    """Bounds of a curve: its middle piece lies near the middle of the angle, and no other piece is much steeper."""
     height, middle = e.high - e.low, 0.5 * (e.low + e.high)
     return {
         **_plays_first(e, structure),

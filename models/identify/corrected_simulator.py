@@ -75,7 +75,7 @@ def corrected_simulator(
         seed=simulator.identification.seed,
         skip_first_flexure=skip,
         training_data_hash=fingerprint([log for *_, log in fitted]),
-        residuals=tuple(residual(log, *own) for (*_, log), own in zip(fitted, compared, strict=True)),
+        residuals=tuple(residual(log, *pair) for (*_, log), pair in zip(fitted, compared, strict=True)),
         noise=estimation_noise([trial for trial, *_ in compared], errors, chosen.problem.size),
     )
     corrected = replace(simulator, chain=chain, identification=identification, dt_s=runs[-1].dt_s)

@@ -119,16 +119,16 @@ class CrossValidation:
     def retuned(self) -> Hypothesis:
         """The baseline alone."""
         problem = Problem(self.baseline)
-        found = fit_problem(problem, self.runs, problem.start(self.baseline.nominal, []), 40, 1e-6)
-        return Hypothesis(problem, found.q, found.mse)
+        fit = fit_problem(problem, self.runs, problem.start(self.baseline.nominal, []), 40, 1e-6)
+        return Hypothesis(problem, fit.q, fit.mse)
 
     def with_causes(
         self, effects: Sequence[Candidate], terms: TrialTerms, z: Vec, starts: Sequence[Sequence[Sequence[float]]]
     ) -> Hypothesis:
         """Fit causes jointly with the baseline, from baseline values z and several values of the effects."""
         problem = Problem(self.baseline, effects, terms)
-        found = [fit_problem(problem, self.runs, problem.start(z, values), self.evaluations, 1e-3) for values in starts]
-        best = min(found, key=lambda f: f.mse)
+        fits = [fit_problem(problem, self.runs, problem.start(z, values), self.evaluations, 1e-3) for values in starts]
+        best = min(fits, key=lambda f: f.mse)
         return Hypothesis(problem, best.q, best.mse)
 
     def without(self, hypothesis: Hypothesis, dropped: AbstractSet[str]) -> Hypothesis:
@@ -146,8 +146,8 @@ class CrossValidation:
 
     def polished(self, hypothesis: Hypothesis) -> Hypothesis:
         """The same with its fit run to the end."""
-        found = fit_problem(hypothesis.problem, self.runs, hypothesis.q, 60, 1e-6)
-        return Hypothesis(hypothesis.problem, found.q, found.mse)
+        fit = fit_problem(hypothesis.problem, self.runs, hypothesis.q, 60, 1e-6)
+        return Hypothesis(hypothesis.problem, fit.q, fit.mse)
 
     def fitted_errors(self, hypothesis: Hypothesis) -> Blocks:
         """Errors of the fit itself, in the blocks of `judge`."""
@@ -227,8 +227,8 @@ def _paired(difference: Vec, runs: NDArray[np.intp]) -> tuple[float, float]:
     """Sum of the differences of blocks and its standard error by their scatter within the runs."""
     variance = 0.0
     for k in np.unique(runs):
-        own = difference[runs == k]
-        variance += own.size * float(np.var(own, ddof=1)) if own.size > 1 else float(own[0] ** 2)
+        part = difference[runs == k]
+        variance += part.size * float(np.var(part, ddof=1)) if part.size > 1 else float(part[0] ** 2)
     return float(difference.sum()), float(np.sqrt(variance))
 
 

@@ -141,8 +141,8 @@ def _most_likely_ratios(residuals: Vec, travel: Vec, usual: float) -> tuple[floa
 
     corners = [np.array([a, b]) for a in _RATIOS for b in _RATIOS]
     best = min(corners, key=cost)
-    found = minimize(cost, best, method="Nelder-Mead", options={"xatol": 0.02, "fatol": 1e-3, "maxfev": 200}).x
-    drift, motion = np.exp(np.clip(found, -25.0, 12.0)).tolist()
+    log_sizes = minimize(cost, best, method="Nelder-Mead", options={"xatol": 0.02, "fatol": 1e-3, "maxfev": 200}).x
+    drift, motion = np.exp(np.clip(log_sizes, -25.0, 12.0)).tolist()
     return drift, motion / usual
 
 

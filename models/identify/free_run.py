@@ -46,7 +46,9 @@ class StagedChain:
             states, parameters = states + s, parameters + p
         self.state_size, self.parameter_count = states, parameters
         places = zip(chain.operators, self._stages, strict=True)
-        self._stores = [(own.start, operator.samples) for operator, (*_, own) in places if isinstance(operator, Delay)]
+        self._stores = [
+            (columns.start, operator.samples) for operator, (*_, columns) in places if isinstance(operator, Delay)
+        ]
         self._core = len(chain.before)
 
     def rest(self, command: Vec, angle: Vec, values: Vec | None = None) -> Vec:
@@ -68,9 +70,9 @@ class StagedChain:
         m = np.empty((*x.shape, seeds.shape[1]))
         signals = [np.ascontiguousarray(signal, dtype=np.float64) for signal in (command, angle)]
         still = np.zeros((command.size, seeds.shape[1]))
-        for k, (kernels, state, own) in enumerate(self._stages):
+        for k, (kernels, state, columns) in enumerate(self._stages):
             u, seen = signals[k > self._core], signals[k >= self._core]
-            kernels.rest(u, still, seen, still, p[own], kernels.constants[2], seeds[own], x[state], m[state])
+            kernels.rest(u, still, seen, still, p[columns], kernels.constants[2], seeds[columns], x[state], m[state])
         return x, m
 
     def simulate(self, commands: Vec, dt_s: float, states: Vec, values: Vec | None = None) -> tuple[Vec, Vec]:
@@ -172,8 +174,8 @@ class StagedChain:
         x, m = np.ascontiguousarray(state), np.ascontiguousarray(slope)
         signal, moving = np.array(commands, dtype=np.float64), np.zeros((commands.size, seeds.shape[1]))
         room = np.empty((self.state_size + self.parameter_count) * DIRECTIONS)
-        for (kernels, states, own), kept in zip(self._stages, self._kept(dt_s, values), strict=True):
-            kernels.differentiate(x[states], m[states], signal, moving, seeds[own], kept, first, room)
+        for (kernels, states, columns), kept in zip(self._stages, self._kept(dt_s, values), strict=True):
+            kernels.differentiate(x[states], m[states], signal, moving, seeds[columns], kept, first, room)
         return signal, moving[:, :count]
 
     def _seeds(self, seeds: Vec | None) -> Vec:
@@ -182,12 +184,12 @@ class StagedChain:
 
     def _kept(self, dt_s: float, values: Vec | None) -> list[Vec]:
         """Of every operator, what follows from parameters and sample time alone."""
-        p, found = self._rows(values, 1), []
+        p, slopes = self._rows(values, 1), []
         self._require_room(p, dt_s)
-        for kernels, _, own in self._stages:
-            found.append(np.empty((kernels.kept[1], 1)))
-            kernels.prepare_slopes(p[own], dt_s, kernels.constants[1], found[-1])
-        return found
+        for kernels, _, columns in self._stages:
+            slopes.append(np.empty((kernels.kept[1], 1)))
+            kernels.prepare_slopes(p[columns], dt_s, kernels.constants[1], slopes[-1])
+        return slopes
 
     def _rows(self, values: Vec | None, rows: int) -> Vec:
         """Parameters (P, N)."""
@@ -295,12 +297,12 @@ class FreeRuns:
 
     def angles(self, p: Vec) -> list[Vec]:
         """Outputs (W + T,) of each run at parameters p (P,)."""
-        found = []
+        angles = []
         for run in self.runs:
             rest = np.array([[run.rest.command], [run.rest.angle]])
             state = self._staged.settled(rest[0], rest[1], self._dt, p)[0]
-            found.append(self._staged.simulate(run.commands[:, None], self._dt, state, p)[0][:, 0])
-        return found
+            angles.append(self._staged.simulate(run.commands[:, None], self._dt, state, p)[0][:, 0])
+        return angles
 
     def mse(self, p: Vec) -> float:
         """Mean over trials of the mean square error at parameters p (P,); infinite where a run is not finite."""

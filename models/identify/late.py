@@ -35,8 +35,8 @@ def dead_time(runs: Sequence[Run]) -> float:
     shifts = {round(v) for v in np.geomspace(_FINEST, most, 1 + math.ceil(max(0.0, math.log(most / _FINEST, _FINER))))}
     delays = sorted({*range(min(_FINEST, most) + 1), *shifts}) if most > _FINEST else list(range(most + 1))
     angles = [run.angle - run.angle.mean() for run in runs]
-    found, tau = _best(runs, angles, delays, _TAUS_S)
-    near = range(math.floor(found / _FINER), min(most, math.ceil(found * _FINER)) + 1)
+    delay_samples, tau = _best(runs, angles, delays, _TAUS_S)
+    near = range(math.floor(delay_samples / _FINER), min(most, math.ceil(delay_samples * _FINER)) + 1)
     return _best(runs, angles, near, [tau * factor for factor in _NEARER])[0] * dt_s
 
 
@@ -44,15 +44,15 @@ def _best(
     runs: Sequence[Run], angles: Sequence[Vec], delays: Sequence[int], taus: Sequence[float]
 ) -> tuple[int, float]:
     """Delay in samples and time constant [s] of the least squared error."""
-    best, found = math.inf, (0, 0.0)
+    best, chosen = math.inf, (0, 0.0)
     for tau in taus:
         kept = math.exp(-runs[0].dt_s / tau) if tau else 0.0
         late = [np.asarray(lfilter([1 - kept], [1, -kept], run.command - run.command[0])) for run in runs]
         for delay in delays:
             left = _left(late, angles, delay)
             if left < best:
-                best, found = left, (delay, tau)
-    return found
+                best, chosen = left, (delay, tau)
+    return chosen
 
 
 def _left(late: Sequence[Vec], angles: Sequence[Vec], delay: int) -> float:

@@ -110,14 +110,14 @@ def fit_chain(
     """
     decades = Decades.of(trials)
     output = decades.output(trials)
-    found = _fitted(
+    fit = _fitted(
         [decades.chain(start) for start in starts],
         decades.trials(trials),
         settings or OperatorFitSettings(),
         told_in_log_units(progress, output),
         fixed,
     )
-    return in_log_units(found, decades, output)
+    return in_log_units(fit, decades, output)
 
 
 def _fitted(
@@ -282,8 +282,11 @@ class _CondensedSearch:
         return self._energy / self._samples
 
     def evaluate(self, q: Vec) -> tuple[Vec, Mat]:
-        found = [self._problem.products(q, group, self._white) for group in self._groups]
-        square, common = np.sum([own for own, _ in found], axis=0), [row for _, rows in found for row in rows]
+        products = [self._problem.products(q, group, self._white) for group in self._groups]
+        square, common = (
+            np.sum([normal for normal, _ in products], axis=0),
+            [row for _, rows in products for row in rows],
+        )
         self._at, self._energy = q.copy(), float(square[-1, -1])
         square = square + self._pull(square, q)
         if common:
@@ -320,5 +323,5 @@ def _minimise(evaluate: Callable[[Vec], tuple[Vec, Mat]], start: Vec, bounds: tu
         return known[1]
 
     jacobian = cast(Any, lambda q: both(q)[1])  # SciPy is untyped: pyright takes `jac` for a string, as its default is
-    found = least_squares(lambda q: both(q)[0], start, jac=jacobian, bounds=bounds, **options)
-    return np.asarray(found.x, dtype=np.float64)
+    solution = least_squares(lambda q: both(q)[0], start, jac=jacobian, bounds=bounds, **options)
+    return np.asarray(solution.x, dtype=np.float64)

@@ -73,8 +73,8 @@ def identify_chain(
     task = chain_task(kind, decades.trials(trials), structure.in_working_units(decades.angle))
     if chosen.kinds is not None and kind not in chosen.kinds:
         raise FitError(f"{method} cannot identify {kind!r}, {did_you_mean(kind, chosen.kinds)}")
-    found = in_log_units(chosen.fit(task, settings, told_in_log_units(progress, output)), decades, output)
-    return found.chain, found
+    fit = in_log_units(chosen.fit(task, settings, told_in_log_units(progress, output)), decades, output)
+    return fit.chain, fit
 
 
 @one_blas_thread

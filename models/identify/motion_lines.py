@@ -44,7 +44,7 @@ def motions_own(runs: Sequence[Run], hz: Vec) -> Mask:
         hz: to judge [Hz].
     """
     seconds = np.array([run.command.size * run.dt_s for run in runs])
-    own = np.zeros(hz.size)
+    seconds_at = np.zeros(hz.size)
     for run, length in zip(runs, seconds, strict=True):
         fundamental = fundamental_hz(run.command, run.dt_s)
         if fundamental <= 0:
@@ -55,11 +55,11 @@ def motions_own(runs: Sequence[Run], hz: Vec) -> Mask:
         if fundamental * length < _PERIODS:
             low, high = together, np.zeros(hz.size)
         nearest = np.where(order <= _LOW_ORDERS, low, high)
-        own += length * (np.abs(hz - order * fundamental) <= nearest)
-    return np.asarray(own >= _MOST * seconds.sum())
+        seconds_at += length * (np.abs(hz - order * fundamental) <= nearest)
+    return np.asarray(seconds_at >= _MOST * seconds.sum())
 
 
-def leaked_power(power: Vec, hz: Vec, own: Mask, seconds: Vec) -> Vec:
+def leaked_power(power: Vec, hz: Vec, of_motion: Mask, seconds: Vec) -> Vec:
     """Power (F,) that runs of finite length leak from the highest line within each own band to other frequencies.
 
     A wave of power P that lasts T seconds has at most P / (pi d T)^2 at a distance d from its frequency, and P nearer
@@ -68,11 +68,11 @@ def leaked_power(power: Vec, hz: Vec, own: Mask, seconds: Vec) -> Vec:
     Args:
         power: of each run (R, F).
         hz: the frequencies (F,) [Hz].
-        own: those of the motion (F,).
+        of_motion: those of the motion (F,).
         seconds: of each run (R,) [s].
     """
     leaked, whole = np.zeros(hz.size), power.sum(axis=0)
-    edges = np.flatnonzero(np.diff(own, prepend=False, append=False))
+    edges = np.flatnonzero(np.diff(of_motion, prepend=False, append=False))
     for first, stop in edges.reshape(-1, 2):
         k = first + int(np.argmax(whole[first:stop]))
         if whole[max(k - 1, 0) : k + 2].max() > whole[k]:

@@ -42,13 +42,13 @@ def widened_rows(
         change = _log if logarithmic else _same
         value = change(row.value)
         ends = [abs(change(end) - value) for end in row.ci90 if math.isfinite(end)]
-        own = max(ends, default=0.0) / _QUANTILE
+        sigma = max(ends, default=0.0) / _QUANTILE
         left = np.array([change(fold[key]) for fold in folds])
         jackknife = math.sqrt((left.size - 1) / max(left.size, 1) * float(np.sum((left - left.mean()) ** 2)))
         alike = [_numbers(o.hypothesis, o.hypothesis.q) for o in equals if candidate.label in _labels(o)]
         away = [change(other[key]) - value for other in alike]
         spread = math.sqrt(float(np.mean(np.square(away)))) if away else 0.0
-        half = settings.widening * _QUANTILE * math.hypot(own, jackknife, spread)
+        half = settings.widening * _QUANTILE * math.hypot(sigma, jackknife, spread)
         low, high = value - half, value + half
         if logarithmic:
             low, high = math.exp(max(low, -50.0)), math.exp(min(high, 50.0))
@@ -107,15 +107,15 @@ def without_meaning(
     rows = iter(parameters)
     owners = [(name, c) for name, form in choice.forms.items() for c in form]
     for name, candidate in [*owners, *(("core", c) for c in choice.core.curve)]:
-        own = [(next(rows), freedom) for freedom in candidate.free]
-        if (name, candidate.effect) not in needed and _may_do_nothing(own, command):
+        numbers = [(next(rows), freedom) for freedom in candidate.free]
+        if (name, candidate.effect) not in needed and _may_do_nothing(numbers, command):
             return name, candidate.effect
     return None
 
 
-def _may_do_nothing(own: Sequence[tuple[ParameterRow, Freedom]], command: Range) -> bool:
+def _may_do_nothing(numbers: Sequence[tuple[ParameterRow, Freedom]], command: Range) -> bool:
     neutral: list[bool] = []
-    for row, freedom in own:
+    for row, freedom in numbers:
         low, high = row.ci90
         if row.owner == "lag":
             none = low < _NEARLY * freedom.lower if row.name.startswith("tau") else False
@@ -148,8 +148,8 @@ def _same(value: float) -> float:
 
 
 def _numbers(hypothesis: Hypothesis, q: Vec) -> dict[tuple[str, str], float]:
-    found = hypothesis.problem.effect_values(q)
-    pairs = zip(hypothesis.problem.effects, found, strict=True)
+    values = hypothesis.problem.effect_values(q)
+    pairs = zip(hypothesis.problem.effects, values, strict=True)
     return {(c.label, name): value for c, values in pairs for name, value in values.items()}
 
 

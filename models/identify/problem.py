@@ -152,11 +152,11 @@ def strongest_line(runs: list[Run], errors: list[Vec], lowest_hz: float, highest
     grid = np.arange(step_hz, highest_hz, step_hz)  # from below `lowest_hz`, where a motion may leak from
     power = np.empty((len(runs), grid.size))
     stop_hz = (grid.size + 1) * step_hz
-    for own, run, error in zip(power, runs, errors, strict=True):
+    for row, run, error in zip(power, runs, errors, strict=True):
         signal = np.zeros(run.counts.size)
         signal[run.counts] = error - error.mean()
         waves = zoom_fft(signal, [step_hz * run.dt_s, stop_hz * run.dt_s], grid.size, fs=1)
-        own[:] = np.abs(waves) ** 2 / error.size
+        row[:] = np.abs(waves) ** 2 / error.size
     seconds = np.array([error.size * run.dt_s for run, error in zip(runs, errors, strict=True)])
     hidden = motions_own(runs, grid)
     hidden |= power.sum(axis=0) < _LEAKS * leaked_power(power, grid, hidden, seconds)
@@ -205,7 +205,9 @@ class Problem:
         owners = [*((c, k) for k, (c, _) in enumerate(leading)), *((c, first + k) for k, (c, _) in enumerate(trailing))]
         self._before = slice(0, states[core])
         self._carried = [(c.carries, states[k]) for c, k in owners if c.carries]
-        kept = {k for name, own in baseline.effects.items() if name not in self._in_core() for k in own.values()}
+        kept = {
+            k for name, indices in baseline.effects.items() if name not in self._in_core() for k in indices.values()
+        }
         kept.update(baseline.held)
         self._active = [k for k in range(baseline.nominal.size) if k not in kept]
         self._z = len(self._active)
@@ -232,19 +234,19 @@ class Problem:
 
     def scaled(self, values: Vec) -> Vec:
         """Unknowns q from values."""
-        own = values[: self._z] / self.baseline.scale[self._active]
+        core = values[: self._z] / self.baseline.scale[self._active]
         effects = [
             v / f.scale if f.scale else np.log(v) for v, (f, _) in zip(values[self._z :], self._freedoms, strict=True)
         ]
-        return np.array([*own, *effects])
+        return np.array([*core, *effects])
 
     def plain(self, q: Vec) -> Vec:
         """Values from unknowns q."""
-        own = q[: self._z] * self.baseline.scale[self._active]
+        core = q[: self._z] * self.baseline.scale[self._active]
         effects = [
             v * f.scale if f.scale else np.exp(v) for v, (f, _) in zip(q[self._z :], self._freedoms, strict=True)
         ]
-        return np.array([*own, *effects])
+        return np.array([*core, *effects])
 
     def retuned(self, q: Vec) -> Vec:
         """The baseline's freedom z (Z,) at unknowns q."""
@@ -260,10 +262,10 @@ class Problem:
     def identified(self, q: Vec) -> dict[str, dict[str, float]]:
         """Parameters by effect and name, those of the core among them."""
         z = self.retuned(q)
-        found = {c.effect: dict(values) for c, values in zip(self.effects, self.effect_values(q), strict=True)}
+        by_effect = {c.effect: dict(values) for c, values in zip(self.effects, self.effect_values(q), strict=True)}
         for name in self._in_core():
-            found[name] = {label: float(z[k]) for label, k in self.baseline.effects[name].items()}
-        return found
+            by_effect[name] = {label: float(z[k]) for label, k in self.baseline.effects[name].items()}
+        return by_effect
 
     def fitted_chain(self, q: Vec) -> Chain:
         """The chain with its numbers."""
@@ -310,8 +312,8 @@ class Problem:
         parts, common = [both[a:b] for a, b in together.spans], []
         if self.terms != NO_TERMS:
             scored = [(run, theta[at][run.scored], both[at][run.scored]) for run, at in together.each()]
-            parts = [self.terms.projected(*own) for own in scored]
-            common = [self.terms.common(*own) for own in scored] if self.terms.apart else []
+            parts = [self.terms.projected(*pair) for pair in scored]
+            common = [self.terms.common(*pair) for pair in scored] if self.terms.apart else []
         parts = [whitened(part, white) for part in parts]
         return sum((part.T @ part for part in parts), np.zeros((q.size + 1, q.size + 1))), common
 
@@ -387,12 +389,12 @@ class Problem:
 
     def _indices(self, name: str, operators: Sequence[int], at: Sequence[int]) -> list[int]:
         """Positions of a parameter of that name among the chain's, of every operator that has it."""
-        found = []
+        positions = []
         for k in operators:
             names = [p.name for p in self.chain.operators[k].parameters]
             if name in names:
-                found.append(at[k] + names.index(name))
-        return found
+                positions.append(at[k] + names.index(name))
+        return positions
 
     def _start(self, together: RunsTogether, p: Vec, seeds: Vec) -> tuple[Vec, Vec]:
         """States (S, N) before the first sample of each run, and their derivatives (S, N, D)."""

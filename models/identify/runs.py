@@ -123,14 +123,14 @@ class RunsTogether:
     @classmethod
     def groups(cls, runs: Sequence[Run]) -> tuple[RunsTogether, ...]:
         """Of all runs, in groups whose derivatives fit in a processor's cache."""
-        found, size = [[runs[0]]], runs[0].command.size
+        groups, size = [[runs[0]]], runs[0].command.size
         for run in runs[1:]:
             size += run.command.size
             if size > _GROUP:
-                found.append([])
+                groups.append([])
                 size = run.command.size
-            found[-1].append(run)
-        return tuple(cls.of(group) for group in found)
+            groups[-1].append(run)
+        return tuple(cls.of(group) for group in groups)
 
     @property
     def dt_s(self) -> float:
@@ -162,12 +162,12 @@ class Before:
     @classmethod
     def each(cls, trials: Sequence[Trial]) -> tuple[Before, ...]:
         """Of every trial, in recording order."""
-        found = [cls()]
+        clocks = [cls()]
         for trial in trials:
-            last = found[-1]
+            last = clocks[-1]
             bent = max(last.bent, float(trial.command.max()))
-            found.append(cls(bent, last.clock_s + trial.duration_s + trial.dt))
-        return tuple(found[:-1])
+            clocks.append(cls(bent, last.clock_s + trial.duration_s + trial.dt))
+        return tuple(clocks[:-1])
 
 
 def runs_of(

@@ -133,10 +133,10 @@ class _Search:
         """
         baseline = self._trials.baseline()
         self._baseline_mse = baseline.mse
-        found = self._searched(baseline, baseline)
+        searched = self._searched(baseline, baseline)
         self._strict = True
-        kept = self._dropped(found)
-        return baseline, found if kept is found else self._searched(kept, baseline)
+        kept = self._dropped(searched)
+        return baseline, searched if kept is searched else self._searched(kept, baseline)
 
     def _searched(self, current: HeldOutErrors, baseline: HeldOutErrors) -> HeldOutErrors:
         """Add, drop, swap, until nothing changes."""
@@ -255,17 +255,21 @@ class _Fits:
         self._added: dict[Hypothesis, list[Hypothesis]] = {}
 
     def baseline(self) -> HeldOutErrors:
-        found = self.judged(self._validation.retuned())
-        self._blocks = float(found.energy.size)
-        return found
+        retuned = self.judged(self._validation.retuned())
+        self._blocks = float(retuned.energy.size)
+        return retuned
 
     def without(self, hypothesis: Hypothesis, effect: str) -> Hypothesis | None:
-        """Fitted anew; where that fits no better than what was tried before, that one, of which more is known."""
-        found = self._validation.without(hypothesis, {effect})
-        tried = self.tried.get(found.effects)
-        if tried is None or not _same_structure(tried.hypothesis.problem, found.problem):
-            return found
-        return tried.hypothesis if found.mse >= (1 - _SAME_FIT) * tried.hypothesis.mse else found
+        """The device without one effect, fitted again.
+
+        A device of the same structure that was tried before is kept unless the new fit is better: its errors on trials
+        left out are already known.
+        """
+        refitted = self._validation.without(hypothesis, {effect})
+        tried = self.tried.get(refitted.effects)
+        if tried is None or not _same_structure(tried.hypothesis.problem, refitted.problem):
+            return refitted
+        return tried.hypothesis if refitted.mse >= (1 - _SAME_FIT) * tried.hypothesis.mse else refitted
 
     def judged(self, hypothesis: Hypothesis) -> HeldOutErrors:
         known = self.tried.get(hypothesis.effects)
@@ -336,8 +340,8 @@ class _Fits:
             errors = [base.problem.error(base.q, run)[0] for run in runs]
             line = strongest_line(runs, errors, settings.lowest_hz, settings.highest_hz)
             if line > 0:
-                own = bool(motions_own(runs, np.array([2 * line]))[0])
-                made.append(replace(terms, frequency_hz=line, harmonics=1 if own else terms.harmonics))
+                is_motion = bool(motions_own(runs, np.array([2 * line]))[0])
+                made.append(replace(terms, frequency_hz=line, harmonics=1 if is_motion else terms.harmonics))
         return made
 
 
@@ -374,8 +378,8 @@ def _favourites(reached: Mapping[Candidate, float], most: int) -> tuple[Candidat
     """The variants of each effect that did best alone: later rounds try no others."""
     kept = []
     for effect in dict.fromkeys(candidate.effect for candidate in reached):
-        own = sorted((c for c in reached if c.effect == effect), key=lambda c: reached[c])
-        kept += own[:most]
+        reached_by_effect = sorted((c for c in reached if c.effect == effect), key=lambda c: reached[c])
+        kept += reached_by_effect[:most]
     return tuple(kept)
 
 
@@ -397,12 +401,12 @@ def _recurs(before: HeldOutErrors, after: HeldOutErrors, new: AbstractSet[str], 
     but for the best one gain as the mean does.
     """
     runs = [before.run == k for k in np.unique(before.run)]
-    falls = np.array([(before.energy - after.energy)[own].sum() for own in runs])
+    falls = np.array([(before.energy - after.energy)[blocks].sum() for blocks in runs])
     least = settings.recurs * float(np.mean(falls))
     if float(np.median(falls)) > least:
         return True
     everywhere = all(
-        fall > settings.everywhere * before.energy[own].sum() for fall, own in zip(falls, runs, strict=True)
+        fall > settings.everywhere * before.energy[blocks].sum() for fall, blocks in zip(falls, runs, strict=True)
     )
     return new == {"trial_shift"} and everywhere and falls.size > 1 and float(np.mean(np.sort(falls)[:-1])) > least
 

@@ -10,8 +10,8 @@ import numpy as np
 
 from hystmpc.trials.types import Index, Mask, Vec
 
-from ..chain_rest import FLAT, nearest_shown
 from ..kernels.chain_kernels import DIRECTIONS, StageKernels
+from ..rest import FLAT, nearest_shown
 
 Stage = tuple[StageKernels, slice, slice]
 """Compiled operator, and where its states and its parameters stand among those of the chain."""
@@ -90,9 +90,9 @@ class Settling:
         """Whole rows; what stands before the core does not depend on the core's angle, and is found once."""
         x, m = np.array(before.state, order="C"), np.array(before.slope, order="C")
         signal, moving = before.signal.copy(), before.by_signal.copy()
-        told = np.zeros_like(moving)
-        told[:, -1] = 1.0
-        self._pass(self.core, x, m, signal, moving, core_angle, told)
+        by_shown = np.zeros_like(moving)
+        by_shown[:, -1] = 1.0
+        self._pass(self.core, x, m, signal, moving, core_angle, by_shown)
         core = signal.copy()
         for k in range(self.core + 1, len(self.stages)):
             self._pass(k, x, m, signal, moving, signal.copy(), moving.copy())
@@ -100,8 +100,8 @@ class Settling:
 
     def _pass(self, k: int, x: Vec, m: Vec, signal: Vec, moving: Vec, seen: Vec, by_seen: Vec) -> None:
         """One operator further: its states at rest at what it sees, and what it hands on, in place of what came."""
-        kernels, states, own = self.stages[k]
-        state, slope, seeds = x[states], m[states], self.seeds[own]
-        kernels.rest(signal, moving, seen, by_seen, self.values[own], kernels.constants[2], seeds, state, slope)
+        kernels, states, columns = self.stages[k]
+        state, slope, seeds = x[states], m[states], self.seeds[columns]
+        kernels.rest(signal, moving, seen, by_seen, self.values[columns], kernels.constants[2], seeds, state, slope)
         room = np.empty((len(state) + len(seeds)) * DIRECTIONS)
         kernels.differentiate(state, slope, signal, moving, seeds, self.kept[k], np.arange(signal.size + 1), room)

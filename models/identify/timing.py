@@ -41,10 +41,10 @@ def timing_rivals(
     """
     names = chosen.effects & TIMING
     values = list(zip(chosen.problem.effects, chosen.problem.effect_values(chosen.q), strict=True))
-    own = [v for c, v in values if c.effect in TIMING and c.free]
-    if len(names) != 1 or len(own) != 1:
+    delays = [v for c, v in values if c.effect in TIMING and c.free]
+    if len(names) != 1 or len(delays) != 1:
         return {}
-    late_s = next(v for name, v in own[0].items() if name.endswith("_s"))
+    late_s = next(v for name, v in delays[0].items() if name.endswith("_s"))
     others = rest or chosen
     values = list(zip(others.problem.effects, others.problem.effect_values(others.q), strict=True))
     kept = [(c, list(v.values())) for c, v in values if c.effect not in TIMING]
@@ -57,14 +57,14 @@ def timing_rivals(
         fitted.setdefault(candidate.effect, []).append((candidate, made))
     best = min((h for forms in fitted.values() for _, h in forms), key=lambda h: h.mse)
     white = whitening([best.problem.error(best.q, run)[0] for run in validation.runs])
-    found = {}
+    hypotheses = {}
     for effect, forms in fitted.items():
         forms = sorted(forms, key=lambda form: form[1].mse)[:_FORMS]
         compared = [(h, InParts(_held_out(validation, h), _quick(validation, h, white), len(c.free))) for c, h in forms]
-        hypothesis, parts = min(compared, key=lambda own: float(own[1].held_out.sum()))
-        quickest = min((own for _, own in compared), key=lambda own: own.expected)
-        found[effect] = hypothesis, InParts(parts.held_out, quickest.quick, quickest.free)
-    return found
+        hypothesis, parts = min(compared, key=lambda pair: float(pair[1].held_out.sum()))
+        quickest = min((pair for _, pair in compared), key=lambda pair: pair.expected)
+        hypotheses[effect] = hypothesis, InParts(parts.held_out, quickest.quick, quickest.free)
+    return hypotheses
 
 
 def _late(candidate: Candidate, late_s: float) -> tuple[float, ...]:
@@ -114,12 +114,12 @@ def by_timing(
         return chosen
     rivals = [tried[made] for name in sorted(TIMING) if (made := names - TIMING | {name}) in tried]
     compared = [(rival, rival.parts) for rival in rivals if rival.parts is not None]
-    best = min(compared, key=lambda own: float(own[1].held_out.sum()))[0]
-    tied = [own for own in compared if timing_errors(own[0], best)[0] <= sure_errors]
-    found, parts = min(tied, key=lambda own: own[1].expected)
-    if found.hypothesis.effects == names or found.energy.sum() < chosen.energy.sum():
-        return found
-    return replace(found, energy=parts.held_out)  # held out whole it was extrapolated
+    best = min(compared, key=lambda pair: float(pair[1].held_out.sum()))[0]
+    tied = [pair for pair in compared if timing_errors(pair[0], best)[0] <= sure_errors]
+    least_work, parts = min(tied, key=lambda pair: pair[1].expected)
+    if least_work.hypothesis.effects == names or least_work.energy.sum() < chosen.energy.sum():
+        return least_work
+    return replace(least_work, energy=parts.held_out)  # held out whole it was extrapolated
 
 
 def timing_errors(before: HeldOutErrors, after: HeldOutErrors) -> tuple[float, float]:

@@ -68,9 +68,9 @@ def uncertainty(problem: Problem, q: Vec, runs: Sequence[Run]) -> Uncertainty:
         spare = len(scores) - free.size
         if spare < 1 or (spare < 2 * free.size and best.any()):
             break
-        found = inverse @ (scores.T @ scores) @ inverse * len(scores) / spare
-        if np.trace(found) > np.trace(best):
-            best, quantile = found, float(stdtrit(spare, 0.95))
+        spread = inverse @ (scores.T @ scores) @ inverse * len(scores) / spare
+        if np.trace(spread) > np.trace(best):
+            best, quantile = spread, float(stdtrit(spare, 0.95))
     covariance = np.zeros((q.size, q.size))
     covariance[free[:, None], free[None, :]] = best
     flat = _flat(problem, quantile * np.sqrt(np.diag(covariance)))
@@ -162,8 +162,8 @@ def parameter_rows(
         runs: what it was fitted on.
         estimated: parameters by effect and name; those that are no unknown of the fit are listed without interval.
     """
-    found = uncertainty(hypothesis.problem, hypothesis.q, runs)
-    rows = [*_baseline_rows(hypothesis, found), *_effect_rows(hypothesis, found)]
+    uncertain = uncertainty(hypothesis.problem, hypothesis.q, runs)
+    rows = [*_baseline_rows(hypothesis, uncertain), *_effect_rows(hypothesis, uncertain)]
     known = {(row.owner, row.name) for row in rows}
     rows += [
         ParameterRow(effect, name, value, UNKNOWN, _neutral(effect, name), unit=_unit_of_name(name))
@@ -184,29 +184,29 @@ def core_rows(hypothesis: Hypothesis, runs: Sequence[Run]) -> tuple[ParameterRow
     problem, q = hypothesis.problem, hypothesis.q
     baseline, z = problem.baseline, problem.retuned(hypothesis.q)
     names = [p.name for p in baseline.chain.core.parameters]
-    held = {*baseline.held, *(k for own in baseline.effects.values() for k in own.values())}
+    held = {*baseline.held, *(k for indices in baseline.effects.values() for k in indices.values())}
     plays = [k for k, name in enumerate(names) if _OF_PLAYS.fullmatch(name) and k not in held]
     if z.size != len(names) or not plays:
         return ()
-    found, rows = uncertainty(problem, q, runs), []
+    uncertain, rows = uncertainty(problem, q, runs), []
     for k in plays:
-        half = found.half_width(_slope(_entry(problem, k), q))
+        half = uncertain.half_width(_slope(_entry(problem, k), q))
         ends, bound = (float(z[k] - half), float(z[k] + half)), half == 0.0
         nominal, unit = float(baseline.nominal[k]), baseline.chain.core.parameters[k].unit
         rows.append(ParameterRow("core", names[k], float(z[k]), UNKNOWN if bound else ends, nominal, bound, unit=unit))
     return tuple(rows)
 
 
-def _effect_rows(hypothesis: Hypothesis, found: Uncertainty) -> Iterator[ParameterRow]:
+def _effect_rows(hypothesis: Hypothesis, uncertain: Uncertainty) -> Iterator[ParameterRow]:
     problem, q = hypothesis.problem, hypothesis.q
     values, z = problem.plain(q), problem.retuned(q)
     k = problem.size - sum(len(c.free) for c in problem.effects)
     for c in problem.effects:
         for freedom in c.free:
-            half = found.half_width(np.eye(q.size)[k])
+            half = uncertain.half_width(np.eye(q.size)[k])
             ends = _ends(values[k], half, freedom.scale, (freedom.lower, freedom.upper))
             neutral = _neutral(c.effect, freedom.name)
-            at_bound, flat = bool(found.at_bound[k]), bool(found.flat[k])
+            at_bound, flat = bool(uncertain.at_bound[k]), bool(uncertain.flat[k])
             yield ParameterRow(
                 c.effect,
                 freedom.name,
@@ -220,16 +220,16 @@ def _effect_rows(hypothesis: Hypothesis, found: Uncertainty) -> Iterator[Paramet
             k += 1
         in_core = {} if c.operators else problem.baseline.effects.get(c.effect, {})
         for name, at in in_core.items():
-            half, value = found.half_width(_slope(_entry(problem, at), q)), float(z[at])
+            half, value = uncertain.half_width(_slope(_entry(problem, at), q)), float(z[at])
             ends, nominal = (value - half, value + half), float(problem.baseline.nominal[at])
             unit = next((p.unit for p in problem.baseline.chain.core.parameters if p.name == name), "1")
             yield ParameterRow(c.effect, name, value, ends, nominal, unit=unit)
 
 
-def _baseline_rows(hypothesis: Hypothesis, found: Uncertainty) -> Iterator[ParameterRow]:
+def _baseline_rows(hypothesis: Hypothesis, uncertain: Uncertainty) -> Iterator[ParameterRow]:
     problem, q = hypothesis.problem, hypothesis.q
     for name, value in problem.baseline.quantities(problem.retuned(q)).items():
-        half = found.half_width(_slope(_quantity(problem, name), q))
+        half = uncertain.half_width(_slope(_quantity(problem, name), q))
         flat = half > _FLAT_RANGE * _reach(problem, name, q)
         yield ParameterRow("baseline", name, value, (value - half, value + half), flat=flat, unit=BASELINE_UNITS[name])
 

@@ -16,12 +16,9 @@ from ..chain import Chain
 from ..contract.metadata import InitialRule, ModelMetadata
 from ..kernels.numba_ import generated_module, njit
 from ..model import Inverse, Predictor
-from ..operators.dynamics import Delay, Lag, RateLimit, Servo, stored
+from ..operators.dynamics import Delay, stored
 from ..operators.operator import Operator
 from ..prediction.compiled import CompiledPredictor
-
-DYNAMICS = (Delay, Lag, Servo, RateLimit)
-"""Operators that are not inverted sample by sample: that would amplify every deviation."""
 
 _MOVE_WEIGHT = 1e-3  # of a squared move of the input against a squared deviation of the output
 _ROUNDS = 3  # linearisations
@@ -123,22 +120,6 @@ class DrivenInverse(Inverse):
 
     def command(self, state: Vec, theta: float, u_last: float) -> float:
         return self.inner.command(self.parts(state).middle, theta, u_last)
-
-
-class Split(NamedTuple):
-    """A chain in three: dynamics on the command, what is inverted, dynamics on the angle."""
-
-    front: tuple[Operator, ...]
-    middle: Chain
-    back: tuple[Operator, ...]
-
-
-def split(chain: Chain) -> Split:
-    """The chain up to its last and from its first dynamic operator, and what lies between."""
-    last = max((k + 1 for k, o in enumerate(chain.before) if isinstance(o, DYNAMICS)), default=0)
-    first = min((k for k, o in enumerate(chain.after) if isinstance(o, DYNAMICS)), default=len(chain.after))
-    middle = Chain(chain.core, chain.before[last:], chain.after[:first])
-    return Split(chain.before[:last], middle, chain.after[first:])
 
 
 @njit(cache=True, error_model="numpy", nogil=True)

@@ -37,27 +37,27 @@ class AutoKind(ModelKind):
 
         history: list[tuple[int, float]] = []
 
-        def told(share: float, rmse: float) -> None:
+        def tell(share: float, rmse: float) -> None:
             history.append((round(_STEPS * share), rmse))
             if progress:
                 progress(*history[-1])
 
-        found = identify_auto(trials, None, request.skip_first_flexure, told)
-        words = f"auto: {found.choice.hypothesis.label} + {found.choice.core.label}"
+        fit = identify_auto(trials, None, request.skip_first_flexure, tell)
+        words = f"auto: {fit.choice.hypothesis.label} + {fit.choice.core.label}"
         simulator = simulator_of(
-            auto_chain(found), trials, request.limits, words, request.seed, request.skip_first_flexure, found.noise
+            auto_chain(fit), trials, request.limits, words, request.seed, request.skip_first_flexure, fit.noise
         )
-        report = _report(found, trials[0].units.angle)
+        report = _report(fit, trials[0].units.angle)
         bundle = simulator_bundle(simulator)
-        return Identified(bundle, simulator, tuple(history), report, found.interrupted, found)
+        return Identified(bundle, simulator, tuple(history), report, fit.interrupted, fit)
 
     def steps(self, request: FitRequest) -> int:
         del request
         return _STEPS
 
 
-def _report(found: AutoFit, unit: str) -> str:
+def _report(fit: AutoFit, unit: str) -> str:
     """One line: what the device consists of, and the error on trials left out."""
-    parts = [c.label for form in found.choice.forms.values() for c in form if c.free]
-    rmse = found.choice.rmse_deg * found.decades.angle
-    return f"{' + '.join([*parts, found.choice.core.label])}; {rmse:.4g} {unit} on trials left out"
+    parts = [c.label for form in fit.choice.forms.values() for c in form if c.free]
+    rmse = fit.choice.rmse_deg * fit.decades.angle
+    return f"{' + '.join([*parts, fit.choice.core.label])}; {rmse:.4g} {unit} on trials left out"

@@ -10,7 +10,7 @@ from hystmpc.trials.errors import FitError, did_you_mean
 from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Vec
 
-from ..chain import Chain
+from ..chain import Chain, split
 from ..connections import connected_bundle
 from ..contract.export import ExportBundle, model_bytes
 from ..contract.metadata import DeviceLimits
@@ -20,7 +20,7 @@ from ..identify.auto_search import AutoSettings
 from ..identify.cross_validation import CrossValidation
 from ..identify.methods import simulator_of
 from ..identify.runs import Blocks, blocks_of, facts_of
-from ..inverse.drive import Drive, split
+from ..inverse.drive import Drive
 from ..model import FitProgress
 from ..simulator import ChainModel, Simulator
 from .auto import AutoKind
@@ -61,19 +61,19 @@ class DrivenKind(ModelKind):
             device, parts = _identified(before), before.parts
         done = 0 if self._device else self._auto.steps(request)
 
-        def told(step: int, rmse: float) -> None:
+        def after_the_drive(step: int, rmse: float) -> None:
             tell(done + step, rmse)
 
         front, _ = _parted(device.at_sample_time(trials[0].dt))
         if front is None:
-            found = self._kind.fit(trials, request, told)
-            return replace(found, parts=parts, report=f"no drive found; {found.report}")
+            fit = self._kind.fit(trials, request, after_the_drive)
+            return replace(fit, parts=parts, report=f"no drive found; {fit.report}")
         drive = Drive(front.chain.operators, front.metadata())
         travels, judges = ([behind(drive, trial) for trial in each] for each in (trials, request.validation))
-        found = self._kind.fit(travels, replace(request, validation=tuple(judges)), told)
-        bundle = _connected(front, "series", found.bundle, trials, request.limits)
+        fit = self._kind.fit(travels, replace(request, validation=tuple(judges)), after_the_drive)
+        bundle = _connected(front, "series", fit.bundle, trials, request.limits)
         words = " + ".join(operator.name for operator in front.chain.operators)
-        return replace(found, bundle=bundle, parts=parts, report=f"behind {words}: {found.report}")
+        return replace(fit, bundle=bundle, parts=parts, report=f"behind {words}: {fit.report}")
 
     def steps(self, request: FitRequest) -> int | None:
         steps = self._kind.steps(request)
@@ -112,32 +112,32 @@ class ResidualKind(ModelKind):
         if len(trials) < 2:  # one to learn from, one to judge on
             raise FitError(f"{self.name}: got {len(trials)} trial, expected 2 or more: the network is judged on one")
         tell = progress or _silent
-        found = self._auto.fit(trials, request, tell)
-        if found.interrupted or found.parts is None:
-            return found
+        fit = self._auto.fit(trials, request, tell)
+        if fit.interrupted or fit.parts is None:
+            return fit
         first = self._auto.steps(request)
         part = replace(request, preset=RESIDUAL, hold_out=0)
         each = self._network.steps(part)
         try:
-            before, after = self._judged(trials, found.parts, part, lambda k, rmse: tell(first + k, rmse))
+            before, after = self._judged(trials, fit.parts, part, lambda k, rmse: tell(first + k, rmse))
         except (KeyboardInterrupt, FitError) as error:  # the device is found; only the network is missing
             why = str(error) or "interrupted"
             stopped = isinstance(error, KeyboardInterrupt)
-            return replace(found, interrupted=stopped, report=f"{found.report}; {self._network.name} not kept: {why}")
+            return replace(fit, interrupted=stopped, report=f"{fit.report}; {self._network.name} not kept: {why}")
         change = f"{before.mse**0.5:.4g} -> {after.mse**0.5:.4g} {trials[0].units.angle} on trials left out"
         if not AutoSettings().worth(before, after):
-            return replace(found, report=f"{found.report}; {self._network.name} not kept: {change}")
-        device = _identified(found)
+            return replace(fit, report=f"{fit.report}; {self._network.name} not kept: {change}")
+        device = _identified(fit)
         rest = self._network.fit(
-            _left(trials, device, found.parts.offsets), part, lambda k, rmse: tell(first + each + k, rmse)
+            _left(trials, device, fit.parts.offsets), part, lambda k, rmse: tell(first + each + k, rmse)
         )
         front, middle = _parted(device)
         bundle = _connected(middle, "parallel", rest.bundle, trials, request.limits)
         if front is not None:
             bundle = _connected(front, "series", bundle, trials, request.limits)
-        history = (*found.history, *((first + each + k, rmse) for k, rmse in rest.history))
-        report = f"{found.report}; with {self._network.name} {change}"
-        return Identified(bundle, None, history, report, rest.interrupted, found.parts)
+        history = (*fit.history, *((first + each + k, rmse) for k, rmse in rest.history))
+        report = f"{fit.report}; with {self._network.name} {change}"
+        return Identified(bundle, None, history, report, rest.interrupted, fit.parts)
 
     def steps(self, request: FitRequest) -> int | None:
         return self._auto.steps(request) + 2 * self._network.steps(replace(request, preset=RESIDUAL))
@@ -154,10 +154,10 @@ class ResidualKind(ModelKind):
         seen = [trial for k, trial in enumerate(trials) if k not in fold]
         chain = parts.decades.log_chain(problem.fitted_chain(judged.fold_q[0]))
         device = simulator_of(chain, seen, request.limits, "without the first fold")
-        found = self._network.fit(_left(seen, device, parts.offsets), request, progress)
-        if found.interrupted:
+        fit = self._network.fit(_left(seen, device, parts.offsets), request, progress)
+        if fit.interrupted:
             raise KeyboardInterrupt
-        network = OnnxModel(model_bytes(found.bundle), self._network.name)
+        network = OnnxModel(model_bytes(fit.bundle), self._network.name)
         unseen, runs = _left([trials[k] for k in fold], device, parts.offsets), tuple(runs[k] for k in fold)
         alone = [trial.angle for trial in unseen]
         both = [_centred(trial.angle - free_run(network, trial.command, 0.0), parts.offsets) for trial in unseen]
@@ -205,16 +205,16 @@ def _connected(
     limits: DeviceLimits,
 ) -> ExportBundle:
     """The bundle of a connection, its ranges those of the recorded trials."""
-    own = rest.metadata
-    rules = own.initial, own.conditioned
+    facts = rest.metadata
+    rules = facts.initial, facts.conditioned
     return connected_bundle(
-        operators, way, rest, facts_of(own.kind, trials, limits, rules, own.warmup_samples, own.training)
+        operators, way, rest, facts_of(facts.kind, trials, limits, rules, facts.warmup_samples, facts.training)
     )
 
 
-def _identified(found: Identified) -> Simulator:
-    assert found.simulator is not None  # `auto` is a kind of operators
-    return found.simulator
+def _identified(fit: Identified) -> Simulator:
+    assert fit.simulator is not None  # `auto` is a kind of operators
+    return fit.simulator
 
 
 def _silent(done: int, rmse: float) -> None:

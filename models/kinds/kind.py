@@ -48,7 +48,7 @@ class FitRequest:
 
 @dataclass(frozen=True, eq=False)
 class Identified:
-    """What an identification found.
+    """The result of an identification.
 
     Attributes:
         bundle: graph, facts and reference, ready for `export_onnx`; `OnnxModel` runs it.

@@ -123,17 +123,17 @@ class NetworkKind(ModelKind):
 
         self.check(trials, request)
         settings = self.training(request)
-        found = fit_network(trials, settings, progress, request.validation)
-        judges = ", ".join(Path(source).name for source in found.held_out) or "the training trials"
+        fit = fit_network(trials, settings, progress, request.validation)
+        judges = ", ".join(Path(source).name for source in fit.held_out) or "the training trials"
         report = (
-            f"weights of step {found.best_step} of {settings.steps}, judged by {judges} "
-            f"({found.validation_rmse_deg:.4g} {trials[0].units.angle})"
+            f"weights of step {fit.best_step} of {settings.steps}, judged by {judges} "
+            f"({fit.validation_rmse_deg:.4g} {trials[0].units.angle})"
         )
-        history = tuple((look.step, look.validation_rmse_deg) for look in found.history)
-        bundle = network_bundle(found, trials, request.limits)
-        unseen = request.validation or [trial for trial in trials if trial.source in found.held_out]
+        history = tuple((look.step, look.validation_rmse_deg) for look in fit.history)
+        bundle = network_bundle(fit, trials, request.limits)
+        unseen = request.validation or [trial for trial in trials if trial.source in fit.held_out]
         bundle = with_noise(bundle, unseen or trials, 0 if unseen else bundle.metadata.state_size)
-        return Identified(bundle, None, history, report, found.interrupted)
+        return Identified(bundle, None, history, report, fit.interrupted)
 
     def steps(self, request: FitRequest) -> int:
         return self.training(request).steps

@@ -41,15 +41,13 @@ class PlayKernelKind(ModelKind):
         self.check(trials, request)
         settings = PLAY_KERNEL_PRESETS[request.preset]
         history, show = recorded(progress)
-        found = fit_play_kernel(trials, settings, request.skip_first_flexure, show)
+        fit = fit_play_kernel(trials, settings, request.skip_first_flexure, show)
         unit = trials[0].units.angle
-        report = f"lag {found.choice.lag_s:g} s, {found.rmse:.4g} {unit} on the training trials"
-        if found.judged:
-            report += f", {found.judged[found.choice]:.4g} {unit} offset-free on trials left out"
-        bundle = with_noise(
-            play_kernel_bundle(found, trials, settings, request.limits), trials, found.weights.state_size
-        )
-        return Identified(bundle, None, tuple(history), report, found.interrupted)
+        report = f"lag {fit.choice.lag_s:g} s, {fit.rmse:.4g} {unit} on the training trials"
+        if fit.judged:
+            report += f", {fit.judged[fit.choice]:.4g} {unit} offset-free on trials left out"
+        bundle = with_noise(play_kernel_bundle(fit, trials, settings, request.limits), trials, fit.weights.state_size)
+        return Identified(bundle, None, tuple(history), report, fit.interrupted)
 
     def estimate(self, trials: Sequence[Trial], request: FitRequest) -> float | None:
         from ..play_kernel.fit import PLAY_KERNEL_PRESETS, play_kernel_seconds

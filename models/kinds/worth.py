@@ -35,32 +35,32 @@ def identified(
             what the check of the trials says.
     """
     try:
-        found = kind.fit(trials, request, progress)
+        identification = kind.fit(trials, request, progress)
     except FitError as error:
         for trial in trials:
             if (shift := clock_shift(trial.t, trial.command, trial.angle)) is not None and not trial.inverted:
                 raise FitError(f"{trial.source}: {shift_said(shift)}") from error
         raise
-    if found.interrupted or request.steps is not None:
-        return found
-    model, line = _errors(_opened(found, kind.name), trials, request.skip_first_flexure)
+    if identification.interrupted or request.steps is not None:
+        return identification
+    model, line = _errors(_opened(identification, kind.name), trials, request.skip_first_flexure)
     if model > _SLACK * line + _ROUNDING * _span(trials):
         unit = trials[0].units.angle
         raise FitError(
             f"{kind.name}: errs by {model:.3g} {unit} over these trials, a straight line by {line:.3g} {unit}: "
             f"no model of them, and none is kept; {_why(trials)}"
         )
-    return found
+    return identification
 
 
-def _opened(found: Identified, name: str) -> LoadedModel:
-    if found.simulator is not None:
+def _opened(identification: Identified, name: str) -> LoadedModel:
+    if identification.simulator is not None:
         from ..simulator import ChainModel
 
-        return ChainModel(found.simulator)
+        return ChainModel(identification.simulator)
     from ..contract.load import OnnxModel
 
-    return OnnxModel(model_bytes(found.bundle), name)
+    return OnnxModel(model_bytes(identification.bundle), name)
 
 
 def _errors(model: LoadedModel, trials: Sequence[Trial], skip_first_flexure: bool) -> tuple[float, float]:

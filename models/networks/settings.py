@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, get_args
 import numpy as np
 from pydantic import BeforeValidator, Field, SerializeAsAny
 
-from hystmpc.trials.config import Settings
+from hystmpc.trials.config import Count, NotNegativeInt, Positive, Settings
 
 if TYPE_CHECKING:
     from ..operators.operator import Operator
@@ -21,8 +21,6 @@ if TYPE_CHECKING:
     from .recurrent_ import LstmNet
 
 _SPAN = 2.0  # of inputs scaled to [-1, 1]
-Positive = Annotated[float, Field(gt=0)]
-Count = Annotated[int, Field(ge=1)]
 
 
 @dataclass(frozen=True)
@@ -90,7 +88,7 @@ class CellSettings(FormSettings):
 
     hidden: Annotated[int, Field(ge=2)] = 64
     layers: Count = 2
-    memory_samples: Annotated[int, Field(ge=0)] = 300
+    memory_samples: NotNegativeInt = 300
     command_gain: Positive = 4.0
 
     def lstm(self, outputs: int = 1) -> LstmNet:
@@ -131,7 +129,7 @@ class GatedSettings(FormSettings):
 
     form: Literal["gated"] = "gated"
     hidden: Annotated[int, Field(ge=2)] = 24
-    plays: Annotated[int, Field(ge=0)] = 8
+    plays: NotNegativeInt = 8
     reach: Annotated[float, Field(gt=0, le=1)] = 0.45
     inverse_finest: Annotated[float, Field(gt=0, le=1)] = 3e-3
     path: Positive | None = 0.025

@@ -28,11 +28,10 @@ def operator_from(spec: Any, where: str) -> Operator:
     """
     if not isinstance(spec, dict) or "operator" not in spec:
         raise ModelError(f"{where}: got {spec!r}, expected a mapping with the key 'operator'")
-    kinds = operators()
     name = str(spec["operator"])
-    if name not in kinds:
-        raise ModelError(f"{where}: no operator {name!r}, {did_you_mean(name, kinds)}")
-    kind = kinds[name]
+    kind = shipped_operators().get(name) or own_operators().get(name)
+    if kind is None:
+        raise ModelError(f"{where}: no operator {name!r}, {did_you_mean(name, operators())}")
     for key in spec:
         if key not in ("operator", "parameters", *kind.shape):
             raise ModelError(f"{where}: unknown key {key!r}, {did_you_mean(key, ['parameters', *kind.shape])}")

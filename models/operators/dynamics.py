@@ -220,8 +220,3 @@ class Delay(Operator):
 def stored(operators: Sequence[Operator], dt_s: float) -> tuple[Operator, ...]:
     """The operators, delays with just the store that they need at sample time `dt_s` [s]."""
     return tuple(operator.resampled(dt_s, dt_s) for operator in operators)
-
-
-def with_room(operators: Sequence[Operator], dt_s: float) -> tuple[Operator, ...]:
-    """The operators, delays whose store is too short at sample time `dt_s` [s] with one that is long enough."""
-    return tuple(o.resampled(dt_s, dt_s) if isinstance(o, Delay) and not o.holds(dt_s) else o for o in operators)

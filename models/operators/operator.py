@@ -169,7 +169,7 @@ def check_values(operator: Operator) -> None:
 
 
 def _has_a_size(unit: str) -> bool:
-    """Whether a number of this unit is larger in smaller units of a signal: one in deg/deg is not."""
+    """Whether a parameter of this unit changes its value when the unit of a signal changes; one in deg/deg does not."""
     above, _, below = unit.partition("/")
     return above != below and _OF_A_SIGNAL.search(unit) is not None
 

@@ -84,11 +84,11 @@ class Oscillator(Operator):
 
 def _backward_differences(u: Symbol, past: Symbol, order: int) -> list[Symbol]:
     """Newton's backward differences of orders 0 to `order` at the newest sample."""
-    row, found = [u, *(past[j] for j in range(order))], [u]
+    row, delayed = [u, *(past[j] for j in range(order))], [u]
     for _ in range(order):
         row = [a - b for a, b in itertools.pairwise(row)]
-        found.append(row[0])
-    return found
+        delayed.append(row[0])
+    return delayed
 
 
 def _between(differences: list[Symbol], s: float) -> Symbol:

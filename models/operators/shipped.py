@@ -17,7 +17,7 @@ from .operator import Operator
 def shipped_operators() -> Mapping[str, type[Operator]]:
     """Operators by name: the concrete subclasses of `Operator` in the modules of this package."""
     package, folder = __name__.rpartition(".")[0], str(Path(__file__).parent)
-    modules = [importlib.import_module(f"{package}.{found.name}") for found in pkgutil.iter_modules([folder])]
-    found = [kind for module in modules for kind in vars(module).values() if inspect.isclass(kind)]
-    kinds = [kind for kind in found if issubclass(kind, Operator) and not inspect.isabstract(kind)]
+    modules = [importlib.import_module(f"{package}.{module.name}") for module in pkgutil.iter_modules([folder])]
+    module = [kind for module in modules for kind in vars(module).values() if inspect.isclass(kind)]
+    kinds = [kind for kind in module if issubclass(kind, Operator) and not inspect.isabstract(kind)]
     return MappingProxyType({kind.name: kind for kind in kinds})

@@ -176,10 +176,10 @@ class Deadband(Memoryless):
             ModelError: if a slope or gap of it is out of bounds.
         """
         values = self.values
-        found = pieces_of(self.slope, values[1:-2], self.below, self.above).inverse()
-        slopes = [tuple(s for s, _ in side) for side in (found.below, found.above)]
-        gaps = [tuple(g for _, g in side) for side in (found.below, found.above)]
-        return Deadband(found.slope, slopes[0], slopes[1], gaps[0], gaps[1], self.offset, self.centre)
+        inverse = pieces_of(self.slope, values[1:-2], self.below, self.above).inverse()
+        slopes = [tuple(s for s, _ in side) for side in (inverse.below, inverse.above)]
+        gaps = [tuple(g for _, g in side) for side in (inverse.below, inverse.above)]
+        return Deadband(inverse.slope, slopes[0], slopes[1], gaps[0], gaps[1], self.offset, self.centre)
 
 
 def freeze_bands(operator: Operator) -> None:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 from scipy.optimize import nnls
 
-from hystmpc.trials.config import Settings
+from hystmpc.trials.config import Count, NotNegative, Positive, Settings
 from hystmpc.trials.errors import FitError
 from hystmpc.trials.segments import first_flexure_end
 from hystmpc.trials.trial import Trial
@@ -29,10 +29,6 @@ from ..model import FitProgress
 from ..motions import initialisation_flexure, probe_commands
 from .predictor import follow_plays
 from .weights import PlayKernelStep, PlayKernelWeights, play_kernel_graph, ramps
-
-Positive = Annotated[float, Field(gt=0)]
-NotNegative = Annotated[float, Field(ge=0)]
-Count = Annotated[int, Field(ge=1)]
 
 
 class PlayKernelSettings(Settings):
@@ -364,10 +360,10 @@ def _solve(rows: Sequence[Moments], choice: Choice, frame: Frame, settings: Play
     gram, right = both.T @ gram @ both, both.T @ right
     factor = np.linalg.cholesky(gram + _JITTER * np.trace(gram) * np.eye(len(gram)))
     try:
-        found, _ = nnls(factor.T, np.linalg.solve(factor, right), maxiter=50 * len(gram))
+        weights, _ = nnls(factor.T, np.linalg.solve(factor, right), maxiter=50 * len(gram))
     except RuntimeError as error:
         raise FitError(f"play kernel: non-negative least squares of {len(gram)} unknowns: {error}") from None
-    return found[:count] + settings.least_slope, float(found[count] - found[count + free])
+    return weights[:count] + settings.least_slope, float(weights[count] - weights[count + free])
 
 
 def _roughness(frame: Frame) -> NDArray[Any]:

@@ -4,22 +4,26 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Self
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 from hystmpc.trials.errors import ModelError
 
+from ..chain import split
 from ..connections import operators_of, rest_of
 from ..contract.metadata import ModelMetadata
-from ..inverse.drive import Drive, DrivenInverse, split
+from ..inverse.drive import Drive, DrivenInverse
 from ..inverse.one_step import (
     AccompaniedPredictor,
     CompanionInverse,
     MappedPredictor,
     TrainedInverse,
     check_inverse_map,
+    steady_inverse,
 )
-from ..inverse.steady import steady_inverse
+from ..load import load_model
 from ..model import Inverse, InvertiblePredictor, LoadedModel, Predictor
+from ..operators.dynamics import Lag
 from ..operators.operator import Operator
 from ..simulator import ChainModel, Simulator, simulator_for
 from .compiled import CompiledPredictor
@@ -90,74 +94,108 @@ Pair = tuple[Predictor, Inverse]
 
 
 @dataclass(frozen=True, eq=False)
-class Known:
-    """Predictors with inverses of the same memory.
+class ControllerModel:
+    """A model as controllers use it: predictors, each with an inverse of the same memory.
 
     Attributes:
+        facts: of the model.
         predictive: of predictive controllers.
         feedforward: of controllers that only invert: the same for a model that has an inverse and for an inverse map,
             else the operator that stands in for it. Corrected by the network at every sample, as predictive controllers
             want it for their first guess, that inverse would go back and forth across the dead band.
     """
 
+    facts: ModelMetadata
     predictive: Pair
     feedforward: Pair
 
-    @classmethod
-    def one(cls, predictor: Predictor, inverse: Inverse) -> Self:
-        """One pair for all controllers."""
-        return cls((predictor, inverse), (predictor, inverse))
-
-    def behind(self, operators: Sequence[Operator], facts: ModelMetadata) -> Known:
-        """The same behind a drive of operators in series; `facts` are those of the model."""
+    def behind(self, operators: Sequence[Operator], facts: ModelMetadata) -> ControllerModel:
+        """The same behind a drive of operators in series; `facts` are those of the whole."""
         drive = Drive(operators, facts)
 
         def driven(predictor: Predictor, inverse: Inverse) -> Pair:
             return SeriesPredictor(drive, predictor), DrivenInverse(inverse, predictor, drive)
 
-        return Known(driven(*self.predictive), driven(*self.feedforward))
+        return ControllerModel(facts, driven(*self.predictive), driven(*self.feedforward))
 
 
-def known_pairs(model: LoadedModel, companion: Simulator | LoadedModel | None = None) -> Known:
-    """Predictors and inverses of a model.
+def controller_model(
+    model: LoadedModel | Path | str,
+    inverse: Simulator | LoadedModel | Path | str | None = None,
+    actuator_lag_s: float = 0.0,
+) -> ControllerModel:
+    """Predictors and inverses of a model: the one place that decides them.
 
     A compiled model is inverted exactly, and lags and delays of a chain or of a drive over a preview (`DrivenInverse`).
     Any other gets a companion whose inverse is asked instead: the given simulator, the operators that are connected in
     parallel, or a backlash fitted to the model's own free run. A model given instead has to be an inverse map, which
     runs beside the model and is asked itself.
 
+    Args:
+        model: a file, or opened with the start "conditioned".
+        inverse: what is inverted in the model's place, or an inverse map; a simulator's file is run at the model's
+            sample time.
+        actuator_lag_s: first-order lag of the command that the model does not contain [s]; 0 for none.
+
     Raises:
+        ModelError: if a file cannot be used, the model's output is not in deg, or an inverse map is a forward model or
+            of another unit or sample time.
         FitError: if no companion is given and none can be fitted.
-        ModelError: if the inverse map is a forward model, or of another unit or sample time.
     """
-    connection = next(iter(model.metadata.connections), None)
+    opened = model if isinstance(model, LoadedModel) else load_model(model, "conditioned")
+    facts = opened.metadata
+    if facts.angle_unit != "deg" and not facts.inverted:
+        raise ModelError(
+            f"the model maps {facts.command_unit} to {facts.angle_unit}, expected an output in deg: a tip is "
+            "steered by its angle"
+        )
+    companion = _companion_in(inverse, facts.dt_s) if isinstance(inverse, Path | str) else inverse
+    pairs = _pairs(opened, companion)
+    return pairs.behind((Lag(actuator_lag_s),), facts) if actuator_lag_s else pairs
+
+
+def _companion_in(file: Path | str, dt_s: float) -> Simulator | LoadedModel:
+    """A simulator to invert, or an inverse map."""
+    given = load_model(file)
+    if not isinstance(given, ChainModel):
+        return given
+    simulator = given.simulator.at_sample_time(dt_s)
+    return ChainModel(simulator) if given.metadata.inverted else simulator
+
+
+def _pairs(model: LoadedModel, companion: Simulator | LoadedModel | None) -> ControllerModel:
+    """Predictors and inverses without a lag of the actuator."""
+    facts = model.metadata
+    connection = next(iter(facts.connections), None)
     if connection is not None and connection.way == "series" and companion is None:
-        return known_pairs(rest_of(model)).behind(operators_of(model.metadata).operators, model.metadata)
+        return _pairs(rest_of(model), None).behind(operators_of(facts).operators, facts)
     predictor = predictor_for(model)
-    low, high = _inverse_range(model.metadata)
+    low, high = facts.command_limits.lower, facts.command_limits.upper  # among which an inverse searches
     if isinstance(companion, LoadedModel):
-        check_inverse_map(companion.metadata, model.metadata)
+        check_inverse_map(companion.metadata, facts)
         mapped = MappedPredictor(predictor, companion)
-        return Known.one(mapped, TrainedInverse(mapped, low, high))
-    if isinstance(model, ChainModel) and companion is None:
-        return Known.one(predictor, inverse_of_chain(model.simulator))
-    if isinstance(predictor, InvertiblePredictor) and companion is None:
-        return Known.one(predictor, steady_inverse(predictor, low, high))
-    if companion is None and connection is not None:
-        companion = _operators_of(model.metadata)
-    if companion is None:
-        from ..inverse.surrogate_backlash import surrogate_backlash  # an identification, with all that it needs
-
-        companion = surrogate_backlash(model)
-    beside = CompiledPredictor.of_simulator(companion)
-    both = AccompaniedPredictor(predictor, beside)
-    alone = known_pairs(ChainModel(companion, "conditioned")).feedforward
-    return Known((both, CompanionInverse(both, steady_inverse(beside, low, high))), alone)
+        pair: Pair = mapped, TrainedInverse(mapped, low, high)
+    elif isinstance(model, ChainModel) and companion is None:
+        pair = predictor, inverse_of_chain(model.simulator)
+    elif isinstance(predictor, InvertiblePredictor) and companion is None:
+        pair = predictor, steady_inverse(predictor, low, high)
+    else:
+        if companion is None:
+            companion = _companion_of(model)
+        side = CompiledPredictor.of_simulator(companion)
+        both = AccompaniedPredictor(predictor, side)
+        alone = _pairs(ChainModel(companion, "conditioned"), None).feedforward
+        return ControllerModel(facts, (both, CompanionInverse(both, steady_inverse(side, low, high))), alone)
+    return ControllerModel(facts, pair, pair)
 
 
-def predictor_and_inverse(model: LoadedModel, companion: Simulator | LoadedModel | None = None) -> Pair:
-    """Predictor and inverse that share one memory, as predictive controllers take them; see `known_pairs`."""
-    return known_pairs(model, companion).predictive
+def _companion_of(model: LoadedModel) -> Simulator:
+    """The operators that are connected in parallel, or a backlash fitted to the model's free run."""
+    if model.metadata.connections:
+        return _operators_of(model.metadata)
+    from ..inverse.surrogate_backlash import surrogate_backlash  # an identification, with all that it needs
+
+    return surrogate_backlash(model)
 
 
 def inverse_of_chain(simulator: Simulator) -> Inverse:
@@ -169,8 +207,3 @@ def inverse_of_chain(simulator: Simulator) -> Inverse:
         return inverse
     drives = [Drive(side, simulator.metadata()) if side else None for side in (front, back)]
     return DrivenInverse(inverse, inner, *drives)
-
-
-def _inverse_range(facts: ModelMetadata) -> tuple[float, float]:
-    """Commands among which the inverse searches: what the device may be sent."""
-    return facts.command_limits.lower, facts.command_limits.upper

@@ -6,14 +6,9 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from hystmpc.trials.config import Settings
+from hystmpc.trials.config import Count, NotNegative, NotNegativeInt, Positive, Settings, Share
 
 from ..networks.settings import NetworkForm, RecurrentSettings
-
-Positive = Annotated[float, Field(gt=0)]
-Count = Annotated[int, Field(ge=1)]
-Share = Annotated[float, Field(ge=0, le=1)]
-Weight = Annotated[float, Field(ge=0)]
 
 
 class ScalingSettings(Settings):
@@ -67,10 +62,10 @@ class WindowTraining(Settings):
     length: Count = 50
     batch: Count = 16
     epochs: Count = 100
-    keep_after: Annotated[int, Field(ge=0)] = 0
+    keep_after: NotNegativeInt = 0
     windows_per_epoch: Count | None = None
-    padding_samples: Annotated[int, Field(ge=0)] = 0
-    constancy_weight: Weight = 0.0
+    padding_samples: NotNegativeInt = 0
+    constancy_weight: NotNegative = 0.0
 
     @model_validator(mode="after")
     def _long_enough(self) -> Self:
@@ -133,10 +128,10 @@ class StreamTraining(Settings):
     rounds_between_checks: Count = 10
     copies: Count = 2
     time_scaling: Annotated[float, Field(ge=0, le=0.5)] = 0.2
-    longest_pause: Annotated[int, Field(ge=0)] = 250
+    longest_pause: NotNegativeInt = 250
     clip_norm: Positive = 1.0
     averaging: Annotated[float, Field(ge=0, lt=1)] = 0.98
-    constancy_weight: Weight = 0.0
+    constancy_weight: NotNegative = 0.0
     teacher: TeacherSettings | None = TeacherSettings()
 
 
@@ -165,9 +160,9 @@ class NetworkSettings(Settings):
     network: NetworkForm = RecurrentSettings()
     scaling: ScalingSettings | None = None
     rest: RestSettings | None = None
-    warmup_samples: Annotated[int, Field(ge=0)] = 25
+    warmup_samples: NotNegativeInt = 25
     first_flexure_weight: Share = 1.0
-    validation_trials: Annotated[int, Field(ge=0)] = 0
+    validation_trials: NotNegativeInt = 0
     learning_rate: Positive = 3e-3
     seed: int = 1
     threads: Count = 1

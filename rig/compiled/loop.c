@@ -44,7 +44,7 @@ typedef struct {
 typedef struct {
     int64_t deadline_ns, woke_ns, boot_ns, checked_ns, sent_boot_ns, sent_ns, done_ns, wall_ns, step_ns;
     double wanted, u; /* the controller's command, and the one within the limits */
-    double angle_deg, predicted_deg, departure_deg, model_deg, due_deg, distrust;
+    double angle_deg, predicted_deg, departure_deg, model_deg, due_deg, forecast_error;
     int32_t source, status, missing, stalled, level, failures;
     int32_t sent;    /* whether the command has left */
     int32_t skipped; /* whole samples that had passed before it */
@@ -304,13 +304,13 @@ static void step(hystmpc_loop *l, hystmpc_controller *c, double angle, hystmpc_s
     s->stalled = c->estimate.stalled;
     s->failures = c->failures;
     s->model_deg = c->estimate.angles[0];
-    s->distrust = 0.0;
+    s->forecast_error = 0.0;
     s->level = 0;
 #if HYSTMPC_LEARNS
     s->model_deg -= c->learning.added[0];
-    s->distrust = c->learning.distrust;
+    s->forecast_error = c->learning.forecast_error;
 #endif
-#if HYSTMPC_HANDS_OVER
+#if HYSTMPC_SUPERVISED
     s->level = c->feedback.level;
 #endif
     l->departures = fabs(answer.departure_deg) >= l->departure_bound ? l->departures + 1 : 0;

@@ -1,4 +1,4 @@
-"""report.html of a recording: what was sent and measured, how punctual the loop was, what went wrong."""
+"""report.html of a recording: commands and angles, timing of the loop, faults."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from hystmpc.trials.figure_data import draw_long
+from hystmpc.trials.figures import TrackedLine, TrackedMotion, tracking_figure
 from hystmpc.trials.layouts import CANONICAL
-from hystmpc.trials.report import Heading, KeyValues, Paragraph, Piece, Plot, Report, Table, style
+from hystmpc.trials.report import MEASURED, Heading, KeyValues, Paragraph, Piece, Plot, Report, Table, style
 from hystmpc.trials.run_folder import Column, RunFolder
 from hystmpc.trials.types import Vec
 
@@ -32,26 +32,16 @@ def write_report(run: RunFolder, dropped: int = 0, problem: str = "") -> Path:
     t, reference, angle, sent = (numbers(log, name) for name in ("time_s", "reference_deg", "angle_deg", command))
     pieces: list[Piece] = [Paragraph(f"Recording ended early: {problem}")] if problem else []
     pieces += [Heading("Run"), KeyValues(_figures(log, dropped)), Heading("Angle and command")]
-    pieces.append(Plot(tracking_figure(t, reference, angle, sent, CANONICAL.command[command]), "Over time.", True))
+    pieces.append(Plot(tracked(t, reference, angle, sent, CANONICAL.command[command]), "Over time.", True))
     pieces += [Heading("Timing"), timing_table(log, ("period_s", "lateness_s"))]
     pieces += [Plot(_histograms(log), "Time between samples, and lateness behind the deadline."), *causes(log)]
     return run.write_report(Report("Recording at the bench", tuple(pieces), str(run.path.name)))
 
 
-def tracking_figure(t: Vec, reference: Vec, angle: Vec, command: Vec, unit: str) -> Figure:
+def tracked(t: Vec, reference: Vec, angle: Vec, command: Vec, unit: str) -> Figure:
     """Reference and measured angle [deg] above, command [unit] below, over time [s]; (N,) each."""
-    with style():
-        figure = Figure(figsize=(8, 4.5), layout="constrained")
-        top, bottom = figure.subplots(2, sharex=True, height_ratios=(2, 1))
-        draw_long(top, t, angle, label="measured", color="C0")
-        if np.isfinite(reference).any():
-            draw_long(top, t, reference, label="reference", color="0.2", linestyle="--", linewidth=1)
-        top.set_ylabel("angle [deg]")
-        top.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2, borderaxespad=0.2)
-        draw_long(bottom, t, command, color="C1")
-        bottom.set_ylabel(f"command [{unit}]")
-        bottom.set_xlabel("time [s]")
-    return figure
+    line = TrackedLine(t, angle, command, {"color": MEASURED, "label": "measured"})
+    return tracking_figure([TrackedMotion(t, reference, [line])], f"command [{unit}]")
 
 
 def timing_table(log: Log, more: tuple[str, ...] = ()) -> Table:
@@ -67,7 +57,7 @@ def timing_table(log: Log, more: tuple[str, ...] = ()) -> Table:
 
 
 def causes(log: Log) -> Iterator[Piece]:
-    """A table of samples by what gave the command, and by what went wrong."""
+    """Table of samples by source of the command and by fault."""
     sources = Counter(str(cell) for cell in log["source"])
     faults = Counter(word for cell in log.get("faults", ()) for word in str(cell).split() if word != "-")
     rows: list[tuple[object, ...]] = [("source", name, n) for name, n in sources.most_common()]
@@ -85,11 +75,11 @@ def _figures(log: Log, dropped: int) -> dict[str, object]:
     t, angle = numbers(log, "time_s"), numbers(log, "angle_deg")
     error = numbers(log, "reference_deg")[:-1] - angle[1:]  # wanted for the end of a sample, measured at the next one
     known = error[np.isfinite(error)]
-    found: dict[str, object] = {"samples": t.size, "duration [s]": float(t[-1] - t[0])}
+    figures: dict[str, object] = {"samples": t.size, "duration [s]": float(t[-1] - t[0])}
     if known.size:
-        found["RMS tracking error [deg]"] = float(np.sqrt(np.mean(known**2)))
-        found["greatest error [deg]"] = float(np.abs(known).max())
-    return found | {
+        figures["RMS tracking error [deg]"] = float(np.sqrt(np.mean(known**2)))
+        figures["greatest error [deg]"] = float(np.abs(known).max())
+    return figures | {
         "samples without an angle": int(np.count_nonzero(~np.isfinite(angle))),
         "deadlines missed": int(np.nansum(numbers(log, "missed"))),
         "samples not in the log": dropped,

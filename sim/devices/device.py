@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import dataclass, field, fields
 from typing import Any, Protocol
 
 import numpy as np
@@ -74,14 +73,3 @@ class Quantities:
                         f"{type(self).__name__}.{f.name}: got {value} {f.metadata['unit']}, "
                         f"expected {lower:g} to {upper:g} {f.metadata['unit']}"
                     )
-
-
-def to_plain(block: Any) -> dict[str, Any]:
-    """A (nested) dataclass as plain data for YAML: numbers, texts, lists and mappings."""
-    return {name: _plain(value) for name, value in asdict(block).items()}
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, Mapping):
-        return {key: _plain(inner) for key, inner in value.items()}
-    return [_plain(inner) for inner in value] if isinstance(value, tuple | list) else value

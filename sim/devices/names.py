@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import asdict, dataclass, fields, replace
 from typing import Any
 
 from hystmpc.trials.errors import ConfigError, did_you_mean
+from hystmpc.trials.json_text import plain
 
-from .device import Device, to_plain
+from .device import Device
 from .muscle import MuscleCatheter, MuscleParameters
 from .rod import RodCatheter, RodParameters
 from .tendon import TendonCatheter, TendonParameters
@@ -105,7 +106,7 @@ def plain_parameters(name: str, parameters: Mapping[str, float], factors: Mappin
     Raises:
         DeviceError: as `device_parameters`.
     """
-    return to_plain(device_parameters(name, parameters, factors))
+    return dict(plain(asdict(device_parameters(name, parameters, factors))))
 
 
 def _check_bounds(where: str, value: float, metadata: Mapping[str, Any], at: tuple[str, ...]) -> None:

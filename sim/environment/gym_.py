@@ -13,8 +13,8 @@ import numpy as np
 from gymnasium.spaces import Box
 from numpy.typing import NDArray
 
-from hystmpc.ctrl.frames import AnySensorSettings, ContinuousSensorSettings, Imaging, ImagingSettings, NoSensorSettings
-from hystmpc.ctrl.limits import CommandLimits
+from hystmpc.ctrl.command import CommandLimits
+from hystmpc.ctrl.loop import AnySensorSettings, ContinuousSensorSettings, Imaging, ImagingSettings, NoSensorSettings
 from hystmpc.trajectories import PreviewTable, Trajectory
 from hystmpc.trials.errors import ConfigError, did_you_mean
 

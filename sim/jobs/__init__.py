@@ -1,5 +1,4 @@
-"""Resumable plans of jobs, done in this process, in a pool of processes or on a Dask cluster.
+"""Many jobs in this process, in a pool of processes or on a Dask cluster.
 
-`runner` keeps what is finished, does the rest and chooses the back end; `backend.Backend` is where jobs are done: a
-worker that dies is replaced and its job made again.
+`runner.run_jobs` does them, `runner.backend_for` chooses where. A worker that dies is replaced, its job is done again.
 """

@@ -34,7 +34,7 @@ class Sensing:
 
 
 class ComputedPlant(ABC):
-    """A `ctrl.protocols.Plant` that is computed; its state is hidden, as that of hardware is.
+    """A `ctrl.loop.Plant` that is computed; its state is hidden, as that of hardware is.
 
     A reset always finds the same device: rest, random numbers and noise begin anew. A subclass says where the rest is
     and what a sample does; its state is replaced from sample to sample and never altered, so that copies may share it.

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 from pathlib import Path
 
 from hystmpc.models.contract.metadata import Range
 from hystmpc.models.load import model_path
 from hystmpc.models.simulator import load_simulator
-from hystmpc.trials.errors import ConfigError
+from hystmpc.trials.json_text import file_hash, json_hash
 
 from ..config import PlantSettings
 from ..devices.names import DEVICES, named_device, plain_parameters
@@ -59,19 +57,7 @@ def plant_hash(settings: PlantSettings) -> str:
     if settings.device is None:
         return file_hash(_file(settings))
     numbers = plain_parameters(settings.device, settings.parameters, settings.mismatch)
-    return hashlib.sha256(json.dumps([settings.device, numbers], sort_keys=True).encode()).hexdigest()
-
-
-def file_hash(path: Path) -> str:
-    """SHA-256 of a model file.
-
-    Raises:
-        ConfigError: if it cannot be read.
-    """
-    try:
-        return hashlib.sha256(path.read_bytes()).hexdigest()
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be read ({error.strerror}), expected a model file") from None
+    return json_hash([settings.device, numbers])
 
 
 def varied_parameters(settings: PlantSettings) -> tuple[str, ...]:

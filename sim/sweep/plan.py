@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import itertools
 import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -13,9 +12,10 @@ from typing import Any
 
 from hystmpc.models.load import model_path
 from hystmpc.trials.errors import ConfigError
+from hystmpc.trials.json_text import canonical, file_hash, json_hash
 
 from ..config import SimulationConfig
-from ..plants.make import file_hash, plant_hash
+from ..plants.make import plant_hash
 from .settings import SweepSettings, changed, drawn, label, path_parts, place
 
 _KNOWLEDGE = ("model", "inverse", "actuator_lag_s")  # costly to open, so that they change last
@@ -188,18 +188,15 @@ def _rows(config: SimulationConfig, factors: Mapping[str, Any], number: int, has
                     "tuned": (),
                 }
             )
-            row = SweepRow("", controller, motion, factors, number, config.seed, _text(alone), files)
+            row = SweepRow(
+                "", controller, motion, factors, number, config.seed, canonical(alone.model_dump(mode="json")), files
+            )
             yield replace(row, id=row_id(row))
 
 
 def row_id(row: SweepRow) -> str:
     """SHA-256 over a row's settings and model files, first 16 digits."""
-    text = json.dumps([row.settings, list(row.files)])
-    return hashlib.sha256(text.encode()).hexdigest()[:_ID_DIGITS]
-
-
-def _text(config: SimulationConfig) -> str:
-    return json.dumps(config.model_dump(mode="json"), sort_keys=True)
+    return json_hash([row.settings, list(row.files)])[:_ID_DIGITS]
 
 
 def _kind(values: Iterable[Any], names: Iterable[str] | None = None) -> str:

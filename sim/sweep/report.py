@@ -18,8 +18,7 @@ from hystmpc.trials.report import REFERENCE, Heading, KeyValues, Paragraph, Piec
 from hystmpc.trials.types import Vec
 
 from ..results import colours
-from .csv_rows import Column, chosen, numbers, texts
-from .store import table_of
+from .table import Column, numbers, selected, table_of, texts
 
 _FEW = ((100.0, (1,)), (8.0, (1, 2, 5)))  # from this ratio of the ends on only these leading digits are shown
 _FIGURES = ("rmse_deg", "max_abs_deg", "hold_error_deg", "command_travel", "limit_violations", "step_mean_s", "cpu_s")
@@ -62,11 +61,11 @@ class SweepView:
         """
         table = table_of(folder, dict.fromkeys([*_NAMES, *factors]))
         ours = np.array([str(identity) in ids for identity in table["id"]], dtype=bool)
-        return cls(chosen(table, ours), factors)
+        return cls(selected(table, ours), factors)
 
     def done(self) -> SweepView:
         """The rows that have figures."""
-        return SweepView(chosen(self.table, np.array(self.table["status"]) == "done"), self.factors)
+        return SweepView(selected(self.table, np.array(self.table["status"]) == "done"), self.factors)
 
     def failed(self) -> list[tuple[str, str]]:
         """Id and error of every row that has none."""
@@ -75,7 +74,7 @@ class SweepView:
 
     def where(self, name: str, value: str) -> SweepView:
         """The rows whose text is this."""
-        return SweepView(chosen(self.table, np.array(texts(self.table, name)) == value), self.factors)
+        return SweepView(selected(self.table, np.array(texts(self.table, name)) == value), self.factors)
 
     def names(self, name: str) -> tuple[str, ...]:
         """The different texts of a column, in order."""
@@ -174,7 +173,7 @@ def _by_factor(done: SweepView) -> Iterator[Piece]:
     for path, kind in done.factors.items():
         rows = []
         for level, rows_of in _levels(done, path, kind):
-            part = SweepView(chosen(done.table, rows_of), done.factors)
+            part = SweepView(selected(done.table, rows_of), done.factors)
             errors = [part.where("controller", name).figures("rmse_deg") for name in controllers]
             rows.append((level, len(part.table["id"]), *(_pair(e) for e in errors)))
         yield Table((path, "runs", *controllers), rows)

@@ -5,21 +5,22 @@ from __future__ import annotations
 import json
 import math
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
 from hystmpc.trials.errors import ConfigError, LogError, did_you_mean
-from hystmpc.trials.run_folder import RunFolder
+from hystmpc.trials.run_folder import RunFolder, alone_in, resumed_folder
 from hystmpc.trials.types import Progress
 
 from ..compare import compare
 from ..config import SimulationConfig
 from ..jobs.backend import Backend
-from ..jobs.runner import alone_in, resumed_folder, run_jobs
+from ..jobs.runner import run_jobs
 from .plan import Hashes, SweepPlan, SweepRow
 from .report import SweepView, sweep_report
 from .settings import SweepSettings, sweep_in
-from .store import Store, files_of, table_of
+from .table import COPY, TABLE, RunTable, rows_of
 from .worker import COST_COLUMNS, RESULT_COLUMNS, ROW_COLUMNS, metrics_columns, run_row, run_settings
 
 _NEAR = 20  # ids that an error names
@@ -67,8 +68,8 @@ def run_sweep(
     backend.check()
     folder = open_folder(Path(out), settings)
     with alone_in(folder.path):
-        store = Store(folder.path, columns_of(plan))
-        done = store.done()
+        table = RunTable(folder.path)
+        done = table.done()
         ids: set[str] = set()
 
         def is_done(row: SweepRow) -> bool:
@@ -77,37 +78,42 @@ def run_sweep(
 
         try:
             for found in run_jobs(
-                plan.rows(), run_row, backend, is_done=is_done, total=total, progress=progress, note=lambda r: r["id"]
+                run_row, plan.rows(), backend, is_done=is_done, total=total, progress=progress, note=lambda r: r["id"]
             ):
-                store.add(found)
+                table.add(found)
         finally:
-            table = store.merge()
-        if table is None:
+            copy = table.copy(columns_of(plan))
+        if copy is None:
             raise ConfigError(f"{folder.path}: the sweep has no rows")
         view = SweepView.of(folder.path, plan.columns(), ids)
         report = folder.write_report(sweep_report(view, folder.meta))
     failed = view.failed()
     message = failed[0][1] if failed else ""
-    return SweepOutcome(table, report, len(ids), len(ids & done), len(failed), message, len(done - ids))
+    return SweepOutcome(copy, report, len(ids), len(ids & done), len(failed), message, len(done - ids))
 
 
-def columns_of(plan: SweepPlan) -> dict[str, str]:
-    """Kinds of all columns of the table, in their order."""
-    return {**ROW_COLUMNS, **plan.columns(), **RESULT_COLUMNS, **COST_COLUMNS}
+def columns_of(plan: SweepPlan) -> tuple[str, ...]:
+    """Names of all columns of the table, in their order."""
+    return (*ROW_COLUMNS, *plan.columns(), *RESULT_COLUMNS, *COST_COLUMNS)
 
 
 def open_folder(path: Path, settings: SweepSettings) -> RunFolder:
     """A new run folder, or the one that a sweep left.
 
     Raises:
-        ConfigError: if it holds something else.
+        ConfigError: if it holds something else, or the table of a version that wrote none in SQLite.
         LogError: if it holds a run of another format.
     """
     plain = settings.model_dump(mode="json")
     plain["draw"] = {name: draw.model_dump(mode="json", exclude_none=True) for name, draw in settings.draw.items()}
 
     def refusal(_: object) -> str:
-        return "" if sweep_in(path) else "holds another kind of run, expected a new folder or that of a sweep"
+        if not sweep_in(path):
+            return "holds another kind of run, expected a new folder or that of a sweep"
+        old = [name for name in (COPY, "runs.parquet", "shards") if (path / name).exists()]
+        if old and not (path / TABLE).exists():
+            return f"holds {old[0]} of an earlier version of hystmpc, expected a new folder"
+        return ""
 
     return resumed_folder(path, plain, settings.draw_seed, refusal)
 
@@ -150,25 +156,20 @@ def reproduce(folder: Path | str, identity: str, out: Path | str | None = None) 
     else:
         metrics, _ = run_settings(config)
     again = metrics_columns(metrics)
-    return tuple(ReproducedFigure(name, _plain(row[name], kind), again[name]) for name, kind in RESULT_COLUMNS.items())
+    before = {name: math.nan if row[name] is None else row[name] for name in RESULT_COLUMNS}
+    return tuple(ReproducedFigure(name, before[name], again[name]) for name in RESULT_COLUMNS)
 
 
 def _row(folder: Path, identity: str) -> dict[str, Any]:
-    """Columns of one row."""
-    if not files_of(folder):
+    """The row of an id, or of the only id that begins so."""
+    if not (folder / TABLE).exists():
         raise LogError(f"{folder}: no table of runs in it, expected the folder of a sweep")
-    names = ["id", "status", "message", "settings", "files", *RESULT_COLUMNS]
-    table = table_of(folder, names)
-    ids = [str(found) for found in table["id"]]
-    places = [k for k, found in enumerate(ids) if found.startswith(identity)]
-    if len(places) != 1:
-        number = "no" if not places else f"{len(places)} rows, not one,"
-        raise ConfigError(f"{folder}: {number} row {identity!r}, {did_you_mean(identity, ids[:_NEAR])}")
-    row = {name: table[name][places[0]] for name in names}
+    rows = list(rows_of(folder, identity, settings=True))
+    if len(rows) != 1:
+        number = "no" if not rows else f"{len(rows)} rows, not one,"
+        near = [str(row["id"]) for row in islice(rows_of(folder), _NEAR)]
+        raise ConfigError(f"{folder}: {number} row {identity!r}, {did_you_mean(identity, near)}")
+    row = rows[0]
     if row["status"] != "done":
         raise LogError(f"{folder}: row {row['id']} failed ({row['message']}), expected one that was run")
     return row
-
-
-def _plain(value: Any, kind: str) -> Any:
-    return str(value) if kind == "text" else int(value) if kind == "whole" else float(value)

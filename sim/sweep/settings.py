@@ -13,13 +13,12 @@ from zlib import crc32
 import numpy as np
 from pydantic import Field, WithJsonSchema, field_validator, model_validator
 
-from hystmpc.trials.config import Settings, load_settings, read_yaml
+from hystmpc.trials.config import Count, NotNegativeInt, Settings, load_settings, read_yaml
 from hystmpc.trials.errors import ConfigError, did_you_mean
 from hystmpc.trials.yaml_ import place_in
 
 from ..config import SimulationConfig, load_simulation, located
 
-NotNegative = Annotated[int, Field(ge=0)]
 _SEVERAL = {"anyOf": [{"type": "array", "minItems": 1}, {"type": "object", "minProperties": 1}]}
 _PART = re.compile(r'"([^"]+)"|([^."]+)')
 _WHOLE = re.compile(r'(?:"[^"]+"|[^."]+)(?:\.(?:"[^"]+"|[^."]+))*')
@@ -96,9 +95,9 @@ class SweepSettings(Settings):
     base: str | dict[str, Any]
     grid: dict[str, Annotated[dict[str, Any], WithJsonSchema(_SEVERAL)]] = Field(default_factory=dict)
     draw: dict[str, DrawSettings] = Field(default_factory=dict)
-    count: Annotated[int, Field(ge=1)] = 1
-    draw_seed: NotNegative = 0
-    seeds: tuple[NotNegative, ...] = ()
+    count: Count = 1
+    draw_seed: NotNegativeInt = 0
+    seeds: tuple[NotNegativeInt, ...] = ()
 
     @field_validator("grid", mode="before")
     @classmethod

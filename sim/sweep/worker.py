@@ -5,48 +5,32 @@ from __future__ import annotations
 import json
 import platform
 import time
-from collections.abc import Mapping
 from functools import lru_cache
 from typing import Any
 
+from hystmpc.models.prediction.build import ControllerModel, controller_model
 from hystmpc.trials.errors import ConfigError
+from hystmpc.trials.json_text import canonical
 
 from ..closed_loop import run_closed_loop
 from ..config import SimulationConfig
 from ..jobs.runner import attempt
 from ..results import TrackingMetrics, result_of
-from ..study import Knowledge, knowledge, prepare
+from ..study import prepare
 from .plan import Hashes, SweepRow
 
 # Columns of every row besides the factors, in the order of the table.
-ROW_COLUMNS: Mapping[str, str] = {
-    "id": "text",
-    "status": "text",
-    "message": "text",
-    "controller": "text",
-    "motion": "text",
-    "draw": "whole",
-    "seed": "whole",
-}
-RESULT_COLUMNS: Mapping[str, str] = {
-    "rmse_deg": "number",
-    "max_abs_deg": "number",
-    "hold_error_deg": "number",
-    "hold_command_range": "number",
-    "command_travel": "number",
-    "limit_violations": "whole",
-    "ladder": "text",
-}
-COST_COLUMNS: Mapping[str, str] = {
-    "samples": "whole",
-    "step_mean_s": "number",
-    "step_p99_s": "number",
-    "wall_s": "number",
-    "cpu_s": "number",
-    "host": "text",
-    "files": "text",
-    "settings": "text",
-}
+ROW_COLUMNS = ("id", "status", "message", "controller", "motion", "draw", "seed")
+RESULT_COLUMNS = (
+    "rmse_deg",
+    "max_abs_deg",
+    "hold_error_deg",
+    "hold_command_range",
+    "command_travel",
+    "limit_violations",
+    "ladder",
+)
+COST_COLUMNS = ("samples", "step_mean_s", "step_p99_s", "wall_s", "cpu_s", "host", "files", "settings")
 _KEPT = 4  # models a process keeps ready
 
 
@@ -102,23 +86,23 @@ def run_settings(config: SimulationConfig) -> tuple[TrackingMetrics, int]:
     return result_of(study.config, motion, name, run).metrics, len(run.true_deg)
 
 
-def shared_knowledge(config: SimulationConfig) -> Knowledge:
+def shared_knowledge(config: SimulationConfig) -> ControllerModel:
     """Opened models, once a process for each model, inverse and lag.
 
     Raises:
-        HystmpcError: what `knowledge` raises.
+        HystmpcError: what `controller_model` raises.
     """
     return _kept_knowledge(config.model, config.inverse, config.actuator_lag_s, Hashes().of_models(config))
 
 
 @lru_cache(maxsize=_KEPT)
-def _kept_knowledge(model: str, inverse: str | None, actuator_lag_s: float, files: tuple[str, ...]) -> Knowledge:
+def _kept_knowledge(model: str, inverse: str | None, actuator_lag_s: float, files: tuple[str, ...]) -> ControllerModel:
     del files  # of the key: a file that has changed is opened again
-    return knowledge(model, inverse, actuator_lag_s)
+    return controller_model(model, inverse, actuator_lag_s)
 
 
 def metrics_columns(metrics: TrackingMetrics) -> dict[str, Any]:
     """Metrics as columns: all that a repetition gives again to the last bit, and the times of a step."""
     columns = {name: getattr(metrics, name) for name in RESULT_COLUMNS if name != "ladder"}
     times = {"step_mean_s": metrics.step_mean_s, "step_p99_s": metrics.step_p99_s}
-    return columns | times | {"ladder": json.dumps(metrics.ladder, sort_keys=True)}
+    return columns | times | {"ladder": canonical(metrics.ladder)}

@@ -93,7 +93,7 @@ def needed_travel(study: Study, motion: str) -> float:
 
     sum_k |u_k - u_{k-1}| with u_k = inverse(x_k, r_k) within the limits, from the plant's rest.
     """
-    predictor, inverse = study.feedforward
+    predictor, inverse = study.model.feedforward
     reference = PreviewTable(study.motions[motion], predictor.dt, 1)
     u, travel = study.plant.rest_command, 0.0
     state = predictor.initial(float(reference.at(0)[0]), u)
@@ -203,7 +203,7 @@ def held_out(
     count = settings.held_out.count
     cases = [HeldOutCase(name, number, own, settings) for number in range(count) for name, own in names.items()]
     found: dict[str, dict[int, PlantScore]] = {name: {} for name in names}
-    done = run_jobs(cases, run_case, backend, total=len(cases), progress=progress, note=lambda _: "held-out plants")
+    done = run_jobs(run_case, cases, backend, total=len(cases), progress=progress, note=lambda _: "held-out plants")
     for name, number, score in done:
         found[name][number] = score
     given, tuned = (tuple(found[name][number] for number in range(count)) for name in _NAMES)

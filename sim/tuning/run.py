@@ -14,11 +14,11 @@ from hystmpc.trials.csv_files import format_table
 from hystmpc.trials.errors import ConfigError, FitError
 from hystmpc.trials.files import write_atomically
 from hystmpc.trials.parts import parts
-from hystmpc.trials.run_folder import RunFolder
+from hystmpc.trials.run_folder import RunFolder, alone_in, resumed_folder
 from hystmpc.trials.types import Progress
 
 from ..jobs.backend import Backend
-from ..jobs.runner import alone_in, resumed_folder
+from ..jobs.runner import run_jobs
 from .objective import SearchTrial, Ticket, TicketOutcome, Tuning, held_out
 from .report import tuning_report
 from .settings import TuneSettings
@@ -86,7 +86,8 @@ def search(
     ended = 0
     while slots:
         later = []
-        for outcome in backend.results(optuna_.run_ticket, [Ticket(slot, storage, name, settings) for slot in slots]):
+        tickets = [Ticket(slot, storage, name, settings) for slot in slots]
+        for outcome in run_jobs(optuna_.run_ticket, tickets, backend):
             if outcome.state == "elsewhere":
                 later.append(outcome.slot)
                 continue

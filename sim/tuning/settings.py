@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -11,8 +9,9 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, model_validator
 
 from hystmpc.ctrl.config import AnyControllerSettings, parse_controller
-from hystmpc.trials.config import Settings, load_settings
+from hystmpc.trials.config import Count, NotNegative, NotNegativeInt, Settings, load_settings
 from hystmpc.trials.errors import ConfigError, did_you_mean
+from hystmpc.trials.json_text import json_hash
 
 from ..config import PlantSettings, SimulationConfig
 from ..plants.make import varied_parameters
@@ -49,9 +48,6 @@ SPACES: dict[str, dict[str, DrawSettings]] = {
 _LAG_S = (0.0, 0.15)
 _NOISE_DEG = (0.05, 0.3)
 _FACTOR = (0.9, 1.1)
-Count = Annotated[int, Field(ge=1)]
-NotNegative = Annotated[float, Field(ge=0)]
-Seed = Annotated[int, Field(ge=0)]
 
 
 def default_space(settings: AnyControllerSettings) -> dict[str, DrawSettings]:
@@ -85,7 +81,7 @@ class PlantsSettings(Settings):
     """
 
     count: Count
-    seed: Seed
+    seed: NotNegativeInt
 
 
 class ObjectiveSettings(Settings):
@@ -136,7 +132,7 @@ class TuneSettings(Settings):
     objective: ObjectiveSettings = ObjectiveSettings()
     trials: Count = 60
     pruner: Literal["median", "hyperband", "none"] = "median"
-    seed: Seed = 0
+    seed: NotNegativeInt = 0
 
     @model_validator(mode="after")
     def _apart(self) -> TuneSettings:
@@ -157,8 +153,7 @@ class TuneSettings(Settings):
     @property
     def fingerprint(self) -> str:
         """Of everything but the number of trials, of which there may be more later; 12 hexadecimal digits."""
-        text = json.dumps(self.model_dump(mode="json", exclude={"trials", "held_out"}), sort_keys=True)
-        return hashlib.sha256(text.encode()).hexdigest()[:12]
+        return json_hash(self.model_dump(mode="json", exclude={"trials", "held_out"}))[:12]
 
     def with_values(self, values: dict[str, Any]) -> AnyControllerSettings:
         """The controller with some of its settings changed.

@@ -15,7 +15,7 @@ from rich.console import Console
 
 import hystmpc
 from hystmpc.cli import diagnose
-from hystmpc.ctrl.limits import CommandLimits
+from hystmpc.ctrl.command import CommandLimits
 from hystmpc.gap.next.motion_design import Noise, propose, write_motion
 from hystmpc.gap.next.motion_menu import menu
 from hystmpc.models.simulator import ChainModel, Residual, load_simulator, save_simulator
@@ -107,7 +107,7 @@ def test_one_function_makes_the_whole_diagnosis() -> None:
     own = {name: text for name, text in sources.items() if not name.startswith(("tests/", ".", "build/"))}
     callers = {n for n, text in own.items() if any(re.search(rf"(?<!def ){re.escape(s)}", text) for s in steps)}
     assert callers == {"gap/whole.py"}
-    whole = {"api.py", "cli/diagnose.py", "commissioning/identify.py", "investigation/judge.py"}
+    whole = {"api.py", "cli/diagnose.py", "bench/identify.py", "bench/rounds.py"}
     assert whole <= {name for name, text in own.items() if "diagnose_trials(" in text}
 
 

@@ -13,17 +13,15 @@ import numpy as np
 import pytest
 
 import hystmpc
-from hystmpc.commissioning.config import load_commission
-from hystmpc.ctrl.config import parse_controller
-from hystmpc.ctrl.from_outside import GROUP
+from hystmpc.bench.config import load_commission, load_investigation
+from hystmpc.ctrl.config import GROUP, parse_controller
 from hystmpc.ctrl.planner.tip_controller import TipController
 from hystmpc.gap.tracking.measured import measured_runs
-from hystmpc.investigation.config import load_investigation
-from hystmpc.rig.commission.review_page import review_run
 from hystmpc.rig.config import RunSettings, load_record, load_run
+from hystmpc.rig.experiment.review import review_run
 from hystmpc.sim.config import load_simulation
 from hystmpc.sim.results import load_results
-from hystmpc.sim.sweep.store import table_of
+from hystmpc.sim.sweep.table import table_of
 from hystmpc.sim.tuning.settings import load_tuning
 from hystmpc.trials import from_outside
 from hystmpc.trials.config import dump_yaml, read_yaml

@@ -59,9 +59,9 @@ static int state_finite(const hystmpc_controller *c) {
     finite &= estimate_finite(&c->plain) && finite_all(l->history, COUNT(l->history)) && finite_all(l->z, COUNT(l->z)) &&
               finite_all(l->covariance, COUNT(l->covariance)) && finite_all(l->frozen, COUNT(l->frozen)) &&
               finite_all(l->sums, COUNT(l->sums)) && finite_all(l->scores, COUNT(l->scores)) &&
-              isfinite(l->distrust) && isfinite(l->share) && finite_all(l->added, COUNT(l->added));
+              isfinite(l->forecast_error) && isfinite(l->share) && finite_all(l->added, COUNT(l->added));
 #endif
-#if HYSTMPC_HANDS_OVER
+#if HYSTMPC_SUPERVISED
     const hystmpc_feedback *f = &c->feedback;
     if (f->level) finite &= isfinite(f->integral) && isfinite(f->speed) && isfinite(f->angle) && isfinite(f->age);
     if (f->level == 1) finite &= isfinite(f->u_alone) && isfinite(f->followed) && isfinite(f->error);

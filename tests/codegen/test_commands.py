@@ -38,7 +38,7 @@ CASES: Mapping[str, tuple[dict[str, Any], float]] = {
     "lag-of-the-settings": (tip("builtin:pi", 0.08, ladder={"safe_command": 0.0}), 0.08),
     "backlash-that-learns": (tip("builtin:backlash"), 0.1),
     "feedback-takes-over": (
-        tip("builtin:backlash", handover={"inverse_pid_above": 0.3, "pid_above": 0.45}),
+        tip("builtin:backlash", supervisor={"inverse_pid_above": 0.3, "pid_above": 0.45}),
         0.1,
     ),
     "soft-limits": (tip("builtin:pi", **PLAIN, weights={"angle_lower_deg": 40, "angle_upper_deg": 70}), 0.0),

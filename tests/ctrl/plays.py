@@ -14,7 +14,7 @@ from hystmpc.models.model import Inverse, Predictor
 from hystmpc.models.operators import dynamics as operators
 from hystmpc.models.operators.dynamics import Delay
 from hystmpc.models.operators.prandtl_ishlinskii import PrandtlIshlinskii
-from hystmpc.models.prediction.build import predictor_and_inverse
+from hystmpc.models.prediction.build import controller_model
 from hystmpc.models.simulator import ChainModel, Identification, Simulator
 from hystmpc.trials.types import Vec
 
@@ -245,7 +245,7 @@ def compiled(chain: Chain) -> tuple[Predictor, Inverse]:
         trained_rate_per_s=11.0,
         identification=Identification(method="chosen by hand"),
     )
-    return predictor_and_inverse(ChainModel(simulator))
+    return controller_model(ChainModel(simulator)).predictive
 
 
 def backlash() -> tuple[Predictor, Inverse]:

@@ -8,17 +8,16 @@ import numpy as np
 import pytest
 
 from hystmpc.ctrl.analysis import LoopAnalysis, analyse_pid, describing_function
-from hystmpc.ctrl.build import build_controller
-from hystmpc.ctrl.feedback.inverse_settings import InversePidControllerSettings
-from hystmpc.ctrl.feedback.pid import PidControllerSettings, PidSettings
-from hystmpc.ctrl.limits import CommandLimits
+from hystmpc.ctrl.command import CommandLimits
+from hystmpc.ctrl.feedback import InversePidControllerSettings, PidControllerSettings, PidSettings
+from hystmpc.ctrl.guarded import build_controller
 from hystmpc.ctrl.loop import LoopLog, run_loop
 from hystmpc.models.chain import Chain
 from hystmpc.models.contract.metadata import Range
 from hystmpc.models.model import Inverse, Predictor
 from hystmpc.models.operators import dynamics as operators
 from hystmpc.models.operators.hysteresis import Backlash
-from hystmpc.models.prediction.build import known_pairs
+from hystmpc.models.prediction.build import controller_model
 from hystmpc.models.simulator import ChainModel, Identification, Simulator
 from hystmpc.trials.errors import ControllerError
 
@@ -43,7 +42,7 @@ def backlash(lag_s: float) -> tuple[Predictor, Inverse]:
         trained_rate_per_s=12.0,
         identification=Identification(method="chosen by hand"),
     )
-    known = known_pairs(ChainModel(simulator))
+    known = controller_model(ChainModel(simulator))
     return known.behind((operators.Lag(lag_s),), simulator.metadata()).predictive if lag_s else known.predictive
 
 

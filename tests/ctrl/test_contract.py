@@ -11,11 +11,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hystmpc.ctrl.build import build_controller
-from hystmpc.ctrl.command import Source
+from hystmpc.ctrl.command import CommandLimits, Source
 from hystmpc.ctrl.config import CONTROLLERS
-from hystmpc.ctrl.guarded import GuardedController
-from hystmpc.ctrl.limits import CommandLimits
+from hystmpc.ctrl.guarded import GuardedController, build_controller
 
 from .plays import BROKEN, DRIVEN, PLAY, SOUND, Case
 

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hystmpc.ctrl.fallback import FallbackState
-from hystmpc.ctrl.frozen import replace
+from hystmpc.ctrl.command import replace
+from hystmpc.ctrl.guarded import FallbackState
 
 CHANGES = st.fixed_dictionaries({}, optional={"failures": st.integers(), "stopped": st.booleans(), "cause": st.text()})
 

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hystmpc.ctrl.mpc import Hold, HoldRule
-from hystmpc.ctrl.planning_settings import HoldSettings
+from hystmpc.ctrl.mpc_settings import HoldSettings
 from hystmpc.trials.errors import ConfigError
 
 DT, PATIENCE = 0.04, 10
@@ -58,19 +58,19 @@ def test_the_lead_is_how_early_the_next_move_is_seen(lead: int, kept: bool) -> N
 
 
 @given(st.lists(st.floats(-3, 3), min_size=H, max_size=H), st.floats(0, 2), st.floats(0.1, 20))
-def test_gentle_plans_are_no_faster_and_no_farther(moves: list[float], error: float, slope: float) -> None:
+def test_limited_corrections_are_no_faster_and_no_farther(moves: list[float], error: float, slope: float) -> None:
     plan, hold = np.cumsum(moves), Hold(constant=50, target=60.0)
-    gentle = RULE.gentle(hold, plan, 0.0, error, slope)
-    assert np.all(np.abs(gentle) <= np.abs(plan) + 1e-12)
-    assert np.abs(gentle[0]) <= error / (3 * slope) + 1e-12
+    limited = RULE.limited_correction(hold, plan, 0.0, error, slope)
+    assert np.all(np.abs(limited) <= np.abs(plan) + 1e-12)
+    assert np.abs(limited[0]) <= error / (3 * slope) + 1e-12
     reach = max(abs(m) for m in moves)
-    assert np.max(np.abs(np.diff(gentle, prepend=0.0))) <= reach + 1e-9
+    assert np.max(np.abs(np.diff(limited, prepend=0.0))) <= reach + 1e-9
 
 
 def test_before_a_hold_plans_are_left_alone() -> None:
     plan = np.array([1.0, 2.0, 3.0])
-    assert RULE.gentle(Hold(constant=2), plan, 0.0, 0.1, 10.0) is plan
-    assert RULE.gentle(Hold(constant=50), plan, 0.0, 0.1, 0.0) is plan
+    assert RULE.limited_correction(Hold(constant=2), plan, 0.0, 0.1, 10.0) is plan
+    assert RULE.limited_correction(Hold(constant=50), plan, 0.0, 0.1, 0.0) is plan
 
 
 def test_nonsense_is_refused() -> None:

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hystmpc.ctrl.frames import Frame, Imaging, ImagingSettings, NoSensorSettings, Viewer
+from hystmpc.ctrl.loop import ImageFrame, Imaging, ImagingSettings, NoSensorSettings, Viewer
 
 systems = st.builds(
     ImagingSettings,
@@ -19,7 +19,7 @@ systems = st.builds(
 )
 
 
-def seen(settings: ImagingSettings, seed: int = 0, seconds: float = 4.0, dt: float = 0.04) -> list[list[Frame]]:
+def seen(settings: ImagingSettings, seed: int = 0, seconds: float = 4.0, dt: float = 0.04) -> list[list[ImageFrame]]:
     """Frames by sample; the device moves by 10 deg/s."""
     imaging, found = Imaging.at_rest(settings, seed, 30.0), []
     for k in range(1, round(seconds / dt) + 1):

@@ -10,15 +10,13 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from hystmpc.ctrl.build import build_controller
+from hystmpc.ctrl.command import CommandLimits
 from hystmpc.ctrl.config import CONTROLLERS
 from hystmpc.ctrl.estimation.observer import Estimate, EstimatorSettings
-from hystmpc.ctrl.learning.bank import DRIVES, BankState, FilterBank
-from hystmpc.ctrl.learning.basis import DELAYS, FEATURES, LAGS_S, features, first_memory
-from hystmpc.ctrl.learning.estimator import Learning, LearningEstimator
-from hystmpc.ctrl.learning.predictor import LearnedInverse, LearnedPredictor
-from hystmpc.ctrl.limits import CommandLimits
-from hystmpc.ctrl.planning_settings import AdaptationSettings
+from hystmpc.ctrl.guarded import build_controller
+from hystmpc.ctrl.learning.bank import DELAYS, DRIVES, FEATURES, LAGS_S, BankState, FilterBank, features, first_memory
+from hystmpc.ctrl.learning.predictor import LearnedInverse, LearnedPredictor, Learning, LearningEstimator
+from hystmpc.ctrl.mpc_settings import AdaptationSettings
 from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.types import Vec
 
@@ -171,7 +169,7 @@ def test_a_changed_device_is_foretold_after_two_flexures(name: str) -> None:
     learned_error, own_error = (float(np.sqrt(np.mean((found - truth) ** 2))) for found in (foretold, alone))
     assert learned_error < 0.5 * own_error
     assert estimate.learning.bank.share == 1.0
-    assert estimate.distrust < 0.4
+    assert estimate.forecast_error < 0.4
 
 
 def test_a_delay_that_is_told_is_not_learned_again() -> None:
@@ -221,7 +219,7 @@ def test_where_the_model_is_right_nothing_acts() -> None:
         assert isinstance(estimate.learning, Learning)
         shares.append(estimate.learning.bank.share)
     assert np.mean(shares) < 0.05
-    assert estimate.distrust < 0.3
+    assert estimate.forecast_error < 0.3
 
 
 def test_in_a_hold_no_weight_is_forgotten() -> None:
@@ -269,16 +267,16 @@ def test_a_jump_in_a_hold_is_an_offset_and_no_weight() -> None:
 
 
 def test_a_hold_is_not_judged() -> None:
-    """Where nothing moves every forecast is good: share, drive, scores and distrust stay as they are."""
+    """Where nothing moves every forecast is good: share, drive, scores and forecast_error stay as they are."""
     bank = FilterBank(DT, (0.0, 6.0), 62.0, 0.1, 0, AdaptationSettings())
     state = flexed(bank)
     before = state = replace(state, sums=np.zeros(DRIVES + 2), count=0, references=(0.0, 40.0))
     for _ in range(100):
         state = bank.correct(bank.advance(state, 2.0), 40.0, 45.0, 0.0)
-    assert (state.share, state.best, state.distrust, state.blocks) == (
+    assert (state.share, state.best, state.forecast_error, state.blocks) == (
         before.share,
         before.best,
-        before.distrust,
+        before.forecast_error,
         before.blocks,
     )
     np.testing.assert_array_equal(state.scores, before.scores)
@@ -304,7 +302,7 @@ def test_any_measurements_leave_everything_finite(seen: list[tuple[float, float]
         assert np.isfinite(estimate.learning.bank.z).all()
         assert np.all(np.diagonal(estimate.learning.bank.covariance, axis1=1, axis2=2) > 0)
         assert 0.0 <= estimate.learning.bank.share <= 1.0
-        assert 0.0 <= estimate.distrust <= 1.2
+        assert 0.0 <= estimate.forecast_error <= 1.2
         assert math.isfinite(estimate.departure)
         assert np.isfinite(estimate.state).all()
 
@@ -324,7 +322,7 @@ def test_any_model_leaves_everything_finite(seen: list[tuple[float, float, float
         assert np.all(np.diagonal(state.covariance, axis1=1, axis2=2) > 0)
         assert np.isfinite(state.scores).all()
         assert 0.0 <= state.share <= 1.0
-        assert 0.0 <= state.distrust <= 1.2
+        assert 0.0 <= state.forecast_error <= 1.2
 
 
 @pytest.mark.slow

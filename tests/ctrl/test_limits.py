@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hystmpc.ctrl.limits import CommandLimits
+from hystmpc.ctrl.command import CommandLimits
 from hystmpc.trials.errors import ControllerError
 
 LIMITS = CommandLimits(-1.0, 6.0, 12.0)

@@ -10,14 +10,11 @@ import numpy as np
 import pytest
 from scipy.optimize import LinearConstraint, minimize
 
-from hystmpc.ctrl.command import Stopwatch
-from hystmpc.ctrl.limits import CommandLimits
+from hystmpc.ctrl.command import CommandLimits, Stopwatch
 from hystmpc.ctrl.linearised.osqp_ import OsqpOptions, OsqpSolver
-from hystmpc.ctrl.linearised.planner import LinearisedPlanner
-from hystmpc.ctrl.linearised.program import QpData, TrackingQp
-from hystmpc.ctrl.mpc_settings import LinearisedMpcSettings
-from hystmpc.ctrl.planning import CommandPlan, PlanCost, PlanningError, PlanningProblem
-from hystmpc.ctrl.planning_settings import WeightsSettings
+from hystmpc.ctrl.linearised.planner import LinearisedPlanner, QpData, TrackingQp
+from hystmpc.ctrl.mpc import CommandPlan, PlanCost, PlanningError, PlanningProblem
+from hystmpc.ctrl.mpc_settings import LinearisedMpcSettings, WeightsSettings
 from hystmpc.trials.errors import ConfigError, ControllerError
 
 from .plays import DT, LINEAR, PLAY, SOUND, Case, Faulty, Lag, not_a_number

@@ -12,9 +12,8 @@ from hypothesis import strategies as st
 
 from hystmpc.ctrl.estimation.noise import NoiseBank
 from hystmpc.ctrl.estimation.observer import Estimate, EstimatorSettings, Observer, OutputEstimator
-from hystmpc.ctrl.learning.estimator import LearningEstimator
-from hystmpc.ctrl.learning.predictor import LearnedPredictor
-from hystmpc.ctrl.planning_settings import AdaptationSettings
+from hystmpc.ctrl.learning.predictor import LearnedPredictor, LearningEstimator
+from hystmpc.ctrl.mpc_settings import AdaptationSettings
 from hystmpc.models.contract.metadata import NoiseModel
 from hystmpc.trials.types import Vec
 
@@ -25,7 +24,7 @@ RANGE = math.sqrt(6.0)  # of the commands of all models here [mm], under the roo
 
 
 def sigmas(estimator: OutputEstimator, estimate: Estimate) -> tuple[float, float, float]:
-    found = estimator.bank.found(estimate.bank)
+    found = estimator.bank.estimated_noise(estimate.bank)
     return found.sensor_sigma_deg, found.drift_sigma_deg_per_sqrt_s, found.motion_sigma_deg_per_sqrt_unit
 
 
@@ -130,7 +129,7 @@ def test_given_sigmas_are_used_exactly(sensor: float, drift: float, motion: floa
         p += drift**2 * DT + motion**2 * abs(u - before)
         d, p, before = d + p / (p + sensor**2) * (offset - d), p * sensor**2 / (p + sensor**2), float(u)
         assert (estimate.disturbance, estimate.variance) == pytest.approx((d, p), rel=1e-9, abs=1e-12)
-    found = estimator.bank.found(estimate.bank)
+    found = estimator.bank.estimated_noise(estimate.bank)
     assert found.sensor_sigma_deg == pytest.approx(sensor)
     assert found.drift_sigma_deg_per_sqrt_s == pytest.approx(drift)
 
@@ -171,7 +170,7 @@ def test_any_measurement_leaves_the_estimate_finite_and_the_sigmas_in_bounds(
         assert np.isfinite(estimate.bank).all()
         assert np.all(estimate.bank[2] > 0)
         assert float(np.sum(estimate.bank[2])) == pytest.approx(1.0, abs=1e-9)
-        found = bank.found(estimate.bank)
+        found = bank.estimated_noise(estimate.bank)
         assert 0.1 / 8.01 <= found.sensor_sigma_deg <= 0.8 * 1.01
         assert 0.00099 <= found.drift_sigma_deg_per_sqrt_s <= 2.2
         assert 0.00159 / RANGE <= found.motion_sigma_deg_per_sqrt_unit <= 6.56 / RANGE

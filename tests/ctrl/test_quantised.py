@@ -10,14 +10,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hystmpc.ctrl.build import build_controller
+from hystmpc.ctrl.command import CommandLimits
 from hystmpc.ctrl.config import parse_controller
 from hystmpc.ctrl.estimation.noise import NoiseBank
-from hystmpc.ctrl.feedback.pid import PidSettings
-from hystmpc.ctrl.handover import gains_for
-from hystmpc.ctrl.limits import CommandLimits
+from hystmpc.ctrl.feedback import PidSettings
+from hystmpc.ctrl.guarded import build_controller
 from hystmpc.ctrl.mpc import Hold, HoldRule
-from hystmpc.ctrl.planning_settings import HandoverSettings, HoldSettings
+from hystmpc.ctrl.mpc_settings import HoldSettings, SupervisorSettings
+from hystmpc.ctrl.supervisor import feedback_gains
 from hystmpc.models.chain import Chain
 from hystmpc.models.contract.metadata import NoiseModel
 from hystmpc.models.model import Inverse, Predictor
@@ -161,9 +161,9 @@ def test_equal_readings_are_no_better_than_their_steps(step: float) -> None:
 
 @given(steps_deg, st.floats(0.0, 2.0))
 def test_feedback_does_not_integrate_half_a_step(step: float, dead_zone: float) -> None:
-    gains = PidSettings(dead_zone_deg=dead_zone).deaf_to(step)
+    gains = PidSettings(dead_zone_deg=dead_zone).with_dead_zone(step)
     assert gains.dead_zone_deg >= max(0.5 * step, dead_zone)
-    assert PidSettings(dead_zone_deg=dead_zone).deaf_to(0.0).dead_zone_deg == dead_zone
+    assert PidSettings(dead_zone_deg=dead_zone).with_dead_zone(0.0).dead_zone_deg == dead_zone
     model = Backlash()
     object.__setattr__(model, "noise", noise_of(step))
-    assert gains_for(HandoverSettings(), model).dead_zone_deg >= 0.5 * step
+    assert feedback_gains(SupervisorSettings(), model).dead_zone_deg >= 0.5 * step

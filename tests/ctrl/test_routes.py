@@ -11,7 +11,7 @@ from hystmpc.models.kinds.catalogue import KINDS
 from hystmpc.models.kinds.kind import ModelKind
 from hystmpc.models.load import library_file
 from hystmpc.models.model import Inverse, InvertiblePredictor, Predictor
-from hystmpc.models.prediction.build import predictor_and_inverse, predictor_for
+from hystmpc.models.prediction.build import controller_model, predictor_for
 from hystmpc.models.simulator import load_simulator
 
 from ..models.casadi_predictor import CasadiPredictor
@@ -28,7 +28,7 @@ def routes(kind: str) -> tuple[Pair, Pair]:
     """The fast route and the reference, each with its own inverse, over the same state."""
     model = example(kind, FORWARD).model
     invertible = isinstance(predictor_for(model), InvertiblePredictor)
-    fast = predictor_and_inverse(model, None if invertible else load_simulator(library_file("backlash")))
+    fast = controller_model(model, None if invertible else load_simulator(library_file("backlash"))).predictive
     slow = CasadiPredictor(model.casadi_function(), model.metadata)
     if invertible:
         return fast, (slow, fast[1])

@@ -11,11 +11,15 @@ import pytest
 from hystmpc.ctrl.command import Stopwatch
 from hystmpc.ctrl.linearised.osqp_ import OsqpOptions
 from hystmpc.ctrl.linearised.planner import LinearisedPlanner
-from hystmpc.ctrl.mpc_settings import LinearisedMpcSettings, SamplingMpcSettings
-from hystmpc.ctrl.planning import CommandPlan, PlanCost, Planner, PlanningError
-from hystmpc.ctrl.planning_settings import ColouredNoiseSettings, SplineNoiseSettings, WeightsSettings
-from hystmpc.ctrl.sampling.loops import fit_columns, make_orthogonal
-from hystmpc.ctrl.sampling.planner import CrossEntropyPlanner, PathIntegralPlanner, SampleCounter
+from hystmpc.ctrl.mpc import CommandPlan, PlanCost, Planner, PlanningError
+from hystmpc.ctrl.mpc_settings import (
+    ColouredNoiseSettings,
+    LinearisedMpcSettings,
+    SamplingMpcSettings,
+    SplineNoiseSettings,
+    WeightsSettings,
+)
+from hystmpc.ctrl.sampling import CrossEntropyPlanner, PathIntegralPlanner, SampleCounter, fit_columns, make_orthogonal
 from hystmpc.trials.errors import ConfigError, ControllerError
 
 from .plays import DT, LINEAR, PLAY, SOUND, Case, Faulty, not_a_number

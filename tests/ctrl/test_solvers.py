@@ -9,23 +9,19 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hystmpc.ctrl.command import Source, Stopwatch
+from hystmpc.ctrl.command import CommandLimits, Source, Stopwatch, attempt
 from hystmpc.ctrl.estimation.observer import EstimatorSettings, OutputEstimator
-from hystmpc.ctrl.fallback import FallbackChain, FallbackSettings, attempt
-from hystmpc.ctrl.guarded import GuardedController
-from hystmpc.ctrl.limits import CommandLimits
+from hystmpc.ctrl.guarded import FallbackChain, GuardedController
+from hystmpc.ctrl.law import FallbackSettings
 from hystmpc.ctrl.linearised.daqp_ import DaqpOptions, DaqpSolver
 from hystmpc.ctrl.linearised.osqp_ import OsqpOptions, OsqpSolver
-from hystmpc.ctrl.linearised.planner import LinearisedPlanner
-from hystmpc.ctrl.linearised.program import QpData, QpPattern, QpSolver, TrackingQp
-from hystmpc.ctrl.mpc import PredictiveLaw
-from hystmpc.ctrl.mpc_settings import LinearisedMpcSettings
-from hystmpc.ctrl.planning import PlanningError
-from hystmpc.ctrl.planning_settings import HoldSettings, WeightsSettings
+from hystmpc.ctrl.linearised.planner import LinearisedPlanner, QpData, QpPattern, QpSolver, TrackingQp
+from hystmpc.ctrl.mpc import PlanningError, PredictiveLaw
+from hystmpc.ctrl.mpc_settings import HoldSettings, LinearisedMpcSettings, WeightsSettings
 from hystmpc.models.inverse.one_step import AccompaniedPredictor
 from hystmpc.models.load import library_file, load_model
 from hystmpc.models.model import Inverse, LoadedModel, Predictor
-from hystmpc.models.prediction.build import predictor_and_inverse
+from hystmpc.models.prediction.build import controller_model
 from hystmpc.models.simulator import ChainModel
 
 from ..models.casadi_predictor import CasadiPredictor
@@ -161,7 +157,7 @@ def test_both_solvers_give_the_same_commands(case: Case, osqp: OsqpOptions, tole
 
 def reference_route(model: LoadedModel) -> tuple[Predictor, Predictor, Inverse]:
     """The compiled route, the route through CasADi's own derivatives with the same state, and their inverse."""
-    compiled, inverse = predictor_and_inverse(model)
+    compiled, inverse = controller_model(model).predictive
     slow = CasadiPredictor(model.casadi_function(), model.metadata)
     if isinstance(model, ChainModel):
         return compiled, slow, inverse

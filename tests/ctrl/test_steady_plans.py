@@ -12,18 +12,16 @@ from hypothesis import strategies as st
 
 import hystmpc
 from hystmpc.ctrl import CommandLimits
-from hystmpc.ctrl.build import build_controller
 from hystmpc.ctrl.config import parse_controller
+from hystmpc.ctrl.guarded import build_controller, pair_for
 from hystmpc.ctrl.planner.assembly import Assembly
 from hystmpc.ctrl.planner.reach import Workspace, angles_at_rest
 from hystmpc.ctrl.planner.settings import TipSettings
 from hystmpc.ctrl.planner.tip_controller import TipController
-from hystmpc.models.inverse.one_step import CompiledInverse
-from hystmpc.models.inverse.steady import inverted_after_a_hold
+from hystmpc.models.inverse.one_step import CompiledInverse, inverted_after_a_hold
 from hystmpc.models.load import load_model
-from hystmpc.models.operators.dynamics import Lag
 from hystmpc.models.operators.prandtl_ishlinskii import PrandtlIshlinskii
-from hystmpc.models.prediction.build import Known, known_pairs
+from hystmpc.models.prediction.build import ControllerModel, controller_model
 from hystmpc.models.simulator import ChainModel
 from hystmpc.trials.types import Vec
 
@@ -56,17 +54,16 @@ def turns(plan: Vec, least: float = MOVE) -> int:
     return found
 
 
-def known_of(core: PrandtlIshlinskii, lag_s: float) -> Known:
+def known_of(core: PrandtlIshlinskii, lag_s: float) -> ControllerModel:
     own = hystmpc.load_simulator("builtin:pi")
     model = ChainModel(replace(own, chain=replace(own.chain, core=core)), "conditioned")
-    known = known_pairs(model)
-    return known.behind((Lag(lag_s),), model.metadata) if lag_s else known
+    return controller_model(model, actuator_lag_s=lag_s)
 
 
-def controller(known: Known, kind: str = "linearised_mpc") -> TipController:
+def controller(known: ControllerModel, kind: str = "linearised_mpc") -> TipController:
     tip = TipSettings.parse({"model": "unused", "motion": MOTION, "controller": {"kind": kind}})
     settings_ = parse_controller({"kind": kind}, "controller")
-    pair = settings_.model_pair(*(known.predictive if settings_.predicts else known.feedforward))
+    pair = pair_for(settings_, known)
     workspace = Workspace(angles_at_rest(pair[0], LIMITS, 30.0), (-np.inf, np.inf), (30.0, 80.0))
     return TipController(
         Assembly(build_controller(settings_, *pair, LIMITS), pair[0], LIMITS, workspace, "mm", LIMITS), tip
@@ -135,6 +132,6 @@ def test_an_exported_model_is_inverted_as_its_simulator(tmp_path: Path) -> None:
     hystmpc.export(hystmpc.load_simulator("builtin:pi"), tmp_path / "pi.onnx")
     for file, late in (("builtin:pi", True), (str(tmp_path / "pi.onnx"), True), ("builtin:backlash", False)):
         model = load_model(file if ":" in file else Path(file), "conditioned")
-        inverse = known_pairs(model).feedforward[1]
+        inverse = controller_model(model).feedforward[1]
         assert isinstance(inverse, CompiledInverse)
         assert inverted_after_a_hold(inverse) is late

@@ -11,12 +11,11 @@ from hypothesis import strategies as st
 
 from hystmpc.ctrl.planner.reference import PiecewiseReference, Reference, rest_reference, waypoint_request
 from hystmpc.ctrl.planner.reference import given_request as preview
-from hystmpc.ctrl.planner.ruckig_ import Kinematics, move_to_rest
-from hystmpc.ctrl.planner.settings import TargetMotionSettings
-from hystmpc.trajectories.ruckig_ import PiecewiseCubic
+from hystmpc.trajectories.motion import Kinematics, MotionLimits, PiecewiseCubic
+from hystmpc.trajectories.ruckig_ import move_to_rest
 from hystmpc.trials.errors import ControllerError
 
-LIMITS = TargetMotionSettings(velocity_deg_s=30.0, acceleration_deg_s2=200.0, jerk_deg_s3=3000.0)
+LIMITS = MotionLimits(velocity_deg_s=30.0, acceleration_deg_s2=200.0, jerk_deg_s3=3000.0)
 DT = 0.04
 
 angles = st.floats(-200.0, 200.0)
@@ -125,7 +124,7 @@ def test_limits_that_are_whole_multiples_of_a_move_are_no_trap(
     distance: float, velocity: float, acceleration: float, jerk: float
 ) -> None:
     """ruckig itself finds no motion for these round numbers."""
-    limits = TargetMotionSettings(velocity_deg_s=velocity, acceleration_deg_s2=acceleration, jerk_deg_s3=jerk)
+    limits = MotionLimits(velocity_deg_s=velocity, acceleration_deg_s2=acceleration, jerk_deg_s3=jerk)
     for way in (distance, -distance):
         path = PiecewiseCubic(move_to_rest(Kinematics(2.4), 2.4 + way, limits))
         assert path(path.duration_s) == pytest.approx(2.4 + way, abs=1e-6)

@@ -22,16 +22,16 @@ from matplotlib.lines import Line2D
 from matplotlib.text import Text
 from matplotlib.ticker import FixedLocator
 
-from hystmpc.commissioning.motions import CONTROLLERS
-from hystmpc.commissioning.report import before_and_after
-from hystmpc.ctrl.limits import CommandLimits
+from hystmpc.bench.motions import CONTROLLERS
+from hystmpc.bench.report import before_and_after
+from hystmpc.ctrl.command import CommandLimits
+from hystmpc.gap.report.effect_figures import closed_loop_figure
 from hystmpc.gap.report.page import diagnosis_report
 from hystmpc.gap.report.report_data import TrackingCurve
-from hystmpc.gap.report.tracking_figure import tracking_figure as tracking_gap_figure
 from hystmpc.models.evaluate import evaluate
-from hystmpc.models.evaluation_report import loop_figure, time_figure
+from hystmpc.models.evaluation_report import evaluation_report
 from hystmpc.models.load import load_model
-from hystmpc.sim.results import looks, tracking_figure
+from hystmpc.sim.results import controllers_figure, looks
 from hystmpc.trials.report import PALETTE, Folded, Piece, Plot, figure_svg, new_figure, style, three_ticks
 from hystmpc.trials.trial import Trial
 
@@ -74,7 +74,7 @@ class _Track:
 def study() -> Figure:
     names = ["inverse", "pid", "inverse_pid", "linearised_mpc", "sampling_mpc"]
     results: Any = [_Result(k, name) for k, name in enumerate(names)]
-    return tracking_figure(results, looks(names), "mm")
+    return controllers_figure(results, looks(names), "mm")
 
 
 def commissioned() -> Figure:
@@ -83,13 +83,20 @@ def commissioned() -> Figure:
 
 
 def gap_tracking() -> Figure:
-    return tracking_gap_figure([TrackingCurve("slow_scan", T, SINE, SINE + 0.5, SINE + 0.1, 10)] * 2)
+    return closed_loop_figure([TrackingCurve("slow_scan", T, SINE, SINE + 0.5, SINE + 0.1, 10)] * 2)
+
+
+def evaluated(number: int) -> Figure:
+    """A figure of the page of an evaluation."""
+    runs = [evaluate(load_model("builtin:backlash"), trial) for trial in trials()]
+    plots = [piece for piece in evaluation_report("", "", [("", runs)]).pieces if isinstance(piece, Plot)]
+    return plots[number].figure
 
 
 FIGURES: Mapping[str, Any] = MappingProxyType({
     "trial": lambda: trials()[0].plot(),
-    "evaluation over time": lambda: time_figure([evaluate(load_model("builtin:backlash"), t) for t in trials()]),
-    "evaluation loops": lambda: loop_figure([evaluate(load_model("builtin:backlash"), t) for t in trials()]),
+    "evaluation over time": lambda: evaluated(0),
+    "evaluation loops": lambda: evaluated(1),
     "study": study,
     "commissioning": commissioned,
     "tracking gap": gap_tracking,

@@ -16,9 +16,9 @@ from hystmpc.trials.trial import Trial
 from ..ctrl.test_tip_controller import controller_for
 
 RETURNED = {  # by the public functions that take longer
-    "hystmpc.commissioning.run": "Commissioned",
+    "hystmpc.bench.commission": "Commissioned",
     "hystmpc.gap.diagnosis": "Diagnosis",
-    "hystmpc.investigation.story": "Investigated",
+    "hystmpc.bench.rounds": "Investigated",
     "hystmpc.models.contract.equivalence": "EquivalenceReport",
     "hystmpc.sim.results": "StudyResult",
     "hystmpc.sim.tuning.objective": "Tuning",

@@ -7,7 +7,7 @@ from functools import cache
 
 import numpy as np
 
-from hystmpc.ctrl.limits import CommandLimits
+from hystmpc.ctrl.command import CommandLimits
 from hystmpc.gap.diagnosis import (
     Detectable,
     DetectableSizes,

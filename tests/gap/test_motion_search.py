@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from hystmpc.ctrl.limits import CommandLimits
+from hystmpc.ctrl.command import CommandLimits
 from hystmpc.gap.next.motion_design import Noise, OpenHypothesis
 from hystmpc.gap.next.motion_family import SIZE, MotionFamily
 from hystmpc.gap.next.motion_menu import TEMPLATES, menu

@@ -13,7 +13,7 @@ import pytest
 
 from hystmpc.gap.diagnosis import Verdict
 from hystmpc.gap.report.effect_figures import MOST_ROWS, closed_figure, rmse_interval
-from hystmpc.gap.report.figure_style import short, shown
+from hystmpc.gap.report.figure_style import shown
 from hystmpc.gap.report.folder import diagnosis_json, require_free, save_diagnosis
 from hystmpc.gap.report.page import MOST_HEAT, diagnosis_report, write_report
 from hystmpc.gap.report.report_data import Evidence
@@ -21,6 +21,7 @@ from hystmpc.gap.report.residual_figures import amplitude_density, binned
 from hystmpc.gap.report.words import closed_sentence, headline, listed
 from hystmpc.models.simulator import load_simulator
 from hystmpc.trials.errors import ConfigError
+from hystmpc.trials.figures import shortened
 from hystmpc.trials.report import Folded, Paragraph, Piece, Plot, Table
 from hystmpc.trials.run_folder import RunFolder
 
@@ -200,10 +201,10 @@ def test_trials_drawn_are_final_ones_then_the_worst() -> None:
 
 def test_long_names_keep_both_ends() -> None:
     name = "2026-11-03_catheter_07_point_to_point_seed_12.csv"
-    assert len(short(name)) == 26
-    assert short(name).startswith("2026-11-03")
-    assert short(name).endswith("12.csv")
-    assert short("a.csv") == "a.csv"
+    assert len(shortened(name)) == 26
+    assert shortened(name).startswith("2026-11-03")
+    assert shortened(name).endswith("12.csv")
+    assert shortened("a.csv") == "a.csv"
     assert listed(["a", "b", "c"], "or") == "a, b or c"
 
 

@@ -40,7 +40,7 @@ def test_imports_run_one_way() -> None:
     ("file", "text", "expected"),
     [
         ("trials/a.py", "import hystmpc.models.model", 1),
-        ("ctrl/a.py", "def f():\n    from hystmpc.trajectories.trajectory import g", 1),
+        ("trajectories/a.py", "def f():\n    from hystmpc.ctrl.loop import g", 1),
         ("rig/a.py", "from hystmpc import sim", 1),
         ("models/train/a.py", "from ...ctrl import limits", 1),
         ("gap/__init__.py", "from ..cli import main", 1),

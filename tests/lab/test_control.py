@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hystmpc.ctrl.limits import CommandLimits
+from hystmpc.ctrl.command import CommandLimits
 from hystmpc.ctrl.loop import LoopLog
 from hystmpc.sim.closed_loop import ClosedLoopRun
 from hystmpc.trajectories.config import parse_motion
@@ -199,7 +199,7 @@ def test_faults_are_judged_for_every_controller() -> None:
     found = judged(result("pi", "pid", violations=1.0), result("pi", "inverse", fallbacks=2.0))
     assert not found["samples beyond a limit", "pid"].met
     assert found["samples beyond a limit", "inverse"].met
-    assert not found["samples on a rung of the ladder", "inverse"].met
+    assert not found["samples on a fallback level", "inverse"].met
 
 
 def test_a_bar_that_nothing_is_about_is_not_met() -> None:

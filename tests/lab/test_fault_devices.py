@@ -15,10 +15,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from typer.testing import CliRunner
 
+from hystmpc.bench import phases
+from hystmpc.bench.plants import plants_in
 from hystmpc.cli.main import app
-from hystmpc.commissioning import bounded
-from hystmpc.commissioning.device import SimulatedClock
-from hystmpc.commissioning.plants import plants_in
+from hystmpc.rig.realtime import SimulatedClock
 from hystmpc.rig.safety.gate import Anchor, Gate
 from hystmpc.rig.safety.plausibility import MotionWatch
 from hystmpc.rig.transports.transport import Conversion, Reading, RunContext
@@ -303,7 +303,7 @@ def test_a_watch_that_sees_nothing_is_found(tmp_path: Path, monkeypatch: pytest.
 
 
 def test_angle_limits_that_nobody_looks_at_are_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(bounded.Bounded, "step", lambda self, now: self._phase.step(now))
+    monkeypatch.setattr(phases.Bounded, "step", lambda self, now: self._phase.step(now))
     spec = DeviceSpec("steeper", faults=(DeviceFault("steepens", 0.0, 2, size=3.0),))
     verdict = play("commission", spec, tmp_path, bench={"sensor": {"upper_deg": 400.0}})
     assert verdict.past_deg > 0

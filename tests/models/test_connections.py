@@ -11,8 +11,7 @@ from typing import Literal
 import numpy as np
 import pytest
 
-from hystmpc.models.chain import Chain
-from hystmpc.models.chain_spec import chain_spec
+from hystmpc.models.chain import Chain, chain_spec
 from hystmpc.models.connections import connected_bundle, rest_of
 from hystmpc.models.contract.export import ExportBundle, export_onnx, model_bytes
 from hystmpc.models.contract.load import OnnxModel
@@ -24,7 +23,7 @@ from hystmpc.models.networks.lstm import LstmStep, lstm_step_graph
 from hystmpc.models.operators.dynamics import Delay, Lag
 from hystmpc.models.operators.operator import Operator
 from hystmpc.models.operators.slow_changes import Creep
-from hystmpc.models.prediction.build import known_pairs, predictor_for
+from hystmpc.models.prediction.build import controller_model, predictor_for
 from hystmpc.models.prediction.connected import ParallelPredictor, SeriesPredictor
 from hystmpc.models.simulator import ChainModel, simulator_bundle
 from hystmpc.trials.errors import ModelError
@@ -137,7 +136,7 @@ def test_the_predictor_is_the_file(way: Way, name: str) -> None:
 def test_a_drive_before_operators_is_their_chain(core: Operator) -> None:
     chain = predictor_for(ChainModel(simulator(Chain(core, before=DRIVE)), "conditioned"))
     alone = simulator(Chain(core))
-    predictor, inverse = known_pairs(ChainModel(alone, "conditioned")).behind(DRIVE, alone.metadata()).predictive
+    predictor, inverse = controller_model(ChainModel(alone, "conditioned")).behind(DRIVE, alone.metadata()).predictive
     plan = 2.0 + np.cumsum(np.random.default_rng(5).normal(0, 0.3, 15))
     states = []
     for each in (chain, predictor):
@@ -154,7 +153,7 @@ def test_a_drive_before_operators_is_their_chain(core: Operator) -> None:
 @pytest.mark.parametrize("name", ["operators", "parallel lstm"])
 def test_the_inverse_is_the_command_at_which_it_comes_to_rest(name: str) -> None:
     """Behind its drive a model has an inverse as without one."""
-    known = known_pairs(model_of("series", name))
+    known = controller_model(model_of("series", name))
     predictor, inverse = known.feedforward
     assert isinstance(inverse, DrivenInverse)
     state, u = predictor.initial(45.0, 2.0), 2.0

@@ -11,7 +11,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hystmpc.ctrl.build import known_model
 from hystmpc.models.contract.export import export_onnx
 from hystmpc.models.decades import Decades
 from hystmpc.models.evaluate import evaluate
@@ -19,6 +18,7 @@ from hystmpc.models.kinds.catalogue import KINDS
 from hystmpc.models.kinds.kind import FitRequest, Identified, ModelKind
 from hystmpc.models.load import load_model
 from hystmpc.models.operators.hysteresis import Backlash
+from hystmpc.models.prediction.build import controller_model
 from hystmpc.models.simulator import ChainModel, load_simulator, save_simulator
 from hystmpc.trials.check import check
 from hystmpc.trials.errors import ModelError
@@ -127,4 +127,4 @@ def test_no_controller_is_built_of_an_output_that_is_no_angle(tmp_path: Path) ->
     simulator = found(next(kind for kind in KINDS if kind.name == "backlash"), recorded()).simulator
     assert simulator is not None
     with pytest.raises(ModelError, match="maps V to um, expected an output in deg"):
-        known_model(ChainModel(simulator, "conditioned"), None, 0.0)
+        controller_model(ChainModel(simulator, "conditioned"))

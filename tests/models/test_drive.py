@@ -8,14 +8,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import lsq_linear
 
-from hystmpc.models.chain import Chain
-from hystmpc.models.inverse.drive import Drive, DrivenInverse, bounded_moves, first_acting, split
+from hystmpc.models.chain import Chain, split
+from hystmpc.models.inverse.drive import Drive, DrivenInverse, bounded_moves, first_acting
 from hystmpc.models.inverse.follow import Bounds, follower_for
 from hystmpc.models.operators.dynamics import Delay, Lag, RateLimit, Servo
 from hystmpc.models.operators.operator import Operator
 from hystmpc.models.operators.slow_changes import Creep
 from hystmpc.models.operators.static_curves import Slack
-from hystmpc.models.prediction.build import predictor_and_inverse
+from hystmpc.models.prediction.build import controller_model
 from hystmpc.models.simulator import ChainModel
 
 from .zoo import BACKLASH, DT, RATE_PI, simulator
@@ -102,7 +102,7 @@ def test_a_chain_is_cut_at_its_dynamics() -> None:
 @pytest.mark.parametrize("name", DRIVES)
 def test_the_follower_keeps_limits_and_uses_the_preview(name: str, after: tuple[Operator, ...]) -> None:
     """With dynamics on either side, angles of admissible commands come out again within a few hundredths."""
-    predictor, inverse = predictor_and_inverse(ChainModel(simulator(Chain(RATE_PI, DRIVES[name], after))))
+    predictor, inverse = controller_model(ChainModel(simulator(Chain(RATE_PI, DRIVES[name], after)))).predictive
     assert isinstance(inverse, DrivenInverse)
     bounds, state = Bounds(0.0, 6.0, REACH), predictor.initial(40.0, 0.0)
     for u in np.append(np.linspace(0.0, 2.0, 40), np.full(60, 2.0)):

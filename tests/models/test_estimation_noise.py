@@ -13,7 +13,7 @@ from hystmpc.models.identify.estimation_noise import estimation_noise
 from hystmpc.models.identify.methods import identify
 from hystmpc.models.load import library_file, load_model
 from hystmpc.models.operators.dynamics import Lag
-from hystmpc.models.prediction.build import known_pairs, predictor_for
+from hystmpc.models.prediction.build import controller_model, predictor_for
 from hystmpc.models.simulator import ChainModel, export_simulator, load_simulator, save_simulator
 from hystmpc.trials.errors import FitError, ModelError
 from hystmpc.trials.trial import Trial
@@ -109,7 +109,7 @@ def test_an_identified_simulator_knows_its_noise_and_keeps_it_in_both_files(tmp_
     for name in ("model.yaml", "model.onnx"):
         model = load_model(tmp_path / name)
         assert model.metadata.noise == noise
-        known = known_pairs(model)
+        known = controller_model(model)
         assert known.predictive[0].noise == noise
         assert known.behind((Lag(0.08),), model.metadata).predictive[0].noise == noise
 

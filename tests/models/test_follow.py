@@ -9,7 +9,7 @@ from hystmpc.models.inverse.follow import Bounds, CompiledFollower, Follower, St
 from hystmpc.models.inverse.one_step import AccompaniedPredictor, CompanionInverse, CompiledInverse
 from hystmpc.models.model import Inverse, Predictor
 from hystmpc.models.operators.dynamics import Lag
-from hystmpc.models.prediction.build import Known
+from hystmpc.models.prediction.build import ControllerModel
 from hystmpc.models.prediction.compiled import CompiledPredictor
 from hystmpc.models.prediction.recurrent import LstmPredictor
 
@@ -33,7 +33,8 @@ def pair(name: str, lag_s: float) -> tuple[Predictor, Inverse]:
         inverse = CompanionInverse(both, CompiledInverse(chain, BOUNDS.low, BOUNDS.high))
     if not lag_s:
         return predictor, inverse
-    return Known.one(predictor, inverse).behind((Lag(lag_s),), simulator(CHAINS["backlash"]).metadata()).predictive
+    whole, pair = simulator(CHAINS["backlash"]).metadata(), (predictor, inverse)
+    return ControllerModel(whole, pair, pair).behind((Lag(lag_s),), whole).predictive
 
 
 def scenes(predictor: Predictor, follower: Follower, count: int = 12) -> list[tuple[np.ndarray, np.ndarray, float]]:

@@ -43,11 +43,11 @@ import numpy as np
 os.umask(0)
 logging.getLogger("hystmpc.models.kernels.compiling").setLevel(logging.ERROR)  # on a slow machine it is told
 numba.njit(lambda x: 2.0 * x)(1.0)
-import hystmpc.ctrl.planning
-del sys.modules["hystmpc.ctrl.planning"]
+import hystmpc.ctrl.mpc
+del sys.modules["hystmpc.ctrl.mpc"]
 
 def start():
-    from hystmpc.ctrl.planning import run_ahead
+    from hystmpc.ctrl.mpc import run_ahead
     from hystmpc.models.kernels.numba_ import generated_module
     generated_module("VALUE = 1\\n")
     if os.geteuid() == 0:

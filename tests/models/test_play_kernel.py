@@ -24,7 +24,7 @@ from hystmpc.models.kinds.regressions import PlayKernelKind
 from hystmpc.models.play_kernel.fit import PlayKernelSettings, fit_play_kernel, play_kernel_bundle
 from hystmpc.models.play_kernel.predictor import PlayKernelPredictor
 from hystmpc.models.play_kernel.weights import PlayKernelStep, PlayKernelWeights
-from hystmpc.models.prediction.build import predictor_and_inverse, predictor_for
+from hystmpc.models.prediction.build import controller_model, predictor_for
 from hystmpc.models.simulator import ChainModel
 from hystmpc.trials.errors import FitError, ModelError
 from hystmpc.trials.trial import Trial
@@ -200,7 +200,7 @@ def test_forward_after_inverse_is_the_identity(history: list[float], wanted: flo
 
 @pytest.mark.parametrize("found", ["rate_independent"], indirect=True)
 def test_a_controller_gets_the_exact_inverse(model: OnnxModel) -> None:
-    predictor, inverse = predictor_and_inverse(model)
+    predictor, inverse = controller_model(model).predictive
     assert isinstance(predictor, PlayKernelPredictor)
     assert isinstance(inverse, CompiledInverse)
 

@@ -16,7 +16,7 @@ from hystmpc.models.inverse.one_step import AccompaniedPredictor, CompanionInver
 from hystmpc.models.inverse.surrogate_backlash import surrogate_backlash
 from hystmpc.models.load import load_model
 from hystmpc.models.model import Predictor
-from hystmpc.models.prediction.build import predictor_and_inverse, predictor_for
+from hystmpc.models.prediction.build import controller_model, predictor_for
 from hystmpc.models.prediction.compiled import CompiledPredictor
 from hystmpc.models.simulator import ChainModel, export_simulator, load_simulator, save_simulator
 from hystmpc.trials.errors import ModelError
@@ -128,7 +128,7 @@ def test_the_surrogate_of_a_backlash_is_that_backlash(tmp_path: Path) -> None:
 
 def test_a_companion_brings_a_model_close_to_the_wanted_angle() -> None:
     model = ChainModel(simulator(CHAINS["pi"]))
-    predictor, inverse = predictor_and_inverse(model, companion=surrogate_backlash(model))
+    predictor, inverse = controller_model(model, inverse=surrogate_backlash(model)).predictive
     assert isinstance(inverse, CompanionInverse)
     state, u = predictor.initial(45.0, 2.0), 2.0
     for wanted in 45 + 15 * np.sin(2 * np.pi * 0.1 * np.arange(0, 10, DT)):

@@ -11,7 +11,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hystmpc.models.chain import Chain
-from hystmpc.models.chain_rest import ChainRest
 from hystmpc.models.contract.export import model_bytes
 from hystmpc.models.contract.load import OnnxModel
 from hystmpc.models.contract.metadata import DeviceLimits, InitialRule, ModelMetadata, Range, rest_within
@@ -25,6 +24,7 @@ from hystmpc.models.model import LoadedModel
 from hystmpc.models.operators.dynamics import Lag
 from hystmpc.models.operators.static_curves import NonlinearGain
 from hystmpc.models.prediction.build import predictor_for
+from hystmpc.models.rest import ChainRest
 from hystmpc.models.simulator import ChainModel, simulator_bundle
 from hystmpc.models.start import search_box, trial_start
 from hystmpc.sim.plants.simulated import Effects, SimulatedPlant

@@ -17,7 +17,7 @@ from hystmpc.models.inverse.one_step import MappedPredictor, TrainedInverse
 from hystmpc.models.kinds.kind import FitRequest
 from hystmpc.models.kinds.regressions import PlayKernelKind
 from hystmpc.models.operators.hysteresis import Backlash
-from hystmpc.models.prediction.build import predictor_and_inverse
+from hystmpc.models.prediction.build import controller_model
 from hystmpc.models.simulator import ChainModel, Identification, Simulator, save_simulator, simulator_bundle
 from hystmpc.sim.closed_loop import run_closed_loop
 from hystmpc.sim.config import SimulationConfig
@@ -135,7 +135,7 @@ def test_predictive_controllers_take_their_first_guess_from_it(files: dict[str, 
 
 def test_the_memory_is_in_the_state(files: dict[str, str]) -> None:
     """Branched states do not touch each other; the map has seen the model's angles, one for each command."""
-    predictor, inverse = predictor_and_inverse(load_onnx(files["model"]), load_onnx(files["map"]))
+    predictor, inverse = controller_model(load_onnx(files["model"]), load_onnx(files["map"])).predictive
     assert isinstance(predictor, MappedPredictor)
     assert isinstance(inverse, TrainedInverse)
     start = predictor.initial(45.0, 2.0)
@@ -152,8 +152,8 @@ def test_the_memory_is_in_the_state(files: dict[str, str]) -> None:
 
 def test_predictions_are_the_models(files: dict[str, str]) -> None:
     model = load_onnx(files["model"])
-    both, _ = predictor_and_inverse(model, load_onnx(files["map"]))
-    alone, _ = predictor_and_inverse(model)
+    both, _ = controller_model(model, load_onnx(files["map"])).predictive
+    alone, _ = controller_model(model).predictive
     plans = 3.0 + np.random.default_rng(0).normal(0, 0.5, (4, 6))
     mapped, state = both.initial(45.0, 2.0), alone.initial(45.0, 2.0)
     np.testing.assert_array_equal(both.rollout(mapped, plans), alone.rollout(state, plans))
@@ -164,7 +164,7 @@ def test_predictions_are_the_models(files: dict[str, str]) -> None:
 @pytest.mark.parametrize(("wanted", "end"), [(500.0, 6.0), (-500.0, 0.0)])
 def test_commands_end_at_the_devices_limits(files: dict[str, str], wanted: float, end: float) -> None:
     model = load_onnx(files["model"])
-    predictor, inverse = predictor_and_inverse(model, load_onnx(files["map"]))
+    predictor, inverse = controller_model(model, load_onnx(files["map"])).predictive
     limits = model.metadata.command_limits
     expected = limits.upper if end else limits.lower
     assert inverse.command(predictor.initial(45.0, 2.0), wanted, 2.0) == expected

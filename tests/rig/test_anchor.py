@@ -11,8 +11,8 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from hystmpc.ctrl.limits import CommandLimits
-from hystmpc.rig.commission.phases import Decision, Past, Phase, PhaseInput
+from hystmpc.ctrl.command import CommandLimits
+from hystmpc.rig.experiment.phases import Decision, Past, Phase, PhaseInput
 from hystmpc.rig.safety.gate import Gate
 from hystmpc.rig.safety.plausibility import ModelWatch, MotionWatch, PlausibilitySettings
 from hystmpc.rig.safety.ramp import RampSettings, stop_commands

@@ -19,10 +19,10 @@ from hystmpc.codegen.compiler import EXPECTED, compiler
 from hystmpc.ctrl import TipController
 from hystmpc.ctrl.planner.assembly import assemble
 from hystmpc.ctrl.planner.settings import TipSettings
-from hystmpc.rig.commission.experiment import make_timely, tracking_phase
-from hystmpc.rig.commission.phases import Past, PhaseInput
 from hystmpc.rig.compiled.controller import compiled_controller
 from hystmpc.rig.config import RecordSettings, RunSettings, load_run
+from hystmpc.rig.experiment.experiment import make_timely, tracking_phase
+from hystmpc.rig.experiment.phases import Past, PhaseInput
 from hystmpc.rig.loop import RunOutcome
 from hystmpc.rig.recording.sample import Sample
 from hystmpc.trials.errors import ConfigError
@@ -127,7 +127,7 @@ def run(case: Case, backend: str) -> tuple[list[Sample], RunOutcome]:
         return device(k, command)
 
     rig = Rig(script, costs_ns=case.costs_ns, sensor=settings.sensor)
-    outcome = rig.run([tracking_phase(settings, beside=False)])
+    outcome = rig.run([tracking_phase(settings, threaded=False)])
     return rig.sink.samples, outcome
 
 
@@ -235,7 +235,7 @@ def test_over_udp_python_would_have_sent_what_the_c_sent(tmp_path: Path) -> None
     sent, angles = (np.asarray(log[name], dtype=np.float64).tolist() for name in ("command_mm", "angle_deg"))
     sources, limited = list(log["source"]), ["limited from" in status for status in log["status"]]
     first, end = sources.index("hold"), sources.index("return")
-    phase = tracking_phase(load_run(folder / "run.yaml", ["realtime.backend=python"]), beside=False)
+    phase = tracking_phase(load_run(folder / "run.yaml", ["realtime.backend=python"]), threaded=False)
     phase.begin(PhaseInput(angles[first], sent[first - 1]), Past(sent[:first], angles[:first]))
     compared = 0
     begun = next(k for k in range(first, end) if sources[k] != "hold")  # the hand-over may take some samples

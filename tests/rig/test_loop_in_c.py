@@ -19,13 +19,13 @@ import pytest
 from hystmpc.codegen.compiler import EXPECTED, compiler
 from hystmpc.models.load import library_file
 from hystmpc.models.simulator import load_simulator, save_simulator
-from hystmpc.rig.bench import BenchResult
-from hystmpc.rig.commission.experiment import run_experiment
 from hystmpc.rig.compiled.loop import available
 from hystmpc.rig.config import RunSettings
+from hystmpc.rig.experiment.experiment import run_experiment
 from hystmpc.rig.live.desk import E_STOP, Desk, LiveSettings
 from hystmpc.rig.loop import ControlLoop
 from hystmpc.rig.recording.sample import Sample
+from hystmpc.rig.run import BenchResult
 from hystmpc.rig.transports.udp import Datagram, Kind, decode, encode
 
 pytestmark = pytest.mark.slow

@@ -25,7 +25,7 @@ NS, DT_S, SESSION = 1_000_000_000, 0.01, 7
 HEADER = """
 #define HYSTMPC_REFERENCE 3
 #define HYSTMPC_LEARNS 0
-#define HYSTMPC_HANDS_OVER 0
+#define HYSTMPC_SUPERVISED 0
 typedef struct { double u; int source, status, missing; double predicted_deg, departure_deg; } hystmpc_command;
 typedef struct {
     double due, sleeps_s, u; /* a step that takes so long, once; and the command that it answers */

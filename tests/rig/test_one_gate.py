@@ -11,8 +11,8 @@ import pytest
 
 from ..conftest import ROOT
 
-PYTHON = ("trials", "models", "ctrl", "codegen", "sim", "rig", "gap", "testing", "commissioning", "investigation")
-PYTHON += ("studies", "cli", "ros2", "examples")
+PYTHON = ("trials", "models", "ctrl", "codegen", "sim", "rig", "gap", "testing", "bench")
+PYTHON += ("lab", "cli", "ros2", "examples")
 # Calls that may carry a command: of a transport or its wire, of a plant, of a socket.
 SENDS = {"write", "apply", "send", "sendto", "publish", "_send"}
 HOLDERS = re.compile(r"transport|wire|device|plant|inner|publisher|writer|_line$|^os$|^self$")
@@ -29,10 +29,10 @@ THE_GATE = {
 }
 # Wires that the loop writes to; nothing else calls them.
 BEHIND_IT = {
-    "rig/transports/guarded.py: self._device.write": 1,
+    "rig/transports/from_outside.py: self._device.write": 1,
     "rig/transports/simulated.py: self._plant.apply": 1,
-    "rig/transports/topics.py: self._wire.write": 2,  # a command; a greeting, which carries none
-    "rig/transports/topics.py: wire.write": 1,  # a goodbye
+    "rig/transports/dds.py: self._wire.write": 2,  # a command; a greeting, which carries none
+    "rig/transports/dds.py: wire.write": 1,  # a goodbye
     "rig/transports/dds_.py: self._writer.write": 2,
     "rig/transports/udp.py: self._send": 3,  # a command, a greeting, a goodbye
     "rig/transports/udp.py: self._wire.send": 1,
@@ -43,8 +43,8 @@ BEHIND_IT = {
 }
 # The device's own end of a wire: what it does with a command that has come, and what it says.
 THE_DEVICE = {
-    "rig/device/server.py: self._plant.apply": 1,
-    "rig/device/faulty_wire.py: self._wire.sendto": 1,
+    "rig/device.py: self._plant.apply": 1,
+    "rig/wire_faults.py: self._wire.sendto": 1,
     "rig/transports/udp.py: self._wire.sendto": 1,
     "rig/transports/dds_.py: self._wire.write": 1,
     "testing/line_device.py: os.write": 1,
@@ -53,17 +53,17 @@ THE_DEVICE = {
 NO_DEVICE = {
     "testing/loop.py: self.inner.write": 1,
     "testing/wire.py: c.transport.write": 3,
-    "rig/live/server.py: self._transport.write": 2,  # to a browser
-    "rig/live/server.py: self.send": 1,
-    "studies/faults/play.py: os.write": 1,
+    "rig/live/page.py: self._transport.write": 2,  # to a browser
+    "rig/live/page.py: self.send": 1,
+    "lab/faults/play.py: os.write": 1,
 }
 # Here `apply` is that of a computed device: no wire is known to these files.
 COMPUTED = {
     "ctrl/loop.py",
     "sim/environment/gym_.py",
-    "studies/control/loop.py",
-    "studies/control/models.py",
-    "studies/identify/motions.py",
+    "lab/control/loop.py",
+    "lab/control/models.py",
+    "lab/identify/motions.py",
     "testing/plant.py",
     "examples/exported_c/loop.py",
     "examples/mujoco_tendon/tendon.py",
@@ -114,7 +114,7 @@ def test_files_of_computed_devices_open_no_wire() -> None:
         assert not re.search(r"^\s*(import|from)\s+(socket|serial|rclpy|hystmpc\.rig)\b", text, re.MULTILINE), where
 
 
-@pytest.mark.parametrize("mover", ["rig/bench.py", "ros2/hystmpc_ros/hystmpc_ros/planner.py"])
+@pytest.mark.parametrize("mover", ["rig/run.py", "ros2/hystmpc_ros/hystmpc_ros/planner.py"])
 def test_movers_make_the_one_loop(mover: str) -> None:
     """Gate, anchor, intake and watches are put together in one function; nobody else makes a loop or a gate."""
     assert "control_loop(" in (ROOT / mover).read_text(encoding="utf-8")
@@ -129,7 +129,7 @@ def test_nobody_else_puts_a_loop_together() -> None:
         if isinstance(node, ast.Call) and isinstance(node.func, ast.Name)
         if node.func.id in {"ControlLoop", "Gate", "Anchor", "Intake"}
     }
-    assert makers == {f"rig/bench.py: {name}" for name in ("ControlLoop", "Gate", "Anchor", "Intake")}
+    assert makers == {f"rig/run.py: {name}" for name in ("ControlLoop", "Gate", "Anchor", "Intake")}
 
 
 @pytest.mark.parametrize(

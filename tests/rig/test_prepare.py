@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hystmpc.rig.commission.phases import (
+from hystmpc.rig.experiment.phases import (
     Decision,
     FlexureSettings,
     MoveSettings,

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from hystmpc.ctrl.monitor import ChangeMonitor
 from hystmpc.models.contract.metadata import NoiseModel
-from hystmpc.rig.commission.review import ReviewedRun, review
+from hystmpc.rig.experiment.review import ReviewedRun, review
 from hystmpc.trials.errors import LogError
 
 T = 0.04 * np.arange(500)

@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hystmpc.rig.commission.phases import Decision, Past, Phase, PhaseInput
+from hystmpc.rig.experiment.phases import Decision, Past, Phase, PhaseInput
 from hystmpc.rig.recording.sample import Sample
 from hystmpc.rig.transports.transport import Reading
 

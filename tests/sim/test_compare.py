@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hystmpc.ctrl.config import CONTROLLERS
-from hystmpc.ctrl.feedback.pid import PidControllerSettings
+from hystmpc.ctrl.feedback import PidControllerSettings
 from hystmpc.sim.closed_loop import run_closed_loop
 from hystmpc.sim.compare import compare
 from hystmpc.sim.report import report_from_folder

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from hystmpc.ctrl.limits import CommandLimits
+from hystmpc.ctrl.command import CommandLimits
 from hystmpc.ctrl.loop import LoopLog
 from hystmpc.gap.tracking.measured import measured_runs
 from hystmpc.sim.closed_loop import ClosedLoopRun

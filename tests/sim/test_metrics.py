@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from hystmpc.ctrl.limits import CommandLimits
+from hystmpc.ctrl.command import CommandLimits
 from hystmpc.ctrl.loop import LoopLog
 from hystmpc.sim.closed_loop import ClosedLoopRun
 from hystmpc.sim.results import holds, tracking_metrics, violations

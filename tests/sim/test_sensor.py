@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from hystmpc.ctrl.config import CONTROLLERS
-from hystmpc.ctrl.feedback.pid import PidControllerSettings
+from hystmpc.ctrl.feedback import PidControllerSettings
 from hystmpc.sim.closed_loop import ClosedLoopRun, run_closed_loop
 from hystmpc.sim.compare import compare
 from hystmpc.sim.config import SimulationConfig, load_simulation

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import csv
 import json
 import math
-import shutil
+import subprocess
+import sys
+import time
 from copy import deepcopy
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -15,7 +17,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hystmpc.sim.sweep import csv_rows, store
 from hystmpc.sim.sweep.plan import SweepPlan, SweepRow
 from hystmpc.sim.sweep.settings import (
     DrawSettings,
@@ -27,9 +28,9 @@ from hystmpc.sim.sweep.settings import (
     value_at,
     with_base,
 )
-from hystmpc.sim.sweep.store import Store, files_of, table_of
+from hystmpc.sim.sweep.table import RunTable, table_of
 from hystmpc.trials.config import dump_yaml
-from hystmpc.trials.errors import ConfigError
+from hystmpc.trials.errors import ConfigError, LogError
 
 from .small import study_data
 
@@ -37,7 +38,6 @@ pytestmark = pytest.mark.slow
 
 MISMATCH = 'plant.mismatch."prandtl_ishlinskii.alpha"'
 DRAW = {"plant.lag_s": {"uniform": [0.0, 0.1]}, MISMATCH: {"log_uniform": [0.8, 1.25]}}
-KINDS = {"id": "text", "status": "text", "value": "number", "count": "whole"}
 
 
 def plan(**changes: Any) -> SweepPlan:
@@ -175,104 +175,128 @@ def test_the_study_may_stand_in_a_file_of_its_own(tmp_path: Path) -> None:
     assert {row.id for row in SweepPlan(found).rows()} == {row.id for row in rows(draw=DRAW, count=2)}
 
 
-@pytest.fixture(params=["csv", "parquet"])
-def form(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> ModuleType:
-    """Both formats of a table."""
-    if request.param == "csv":
-        monkeypatch.setattr(store, "find_spec", lambda name: None)
-        return csv_rows
-    pytest.importorskip("pyarrow", reason="pyarrow is an extra")
-    from hystmpc.sim.sweep import parquet_
-
-    return parquet_
-
-
 def record(identity: str, status: str = "done", value: float | None = 0.1, count: int = 1) -> dict[str, Any]:
     return {"id": identity, "status": status, "value": value, "count": count}
 
 
-def taken(folder: Path, *records: dict[str, Any], kinds: dict[str, str] = KINDS) -> Store:
-    """A store after one more run of a process."""
-    found = Store(folder, kinds)
+def taken(folder: Path, *records: dict[str, Any]) -> RunTable:
+    """A table after one more run of a process."""
+    table = RunTable(folder)
     for one in records:
-        found.add(one)
-    found.flush()
-    return found
+        table.add(one)
+    table.flush()
+    return table
 
 
-def test_rows_come_back_to_the_last_bit(form: ModuleType, tmp_path: Path) -> None:
+def values_of(folder: Path) -> dict[str, Any]:
+    """The column `value` by id."""
+    table = table_of(folder, ["id", "value"])
+    return dict(zip(table["id"], table["value"], strict=True))
+
+
+def test_rows_come_back_to_the_last_bit(tmp_path: Path) -> None:
     values = [0.1, 1 / 3, 5e-324, 1.7976931348623157e308, math.nan, -0.0]
     taken(tmp_path, *(record(f"r{k}", value=value) for k, value in enumerate(values)))
-    for _ in range(2):
-        table = table_of(tmp_path, ["id", "value", "count"])
-        assert [np.float64(v).tobytes() for v in table["value"]] == [np.float64(v).tobytes() for v in values]
-        assert table["id"] == [f"r{k}" for k in range(len(values))]
-        Store(tmp_path, KINDS).merge()
-    assert [path.suffix for path in files_of(tmp_path)] == [form.ENDING]
+    table = table_of(tmp_path, ["id", "value", "count", "more"])
+    assert [np.float64(v).tobytes() for v in table["value"]] == [np.float64(v).tobytes() for v in values]
+    assert table["id"] == [f"r{k}" for k in range(len(values))]
+    assert list(table["count"]) == [1] * len(values)
+    assert table["more"] == [None] * len(values)
 
 
-def test_of_a_row_done_again_the_last_that_was_done_counts(form: ModuleType, tmp_path: Path) -> None:
-    taken(tmp_path, record("a", "failed", None), record("b", value=1.0))
-    taken(tmp_path, record("a", value=2.0), record("b", "failed", None))
-    assert taken(tmp_path).done() == {"a", "b"}
-    for _ in range(2):
-        table = table_of(tmp_path, ["id", "value", "status"])
-        assert dict(zip(map(str, table["id"]), map(float, table["value"]), strict=True)) == {"a": 2.0, "b": 1.0}  # type: ignore[arg-type]
-        Store(tmp_path, KINDS).merge()
+def test_the_copy_for_reading_has_the_numbers_as_they_are_and_every_column(tmp_path: Path) -> None:
+    table = taken(tmp_path, record("a", value=1 / 3), record("b", value=math.nan) | {"more": "x, y"})
+    path = table.copy(["id", "value", "settings"])
+    assert path == tmp_path / "runs.csv"
+    with path.open(newline="") as file:
+        rows = list(csv.reader(file))
+    assert rows == [
+        ["id", "value", "status", "count", "more"],
+        ["a", repr(1 / 3), "done", "1", ""],
+        ["b", "", "done", "1", "x, y"],
+    ]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["runs.csv", "runs.db"]
 
 
-def test_a_process_that_dies_between_merging_and_tidying_doubles_nothing(form: ModuleType, tmp_path: Path) -> None:
-    taken(tmp_path, record("a"), record("b"))
-    shutil.copytree(tmp_path / "shards", tmp_path / "kept")
-    Store(tmp_path, KINDS).merge()
-    shutil.rmtree(tmp_path / "shards")
-    (tmp_path / "kept").rename(tmp_path / "shards")
-    assert len(files_of(tmp_path)) == 2
-    assert table_of(tmp_path, ["id"])["id"] == ["a", "b"]
-    Store(tmp_path, KINDS).merge()
-    assert len(files_of(tmp_path)) == 1
-    assert table_of(tmp_path, ["id"])["id"] == ["a", "b"]
+def test_a_table_without_rows_has_no_copy(tmp_path: Path) -> None:
+    assert RunTable(tmp_path).copy(["id"]) is None
+    assert table_of(tmp_path / "nowhere", ["id"]) == {"id": []}
 
 
-def test_half_a_shard_is_no_shard(form: ModuleType, tmp_path: Path) -> None:
+def test_of_a_row_done_again_the_last_that_was_done_counts(tmp_path: Path) -> None:
+    taken(tmp_path, record("a", "failed", None), record("b", value=1.0), record("c", value=3.0))
+    taken(tmp_path, record("a", value=2.0), record("b", "failed", None), record("c", value=4.0))
+    assert RunTable(tmp_path).done() == {"a", "b", "c"}
+    assert values_of(tmp_path) == {"a": 2.0, "b": 1.0, "c": 4.0}
+
+
+def test_a_damaged_table_is_named(tmp_path: Path) -> None:
     taken(tmp_path, record("a"))
-    (tmp_path / "shards" / f".00000000000000000000-1{form.ENDING}").write_text("half")
-    assert table_of(tmp_path, ["id"])["id"] == ["a"]
-    Store(tmp_path, KINDS).merge()
-    assert list((tmp_path / "shards").iterdir()) == []
+    (tmp_path / "runs.db").write_bytes(b"x" * 5000)
+    for read in (RunTable, lambda folder: table_of(folder, ["id"])):
+        with pytest.raises(LogError, match=r"runs\.db: not a table of runs .*remove it"):
+            read(tmp_path)
 
 
-def test_a_table_grows_new_columns(form: ModuleType, tmp_path: Path) -> None:
-    taken(tmp_path, record("a"))
-    taken(tmp_path, record("b") | {"more": 7.0}, kinds=KINDS | {"more": "number"}).merge()
-    more = [float(v) for v in np.asarray(table_of(tmp_path, ["id", "more"])["more"], dtype=float)]
-    assert math.isnan(more[0])
-    assert more[1] == 7.0
-
-
-@settings(max_examples=20)
+@settings(max_examples=20, deadline=None)
 @given(data=st.data())
 def test_however_a_run_is_cut_every_row_is_there_once(
     data: st.DataObject, tmp_path_factory: pytest.TempPathFactory
 ) -> None:
     folder, ids = tmp_path_factory.mktemp("cut"), [f"{k:02d}" for k in range(12)]
     for _ in range(data.draw(st.integers(1, 4))):
-        held = Store(folder, KINDS)
-        open_rows = [identity for identity in ids if identity not in held.done()]
-        reached = data.draw(st.integers(0, len(open_rows)))
-        flushed = data.draw(st.integers(0, reached))
-        for k, identity in enumerate(open_rows[:reached]):
-            held.add(record(identity))
-            if k + 1 == flushed:
-                held.flush()  # what comes after is lost with the process
+        table = RunTable(folder)
+        open_rows = [identity for identity in ids if identity not in table.done()]
+        for identity in open_rows[: data.draw(st.integers(0, len(open_rows)))]:
+            table.add(record(identity))  # what has not been written by now is lost with the process
         if data.draw(st.booleans()):
-            Store(folder, KINDS).merge()
-    held = Store(folder, KINDS)
+            table.copy(["id"])
+    table = RunTable(folder)
     for identity in ids:
-        if identity not in held.done():
-            held.add(record(identity))
-    held.merge()
-    assert sorted(str(i) for i in table_of(folder, ["id"])["id"]) == ids
+        if identity not in table.done():
+            table.add(record(identity))
+    assert table.copy(["id"])
+    assert sorted(map(str, table_of(folder, ["id"])["id"])) == ids
+
+
+WRITER = """
+import sys
+from pathlib import Path
+from hystmpc.sim.sweep.table import RunTable
+table = RunTable(Path(sys.argv[1]))
+print("ready", flush=True)
+for k in range(int(sys.argv[3])):
+    table.add({"id": f"{sys.argv[2]}{k:05d}", "status": "done", "settings": "x" * 5000, "value": float(k)})
+    table.flush()
+    print(k, flush=True)
+"""
+
+
+def writer(folder: Path, name: str, count: int) -> subprocess.Popen[str]:
+    """A process that writes rows and says of each that it is written."""
+    return subprocess.Popen([sys.executable, "-c", WRITER, folder, name, str(count)], stdout=subprocess.PIPE, text=True)
+
+
+@pytest.mark.parametrize("wait_s", [0.01, 0.03, 0.1])
+def test_what_was_written_before_a_kill_is_there_and_whole(wait_s: float, tmp_path: Path) -> None:
+    with writer(tmp_path, "a", 10**5) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "ready\n"
+        time.sleep(wait_s)
+        process.kill()
+        said = [int(line) for line in process.stdout.read().splitlines() if line]
+    table = table_of(tmp_path, ["id", "value", "settings"])
+    assert len(said) <= len(table["id"]) <= len(said) + 1
+    assert table["id"] == [f"a{k:05d}" for k in range(len(table["id"]))]
+    assert set(table["settings"]) <= {"x" * 5000}
+    taken(tmp_path, record("b"))
+    assert "b" in RunTable(tmp_path).done()
+
+
+def test_several_processes_write_into_one_table(tmp_path: Path) -> None:
+    processes = [writer(tmp_path, name, 20) for name in "abc"]
+    assert [process.communicate()[0].split()[-1] for process in processes] == ["19"] * 3
+    assert sorted(map(str, table_of(tmp_path, ["id"])["id"])) == [f"{name}{k:05d}" for name in "abc" for k in range(20)]
 
 
 def test_settings_of_a_row_are_json() -> None:

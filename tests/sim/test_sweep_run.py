@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+import shutil
 import signal
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -15,10 +16,9 @@ import pytest
 from hystmpc.sim.jobs.backend import Backend, InTurn, Processes
 from hystmpc.sim.jobs.runner import backend_for
 from hystmpc.sim.results import load_results
-from hystmpc.sim.sweep.csv_rows import texts
 from hystmpc.sim.sweep.run import SweepOutcome, reproduce, run_sweep
 from hystmpc.sim.sweep.settings import SweepSettings, with_base
-from hystmpc.sim.sweep.store import files_of, table_of
+from hystmpc.sim.sweep.table import table_of, texts
 from hystmpc.sim.sweep.worker import RESULT_COLUMNS
 from hystmpc.trials.errors import ConfigError, LogError
 
@@ -57,7 +57,8 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, SweepOutcome]
 def test_a_sweep_leaves_one_table_and_a_report(whole: tuple[Path, SweepOutcome]) -> None:
     folder, outcome = whole
     assert (outcome.rows, outcome.kept, outcome.failed) == (6, 0, 0)
-    assert files_of(folder) == [outcome.table]
+    assert outcome.table == folder / "runs.csv"
+    assert len(outcome.table.read_text(encoding="utf-8").splitlines()) == 7
     assert len(set(ids(folder))) == 6
     page = Page(outcome.report.read_text(encoding="utf-8"))
     assert page.open == []
@@ -123,6 +124,16 @@ def test_an_interrupted_sweep_keeps_what_is_done(whole: tuple[Path, SweepOutcome
     assert not (folder / "report.html").exists()
     assert run_sweep(sweep(), folder, InTurn()).kept == 2
     assert figures(folder) == figures(whole[0])
+
+
+def test_the_table_of_an_earlier_version_is_refused(whole: tuple[Path, SweepOutcome], tmp_path: Path) -> None:
+    folder = tmp_path / "old"
+    shutil.copytree(whole[0], folder)
+    (folder / "runs.db").unlink()
+    before = {path.name: path.read_bytes() for path in folder.iterdir()}
+    with pytest.raises(ConfigError, match=r"holds runs\.csv of an earlier version of hystmpc, expected a new folder"):
+        run_sweep(sweep(count=4), folder, InTurn())
+    assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
 
 
 def test_a_folder_of_something_else_is_refused(tmp_path: Path) -> None:

@@ -12,12 +12,10 @@ from typing import Annotated, Any, ClassVar
 
 import pytest
 
-from hystmpc.ctrl.command import ControlInput, Stopwatch
-from hystmpc.ctrl.config import CONTROLLERS, parse_controller
-from hystmpc.ctrl.feedback.inverse_settings import InverseControllerSettings
-from hystmpc.ctrl.from_outside import PythonControllerSettings
+from hystmpc.ctrl.command import CommandLimits, ControlInput, Stopwatch
+from hystmpc.ctrl.config import CONTROLLERS, PythonControllerSettings, parse_controller
+from hystmpc.ctrl.feedback import InverseControllerSettings
 from hystmpc.ctrl.law import Law, LawSettings, Proposal
-from hystmpc.ctrl.limits import CommandLimits
 from hystmpc.models.effects.catalogue import EFFECTS
 from hystmpc.models.effects.effect import Effect
 from hystmpc.models.model import Inverse, Predictor

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from hystmpc.trajectories import MotionLimits, PointToPoint, SinusoidScan, random_point_to_point
-from hystmpc.trajectories.config import LimitsSettings, Motion, parse_motion
+from hystmpc.trajectories.config import Motion, parse_motion
+from hystmpc.trajectories.motion import MotionLimitsSettings
 from hystmpc.trials.config import Settings
 from hystmpc.trials.errors import ConfigError, TrajectoryError
 
@@ -55,7 +56,7 @@ def test_a_drawn_motion_takes_every_setting() -> None:
 
 
 def test_default_limits_stand_in_one_place() -> None:
-    assert LimitsSettings().build() == MotionLimits()
+    assert MotionLimitsSettings().build() == MotionLimits()
 
 
 def test_a_motion_inside_another_block() -> None:

@@ -11,8 +11,8 @@ import pytest
 
 from hystmpc.trajectories import excitation
 from hystmpc.trajectories.config import MOTIONS, parse_motion
+from hystmpc.trajectories.motion import MotionLimits
 from hystmpc.trajectories.point_to_point import rest_to_rest
-from hystmpc.trajectories.ruckig_ import MotionLimits
 from hystmpc.trajectories.trajectory import Chain, PreviewTable, Sampled, Trajectory, preview, sample
 
 SCAN = {"start_deg": 30, "centre_deg": 60, "frequency_hz": 0.5, "cycles": 1.5}

@@ -9,8 +9,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hystmpc.trajectories import MotionLimits, PointToPoint, random_point_to_point, sample
+from hystmpc.trajectories.motion import Kinematics, PiecewiseCubic, end_state
 from hystmpc.trajectories.point_to_point import rest_to_rest
-from hystmpc.trajectories.ruckig_ import PiecewiseCubic, RestingState, end_state, move
+from hystmpc.trajectories.ruckig_ import move
 from hystmpc.trials.errors import TrajectoryError
 
 LIMITS = MotionLimits(60.0, 300.0, 3000.0)
@@ -77,7 +78,7 @@ def test_sequences_keep_limits_and_hold_every_target(
 @pytest.mark.parametrize("distance", [-1.1386e-8, -1e-10, 250.0])
 @pytest.mark.parametrize("limits", [MotionLimits(9.62, 9.4755, 3.6017e6), MotionLimits(0.01, 1e5, 1e7)])
 def test_moves_that_ruckig_drops_or_refuses_in_other_units(distance: float, limits: MotionLimits) -> None:
-    pieces = PiecewiseCubic(move(RestingState(0.0), RestingState(distance), limits))
+    pieces = PiecewiseCubic(move(Kinematics(0.0), Kinematics(distance), limits))
     check_limits(pieces, limits)
     assert pieces(pieces.duration_s) == pytest.approx(distance, rel=1e-8)
 
@@ -143,21 +144,21 @@ def test_equal_seeds_give_equal_motions() -> None:
 
 
 def test_a_move_can_be_given_its_duration() -> None:
-    pieces = move(RestingState(30), RestingState(60), LIMITS, 2.5)
+    pieces = move(Kinematics(30), Kinematics(60), LIMITS, 2.5)
     assert pieces[:, 0].sum() == pytest.approx(2.5, rel=1e-12)
     check_limits(PiecewiseCubic(pieces), LIMITS)
     with pytest.raises(TrajectoryError, match=r"got 0\.1 s, expected at least 0\.8 s within 60 deg/s"):
-        move(RestingState(30), RestingState(60), LIMITS, 0.1)
+        move(Kinematics(30), Kinematics(60), LIMITS, 0.1)
 
 
 def test_an_acceleration_cannot_be_reached_on_no_distance() -> None:
     with pytest.raises(TrajectoryError, match="both 30 deg"):
-        move(RestingState(30), RestingState(30, 5.0), LIMITS)
+        move(Kinematics(30), Kinematics(30, 0.0, 5.0), LIMITS)
 
 
 def test_an_acceleration_beyond_the_limit_is_refused() -> None:
     with pytest.raises(TrajectoryError, match="move from 30 to 60 deg: ruckig finds none"):
-        move(RestingState(30), RestingState(60, -400.0), LIMITS)
+        move(Kinematics(30), Kinematics(60, 0.0, -400.0), LIMITS)
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,7 @@ from hystmpc.trials import mcap_
 from hystmpc.trials.config import Settings
 from hystmpc.trials.errors import ConfigError, LogError
 from hystmpc.trials.report import Report
-from hystmpc.trials.run_folder import FORMAT, RunFolder
+from hystmpc.trials.run_folder import FORMAT, RunFolder, alone_in, resumed_folder
 from hystmpc.trials.tables import read_table
 
 
@@ -151,3 +151,19 @@ def test_a_column_of_dashes_in_a_log_of_ours_is_text() -> None:
     table = read_table(lines, "log.csv")
     assert table.texts == {"faults": ("-", "-", "-")}
     assert set(table.numbers) == {"time_s", "command", "frame_s"}
+
+
+def test_a_folder_goes_on_or_says_why_not(tmp_path: Path) -> None:
+    first = resumed_folder(tmp_path / "run", {"a": 1}, 0, lambda before: "never asked")
+    again = resumed_folder(tmp_path / "run", {"a": 2}, 0, lambda before: "" if before == {"a": 1} else "changed")
+    assert again.meta == first.meta
+    assert again.config() == {"a": 2}
+    with pytest.raises(ConfigError, match="run: another plan"):
+        resumed_folder(tmp_path / "run", {}, 0, lambda before: "another plan")
+
+
+def test_one_process_at_a_time(tmp_path: Path) -> None:
+    with alone_in(tmp_path), pytest.raises(ConfigError, match="expected to be alone"), alone_in(tmp_path):
+        pass
+    with alone_in(tmp_path):
+        pass

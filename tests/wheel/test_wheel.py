@@ -24,8 +24,7 @@ ROOMS = (
     "codegen",
     "gap",
     "testing",
-    "commissioning",
-    "investigation",
+    "bench",
     "cli",
 )
 # These wrap packages of an extra, and may ask for it when they are imported.
@@ -37,7 +36,6 @@ EXTRAS = {
     "distributed",
     "gymnasium",
     "optuna",
-    "pyarrow",
     "cyclonedds",
 }
 

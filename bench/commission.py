@@ -1,0 +1,354 @@
+"""A commissioning: safe range, recordings, check, identification, diagnosis, controller, verification, report."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hystmpc.ctrl.command import CommandLimits
+from hystmpc.rig.config import BenchSettings
+from hystmpc.trials.brief import brief
+from hystmpc.trials.errors import ConfigError, LogError
+from hystmpc.trials.from_outside import only_reads
+from hystmpc.trials.read import expand_logs, read_trials
+from hystmpc.trials.run_folder import RunFolder, alone_in
+from hystmpc.trials.types import Progress
+
+from .config import CommissionBlock, CommissionSettings, narrowed
+from .controller import TIP_FILE, ControllerMade, Identified, fresh_references, make_controllers
+from .device import Device, Open, opened_device
+from .identify import (
+    FIXED_FILE,
+    MODEL_FILE,
+    Checked,
+    Diagnosed,
+    Fitted,
+    Subject,
+    check_trials,
+    diagnose_model,
+    fit_model,
+    subject_of,
+)
+from .motions import CONTROLLERS, SCANS_HZ, Budget, budget, directions, recordings
+from .phases import Bounded, Climb, Climbed, dash
+from .stages import Figure, Stages, begun, differing, fingerprint
+from .verify import MPC, Tracks, Verified, judge, load_tracks, track_all
+
+NAMES = ("1-range", "2-record", "3-check", "4-fit", "5-diagnose", "6-controller", "7-verify")
+"""Folders of the stages, in their order."""
+
+RANGE, RECORD, CHECK, FIT, DIAGNOSE, CONTROLLER, VERIFY = NAMES
+REPORT_FILE = "report.html"
+_LEAST_RANGE = 0.2  # of the limits: a narrower range says that something is wrong
+_LEAST_MOTION = 0.02  # of the angle limits
+_COMPUTING_S = {FIT: 60.0, DIAGNOSE: 150.0, CONTROLLER: 40.0, "report": 10.0}  # expected, for the bar
+
+
+@dataclass(frozen=True)
+class Ranged:
+    """The range and the rate that are used from here on.
+
+    Attributes:
+        lower, upper: of the command.
+        rate_per_s: greatest change of the command.
+        low_deg, high_deg: angles at rest within the range [deg].
+        words: how they were found.
+        still: longest travel of the command in which the tip did not move.
+    """
+
+    lower: float
+    upper: float
+    rate_per_s: float
+    low_deg: Figure
+    high_deg: Figure
+    words: str
+    still: float = 0.0
+
+
+@dataclass(frozen=True)
+class RecordedTrials:
+    """Names of the recordings, in their order."""
+
+    names: tuple[str, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Commissioned:
+    """What a commissioning left behind.
+
+    Attributes:
+        folder: of the run.
+        tip: file for `TipController.from_config`.
+        model: that it predicts with.
+        report: the page.
+        verified: the verdict; None after a commissioning from logs.
+        device_s: device time used [s].
+    """
+
+    folder: Path
+    tip: Path
+    model: Path
+    report: Path
+    verified: Verified | None
+    device_s: float
+    __repr__ = brief
+
+
+def plan_rows(settings: CommissionSettings, found: Budget) -> tuple[tuple[str, str, float], ...]:
+    """Stages with their motions and minutes of device time, as they are said before anything moves."""
+    steps, own = settings.commission.range_steps, settings.commission.motions
+    motions = len(own) if own else 1 + len(SCANS_HZ)
+    prepare = f"; preparation {found.prepare_s:.0f} s" if found.prepare_s else ""
+    rows = [
+        (RANGE, f"climb in {steps} steps, a dash at the greatest rate{prepare}", found.range_s + found.prepare_s),
+        (RECORD, f"6 recordings: steps, holds, sines, reversals{prepare}", found.record_s + found.prepare_s),
+        (CHECK, "none", 0.0),
+        (FIT, "none", 0.0),
+        (DIAGNOSE, "none" if settings.commission.diagnose else "left out", 0.0),
+        (CONTROLLER, "none", 0.0),
+        (
+            VERIFY,
+            f"{motions} references with {len(CONTROLLERS)} controllers, {found.motion_s:.0f} s each{prepare}",
+            found.verify_s + found.prepare_s,
+        ),
+    ]
+    return (*((name, what, seconds / 60) for name, what, seconds in rows), ("all", "", found.total_s / 60))
+
+
+def commission_device(
+    settings: CommissionSettings,
+    device: Open,
+    out: Path | str,
+    progress: Progress | None = None,
+) -> Commissioned:
+    """Find the safe range and rate, record, check, identify, diagnose, make the controller, verify it, report.
+
+    The same call goes on after the last complete stage, and within recordings and verification after the last complete
+    motion.
+
+    Args:
+        device: opens the device, given the folder and what to tell while a motion lasts.
+        out: a new or empty folder, or one in which the same commissioning was begun.
+        progress: called with seconds done, seconds expected in all, and what is being done.
+
+    Raises:
+        ConfigError: before anything moves: on a folder that holds something else, minutes that are too few, a device
+            that does not answer, or a latched stop.
+        DeviceStoppedError: if a motion was stopped safely; complete trials are kept.
+        EndedEarlyError: if a stage cannot be completed after the device has moved.
+        KeyboardInterrupt: if the user ended it while something was computed.
+    """
+    planned, block = budget(settings), settings.commission
+    with begun(out, "commissioning", settings.model_dump(mode="json"), block.seed, device, progress) as stages:
+        stages.expect(planned.total_s, _computing_s(block))
+        return _on_device(settings, stages, planned)
+
+
+def commission_logs(
+    logs: Sequence[Path | str],
+    out: Path | str,
+    settings: CommissionSettings | None = None,
+    progress: Progress | None = None,
+) -> Commissioned:
+    """The same from recordings alone: check, identify, diagnose, make the controller, report; nothing is verified.
+
+    Args:
+        logs: files or folders.
+        settings: of the bench, for limits, rate and safe command; what the recordings show where left out.
+
+    Raises:
+        HystmpcError: if the recordings or the folder cannot be used.
+        KeyboardInterrupt: if the user ended it; complete stages are kept.
+    """
+    files = tuple(path.resolve() for path in expand_logs([Path(log) for log in logs]))
+    subject, words = _from_logs(files, settings)
+    plain: dict[str, Any] = {} if settings is None else settings.model_dump(mode="json")
+    with begun(out, "commissioning", plain | {"logs": _hashes(files)}, subject.block.seed, None, progress) as stages:
+        stages.expect(0.0, _computing_s(subject.block))
+        return _reported(_identified(subject, stages), stages, words)
+
+
+@only_reads()
+def report_again(folder: Path | str) -> Commissioned:
+    """Write the report of a complete commissioning again from what its stages have left; no device is opened.
+
+    Raises:
+        ConfigError: if a stage was begun after other results than those before it, or another process works in it.
+        LogError: if the folder holds no complete commissioning, or a recording that it was made from has changed.
+    """
+    run = RunFolder.open(folder)
+    config = run.config()
+    if not isinstance(config, Mapping) or "commissioning" not in config:
+        raise LogError(f"{folder}: holds another kind of run, expected the folder of a commissioning")
+    plain = {key: value for key, value in config.items() if key != "commissioning"}
+    bench = {key: value for key, value in plain.items() if key != "logs"}
+    settings = CommissionSettings.parse(bench, str(run.path / "config.yaml")) if bench else None
+    with alone_in(run.path):
+        if settings is not None and "logs" not in plain:
+            stages = Stages(run.path, plain, opened_device(settings, run.path), closed=True)
+            return _on_device(settings, stages, budget(settings))
+        files = tuple(map(Path, plain["logs"]))
+        subject, words = _from_logs(files, settings)
+        stages = Stages(run.path, plain, closed=True)
+        if text := differing({"logs": plain["logs"]}, {"logs": _hashes(files)}):
+            raise LogError(f"{run.path}: {text}; expected the recordings that it was made from")
+        return _reported(_identified(subject, stages), stages, words)
+
+
+def _hashes(files: Sequence[Path]) -> dict[str, str]:
+    return {str(path): fingerprint(path.read_bytes().hex()) for path in files}
+
+
+def _computing_s(block: CommissionBlock) -> float:
+    """Computing time that is expected [s]."""
+    return sum(seconds for name, seconds in _COMPUTING_S.items() if name != DIAGNOSE or block.diagnose)
+
+
+def _on_device(settings: CommissionSettings, stages: Stages, planned: Budget) -> Commissioned:
+    """All stages, each loaded or done now."""
+    seconds = planned.range_s + planned.prepare_s
+    ranged = stages.complete(RANGE, Ranged, lambda folder: _ranged(settings, stages), device_s=seconds)
+    bench = narrowed(settings, ranged.lower, ranged.upper, ranged.rate_per_s, ranged.still)
+
+    def record(folder: Path) -> RecordedTrials:
+        motions = recordings(bench, planned.share, settings.commission.seed)
+        return RecordedTrials(tuple(stages.record(motions, bench, folder)))
+
+    recorded = stages.complete(RECORD, RecordedTrials, record, device_s=planned.record_s + planned.prepare_s)
+    trials = [stages.root / RECORD / "trials" / f"{name}.csv" for name in recorded.names]
+    subject = subject_of(settings, bench.limits.build(), trials)
+    identified = _identified(subject, stages)
+
+    def verify(folder: Path) -> Verified:
+        motions = fresh_references(subject, identified.made.reached, planned.motion_s)
+        tracks = track_all(stages.device, motions, bench, folder, lambda what: stages.say(f"verify {what}"))
+        fitted = identified.fitted
+        return judge(tracks, subject.limits, settings.dt_s, fitted.sensor_sigma_deg, fitted.model_sigma_deg)
+
+    verified = stages.complete(VERIFY, Verified, verify, device_s=planned.verify_s + planned.prepare_s)
+    tracks = load_tracks(stages.root / VERIFY)
+    in_order = {motion: tracks[motion] for motion in verified.scores[MPC].by_motion if motion in tracks}
+    return _reported(identified, stages, ranged.words, in_order, verified)
+
+
+def _ranged(settings: CommissionSettings, stages: Stages) -> Ranged:
+    """Climb in every direction, then dash; what was found is narrower than the limits or as wide."""
+    stages.say("range")
+    block, climbs = settings.commission, list[Climbed]()
+    for k, end in enumerate(directions(settings)):
+        climb = Climb(settings, end, settings.angle_limits, block.range_steps, block.angle_limits_deg is None)
+        stages.device.explore(f"{RANGE}/climb-{k + 1}", climb, settings)
+        climbs.append(climb.result)
+    safe, limits = settings.safe_command, settings.limits
+    ends = [safe, *(c.end for c in climbs if math.isfinite(c.end))]
+    lower, upper = min(ends), max(ends)
+    angles = [a for c in climbs for a in (c.start_deg, c.angle_deg) if math.isfinite(a)]
+    words = "; ".join(f"to {c.end:.4g} {settings.command_unit}: {c.why}" for c in climbs)
+    if upper - lower < _LEAST_RANGE * (limits.upper - limits.lower):
+        raise LogError(
+            f"range: got {lower:.4g} to {upper:.4g} {settings.command_unit} ({words}), expected at least "
+            f"{100 * _LEAST_RANGE:.0f} % of the limits; correct limits, sensor or commission.angle_limits_deg"
+        )
+    low_deg, high_deg = min(angles), max(angles)
+    if high_deg - low_deg < _LEAST_MOTION * (settings.angle_limits[1] - settings.angle_limits[0]):
+        raise LogError(
+            f"range: the angle moved by {high_deg - low_deg:.2f} deg over {lower:.4g} to {upper:.4g} "
+            f"{settings.command_unit}, expected a device that moves; is the tip blocked, the sensor fixed?"
+        )
+    first = climbs[0]
+    if (first.angle_deg - first.start_deg) * (first.end - safe) < 0:
+        raise LogError(
+            "range: the angle falls as the command rises, expected it to rise; set wire.angle_sign: -1 (and "
+            "wire.angle_offset_deg)"
+        )
+    still = max(c.still for c in climbs)
+    within = narrowed(settings, lower, upper, limits.rate_per_s, still)
+    rate, said = _dashed(within, first.end, stages.device, block.angle_limits_deg)
+    return Ranged(lower, upper, rate, low_deg, high_deg, f"{words}; {said}", still)
+
+
+def _dashed(
+    bench: BenchSettings, end: float, device: Device, angle_limits: tuple[float, float] | None
+) -> tuple[float, str]:
+    phase = dash(bench, end)
+    device.explore(f"{RANGE}/dash", Bounded(phase, angle_limits, bench.sensor), bench)
+    rate, limit = float(f"{phase.rate_per_s:.4g}"), bench.limits.rate_per_s
+    rate = min(rate, limit)
+    if not phase.tells:
+        return rate, f"the device does not tell what it holds, so that {limit:g} per s is taken as it is"
+    return rate, f"the device follows {limit:g} per s" if rate == limit else f"it follows {rate:g} of {limit:g} per s"
+
+
+def _identified(subject: Subject, stages: Stages) -> Identified:
+    """Check, identification, diagnosis and controller: what needs no device."""
+    checked = stages.complete(CHECK, Checked, lambda folder: check_trials(subject))
+
+    def fit(folder: Path) -> Fitted:
+        return fit_model(subject, folder, stages.computing("identify"))
+
+    def diagnose(folder: Path) -> Diagnosed:
+        return diagnose_model(subject, stages.root / FIT / MODEL_FILE, folder, stages.computing("diagnose"))
+
+    def make(folder: Path) -> ControllerMade:
+        noise = fitted.sensor_sigma_deg if math.isfinite(fitted.sensor_sigma_deg) else 0.0
+        return make_controllers(subject, model, noise, folder, stages.computing("tune"))
+
+    fitted = stages.complete(FIT, Fitted, fit, _COMPUTING_S[FIT])
+    model, diagnosed = stages.root / FIT / MODEL_FILE, None
+    if subject.block.diagnose:
+        diagnosed = stages.complete(DIAGNOSE, Diagnosed, diagnose, _COMPUTING_S[DIAGNOSE])
+        model = stages.root / DIAGNOSE / FIXED_FILE if diagnosed.corrected else model
+    made = stages.complete(CONTROLLER, ControllerMade, make, _COMPUTING_S[CONTROLLER])
+    return Identified(subject, checked, fitted, diagnosed, made, model)
+
+
+def _reported(
+    identified: Identified,
+    stages: Stages,
+    range_words: str,
+    tracks: Tracks | None = None,
+    verified: Verified | None = None,
+) -> Commissioned:
+    """Write the page."""
+    from .report import CommissionStory, write_commission  # matplotlib takes a second to import
+
+    stages.say("report")
+    root, used_s = stages.root, stages.used_s
+    story = CommissionStory(identified, range_words, used_s, tracks, verified)
+    report = write_commission(story, root / REPORT_FILE)
+    return Commissioned(root, root / TIP_FILE, identified.model, report, verified, used_s)
+
+
+def _from_logs(files: Sequence[Path], settings: CommissionSettings | None) -> tuple[Subject, str]:
+    """What is identified from logs, and where its limits come from.
+
+    Raises:
+        ConfigError: if the logs are beyond the limits of the bench, or in another unit.
+        LogError: if a log cannot be read.
+    """
+    trials = read_trials(files)
+    low = min(float(trial.command.min()) for trial in trials)
+    high = max(float(trial.command.max()) for trial in trials)
+    rates = [np.abs(np.diff(trial.command)) / np.diff(trial.t) for trial in trials]
+    unit = trials[0].units.command
+    if settings is None:
+        rate = max(float(steps.max()) for steps in rates)
+        if not (low < high and rate > 0):
+            raise LogError("logs: the command does not move, expected recordings of a motion")
+        words = f"as the recordings show: {low:.4g} to {high:.4g} {unit} at {rate:.4g} per s"
+        hz = float(f"{1 / trials[0].dt:.4g}")
+        limits = CommandLimits(low, high, rate)
+        return Subject("recorded device", unit, hz, limits, low, None, tuple(files), CommissionBlock()), words
+    bounds, safe = settings.limits, settings.safe_command
+    if unit != settings.command_unit:
+        raise ConfigError(f"logs: got commands in {unit}, expected the bench's {settings.command_unit}")
+    low, high = max(min(low, safe), bounds.lower), min(max(high, safe), bounds.upper)
+    if not low < high:
+        raise ConfigError(f"logs: commands are beyond the bench's limits {bounds.build()}, expected some within them")
+    words = f"commands that the recordings show within the bench's limits: {low:.4g} to {high:.4g} {unit}"
+    return subject_of(settings, CommandLimits(low, high, bounds.rate_per_s), files), words

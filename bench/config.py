@@ -1,0 +1,198 @@
+"""Settings of work at a device: a bench, with the block `commission`, the block `investigate`, or both."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Annotated, Any, TypeVar
+
+from pydantic import Field, model_validator
+
+from hystmpc.models.load import model_path
+from hystmpc.rig.config import BenchSettings, located
+from hystmpc.trajectories.config import Motion, SampledSettings
+from hystmpc.trials.config import Count, FolderName, NotNegativeInt, Positive, Settings, load_settings
+
+MOST_MINUTES = 5.0
+_STILL_MARGIN, _MOST_TRAVEL = 1.5, 0.9  # of the travel seen without motion, and of the range
+_MARGIN = 0.05  # of the sensor's range: how far from its ends the tip is kept where nothing else is said
+
+
+class CommissionBlock(Settings):
+    """Block `commission`; every key has a default.
+
+    Attributes:
+        minutes: of device time, all motions together [min]; a motion that is repeated after an interruption adds to it.
+        angle_limits_deg: where the tip may go [deg]; the sensor's range less 5 % at either end where left out.
+        range_steps: steps of the first climb, each with a rest.
+        motions: references of the verification by name; drawn within the reached angles where left out.
+        diagnose: whether what the model leaves is diagnosed; takes minutes of computing time.
+        tune_evaluations: closed-loop runs over all tuning motions, about, for the gains of the PID; above 50 Hz
+            fewer, in proportion.
+        seed: of everything drawn at random.
+    """
+
+    minutes: Annotated[float, Field(gt=0, le=MOST_MINUTES)] = MOST_MINUTES
+    angle_limits_deg: tuple[float, float] | None = None
+    range_steps: Annotated[int, Field(ge=4, le=50)] = 12
+    motions: Mapping[FolderName, Motion] | None = Field(default=None, min_length=1)
+    diagnose: bool = True
+    tune_evaluations: Annotated[Count, Field(ge=24)] = 150
+    seed: NotNegativeInt = 1
+
+
+class InvestigateBlock(Settings):
+    """Block `investigate`; every key has a default.
+
+    Attributes:
+        minutes: of device time, which all motions together never exceed [min].
+        model: simulator to be judged: a file of `fit` (`.yaml`), or `builtin:NAME`; one is identified first from
+            recordings of the device where left out.
+        first_motions: recorded before the first diagnosis; the last one repeats the first.
+        longest_motion_s: duration that a motion does not exceed [s]; twice as long where shorter ones left the verdict
+            as it was.
+        seed: of everything drawn at random.
+    """
+
+    minutes: Annotated[float, Field(gt=0, le=30)] = 5.0
+    model: str | None = None
+    first_motions: Annotated[int, Field(ge=2, le=6)] = 3
+    longest_motion_s: Annotated[float, Field(ge=8, le=120)] = 14.0
+    seed: NotNegativeInt = 1
+
+
+class CommissionSettings(BenchSettings):
+    """A bench file with the block `commission`.
+
+    Attributes:
+        commission: what may be done.
+    """
+
+    commission: CommissionBlock = CommissionBlock()
+
+    @model_validator(mode="after")
+    def _angles_inside(self) -> CommissionSettings:
+        if self.sensor.kind != "continuous":
+            raise ValueError(
+                f"got sensor.kind {self.sensor.kind}, expected continuous: every step of a commissioning looks at the "
+                "angle of the moment"
+            )
+        low, high = self.angle_limits
+        if not self.sensor.lower_deg <= low < high <= self.sensor.upper_deg:
+            raise ValueError(
+                f"got commission.angle_limits_deg {low:g} to {high:g}, expected lower < upper within the sensor's "
+                f"{self.sensor.lower_deg:g} to {self.sensor.upper_deg:g} deg"
+            )
+        return self
+
+    @property
+    def angle_limits(self) -> tuple[float, float]:
+        """Where the tip may go [deg]."""
+        if self.commission.angle_limits_deg is not None:
+            return self.commission.angle_limits_deg
+        low, high = self.sensor.lower_deg, self.sensor.upper_deg
+        return low + _MARGIN * (high - low), high - _MARGIN * (high - low)
+
+
+class InvestigateSettings(CommissionSettings):
+    """A bench file with the block `investigate`; a block `commission` may stay, of which the angle limits count.
+
+    Attributes:
+        investigate: what is judged, and how long the device may be moved.
+    """
+
+    investigate: InvestigateBlock = InvestigateBlock()
+
+    @property
+    def budget_s(self) -> float:
+        """Device time [s]."""
+        return 60.0 * self.investigate.minutes
+
+
+C = TypeVar("C", bound=CommissionSettings)
+
+
+def load_commission(path: Path | str, overrides: Iterable[str] = ()) -> CommissionSettings:
+    """Read a bench file with the block `commission`; file names in it start at its own folder and come out absolute.
+
+    Raises:
+        ConfigError: on an unreadable file, an unknown key or a value out of bounds.
+    """
+    settings = load_settings(CommissionSettings, path, overrides)
+    return located_commission(settings, Path(path).resolve().parent)
+
+
+def located_commission(settings: C, folder: Path) -> C:
+    """The settings with file names that start at `folder`."""
+    changes: dict[str, Any] = located(settings, folder)
+    motions = settings.commission.motions
+    if motions is not None:
+        found = {
+            name: m.model_copy(update={"file": folder / m.file}) if isinstance(m, SampledSettings) else m
+            for name, m in motions.items()
+        }
+        changes["commission"] = settings.commission.model_copy(update={"motions": found})
+    return settings.model_copy(update=changes)
+
+
+def load_investigation(path: Path | str, overrides: Iterable[str] = ()) -> InvestigateSettings:
+    """Read a bench file with the block `investigate`; file names in it start at its own folder and come out absolute.
+
+    Raises:
+        ConfigError: on an unreadable file, an unknown key or a value out of bounds.
+        ModelError: if a built-in simulator is unknown.
+    """
+    settings = load_settings(InvestigateSettings, path, overrides)
+    return located_investigation(settings, Path(path).resolve().parent)
+
+
+def located_investigation(
+    settings: InvestigateSettings, folder: Path, model: Path | str | None = None, minutes: float | None = None
+) -> InvestigateSettings:
+    """The settings with file names that start at `folder`.
+
+    Args:
+        model: taken in place of the file's own; starts at the present folder.
+        minutes: taken in place of the file's own.
+
+    Raises:
+        ConfigError: if the minutes are out of bounds.
+        ModelError: if a built-in simulator is unknown.
+    """
+    block = settings.investigate.model_dump()
+    if model is not None:
+        block["model"] = str(model_path(str(model), Path().resolve()))
+    elif settings.investigate.model is not None:
+        block["model"] = str(model_path(settings.investigate.model, folder))
+    if minutes is not None:
+        block["minutes"] = minutes
+    changed = InvestigateBlock.parse(block, "investigate")
+    return located_commission(settings, folder).model_copy(update={"investigate": changed})
+
+
+def narrowed(
+    settings: BenchSettings, lower: float, upper: float, rate_per_s: Positive, still: float = 0.0
+) -> BenchSettings:
+    """The bench with narrower limits of the command.
+
+    How far a stop may go on stays as it was. The travel without a motion of the tip that is implausible is never more
+    than nine tenths of the narrower range, since over all of it the tip was seen to move:
+
+        travel = min(0.9 range, plausibility.travel, or where that is not given max(range / 2, 1.5 still))
+
+    Args:
+        still: longest travel in which the tip was seen not to move.
+
+    Raises:
+        ConfigError: if the safe command lies outside.
+    """
+    plain = {name: getattr(settings, name) for name in BenchSettings.model_fields}
+    watch, ramps, span = settings.plausibility, settings.ramps, upper - lower
+    travel = min(watch.travel or max(watch.travel_of(span), _STILL_MARGIN * still), _MOST_TRAVEL * span)
+    changes: dict[str, Any] = {
+        "limits": {"lower": lower, "upper": upper, "rate_per_s": rate_per_s},
+        "ramps": ramps.model_copy(update={"velocity_per_s": min(ramps.velocity_per_s, rate_per_s)}),
+        "plausibility": watch.model_copy(update={"travel": travel}),
+        "stop_overshoot": settings.overshoot,
+    }
+    return BenchSettings.parse(plain | changes, f"{settings.name}: narrowed limits")

@@ -1,0 +1,306 @@
+"""A device that can be moved: one run of the bench for each motion, in real time or on a simulated clock."""
+
+from __future__ import annotations
+
+import json
+import zlib
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from threading import Event, Thread
+from typing import Protocol, final
+
+import numpy as np
+
+from hystmpc.ctrl.planner.settings import TipSettings
+from hystmpc.rig.config import BenchSettings, RunSettings
+from hystmpc.rig.experiment.experiment import tracking_phase
+from hystmpc.rig.experiment.phases import CommandMotion, Phase
+from hystmpc.rig.experiment.record import Recorded
+from hystmpc.rig.realtime import SimulatedClock
+from hystmpc.rig.recording.recorder_process import Views, open_recorder_process
+from hystmpc.rig.recording.recording import RecordingMeta
+from hystmpc.rig.recording.sample import Sample, SampleList, Sink, Tee
+from hystmpc.rig.run import BenchResult, Note, run_bench
+from hystmpc.rig.safety.ramp import waypoint_commands
+from hystmpc.rig.transports.simulated import SimulatedSettings
+from hystmpc.rig.transports.transport import PlantFactory
+from hystmpc.trajectories.config import MotionSettings
+from hystmpc.trials.csv_files import format_table
+from hystmpc.trials.errors import HystmpcError, LogError
+from hystmpc.trials.files import write_atomically
+from hystmpc.trials.tables import read_table
+from hystmpc.trials.text_ import read_lines
+from hystmpc.trials.trial import Trial
+from hystmpc.trials.types import Vec
+
+from .config import CommissionSettings
+from .phases import Bounded
+from .plants import plants_in
+
+TIME_FILE = "device_time.json"
+_SEEDS = 100_003
+_TICK_S = 1.0
+
+Tick = Callable[[float], None]
+"""Told the seconds of the present motion."""
+
+
+class DeviceStoppedError(HystmpcError):
+    """The run was stopped safely; the stop is latched.
+
+    Attributes:
+        result: how it ended.
+        settings: of the bench.
+    """
+
+    def __init__(self, result: BenchResult, settings: BenchSettings) -> None:
+        super().__init__(f"stopped: {result.outcome.cause}; latched until a reset")
+        self.result, self.settings = result, settings
+
+
+@dataclass(frozen=True, eq=False)
+class Track:
+    """A reference that was tracked, one row a sample (N,); the lead-in is left out.
+
+    Attributes:
+        t: end of the sample since the reference's start [s].
+        reference_deg, measured_deg: wanted and measured angle at the end of the sample, NaN without a usable one.
+        command: sent at its beginning.
+        source: what gave the command.
+        late: whether the sample had no time for the controller: the one before missed its deadline, or was skipped.
+    """
+
+    t: Vec
+    reference_deg: Vec
+    measured_deg: Vec
+    command: Vec
+    source: tuple[str, ...]
+    late: tuple[bool, ...] = ()
+
+    @property
+    def error_deg(self) -> Vec:
+        """Measured less wanted angle (N,) [deg]."""
+        return self.measured_deg - self.reference_deg
+
+    def save(self, path: Path) -> Path:
+        """Write it, whole or not at all."""
+        columns: dict[str, Sequence[str] | Vec] = {
+            "time_s": self.t,
+            "reference_deg": self.reference_deg,
+            "angle_deg": self.measured_deg,
+            "command": self.command,
+            "source": self.source,
+            "late": np.array(self.late or [False] * len(self.source), dtype=np.float64),
+        }
+        return write_atomically(path, format_table(columns))
+
+    @classmethod
+    def load(cls, path: Path) -> Track:
+        """What `save` has written.
+
+        Raises:
+            LogError: if it is no such file.
+        """
+        table = read_table(read_lines(path), str(path))
+        if "source" not in table.texts:
+            raise LogError(f"{path}: got columns {', '.join(table.header)}, expected those of a tracked reference")
+        n = table.numbers
+        late = tuple(value > 0 for value in n["late"].tolist()) if "late" in n else ()  # tracks of earlier versions
+        return cls(n["time_s"], n["reference_deg"], n["angle_deg"], n["command"], table.texts["source"], late)
+
+
+class Device(Protocol):
+    """A device that can be moved; each call starts and ends at rest at the safe command.
+
+    All of them raise `DeviceStoppedError` where the run was stopped safely, and `ConfigError` where the device does not
+    answer or a stop is latched; nothing has moved then.
+    """
+
+    in_real_time: bool
+    """Whether its motions take time."""
+
+    used_s: float
+    """Device time that all calls took together [s]."""
+
+    def explore(self, name: str, phase: Phase, bench: BenchSettings) -> None:
+        """Go through a phase that decides itself, on the angle's limits too."""
+        ...
+
+    def play(self, name: str, commands: Vec, bench: BenchSettings) -> Trial:
+        """Play commands (N,) that start at the safe command, and record them.
+
+        Raises:
+            LogError: if no angle has come.
+        """
+        ...
+
+    def track(self, name: str, tip: TipSettings, reference: MotionSettings, bench: BenchSettings) -> Track:
+        """Track a reference with a controller."""
+        ...
+
+
+Open = Callable[[Path, Tick], Device]
+"""Opens a device, given the folder of the work and what to tell while a motion lasts."""
+
+
+@final
+class BenchDevice(Device):
+    """A device behind a transport of the bench, with all safety of `run_bench`.
+
+    A transport of another process is run in real time, each motion with a run folder of its own under `folder/runs`. It
+    is prepared before the first motion of every stage. A device in this process (`kind: simulated`) is run on a
+    simulated clock; each motion finds it after a reset, with noise that follows from its seed and the motion's name.
+
+    Args:
+        plants: makes devices of `kind: simulated`.
+        folder: of the commissioning or investigation.
+        angle_limits: beyond which recordings and tracks are stopped safely [deg]; None for those of the sensor.
+        views: what is shown while a motion lasts.
+        note: told what the loop's process says.
+        tick: told the seconds of the present motion, once a second and by no thread of the loop.
+    """
+
+    def __init__(
+        self,
+        settings: BenchSettings,
+        plants: PlantFactory,
+        folder: Path,
+        angle_limits: tuple[float, float] | None = None,
+        views: Views = Views(),
+        note: Note = lambda text: None,
+        tick: Tick = lambda seconds: None,
+    ) -> None:
+        self._plants, self._folder, self._views, self._note = plants, folder, views, note
+        self._tick, self._angle_limits = tick, angle_limits
+        self.in_real_time = not settings.transport.in_process
+        self._prepared, self._moved = "", False
+        self.used_s = _used(folder)
+
+    def explore(self, name: str, phase: Phase, bench: BenchSettings) -> None:
+        self._perform(name, phase, bench)
+
+    def play(self, name: str, commands: Vec, bench: BenchSettings) -> Trial:
+        recorded = Recorded(name.rpartition("/")[2], commands, bench.dt_s)
+        self._perform(name, Bounded(recorded, self._angle_limits, bench.sensor), bench)
+        trial = recorded.trial(bench.command_unit)
+        if trial is None:
+            raise LogError(f"{name}: got no angle, expected a recording")
+        return trial
+
+    def track(self, name: str, tip: TipSettings, reference: MotionSettings, bench: BenchSettings) -> Track:
+        plain = {key: getattr(bench, key) for key in BenchSettings.model_fields} | {"limits": bench.limits.model_dump()}
+        run = RunSettings.parse(plain | {"controller": tip, "reference": reference.model_dump()}, name)
+        phase = tracking_phase(run, threaded=self.in_real_time)
+        samples = self._perform(name, Bounded(phase, self._angle_limits, bench.sensor), bench)
+        return track_of(samples, reference.build().duration_s, bench.dt_s)
+
+    def _perform(self, name: str, phase: Phase, bench: BenchSettings) -> tuple[Sample, ...]:
+        """One run: preparation where it is due, the way to the safe command, the phase, the way back."""
+
+        def approach(held: float) -> Vec:
+            return waypoint_commands(held, [bench.safe_command], [bench.dt_s], bench.ramps, bench.dt_s)
+
+        def phases() -> list[Phase]:
+            return [CommandMotion("approach", approach), phase]
+
+        kept, stage = SampleList(), name.partition("/")[0]
+        settings = self._of_motion(name, stage, bench)
+        folder = _free(self._folder / stage / "runs", name.rpartition("/")[2]) if self.in_real_time else None
+
+        def sink() -> Sink:
+            if folder is None:
+                return kept
+            meta = RecordingMeta(settings.command_unit, stages=("total", "execution"))
+            rate, note = settings.rate_hz, self._note
+            return Tee(kept, open_recorder_process(folder, settings, meta, rate, self._views, note, report=False))
+
+        clock = None if self.in_real_time else SimulatedClock()
+        over = Event()
+        if self.in_real_time:
+            Thread(target=self._tell, args=(kept, settings.dt_s, over), name="progress", daemon=True).start()
+        try:
+            result = run_bench(settings, phases, sink, self._plants, folder=folder, note=self._note, clock=clock)
+        finally:
+            over.set()
+            self.used_s += len(kept.samples) * settings.dt_s
+            if kept.samples:
+                write_atomically(self._folder / TIME_FILE, json.dumps({"seconds": round(self.used_s, 3)}) + "\n")
+        if result.outcome.cause:
+            raise DeviceStoppedError(result, settings)
+        self._prepared, self._moved = stage, True
+        return tuple(kept.samples)
+
+    def _tell(self, kept: SampleList, dt_s: float, over: Event) -> None:
+        while not over.wait(_TICK_S):
+            self._tick(len(kept.samples) * dt_s)
+
+    def _of_motion(self, name: str, stage: str, bench: BenchSettings) -> BenchSettings:
+        """The bench for this motion: prepared once a stage, a computed device with a seed of its own."""
+        transport = bench.transport
+        if isinstance(transport, SimulatedSettings):
+            seed = transport.seed + zlib.crc32(name.encode()) % _SEEDS
+            return bench.model_copy(update={"transport": transport.model_copy(update={"seed": seed})})
+        changes: dict[str, object] = {"prepare": ()} if self._prepared == stage else {}
+        if self._moved and bench.start_command is not None:
+            changes["start_command"] = bench.safe_command  # where the motion before has left it
+        return bench.model_copy(update=changes)
+
+
+def opened_device(
+    settings: CommissionSettings, folder: Path, views: Views = Views(), note: Note = lambda text: None
+) -> Open:
+    """Opens the device of the settings.
+
+    Args:
+        folder: where file names of a simulated plant start.
+        views: what is shown while a motion lasts.
+        note: told what the loop's process says.
+    """
+    plants, limits = plants_in(folder, settings.command_unit), settings.commission.angle_limits_deg
+    return lambda root, tick: BenchDevice(settings, plants, root, limits, views, note, tick)
+
+
+def track_of(samples: Sequence[Sample], duration_s: float, dt_s: float) -> Track:
+    """What of a run's samples belongs to a reference of that duration [s], which is their end; the lead-in is left out.
+
+    The angle at the end of a sample is what the next one has measured; NaN where that was skipped.
+
+    Raises:
+        LogError: if nothing was tracked.
+    """
+    steps = round(duration_s / dt_s)
+    tracked = [k for k, sample in enumerate(samples[:-1]) if np.isfinite(sample.reference_deg)]
+    if not tracked:
+        raise LogError("track: got a run without a tracked sample, expected a reference")
+    first = samples[tracked[-1]].sequence - steps + 1
+    counted = [k for k in tracked if samples[k].sequence >= first]
+    rows = [samples[k] for k in counted]
+    after = [samples[k + 1] for k in counted]
+    before = [samples[max(k - 1, 0)] for k in counted]
+    measured = [b.measured_deg if b.sequence == a.sequence + 1 else np.nan for a, b in zip(rows, after, strict=True)]
+    return Track(
+        t=dt_s * np.array([row.sequence - first + 1 for row in rows]),
+        reference_deg=np.array([row.reference_deg for row in rows]),
+        measured_deg=np.array(measured),
+        command=np.array([row.command for row in rows]),
+        source=tuple(str(row.source) for row in rows),
+        late=tuple(a.missed or b.sequence > a.sequence + 1 for a, b in zip(before, rows, strict=True)),
+    )
+
+
+def _free(folder: Path, name: str) -> Path:
+    """A folder that is not there yet: a run that was cut short keeps its own."""
+    free, number = folder / name, 1
+    while free.exists():
+        number += 1
+        free = folder / f"{name}-{number}"
+    return free
+
+
+def _used(folder: Path) -> float:
+    """Device time of earlier calls [s]."""
+    try:
+        return float(json.loads((folder / TIME_FILE).read_text(encoding="utf-8"))["seconds"])
+    except (OSError, ValueError, KeyError, TypeError):
+        return 0.0

@@ -1,0 +1,249 @@
+"""From recorded trials to a model: what blocks, the identification, and what the model leaves."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from hystmpc.ctrl.command import CommandLimits
+from hystmpc.ctrl.planner.reach import angles_at_rest
+from hystmpc.gap.diagnosis import Diagnosis
+from hystmpc.gap.report.words import closed_sentence, headline, tracking_sentence
+from hystmpc.gap.whole import diagnose_trials
+from hystmpc.models.contract.metadata import DeviceLimits, Range
+from hystmpc.models.kinds.catalogue import chosen_kind
+from hystmpc.models.kinds.kind import FitRequest
+from hystmpc.models.prediction.build import controller_model
+from hystmpc.models.simulator import load_simulator, save_simulator
+from hystmpc.trials.check import Severity, check
+from hystmpc.trials.errors import FitError, LogError
+from hystmpc.trials.read import read_trials
+from hystmpc.trials.recording import require_recorded
+from hystmpc.trials.trial import Trial
+from hystmpc.trials.types import Progress
+from hystmpc.trials.uniform import at_rate
+
+from .config import CommissionBlock, CommissionSettings
+from .motions import Reached
+from .stages import Figure
+
+MODEL_FILE, FIXED_FILE = "model.yaml", "model.fixed.yaml"
+_KIND = "auto"
+
+
+@dataclass(frozen=True)
+class Subject:
+    """What is identified, and within which limits it is moved.
+
+    Attributes:
+        name: of the device.
+        command_unit: mm or bar.
+        rate_hz: samples per second.
+        limits: range and rate that are used.
+        safe_command: where the device rests.
+        angle_limits: where the tip may go [deg]; None where nothing is said.
+        trials: files of the recordings.
+    """
+
+    name: str
+    command_unit: str
+    rate_hz: float
+    limits: CommandLimits
+    safe_command: float
+    angle_limits: tuple[float, float] | None
+    trials: tuple[Path, ...]
+    block: CommissionBlock
+
+
+def subject_of(settings: CommissionSettings, limits: CommandLimits, trials: Iterable[Path]) -> Subject:
+    """The device of the settings, within these limits, with these recordings."""
+    return Subject(
+        name=settings.name,
+        command_unit=settings.command_unit,
+        rate_hz=settings.rate_hz,
+        limits=limits,
+        safe_command=settings.safe_command,
+        angle_limits=settings.angle_limits,
+        trials=tuple(trials),
+        block=settings.commission,
+    )
+
+
+@dataclass(frozen=True)
+class Checked:
+    """Lines of the quality check, each with the file; none of them blocks."""
+
+    warnings: tuple[str, ...]
+    trials: int
+    seconds: float
+
+
+def check_trials(subject: Subject) -> Checked:
+    """Look at all recordings as `hystmpc check` does.
+
+    Raises:
+        LogError: with the first fault if a recording cannot be used.
+    """
+    warnings: list[str] = []
+    for file in subject.trials:
+        for finding in check(file).findings:
+            line = f"{file.name}: {finding.topic}: {finding.message}"
+            if finding.severity is Severity.ERROR:
+                raise LogError(f"check: {line}; expected a recording that can be used")
+            if finding.severity is Severity.WARNING:
+                warnings.append(line)
+    trials = uniform_trials(subject)
+    moved = max(float(np.ptp(trial.angle)) for trial in trials)
+    if all(np.ptp(trial.command) == 0 for trial in trials) or moved == 0:
+        raise LogError("check: neither command nor angle moves, expected recordings of a motion")
+    return Checked(tuple(warnings), len(trials), sum(trial.duration_s for trial in trials))
+
+
+def uniform_trials(subject: Subject) -> list[Trial]:
+    """All recordings at the rate of the device.
+
+    Raises:
+        LogError: if one cannot be read or resampled.
+    """
+    recorded = read_trials(subject.trials)
+    for trial in recorded:
+        require_recorded(trial)
+    return at_rate(recorded, subject.rate_hz)
+
+
+Row = tuple[str, str, Figure, Figure]
+Number = tuple[str, Figure, Figure, Figure]
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """The identified model.
+
+    Attributes:
+        report: one line: what it consists of, and the error on trials left out.
+        parts: part, form, error without and with it on trials left out [deg].
+        numbers: name, value and ends of the interval of 90 %.
+        sensor_sigma_deg: noise of the sensor as the model has it, the error of its steps included [deg].
+        model_sigma_deg: how far its free run is off [deg], NaN where that is not known.
+        advice: what these trials do not determine, and what to record for it.
+        sensor_step_deg: step of the sensor's readings [deg]; 0 of a continuous sensor.
+    """
+
+    report: str
+    parts: tuple[Row, ...]
+    numbers: tuple[Number, ...]
+    sensor_sigma_deg: Figure
+    model_sigma_deg: Figure
+    advice: tuple[str, ...]
+    sensor_step_deg: Figure = 0.0
+
+
+def fit_model(subject: Subject, folder: Path, progress: Progress) -> Fitted:
+    """Identify the whole device and write `model.yaml`.
+
+    Raises:
+        FitError: if it cannot be identified.
+        KeyboardInterrupt: if the user ended it; nothing is kept.
+    """
+    kind, limits = chosen_kind(_KIND, None, None), subject.limits
+    device = DeviceLimits(Range(lower=limits.lower, upper=limits.upper), limits.rate)
+    request = FitRequest(preset=kind.usual_preset(False), seed=subject.block.seed, limits=device)
+    trials = uniform_trials(subject)
+    kind.check(trials, request)
+    total = kind.steps(request) or 100
+    found = kind.fit(trials, request, lambda done, rmse: progress(done, total, f"best {rmse:.4f} deg"))
+    if found.interrupted:
+        raise KeyboardInterrupt
+    if found.simulator is None:
+        raise FitError(f"{_KIND}: got no readable model, expected one")
+    save_simulator(found.simulator, folder / MODEL_FILE)
+    noise, parts = found.simulator.identification.noise, found.parts
+    return Fitted(
+        report=found.report,
+        parts=tuple((r.part, r.form, r.without_deg, r.with_deg) for r in (parts.rows if parts else ())),
+        numbers=tuple((f"{r.owner} {r.name}", r.value, *r.ci90) for r in (parts.parameters if parts else ())),
+        sensor_sigma_deg=math.nan if noise is None else noise.sensor_sigma_deg,
+        model_sigma_deg=math.nan if noise is None or noise.model_sigma_deg is None else noise.model_sigma_deg,
+        advice=parts.advice if parts else (),
+        sensor_step_deg=0.0 if noise is None else noise.sensor_resolution_deg,
+    )
+
+
+@dataclass(frozen=True)
+class Diagnosed:
+    """What the model leaves, in words.
+
+    Attributes:
+        verdict: headline, reason, sizes of the gap, and the tracking error that is expected.
+        corrected: whether the corrected simulator is used: better on trials that nothing was chosen on.
+        next: what to record, empty where nothing is open.
+    """
+
+    verdict: tuple[str, ...]
+    corrected: bool
+    next: str
+
+
+def diagnose_model(subject: Subject, model: Path, folder: Path, progress: Progress) -> Diagnosed:
+    """Diagnose what the model leaves; write the diagnosis, and `model.fixed.yaml` where that is certified better.
+
+    A model that cannot be diagnosed on these trials is no error: the verdict says why.
+
+    Raises:
+        KeyboardInterrupt: if the user ended it; nothing is kept.
+    """
+    trials, simulator, seed = uniform_trials(subject), load_simulator(model), subject.block.seed
+    done = diagnose_trials(
+        trials,
+        simulator,
+        out=folder / "diagnosis",
+        called={"sim": str(model)},
+        model=model,
+        seed=seed,
+        progress=progress,
+    )
+    diagnosis, corrected = done.diagnosis, done.evidence.fixed if certified(done.diagnosis) else None
+    if corrected is not None:
+        save_simulator(corrected, folder / FIXED_FILE)
+    motion = diagnosis.next_motion
+    return Diagnosed(
+        verdict=(headline(diagnosis), diagnosis.reason, closed_sentence(diagnosis), tracking_sentence(diagnosis)),
+        corrected=corrected is not None,
+        next="" if motion is None else f"record {folder.name}/diagnosis/{motion.file} ({motion.duration_s:.0f} s)",
+    )
+
+
+def certified(diagnosis: Diagnosis) -> bool:
+    """Whether the corrected simulator is better on trials that nothing was chosen on, the interval of 90 % included.
+
+    A faulty sensor is nothing that a simulator can be corrected by.
+    """
+    gap = diagnosis.gap
+    better = gap.with_effects_rmse_deg < min(gap.nominal_rmse_deg, gap.retuned_rmse_deg)
+    found = any(effect.name != "sensor" for effect in diagnosis.effects)
+    named = diagnosis.verdict in ("named", "one_of") and found and bool(gap.final_trials)
+    return named and better and gap.closed_ci90[0] > 0
+
+
+def reached_angles(subject: Subject, model: Path) -> Reached:
+    """Angles between which references may lie: reached at rest by the model, seen in the trials, and allowed.
+
+    Raises:
+        FitError: if nothing is left between them.
+        ModelError: if the model cannot be used.
+    """
+    known, limits = controller_model(str(model)), subject.limits
+    trained = known.facts.trained_angle
+    rest = angles_at_rest(known.predictive[0], limits, trained.lower)
+    allowed = subject.angle_limits or (-math.inf, math.inf)
+    low, high = max(rest[0], trained.lower, allowed[0]), min(rest[1], trained.upper, allowed[1])
+    if not low < high:
+        raise FitError(
+            f"model: rests between {rest[0]:.2f} and {rest[1]:.2f} deg, trials show {trained.lower:.2f} to "
+            f"{trained.upper:.2f} deg, expected angles in common within the limits"
+        )
+    return Reached(low, high, (high - low) / (limits.upper - limits.lower) * limits.rate)

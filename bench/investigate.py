@@ -1,0 +1,204 @@
+"""An investigation: round after round recorded, diagnosed and planned, until the verdict is stable or time is spent."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from hystmpc.gap.report.report_data import FIXED_FILE
+from hystmpc.models.simulator import load_simulator
+from hystmpc.trajectories.excitation import WHOLE_S
+from hystmpc.trials.errors import ConfigError, ModelError
+from hystmpc.trials.files import write_atomically
+from hystmpc.trials.json_text import file_text
+from hystmpc.trials.types import Progress, Vec
+
+from .config import InvestigateSettings
+from .device import Open
+from .identify import MODEL_FILE, Fitted, check_trials, fit_model, subject_of
+from .motions import LEAST_SHARE, prepare_seconds, recordings, recordings_seconds
+from .round_plan import Plan, first_seconds, plan_first, planned_commands
+from .rounds import DIAGNOSIS, FIRST, Investigated, Judged, RecordedRound, Round, judge, round_folder
+from .stages import Stages, begun, fingerprint
+
+RESULT_FILE, REPORT_FILE = "investigation.json", "report.html"
+IDENTIFY = "identify"
+_FIT_S, _JUDGE_S, _ROUNDS = 60.0, 60.0, 3  # expected of a fit, of a diagnosis, and of their number, for the bar
+_IDENTIFY_SHARE = 0.45  # of the device time, where no simulator is given
+
+
+def investigate_device(
+    settings: InvestigateSettings,
+    device: Open,
+    out: Path | str,
+    progress: Progress | None = None,
+) -> Investigated:
+    """Record, diagnose and record what decides most, until the verdict is stable or the device time is spent.
+
+    The same call goes on after the last complete part, and within the recordings after the last complete motion.
+
+    Args:
+        device: opens the device, given the folder and what to tell while a motion lasts.
+        out: a new or empty folder, or one in which the same investigation was begun.
+        progress: called with the time passed, that expected at most [s], and what is being done.
+
+    Raises:
+        ConfigError: before anything moves: on a folder that holds something else, minutes that are too few, a device
+            that does not answer, or a latched stop.
+        ModelError: if the simulator cannot be used.
+        DeviceStoppedError: if a motion was stopped safely; complete recordings are kept.
+        EndedEarlyError: if a part cannot be completed after the device has moved.
+        KeyboardInterrupt: if the user ended it while something was computed.
+    """
+    plain = settings.model_dump(mode="json") | {"model_hash": _model_hash(settings)}
+    identification_share(settings)
+    with begun(out, "investigation", plain, settings.investigate.seed, device, progress) as stages:
+        stages.expect(settings.budget_s, _ROUNDS * _JUDGE_S + (_FIT_S if settings.investigate.model is None else 0.0))
+        return _investigated(settings, stages)
+
+
+def plan_rows(settings: InvestigateSettings) -> tuple[tuple[str, str, float], ...]:
+    """Parts with their motions and minutes of device time, as they are said before anything moves.
+
+    Raises:
+        ConfigError: if the minutes are too few.
+        ModelError: if the simulator cannot be used.
+        FitError: if no motion stays within the angle limits by the simulator.
+    """
+    _model_hash(settings)
+    share, count = identification_share(settings), settings.investigate.first_motions
+    rows, spent = [], 0.0
+    if share:
+        spent = recordings_seconds(settings, share) + prepare_seconds(settings)
+        rows.append((IDENTIFY, "6 recordings to identify a simulator from: steps, holds, sines, reversals", spent))
+        first, what = first_seconds(settings, settings.budget_s - spent), f"{count} motions chosen by the simulator"
+    else:
+        with TemporaryDirectory() as folder:
+            plan = plan_first(
+                settings, load_simulator(settings.investigate.model or ""), settings.budget_s, Path(folder)
+            )
+        first = plan.seconds
+        what = ", ".join(name.partition("-")[2].replace("_", " ") for name in plan.motions)
+    rows.append(("round 1", what, first))
+    left_s = settings.budget_s - spent - first
+    rows.append(("further rounds", "one designed motion each, until the verdict is stable; at most", left_s))
+    return (*((name, text, seconds / 60) for name, text, seconds in rows), ("all", "at most", settings.budget_s / 60))
+
+
+def identification_share(settings: InvestigateSettings) -> float:
+    """Share of the full recordings of a commissioning that a simulator is identified from; 0 where one is given.
+
+    Raises:
+        ConfigError: if the minutes are too few.
+    """
+    if settings.investigate.model is not None:
+        return 0.0
+    room = _IDENTIFY_SHARE * settings.budget_s - recordings_seconds(settings, 0.0) - prepare_seconds(settings)
+    share = min(room / WHOLE_S, 1.0)
+    if share < LEAST_SHARE:
+        raise ConfigError(
+            f"investigate: got {settings.investigate.minutes:g} minutes and no model, so that {max(room, 0.0):.0f} s "
+            f"are left for recordings to identify one, expected {LEAST_SHARE * WHOLE_S:.0f} s; more minutes, or --model"
+        )
+    return share
+
+
+def _model_hash(settings: InvestigateSettings) -> str:
+    """Fingerprint of the simulator's file, empty without one.
+
+    Raises:
+        ModelError: if it is missing, foreign or corrupt.
+    """
+    if settings.investigate.model is None:
+        return ""
+    path = Path(settings.investigate.model)
+    unit = load_simulator(path).command_unit
+    if unit != settings.command_unit:
+        raise ModelError(f"{path}: takes commands in {unit}, expected the bench's {settings.command_unit}")
+    return fingerprint(path.read_bytes().hex())
+
+
+def _investigated(settings: InvestigateSettings, stages: Stages) -> Investigated:
+    """All rounds, each loaded or done now."""
+    model, rounds = _model(settings, stages), list[Round]()
+    plan = stages.complete(
+        FIRST, Plan, lambda folder: plan_first(settings, load_simulator(model), stages.left_s, folder)
+    )
+    planned_in = stages.root / FIRST
+    while True:
+        rounds.append(_round(settings, stages, model, rounds, plan, planned_in))
+        if rounds[-1].judged.next is None:
+            return _reported(settings, stages, tuple(rounds), model)
+        plan, planned_in = rounds[-1].judged.next, round_folder(stages.root, len(rounds)) / "diagnose"
+
+
+def _round(
+    settings: InvestigateSettings,
+    stages: Stages,
+    model: Path,
+    before: Sequence[Round],
+    plan: Plan,
+    planned_in: Path,
+) -> Round:
+    """Record what is planned, and judge all recordings so far."""
+    number = len(before) + 1
+    name = round_folder(stages.root, number).name
+    runs = {motion: planned_commands(planned_in, motion) for motion in plan.motions}
+    recorded = stages.complete(f"{name}/record", RecordedRound, lambda folder: _record(stages, settings, runs, folder))
+    played = [(earlier.number, motion) for earlier in before for motion in earlier.recorded.names]
+    played += [(number, motion) for motion in recorded.names]
+    files = [round_folder(stages.root, k) / "record" / "trials" / f"{motion}.csv" for k, motion in played]
+
+    def diagnose(folder: Path) -> Judged:
+        left_s, verdicts = settings.budget_s - recorded.device_s, [earlier.judged for earlier in before]
+        return judge(settings, model, files, verdicts, left_s, folder, stages.computing(f"{name}: diagnose"))
+
+    return Round(number, plan, recorded, stages.complete(f"{name}/diagnose", Judged, diagnose, _JUDGE_S))
+
+
+def _model(settings: InvestigateSettings, stages: Stages) -> Path:
+    """The simulator that is judged: given, or identified from recordings of its own."""
+    if settings.investigate.model is not None:
+        return Path(settings.investigate.model)
+    motions = recordings(settings, identification_share(settings), settings.investigate.seed)
+    record = f"{IDENTIFY}/record"
+    recorded = stages.complete(record, RecordedRound, lambda folder: _record(stages, settings, motions, folder))
+    trials = [stages.root / record / "trials" / f"{name}.csv" for name in recorded.names]
+    subject = subject_of(settings, settings.limits.build(), trials)
+    seeded = replace(subject, block=settings.commission.model_copy(update={"seed": settings.investigate.seed}))
+
+    def fit(folder: Path) -> Fitted:
+        check_trials(seeded)
+        return fit_model(seeded, folder, stages.computing(f"{IDENTIFY}: fit"))
+
+    stages.complete(f"{IDENTIFY}/fit", Fitted, fit, _FIT_S)
+    return stages.root / IDENTIFY / "fit" / MODEL_FILE
+
+
+def _record(stages: Stages, settings: InvestigateSettings, runs: Mapping[str, Vec], folder: Path) -> RecordedRound:
+    """Record as much as is certain to end within the device time."""
+    return RecordedRound(tuple(stages.record(runs, settings, folder, limited=True)), stages.used_s)
+
+
+def _reported(settings: InvestigateSettings, stages: Stages, rounds: tuple[Round, ...], model: Path) -> Investigated:
+    """Write result and page."""
+    root, last = stages.root, rounds[-1].judged
+    fixed = round_folder(root, len(rounds)) / "diagnose" / DIAGNOSIS / FIXED_FILE
+    made = Investigated(
+        folder=root,
+        rounds=rounds,
+        ended=last.ended,
+        why=last.why,
+        model=model,
+        fixed=fixed if fixed.exists() else None,
+        report=root / REPORT_FILE,
+        device_s=stages.used_s,
+        budget_s=settings.budget_s,
+    )
+    write_atomically(root / RESULT_FILE, file_text(made.as_json()))
+    from .report import write_investigation  # matplotlib takes a second to import
+
+    write_investigation(made, settings.name, settings.command_unit)
+    return made

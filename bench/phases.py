@@ -1,0 +1,321 @@
+"""Phases of a run that depend on the measured angle: limits of the angle, a climb in steps, a dash at full rate."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import dataclass, replace
+from typing import final
+
+import numpy as np
+
+from hystmpc.rig.config import BenchSettings
+from hystmpc.rig.experiment.phases import Decision, Past, Phase, PhaseInput
+from hystmpc.rig.safety.intake import SensorSettings
+from hystmpc.rig.safety.plausibility import SMOOTH_S, MotionWatch
+from hystmpc.rig.safety.ramp import stop_commands, waypoint_commands
+from hystmpc.trials.types import Vec
+
+MEDIAN = 3
+"""Angles whose median is believed: one outlier is no angle."""
+
+BESIDE = 0.02
+"""Share of the angle limits by which the tip may pass them in motion, before the run is stopped."""
+
+HOLD_S = 0.6
+"""Rest at every step of the climb, at least [s]."""
+
+_SETTLES_S = 2.5  # longest further rest [s]
+_WINDOW_S = 0.2  # a tip has come to rest when it moves by little in such a time [s]
+_SETTLED = 0.1  # of its step: so little
+_CAUTION = 1.5  # times the steepest slope seen is what the next step is taken to do
+_LEAST_STEP = 0.25  # of a step: less is not worth going
+_STILL = 0.45  # of the travel that the watch on motion allows
+_DASH_SHARE, _DASH_S = 0.5, 0.6  # of the range, and of a second at the greatest rate
+_FOLLOWS = 2  # samples that the device may need longer than the command for the same way
+_CAREFUL = 0.9  # of the rate at which a device that does not follow has moved
+
+
+@dataclass(frozen=True)
+class Climbed:
+    """How far the command went.
+
+    Attributes:
+        end: the farthest command at which the tip rested within its limits.
+        angle_deg: at that command [deg], NaN if it never left the start.
+        start_deg: at the start [deg].
+        why: what ended the climb.
+        still: longest travel of the command, there and back, in which the tip did not move.
+    """
+
+    end: float
+    angle_deg: float
+    start_deg: float
+    why: str
+    still: float = 0.0
+
+
+@final
+class Bounded(Phase):
+    """Another phase, stopped safely where the median of the last three angles passes the limits by 2 % of them.
+
+    The command's range is found at rest; a device that overshoots in a fast motion goes farther. Angles count as they
+    are shown, also beyond the sensor's range and faster than plausible: those are beyond the limits, not missing.
+
+    Args:
+        phase: what is done.
+        angle_limits: where the tip may go [deg]; None for the range of the sensor.
+        sensor: that shows the angle.
+    """
+
+    def __init__(self, phase: Phase, angle_limits: tuple[float, float] | None, sensor: SensorSettings) -> None:
+        self.name, self._phase = phase.name, phase
+        self._which = "commission.angle_limits_deg" if angle_limits else "the range of the sensor"
+        low, high = angle_limits or (sensor.lower_deg, sensor.upper_deg)
+        more = BESIDE * (high - low)
+        self._low, self._high = low - more, high + more
+        self._recent: deque[float] = deque(maxlen=MEDIAN)
+
+    @property
+    def closed_loop(self) -> bool:
+        """As the phase itself."""
+        return self._phase.closed_loop
+
+    def begin(self, now: PhaseInput, past: Past) -> None:
+        """As the phase itself."""
+        self._recent.clear()
+        self._phase.begin(now, past)
+
+    def step(self, now: PhaseInput) -> Decision:
+        """What the phase decides; a fault beyond the limits."""
+        decision = self._phase.step(now)
+        keep_shown(self._recent, now)
+        angle = float(np.median(self._recent)) if len(self._recent) == MEDIAN else math.nan
+        if math.isnan(angle) or self._low <= angle <= self._high:
+            return decision
+        return replace(decision, u=now.held, fault=f"the angle is {angle:.2f} deg, beyond {self._which}")
+
+
+def keep_shown(recent: deque[float], now: PhaseInput) -> None:
+    """Keep the angle that is shown in this sample, where one is."""
+    shown = now.angle_deg if math.isfinite(now.angle_deg) else now.shown_deg
+    if math.isfinite(shown):
+        recent.append(shown)
+
+
+@final
+class Climb(Phase):
+    """Goes from the command held towards `end` in ramps with rests, and back; stops short of the angle's limits.
+
+    A step is taken only with a usable angle. The first one is a quarter; each is made smaller where the steepest slope
+    seen so far, times 1.5, would lead beyond the limits. An angle beyond them on the way turns the motion back at once;
+    the farthest command counts that was rested at before. A tip that has moved and then stays for 45 % of
+    the travel that the watch on motion allows (`plausibility.travel`) ends the climb where it was seen to move last.
+    A step is judged when the tip has come to rest: a device that lags gets the time for it.
+
+    Args:
+        bench: rate, ramps and hard limits.
+        end: where the command may go.
+        angle_limits: where the tip may go [deg].
+        steps: into which the way is divided.
+        widen: whether a tip that rests beyond its limits at the start widens them; else the climb ends there.
+    """
+
+    name = "climb"
+
+    def __init__(
+        self, bench: BenchSettings, end: float, angle_limits: tuple[float, float], steps: int, widen: bool = False
+    ) -> None:
+        self._bench, self._end, self._limits, self._steps, self._widen = bench, end, angle_limits, steps, widen
+        self._plan: deque[float] = deque()
+        self._recent: deque[float] = deque(maxlen=MEDIAN)
+        self._start = self._at = self._target = math.nan
+        self._start_deg = self._at_deg = math.nan
+        self._moved = self._moved_deg = math.nan
+        self._slope = 0.0
+        self._back = self._stirred = False
+        watch, sensor = bench.plausibility, bench.sensor
+        span, range_deg = bench.limits.upper - bench.limits.lower, sensor.upper_deg - sensor.lower_deg
+        self._moves = watch.moves_of(range_deg)
+        self._travel = watch.travel_of(span, onward=True) if watch.watch_motion else math.inf
+        alike = watch.model_copy(update={"travel_s": SMOOTH_S})  # the command is averaged as the angle is
+        self._watch, self._still = MotionWatch(alike, span, range_deg), 0.0
+        window = max(round(_WINDOW_S / bench.dt_s), 1)
+        self._settling: deque[float] = deque(maxlen=2 * window)
+        self._samples = self._waited = 0
+        self._result = Climbed(math.nan, math.nan, math.nan, "it was not finished")
+
+    def begin(self, now: PhaseInput, past: Past) -> None:
+        """Rest first, for an angle to compare with."""
+        del past
+        self._start = self._at = self._target = now.held
+        self._plan = deque(self._way(now.held, now.held))
+
+    def step(self, now: PhaseInput) -> Decision:
+        """The next command of the present step; a new step, or the way back, where it is over."""
+        keep_shown(self._recent, now)
+        self._settling.append(now.angle_deg)
+        self._samples += 1
+        self._watch.judge(now.angle_deg, now.held, round(1e9 * self._samples * self._bench.dt_s))
+        self._still = max(self._still, self._watch.still)
+        angle = float(np.median(self._recent)) if self._recent else math.nan
+        if not self._back and math.isfinite(self._start_deg) and not self._limits[0] <= angle <= self._limits[1]:
+            self._turn(now, f"the angle reached {angle:.2f} deg")
+        if not self._plan and not self._back:
+            self._rested(now, angle)
+        u = self._plan.popleft() if self._plan else now.held
+        return Decision(u, self.name, finished=self._back and not self._plan)
+
+    @property
+    def result(self) -> Climbed:
+        """How far it went."""
+        return replace(self._result, still=self._still)
+
+    def _settles(self, angle: float) -> bool:
+        """Whether the tip is still on its way from where it rested last, and there is time for it."""
+        if math.isnan(self._start_deg):
+            return False
+        half = len(self._settling) // 2
+        before, after = np.split(np.array(self._settling)[-2 * half :], 2)
+        moves_deg, moved_deg = abs(np.mean(after) - np.mean(before)), abs(angle - self._at_deg)
+        self._waited += 1
+        moves = moved_deg > self._moves and moves_deg > _SETTLED * moved_deg
+        return bool(moves) and self._waited * self._bench.dt_s < _SETTLES_S
+
+    def _rested(self, now: PhaseInput, angle: float) -> None:
+        """Judge the step that is over and plan the next one; without an angle, wait."""
+        if not math.isfinite(now.angle_deg) or len(self._recent) < MEDIAN or self._settles(angle):
+            return None
+        self._waited = 0
+        if math.isnan(self._start_deg):
+            self._start_deg = angle
+            if self._widen:
+                low, high = self._limits
+                more = BESIDE * (high - low)
+                self._limits = min(low, angle - more), max(high, angle + more)
+        elif self._target != self._at:
+            slope = (angle - self._at_deg) / (self._target - self._at)
+            self._slope = max(self._slope, slope, key=abs)
+        self._at, self._at_deg = self._target, angle
+        if math.isnan(self._moved_deg) or abs(angle - self._moved_deg) >= self._moves:
+            self._stirred = self._stirred or not math.isnan(self._moved_deg)
+            self._moved, self._moved_deg = self._at, angle
+        elif self._stirred and abs(self._at - self._moved) >= _STILL * self._travel:
+            still = f"the angle stayed at {angle:.2f} deg from {self._moved:.4g} to {self._at:.4g}"
+            self._at, self._at_deg = self._moved, self._moved_deg
+            return self._turn(now, still)
+        if not self._limits[0] <= angle <= self._limits[1]:
+            return self._turn(now, f"the tip rests at {angle:.2f} deg, beyond its limits")
+        if self._at == self._end:
+            return self._turn(now, "the limit of the command")
+        step = self._next_step(angle)
+        if step == 0.0:
+            return self._turn(now, f"the angle is {angle:.2f} deg, near its limit")
+        self._target = self._at + step
+        self._plan = deque(self._way(now.held, self._target))
+        return None
+
+    def _next_step(self, angle: float) -> float:
+        """How far to go: a whole step, less where that might lead beyond the limits, 0 where little is left."""
+        whole, left = (self._end - self._start) / self._steps, self._end - self._at
+        if self._at == self._start:
+            return _LEAST_STEP * whole  # nothing is known of the slope yet
+        step = whole if abs(left) > 1.2 * abs(whole) else left
+        move = _CAUTION * self._slope * step
+        room = max(self._limits[1] - angle if move > 0 else angle - self._limits[0], 0.0)
+        if abs(move) > room:
+            step *= room / abs(move)
+        return step if abs(step) >= _LEAST_STEP * min(abs(whole), abs(left)) else 0.0
+
+    def _turn(self, now: PhaseInput, why: str) -> None:
+        """Back to where it began; what was found is said."""
+        self._back = True
+        self._result = Climbed(self._at, self._at_deg, self._start_deg, why)
+        bench = self._bench
+        back = stop_commands(now.held, now.velocity, self._start, bench.ramps, bench.overshoot, bench.dt_s)
+        self._plan = deque([*back.tolist(), *self._way(self._start, self._start)])
+
+    def _way(self, held: float, to: float) -> list[float]:
+        return waypoint_commands(held, [to], [HOLD_S], self._bench.ramps, self._bench.dt_s).tolist()
+
+
+def climb_seconds(bench: BenchSettings, end: float, steps: int) -> float:
+    """How long a climb to `end` takes, and the way back [s]."""
+    safe = bench.safe_command
+    stops = [*np.linspace(safe, end, steps + 2).tolist(), safe]
+    return waypoint_commands(safe, stops, [HOLD_S] * len(stops), bench.ramps, bench.dt_s).size * bench.dt_s
+
+
+@final
+class Dash(Phase):
+    """A short way there and back at the greatest rate; finds the rate of a device that says what it holds.
+
+    Args:
+        commands: to play (N,), the way there in the first `there` of them.
+        span: length of the way.
+    """
+
+    name = "dash"
+
+    def __init__(self, commands: Vec, there: int, span: float, bench: BenchSettings) -> None:
+        self._commands, self._there, self._span, self._bench = commands.tolist(), there, span, bench
+        self._told: list[float] = []
+        self._k = 0
+
+    def begin(self, now: PhaseInput, past: Past) -> None:
+        del past
+        self._told, self._k = [now.reported], 0
+
+    def step(self, now: PhaseInput) -> Decision:
+        """The next command; keeps what the device says that it holds."""
+        if self._k:
+            self._told.append(now.reported)
+        u = self._commands[min(self._k, len(self._commands) - 1)]
+        self._k += 1
+        return Decision(u, self.name, finished=self._k > len(self._commands))
+
+    @property
+    def seconds(self) -> float:
+        """How long it takes [s]."""
+        return len(self._commands) * self._bench.dt_s
+
+    @property
+    def tells(self) -> bool:
+        """Whether the device says what it holds."""
+        return bool(np.isfinite(self._told).any())
+
+    @property
+    def rate_per_s(self) -> float:
+        """The limit's rate where the device has followed or does not tell, else nine tenths of its own."""
+        limit = self._bench.limits.rate_per_s
+        told = np.array(self._told[1 : self._there + 1])
+        sent = np.array(self._commands[: self._there])
+        if not self.tells or not np.isfinite(told).any():
+            return limit
+        lasts, wanted = _ten_to_ninety(told, sent[0], self._span), _ten_to_ninety(sent, sent[0], self._span)
+        if math.isnan(lasts):  # it did not even come to nine tenths of the way
+            known = told[np.isfinite(told)]
+            moved = float(np.abs(known - sent[0]).max())
+            return _CAREFUL * min(limit, max(moved / (sent.size * self._bench.dt_s), 0.01 * limit))
+        if lasts <= wanted + _FOLLOWS:
+            return limit
+        return _CAREFUL * min(limit, 0.8 * abs(self._span) / (lasts * self._bench.dt_s))
+
+
+def dash(bench: BenchSettings, end: float) -> Dash:
+    """The dash for a range that ends at `end`: half of it, or 0.6 s at the greatest rate."""
+    safe, rate, dt = bench.safe_command, bench.limits.rate_per_s, bench.dt_s
+    span = math.copysign(min(_DASH_SHARE * abs(end - safe), _DASH_S * rate), end - safe)
+    moving = max(math.ceil(abs(span) / (rate * dt) - 1e-9), 1)
+    way = safe + span * np.minimum(np.arange(moving + 1) * rate * dt / abs(span), 1.0)
+    rest = round(2 * HOLD_S / dt)
+    there = np.concatenate([way, np.full(rest, way[-1])])
+    back = np.concatenate([way[::-1], np.full(rest, safe)])
+    return Dash(np.concatenate([there, back]), there.size, span, bench)
+
+
+def _ten_to_ninety(values: Vec, start: float, span: float) -> float:
+    """Samples between the first value beyond a tenth of the way and the first beyond nine tenths; NaN if none is."""
+    share = (values - start) / span
+    early, late = np.flatnonzero(share >= 0.1 - 1e-9), np.flatnonzero(share >= 0.9 - 1e-9)
+    return float(late[0] - early[0]) if late.size else math.nan

@@ -1,0 +1,373 @@
+"""report.html of a commissioning and of an investigation: the verdict first, then how it was reached."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from hystmpc.gap.report.words import in_words, listed, percent
+from hystmpc.models.evaluate import evaluate
+from hystmpc.models.load import load_model
+from hystmpc.trials.csv_files import read_csv
+from hystmpc.trials.recording import SEPARATION_COLUMN
+from hystmpc.trials.report import (
+    COMMAND,
+    DASHES,
+    MEASURED,
+    MODEL,
+    REFERENCE,
+    Heading,
+    KeyValues,
+    Paragraph,
+    Piece,
+    Plot,
+    Report,
+    Table,
+    new_figure,
+)
+from hystmpc.trials.run_folder import RunFolder
+
+from .controller import TIP_FILE, Identified
+from .device import Track
+from .identify import Subject, uniform_trials
+from .motions import CONTROLLERS
+from .round_plan import Plan
+from .rounds import DIAGNOSIS, FIRST, Ending, Investigated, Round, round_folder
+from .verify import MPC, PID, TITLES, Tracks, Verified
+
+_COLOURS = {MPC: MEASURED, "inverse": MODEL, PID: COMMAND}
+_DASH = {MPC: DASHES[0], "inverse": DASHES[1], PID: DASHES[2]}
+SHOWN = ("point_to_point", "fast_scan")
+"""References in the figure."""
+
+TO_DO: dict[Ending, str] = {
+    "": "",
+    "named": "use the corrected simulator; commission again with it where the tracking error matters",
+    "no_gap": "use the simulator, retuned; what is left is noise and the simulator's own form",
+    "nothing_gained": "read the last diagnosis: what is not told apart stays so with such motions on this device; "
+    "change load, orientation or pretension, or look at the device",
+    "budget": "run it again with more minutes, in another folder",
+}
+
+_ANGLES = (
+    ("angle_deg", MEASURED, 2.4, "measured"),
+    ("nominal_deg", REFERENCE, 0.9, "simulator as given"),
+    ("with_effects_deg", MODEL, 1.0, "corrected"),
+)
+
+
+@dataclass(frozen=True, eq=False)
+class CommissionStory:
+    """All that the page of a commissioning shows.
+
+    Attributes:
+        range_words: how the range was found, or where the limits come from.
+        used_s: device time, motions that were cut short included [s].
+        tracks, verified: None after a commissioning from logs.
+    """
+
+    identified: Identified
+    range_words: str
+    used_s: float
+    tracks: Tracks | None
+    verified: Verified | None
+
+
+def write_commission(story: CommissionStory, path: Path) -> Path:
+    """Write the page of a commissioning, whole or not at all.
+
+    Raises:
+        LogError: if a recording is not there any more.
+    """
+    name, subtitle = story.identified.subject.name, story.identified.fitted.report
+    return Report(f"Commissioning of {name}", tuple(_commissioned(story)), subtitle).save(path)
+
+
+def write_investigation(made: Investigated, name: str, command_unit: str) -> Path:
+    """Write the page of an investigation, whole or not at all.
+
+    Raises:
+        LogError: if the files of a round are not there any more.
+    """
+    subtitle = f"simulator {made.model.name}, {len(made.rounds)} rounds, {made.device_s:.0f} s of device time"
+    return Report(f"Investigation of {name}", tuple(_investigated(made, command_unit)), subtitle).save(made.report)
+
+
+def before_and_after(
+    tracks: Tracks, unit: str, motions: tuple[str, ...] = SHOWN, width: float = 9.0, height: float = 5.2
+) -> Figure:
+    """Angle, error and command of each controller over time, a column a reference.
+
+    Args:
+        unit: of the command.
+        motions: to show; those of the tracks where none of them is among these.
+    """
+    names = [name for name in motions if name in tracks] or list(tracks)[:2]
+    with new_figure(width, height) as figure:
+        grid = figure.subplots(3, len(names), sharex="col", height_ratios=(2, 1.3, 1.3), squeeze=False)
+        for column, name in zip(grid.T, names, strict=True):
+            _column(column, name, tracks[name])
+        for axes, text in zip(grid[:, 0], ("tip angle [deg]", "error [deg]", f"command [{unit}]"), strict=True):
+            axes.set_ylabel(text)
+        figure.legend(*grid[0, 0].get_legend_handles_labels(), loc="outside upper right", ncols=4)
+    return figure
+
+
+def _column(column: Sequence[Axes], name: str, runs: Mapping[str, Track]) -> None:
+    """One reference: angles, errors, commands."""
+    angle, error, command = column
+    first = runs[MPC]
+    angle.plot(first.t, first.reference_deg, color=REFERENCE, lw=2.5, label="reference")
+    for controller in reversed(CONTROLLERS):
+        run, look = runs[controller], {"color": _COLOURS[controller], "linestyle": _DASH[controller]}
+        rms = float(np.sqrt(np.nanmean(run.error_deg**2)))
+        angle.plot(run.t, run.measured_deg, lw=1.0, **look, label=TITLES[controller])
+        error.plot(run.t, run.error_deg, lw=0.9, **look, label=f"{rms:.2f} deg RMS")
+        command.plot(run.t, run.command, lw=0.9, **look)
+    angle.set_title(name.replace("_", " "))
+    error.legend(ncols=3, loc="lower right", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.1)
+    command.set_xlabel("time [s]")
+
+
+def _commissioned(story: CommissionStory) -> Iterator[Piece]:
+    identified, verified = story.identified, story.verified
+    subject, made = identified.subject, identified.made
+    if verified is None:
+        yield Paragraph(
+            "Made from logs alone: nothing was verified. The controller has not moved the device yet; "
+            "begin with `hystmpc commission CONFIG --out DIR` at the bench, or with `hystmpc run` and slow references."
+        )
+    else:
+        yield Paragraph(verified.verdict)
+        for step in verified.steps:
+            yield Paragraph(f"Next: {step}.")
+    if story.tracks is not None and verified is not None:
+        yield Heading("Before and after")
+        yield Plot(
+            before_and_after(story.tracks, subject.command_unit),
+            "Fresh references with the PID and the inverse alone, and with the controller that was made; the error is "
+            "measured less wanted angle, the sensor's noise included.",
+            zoom=True,
+        )
+        yield _scores(verified)
+    yield from _device(story)
+    yield Heading("Controller")
+    limits, motion = subject.limits, made.reached.motion
+    yield KeyValues(
+        {
+            "file": TIP_FILE,
+            "model": identified.model.name + (" (corrected by the diagnosis)" if _corrected(identified) else ""),
+            f"command [{subject.command_unit}]": f"{limits.lower:g} to {limits.upper:g} at {limits.rate:g} per s",
+            "angles for references [deg]": f"{made.reached.low_deg:.1f} to {made.reached.high_deg:.1f}",
+            "motion of targets": f"{motion.velocity_deg_s:g} deg/s, {motion.acceleration_deg_s2:g} deg/s^2",
+            "PID, tuned on the model": _gains(made.pid, made.pid_rmse_deg),
+            "inverse with PID, tuned on it": _gains(made.inverse_pid, made.inverse_pid_rmse_deg),
+        }
+    )
+
+
+def _scores(verified: Verified) -> Table:
+    motions = next(iter(verified.scores.values())).by_motion
+    columns = (
+        "controller",
+        "RMS",
+        *motions,
+        "greatest",
+        "rest in holds [%]",
+        "fallbacks [%]",
+        "late [%]",
+        "beyond limits",
+    )
+    rows = [
+        (
+            TITLES[name],
+            score.rms_deg,
+            *score.by_motion.values(),
+            score.greatest_deg,
+            _or_dash(round(100 * score.rest_share, 1)),
+            round(100 * score.fallback_share, 1),
+            round(100 * score.late_share, 1),
+            score.beyond,
+        )
+        for name, score in verified.scores.items()
+    ]
+    return Table(
+        columns,
+        rows,
+        f"Measured less wanted angle [deg]. The sensor's noise, {verified.sensor_sigma_deg:.3f} deg, is in all of "
+        "them. Rest: share of the settled samples of holds in which the command did not move. Late: samples without "
+        "time for the controller, as a deadline was missed.",
+    )
+
+
+def _device(story: CommissionStory) -> Iterator[Piece]:
+    identified = story.identified
+    fitted, checked, diagnosed = identified.fitted, identified.checked, identified.diagnosed
+    yield Heading("What the device is")
+    facts: dict[str, object] = {
+        "range": story.range_words,
+        "recordings": f"{checked.trials} trials, {checked.seconds:.0f} s",
+        "sensor's noise [deg]": fitted.sensor_sigma_deg,
+        **({"steps of its readings [deg]": fitted.sensor_step_deg} if fitted.sensor_step_deg else {}),
+        "model's free run is off by [deg]": fitted.model_sigma_deg,
+    }
+    if story.used_s:
+        facts["device time"] = f"{story.used_s / 60:.1f} min, motions that were cut short included"
+    yield KeyValues(facts)
+    if fitted.parts:
+        rows = [(part, form, _or_dash(without), _or_dash(rmse)) for part, form, without, rmse in fitted.parts]
+        yield Table(("part", "form", "without it", "with it"), rows, "RMSE on trials left out [deg].")
+    if fitted.numbers:
+        numbers = [(name, *map(_or_dash, values)) for name, *values in fitted.numbers]
+        yield Table(("number", "value", "from", "to"), numbers, "Identified numbers, intervals of 90 %.")
+    for line in (*fitted.advice, *checked.warnings):
+        yield Paragraph(line)
+    yield Plot(
+        _free_run(identified.subject, identified.model),
+        "Free run of the model beside the recording, worst trial.",
+        zoom=True,
+    )
+    if diagnosed is not None:
+        yield Heading("What is left")
+        for line in filter(None, diagnosed.verdict):
+            yield Paragraph(line)
+        if diagnosed.next:
+            yield Paragraph(f"To know more: {diagnosed.next}.")
+
+
+def _free_run(subject: Subject, model: Path) -> Figure:
+    opened = load_model(model)
+    runs = [evaluate(opened, trial, False) for trial in uniform_trials(subject)]
+    worst = max(runs, key=lambda run: run.errors.rmse_deg)
+    with new_figure(8.0, 2.6) as figure:
+        axes = figure.subplots()
+        axes.plot(worst.trial.t, worst.trial.angle, color=MEASURED, label="measured")
+        axes.plot(worst.trial.t, worst.theta, color=MODEL, lw=0.9, label="model")
+        name = Path(worst.trial.source).name
+        axes.set(xlabel="time [s]", ylabel="angle [deg]", title=f"{name}: RMSE {worst.errors.rmse_deg:.3g} deg")
+        axes.legend(ncols=2, loc="lower right", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.2)
+    return figure
+
+
+def _or_dash(value: float) -> object:
+    return value if math.isfinite(value) else "-"
+
+
+def _corrected(identified: Identified) -> bool:
+    return identified.diagnosed is not None and identified.diagnosed.corrected
+
+
+def _gains(gains: Mapping[str, float], rmse_deg: float) -> str:
+    numbers = ", ".join(f"{name} {value:.4g}" for name, value in gains.items())
+    return f"{numbers}; {rmse_deg:.3f} deg on the model"
+
+
+def _investigated(made: Investigated, unit: str) -> Iterator[Piece]:
+    last = made.verdict
+    yield Heading(last.headline)
+    yield Paragraph(last.reason)
+    yield Paragraph(f"Ended: {made.why}.")
+    yield Paragraph(f"What to do: {TO_DO[made.ended]}.")
+    yield KeyValues(
+        {
+            "device time": f"{made.device_s:.0f} s of {made.budget_s:.0f} s, motions that were cut short included",
+            "corrected simulator": "none" if made.fixed is None else _beside(made.fixed, made.folder),
+            "whole diagnosis": _beside(_diagnosis(made, made.rounds[-1]) / "report.html", made.folder),
+        }
+    )
+    yield _overview(made)
+    for found in made.rounds:
+        yield from _round(made, found, unit)
+
+
+def _diagnosis(made: Investigated, found: Round) -> Path:
+    return round_folder(made.folder, found.number) / "diagnose" / DIAGNOSIS
+
+
+def _beside(path: Path, folder: Path) -> str:
+    return path.relative_to(folder).as_posix()
+
+
+def _overview(made: Investigated) -> Table:
+    rows = []
+    for found in made.rounds:
+        judged = found.judged
+        rows.append(
+            (
+                found.number,
+                f"{found.recorded.device_s:.0f}",
+                len(found.recorded.names),
+                judged.headline,
+                percent(judged.probability) if math.isfinite(judged.probability) else "-",
+                judged.retuned_deg,
+                judged.left_deg,
+            )
+        )
+    columns = ("round", "device time [s]", "motions", "verdict", "probability", "retuned [deg]", "with effects [deg]")
+    return Table(columns, rows, "Verdict after each round, on all trials so far; RMSE on trials kept for the end.")
+
+
+def _round(made: Investigated, found: Round, unit: str) -> Iterator[Piece]:
+    yield Heading(f"Round {found.number}: {found.judged.headline}")
+    yield Paragraph(why_these(found.plan))
+    yield Paragraph(f"Verdict on {found.judged.trials} trials: {found.judged.reason}.")
+    yield Plot(
+        _figure(made, found, unit),
+        "Above: command. Middle: measured angle, the simulator as given, and the corrected one after this round. "
+        "Below: what was expected to stay apart between the explanations when each is retuned.",
+        zoom=True,
+    )
+
+
+def why_these(plan: Plan) -> str:
+    """Why the motions of a round were chosen, in words."""
+    names = listed([in_words(name) for name in plan.separates], "and")
+    odds = f"{percent(plan.probability)} expected for the right name, {percent(1 / len(plan.separates))} by chance"
+    if len(plan.motions) > 1:
+        return (
+            f"Before any angle was seen, {len(plan.motions)} motions were chosen from the commands and the simulator "
+            f"alone, to tell apart {names}: {odds}. The last one repeats the first."
+        )
+    if plan.undirected:
+        return (
+            "The last motion did not change the verdict, or none could be designed. This one is of a kind that was not "
+            f"recorded yet. It was chosen as the first ones were, to tell apart {names}: {odds}."
+        )
+    aim = "to put the verdict to the test against" if plan.confirms else "to tell apart"
+    said = f"The motion was designed {aim} {names}: {odds}. {plan.looked_at} motions were compared."
+    if plan.menu and math.isfinite(plan.menu_gain):
+        said += (
+            f" It is expected to tell {plan.menu_gain:.1f} times as much per second as the best motion of the menu, "
+            f"{in_words(plan.menu)}."
+        )
+    return said
+
+
+def _figure(made: Investigated, found: Round, unit: str) -> Figure:
+    """Command, angles and expected separation of each motion of a round, a column each."""
+    log = RunFolder.open(_diagnosis(made, found)).log()
+    motions = made.folder / FIRST if found.number == 1 else _diagnosis(made, made.rounds[found.number - 2]).parent
+    names = found.recorded.names
+    with new_figure(9.0, 4.6) as figure:
+        grid = figure.subplots(3, len(names), sharex="col", sharey="row", height_ratios=(1, 1.6, 0.8), squeeze=False)
+        for (command, angle, apart), name in zip(grid.T, names, strict=True):
+            own = np.asarray(log["trial"]) == f"{name}.csv"
+            t = np.asarray(log["time_s"], dtype=np.float64)[own]
+            sent = log.get("command", log.get("command_bar"))
+            command.plot(t - t[0], np.asarray(sent)[own], color=COMMAND)
+            for column, colour, width, label in _ANGLES:
+                angle.plot(t - t[0], np.asarray(log[column])[own], color=colour, lw=width, label=label)
+            planned = read_csv(motions / f"{name}.csv")
+            apart.plot(planned.t, planned.channels[SEPARATION_COLUMN], color=REFERENCE)
+            command.set_title(name.replace("_", " "))
+            apart.set_xlabel("time [s]")
+        for axes, text in zip(grid[:, 0], (f"command [{unit}]", "tip angle [deg]", "apart [deg]"), strict=True):
+            axes.set_ylabel(text)
+        figure.legend(*grid[1, 0].get_legend_handles_labels(), loc="outside upper right", ncols=3)
+    return figure

@@ -1,1 +1,0 @@
-"""From a device to a verified controller: safe range, recording, identification, controller, verification, report."""

@@ -1,0 +1,364 @@
+"""Laws without a horizon, and their settings: PID, inverse feedforward, both together.
+
+S2 is RA-L 2024, PMC11633443.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, Protocol, TypeVar, final
+
+import numpy as np
+from pydantic import field_validator
+
+from hystmpc.models.model import Inverse, Predictor
+from hystmpc.trials.config import Count, NotNegative, Positive, Settings
+from hystmpc.trials.errors import ControllerError
+from hystmpc.trials.types import Vec
+
+from .command import EMPTY, CommandLimits, ControlInput, Source, Stopwatch, replace
+from .estimation.observer import EstimatorSettings, LastMeasurement, Observer, SensorKindSettings
+from .law import Law, LawSettings, Proposal
+
+if TYPE_CHECKING:
+    from .mpc import CommandPlan
+
+S = TypeVar("S", bound=SensorKindSettings)
+
+_HALF = 0.5001  # of a step: an error of exactly half of it is not integrated, whatever rounding does
+
+
+class PidSettings(Settings):
+    """Gains in the parallel form; command unit per degree.
+
+    Attributes:
+        kp_per_deg: proportional gain [mm/deg].
+        ki_per_deg_s: integral gain [mm/(deg s)].
+        kd_s_per_deg: derivative gain [mm s/deg], acting on the measurement.
+        filter_s: time constant of the derivative's first-order filter [s].
+        tracking_s: back-calculation time of the anti-windup [s].
+        dead_zone_deg: errors below this are not integrated: inside the dead band of a play that hunts.
+    """
+
+    kp_per_deg: NotNegative = 0.02
+    ki_per_deg_s: NotNegative = 0.3
+    kd_s_per_deg: NotNegative = 0.0
+    filter_s: NotNegative = 0.1
+    tracking_s: Positive = 0.1
+    dead_zone_deg: NotNegative = 0.2
+
+    def with_dead_zone(self, step_deg: float) -> PidSettings:
+        """The same gains with a dead zone of at least half a step of the sensor's readings."""
+        least = _HALF * step_deg
+        return self if self.dead_zone_deg >= least else self.model_copy(update={"dead_zone_deg": least})
+
+
+@dataclass(frozen=True)
+class PidMemory:
+    """Integral part [command unit], filtered angular speed [deg/s], last angle [deg] and its age [samples]."""
+
+    integral: float
+    speed: float
+    angle: float
+    age: float = 0.0
+
+
+@final
+class Pid:
+    """u = kp e + I - kd dy/dt with I' = ki e + (u_limited - u) / tracking_s.
+
+    One dead zone, one filter, one anti-windup; stateless, so that `PidFeedback` and `InversePid` share it. The slope
+    dy/dt is that between two measurements, over the time between them; in samples without a new one it stays.
+
+    Raises:
+        ControllerError: if `tracking_s` is shorter than the sample time.
+    """
+
+    def __init__(self, gains: PidSettings, limits: CommandLimits, dt: float) -> None:
+        if gains.tracking_s < dt:
+            raise ControllerError(f"pid: got tracking_s {gains.tracking_s}, expected at least the sample time {dt} s")
+        self._gains, self._limits, self._dt = gains, limits, dt
+        self._span = limits.upper - limits.lower
+
+    def correct(
+        self, memory: PidMemory, error: float, given: ControlInput, feedforward: float
+    ) -> tuple[float, PidMemory]:
+        """Command and next memory.
+
+        Args:
+            error: wanted minus measured angle [deg].
+            given: measured angle, its age, and the command really sent last.
+            feedforward: added to the feedback.
+        """
+        gains, y, u_last = self._gains, given.measured, given.u_last
+        new, speed, age = is_new(memory, given), memory.speed, memory.age + 1.0
+        if new:
+            elapsed = self._dt * max(age - given.age, 1.0)
+            speed += elapsed / (gains.filter_s + elapsed) * ((y - memory.angle) / elapsed - speed)
+        u = feedforward + gains.kp_per_deg * error + memory.integral - gains.kd_s_per_deg * speed
+        excess = self._limits.clip(u, u_last, self._dt) - u
+        integrated = error if abs(error) > gains.dead_zone_deg else 0.0
+        integral = memory.integral + self._dt * (gains.ki_per_deg_s * integrated + excess / gains.tracking_s)
+        seen = (y, given.age) if new else (memory.angle, age)
+        return u, PidMemory(min(max(integral, -self._span), self._span), speed, *seen)
+
+    def bumpless_start(self, error: float, given: ControlInput, feedforward: float) -> PidMemory:
+        """Memory for a bumpless transfer: the next command is the last one sent; arguments as of `correct`."""
+        integral = given.u_last - feedforward - self._gains.kp_per_deg * error
+        return PidMemory(integral, 0.0, given.measured, given.age)
+
+
+def is_new(memory: PidMemory, given: ControlInput) -> bool:
+    """Whether the measurement was taken after the one that the memory holds."""
+    return given.age < memory.age + 1.0
+
+
+@final
+class PidFeedback(Law[PidMemory]):
+    """PID on the measured angle alone; starts without a bump from the command that the device holds."""
+
+    horizon = 1
+    source = Source.CONTROLLER
+
+    def __init__(self, pid: Pid, limits: CommandLimits) -> None:
+        self._pid = pid
+        self._rest = limits.lower
+
+    def init(self, y: float, u: float) -> PidMemory:
+        return PidMemory(u - self._rest, 0.0, y)
+
+    def bumpless_start(self, given: ControlInput) -> PidMemory:
+        """Memory for a bumpless transfer from another law: the next command is the last one sent."""
+        return self._pid.bumpless_start(given.setpoint - given.measured, given, self._rest)
+
+    def propose(self, memory: PidMemory, given: ControlInput, watch: Stopwatch) -> Proposal[PidMemory]:
+        u, memory = self._pid.correct(memory, given.setpoint - given.measured, given, self._rest)
+        watch.lap("pid")
+        return Proposal(u, memory)
+
+
+def needs_sensor(estimator: S) -> S:
+    """The block `estimator` of a controller with feedback.
+
+    Raises:
+        ValueError: if it says that there is no sensor.
+    """
+    if estimator.sensor == "none":
+        raise ValueError("got sensor none, expected continuous or intermittent: feedback wants one, inverse does not")
+    return estimator
+
+
+class PidControllerSettings(LawSettings):
+    """PID feedback, without a model.
+
+    Attributes:
+        estimator: how the measurements come; between the frames of an intermittent sensor the one taken last counts.
+        gains: of the PID.
+    """
+
+    falls_back_on_inverse: ClassVar[bool] = False
+
+    kind: Literal["pid"] = "pid"
+    gains: PidSettings = PidSettings()
+    estimator: SensorKindSettings = SensorKindSettings()
+
+    _measures = field_validator("estimator")(needs_sensor)
+
+    def bridged_samples(self, dt_s: float) -> int:
+        return self.estimator.bridged_samples(self.ladder.max_missing_samples, dt_s)
+
+    def observer(self, predictor: Predictor) -> Observer:
+        continuous = self.estimator.sensor == "continuous"
+        return LastMeasurement(None if continuous else self.estimator.oldest_samples(predictor.dt))
+
+    def law(self, predictor: Predictor, inverse: Inverse, limits: CommandLimits) -> Law[PidMemory]:
+        del inverse
+        return PidFeedback(Pid(self.gains, limits, predictor.dt), limits)
+
+
+REFERENCE_DEAD_ZONE_DEG = 0.027  # 0.0003 of 90 deg, RA-L 2024, PMC11633443 (S2)
+
+
+@dataclass(frozen=True, eq=False)
+class FeedforwardMemory:
+    """The angle followed at present [deg], and what is left of the last plan of commands (0..H,)."""
+
+    followed: float
+    plan: Vec = field(default_factory=lambda: EMPTY)
+
+
+class AheadOfTime(Protocol):
+    """An inverse over a preview, such as `FeasibleInverse`."""
+
+    horizon: int
+
+    def plan(self, state: Vec, u_last: float, wanted: Vec, remaining: Vec, tolerance_deg: float) -> CommandPlan:
+        """The commands along wanted angles (H,) [deg]; see `FeasibleInverse.plan`."""
+        ...
+
+
+@final
+class InverseFeedforward(Law[FeedforwardMemory]):
+    """u = inverse(x, theta_ref): no feedback; the memory x comes from the commands really sent.
+
+    A reference that changes by less than the dead zone is not followed: any noise on it would flip the branch of
+    the inverse and jump across the whole dead band (RA-L 2024, PMC11633443 (S2), inverse backlash).
+
+    Args:
+        ahead: plans over a preview, for a model with lag or delay; None for the inverse sample by sample.
+    """
+
+    source = Source.CONTROLLER
+
+    def __init__(
+        self,
+        inverse: Inverse,
+        dead_zone_deg: float = REFERENCE_DEAD_ZONE_DEG,
+        ahead: AheadOfTime | None = None,
+    ) -> None:
+        self._inverse, self._dead_zone, self._ahead = inverse, dead_zone_deg, ahead
+        self.horizon = 1 if ahead is None else ahead.horizon
+
+    def init(self, y: float, u: float) -> FeedforwardMemory:
+        del u
+        return FeedforwardMemory(y)
+
+    def propose(self, memory: FeedforwardMemory, given: ControlInput, watch: Stopwatch) -> Proposal[FeedforwardMemory]:
+        wanted = np.array(given.reference[: self.horizon])
+        before = memory.followed
+        for k, angle in enumerate(wanted.tolist()):
+            before = wanted[k] = angle if abs(angle - before) >= self._dead_zone else before
+        followed = float(wanted[0])
+        if self._ahead is None:
+            u = self._inverse.command(given.state, followed, given.u_last)
+            watch.lap("inverse")
+            return Proposal(u, FeedforwardMemory(followed))
+        plan = self._ahead.plan(given.state, given.u_last, wanted, memory.plan, self._dead_zone)
+        watch.lap("inverse")
+        return Proposal(
+            float(plan.commands[0]), FeedforwardMemory(followed, plan.commands[1:]), plan.commands, plan.angles
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class InversePidMemory:
+    """The memories of both parts, and the model state (S,) under the feedforward command alone.
+
+    Attributes:
+        dues: angles that were due at the last instants, the newest last [deg].
+        error: of the last measurement [deg].
+    """
+
+    feedforward: FeedforwardMemory
+    pid: PidMemory
+    state: Vec
+    u: float
+    dues: tuple[float, ...] = ()
+    error: float = 0.0
+
+
+@final
+class InversePid(Law[InversePidMemory]):
+    """u = inverse(x_ff, theta_ref) + PID(theta_due - y).
+
+    The feedback compares the measurement with the angle that was due when it was taken, so that a perfect
+    feedforward leaves it nothing to do; without a new measurement the error stays. The inverse remembers its own
+    commands x_ff, not the sum: otherwise it would take every correction for an error of its own and go back across the
+    dead band to undo it.
+
+    Args:
+        oldest: age of the oldest measurement [samples].
+    """
+
+    source = Source.CONTROLLER
+
+    def __init__(
+        self, feedforward: InverseFeedforward, pid: Pid, predictor: Predictor, limits: CommandLimits, oldest: int = 0
+    ) -> None:
+        self.horizon = feedforward.horizon
+        self._feedforward, self._pid, self._kept = feedforward, pid, oldest + 1
+        self._predictor, self._limits = predictor, limits
+
+    def init(self, y: float, u: float) -> InversePidMemory:
+        state = self._predictor.initial(y, u)
+        return InversePidMemory(self._feedforward.init(y, u), PidMemory(0.0, 0.0, y), state, u)
+
+    def bumpless_start(self, given: ControlInput) -> InversePidMemory:
+        """Memory for a bumpless transfer from another law: the next command is the last one sent."""
+        before = self._feedforward.init(given.due, given.u_last)
+        alone = self._feedforward.propose(before, given, Stopwatch())
+        u_alone = self._limits.clip(alone.u, given.u_last, self._predictor.dt)
+        pid = self._pid.bumpless_start(given.due - given.measured, given, u_alone)
+        return InversePidMemory(before, pid, given.state, given.u_last)
+
+    def propose(self, memory: InversePidMemory, given: ControlInput, watch: Stopwatch) -> Proposal[InversePidMemory]:
+        alone = replace(given, state=memory.state, u_last=memory.u)
+        wanted = self._feedforward.propose(memory.feedforward, alone, watch)
+        u_alone = self._limits.clip(wanted.u, memory.u, self._predictor.dt)
+        _, state = self._predictor.advance(memory.state, u_alone)
+        watch.lap("inverse")
+        dues, error = (*memory.dues, given.due)[-self._kept :], memory.error
+        if is_new(memory.pid, given):
+            error = dues[-1 - min(round(given.age), len(dues) - 1)] - given.measured
+        u, pid = self._pid.correct(memory.pid, error, given, u_alone)
+        watch.lap("pid")
+        return Proposal(u, InversePidMemory(wanted.memory, pid, state, u_alone, dues, error))
+
+
+class FeedforwardSettings(LawSettings):
+    """What both controllers with an inverse have.
+
+    Attributes:
+        reference_dead_zone_deg: change of the reference that is not followed [deg].
+        preview: samples of the reference that the inverse of a model with lag or delay looks at.
+        estimator: how state and disturbance are estimated from the measurements.
+    """
+
+    estimator: EstimatorSettings = EstimatorSettings()  # pyright: ignore[reportIncompatibleVariableOverride]  # frozen
+    reference_dead_zone_deg: NotNegative = REFERENCE_DEAD_ZONE_DEG
+    preview: Count = 20
+
+    def bridged_samples(self, dt_s: float) -> int:
+        return self.estimator.bridged_samples(self.ladder.max_missing_samples, dt_s)
+
+    def observer(self, predictor: Predictor) -> Observer:
+        return self.estimator.observer(predictor)
+
+    def feedforward(self, predictor: Predictor, inverse: Inverse, limits: CommandLimits) -> InverseFeedforward:
+        """The inverse: over the preview for a model that answers late (`steady_inverse` too), else sample by sample."""
+        from hystmpc.models.inverse.drive import DrivenInverse  # numba and CasADi, which importing settings spares
+        from hystmpc.models.inverse.one_step import inverted_after_a_hold
+
+        ahead = None
+        if isinstance(inverse, DrivenInverse) or inverted_after_a_hold(inverse):
+            from .linearised.feasible_inverse import FeasibleInverse
+
+            ahead = FeasibleInverse(predictor, inverse, limits, self.preview)
+        return InverseFeedforward(inverse, self.reference_dead_zone_deg, ahead)
+
+
+class InverseControllerSettings(FeedforwardSettings):
+    """Inverse feedforward."""
+
+    kind: Literal["inverse"] = "inverse"
+
+    def law(self, predictor: Predictor, inverse: Inverse, limits: CommandLimits) -> Law[Any]:
+        return self.feedforward(predictor, inverse, limits)
+
+
+class InversePidControllerSettings(FeedforwardSettings):
+    """Inverse feedforward with PID feedback.
+
+    Attributes:
+        gains: of the PID.
+    """
+
+    kind: Literal["inverse_pid"] = "inverse_pid"
+    gains: PidSettings = PidSettings(kp_per_deg=0.01, ki_per_deg_s=0.2)
+
+    _measures = field_validator("estimator")(needs_sensor)
+
+    def law(self, predictor: Predictor, inverse: Inverse, limits: CommandLimits) -> Law[Any]:
+        feedforward = self.feedforward(predictor, inverse, limits)
+        pid, oldest = Pid(self.gains, limits, predictor.dt), self.estimator.oldest_samples(predictor.dt)
+        return InversePid(feedforward, pid, predictor, limits, oldest)

@@ -1,1 +1,0 @@
-"""Laws without a horizon: PID feedback, inverse feedforward, both together."""

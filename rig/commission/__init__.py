@@ -1,1 +1,0 @@
-"""Work at a bench: phases of a run, experiments, recordings for identification, the review after a run."""

@@ -1,0 +1,500 @@
+"""Controllers as phases: tracking of an experiment's reference after a bumpless transfer, and steering by targets."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Generator
+from contextlib import closing, suppress
+from dataclasses import replace
+from pathlib import Path
+from threading import Lock, Thread
+from typing import TYPE_CHECKING, Any, Protocol, final
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from hystmpc.ctrl.command import Command, CommandLimits, ControlInput, Source, Stopwatch, modelled_limits
+from hystmpc.ctrl.config import ControllerSettings, sensor_fault
+from hystmpc.ctrl.estimation.observer import EstimatorSettings
+from hystmpc.ctrl.guarded import GuardedController
+from hystmpc.ctrl.law import Law, Proposal
+from hystmpc.ctrl.monitor import ChangeMonitor, MonitorState
+from hystmpc.ctrl.planner.assembly import Assembly, assemble
+from hystmpc.ctrl.planner.reach import beyond_reach
+from hystmpc.ctrl.planner.settings import TipSettings, read_settings
+from hystmpc.ctrl.planner.tip_controller import TipController
+from hystmpc.trajectories.motion import Kinematics, PiecewiseCubic
+from hystmpc.trajectories.ruckig_ import move_to_rest
+from hystmpc.trajectories.trajectory import Trajectory
+from hystmpc.trials.errors import ConfigError, ControllerError
+from hystmpc.trials.types import Vec
+
+from ..config import RunSettings
+from ..live.desk import Desk, Reply
+from ..recording.sample import Sink
+from ..run import BenchResult, Note, run_bench
+from ..safety.intake import SensorSettings
+from ..safety.plausibility import ModelWatch, PlausibilitySettings
+from ..safety.stop import StopFlag
+from ..transports.transport import PlantFactory, Transport
+from .phases import REMEMBERED, Decision, Past, Phase, PhaseInput
+
+if TYPE_CHECKING:
+    from ..compiled.controller import CompiledController
+    from ..compiled.loop import CompiledLoop
+
+LATE = "late: no time for a plan"
+"""Why a sample that begins late is answered by the fallbacks."""
+
+_FOR_GOOD = 1 << 62  # steps
+
+# From the measured angle [deg] to the trajectory that starts there.
+LeadIn = Callable[[float], Trajectory]
+
+
+def run_experiment(
+    settings: RunSettings,
+    sink: Callable[[], Sink],
+    plants: PlantFactory,
+    *,
+    folder: Path | None = None,
+    note: Note = lambda text: None,
+    transport: Transport | None = None,
+    desk: Desk | None = None,
+) -> BenchResult:
+    """Run the experiment; settings and model are checked before anything moves. Arguments as of `run_bench`.
+
+    With a desk the run takes targets too; after the first one it goes on until somebody ends it.
+
+    Raises:
+        HystmpcError: of any kind, see `tracking_phase` and `run_bench`.
+    """
+    tracking = tracking_phase(settings, note=note)
+    if desk is not None:
+        desk.take_targets(tracking.target, *tracking.reach_deg)
+    return run_bench(
+        settings, lambda: [tracking], sink, plants, folder=folder, note=note, transport=transport, desk=desk
+    )
+
+
+def tracking_phase(settings: RunSettings, threaded: bool = True, note: Note = lambda text: None) -> Tracking:
+    """Phase that tracks the reference of an experiment; its controller is built, compiled and warmed up.
+
+    Args:
+        beside: whether the hand-over goes on beside the loop, see `Tracking`.
+        note: told where the reference goes beyond the model's reach.
+
+    Raises:
+        ConfigError: if model and bench differ in rate or unit, or the controller's limits go beyond the bench's.
+        ModelError: if a model file is missing, corrupt or unusable.
+        ControllerError: if the settings of the controller contradict each other or the model, or limits go beyond the
+            model's unasked.
+        TrajectoryError: if the reference cannot be made.
+    """
+    limits, tip_settings = settings.limits, settings.controller
+    law = tip_settings.controller
+    ladder = law.resolved().ladder
+    if ladder.safe_command is None:  # a stop of the controller's own goes where the loop's would
+        with_safe = {"ladder": {**ladder.model_dump(), "safe_command": settings.safe_command}}
+        law = type(law).parse({**law.model_dump(exclude_unset=True), **with_safe})
+        tip_settings = tip_settings.model_copy(update={"controller": law})
+    tip_settings = tip_settings.model_copy(
+        update={"limits": tip_settings.limits or limits, "start_command": settings.safe_command}
+    )
+    assembly = assemble(tip_settings, Path())
+    _fits(settings, assembly)
+    compiled = _compiled(settings, assembly, tip_settings)
+    controller, law_of_it = make_timely(assembly.controller) if compiled is None else (compiled, compiled)
+    tip = TipController(assembly, tip_settings, controller)
+    reference = settings.reference.build()
+    if beyond := beyond_reach(reference(np.linspace(0.0, reference.duration_s, 1000)), assembly.workspace.model):
+        note(f"warning: the reference {beyond}")
+    motion = tip_settings.motion.build()
+
+    def lead_in(angle_deg: float) -> Trajectory:
+        segments = move_to_rest(Kinematics(angle_deg), float(reference(0.0)), motion)
+        return LeadInTrajectory(PiecewiseCubic(segments) if segments.size else None, reference)
+
+    drill = settings.drill
+    fails = None if drill is None else (drill.solver_fails_from_s, drill.solver_fails_from_s + drill.solver_fails_for_s)
+    watch = model_watch(settings.plausibility, law, settings.dt_s)
+    monitor = ChangeMonitor(assembly.predictor.noise, settings.dt_s, assembly.workspace.model)
+    return Tracking(tip, law_of_it, lead_in, watch, monitor, fails, settings.sensor, threaded, compiled)
+
+
+def _compiled(settings: RunSettings, assembly: Assembly, tip_settings: TipSettings) -> CompiledController | None:
+    """Controller compiled from C; None for the backend python."""
+    if settings.realtime.backend == "python":
+        return None
+    from ..compiled.controller import compiled_controller
+
+    return compiled_controller(assembly.controller, tip_settings, settings.realtime.spin_s)
+
+
+def _fits(settings: RunSettings, assembly: Assembly) -> None:
+    dt_s, unit = assembly.controller.dt, assembly.unit
+    if abs(dt_s * settings.rate_hz - 1) > 1e-6:
+        raise ConfigError(
+            f"controller: got a model at {1 / dt_s:g} Hz, expected rate_hz {settings.rate_hz:g}; identify one at that "
+            "rate (`fit --rate-hz`), or run at the model's"
+        )
+    if unit != settings.command_unit:
+        raise ConfigError(f"controller: got a model with commands in {unit}, expected {settings.command_unit}")
+    modelled_limits(settings.limits, assembly.model_limits)
+    bench = settings.limits.build()
+    if not bench.contains(assembly.limits):
+        raise ConfigError(f"controller: got limits {assembly.limits}, expected them within the bench's {bench}")
+
+
+class LeadInTrajectory:
+    """A reference after a lead-in motion to its first angle; None where the tip is there already."""
+
+    def __init__(self, lead: PiecewiseCubic | None, reference: Trajectory) -> None:
+        self._lead, self._reference = lead, reference
+        self._wait = 0.0 if lead is None else lead.duration_s
+        self.duration_s = self._wait + reference.duration_s
+
+    def __call__(self, t: ArrayLike) -> Vec:
+        """Angles [deg] at times `t` [s]."""
+        time = np.asarray(t, dtype=np.float64)
+        after = self._reference(time - self._wait)
+        if self._lead is None or np.min(time, initial=self._wait) >= self._wait:
+            return after
+        return np.where(time < self._wait, self._lead(time), after)
+
+
+@final
+class Tracking(Phase):
+    """A `TipController` along a reference, from where preparation has left the device.
+
+    The controller takes up what was sent and measured so far, hysteresis included. That takes longer than a sample, so
+    it is done beside the loop while the command is held. A sample that follows a missed deadline is answered from
+    the fallbacks (shifted plan, inverse, hold); samples in which nothing was sent are told to the controller as holds.
+
+    A frame of an intermittent sensor is told with the time at which it was taken. Then, and without a sensor, the
+    samples that the hand-over takes are told as holds too, since an old frame belongs before them, and the model has
+    nothing else to go by.
+
+    Args:
+        lead_in: measured angle to the reference to follow.
+        monitor: says in the status that the device has changed since identification.
+        drill_s: from when until when the law is made to fail, as an exercise [s]; None for never.
+        sensor: of the bench; continuous where left out.
+        beside: whether the hand-over goes on beside the loop; False where a sample takes no time, so that each run of a
+            computed device is the same.
+        compiled: the controller, where it is one in C: it may take whole samples.
+    """
+
+    name = "track"
+
+    def __init__(
+        self,
+        tip: TipController,
+        law: Refusing,
+        lead_in: LeadIn,
+        watch: ModelWatch,
+        monitor: ChangeMonitor,
+        drill_s: tuple[float, float] | None = None,
+        sensor: SensorSettings | None = None,
+        threaded: bool = True,
+        compiled: CompiledController | None = None,
+    ) -> None:
+        self._threaded, self._compiled = threaded, compiled
+        self._tip, self._law, self._lead_in, self._watch, self._drill = tip, law, lead_in, watch, drill_s
+        self._kind, self._rest_deg = ("continuous", None) if sensor is None else (sensor.kind, sensor.rest_deg)
+        self._monitor, self._changed = monitor, ""
+        self._judged: MonitorState | None = None
+        self._held_samples = 0
+        self._early_frames: list[tuple[float, float]] = []
+        self._reference: Trajectory | None = None
+        self._worker: Thread | None = None
+        self._past: Past | None = None
+        self._failure: Exception | None = None
+        self._turn = Lock()  # of the end of the reference, and a target that comes at that moment
+        self._tracks = self._stays = False
+        self._k = 0
+
+    @property
+    def closed_loop(self) -> bool:
+        return True
+
+    @property
+    def reach_deg(self) -> tuple[float, float]:
+        """Least and greatest angle that the controller can be sent to [deg]."""
+        reach = self._tip.reachable(math.nan)
+        return reach.low_deg, reach.high_deg
+
+    def target(self, angle_deg: float) -> Reply:
+        """Move to an angle [deg] and stay there, in place of the reference, until the run is ended; by any thread.
+
+        Raises:
+            ControllerError: if the stop is latched.
+        """
+        reach = self._tip.reachable(angle_deg)
+        if not reach:
+            return Reply(False, reach.reason)
+        with self._turn:
+            if not self._tracks:
+                return Reply(False, "no target can be set now: the controller does not track")
+            self._tip.set_target(angle_deg)
+            self._stays = True
+            if self._compiled is not None and self._compiled.loop is not None:
+                self._compiled.loop.interrupt()
+        return Reply(True, reach.reason)
+
+    def begin(self, now: PhaseInput, past: Past) -> None:
+        del now
+        self._past = past
+
+    def step(self, now: PhaseInput) -> Decision:
+        """Hold while the hand-over lasts, then one step of the controller."""
+        if self._waits(now):
+            return Decision(now.held, "hold", "hand-over to the controller")
+        if self._failure is not None:
+            raise self._failure
+        for _ in range(now.skipped + self._held_samples):
+            self._tip.skip()
+        if self._held_samples:
+            self._tip.set_reference(self._wanted)  # it begins now
+            self._held_samples = 0
+        now_s = self._tip.dt * self._tip.snapshot().steps
+        for angle, taken_s in [*self._early_frames, *((frame.angle_deg, now_s - frame.age_s) for frame in now.frames)]:
+            with suppress(ControllerError):  # older than what the controller remembers
+                self._tip.measure(angle, taken_s)
+        self._early_frames.clear()
+        self._law.refusal = self._refusal(now)
+        control = self._tip.snapshot().control
+        if self._kind == "continuous" and control is not None and control.estimate.angles:
+            self._judge(now.angle_deg, control.estimate.angles[0] - control.estimate.added)
+        command = self._tip.step(now.angle_deg if self._kind == "continuous" else math.nan)
+        self._k += 1 + now.skipped
+        control = self._tip.snapshot().control
+        return self._decision(command, math.nan if control is None else control.due)
+
+    def compiled(self) -> CompiledLoop | None:
+        """The loop in C, once the controller tracks and before the reference ends."""
+        if self._compiled is None or not self._tracks or self._kind != "continuous" or self._drill is not None:
+            return None
+        return self._compiled.loop
+
+    def taken_in_c(self, flag: StopFlag) -> Generator[tuple[Any, Decision]]:
+        tip, memory, law, loop = self._tip, self._tip.snapshot(), self._compiled, self.compiled()
+        reference, control = memory.reference, memory.control
+        if law is None or loop is None or control is None or reference is None or self._reference is None:
+            return
+        estimate, over = control.estimate, math.ceil(self._reference.duration_s / tip.dt)
+        over += (over * tip.dt < self._reference.duration_s) - ((over - 1) * tip.dt >= self._reference.duration_s)
+        model, stalled, command = estimate.angles[0] - estimate.added, estimate.stalled, None
+        law.take_up(control)
+        numbers = {**self._watch.numbers(), "steps": memory.steps}
+        end = _FOR_GOOD if self._stays else memory.steps + over - self._k
+        with closing(loop.samples(numbers, lambda steps: reference.at(tip.dt * steps), end, flag)) as samples:
+            for sample in samples:
+                self._judge(sample.angle_deg, model)
+                command = law.taken(sample, stalled, LATE)
+                model, stalled = sample.model_deg, sample.stalled
+                tip.took(1 + sample.skipped, command)
+                self._k += 1 + sample.skipped
+                yield sample, self._decision(command, sample.due_deg)
+        if command is not None:
+            tip.took(0, command, law.after())
+
+    def _judge(self, angle_deg: float, model: float) -> None:
+        """Compare predicted and measured angle; test once a second whether the device has changed."""
+        if self._judged is None:
+            self._judged = self._monitor.init(model, angle_deg)
+        self._judged = self._monitor.advance(self._judged, model, angle_deg)
+        if self._k % max(round(1.0 / self._tip.dt), 1) == 0:
+            change = self._monitor.change(self._judged)
+            self._changed = f"; {change.sign}" if change.certain else ""
+
+    def _waits(self, now: PhaseInput) -> bool:
+        """Whether the transfer to the controller lasts; it starts with the first usable angle, or without a sensor."""
+        past = self._past
+        if past is not None:
+            past.keep(now, self._tip.dt)
+            if math.isfinite(now.angle_deg) or self._kind == "none":
+                self._past = None
+                self._worker = Thread(target=self._hand_over, args=(past,), name="hand-over", daemon=True)
+                self._worker.start()
+                if not self._threaded:
+                    self._worker.join()
+            return True
+        waits = self._worker is not None and self._worker.is_alive()
+        if waits and self._kind != "continuous":
+            now_s = self._tip.dt * (self._held_samples + now.skipped)
+            self._early_frames += [(frame.angle_deg, now_s - frame.age_s) for frame in now.frames]
+            self._held_samples += 1 + now.skipped
+        return waits
+
+    def _hand_over(self, past: Past) -> None:
+        try:
+            if self._rest_deg is not None:
+                self._declare(past, self._rest_deg)
+            self._tip.replay(past.commands, past.angles_deg)
+            angle = past.angles_deg[-1] if self._kind == "continuous" else present_angle(self._tip)
+            self._reference = self._lead_in(angle)
+            self._tip.set_reference(self._wanted)
+        except Exception as error:  # noqa: BLE001 - raised again in the loop, which stops safely
+            self._failure = error
+
+    @staticmethod
+    def _declare(past: Past, rest_deg: float) -> None:
+        """Set the declared rest angle at the first sample of the history, which has to reach back to the rest."""
+        if len(past.commands) >= REMEMBERED:
+            raise ConfigError(f"sensor.rest_deg: got {len(past.commands)} samples since the rest, expected fewer")
+        past.angles_deg[:] = [rest_deg, *([math.nan] * (len(past.commands) - 1))]
+
+    def _wanted(self, t: Vec) -> Vec:
+        """Reference angles at times `t` [s]."""
+        assert self._reference is not None
+        return self._reference(t)
+
+    def _refusal(self, now: PhaseInput) -> str:
+        if now.late or now.skipped:
+            return LATE
+        t = self._k * self._tip.dt
+        if self._drill is not None and self._drill[0] <= t < self._drill[1]:
+            return "drill: solver made to fail"
+        return ""
+
+    def _decision(self, command: Command, due_deg: float) -> Decision:
+        reference = self._reference
+        assert reference is not None
+        t = self._k * self._tip.dt
+        with self._turn:
+            over = t >= reference.duration_s and not self._stays
+            self._tracks = not over
+        return replace(decision_of(command, due_deg, self._watch, self._changed), finished=over)
+
+
+def decision_of(command: Command, due_deg: float, watch: ModelWatch, note: str = "") -> Decision:
+    """Decision from a controller's command; a stop of the controller and a large model error are faults.
+
+    Args:
+        due_deg: wanted angle at the end of the sample [deg].
+        watch: told of the sample.
+        note: follows the status.
+    """
+    predicted = float(command.predicted[0]) if command.predicted.size else math.nan
+    stopped = command.source is Source.STOP
+    return Decision(
+        u=command.u,
+        source=str(command.source),
+        status=command.status + note,
+        reference_deg=due_deg,
+        predicted_deg=predicted,
+        stages_s=(*command.timing.stages.items(), ("total", command.timing.total_s)),
+        fault=f"controller {command.status}" if stopped else watch.judge(command.disturbance),
+    )
+
+
+def model_watch(plausibility: PlausibilitySettings, law: ControllerSettings, dt_s: float) -> ModelWatch:
+    """Monitor of a controller's model error, bounded by the disturbance limit of its estimator."""
+    estimator = law.resolved().estimator
+    limit = estimator.disturbance_limit_deg if isinstance(estimator, EstimatorSettings) else math.inf
+    return ModelWatch(plausibility, limit, dt_s)
+
+
+def present_angle(tip: TipController) -> float:
+    """Present tip angle as the controller estimates it [deg]; the last measured one without a model."""
+    control = tip.snapshot().control
+    assert control is not None
+    estimate = control.estimate
+    return estimate.angles[0] + estimate.disturbance if estimate.angles else estimate.measured
+
+
+class Refusing(Protocol):
+    """A control law that skips planning where `refusal` gives a reason; an empty one lets it plan."""
+
+    refusal: str
+
+
+class NoTimeError(Exception):
+    """No time for a plan in this sample; caught inside the controller's step."""
+
+
+@final
+class TimelyLaw(Law[Any]):
+    """A control law that fails at once while `refusal` is set, so that the fallback ladder answers the sample."""
+
+    def __init__(self, law: Law[Any]) -> None:
+        self._law = law
+        self.horizon, self.source = law.horizon, law.source
+        self.refusal = ""
+
+    def init(self, y: float, u: float) -> Any:
+        return self._law.init(y, u)
+
+    def propose(self, memory: Any, given: ControlInput, watch: Stopwatch) -> Proposal[Any]:
+        if self.refusal:
+            raise NoTimeError(self.refusal)
+        return self._law.propose(memory, given, watch)
+
+
+def make_timely(controller: GuardedController[Any]) -> tuple[GuardedController[Any], TimelyLaw]:
+    """Controller with its law wrapped in a `TimelyLaw`, and that law."""
+    law = TimelyLaw(controller.law)
+    return controller.with_law(law), law
+
+
+@final
+class Steering(Phase):
+    """A `TipController` that starts at rest where the device is found, and takes targets at any time, by any thread.
+
+    It steps as `Tracking` does: samples in which nothing was sent are told as holds, a sample that begins late is
+    answered by the fallbacks, and a device that leaves its model is a fault. It never ends by itself.
+
+    Attributes:
+        tip: the controller, for targets, its state and its stop.
+        limits: of the command.
+        unit: of the command, mm or bar.
+        safe_command: where a stop leads; NaN where it stays.
+
+    Raises:
+        ConfigError: if the controller's file cannot be used or its controller wants no continuous sensor.
+        HystmpcError: of any other kind, see `assemble`.
+    """
+
+    name = "steer"
+
+    def __init__(self, config: Path | str) -> None:
+        settings, folder = read_settings(config)
+        self._settings = settings.controller
+        if fault := sensor_fault(self._settings, "continuous"):
+            raise ConfigError(f"{config}: controller.{fault}")
+        assembly = assemble(settings, folder)
+        controller, law = make_timely(assembly.controller)
+        self._law: Refusing = law
+        self.tip = TipController(assembly, settings, controller)
+        self.limits: CommandLimits = assembly.limits
+        self.unit = assembly.unit
+        safe = self._settings.resolved().ladder.safe_command
+        self.safe_command = math.nan if safe is None else safe
+        self.watch(PlausibilitySettings())
+
+    def watch(self, plausibility: PlausibilitySettings) -> None:
+        """Restart the monitor of the model error with these settings."""
+        self._plausibility = plausibility
+        self._watch = model_watch(plausibility, self._settings, self.tip.dt)
+
+    def begin(self, now: PhaseInput, past: Past) -> None:
+        """Wait for the first usable angle."""
+        del now, past
+        self._started = False
+        self.watch(self._plausibility)
+
+    def step(self, now: PhaseInput) -> Decision:
+        """Hold until there is an angle, then one step of the controller."""
+        if not self._started:
+            if math.isnan(now.angle_deg):
+                return Decision(now.held, "hold", "waits for an angle")
+            self.tip.reset(now.angle_deg, now.held)
+            self._started = True
+        else:
+            for _ in range(now.skipped):
+                self.tip.skip()
+        self._law.refusal = LATE if now.late or now.skipped else ""
+        command = self.tip.step(now.angle_deg)
+        control = self.tip.snapshot().control
+        return decision_of(command, math.nan if control is None else control.due, self._watch)

@@ -1,0 +1,360 @@
+"""Phases, the parts of a run: command motions, checks, the safe stop; and the preparation steps of the settings."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Generator, MutableSequence, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Protocol, final
+
+from pydantic import Field, model_validator
+
+from hystmpc.trials.config import Count, NotNegative, Positive, Settings
+from hystmpc.trials.types import Vec
+
+from ..safety.intake import ObservedFrame
+from ..safety.ramp import RampSettings, ramp_commands, waypoint_commands
+
+if TYPE_CHECKING:
+    from ..compiled.loop import CompiledLoop
+    from ..safety.stop import StopFlag
+
+
+@dataclass(frozen=True, slots=True)
+class PhaseInput:
+    """Measurements and command state that a phase gets in each sample."""
+
+    angle_deg: float  # measured angle, NaN where none is usable [deg]
+    held: float  # the command sent last, or the one that the device was found to hold
+    late: bool = False  # whether the previous sample missed its deadline, so that there is no time for a plan
+    skipped: int = 0  # whole samples since the previous one in which nothing was sent and the device held `held`
+    reported: float = math.nan  # the command that the device says it holds, NaN where it does not tell
+    velocity: float = 0.0  # of the command between the last two samples; 0 where the device was found at rest [unit/s]
+    frames: tuple[ObservedFrame, ...] = ()  # of an intermittent sensor, accepted since the last sample
+    shown_deg: float = math.nan  # the newest angle that is not stale, believed or not; NaN where none came [deg]
+
+
+@dataclass(frozen=True, slots=True)
+class Decision:
+    """Command and status that a phase returns for a sample.
+
+    Attributes:
+        u: wanted command; the gate has the last word.
+        source, status: as in `Sample`.
+        reference_deg, predicted_deg: for the end of the sample, NaN where there is none.
+        stages_s: name and time of stages.
+        finished: whether this was the phase's last sample.
+        fault: why the run has to stop, empty while it has not.
+    """
+
+    u: float
+    source: str
+    status: str = "ok"
+    reference_deg: float = math.nan
+    predicted_deg: float = math.nan
+    stages_s: tuple[tuple[str, float], ...] = ()
+    finished: bool = False
+    fault: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Past:
+    """Commands and angles of the run so far, from which a controller starts; (T,) each, copies."""
+
+    commands: list[float]
+    angles_deg: list[float]
+
+    def keep(self, now: PhaseInput, dt_s: float) -> None:
+        """Append a sample; angles of frames go to the samples at which they were taken, or to the first one."""
+        self.commands.append(now.held)
+        self.angles_deg.append(math.nan if now.frames else now.angle_deg)
+        place_frames(self.angles_deg, now.frames, dt_s)
+
+
+REMEMBERED = 200_000
+"""Samples of preparation that a controller can be told of."""
+
+
+def place_frames(angles: MutableSequence[float], frames: Sequence[ObservedFrame], dt_s: float) -> None:
+    """Write the angles of frames into the samples at which they were taken; the last sample is the present one."""
+    for frame in frames:
+        angles[max(-1 - round(frame.age_s / dt_s), -len(angles))] = frame.angle_deg
+
+
+class Phase(Protocol):
+    """One part of a run. It may raise: the loop then stops safely and says what was raised."""
+
+    name: str  # as logs show it
+
+    @property
+    def closed_loop(self) -> bool:
+        """Whether a controller moves the device by its angle."""
+        return False
+
+    def begin(self, now: PhaseInput, past: Past) -> None:
+        """Start from rest at the command held."""
+        ...
+
+    def step(self, now: PhaseInput) -> Decision:
+        """One sample."""
+        ...
+
+    def compiled(self) -> CompiledLoop | None:
+        """Compiled loop for the next samples; None where Python has to execute them."""
+        return None
+
+    def taken_in_c(self, flag: StopFlag) -> Generator[tuple[Any, Decision]]:
+        """Samples executed by the compiled loop until the flag is set, each with its decision."""
+        del flag
+        yield from ()
+
+
+@final
+class CommandMotion(Phase):
+    """Open-loop motion: commands computed from the held command when the phase begins.
+
+    Args:
+        commands: held command to the commands (N,) to send.
+    """
+
+    def __init__(self, name: str, commands: Callable[[float], Vec]) -> None:
+        self.name, self._plan = name, commands
+        self._commands: list[float] = []
+        self._k = 0
+
+    def begin(self, now: PhaseInput, past: Past) -> None:
+        del past
+        self._commands, self._k = self._plan(now.held).tolist(), 0
+
+    def step(self, now: PhaseInput) -> Decision:
+        """The next command; samples that were skipped are not left out, the motion is late by them."""
+        del now
+        u = self._commands[self._k]
+        self._k += 1
+        return Decision(u, self.name, finished=self._k >= len(self._commands))
+
+
+@final
+class AwaitStart(Phase):
+    """Hold the command until a person starts the run; sending it keeps the device's watchdog from acting.
+
+    Args:
+        started: asked once a sample.
+    """
+
+    name = "await start"
+
+    def __init__(self, started: Callable[[], bool]) -> None:
+        self._started = started
+
+    def begin(self, now: PhaseInput, past: Past) -> None:
+        """Nothing to prepare."""
+        del now, past
+
+    def step(self, now: PhaseInput) -> Decision:
+        """The command held."""
+        started = self._started()
+        return Decision(now.held, self.name, "ok" if started else "waits for Start", finished=started)
+
+
+@final
+class PretensionCheck(Phase):
+    """Ramps the command up and back and checks that the angle is there and moves with it.
+
+    Args:
+        commands: held command to the commands (N,) of the way up, and of the way back.
+        least_deg, most_deg: what the angle has to move, with its sign: negative where more command means less angle.
+    """
+
+    name = "pretension check"
+
+    def __init__(self, commands: Callable[[float], tuple[Vec, Vec]], least_deg: float, most_deg: float) -> None:
+        self._plan, self._bounds = commands, (least_deg, most_deg)
+        self._commands: list[float] = []
+        self._k, self._top = 0, 0
+        self._before = self._angle = math.nan
+
+    def begin(self, now: PhaseInput, past: Past) -> None:
+        """Compute the commands; the present angle is the angle at rest."""
+        del past
+        up, back = self._plan(now.held)
+        self._commands, self._top, self._k = [*up.tolist(), *back.tolist()], up.size, 0
+        self._before = self._angle = now.angle_deg
+
+    def step(self, now: PhaseInput) -> Decision:
+        if math.isfinite(now.angle_deg):
+            self._angle = now.angle_deg
+            self._before = self._angle if math.isnan(self._before) else self._before
+        if self._k == self._top and (fault := self._verdict()):
+            return Decision(now.held, self.name, fault, fault=fault)
+        u = self._commands[self._k]
+        self._k += 1
+        return Decision(u, self.name, finished=self._k >= len(self._commands))
+
+    def _verdict(self) -> str:
+        moved, (least, most) = self._angle - self._before, self._bounds
+        if least <= moved <= most:
+            return ""
+        return (
+            f"pretension check: the angle moved {moved:.2f} deg, expected {least:g} to {most:g} deg: "
+            "is the tendon slack, the sensor fixed, the sign right?"
+        )
+
+
+@final
+class SafeStop(Phase):
+    """Motion to rest at the safe command; it ends once the device reports that it holds that command.
+
+    Every run ends with it: after its last phase, and after a stop. The safe command is sent `repeats` times at least,
+    since a wire may lose some; where the device does not say that it is there, `patience` times.
+
+    Args:
+        commands: held command and its velocity to the commands (N,) to send; where it fails, the safe command itself is
+            wanted, and the gate lets the device there as fast as the limits allow.
+        safe: the safe command; NaN where there is none: it then rests where it comes to rest, which is never confirmed,
+            so that the device's watchdog stays armed.
+        tolerance: how far beside it the device may be, in the command's unit.
+        cause: why; empty at the regular end of a run.
+        repeats: how often it is sent at the end.
+        patience: how often it is sent to a device that does not say that it holds it.
+        attempts: how often the way out may begin; a device that follows none of them is left to its watchdog.
+        stays: asked where it could finish; True sends the safe command on.
+    """
+
+    def __init__(
+        self,
+        commands: Callable[[float, float], Vec],
+        safe: float,
+        tolerance: float,
+        cause: str,
+        repeats: int = 5,
+        patience: int = 25,
+        attempts: int = 5,
+        stays: Callable[[], bool] = lambda: False,
+    ) -> None:
+        self._plan, self._safe, self._tolerance, self.cause = commands, safe, tolerance, cause
+        self._end, self._stays = safe, stays
+        self._repeats, self._patience, self._attempts = repeats, patience, attempts
+        self.name = "stop" if cause else "return"
+        self._status = f"safe stop: {cause}" if cause else "ok"
+        self._commands: list[float] = []
+        self._k, self._rested = 0, 0
+        self.sent = self.confirmed = False
+
+    def begin(self, now: PhaseInput, past: Past) -> None:
+        """Compute the stop motion from the held command; never raises."""
+        del past
+        self._attempts -= 1
+        try:
+            self._commands = self._plan(now.held, now.velocity).tolist()
+        except Exception:  # noqa: BLE001 - a stop cannot fail: the gate's limits lead there as well
+            self._commands = []
+        if math.isnan(self._safe):
+            self._end = self._commands[-1] if self._commands else now.held
+        self._k = self._rested = 0
+
+    def step(self, now: PhaseInput) -> Decision:
+        """Next command; finished once the safe command is held or no attempt is left."""
+        if self._attempts < 0:
+            return Decision(now.held, self.name, f"{self._status}; given up", finished=True)
+        u = self._commands[self._k] if self._k < len(self._commands) else self._end
+        self._k += 1
+        self._rested += abs(now.held - self._end) <= 1e-9 * (1 + abs(self._end))
+        self.confirmed = abs(now.reported - self._safe) <= self._tolerance
+        self.sent = self._k >= len(self._commands) and self._rested >= self._repeats
+        there = self.sent and (self.confirmed or self._rested >= self._patience)
+        return Decision(u, self.name, self._status, finished=there and not self._stays())
+
+
+class MoveSettings(Settings):
+    """`step: move`: a ramp to a command.
+
+    Attributes:
+        to: command at the end [mm or bar].
+    """
+
+    step: Literal["move"]
+    to: float
+
+    def phase(self, ramps: RampSettings, dt_s: float) -> Phase:
+        """The phase of this step."""
+        return CommandMotion("move", lambda held: ramp_commands(held, 0.0, self.to, ramps, dt_s))
+
+
+class FlexureSettings(Settings):
+    """`step: flexure`: to the upper command and back to the lower one, `cycles` times (S2: once, discarded).
+
+    Attributes:
+        lower: command at the end [mm or bar].
+        upper: command at the far point [mm or bar].
+        cycles: how often.
+        hold_s: rest at either point [s].
+    """
+
+    step: Literal["flexure"]
+    lower: float
+    upper: float
+    cycles: Count = 1
+    hold_s: NotNegative = 0.0
+
+    def phase(self, ramps: RampSettings, dt_s: float) -> Phase:
+        """The phase of this step."""
+        stops = [self.upper, self.lower] * self.cycles
+        holds = [self.hold_s] * len(stops)
+        return CommandMotion("flexure", lambda held: waypoint_commands(held, stops, holds, ramps, dt_s))
+
+
+class RelaxationSettings(Settings):
+    """`step: relaxation`: hold the command while creep dies down.
+
+    Attributes:
+        duration_s: how long [s].
+    """
+
+    step: Literal["relaxation"]
+    duration_s: Positive
+
+    def phase(self, ramps: RampSettings, dt_s: float) -> Phase:
+        """The phase of this step."""
+        return CommandMotion("relaxation", lambda held: waypoint_commands(held, [held], [self.duration_s], ramps, dt_s))
+
+
+class PretensionSettings(Settings):
+    """`step: pretension_check`: the angle has to be plausible and to move with the command.
+
+    Attributes:
+        by: how far the command goes, from where it is and back.
+        hold_s: rest at the far end before the verdict.
+        least_move_deg, most_move_deg: what the angle has to move, sign included.
+    """
+
+    step: Literal["pretension_check"]
+    by: float
+    hold_s: Positive = 0.5
+    least_move_deg: float
+    most_move_deg: float
+
+    @model_validator(mode="after")
+    def _ordered(self) -> PretensionSettings:
+        if not self.least_move_deg < self.most_move_deg or self.by == 0:
+            raise ValueError(
+                f"got by {self.by}, least_move_deg {self.least_move_deg}, most_move_deg {self.most_move_deg}, expected "
+                "by other than 0 and least < most"
+            )
+        return self
+
+    def phase(self, ramps: RampSettings, dt_s: float) -> Phase:
+        """The phase of this step."""
+        return PretensionCheck(
+            lambda held: (
+                waypoint_commands(held, [held + self.by], [self.hold_s], ramps, dt_s),
+                ramp_commands(held + self.by, 0.0, held, ramps, dt_s),
+            ),
+            self.least_move_deg,
+            self.most_move_deg,
+        )
+
+
+PrepareStep = Annotated[
+    MoveSettings | FlexureSettings | RelaxationSettings | PretensionSettings, Field(discriminator="step")
+]

@@ -1,0 +1,229 @@
+"""One run on a device: transport, first contact, control loop, safe stop, latch; its motions are given as phases."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import nullcontext, suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+from hystmpc.trials.errors import ConfigError, TrajectoryError
+from hystmpc.trials.files import write_atomically
+from hystmpc.trials.types import Vec
+
+from .config import BenchSettings
+from .contact import DeviceContact, FirstContact
+from .experiment.phases import AwaitStart, Phase, SafeStop
+from .histogram import Timings
+from .live.desk import Desk
+from .loop import ControlLoop, RunOutcome
+from .realtime import Clock, MonotonicClock, control_process
+from .recording.sample import Sink
+from .safety.gate import Anchor, Gate
+from .safety.intake import Intake
+from .safety.plausibility import MotionWatch
+from .safety.ramp import stop_commands
+from .safety.stop import RUNNING, Latch, StopFlag, latch_text, stopping_on_signals
+from .transports.from_outside import PythonSettings
+from .transports.transport import Conversion, PlantFactory, RunContext, Transport
+
+_PAUSE_NS = 1_000_000
+
+Note = Callable[[str], None]
+
+_REPEATS = 5  # of the safe command
+_PATIENCE_S = 1.0  # how long it is sent to a device that does not say that it holds it
+_TOLERANCE = 0.01  # of the range: how far what a device says it holds may lie beside what was sent, where none is set
+
+
+@dataclass(frozen=True)
+class BenchResult:
+    """Result of a run on a device."""
+
+    outcome: RunOutcome  # how it ended
+    timings: Timings  # period, execution, jitter, misses
+    wire: Mapping[str, int]  # messages rejected by the transport, by cause
+    lost: int  # measurements that were sent and never came
+    notes: tuple[str, ...]  # what the system did not permit
+
+    def as_dict(self) -> dict[str, object]:
+        """Plain data for `timing.json`."""
+        outcome = {k: None if v != v else v for k, v in vars(self.outcome).items()}
+        wire = {"rejected": dict(self.wire), "lost": self.lost}
+        return {"outcome": outcome, "wire": wire, "notes": list(self.notes), **self.timings.as_dict()}
+
+
+def run_bench(
+    settings: BenchSettings,
+    phases: Callable[[], Sequence[Phase]],
+    sink: Callable[[], Sink],
+    plants: PlantFactory,
+    *,
+    folder: Path | None = None,
+    note: Note = lambda text: None,
+    clock: Clock | None = None,
+    transport: Transport | None = None,
+    desk: Desk | None = None,
+) -> BenchResult:
+    """Prepare the device, go through the phases, and leave it at rest at the safe command.
+
+    Args:
+        settings: of the bench.
+        phases: makes what comes after preparation; called once the device answers, before anything moves.
+        sink: opens where samples go; called right before the loop, and closed after it.
+        plants: makes the device of `kind: simulated`.
+        folder: gets `timing.json`, and `latched.json` after a stop.
+        note: told what goes on, outside the loop.
+        clock: of a device that is computed faster than time passes; the process is left as it is then. None for the
+            machine's own.
+        transport: to the device, in place of the block `transport`; it is called from a thread of its own.
+        desk: where somebody asks for the start, the end or an e-stop; None where nobody does.
+
+    Raises:
+        ConfigError: if the stop is latched, the device does not answer, or settings do not fit it; nothing has moved.
+    """
+    if transport is not None:
+        settings = settings.model_copy(update={"transport": PythonSettings.of(transport)})
+    control = control_process(settings.realtime) if clock is None else nullcontext(list[str]())
+    desk = desk or Desk()
+    clock, flag = clock or MonotonicClock(settings.realtime.spin_s), desk.flag
+    with Latch.of(settings.name, settings.latch_file).held() as latch, stopping_on_signals(flag):
+        latch.require_released()
+        conversion = Conversion.of(settings.wire, settings.command_unit)
+        wire = settings.transport.open(RunContext(conversion, settings.dt_s, clock.now_ns, plants))
+        try:
+            contact = first_contact(settings, wire, clock, flag)
+            begins: list[Phase] = [] if desk.started else [AwaitStart(lambda: desk.started)]
+            work = [*begins, *(step.phase(settings.ramps, settings.dt_s) for step in settings.prepare), *phases()]
+            samples = _open_latched(latch, sink)
+        except BaseException:
+            _close(wire)
+            raise
+        try:
+            with control as notes:
+                for text in notes:
+                    note(text)
+                closed = any(phase.closed_loop for phase in work)
+                loop = control_loop(settings, wire, clock, contact, flag, samples, closed_loop=closed)
+                outcome = loop.run(work, contact.newest.received_ns + round(0.5e9 * settings.dt_s))
+            result = BenchResult(outcome, loop.timings, dict(wire.counters), loop.lost, tuple(notes))
+            if outcome.cause:
+                latch.set(outcome.cause)
+            else:
+                latch.release()
+        finally:
+            _close(wire)
+            samples.close()
+    if folder is not None:
+        _leave_files(result, folder)
+    return result
+
+
+def control_loop(
+    settings: BenchSettings,
+    transport: Transport,
+    clock: Clock,
+    contact: DeviceContact,
+    flag: StopFlag,
+    samples: Sink,
+    *,
+    safe: float | None = None,
+    stays: Callable[[], bool] = lambda: False,
+    closed_loop: bool = False,
+) -> ControlLoop:
+    """The control loop of a bench with its sensor checks, motion watch and command gate: the only way to move a device.
+
+    Args:
+        safe: where a stop leads, in place of the bench's `safe_command`; NaN stays where it is, see `SafeStop`.
+        stays: whether the safe command is to be sent on and on once it is held.
+        closed_loop: whether a controller moves the device by its angle, which then has to rise with the command.
+    """
+    ramps, dt_s, sensor = settings.ramps, settings.dt_s, settings.sensor
+    limits, safe = settings.limits.build(), settings.safe_command if safe is None else safe
+    span = limits.upper - limits.lower
+    tolerance, silence_s = sensor.held_tolerance or _TOLERANCE * span, max(sensor.dead_after_s, sensor.silence_s)
+
+    def way(held: float, velocity: float) -> Vec:
+        return stop_commands(held, velocity, held if math.isnan(safe) else safe, ramps, settings.overshoot, dt_s)
+
+    def to_safe(cause: str) -> SafeStop:
+        flag.end()  # whoever asks for something else from now on is told so
+        patience = max(_REPEATS, round(_PATIENCE_S / dt_s))
+        return SafeStop(way, safe, tolerance, cause, patience=patience, stays=stays)
+
+    for velocity in (0.0, ramps.velocity_per_s, limits.rate):  # each way out has been gone once before it is in a hurry
+        with suppress(TrajectoryError):
+            way(contact.held, velocity)
+    gate = Gate(limits, dt_s)
+    if not contact.reports_held:
+        gate.anchor(contact.held)
+    anchor = Anchor(gate, tolerance, max(3.0 * dt_s, sensor.age_limit_s), silence_s, safe, sensor.dead_after_s)
+    watch = None
+    if sensor.kind != "none":
+        watch = MotionWatch(settings.plausibility, span, sensor.upper_deg - sensor.lower_deg, closed_loop)
+    now = clock.now_ns()
+    intake = Intake(sensor, now, watch)
+    with suppress(Exception):  # what nobody can judge is judged in the loop, which stops then
+        intake.judge([contact.seen_at(now)], now, math.nan)
+    return ControlLoop(clock, transport, intake, gate, anchor, dt_s, samples, to_safe, flag, sensor.dead_after_s)
+
+
+def _open_latched(latch: Latch, sink: Callable[[], Sink]) -> Sink:
+    """Latch the run, then open its recording: a run that cannot be latched leaves no folder."""
+    latch.set(RUNNING)
+    try:
+        return sink()
+    except BaseException:
+        latch.release()
+        raise
+
+
+def _close(transport: Transport) -> None:
+    """Close the transport without a goodbye; an error of its driver must not hide why the run has ended."""
+    with suppress(Exception):
+        transport.stop()
+
+
+def _leave_files(result: BenchResult, folder: Path) -> None:
+    try:
+        if result.outcome.cause:
+            write_atomically(folder / "latched.json", latch_text(result.outcome.cause))
+        write_atomically(folder / "timing.json", json.dumps(result.as_dict(), indent=1) + "\n")
+    except Exception:  # noqa: BLE001 - a full disk must not hide how the run ended
+        return
+
+
+def reset_latch(settings: BenchSettings) -> None:
+    """Release the latch of a stopped device, after a person has inspected the device.
+
+    Raises:
+        ConfigError: if another program controls the device now.
+    """
+    with Latch.of(settings.name, settings.latch_file).held() as latch:
+        latch.release()
+
+
+def first_contact(settings: BenchSettings, transport: Transport, clock: Clock, flag: StopFlag) -> DeviceContact:
+    """Wait until the device answers and accepts commands of this controller; nothing is moved.
+
+    Raises:
+        ConfigError: if no plausible angle comes in time, the device listens to another controller, device and
+            `start_command` disagree, neither tells what is held, that is beyond the limits, or a signal has ended the
+            wait.
+    """
+    contact, deadline = FirstContact(settings, transport), clock.now_ns() + round(1e9 * settings.connect_timeout_s)
+    while True:
+        if flag.cause:
+            raise ConfigError(f"{settings.name}: {flag.cause} before the device answered; nothing was sent")
+        if clock.now_ns() > deadline:
+            raise ConfigError(contact.missing())
+        try:
+            reading = transport.read()
+        except Exception:  # noqa: BLE001 - nobody listens yet, or a driver fails: both show as silence
+            reading = None
+        if reading is None:
+            clock.wait_until(clock.now_ns() + _PAUSE_NS)
+        elif answered := contact.judge(reading):
+            return answered

@@ -1,0 +1,198 @@
+"""The table of a sweep: a row for each run in one SQLite file, with a copy as CSV to be read.
+
+Rows are written by the one process that collects results; workers return theirs to it. Writers of several processes on
+one machine wait for each other.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+import os
+import sqlite3
+import time
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import closing, contextmanager
+from pathlib import Path
+from typing import Any, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hystmpc.trials.errors import LogError
+from hystmpc.trials.json_text import plain
+from hystmpc.trials.types import Vec
+
+Column = Vec | list[str | None]
+TABLE = "runs.db"
+COPY = "runs.csv"
+_CREATE = "CREATE TABLE IF NOT EXISTS runs (id TEXT PRIMARY KEY, status TEXT, settings TEXT, figures TEXT)"
+_PUT = """INSERT INTO runs VALUES (?, ?, ?, ?) ON CONFLICT (id) DO UPDATE
+SET status = excluded.status, settings = excluded.settings, figures = excluded.figures
+WHERE excluded.status = 'done' OR runs.status <> 'done'"""
+_NOT_COPIED = ("settings", "files")  # to repeat a run; of no use to a reader
+_BUSY_S = 60.0  # wait for another process's writing
+_PAUSE = 10.0  # time between two writings over the time that one takes: writing costs a tenth of the time at most
+
+
+@final
+class RunTable:
+    """Rows by `id`, each written whole or not at all; of a repeated run the last successful row is kept.
+
+    Args:
+        folder: of the sweep; the file is made where there is none.
+
+    Raises:
+        LogError: if the file is damaged or cannot be written.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._rows: list[tuple[str, str, str, str]] = []
+        self._written, self._cost_s = -math.inf, 0.0
+        with _opened(folder) as base:
+            base.execute(_CREATE)
+
+    def done(self) -> set[str]:
+        """Ids of the rows that need no repetition.
+
+        Raises:
+            LogError: if the file is damaged.
+        """
+        with _opened(self._folder) as base:
+            return {identity for (identity,) in base.execute("SELECT id FROM runs WHERE status = 'done'")}
+
+    def add(self, row: Mapping[str, Any]) -> None:
+        """Take a row: `id`, `status`, `settings` (JSON), and figures that are numbers, texts or None.
+
+        Raises:
+            LogError: if the file is damaged or cannot be written.
+        """
+        figures = plain({name: value for name, value in row.items() if name not in ("id", "status", "settings")})
+        self._rows.append((row["id"], row["status"], row.get("settings", ""), json.dumps(figures)))
+        if time.monotonic() - self._written >= _PAUSE * self._cost_s:
+            self.flush()
+
+    def flush(self) -> None:
+        """Write the rows taken so far, all or none of them.
+
+        Raises:
+            LogError: if the file is damaged or cannot be written.
+        """
+        start = time.monotonic()
+        with _opened(self._folder) as base:
+            base.executemany(_PUT, self._rows)
+        self._rows = []
+        self._written = time.monotonic()
+        self._cost_s = self._written - start
+
+    def copy(self, names: Iterable[str]) -> Path | None:
+        """Write all rows as CSV, whole or not at all, without the settings; None where there is no row.
+
+        Args:
+            names: of the first columns; columns that only rows of earlier forms of the sweep have come after them.
+
+        Raises:
+            LogError: if the file is damaged.
+        """
+        self.flush()
+        columns = dict.fromkeys(name for name in names if name not in _NOT_COPIED)
+        count = 0
+        for row in rows_of(self._folder):
+            columns.update(dict.fromkeys(name for name in row if name not in _NOT_COPIED))
+            count += 1
+        if not count:
+            return None
+        half, target = self._folder / f".{COPY}.part", self._folder / COPY
+        with half.open("w", encoding="utf-8", newline="") as file:
+            table = csv.DictWriter(file, list(columns), extrasaction="ignore", lineterminator="\n")
+            table.writeheader()
+            table.writerows(rows_of(self._folder))
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(half, target)
+        return target
+
+
+def rows_of(folder: Path, prefix: str = "", *, settings: bool = False) -> Iterator[dict[str, Any]]:
+    """Rows of a table in the order in which they came; none where there is no table.
+
+    Args:
+        prefix: first digits of their ids.
+        settings: whether to read the settings too, which are most of the file.
+
+    Raises:
+        LogError: if the file is damaged.
+    """
+    if not (folder / TABLE).exists():
+        return
+    text = "settings" if settings else "NULL"
+    query = f"SELECT id, status, {text}, figures FROM runs WHERE substr(id, 1, ?) = ? ORDER BY rowid"
+    with _opened(folder) as base:
+        for identity, status, held, figures in base.execute(query, (len(prefix), prefix)):
+            own = {"settings": held} if settings else {}
+            yield {"id": identity, "status": status, **json.loads(figures), **own}
+
+
+def table_of(folder: Path, names: Iterable[str]) -> dict[str, Column]:
+    """Columns (N,) of a table; a missing figure is NaN among numbers, None among texts and where none has it.
+
+    Raises:
+        LogError: if the file is damaged.
+    """
+    columns: dict[str, list[Any]] = {name: [] for name in names}
+    for row in rows_of(folder, settings="settings" in columns):
+        for name, values in columns.items():
+            values.append(row.get(name))
+    return {name: _column(values) for name, values in columns.items()}
+
+
+def numbers(table: Mapping[str, Column], name: str) -> Vec:
+    """A column of numbers (N,)."""
+    return np.asarray(table[name], dtype=np.float64)
+
+
+def texts(table: Mapping[str, Column], name: str) -> list[str]:
+    """A column as texts, numbers to six digits, missing ones as empty texts."""
+    return [
+        "" if value is None else value if isinstance(value, str) else f"{float(value):.6g}" for value in table[name]
+    ]
+
+
+def selected(table: Mapping[str, Column], rows: NDArray[np.bool_]) -> dict[str, Column]:
+    """Some rows of a table.
+
+    Args:
+        table: columns (N,).
+        rows: which, (N,).
+    """
+    where = np.flatnonzero(rows)
+    return {name: c[where] if isinstance(c, np.ndarray) else [c[k] for k in where] for name, c in table.items()}
+
+
+def _column(values: Sequence[Any]) -> Column:
+    """Numbers as an array (N,), NaN where there is none; with a text among them, or without any value, texts."""
+    kinds = {type(value) for value in values} - {type(None)}
+    if kinds and kinds <= {int, float}:
+        return np.array([math.nan if value is None else float(value) for value in values], dtype=np.float64)
+    return [None if value is None else str(value) for value in values]
+
+
+@contextmanager
+def _opened(folder: Path) -> Iterator[sqlite3.Connection]:
+    """One transaction: all of it is kept, or none where it ends in an error.
+
+    Raises:
+        LogError: if the file is damaged, or cannot be read or written.
+    """
+    path = folder / TABLE
+    try:
+        with closing(sqlite3.connect(path, timeout=_BUSY_S)) as base, base:
+            yield base
+    except sqlite3.OperationalError as error:
+        raise LogError(
+            f"{path}: cannot be read or written ({error}), expected a table of runs and a disk with room"
+        ) from None
+    except (sqlite3.DatabaseError, json.JSONDecodeError) as error:
+        raise LogError(f"{path}: not a table of runs ({error}); remove it to have its rows done again") from None

@@ -1,0 +1,152 @@
+"""Laws of the supervisor: bumpless transfer, and feedback where the forecasts are worthless."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+
+from hystmpc.ctrl.command import CommandLimits, Source, Stopwatch
+from hystmpc.ctrl.config import CONTROLLERS
+from hystmpc.ctrl.feedback import PidSettings
+from hystmpc.ctrl.guarded import GuardedController, GuardedState, build_controller
+from hystmpc.ctrl.learning.predictor import Learning
+from hystmpc.ctrl.mpc_settings import SupervisorSettings
+from hystmpc.ctrl.supervisor import SupervisoryLaw, feedback_gains
+from hystmpc.trials.errors import ConfigError
+
+from .plays import DT, SOUND, Backlash
+
+LIMITS = CommandLimits(0.0, 6.0, 10.0)
+GAINS = {"kp_per_deg": 0.02, "ki_per_deg_s": 0.15}
+
+
+def controller(**given: object) -> GuardedController[object]:
+    case = SOUND[0]
+    asked = CONTROLLERS["linearised_mpc"].parse({"kind": "linearised_mpc", "supervisor": {"pid": GAINS, **given}})
+    return build_controller(asked, case.predictor, case.inverse, LIMITS)
+
+
+def distrusting(state: GuardedState[Any], forecast_error: float) -> GuardedState[Any]:
+    """The state of a controller whose forecasts have been so bad."""
+    learning = state.estimate.learning
+    assert isinstance(learning, Learning)
+    learning = replace(learning, bank=replace(learning.bank, forecast_error=forecast_error))
+    return replace(state, estimate=replace(state.estimate, learning=learning, forecast_error=forecast_error))
+
+
+@given(
+    forecast_errors=st.lists(st.floats(0.0, 1.2), min_size=1, max_size=25),
+    wanted=st.floats(30.0, 80.0),
+    drift=st.floats(-0.5, 0.5),
+)
+@example(forecast_errors=[0.1, 1.0, 1.15, 0.1, 1.15, 1.0], wanted=60.0, drift=0.2)
+@settings(max_examples=40, deadline=None)
+def test_the_transfer_to_feedback_is_bumpless(forecast_errors: list[float], wanted: float, drift: float) -> None:
+    """Whatever the forecasts do, limits hold, and the first command of a law that takes over is the last one sent."""
+    loop, y = controller(), 40.0
+    law = loop.law
+    assert isinstance(law, SupervisoryLaw)
+    state = loop.init(y, 1.5)
+    for forecast_error in forecast_errors:
+        state = distrusting(state, forecast_error)
+        before, level = state.estimate.command, state.memory.level
+        reference = wanted + drift * np.arange(loop.horizon)
+        command, state = loop.step(state, y, reference)
+        assert state.fallback.failures == 0
+        assert state.memory.level == law._level(level, state.estimate.forecast_error)
+        assert LIMITS.lower <= command.u <= LIMITS.upper
+        assert abs(command.u - before) <= LIMITS.rate * DT + 1e-12
+        if state.memory.level != level and state.memory.level != "mpc":
+            assert command.u == pytest.approx(before, abs=1e-9)
+        y += 0.3 * float(np.tanh(command.u - before))
+
+
+@pytest.mark.parametrize(
+    ("forecast_error", "level", "source"),
+    [(0.1, "mpc", Source.MPC), (1.0, "inverse_pid", Source.CONTROLLER), (1.15, "pid", Source.CONTROLLER)],
+)
+def test_the_level_follows_the_forecasts_and_stands_in_the_log(
+    forecast_error: float, level: str, source: Source
+) -> None:
+    loop = controller()
+    state = loop.init(40.0, 1.5)
+    law = loop.law
+    assert isinstance(law, SupervisoryLaw)
+    given_ = loop._input(distrusting(state, forecast_error), np.full(loop.horizon, 45.0))
+    proposal = law.propose(state.memory, given_, Stopwatch())
+    assert proposal.memory.level == level
+    assert proposal.source == source
+    assert ("forecasts" in proposal.status) == (level != "mpc")
+
+
+def test_a_better_level_takes_over_only_where_forecasts_are_twice_as_good() -> None:
+    law = controller().law
+    assert isinstance(law, SupervisoryLaw)
+    thresholds = SupervisorSettings()
+    assert law._level("pid", 0.9 * thresholds.pid_above) == "pid"
+    assert law._level("pid", 0.4 * thresholds.inverse_pid_above) == "mpc"
+    assert law._level("mpc", 0.9 * thresholds.inverse_pid_above) == "mpc"
+
+
+class Stranger:
+    """A device that no model here foretells: its angle answers the other way for a while, at random times."""
+
+    def __init__(self, seed: int) -> None:
+        self.random, self.y, self.way, self.u = np.random.default_rng(seed), 45.0, 1.0, 2.0
+
+    def apply(self, u: float) -> float:
+        if self.random.random() < 0.05:
+            self.way = -self.way
+        self.y += 0.2 * ((45.0 + 4.0 * self.way * (u - 2.0)) - self.y)
+        return self.y + 0.05 * float(self.random.standard_normal())
+
+
+@pytest.mark.slow
+def test_worthless_forecasts_end_in_feedback_within_limits() -> None:
+    loop, device = controller(), Stranger(3)
+    state, y, last, levels = loop.init(45.0, 2.0), 45.0, 2.0, []
+    for k in range(1500):
+        wanted = 45.0 + 4.0 * np.sin(0.15 * (k + np.arange(1, loop.horizon + 1)))
+        command, state = loop.step(state, y, wanted)
+        assert abs(command.u - last) <= LIMITS.rate * DT + 1e-12
+        y, last = device.apply(command.u), command.u
+        levels.append(state.memory.level)
+    assert {"inverse_pid", "pid"} & set(levels)
+
+
+def test_gains_that_nobody_gave_follow_from_the_static_gain() -> None:
+    gains = feedback_gains(SupervisorSettings(), Backlash())
+    assert gains.ki_per_deg_s == pytest.approx(1.5 / 10.4, rel=0.05)
+    given_ = PidSettings(kp_per_deg=0.5)
+    assert feedback_gains(SupervisorSettings(pid=given_), Backlash()) == given_
+
+
+def test_without_learning_there_is_no_supervisor() -> None:
+    case = SOUND[0]
+    for block in ({"adaptation": None}, {"supervisor": None}, {"estimator": {"sensor": "none"}}):
+        asked = CONTROLLERS["linearised_mpc"].parse({"kind": "linearised_mpc", **block})
+        assert not isinstance(build_controller(asked, case.predictor, case.inverse, LIMITS).law, SupervisoryLaw)
+
+
+def test_settings_say_what_is_off_and_a_supervisor_without_learning_is_refused() -> None:
+    kind = CONTROLLERS["linearised_mpc"]
+    for block in ({"adaptation": None}, {"estimator": {"sensor": "intermittent"}}, {"estimator": {"sensor": "none"}}):
+        asked = kind.parse({"kind": "linearised_mpc", **block}).model_dump(mode="json")
+        assert (asked["adaptation"], asked["supervisor"]) == (None, None)
+        assert kind.parse(asked).model_dump(mode="json") == asked
+    with pytest.raises(ConfigError, match="expected supervisor null"):
+        kind.parse({"kind": "linearised_mpc", "adaptation": None, "supervisor": {}})
+
+
+@pytest.mark.parametrize("sensor", ["none", "intermittent"])
+def test_a_commissioned_controller_serves_another_sensor(sensor: str) -> None:
+    """`tip.yaml` names the gains of a supervisor; without a continuous sensor there is none, and no error."""
+    block = {"kind": "linearised_mpc", "supervisor": {"pid": GAINS}, "estimator": {"sensor": sensor}}
+    parsed = CONTROLLERS["linearised_mpc"].parse(block)
+    assert parsed.supervisor is None
+    assert CONTROLLERS["linearised_mpc"].parse(parsed.model_dump()) == parsed

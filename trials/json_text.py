@@ -1,0 +1,65 @@
+"""JSON of results: plain data, the text of a file, and hashes."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from .errors import ConfigError
+
+
+def plain(value: Any) -> Any:
+    """Only what JSON knows: numbers of NumPy as plain ones, tuples as lists, not-a-number and infinity as null."""
+    if isinstance(value, Mapping):
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, np.ndarray | np.generic):
+        return plain(value.tolist())
+    if isinstance(value, list | tuple):
+        return [plain(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def file_text(data: Any, indent: int = 1) -> str:
+    """Text of a JSON file, which ends in a line break.
+
+    Raises:
+        ValueError: if a number in the data is not finite: JSON has no word for it, see `plain`.
+    """
+    return json.dumps(data, indent=indent, allow_nan=False) + "\n"
+
+
+def canonical(data: Any, default: Callable[[Any], Any] | None = None) -> str:
+    """One line of JSON, keys in order: equal texts for equal data.
+
+    Args:
+        default: makes plain data of anything that JSON does not know.
+    """
+    return json.dumps(data, sort_keys=True, default=default)
+
+
+def json_hash(data: Any, default: Callable[[Any], Any] | None = None) -> str:
+    """SHA-256 of data, as hexadecimal digits; see `canonical`."""
+    return text_hash(canonical(data, default))
+
+
+def text_hash(text: str) -> str:
+    """SHA-256 of a text, as hexadecimal digits."""
+    return hashlib.sha256(text.encode("utf-8")).hexdigest()
+
+
+def file_hash(path: Path) -> str:
+    """SHA-256 of a model file, as hexadecimal digits.
+
+    Raises:
+        ConfigError: if it cannot be read.
+    """
+    try:
+        return hashlib.sha256(path.read_bytes()).hexdigest()
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read ({error.strerror}), expected a model file") from None
