@@ -29,10 +29,10 @@ from hystmpc.models.identify.methods import identify
 from hystmpc.models.simulator import Simulator
 from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Vec
-from hystmpc_lab.blind.cores import RATE_HZ, CapstanCore, DahlCore, RodCore
 from hystmpc_lab.blind.device import BlindDevice
 from hystmpc_lab.blind.generators import Withheld, generator_named
 from hystmpc_lab.blind.plan import RICH
+from hystmpc_lab.devices.cores import RATE_HZ, CapstanCore, DahlCore, RodCore
 
 GOAL_S = 30.0
 CORES = {"capstan": CapstanCore, "dahl": DahlCore, "rod": RodCore}

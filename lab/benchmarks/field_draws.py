@@ -1,4 +1,4 @@
-"""Fresh examples of the kinds of `field_cases.py`, drawn at random with a known truth, each tried once.
+"""Logs of the kinds that users have reported, drawn at random with a known truth, each tried once.
 
     python lab/benchmarks/field_draws.py [--seed 1] [--each 3] [--only WORDS]
 

@@ -31,9 +31,8 @@ from hystmpc.models.load import load_model, model_path
 from hystmpc.models.prediction.build import controller_model
 from hystmpc.trials.config import load_settings
 from hystmpc.trials.types import Vec
-from hystmpc_lab.commission.device import worn
 from hystmpc_lab.commission.settings import CommissionStudySettings
-from hystmpc_lab.identify.device import DrawnDevice, DrawnPlant, draw_devices
+from hystmpc_lab.devices.drawn import DrawnDevice, DrawnPlant, draw_devices, worn
 
 _PREPARATION_S = (4.0, 1.5)  # of the strokes of two flexures
 _SLOWEST, _FASTEST = 0.05, 0.5  # share of the greatest rate of the command

@@ -2,7 +2,7 @@
 
     python lab/benchmarks/mutants.py [--jobs 2] [--only TEXT] [--timeout 300] [--out mutants.json]
 
-Each mutant of `mutants_*.py` is written into a copy of the checkout, its tests run there, fast ones first, and it is
+Each mutant of `mutants.yaml` is written into a copy of the checkout, its tests run there, fast ones first, and it is
 taken back. A mutant is killed when a test fails, or when the tests hang; it survives when they all pass. Text that is
 not found exactly once is an error, so that the list cannot rot. Before, the same tests run without any mutant: where
 they fail by themselves nothing is learned. Exit code 1 below 95 % killed, 2 where something does not apply.
@@ -31,24 +31,9 @@ from typing import Literal
 from rich.console import Console
 from rich.table import Table
 
-import mutants_belief  # isort: skip
-import mutants_codegen  # isort: skip
-import mutants_commissioning  # isort: skip
-import mutants_ctrl  # isort: skip
-import mutants_given  # isort: skip
-import mutants_loop  # isort: skip
-import mutants_rig  # isort: skip
-from mutant import Mutant  # isort: skip
+from hystmpc.trials.config import read_yaml
 
-MUTANTS: tuple[Mutant, ...] = (
-    mutants_ctrl.MUTANTS
-    + mutants_rig.MUTANTS
-    + mutants_loop.MUTANTS
-    + mutants_commissioning.MUTANTS
-    + mutants_belief.MUTANTS
-    + mutants_codegen.MUTANTS
-    + mutants_given.MUTANTS
-)
+LIST = Path(__file__).with_suffix(".yaml")
 ROOT = Path(__file__).resolve().parents[2]
 LEAST_SHARE = 0.95
 _LEFT_OUT = (
@@ -69,6 +54,42 @@ _FIRST_FAILED = re.compile(r"^(?:FAILED|ERROR) (\S+)", re.MULTILINE)
 _WHERE = "import hystmpc.ctrl.command, hystmpc.rig.safety.intake as i; print(hystmpc.ctrl.command.__file__, i.__file__)"
 
 Verdict = Literal["killed", "survived", "error"]
+
+
+@dataclass(frozen=True)
+class Mutant:
+    """One wrong line. One that can do no harm, since the code behaves the same, does not belong into the list.
+
+    Attributes:
+        name: what is wrong then.
+        file: from the root of the checkout.
+        old: text that occurs exactly once in the file.
+        new: what stands there instead.
+        tests: files or folders of tests that have to fail, from the root of the checkout.
+    """
+
+    name: str
+    file: str
+    old: str
+    new: str
+    tests: tuple[str, ...]
+
+    @property
+    def room(self) -> str:
+        """Room of the package, for the table."""
+        return self.file.partition("/")[0]
+
+
+def listed(path: Path = LIST) -> tuple[Mutant, ...]:
+    """The mutants of a list: groups of one file and its tests, each with its mutants."""
+    return tuple(
+        Mutant(one["name"], group["file"], one["old"], one["new"], tuple(group["tests"]))
+        for group in read_yaml(path)
+        for one in group["mutants"]
+    )
+
+
+MUTANTS = listed()
 
 
 class NotApplicableError(Exception):

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
-from typing import Any, Literal
+from dataclasses import replace
 
 import numpy as np
 
 from hystmpc.models.effects.catalogue import confusable
 
+from ..study import Bar, Rate
 from .generators import UNKNOWN
-from .measures import Rate, calibration, overlap, rate, resampled, truths_of
+from .measures import calibration, overlap, rate, resampled, truths_of
 from .reading import TRIAL, ScoredCase, large, of_suites
 from .sealed import DENSE
 
@@ -19,45 +19,6 @@ _CONFIDENT = 0.8
 _NEAR_ORACLE = 0.10
 HEALTHY = ("none", "misset", "controls", "retuned")
 """Suites of devices that lack nothing which other numbers of the simulator would not give."""
-
-
-@dataclass(frozen=True)
-class Bar:
-    """One bar.
-
-    Attributes:
-        value: the number; not-a-number where no case tells.
-        wanted: `lower` and `upper` bound.
-    """
-
-    name: str
-    value: float
-    wanted: tuple[float, float]
-    cases: int
-    misses: tuple[str, ...] = ()
-    ci90: tuple[float, float] | None = None
-
-    @property
-    def state(self) -> Literal["met", "missed", "not measured"]:
-        """Whether the number is within its bounds."""
-        if not self.cases or np.isnan(self.value):
-            return "not measured"
-        return "met" if self.wanted[0] <= self.value <= self.wanted[1] else "missed"
-
-    @property
-    def goal(self) -> str:
-        """The bounds in words."""
-        low, high = self.wanted
-        if low <= 0:
-            return f"<= {high:g}" if high > 0 else "0"
-        return f">= {low:g}" if high >= 1 > low else "1" if low >= 1 else f"{low:g} to {high:g}"
-
-    @property
-    def plain(self) -> dict[str, Any]:
-        """As JSON; a number that is not finite is null."""
-        numbers = (self.value, *(self.ci90 or ()))
-        value, *ci90 = (number if np.isfinite(number) else None for number in numbers)
-        return asdict(self) | {"state": self.state, "value": value, "ci90": ci90 or None}
 
 
 def bars(cases: Sequence[ScoredCase]) -> list[Bar]:

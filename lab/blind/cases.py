@@ -22,10 +22,9 @@ from hystmpc.trials.errors import FitError
 from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Vec
 
-from .cores import Core, Mounting
+from ..devices.cores import Core, Mounting, MuscleCore
 from .device import BlindDevice
 from .generators import CONFIGURATION, Withheld, generators_of
-from .muscle import MuscleCore
 from .plan import Plan, draw_plan
 from .retuning import GapRuler, retune, rms
 from .sealed import Answer, Case, EffectAnswer, Suite, densities

@@ -12,9 +12,8 @@ from hystmpc.trials.errors import ConfigError, did_you_mean
 from hystmpc.trials.trial import Trial, Units
 from hystmpc.trials.types import Vec
 
-from .cores import PARTS, RATE_HZ, CapstanCore, Core, DahlCore, RodCore, Scene, fine_times
+from ..devices.cores import PARTS, RATE_HZ, CapstanCore, Core, DahlCore, MuscleCore, RodCore, Scene, fine_times
 from .generators import Site, Withheld
-from .muscle import MuscleCore
 
 PAUSE_S = 4.0
 DEVICES: tuple[type[Core], ...] = (CapstanCore, DahlCore, RodCore, MuscleCore)

@@ -16,8 +16,8 @@ from hystmpc.models.effects.catalogue import EFFECTS
 from hystmpc.trials.errors import ConfigError, did_you_mean
 from hystmpc.trials.types import Vec
 
+from ..devices.cores import FINE_S, PARTS, TRAVEL_MM, Scene, rise
 from . import kernels
-from .cores import FINE_S, PARTS, TRAVEL_MM, Scene, rise
 
 Shape = Mapping[str, float]
 Site = Literal["drive", "friction", "tip", "sensor"]

@@ -19,17 +19,17 @@ from hystmpc.ctrl.planner.settings import TipSettings
 from hystmpc.models.simulator import Simulator
 from hystmpc.rig.config import BenchSettings
 from hystmpc.rig.experiment.phases import Phase
-from hystmpc.sim.jobs.runner import attempt, backend_for, run_jobs
+from hystmpc.sim.jobs.runner import attempt
 from hystmpc.trajectories.config import MotionSettings
 from hystmpc.trials.errors import LogError
 from hystmpc.trials.files import write_atomically
 from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Progress, Vec
 
+from ..study import Rate
 from .device import BlindDevice
-from .measures import Rate
 from .reading import LARGE
-from .run import FAILURE
+from .run import FAILURE, complete_cases
 from .sealed import Answer, open_answers, read_case
 
 FOLDER = "investigations"
@@ -152,25 +152,10 @@ def investigate_blind(
         for case, answer in answers.items()
         if answer.suite == "single" and answer.ratio >= least
     ]
-
-    def is_done(job: InvestigationJob) -> bool:
-        return (job.out / BATTERY_FILE).is_file()
-
-    if progress:
-        progress(sum(map(is_done, todo)), len(todo))
-    done = run_jobs(
-        _investigate,
-        todo,
-        backend_for(jobs, where=str(folder)),
-        is_done=is_done,
-        total=len(todo),
-        progress=progress,
-        note=lambda made: f"{made[0]}{'' if made[1] else ' failed'}",
-    )
-    return sum(not worked for _, worked in done)
+    return complete_cases(todo, _investigate, BATTERY_FILE, jobs, progress)
 
 
-def _investigate(job: InvestigationJob) -> tuple[str, bool]:
+def _investigate(job: InvestigationJob) -> tuple[InvestigationJob, bool]:
     shutil.rmtree(job.out, ignore_errors=True)  # one that was cut short has lost its device
     trials, simulator = read_case(job.folder, job.case)
     device = CaseDevice(job.answer.blind_device())
@@ -178,10 +163,10 @@ def _investigate(job: InvestigationJob) -> tuple[str, bool]:
     made = attempt(lambda: investigate_device(settings, lambda root, tick: device, job.out))
     if made.value is None:
         write_atomically(job.out / FAILURE, f"{type(made.raised).__name__}: {made.raised}\n")
-        return job.case, False
+        return job, False
     battery = sum(run_seconds(settings, len(trial)) for trial in trials)
     write_atomically(job.out / BATTERY_FILE, json.dumps(battery))  # last: with it the case is done
-    return job.case, True
+    return job, True
 
 
 def _bench(job: InvestigationJob, trials: Sequence[Trial], simulator: Simulator) -> InvestigateSettings:

@@ -17,12 +17,11 @@ from hystmpc.trials.run_folder import require_vacant
 from hystmpc.trials.trial import Trial, resample
 from hystmpc.trials.types import Progress
 
+from ..devices.cores import RATE_HZ, Core, Mounting, MuscleCore
 from .cases import CONTROLS, Wish, affected_case, control_case, set_up
-from .cores import RATE_HZ, Core, Mounting
 from .device import DEVICES
 from .generators import ALIASED_RATE, CONFIGURATION, FOREIGN_EFFECTS, LABELS, SCATTER, UNKNOWN
 from .injection import injection_case
-from .muscle import MuscleCore
 from .plan import ALIASED
 from .sealed import Answer, Case, Manifest, Suite, case_name, seal, write_case
 

@@ -7,8 +7,8 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import binomtest
 
+from ..study import Rate
 from .generators import CONFIGURATION, NAMES
 from .reading import FAILED, VERDICTS, DiagnosisReading, ScoredCase
 
@@ -33,28 +33,6 @@ _ORDER = (
     FAILED,
 )
 _RESAMPLES = 500
-
-
-@dataclass(frozen=True)
-class Rate:
-    """A share of cases."""
-
-    hits: int
-    cases: int
-
-    @property
-    def value(self) -> float:
-        """The share; not-a-number without cases."""
-        return self.hits / self.cases if self.cases else float("nan")
-
-    @property
-    def ci90(self) -> tuple[float, float]:
-        """Wilson's 90 % interval (E. B. Wilson, J. Am. Stat. Assoc. 22, 1927)."""
-        if not self.cases:
-            return 0.0, 1.0
-        found = binomtest(self.hits, self.cases).proportion_ci(0.9, method="wilson")
-        # Rounding may put an end past the rate itself where that is 0 or 1.
-        return min(float(found.low), self.value), max(float(found.high), self.value)
 
 
 def rate(cases: Sequence[ScoredCase], hit: Callable[[ScoredCase], bool]) -> Rate:

@@ -9,7 +9,7 @@ import numpy as np
 
 from hystmpc.trials.types import Vec
 
-from .cores import RATE_HZ, TRAVEL_MM
+from ..devices.cores import RATE_HZ, TRAVEL_MM
 
 Draw = Callable[[np.random.Generator], Vec]
 _REST_S = 1.0

@@ -9,8 +9,8 @@ from pathlib import Path
 from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.types import Progress
 
+from ..study import Rate
 from .bars import orders_bar
-from .measures import Rate
 from .reading import orders_said
 from .run import ORDERS, DiagnosisJob, diagnose_all
 from .sealed import read_manifest

@@ -11,7 +11,7 @@ import numpy as np
 from hystmpc.models.effects.catalogue import EFFECTS
 from hystmpc.trials.types import Vec
 
-from .cores import RATE_HZ, TRAVEL_MM
+from ..devices.cores import RATE_HZ, TRAVEL_MM
 from .motions import FAST_SMALL, LONG_HOLD, MULTISINE, POINT_TO_POINT, RAMP_HOLD, SINE, STEPS, TRIANGLES, MotionType
 
 RICH = (SINE, TRIANGLES, RAMP_HOLD, POINT_TO_POINT, STEPS, FAST_SMALL, LONG_HOLD)

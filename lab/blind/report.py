@@ -13,8 +13,9 @@ from matplotlib.patches import Rectangle
 from hystmpc.models.effects.catalogue import confusable
 from hystmpc.trials.report import MEASURED, MODEL, REFERENCE, Heading, Paragraph, Piece, Plot, Report, Table, new_figure
 
-from .bars import Bar, true_share
-from .measures import Calibration, Confusion, Rate
+from ..study import Bar, Rate
+from .bars import true_share
+from .measures import Calibration, Confusion
 from .score import Score, miss_json
 
 BAR_COLUMNS = ("measure", "number", "90 % interval", "goal", "cases", "state")

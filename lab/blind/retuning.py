@@ -14,7 +14,7 @@ from hystmpc.models.simulator import ChainModel, Simulator
 from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Vec
 
-from .cores import RATE_HZ
+from ..devices.cores import RATE_HZ
 
 _STEPS = 25
 _DONE = 1e-4  # relative change of the loss at which a refit ends

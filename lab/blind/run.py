@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 
@@ -23,7 +23,7 @@ from hystmpc.trials.tables import read_table
 from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Progress
 
-from .cores import RATE_HZ, Core
+from ..devices.cores import RATE_HZ, Core
 from .device import lasts_s
 from .rules import correlation_rule, fit_rules
 from .sealed import open_answers, read_case, read_manifest
@@ -223,22 +223,63 @@ def _beside(findings: Findings, trials: Sequence[Trial], simulator: Simulator, j
 
 def diagnose_all(todo: Sequence[DiagnosisJob], processes: int, progress: Progress | None) -> int:
     """Do the jobs without a diagnosis; returns how many failed."""
+    kind = todo[0].kind if todo else ""
+    return complete_cases(todo, diagnose_job, DIAGNOSIS, processes, progress, kind)
+
+
+class CaseJob(Protocol):
+    """A job on one case of a blind check."""
+
+    @property
+    def folder(self) -> Path:
+        """Of the check."""
+        ...
+
+    @property
+    def case(self) -> str:
+        """Its name."""
+        ...
+
+    @property
+    def out(self) -> Path:
+        """Folder of the result."""
+        ...
+
+
+C = TypeVar("C", bound=CaseJob)
+
+
+def complete_cases(
+    todo: Sequence[C],
+    do: Callable[[C], tuple[C, bool]],
+    marker: str,
+    processes: int,
+    progress: Progress | None,
+    kind: str = "",
+) -> int:
+    """Do the jobs whose folder lacks its last file; returns how many failed.
+
+    Args:
+        do: does one job; returns it, and whether it worked.
+        marker: name of the file that a finished job leaves.
+        kind: before the names of cases in the progress.
+    """
     if not todo:
         return 0
 
-    def is_done(job: DiagnosisJob) -> bool:
-        return (job.out / DIAGNOSIS).is_file()
+    def is_done(job: C) -> bool:
+        return (job.out / marker).is_file()
 
     if progress:
-        progress(sum(map(is_done, todo)), len(todo), todo[0].kind)
+        progress(sum(map(is_done, todo)), len(todo), kind)
     done = run_jobs(
-        diagnose_job,
+        do,
         todo,
         backend_for(processes, where=str(todo[0].folder)),
         is_done=is_done,
         total=len(todo),
         progress=progress,
-        note=lambda made: f"{made[0].kind} {made[0].case}{'' if made[1] else ' failed'}",
+        note=lambda made: f"{kind} {made[0].case}{'' if made[1] else ' failed'}".strip(),
     )
     return sum(not worked for _, worked in done)
 

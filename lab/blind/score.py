@@ -13,11 +13,13 @@ import numpy as np
 
 from hystmpc.models.effects.catalogue import confusable
 from hystmpc.trials.files import write_atomically
+from hystmpc.trials.json_text import plain
 
-from .bars import HEALTHY, Bar, alarm, bars, confidently_wrong, covers_perfection, metrics
+from ..study import Bar, Rate
+from .bars import HEALTHY, alarm, bars, confidently_wrong, covers_perfection, metrics
 from .generators import LABELS, NAMES
 from .make import RATIOS, SUITES
-from .measures import Calibration, Confusion, Rate, calibration, chance, confusion, rate, truths_of
+from .measures import Calibration, Confusion, calibration, chance, confusion, rate, truths_of
 from .reading import FAILED, ScoredCase, load_scored, of_suites
 
 FORMAT = "hystmpc-blind-score/1"
@@ -168,7 +170,7 @@ def score_json(score: Score) -> dict[str, Any]:
         "misses": [miss_json(case) for case in score.misses()],
         "seconds": {"median": float(np.median(seconds)), "greatest": max(seconds)} if seconds else None,
     }
-    return _plain(data)
+    return dict(plain(data))
 
 
 def _bar_json(bar: Bar) -> dict[str, Any]:
@@ -216,11 +218,3 @@ def miss_json(case: ScoredCase) -> dict[str, Any]:
         "miss": kind_of_miss(case),
         "confidently_wrong": confidently_wrong(case),
     }
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _plain(v) for key, v in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(v) for v in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value

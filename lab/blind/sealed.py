@@ -22,7 +22,7 @@ from hystmpc.trials.read import read_trials
 from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Vec
 
-from .cores import Mounting
+from ..devices.cores import Mounting
 from .device import BlindDevice, core_of
 from .generators import NAMES, UNKNOWN, Withheld, generator_named
 

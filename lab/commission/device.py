@@ -1,9 +1,8 @@
-"""Drawn devices as the study needs them: prepared by flexures, changed by wear, and behind a bench."""
+"""Drawn devices as the study needs them: prepared by flexures, and behind a bench."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
 from pathlib import Path
 from typing import Any, final
 
@@ -19,12 +18,10 @@ from hystmpc.rig.transports.transport import PlantFactory
 from hystmpc.sim.plants.computed import ComputedPlant, Sensing
 from hystmpc.trials.types import Vec
 
-from ..blind.cores import CapstanCore, RodCore
-from ..blind.muscle import MuscleCore
-from ..identify.device import DrawnDevice, DrawnPlant
+from ..devices.drawn import DrawnDevice, DrawnPlant
 
 _SLOW_S, _QUICK_S, _TOP_S, _REST_S = 4.0, 1.2, 0.3, 0.5  # of a stroke of either flexure, at its top, and behind it
-_BESIDE = 0.3  # of the reachable angles: how much more than them the sensor shows at either end
+_MARGIN = 0.3  # of the reachable angles: how much more than them the sensor shows at either end
 _SENSOR_DEG_S = 5000.0  # an air muscle jumps by 25 deg in a sample of 25 Hz
 _SLACK = 0.8  # of the travel: a slack tendon moves nothing before
 _RAMP = 0.3  # share of the greatest rate at which the bench moves by itself
@@ -43,13 +40,13 @@ class PreparedPlant(ComputedPlant):
         self.command_limits = Range(lower=device.limits.lower, upper=device.limits.upper)
         asked = np.concatenate([_flexure(device, _SLOW_S), _flexure(device, _QUICK_S)])
         self.commands = device.limits.clip_plans(asked, plant.rest_command, plant.dt)
-        own = plant.reseeded(seed)
-        angle, angles = own.reset(), []
+        flexed = plant.reseeded(seed)
+        angle, angles = flexed.reset(), []
         for u in self.commands.tolist():
             angles.append(angle)
-            angle = own.apply(u)
+            angle = flexed.apply(u)
         self.angles_deg: Vec = np.array(angles)
-        self._prepared = own.true_angle, own._state
+        self._prepared = flexed.true_angle, flexed._state
         super().__init__(plant.dt, plant.rest_command, plant.command_unit, Sensing(device.noise_deg), seed)
 
     def _at_rest(self, random: np.random.Generator) -> tuple[float, Any]:
@@ -110,27 +107,11 @@ class TakenUp:
         return self._controller.measure(state, y, age)
 
 
-def worn(device: DrawnDevice, friction: float, stiffness: float) -> DrawnDevice:
-    """The device with other friction and stiffness, as factors; a stiffer one moves less for the same command.
-
-    The friction of a muscle is divided by its factor: with more of it the angle would rise as the pressure falls.
-    """
-    core = device.core
-    changes: dict[str, Any]
-    if isinstance(core, MuscleCore):
-        changes = {"friction": core.friction / friction, "greatest_deg": core.greatest_deg / stiffness}
-    else:
-        own: tuple[str, ...] = ("wrap",) if isinstance(core, CapstanCore) else ("friction",)
-        own += ("drag_n",) if isinstance(core, RodCore) else ()
-        changes = {name: getattr(core, name) * friction for name in own} | {"gain": core.gain / stiffness}
-    return replace(device, core=replace(core, **changes))
-
-
 def bench_settings(plant: DrawnPlant, commission: Mapping[str, Any], folder: Path) -> CommissionSettings:
     """The bench of a drawn device and the block `commission`: what a user would write into the file."""
     device, limits = plant.device, plant.device.limits
     low, high = plant.reachable_deg
-    beside = _BESIDE * (high - low)
+    margin = _MARGIN * (high - low)
     ramps = {
         "velocity_per_s": _RAMP * limits.rate,
         "acceleration_per_s2": 5 * limits.rate,
@@ -145,8 +126,8 @@ def bench_settings(plant: DrawnPlant, commission: Mapping[str, Any], folder: Pat
             "ramps": ramps,
             "safe_command": limits.lower,
             "sensor": {
-                "lower_deg": min(low, plant.true_angle) - beside,
-                "upper_deg": high + beside,
+                "lower_deg": min(low, plant.true_angle) - margin,
+                "upper_deg": high + margin,
                 "rate_limit_deg_s": _SENSOR_DEG_S,
             },
             "plausibility": {"travel": _SLACK * limits.upper},

@@ -1,24 +1,23 @@
-"""The jobs of the study: a device commissioned, and its controllers where model, device or sensor are others."""
+"""What a job runs: a device commissioned, and its controllers where model, device or sensor are others."""
 
 from __future__ import annotations
 
 import math
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any
 
 import numpy as np
-from pydantic import BeforeValidator
 
 from hystmpc.bench.commission import Commissioned, commission_device
 from hystmpc.bench.controller import TIP_FILE, tip_settings
 from hystmpc.bench.device import BenchDevice
-from hystmpc.ctrl.command import CommandLimits, limits_of_model
+from hystmpc.ctrl.command import limits_of_model
 from hystmpc.ctrl.feedback import PidControllerSettings
-from hystmpc.ctrl.guarded import GuardedController, build_controller, pair_for
+from hystmpc.ctrl.guarded import build_controller
 from hystmpc.ctrl.inverse_settings import InverseControllerSettings
 from hystmpc.ctrl.law import LawSettings
 from hystmpc.ctrl.loop import Controller, ImagingSettings, NoSensorSettings
@@ -29,25 +28,18 @@ from hystmpc.gap.whole import diagnose_trials
 from hystmpc.models.kinds.catalogue import kind_named
 from hystmpc.models.prediction.build import ControllerModel, controller_model
 from hystmpc.models.simulator import ChainModel, load_simulator
-from hystmpc.sim.closed_loop import ClosedLoopRun, run_closed_loop
+from hystmpc.sim.closed_loop import ClosedLoopRun
 from hystmpc.sim.plants.computed import ComputedPlant
 from hystmpc.sim.tune_pid import searched_gains
 from hystmpc.trajectories.drawn import CountedMotion
-from hystmpc.trials.json_text import json_hash
 
-from ..identify.device import DrawnDevice, DrawnPlant, draw_devices
+from ..devices.drawn import DrawnDevice, DrawnPlant, draw_devices, worn
+from ..devices.motions import fresh_motions, recordings
 from ..identify.job import DeviceStudy, identified_as, opened_model, tuned_rivals
-from ..identify.motions import fresh_motions, recordings
-from ..identify.scores import AS_IDENTIFIED_NOISE_DEG, IdentifiedPlant, scores
+from ..identify.scores import AS_IDENTIFIED_NOISE_DEG, IdentifiedPlant, controller_on, tracked
 from ..identify.settings import IdentifySettings
-from ..result_files import ResultFiles, Status
-from .device import PreparedPlant, TakenUp, bench_settings, drawn_plants, worn
-from .settings import CommissionStudySettings
-
-FORMAT = "hystmpc-commission-job/1"
-Stage = Literal["commission", "compare", "gap"]
-STAGES: tuple[Stage, ...] = ("commission", "compare", "gap")
-FigureOrNull = Annotated[float, BeforeValidator(lambda value: math.nan if value is None else value)]
+from .device import PreparedPlant, TakenUp, bench_settings, drawn_plants
+from .settings import CommissionJob, CommissionStudySettings
 
 IMAGING = ImagingSettings(rate_hz=5.0, latency_s=0.2, noise_deg=0.5)
 WORN = {"friction": (2.0, 1.0), "stiffness": (1.0, 2.0)}
@@ -63,79 +55,15 @@ _COMPARED, _DIAGNOSED = 1, 5  # seeds of the noise, beside the device's
 _IMAGING_SHARE = 5  # the search under frames costs more: a share of the evaluations
 
 
-@dataclass(frozen=True)
-class CommissionJob:
-    """One device of the draw in one stage."""
-
-    number: int
-    stage: Stage
-    key: str
-
-
-@dataclass(frozen=True)
-class CommissionResult:
-    """Outcome of one job.
-
-    Attributes:
-        status: `failed` if anything raised.
-        message: the error of a failed job, else the verdict of the commissioning.
-        facts: of the device, for tables.
-        figures: by controller and figure such as `commissioned.rmse_deg`, see `scores`.
-    """
-
-    job: CommissionJob
-    fingerprint: str
-    status: Status
-    message: str
-    seconds: float
-    facts: Mapping[str, str | float] = field(default_factory=dict)
-    figures: Mapping[str, FigureOrNull] = field(default_factory=dict)
-
-
-def commission_jobs(settings: CommissionStudySettings) -> tuple[CommissionJob, ...]:
-    """For each device a job to commission it, one to compare and one for the gap; a quick run diagnoses nothing."""
-    drawn = [d for d in _devices(settings) if not settings.rates_hz or d.rate_hz in settings.rates_hz]
-    stages = STAGES[:2] if settings.quick and not settings.diagnose else STAGES
-    return tuple(CommissionJob(d.number, stage, f"{d.key}-{stage}") for stage in stages for d in drawn)
-
-
-def fingerprint(job: CommissionJob, settings: CommissionStudySettings) -> str:
-    """SHA-256 over the device's numbers, the stage and the settings."""
-    parts = {"device": repr(_devices(settings)[job.number]), "stage": job.stage, "settings": settings.model_dump()}
-    return json_hash(parts)
-
-
-def result_files(folder: Path) -> ResultFiles[CommissionResult]:
-    """Results of the study's folder; a figure that is not there is null."""
-    return ResultFiles(folder, CommissionResult, FORMAT, plain)
-
-
-def plain(result: CommissionResult) -> dict[str, Any]:
-    """A result as JSON; a figure that is not there is null."""
-    figures = {name: value if math.isfinite(value) else None for name, value in result.figures.items()}
-    return asdict(result) | {"figures": figures}
-
-
-def as_result(job: CommissionJob, settings: CommissionStudySettings) -> CommissionResult:
-    """A result that says what the device is, and nothing else yet."""
-    device = _devices(settings)[job.number]
-    facts: dict[str, str | float] = {
-        "family": device.family,
-        "rate_hz": device.rate_hz,
-        "noise_deg": device.noise_deg,
-        **device.truth,
-    }
-    return CommissionResult(job, fingerprint(job, settings), "failed", "", 0.0, facts)
-
-
-def do_stage(job: CommissionJob, settings: CommissionStudySettings, folder: Path) -> tuple[str, dict[str, float]]:
+def run_stage(job: CommissionJob, settings: CommissionStudySettings, folder: Path) -> dict[str, Any]:
     """Message and figures of a job.
 
     Raises:
         HystmpcError: if the device cannot be commissioned, or a controller cannot be built.
     """
-    bench = StudyBench(settings, folder, _devices(settings)[job.number])
-    return {"commission": _commission, "compare": _compare, "gap": _tracking_gap}[job.stage](bench)
+    bench = StudyBench(settings, folder, drawn_devices(settings)[job.number])
+    message, figures = {"commission": _commission, "compare": _compare, "gap": _tracking_gap}[job.stage](bench)
+    return {"message": message, "figures": figures}
 
 
 @dataclass(frozen=True, eq=False)
@@ -174,17 +102,11 @@ class StudyBench:
         sensor: ImagingSettings | NoSensorSettings | None = None,
     ) -> tuple[dict[str, float], list[ClosedLoopRun]]:
         """Figures of a controller over all motions, `name` before each, and the runs."""
-        found, followed = plant or self.plant, motions or self.motions
-        runs = []
-        for motion in followed:
-            runs.append(run_closed_loop(controller, found, motion.trajectory, sensor=sensor))
-            if runs[-1].log.interrupted:
-                raise KeyboardInterrupt
-        figures = scores(runs, followed, self.device.limits, self.device.delay_s, self.device.lag_s)
-        return {f"{name}.{figure}": value for figure, value in figures.items()}, runs
+        return tracked(name, controller, plant or self.plant, motions or self.motions, self.device, sensor=sensor)
 
 
-def _devices(settings: CommissionStudySettings) -> tuple[DrawnDevice, ...]:
+def drawn_devices(settings: CommissionStudySettings) -> tuple[DrawnDevice, ...]:
+    """All devices of the draw."""
     return draw_devices(settings.devices, settings.seed, settings.quick)
 
 
@@ -195,8 +117,10 @@ def _commission(bench: StudyBench) -> tuple[str, dict[str, float]]:
     block = {"minutes": settings.minutes, "diagnose": settings.diagnose} | (_QUICK if settings.quick else {})
     config = bench_settings(bench.drawn, block, folder)
     plants = drawn_plants(device)
-    found = commission_device(config, lambda root, tick: BenchDevice(config, plants, root, None, tick=tick), folder)
-    figures = _verified(found) | {"seconds.commission": time.process_time() - start}
+    commissioned = commission_device(
+        config, lambda root, tick: BenchDevice(config, plants, root, None, tick=tick), folder
+    )
+    figures = _verified(commissioned) | {"seconds.commission": time.process_time() - start}
     trials = recordings(DrawnPlant(device, device.seed), settings.quick)
     rival = opened_model(identified_as(kind_named("pi"), trials, device, settings.seed), folder / "rival")
     known, tip = _known(bench.tip())
@@ -206,25 +130,25 @@ def _commission(bench: StudyBench) -> tuple[str, dict[str, float]]:
         figures |= bench.along(name, controller)[0]
     cases: dict[str, dict[str, Any]] = {"commissioned": {}, "learning_off": {"adaptation": None}}
     for name, changed in cases.items():
-        controller = _built(_of(tip, changed), known, device.limits)
+        controller = controller_on(_of(tip, changed), known, device.limits)
         figures |= bench.along(name, TakenUp(controller, bench.plant))[0]
-    return found.verified.verdict if found.verified else "", figures
+    return commissioned.verified.verdict if commissioned.verified else "", figures
 
 
-def _verified(found: Commissioned) -> dict[str, float]:
+def _verified(commissioned: Commissioned) -> dict[str, float]:
     """What the commissioning says of itself."""
-    figures = {"device_s": found.device_s}
-    if found.verified is not None:
-        figures["verified"] = float(found.verified.verified)
-        figures |= {f"verify.{name}.rms_deg": score.rms_deg for name, score in found.verified.scores.items()}
+    figures = {"device_s": commissioned.device_s}
+    if commissioned.verified is not None:
+        figures["verified"] = float(commissioned.verified.verified)
+        figures |= {f"verify.{name}.rms_deg": score.rms_deg for name, score in commissioned.verified.scores.items()}
     return figures
 
 
 def _compare(bench: StudyBench) -> tuple[str, dict[str, float]]:
     """Models of other devices, a device that has changed, and other sensors."""
     device, settings = bench.device, bench.settings
-    own, tip = _known(bench.tip())
-    drawn = _devices(settings)
+    identified, tip = _known(bench.tip())
+    drawn = drawn_devices(settings)
     anywhere = {"estimator": {"rest_tolerance_deg": _ANY_REST_DEG}}
     figures: dict[str, float] = {}
     others: dict[str, Callable[[DrawnDevice], bool]] = {
@@ -238,18 +162,18 @@ def _compare(bench: StudyBench) -> tuple[str, dict[str, float]]:
         known, _ = _known(bench.tip(other))
         cases: dict[str, dict[str, Any]] = {name: anywhere, f"{name}_off": anywhere | {"adaptation": None}}
         for case, changed in cases.items():
-            controller = _built(_of(LinearisedMpcSettings(), changed), known, device.limits)
+            controller = controller_on(_of(LinearisedMpcSettings(), changed), known, device.limits)
             figures |= bench.along(case, TakenUp(controller, bench.plant))[0]
     lagging = controller_model(str(_model(bench.tip())), None, UNKNOWN_LAG_S)
-    figures |= bench.along("wrong_lag", TakenUp(_built(tip, lagging, device.limits), bench.plant))[0]
+    figures |= bench.along("wrong_lag", TakenUp(controller_on(tip, lagging, device.limits), bench.plant))[0]
     for name, factors in WORN.items():
-        figures |= _changed(bench, name, factors, own, tip)
-    figures |= _sensors(bench, own, tip)
+        figures |= _changed(bench, name, factors, identified, tip)
+    figures |= _sensors(bench, identified, tip)
     return "", figures
 
 
 def _changed(
-    bench: StudyBench, name: str, factors: tuple[float, float], own: ControllerModel, tip: LawSettings
+    bench: StudyBench, name: str, factors: tuple[float, float], identified: ControllerModel, tip: LawSettings
 ) -> dict[str, float]:
     """The controller on the device after it has changed, with learning and without; motions within its new reach."""
     device, seed = worn(bench.device, *factors), bench.device.seed + _COMPARED
@@ -259,17 +183,17 @@ def _changed(
     anywhere = {"estimator": {"rest_tolerance_deg": _ANY_REST_DEG}}
     cases: dict[str, dict[str, Any]] = {name: anywhere, f"{name}_off": anywhere | {"adaptation": None}}
     for case, changed in cases.items():
-        controller = TakenUp(_built(_of(tip, changed), own, device.limits), plant)
+        controller = TakenUp(controller_on(_of(tip, changed), identified, device.limits), plant)
         figures |= bench.along(case, controller, plant, motions)[0]
     return figures
 
 
-def _sensors(bench: StudyBench, own: ControllerModel, tip: LawSettings) -> dict[str, float]:
+def _sensors(bench: StudyBench, identified: ControllerModel, tip: LawSettings) -> dict[str, float]:
     """Without a sensor and with frames of an imaging system, beside the PID tuned for those."""
     limits, blind, frames = bench.device.limits, NoSensorSettings(), IMAGING
     alone = _of(tip, {"estimator": dict(blind.estimator_keys())})
-    figures, runs = bench.along("none", TakenUp(_built(alone, own, limits), bench.plant), sensor=blind)
-    noise = own.predictive[0].noise
+    figures, runs = bench.along("none", TakenUp(controller_on(alone, identified, limits), bench.plant), sensor=blind)
+    noise = identified.predictive[0].noise
     sigma = math.nan if noise is None or noise.model_sigma_deg is None else noise.model_sigma_deg
     inside = [
         np.abs(run.true_deg - run.log.predicted_deg)[motion.first(run.dt) :] <= BAND_SIGMAS * sigma
@@ -277,29 +201,31 @@ def _sensors(bench: StudyBench, own: ControllerModel, tip: LawSettings) -> dict[
     ]
     figures |= {"none.sigma_deg": sigma, "none.within_band": float(np.mean(np.concatenate(inside)))}
     seeing = _of(tip, {"estimator": dict(frames.estimator_keys())})
-    figures |= bench.along("imaging", TakenUp(_built(seeing, own, limits), bench.plant, frames), sensor=frames)[0]
-    figures |= bench.along("imaging_pid", _imaging_pid(bench, own), sensor=frames)[0]
-    model = IdentifiedPlant(own, bench.drawn.true_angle, AS_IDENTIFIED_NOISE_DEG, bench.device.seed)
+    figures |= bench.along(
+        "imaging", TakenUp(controller_on(seeing, identified, limits), bench.plant, frames), sensor=frames
+    )[0]
+    figures |= bench.along("imaging_pid", _imaging_pid(bench, identified), sensor=frames)[0]
+    model = IdentifiedPlant(identified, bench.drawn.true_angle, AS_IDENTIFIED_NOISE_DEG, bench.device.seed)
     rivals: dict[str, LawSettings] = {"as_identified_none": alone, "as_identified_inverse": InverseControllerSettings()}
     for name, settings in rivals.items():
         sensor = blind if name.endswith("none") else None
-        figures |= bench.along(name, _built(settings, own, limits), model, sensor=sensor)[0]
+        figures |= bench.along(name, controller_on(settings, identified, limits), model, sensor=sensor)[0]
     return figures
 
 
-def _imaging_pid(bench: StudyBench, own: ControllerModel) -> Controller[Any]:
+def _imaging_pid(bench: StudyBench, identified: ControllerModel) -> Controller[Any]:
     """A PID whose gains are searched on the very device and motions under other frames."""
     start = PidControllerSettings.parse({"kind": "pid", "estimator": _known_to_pid(IMAGING)})
     plant = PreparedPlant(bench.drawn, bench.device.seed + _COMPARED + 1)
 
     def mean_square(tried: LawSettings) -> float:
-        _, runs = bench.along("", _built(tried, own, bench.device.limits), plant, sensor=IMAGING)
+        _, runs = bench.along("", controller_on(tried, identified, bench.device.limits), plant, sensor=IMAGING)
         errors = [run.error_deg[motion.first(run.dt) :] for run, motion in zip(runs, bench.motions, strict=True)]
         return float(np.mean([np.mean(error**2) for error in errors]))
 
     evaluations = max(bench.settings.evaluations // _IMAGING_SHARE, 10)
     best = searched_gains(start, mean_square, evaluations, bench.settings.seed)
-    return _built(best.settings, own, bench.device.limits)
+    return controller_on(best.settings, identified, bench.device.limits)
 
 
 def _known_to_pid(sensor: ImagingSettings) -> dict[str, Any]:
@@ -322,8 +248,8 @@ def _tracking_gap(bench: StudyBench) -> tuple[str, dict[str, float]]:
     for name, simulator in (("before", nominal), ("after", fixed)):
         known = controller_model(ChainModel(simulator, "conditioned"))
         controller = build_controller(USUAL, *known.predictive, limits_of_model(nominal.metadata()))
-        found, _ = bench.along(name, controller, bench.drawn, motions)
-        figures[f"gap.{name}_deg"] = found[f"{name}.rmse_deg"]
+        scored, _ = bench.along(name, controller, bench.drawn, motions)
+        figures[f"gap.{name}_deg"] = scored[f"{name}.rmse_deg"]
     return "", figures
 
 
@@ -355,7 +281,3 @@ def _of(settings: LawSettings, changes: Mapping[str, Any]) -> LawSettings:
     if data.get("adaptation", {}) is None:
         data.pop("supervisor", None)
     return type(settings).parse(data, "study commission")
-
-
-def _built(settings: LawSettings, known: ControllerModel, limits: CommandLimits) -> GuardedController[Any]:
-    return build_controller(settings, *pair_for(settings, known), limits)

@@ -3,24 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 
 from matplotlib.figure import Figure
 
-from hystmpc.trials.report import (
-    MEASURED,
-    MODEL,
-    PALETTE,
-    Heading,
-    Piece,
-    Plot,
-    Report,
-)
+from hystmpc.trials.report import MEASURED, MODEL, PALETTE, Heading, Plot, Report
 
-from ..identify.device import FAMILIES
-from ..identify.scores import rmse_of
-from ..page import bars_table, cell, ratios_figure, set_up
-from ..tables import Cell, StudyTable
+from ..devices.drawn import FAMILIES
+from ..study import Cell, StudyTable, bars_table, cell, figures_table, ratios_figure, rmse_of, set_up
 from .bars import RIVALS, CommissionOutcome, bars, over_rival
 
 _ABOUT = """Simulated devices drawn at random: a core (rod, capstan, Dahl, muscle) behind a drive with delay, lag or
@@ -63,14 +52,6 @@ def devices_table(outcome: CommissionOutcome) -> StudyTable:
     return StudyTable("devices", columns, rows, "Simulated: every device; errors are RMSE of the true angle.")
 
 
-def figures_table(outcome: CommissionOutcome) -> StudyTable:
-    """Every figure of every device; CSV only."""
-    rows: list[list[Cell]] = [
-        [name, figure, cell(value)] for name, figures in outcome.figures.items() for figure, value in figures.items()
-    ]
-    return StudyTable("figures", ("device", "figure", "value"), rows, "", shown=False)
-
-
 def _ratios(outcome: CommissionOutcome) -> Figure:
     """RMSE over that of the better tuned rival."""
     named = ("commissioned", "sibling", "stranger")
@@ -84,11 +65,17 @@ def _ratios(outcome: CommissionOutcome) -> Figure:
 def commission_report(outcome: CommissionOutcome) -> tuple[Report, list[StudyTable]]:
     """The page and all tables that are written as CSV."""
     judged, devices = bars_table(bars(outcome)), devices_table(outcome)
+    settings = outcome.settings
+    facts = {
+        "devices": len(outcome.figures),
+        "diagnosis in the commissioning": "yes" if settings.diagnose else "no",
+        "evaluations of each search": settings.evaluations,
+    }
     caption = "Simulated: RMSE over that of the better of PID and inverse with PID; dashed: one half."
     page = Report(
         "Commissioned and controlled",
         (
-            *_set_up(outcome),
+            *set_up(_ABOUT, facts, outcome),
             Heading("Bars"),
             judged.piece,
             Plot(_ratios(outcome), caption),
@@ -97,14 +84,4 @@ def commission_report(outcome: CommissionOutcome) -> tuple[Report, list[StudyTab
         ),
         "simulated devices drawn at random, commissioned, and controlled where something has changed",
     )
-    return page, [judged, devices, figures_table(outcome)]
-
-
-def _set_up(outcome: CommissionOutcome) -> Iterator[Piece]:
-    settings = outcome.settings
-    facts = {
-        "devices": len(outcome.figures),
-        "diagnosis in the commissioning": "yes" if settings.diagnose else "no",
-        "evaluations of each search": settings.evaluations,
-    }
-    return set_up(_ABOUT, facts, outcome)
+    return page, [judged, devices, figures_table(outcome.figures)]

@@ -1,17 +1,20 @@
-"""Settings of the commissioning study."""
+"""Settings, jobs and results of the commissioning study."""
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal, Self
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field
 
-from hystmpc.trials.config import Settings
+from ..study import Figure, Result, StudySettings
 
-_QUICK: dict[str, Any] = {"devices": 8, "evaluations": 12, "diagnose": False}
+Stage = Literal["commission", "compare", "gap"]
+STAGES: tuple[Stage, ...] = ("commission", "compare", "gap")
 
 
-class CommissionStudySettings(Settings):
+class CommissionStudySettings(StudySettings):
     """Settings of the study `commission`.
 
     Attributes:
@@ -26,6 +29,7 @@ class CommissionStudySettings(Settings):
         quick: few and short motions at 25 Hz: proves that everything runs, and nothing else.
     """
 
+    QUICK: ClassVar[Mapping[str, Any]] = {"devices": 8, "evaluations": 12, "diagnose": False}
     study: Literal["commission"] = "commission"
     devices: Annotated[int, Field(ge=1, le=1000)] = 60
     rates_hz: tuple[float, ...] = ()
@@ -35,13 +39,26 @@ class CommissionStudySettings(Settings):
     seed: Annotated[int, Field(ge=0)] = 1
     quick: bool = False
 
-    @classmethod
-    def of(cls, **changes: Any) -> Self:
-        """The study with some changes; a change that is None keeps the default.
 
-        Raises:
-            ConfigError: on a number out of bounds.
-        """
-        data = dict(_QUICK) if changes.get("quick") else {}
-        data |= {name: value for name, value in changes.items() if value is not None}
-        return cls.parse(data, "study commission")
+@dataclass(frozen=True)
+class CommissionJob:
+    """One device of the draw in one stage."""
+
+    number: int
+    stage: Stage
+    key: str
+
+
+@dataclass(frozen=True)
+class CommissionResult(Result):
+    """Outcome of one job.
+
+    Attributes:
+        message: the error of a failed job, else the verdict of the commissioning.
+        facts: of the device, for tables.
+        figures: by controller and figure such as `commissioned.rmse_deg`, see `scores`.
+    """
+
+    job: CommissionJob
+    facts: Mapping[str, str | float] = field(default_factory=dict)
+    figures: Mapping[str, Figure] = field(default_factory=dict)

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -16,10 +14,10 @@ from hystmpc.sim.closed_loop import ClosedLoopRun
 from hystmpc.sim.results import holds, tracking_metrics
 from hystmpc.trials.types import Vec
 
+from ..study import Outcome
 from .controllers import BASELINES, CONTROLLERS, ORACLE
-from .job import ControlResult
 from .plants import PLANTS
-from .settings import SCANS_HZ, ControlSettings
+from .settings import SCANS_HZ, ControlResult, ControlSettings
 
 HOLD_RANGE_BAR = 0.1
 """Greatest range of a held command, in half-widths of the backlash."""
@@ -58,7 +56,7 @@ def control_figures(
     ranges = [float(np.ptp(command[a:b])) for a, b in held]
     rests = [float(np.ptp(command[a : b - preview])) for a, b in halves if b - preview > a]
     cycling = [limit_cycle(command[a:b], HOLD_RANGE_BAR * half_width) for a, b in held]
-    own = sum(metrics.ladder.get(source, 0) for source in (Source.CONTROLLER, Source.MPC))
+    planned = sum(metrics.ladder.get(source, 0) for source in (Source.CONTROLLER, Source.MPC))
     return {
         "rmse_deg": metrics.rmse_deg,
         "max_deg": metrics.max_abs_deg,
@@ -68,7 +66,7 @@ def control_figures(
         "cycling_holds": float(np.mean(cycling)) if cycling else math.nan,
         "travel": metrics.command_travel,
         "violations": float(metrics.limit_violations),
-        "fallbacks": float(len(command) - own),
+        "fallbacks": float(len(command) - planned),
         "late_share": float(np.mean(run.log.step_s > run.dt)),
         "step_p99_ms": 1e3 * metrics.step_p99_s,
     }
@@ -84,18 +82,8 @@ def limit_cycle(command: Vec, band: float) -> bool:
 
 
 @dataclass(frozen=True, eq=False)
-class ControlOutcome:
+class ControlOutcome(Outcome[ControlSettings, ControlResult]):
     """The benchmark with the results of all its jobs."""
-
-    settings: ControlSettings
-    results: tuple[ControlResult, ...]
-    folder: Path
-    meta: Mapping[str, Any] = field(default_factory=dict)
-
-    @property
-    def failed(self) -> tuple[ControlResult, ...]:
-        """Results that hold an error."""
-        return tuple(result for result in self.results if result.status == "failed")
 
     @cached_property
     def runs(self) -> tuple[ControlResult, ...]:
@@ -115,8 +103,8 @@ class ControlOutcome:
     def rmse(self, like: ControlResult, controller: str) -> float:
         """RMSE of a controller on the same plant, rate and motion; NaN where it was not run [deg]."""
         job = like.job
-        found = self.by_name.get((job.plant, job.rate_hz, controller, job.motion))
-        return math.nan if found is None else found.figures["rmse_deg"]
+        same = self.by_name.get((job.plant, job.rate_hz, controller, job.motion))
+        return math.nan if same is None else same.figures["rmse_deg"]
 
     def over_oracle(self, run: ControlResult) -> float:
         """RMSE over the oracle's; NaN where it was not run."""

@@ -1,65 +1,30 @@
-"""Jobs of the closed-loop benchmark (models, gains, runs), what each depends on, and their results as files."""
+"""Jobs of the closed-loop benchmark (models, gains, runs), what each depends on, and the signals of a run as a file."""
 
 from __future__ import annotations
 
 import hashlib
 import io
-import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import BeforeValidator
 
 from hystmpc.trials.errors import LogError
 from hystmpc.trials.files import write_atomically
-from hystmpc.trials.json_text import json_hash
 from hystmpc.trials.types import Vec
 
-from ..result_files import ResultFiles, Status
 from .controllers import CONTROLLERS, NETWORKS
 from .models import backlash_file, companion_file, network_file
 from .plants import PLANTS
-from .settings import ControlSettings
+from .settings import STAGES, ControlJob, ControlSettings
 
-FORMAT = "hystmpc-control-job/1"
 SIGNALS = ("time_s", "reference_deg", "true_deg", "command")
-FigureOrNull = Annotated[float, BeforeValidator(lambda value: math.nan if value is None else value)]
-Stage = Literal["fit", "tune", "retune", "run"]
-STAGES: tuple[Stage, ...] = ("fit", "tune", "retune", "run")
-"""In this order: every stage needs what the ones before it leave."""
 
 
-@dataclass(frozen=True)
-class ControlJob:
-    """One job.
-
-    Attributes:
-        stage: `fit` identifies a model, `tune` searches gains at the first rate, `retune` at another, `run` is a
-            controller along a motion.
-        plant: by name; of a `fit` the family.
-        rate_hz: of the loop; 0 for a `fit`.
-        subject: kind of model of a `fit`, else controller.
-        motion: of a `run`, else empty.
-    """
-
-    stage: Stage
-    plant: str
-    rate_hz: float
-    subject: str
-    motion: str = ""
-
-    @property
-    def key(self) -> str:
-        """Name of the job's files: unique in a study."""
-        parts = [self.stage, self.plant, f"{self.rate_hz:g}hz" if self.rate_hz else "", self.subject, self.motion]
-        return "-".join(part for part in parts if part)
-
-
-def control_jobs(settings: ControlSettings) -> tuple[ControlJob, ...]:
+def control_jobs(settings: ControlSettings, drawn: object = None) -> tuple[ControlJob, ...]:
     """All jobs, stage by stage; controllers whose model does not hold at a rate are left out there."""
+    del drawn  # the plants are always the same
     runs = tuple(
         ControlJob("run", plant, rate, controller, motion)
         for plant in settings.plants
@@ -84,8 +49,8 @@ def _models_for(controller: str) -> tuple[str, ...]:
     return (model,) if model == "backlash" else ()
 
 
-def fingerprint(job: ControlJob, settings: ControlSettings, folder: Path) -> str:
-    """SHA-256 over what a job's result depends on: its settings, and the files that earlier stages left.
+def job_inputs(job: ControlJob, settings: ControlSettings, folder: Path) -> dict[str, object]:
+    """What a job's result depends on: its settings, and the files that earlier stages left.
 
     A file that is not there yet counts as empty, so that the job will be found not to be done.
     """
@@ -100,7 +65,7 @@ def fingerprint(job: ControlJob, settings: ControlSettings, folder: Path) -> str
         parts |= {"motions": list(settings.motions)}
         parts["evaluations"] = settings.tune_evaluations if job.stage == "tune" else settings.retune_evaluations
     parts["design"] = _design(job)
-    return json_hash(parts)
+    return parts
 
 
 def needed_files(job: ControlJob, settings: ControlSettings, folder: Path) -> tuple[Path, ...]:
@@ -132,35 +97,6 @@ def _design(job: ControlJob) -> dict[str, object]:
     if job.stage != "fit":
         facts["controller"] = CONTROLLERS[job.subject].settings(1 / job.rate_hz, 0)
     return facts
-
-
-@dataclass(frozen=True)
-class ControlResult:
-    """Outcome of one job.
-
-    Attributes:
-        status: `failed` if anything raised.
-        message: the error of a failed job, else one line on how it went.
-        figures: of a run, see `control_figures`; of a search its error; NaN where there is none.
-        ladder: of a run, samples by source of the command.
-    """
-
-    job: ControlJob
-    fingerprint: str
-    status: Status
-    message: str
-    seconds: float
-    figures: Mapping[str, FigureOrNull] = field(default_factory=dict)
-    ladder: Mapping[str, int] = field(default_factory=dict)
-
-
-def result_files(folder: Path) -> ResultFiles[ControlResult]:
-    """Results of the benchmark's folder; a figure that is not there is null."""
-    return ResultFiles(folder, ControlResult, FORMAT, _plain)
-
-
-def _plain(result: ControlResult) -> dict[str, Any]:
-    return asdict(result) | {"figures": {k: v if math.isfinite(v) else None for k, v in result.figures.items()}}
 
 
 def signals_file(folder: Path, job: ControlJob) -> Path:

@@ -31,10 +31,10 @@ from hystmpc.trials.types import Vec
 
 from .bars import control_figures
 from .controllers import CONTROLLERS, NETWORKS, BenchmarkController
-from .job import ControlJob, gains_file, save_signals
+from .job import gains_file, save_signals
 from .models import backlash_file, companion_file, network_file
 from .plants import PLANTS, Plant, half_width
-from .settings import ControlSettings, motion
+from .settings import ControlJob, ControlSettings, motion
 
 State = GuardedState[Any]
 _WHOLE = 1e-9
@@ -162,11 +162,11 @@ def tune(job: ControlJob, settings: ControlSettings, folder: Path) -> tuple[str,
     chosen = study.config.controllers[job.subject]
     if not isinstance(chosen, PidControllerSettings | InversePidControllerSettings):
         raise ConfigError(f"{job.key}: got a controller of kind {chosen.kind}, expected one with a PID")
-    found = tuned_gains(study, chosen)
-    gains = found.settings.gains.model_dump()
+    tuned = tuned_gains(study, chosen)
+    gains = tuned.settings.gains.model_dump()
     write_atomically(gains_file(folder, job.plant, job.rate_hz, job.subject), json.dumps(gains, indent=1) + "\n")
     line = ", ".join(f"{name} {value:.4g}" for name, value in gains.items())
-    return f"{line}; {found.evaluations} evaluations", {"rmse_deg": found.rmse_deg, "start_deg": found.start_rmse_deg}
+    return f"{line}; {tuned.evaluations} evaluations", {"rmse_deg": tuned.rmse_deg, "start_deg": tuned.start_rmse_deg}
 
 
 def study_of(job: ControlJob, settings: ControlSettings, folder: Path, motions: tuple[str, ...]) -> Study:

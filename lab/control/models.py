@@ -51,11 +51,11 @@ def fitted_backlash(plant: Plant, seed: int, quick: bool = False) -> Simulator:
         return plant.simulator(RECORDING_DT_S)
     trials = [_lagged(trial, plant.effects.lag_s) for trial in recordings(plant, seed, quick)]
     request = FitRequest(seed=seed, skip_first_flexure=True)
-    found = kind_named("backlash").fit(trials, request)
-    if found.simulator is None:
+    fitted = kind_named("backlash").fit(trials, request)
+    if fitted.simulator is None:
         raise FitError("backlash: got no simulator, expected one")
     device = plant.simulator(RECORDING_DT_S)
-    return replace(found.simulator, command_limits=device.command_limits, command_rate_per_s=device.command_rate_per_s)
+    return replace(fitted.simulator, command_limits=device.command_limits, command_rate_per_s=device.command_rate_per_s)
 
 
 def save_backlash(plant: Plant, folder: Path, rates_hz: Iterable[float], seed: int, quick: bool = False) -> list[Path]:
@@ -64,10 +64,10 @@ def save_backlash(plant: Plant, folder: Path, rates_hz: Iterable[float], seed: i
     Raises:
         FitError: if it cannot be identified.
     """
-    found, lag_s = fitted_backlash(plant, seed, quick), plant.effects.lag_s
+    fitted, lag_s = fitted_backlash(plant, seed, quick), plant.effects.lag_s
     lag = (Lag(lag_s),) if lag_s > 0 else ()
-    behind = replace(found, chain=replace(found.chain, before=lag))
-    files = [save_simulator(found.at_sample_time(1 / rate), backlash_file(folder, plant, rate)) for rate in rates_hz]
+    behind = replace(fitted, chain=replace(fitted.chain, before=lag))
+    files = [save_simulator(fitted.at_sample_time(1 / rate), backlash_file(folder, plant, rate)) for rate in rates_hz]
     return [*files, save_simulator(behind.at_sample_time(RECORDING_DT_S), companion_file(folder, plant))]
 
 
@@ -79,13 +79,13 @@ def save_network(plant: Plant, kind: str, folder: Path, updates: int, seed: int,
         ExportError: if the exported model differs from its reference.
     """
     request = FitRequest(preset=_NETWORK_PRESET, seed=seed, steps=updates)
-    found = kind_named(kind).fit(recordings(plant, seed, quick), request)
-    if found.interrupted:
+    trained = kind_named(kind).fit(recordings(plant, seed, quick), request)
+    if trained.interrupted:
         raise KeyboardInterrupt
     file = network_file(folder, plant, kind)
     file.parent.mkdir(parents=True, exist_ok=True)
-    export_onnx(found.bundle, file)
-    return found.report
+    export_onnx(trained.bundle, file)
+    return trained.report
 
 
 def backlash_file(folder: Path, plant: Plant, rate_hz: float) -> Path:

@@ -9,26 +9,14 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from hystmpc.trials.report import (
-    COMMAND,
-    MEASURED,
-    MODEL,
-    PALETTE,
-    REFERENCE,
-    Heading,
-    Piece,
-    Plot,
-    Report,
-    new_figure,
-)
+from hystmpc.trials.report import COMMAND, MEASURED, MODEL, PALETTE, REFERENCE, Heading, Piece, Plot, Report, new_figure
 
-from ..page import set_up
-from ..tables import NOTHING, Cell, StudyTable
+from ..study import NOTHING, Cell, StudyTable, cell, set_up
 from .bars import BARS, BarVerdict, ControlOutcome, verdicts
 from .controllers import CONTROLLERS, NETWORK_RATE_HZ, NETWORKS, ORACLE
-from .job import ControlResult, load_signals
+from .job import load_signals
 from .plants import MISMATCH
-from .settings import POINT_TO_POINT, SCANS_HZ, ControlSettings
+from .settings import POINT_TO_POINT, SCANS_HZ, ControlResult, ControlSettings
 
 _RUN_COLUMNS = (
     "RMSE [deg]",
@@ -135,9 +123,9 @@ def runs_table(outcome: ControlOutcome) -> StudyTable:
     rows: list[list[Cell]] = [
         [
             *(run.job.plant, run.job.rate_hz, run.job.subject, run.job.motion),
-            *(_cell(run.figures[name]) for name in _FIGURES),
-            _cell(outcome.over_oracle(run)),
-            _cell(outcome.over_baseline(run)),
+            *(cell(run.figures[name]) for name in _FIGURES),
+            cell(outcome.over_oracle(run)),
+            cell(outcome.over_baseline(run)),
             "; ".join(f"{source} {count}" for source, count in run.ladder.items()),
         ]
         for run in outcome.runs
@@ -152,7 +140,7 @@ def preparation_table(outcome: ControlOutcome) -> StudyTable:
         [
             r.job.stage,
             r.job.plant,
-            _cell(r.job.rate_hz or math.nan),
+            cell(r.job.rate_hz or math.nan),
             r.job.subject,
             round(r.seconds, 1),
             r.status,
@@ -180,10 +168,6 @@ def _mean(values: Iterable[float]) -> Cell:
 
 def _worst(values: Iterable[float]) -> Cell:
     return max((value for value in values if not math.isnan(value)), default=NOTHING)
-
-
-def _cell(value: float) -> Cell:
-    return NOTHING if math.isnan(value) else value
 
 
 def rmse_figure(outcome: ControlOutcome, rate_hz: float) -> Figure:
@@ -257,11 +241,19 @@ def control_report(outcome: ControlOutcome) -> tuple[Report, list[StudyTable]]:
     judged = verdicts(outcome)
     bars, missed = bars_table(judged), verdicts_table(judged, met=False)
     loops = [loop_table(outcome, plant, rate) for plant, rate in outcome.loops]
-    preparation = preparation_table(outcome)
+    preparation, settings = preparation_table(outcome), outcome.settings
+    facts = {
+        "plants": ", ".join(settings.plants),
+        "rates": ", ".join(f"{rate:g} Hz" for rate in settings.rates_hz),
+        "controllers": ", ".join(settings.controllers),
+        "motions": ", ".join(settings.motions),
+        "left out": _left_out(settings) or "nothing",
+        "training": f"networks: {settings.network_updates} updates" + (" (QUICK)" if settings.quick else ""),
+    }
     page = Report(
         "Closed-loop benchmark",
         (
-            *_set_up(outcome),
+            *set_up(_ABOUT, facts, outcome),
             Heading("Bars"),
             bars.piece,
             Heading("Bars missed", 3),
@@ -275,19 +267,6 @@ def control_report(outcome: ControlOutcome) -> tuple[Report, list[StudyTable]]:
         "simulated plants, every controller along every motion",
     )
     return page, [bars, missed, verdicts_table(judged), *loops, runs_table(outcome), preparation]
-
-
-def _set_up(outcome: ControlOutcome) -> Iterator[Piece]:
-    settings = outcome.settings
-    facts = {
-        "plants": ", ".join(settings.plants),
-        "rates": ", ".join(f"{rate:g} Hz" for rate in settings.rates_hz),
-        "controllers": ", ".join(settings.controllers),
-        "motions": ", ".join(settings.motions),
-        "left out": _left_out(settings) or "nothing",
-        "training": f"networks: {settings.network_updates} updates" + (" (QUICK)" if settings.quick else ""),
-    }
-    return set_up(_ABOUT, facts, outcome)
 
 
 def _left_out(settings: ControlSettings) -> str:

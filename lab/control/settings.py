@@ -1,14 +1,16 @@
-"""Settings of the closed-loop benchmark, and its motions."""
+"""Settings of the closed-loop benchmark, its motions, jobs and results."""
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal, Self
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import Field
 
-from hystmpc.trials.config import Settings
 from hystmpc.trials.errors import ConfigError, did_you_mean
 
+from ..study import Figure, Result, StudySettings
 from .controllers import CONTROLLERS
 from .plants import PLANTS
 
@@ -27,14 +29,9 @@ _SCAN_S = 12.0  # about; whole cycles, at least two
 _LIMITS = {"velocity_deg_s": 30.0, "acceleration_deg_s2": 200.0, "jerk_deg_s3": 3000.0}
 Rate = Annotated[float, Field(gt=0, le=1000)]
 RATES_HZ = (25.0, 250.0)
-_QUICK: dict[str, Any] = {
-    "rates_hz": (25.0,),
-    "plants": ("backlash", "noisy-off"),
-    "motions": ("point_to_point", "scan_0p5hz"),
-    "network_updates": 40,
-    "tune_evaluations": 12,
-    "retune_evaluations": 12,
-}
+Stage = Literal["fit", "tune", "retune", "run"]
+STAGES: tuple[Stage, ...] = ("fit", "tune", "retune", "run")
+"""In this order: every stage needs what the ones before it leave."""
 
 
 def motion(name: str, rest_deg: float, seed: int, quick: bool = False) -> dict[str, Any]:
@@ -74,7 +71,7 @@ def motion(name: str, rest_deg: float, seed: int, quick: bool = False) -> dict[s
     raise ConfigError(f"no motion {name!r}, {did_you_mean(name, MOTIONS)}")
 
 
-class ControlSettings(Settings):
+class ControlSettings(StudySettings):
     """Settings of the study `control`.
 
     Attributes:
@@ -89,6 +86,14 @@ class ControlSettings(Settings):
         quick: few and short motions, hardly trained networks: proves that everything runs, and nothing else.
     """
 
+    QUICK: ClassVar[Mapping[str, Any]] = {
+        "rates_hz": (25.0,),
+        "plants": ("backlash", "noisy-off"),
+        "motions": ("point_to_point", "scan_0p5hz"),
+        "network_updates": 40,
+        "tune_evaluations": 12,
+        "retune_evaluations": 12,
+    }
     study: Literal["control"] = "control"
     rates_hz: Annotated[tuple[Rate, ...], Field(min_length=1)] = RATES_HZ
     plants: tuple[str, ...] = tuple(PLANTS)
@@ -102,25 +107,56 @@ class ControlSettings(Settings):
 
     @classmethod
     def of(cls, **changes: Any) -> Self:
-        """The benchmark with some changes; a change that is None or empty keeps the default.
+        """The benchmark with some changes, names that stand twice once; see `StudySettings.of`."""
+        once = {k: tuple(dict.fromkeys(v)) if isinstance(v, list | tuple) else v for k, v in changes.items()}
+        return super().of(**once)
 
-        Raises:
-            ConfigError: on an unknown plant, controller or motion, or a rate out of bounds.
-        """
-        data = dict(_QUICK) if changes.get("quick") else {}
-        data |= {name: value for name, value in changes.items() if value not in (None, (), [])}
-        settings = cls.parse({name: _once(value) for name, value in data.items()}, "study control")
+    def check_names(self) -> None:
         for what, asked, known in (
-            ("plant", settings.plants, PLANTS),
-            ("controller", settings.controllers, CONTROLLERS),
-            ("motion", settings.motions, MOTIONS),
+            ("plant", self.plants, PLANTS),
+            ("controller", self.controllers, CONTROLLERS),
+            ("motion", self.motions, MOTIONS),
         ):
             for name in asked:
                 if name not in known:
                     raise ConfigError(f"study control: no {what} {name!r}, {did_you_mean(name, known)}")
-        return settings
 
 
-def _once(value: Any) -> Any:
-    """Lists without what stands in them twice."""
-    return tuple(dict.fromkeys(value)) if isinstance(value, list | tuple) else value
+@dataclass(frozen=True)
+class ControlJob:
+    """One job.
+
+    Attributes:
+        stage: `fit` identifies a model, `tune` searches gains at the first rate, `retune` at another, `run` is a
+            controller along a motion.
+        plant: by name; of a `fit` the family.
+        rate_hz: of the loop; 0 for a `fit`.
+        subject: kind of model of a `fit`, else controller.
+        motion: of a `run`, else empty.
+    """
+
+    stage: Stage
+    plant: str
+    rate_hz: float
+    subject: str
+    motion: str = ""
+
+    @property
+    def key(self) -> str:
+        """Name of the job's files: unique in a study."""
+        parts = [self.stage, self.plant, f"{self.rate_hz:g}hz" if self.rate_hz else "", self.subject, self.motion]
+        return "-".join(part for part in parts if part)
+
+
+@dataclass(frozen=True)
+class ControlResult(Result):
+    """Outcome of one job.
+
+    Attributes:
+        figures: of a run, see `control_figures`; of a search its error; NaN where there is none.
+        ladder: of a run, samples by source of the command.
+    """
+
+    job: ControlJob
+    figures: Mapping[str, Figure] = field(default_factory=dict)
+    ladder: Mapping[str, int] = field(default_factory=dict)

@@ -2,25 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 from matplotlib.figure import Figure
 
-from hystmpc.trials.report import (
-    MEASURED,
-    MODEL,
-    PALETTE,
-    Heading,
-    Piece,
-    Plot,
-    Report,
-)
+from hystmpc.trials.report import MEASURED, MODEL, PALETTE, Heading, Plot, Report
 
-from ..page import bars_table, cell, ratios_figure, set_up
-from ..tables import NOTHING, Cell, StudyTable
-from .bars import CONTROLLERS, PARTS, TUNED, IdentifyOutcome, at_rest, bars, over, over_best, rmse, summary
-from .device import FAMILIES
-from .job import IdentifyResult
+from ..devices.drawn import FAMILIES
+from ..study import NOTHING, Cell, StudyTable, bars_table, cell, figures_table, over, ratios_figure, rmse_of, set_up
+from .bars import (
+    CONTROLLERS,
+    PARTS,
+    TUNED,
+    IdentifyOutcome,
+    as_identified,
+    at_rest,
+    bars,
+    over_best,
+    over_exact,
+    summary,
+)
+from .settings import IdentifyResult
 
 _ABOUT = """Simulated devices drawn at random: a core (rod, capstan, Dahl, muscle) behind a drive with delay, lag or
 servo, and creep, with a noisy sensor. A model is identified from three minutes of logs. The predictive controllers have
@@ -33,8 +33,8 @@ def families_table(outcome: IdentifyOutcome) -> StudyTable:
     """Medians by family."""
     rows: list[list[Cell]] = []
     for family in (*FAMILIES, None):
-        found = summary(outcome, family)
-        rows.append([family or "all", *(cell(value) for value in found.values())])
+        medians = summary(outcome, family)
+        rows.append([family or "all", *(cell(value) for value in medians.values())])
     return StudyTable(
         "families", ("family", *summary(outcome)), rows, "Simulated: medians over the devices of a family."
     )
@@ -45,24 +45,16 @@ def devices_table(outcome: IdentifyOutcome) -> StudyTable:
     rows: list[list[Cell]] = []
     for r in outcome.done:
         parts: list[Cell] = [cell for part in PARTS for cell in (round(r.truth[part], 4), _interval(r, part))]
-        errors: list[Cell] = [cell(rmse(r, name)) for name in CONTROLLERS]
-        ratios = (
-            over_best(r),
-            over("linearised", "exact")(r),
-            over("as_identified_linearised", "as_identified_inverse")(r),
-        )
+        errors: list[Cell] = [cell(rmse_of(r.figures, name)) for name in CONTROLLERS]
+        ratios = (over_best(r.figures), over_exact(r.figures), as_identified(r.figures))
         facts: list[Cell] = [round(float(r.facts["noise_deg"]), 3), round(float(r.facts["servo_damping"]), 2)]
-        rows.append([r.job.key, *facts, *parts, *errors, *map(cell, ratios), cell(at_rest(r)), round(r.seconds, 1)])
+        rows.append(
+            [r.job.key, *facts, *parts, *errors, *map(cell, ratios), cell(at_rest(r.figures)), round(r.seconds, 1)]
+        )
     drawn = [name for part in PARTS for name in (part, f"{part} found")]
     columns = ("device", "noise [deg]", "servo damping", *drawn, *(f"{name} [deg]" for name in CONTROLLERS))
     last = ("over best tuned", "over exact", "as identified", "at rest", "time [s]")
     return StudyTable("devices", (*columns, *last), rows, "Simulated: every device; errors are RMSE of the true angle.")
-
-
-def runs_table(outcome: IdentifyOutcome) -> StudyTable:
-    """Every figure of every device; CSV only."""
-    rows: list[list[Cell]] = [[r.job.key, name, cell(value)] for r in outcome.done for name, value in r.figures.items()]
-    return StudyTable("figures", ("device", "figure", "value"), rows, "", shown=False)
 
 
 def _interval(result: IdentifyResult, part: str) -> str:
@@ -78,19 +70,23 @@ def _ratios(outcome: IdentifyOutcome) -> Figure:
     subjects = (("default MPC", MODEL), ("sampling MPC", MEASURED), ("device known", PALETTE[5]))
     rows: dict[str, list[list[float]]] = {family: [] for family in FAMILIES}
     for r in outcome.done:
-        best = min(rmse(r, name) for name in TUNED)
-        rows[str(r.facts["family"])].append([rmse(r, name) / best for name in named])
+        rows[str(r.facts["family"])].append([over(name, *TUNED)(r.figures) for name in named])
     return ratios_figure(rows, subjects)
 
 
 def identify_report(outcome: IdentifyOutcome) -> tuple[Report, list[StudyTable]]:
     """The page and all tables that are written as CSV."""
     judged, families, devices = bars_table(bars(outcome)), families_table(outcome), devices_table(outcome)
+    settings = outcome.settings
+    facts = {
+        "model": settings.kind if settings.drive is None else f"{settings.kind} behind a drive ({settings.drive})",
+        "evaluations of each search": settings.evaluations,
+    }
     caption = "Simulated: RMSE over that of the better of PID and inverse with PID; dashed: one half."
     page = Report(
         "Identified and controlled",
         (
-            *_set_up(outcome),
+            *set_up(_ABOUT, facts, outcome),
             Heading("Bars"),
             judged.piece,
             Heading("Errors"),
@@ -101,13 +97,4 @@ def identify_report(outcome: IdentifyOutcome) -> tuple[Report, list[StudyTable]]
         ),
         "simulated devices drawn at random, identified from logs, controlled as identified",
     )
-    return page, [judged, families, devices, runs_table(outcome)]
-
-
-def _set_up(outcome: IdentifyOutcome) -> Iterator[Piece]:
-    settings = outcome.settings
-    facts = {
-        "model": settings.kind if settings.drive is None else f"{settings.kind} behind a drive ({settings.drive})",
-        "evaluations of each search": settings.evaluations,
-    }
-    return set_up(_ABOUT, facts, outcome)
+    return page, [judged, families, devices, figures_table({r.job.key: r.figures for r in outcome.done})]

@@ -1,21 +1,26 @@
-"""Figures of closed-loop runs in the study, and an identified model as a plant."""
+"""Closed-loop runs on a drawn device and their figures, and an identified model as a plant."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from typing import final
+from collections.abc import Sequence
+from typing import Any, final
 
 import numpy as np
 
 from hystmpc.ctrl.command import CommandLimits, Source
+from hystmpc.ctrl.guarded import GuardedController, build_controller, pair_for
+from hystmpc.ctrl.law import LawSettings
+from hystmpc.ctrl.loop import Controller, ImagingSettings, NoSensorSettings
 from hystmpc.models.contract.metadata import Range
 from hystmpc.models.prediction.build import ControllerModel
-from hystmpc.sim.closed_loop import ClosedLoopRun
+from hystmpc.sim.closed_loop import ClosedLoopRun, run_closed_loop
 from hystmpc.sim.plants.computed import ComputedPlant, Sensing
 from hystmpc.sim.results import holds, violations
 from hystmpc.trajectories.drawn import CountedMotion
 from hystmpc.trials.types import Vec
+
+from ..devices.drawn import DrawnDevice
 
 AS_IDENTIFIED_NOISE_DEG = 0.15
 SETTLED_S = 1.0
@@ -59,9 +64,36 @@ def scores(
     }
 
 
-def rmse_of(figures: Mapping[str, float], controller: str) -> float:
-    """RMSE of a controller over all motions [deg]; infinite where it is not there."""
-    return figures.get(f"{controller}.rmse_deg", math.inf)
+def tracked(
+    name: str,
+    controller: Controller[Any],
+    plant: ComputedPlant,
+    motions: Sequence[CountedMotion],
+    device: DrawnDevice,
+    delay_s: float | None = None,
+    sensor: ImagingSettings | NoSensorSettings | None = None,
+) -> tuple[dict[str, float], list[ClosedLoopRun]]:
+    """Figures of a controller over all motions, `name` before each, and the runs.
+
+    Args:
+        device: whose limits and lag count.
+        delay_s: of the plant [s]; the device's where left out.
+
+    Raises:
+        KeyboardInterrupt: if the user ended it.
+    """
+    runs = []
+    for motion in motions:
+        runs.append(run_closed_loop(controller, plant, motion.trajectory, sensor=sensor))
+        if runs[-1].log.interrupted:
+            raise KeyboardInterrupt
+    figures = scores(runs, motions, device.limits, device.delay_s if delay_s is None else delay_s, device.lag_s)
+    return {f"{name}.{figure}": value for figure, value in figures.items()}, runs
+
+
+def controller_on(settings: LawSettings, known: ControllerModel, limits: CommandLimits) -> GuardedController[Any]:
+    """A controller with a model: predictor and inverse as its law needs them."""
+    return build_controller(settings, *pair_for(settings, known), limits)
 
 
 @final

@@ -1,18 +1,21 @@
-"""Settings of the identification study."""
+"""Settings, jobs and results of the identification study."""
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal, Self
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field
 
 from hystmpc.models.kinds.catalogue import chosen_kind
-from hystmpc.trials.config import Settings
 
-_QUICK: dict[str, Any] = {"devices": 4, "evaluations": 12}
+from ..study import Figure, Result, StudySettings
+
+Interval = tuple[Figure, Figure, Figure]
 
 
-class IdentifySettings(Settings):
+class IdentifySettings(StudySettings):
     """Settings of the study `identify`.
 
     Attributes:
@@ -26,6 +29,7 @@ class IdentifySettings(Settings):
         quick: few motions and short ones at 25 Hz: proves that everything runs, and nothing else.
     """
 
+    QUICK: ClassVar[Mapping[str, Any]] = {"devices": 4, "evaluations": 12}
     study: Literal["identify"] = "identify"
     devices: Annotated[int, Field(ge=1, le=1000)] = 60
     kind: str = "auto"
@@ -35,16 +39,31 @@ class IdentifySettings(Settings):
     seed: Annotated[int, Field(ge=0)] = 1
     quick: bool = False
 
-    @classmethod
-    def of(cls, **changes: Any) -> Self:
-        """The study with some changes; a change that is None keeps the default.
+    def check_names(self) -> None:
+        chosen_kind(self.kind, self.drive)
 
-        Raises:
-            ConfigError: on a number out of bounds.
-            FitError: on an unknown kind of model.
-        """
-        data = dict(_QUICK) if changes.get("quick") else {}
-        data |= {name: value for name, value in changes.items() if value is not None}
-        settings = cls.parse(data, "study identify")
-        chosen_kind(settings.kind, settings.drive)
-        return settings
+
+@dataclass(frozen=True)
+class IdentifyJob:
+    """One device of the draw."""
+
+    number: int
+    key: str
+
+
+@dataclass(frozen=True)
+class IdentifyResult(Result):
+    """Outcome of one device.
+
+    Attributes:
+        truth: what was drawn, 0 for what is not there: lag [s], delay [s], creep [1].
+        found: value and 90 % interval of what was identified, by the same names; what is not among them is not there.
+        facts: of the device: family, rate, noise and further numbers, for tables.
+        figures: see `scores.scores`, by controller and figure such as `linearised.rmse_deg`; seconds by stage.
+    """
+
+    job: IdentifyJob
+    truth: Mapping[str, float] = field(default_factory=dict)
+    found: Mapping[str, Interval] = field(default_factory=dict)
+    facts: Mapping[str, str | float] = field(default_factory=dict)
+    figures: Mapping[str, Figure] = field(default_factory=dict)

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from hystmpc.trials.report import Heading, KeyValues, Paragraph, Piece
+from hystmpc.trials.report import Heading, Piece
 
-from ..tables import NOTHING, Cell, StudyTable
+from ..study import NOTHING, Cell, StudyTable, set_up
 from .printed import MARKS
-from .result import StudyOutcome, title_of
-from .settings import StudySettings
+from .result import PaperOutcome, title_of
+from .settings import PaperSettings
 
 SOURCES = {
     "s1": "simulated: the pressure-driven catheter of S1 as this package simulates it (hystmpc.sim.devices)",
@@ -23,35 +23,24 @@ def label(study: str) -> str:
     return SOURCES[study].partition(":")[0]
 
 
-def set_up(outcome: StudyOutcome) -> Iterator[Piece]:
+def paper_set_up(outcome: PaperOutcome) -> Iterator[Piece]:
     """Set-up of the study: settings, kinds left out, failed jobs."""
     settings = outcome.settings
-    yield Heading("Set-up")
-    yield KeyValues(
-        {
-            "trials": SOURCES[settings.study],
-            "kinds of model": ", ".join(settings.kinds),
-            "not in the catalogue, left out": ", ".join(settings.left_out) or "none",
-            "presets": ", ".join(outcome.presets),
-            "directions": ", ".join(settings.directions),
-            "stages": ", ".join(settings.stages),
-            "training": training_note(settings),
-            "seed": settings.seed,
-            "jobs": f"{len(outcome.done)} done, {len(outcome.failed)} failed",
-            "processor time of all jobs": f"{sum(r.seconds for r in outcome.results) / 60:.1f} min",
-            "hystmpc": outcome.meta.get("versions", {}).get("hystmpc"),
-            "started": outcome.meta.get("start"),
-        }
-    )
-    if settings.study != "real":
-        yield Paragraph(
-            f"Marks of the paper's numbers and signs: {MARKS}. All others are ours, {label(settings.study)}."
-        )
-    for result in outcome.failed:
-        yield Paragraph(f"FAILED: {result.job.key}: {result.message}")
+    facts = {
+        "trials": SOURCES[settings.study],
+        "kinds of model": ", ".join(settings.kinds),
+        "not in the catalogue, left out": ", ".join(settings.left_out) or "none",
+        "presets": ", ".join(outcome.presets),
+        "directions": ", ".join(settings.directions),
+        "stages": ", ".join(settings.stages),
+        "training": training_note(settings),
+        "seed": settings.seed,
+    }
+    marks = f"Marks of the paper's numbers and signs: {MARKS}. All others are ours, {label(settings.study)}."
+    return set_up("", facts, outcome, "" if settings.study == "real" else marks)
 
 
-def training_note(settings: StudySettings) -> str:
+def training_note(settings: PaperSettings) -> str:
     """Share of the papers' training that was done, in words."""
     if settings.quick:
         return (
@@ -66,7 +55,7 @@ def training_note(settings: StudySettings) -> str:
     )
 
 
-def jobs_table(outcome: StudyOutcome) -> StudyTable:
+def jobs_table(outcome: PaperOutcome) -> StudyTable:
     """A row for every job, failed ones included."""
     rows: list[list[Cell]] = []
     for result in outcome.results:
@@ -80,7 +69,7 @@ def jobs_table(outcome: StudyOutcome) -> StudyTable:
     return StudyTable("jobs", (*columns, "status", "fit or error"), rows, caption)
 
 
-def jobs_pieces(outcome: StudyOutcome) -> Iterator[Piece]:
+def jobs_pieces(outcome: PaperOutcome) -> Iterator[Piece]:
     """Heading and table of the jobs."""
     yield Heading("Jobs")
     yield jobs_table(outcome).piece

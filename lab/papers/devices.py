@@ -15,10 +15,10 @@ from hystmpc.trials.config import Settings, read_yaml
 from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.report import Heading, Paragraph, Piece, Report
 
-from ..tables import NOTHING, Cell, StudyTable
+from ..study import NOTHING, Cell, StudyTable
 from .real import RealCandidate, candidates
-from .result import StudyOutcome
-from .settings import StudySettings
+from .result import PaperOutcome
+from .settings import PaperSettings
 
 DEVICES_KINDS = tuple(kind.name for kind in KINDS if kind.name not in ("oscillator", "state_network"))
 """All kinds but those for devices that ring."""
@@ -40,7 +40,7 @@ class DeviceLogs(Settings):
     parts: Annotated[int, Field(ge=1, le=20)] = 1
 
 
-def device_settings(file: Path, **changes: Any) -> dict[str, StudySettings]:
+def device_settings(file: Path, **changes: Any) -> dict[str, PaperSettings]:
     """Settings of the study on the logs of each device that a file lists.
 
     Raises:
@@ -53,7 +53,7 @@ def device_settings(file: Path, **changes: Any) -> dict[str, StudySettings]:
     for name, own in content.items():
         device, beside = DeviceLogs.parse(own, f"{file}: {name}"), file.parent
         layout = beside / device.preset
-        found[str(name)] = StudySettings.for_study(
+        found[str(name)] = PaperSettings.for_study(
             "real",
             logs=[str(beside / log) for log in device.logs],
             layout=str(layout) if layout.is_file() else device.preset,
@@ -64,7 +64,7 @@ def device_settings(file: Path, **changes: Any) -> dict[str, StudySettings]:
     return found
 
 
-def kinds_report(outcomes: Mapping[str, StudyOutcome]) -> tuple[Report, list[StudyTable]]:
+def kinds_report(outcomes: Mapping[str, PaperOutcome]) -> tuple[Report, list[StudyTable]]:
     """The page and all tables that are written as CSV."""
     found = {name: candidates(outcome, "forward")[0] for name, outcome in outcomes.items()}
     tables = [errors_table(found), drift_table(found), cost_table(found)]

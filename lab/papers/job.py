@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -14,11 +15,10 @@ from hystmpc.models.identify.runs import fingerprint
 from hystmpc.models.kinds.catalogue import kind_named
 from hystmpc.models.kinds.kind import FitRequest
 from hystmpc.trials.errors import ConfigError
-from hystmpc.trials.json_text import json_hash
 from hystmpc.trials.read import expand_logs, read_trials
 from hystmpc.trials.trial import Trial, resample
 
-from .settings import NETWORKS, PAPER_PRESETS, QUICK_SCALE, DirectionName, StudySettings
+from .settings import NETWORKS, PAPER_PRESETS, QUICK_SCALE, DirectionName, PaperSettings
 
 Splits = Mapping[str, tuple[Trial, ...]]
 LOGS = "logs"
@@ -97,13 +97,13 @@ class TrainingTask:
         return sum(len(trial) for trial in self.training)
 
     @property
-    def fingerprint(self) -> str:
-        """SHA-256 over the job's settings and all its trials: a result with the same one need not be computed again."""
+    def inputs(self) -> list[Any]:
+        """All that the result depends on: the job's settings and all its trials."""
         parts = {"training": self.training, "validation": self.validation} | dict(self.tests)
         parts |= {"before": (self.before,)} if self.before else {}
         hashes = {name: fingerprint(trials) for name, trials in parts.items()}
         names = {name: [trial.source for trial in trials] for name, trials in parts.items()}
-        return json_hash([asdict(self.job), hashes, names])
+        return [asdict(self.job), hashes, names]
 
 
 def preset_for(kind: str, asked: str, paper: str = "paper") -> str:
@@ -116,12 +116,12 @@ def preset_for(kind: str, asked: str, paper: str = "paper") -> str:
     return wanted if wanted in presets else presets[0]
 
 
-def betas_for(kind: str, preset: str, settings: StudySettings) -> tuple[float | None, ...]:
+def betas_for(kind: str, preset: str, settings: PaperSettings) -> tuple[float | None, ...]:
     """Weights of the constancy term to train with: those of the study for networks as in the paper, else none."""
     return settings.betas if kind in NETWORKS and preset in PAPER_PRESETS else (None,)
 
 
-def steps_for(kind: str, preset: str, settings: StudySettings) -> int | None:
+def steps_for(kind: str, preset: str, settings: PaperSettings) -> int | None:
     """Steps of a training, None for the preset's.
 
     `epochs_scale` is for networks with a paper's preset; `quick` cuts everything that counts its steps.
@@ -135,7 +135,7 @@ def steps_for(kind: str, preset: str, settings: StudySettings) -> int | None:
     return max(1, round(steps * settings.epochs_scale)) if scaled else None
 
 
-def study_splits(settings: StudySettings) -> Splits:
+def study_splits(settings: PaperSettings) -> Splits:
     """Trials by split: those of `datasets.make_dataset` for `s1` and `s2`, one split `logs` for `real`.
 
     Raises:
@@ -152,7 +152,7 @@ def study_splits(settings: StudySettings) -> Splits:
     return {name: _shortened(name, trials) for name, trials in splits.items()} if settings.quick else dict(splits)
 
 
-def _logs(settings: StudySettings) -> tuple[Trial, ...]:
+def _logs(settings: PaperSettings) -> tuple[Trial, ...]:
     logs = expand_logs(settings.logs)
     twice = [log for log in logs if logs.count(log) > 1]
     if twice:

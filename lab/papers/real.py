@@ -27,11 +27,11 @@ from hystmpc.trials.report import (
 from hystmpc.trials.types import Vec
 
 from ..statistics import compared, least_p
-from ..tables import NOTHING, Cell, StudyTable
-from .common import jobs_pieces, jobs_table, set_up
+from ..study import NOTHING, Cell, StudyTable
+from .common import jobs_pieces, jobs_table, paper_set_up
 from .job import LOGS, Splits, TrainingJob, TrainingTask, before, betas_for, preset_for, steps_for
-from .result import JobResult, Score, StudyOutcome, title_of
-from .settings import StudySettings
+from .result import JobResult, PaperOutcome, Score, title_of
+from .settings import PaperSettings
 
 BASELINE = "backlash"
 COUNTS = {"later": "without the first flexure", "errors": "with the first flexure"}
@@ -40,7 +40,7 @@ _COLOURS = (MODEL, MEASURED, COMMAND, *ACCENTS)
 _SHOWN = 2  # of the best models beside the backlash
 
 
-def real_tasks(settings: StudySettings, splits: Splits) -> tuple[TrainingTask, ...]:
+def real_tasks(settings: PaperSettings, splits: Splits) -> tuple[TrainingTask, ...]:
     """Leave-one-trial-out over the logs, for every kind, preset and direction; training skips the first flexure.
 
     The backlash is always among the kinds: the others are measured against it.
@@ -98,7 +98,7 @@ def _counted(score: Score, count: str) -> Errors:
     return score.later or score.errors if count == "later" else score.errors
 
 
-def candidates(outcome: StudyOutcome, direction: str) -> tuple[tuple[RealCandidate, ...], tuple[RealCandidate, ...]]:
+def candidates(outcome: PaperOutcome, direction: str) -> tuple[tuple[RealCandidate, ...], tuple[RealCandidate, ...]]:
     """Those with a score for every log, and those that lack some, which are not compared."""
     groups: dict[tuple[str, str, float | None], list[JobResult]] = {}
     for result in outcome.results:
@@ -183,22 +183,22 @@ def presets_table(found: Sequence[RealCandidate], direction: str, unit: str) -> 
     return StudyTable(f"real_presets_{direction}", ["model", *presets], rows, caption) if rows else None
 
 
-def real_report(outcome: StudyOutcome) -> tuple[Report, list[StudyTable]]:
+def real_report(outcome: PaperOutcome) -> tuple[Report, list[StudyTable]]:
     """The page and all tables that are written as CSV."""
     pieces = [piece for direction in outcome.settings.directions for piece in _direction(outcome, direction)]
     tables = [piece for piece in pieces if isinstance(piece, StudyTable)]
     shown = [piece.piece if isinstance(piece, StudyTable) else piece for piece in pieces]
-    trials = outcome.splits[LOGS]
+    trials = outcome.drawn[LOGS]
     page = Report(
         "Study on recorded logs, leave-one-trial-out",
-        (*set_up(outcome), *shown, *jobs_pieces(outcome)),
+        (*paper_set_up(outcome), *shown, *jobs_pieces(outcome)),
         f"real logs: {', '.join(Path(trial.source).name for trial in trials)}",
     )
     return page, [*tables, jobs_table(outcome)]
 
 
-def _direction(outcome: StudyOutcome, direction: str) -> Iterator[Piece | StudyTable]:
-    units = outcome.splits[LOGS][0].units
+def _direction(outcome: PaperOutcome, direction: str) -> Iterator[Piece | StudyTable]:
+    units = outcome.drawn[LOGS][0].units
     unit = units.angle if direction == "forward" else units.command
     found, broken = candidates(outcome, direction)
     yield Heading(f"{direction.capitalize()} map")
@@ -222,13 +222,13 @@ def _direction(outcome: StudyOutcome, direction: str) -> Iterator[Piece | StudyT
             yield tests
 
 
-def examples_figure(outcome: StudyOutcome, found: Sequence[RealCandidate], unit: str) -> Figure:
+def examples_figure(outcome: PaperOutcome, found: Sequence[RealCandidate], unit: str) -> Figure:
     """Error over time on every log, of the backlash and the best models; each has not seen the log."""
     base = baseline_of(found)
     ranked = sorted(found, key=lambda c: float(np.mean(c.figures("offset_free_rmse_deg", "later"))))
     best = {c.kind: c for c in reversed(ranked) if base is None or c.kind != base.kind}
     shown = [c for c in ranked if best.get(c.kind) is c][:_SHOWN] + ([base] if base else [])
-    trials = outcome.splits[LOGS]
+    trials = outcome.drawn[LOGS]
     with new_figure(7.0, 0.6 + 1.3 * len(trials)) as figure:
         rows = figure.subplots(len(trials), 1, sharey=True, squeeze=False)[:, 0]
         for k, (axes, trial) in enumerate(zip(rows, trials, strict=True)):

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -15,11 +14,9 @@ from hystmpc.models.kinds.catalogue import kind_named
 from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Vec
 
-from ..result_files import ResultFiles, Status
-from .job import LOGS, Splits, TrainingJob, before
-from .settings import StudySettings
-
-FORMAT = "hystmpc-study-job/1"
+from ..study import Outcome, Result
+from .job import LOGS, TrainingJob, before
+from .settings import PaperSettings
 
 
 @dataclass(frozen=True)
@@ -39,21 +36,16 @@ class Score:
 
 
 @dataclass(frozen=True)
-class JobResult:
+class JobResult(Result):
     """Outcome of one job.
 
     Attributes:
-        status: `failed` if the kind, the export or the free runs raised.
         message: the error of a failed job, else the fit's own report.
         history: step and best error so far, in the unit of the output.
         numbers: that the model holds: parameters of operators, weights of a network; 0 in older results.
     """
 
     job: TrainingJob
-    fingerprint: str
-    status: Status
-    message: str
-    seconds: float
     samples: int
     history: tuple[tuple[int, float], ...] = ()
     scores: tuple[Score, ...] = ()
@@ -68,35 +60,14 @@ class JobResult:
         return np.array([getattr(score.errors, name) for split in splits for score in self.of_split(split)])
 
 
-def result_files(folder: Path) -> ResultFiles[JobResult]:
-    """Results of a study's folder."""
-    return ResultFiles(folder, JobResult, FORMAT)
-
-
 def model_file(folder: Path, job: TrainingJob) -> Path:
     """File of a job's model."""
     return folder / "models" / f"{job.key}.onnx"
 
 
 @dataclass(frozen=True, eq=False)
-class StudyOutcome:
-    """A study with the results of all its jobs."""
-
-    settings: StudySettings
-    splits: Splits
-    results: tuple[JobResult, ...]
-    folder: Path
-    meta: Mapping[str, Any] = field(default_factory=dict)
-
-    @property
-    def done(self) -> tuple[JobResult, ...]:
-        """Results that hold scores."""
-        return tuple(result for result in self.results if result.status == "done")
-
-    @property
-    def failed(self) -> tuple[JobResult, ...]:
-        """Results that hold an error."""
-        return tuple(result for result in self.results if result.status == "failed")
+class PaperOutcome(Outcome[PaperSettings, JobResult]):
+    """A study with the results of all its jobs; what was drawn are the trials by split."""
 
     @property
     def presets(self) -> tuple[str, ...]:
@@ -118,8 +89,8 @@ class StudyOutcome:
 
         This is the paper's rule ("the model with lowest error is reported"): it chooses by test trials.
         """
-        found = [result for result in self.matching(**wanted) if result.figures("rmse_deg", splits).size]
-        return min(found, key=lambda r: float(np.mean(r.figures("rmse_deg", splits))), default=None)
+        candidates = [result for result in self.matching(**wanted) if result.figures("rmse_deg", splits).size]
+        return min(candidates, key=lambda r: float(np.mean(r.figures("rmse_deg", splits))), default=None)
 
     def model(self, job: TrainingJob) -> OnnxModel:
         """The model that a job left.
@@ -135,7 +106,7 @@ class StudyOutcome:
         Raises:
             ModelError: if the model is gone or damaged.
         """
-        logs = self.splits.get(LOGS)
+        logs = self.drawn.get(LOGS)
         earlier = before(trial, logs, self.settings.parts) if logs else None
         return evaluate(self.model(job), trial, before=earlier)
 

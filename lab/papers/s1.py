@@ -30,12 +30,12 @@ from ..reconstruction.protocol import Device, Estimator, Protocol, record_scans
 from ..reconstruction.reconstruct import Reconstruction, reconstruct
 from ..reconstruction.report import ERROR_COLUMNS, TEST_COLUMNS, error_rows, rank_test_rows, reconstruction_pieces
 from ..reconstruction.settings import ReconstructionSettings
-from ..tables import NOTHING, Cell, StudyTable
-from .common import jobs_pieces, jobs_table, label, set_up
+from ..study import NOTHING, Cell, StudyTable
+from .common import jobs_pieces, jobs_table, label, paper_set_up
 from .job import Splits, TrainingJob, TrainingTask, preset_for, steps_for
 from .printed import S1_ERRORS, S1_HALF_RANGE_DEG, S1_TRAINING
-from .result import JobResult, StudyOutcome, title_of
-from .settings import StudySettings
+from .result import JobResult, PaperOutcome, title_of
+from .settings import PaperSettings
 
 TESTS = {
     "test_a": "(a) descending sine",
@@ -57,7 +57,7 @@ _COLOURS = (COMMAND, MODEL, MEASURED, *ACCENTS)
 _LINE: Any = {"linewidth": 0.9}
 
 
-def s1_tasks(settings: StudySettings, splits: Splits) -> tuple[TrainingTask, ...]:
+def s1_tasks(settings: PaperSettings, splits: Splits) -> tuple[TrainingTask, ...]:
     """Every model on the eight training groups, tested on (a) to (d).
 
     Networks are trained with their preset `s1` where `paper` is asked for. S1 knows no constant-in, constant-out term.
@@ -72,7 +72,7 @@ def s1_tasks(settings: StudySettings, splits: Splits) -> tuple[TrainingTask, ...
     return tuple(tasks)
 
 
-def errors_table(outcome: StudyOutcome) -> StudyTable:
+def errors_table(outcome: PaperOutcome) -> StudyTable:
     """Table III: a row for every model and test."""
     rows: list[list[Cell]] = []
     for result in outcome.matching(direction="forward"):
@@ -92,7 +92,7 @@ def errors_table(outcome: StudyOutcome) -> StudyTable:
     return StudyTable("table_3", columns, rows, caption)
 
 
-def inverse_table(outcome: StudyOutcome) -> StudyTable | None:
+def inverse_table(outcome: PaperOutcome) -> StudyTable | None:
     """Errors of inverse maps, of which the paper has none; None where none was trained."""
     rows: list[list[Cell]] = []
     for result in outcome.matching(direction="inverse"):
@@ -104,7 +104,7 @@ def inverse_table(outcome: StudyOutcome) -> StudyTable | None:
     return StudyTable("inverse_maps", columns, rows, caption) if rows else None
 
 
-def improvement_table(outcome: StudyOutcome) -> StudyTable | None:
+def improvement_table(outcome: PaperOutcome) -> StudyTable | None:
     """Reduction of the NRMSE by the LSTM against the others, ours and the paper's; None without an LSTM."""
     rows: list[list[Cell]] = []
     for lstm in outcome.matching(kind="lstm", direction="forward"):
@@ -124,7 +124,7 @@ def improvement_table(outcome: StudyOutcome) -> StudyTable | None:
     return StudyTable("lstm_against_others", columns, rows, caption) if rows else None
 
 
-def training_table(outcome: StudyOutcome) -> StudyTable:
+def training_table(outcome: PaperOutcome) -> StudyTable:
     """Table IV: iterations, loss and how much it still changed."""
     half = float(S1_HALF_RANGE_DEG.value)
     rows: list[list[Cell]] = []
@@ -168,7 +168,7 @@ def relative_change(result: JobResult) -> float:
     return float(np.mean(change[steps[1:] > (1 - _TAIL) * steps[-1]]))
 
 
-def scan_study(outcome: StudyOutcome, preset_of: dict[str, str]) -> Reconstruction | None:
+def scan_study(outcome: PaperOutcome, preset_of: dict[str, str]) -> Reconstruction | None:
     """Scan the cap with the simulated catheter and draw it from every forward model's angle; None without a model.
 
     Raises:
@@ -182,7 +182,7 @@ def scan_study(outcome: StudyOutcome, preset_of: dict[str, str]) -> Reconstructi
     }
     if not jobs:
         return None
-    rate = 1.0 / outcome.splits["train"][0].dt
+    rate = 1.0 / outcome.drawn["train"][0].dt
     quick = {"scans": _QUICK_SCANS} if outcome.settings.quick else {}
     protocol = Protocol(rate_hz=rate, **quick)
 
@@ -235,13 +235,13 @@ def loops_figure(splits: Splits) -> Figure:
     return figure
 
 
-def tracking_figure(outcome: StudyOutcome, results: tuple[JobResult, ...]) -> Figure:
+def tracking_figure(outcome: PaperOutcome, results: tuple[JobResult, ...]) -> Figure:
     """Figure 5: angle and error over time, a pair of axes for each test."""
     with new_figure(7.0, 7.5) as figure:
         grid = figure.subplots(4, 2, height_ratios=(3, 2, 3, 2))
         for k, (test, name) in enumerate(TESTS.items()):
             above, below = grid[2 * (k // 2)][k % 2], grid[2 * (k // 2) + 1][k % 2]
-            trial = outcome.splits[test][0]
+            trial = outcome.drawn[test][0]
             above.plot(trial.t, trial.angle, label="device", **_DEVICE)
             for result, colour in zip(results, _COLOURS, strict=False):
                 run = outcome.free_run(result.job, trial)
@@ -254,7 +254,7 @@ def tracking_figure(outcome: StudyOutcome, results: tuple[JobResult, ...]) -> Fi
     return figure
 
 
-def s1_report(outcome: StudyOutcome) -> tuple[Report, list[StudyTable]]:
+def s1_report(outcome: PaperOutcome) -> tuple[Report, list[StudyTable]]:
     """The page and all tables that are written as CSV."""
     found = (errors_table(outcome), improvement_table(outcome), inverse_table(outcome), training_table(outcome))
     tables = [table for table in found if table is not None]
@@ -262,7 +262,7 @@ def s1_report(outcome: StudyOutcome) -> tuple[Report, list[StudyTable]]:
     page = Report(
         "Study of S1: hysteresis of a pressure-driven catheter",
         (
-            *set_up(outcome),
+            *paper_set_up(outcome),
             Heading("Errors and convergence (Tables III and IV)"),
             *(table.piece for table in tables),
             *_figures(outcome),
@@ -274,7 +274,7 @@ def s1_report(outcome: StudyOutcome) -> tuple[Report, list[StudyTable]]:
     return page, [*tables, *scan_tables, long_table(outcome), jobs_table(outcome)]
 
 
-def long_table(outcome: StudyOutcome) -> StudyTable:
+def long_table(outcome: PaperOutcome) -> StudyTable:
     """Every figure of every job on every test; CSV only."""
     rows = [
         [r.job.kind, r.job.preset, r.job.direction, s.split, s.trial, *vars(s.errors).values()]
@@ -285,17 +285,17 @@ def long_table(outcome: StudyOutcome) -> StudyTable:
     return StudyTable("per_trial", ("kind", "preset", "direction", "split", "trial", *figures), rows, "", shown=False)
 
 
-def _figures(outcome: StudyOutcome) -> Iterator[Piece]:
+def _figures(outcome: PaperOutcome) -> Iterator[Piece]:
     yield Heading("Models on the four tests (Figure 5)")
     for preset in outcome.presets:
         results = outcome.matching(preset=preset, direction="forward")
         if results:
             yield Plot(tracking_figure(outcome, results), f"Simulated, preset {preset}: {', '.join(TESTS.values())}.")
     yield Heading("Hysteresis of the device (Figure 4)")
-    yield Plot(loops_figure(outcome.splits), "Simulated: the training groups, zero baseline first.")
+    yield Plot(loops_figure(outcome.drawn), "Simulated: the training groups, zero baseline first.")
 
 
-def _reconstruction(outcome: StudyOutcome) -> tuple[list[Piece], list[StudyTable]]:
+def _reconstruction(outcome: PaperOutcome) -> tuple[list[Piece], list[StudyTable]]:
     """The scanning experiment; what it raises is said in its place."""
     if "reconstruction" not in outcome.settings.stages:
         return [], []

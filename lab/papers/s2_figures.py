@@ -20,7 +20,7 @@ from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Vec
 
 from .job import Splits
-from .result import JobResult, StudyOutcome, title_of
+from .result import JobResult, PaperOutcome, title_of
 from .s2_plan import MOTION_NAMES, MOTIONS, UNITS, Matched, split_tested_on
 
 _DEVICE: Any = {"color": REFERENCE, "linewidth": 2.2, "alpha": 0.5}
@@ -61,7 +61,7 @@ def _bars(axes: Axes, view: Matched) -> None:
     axes.grid(visible=False, axis="x")
 
 
-def training_motion_figure(outcome: StudyOutcome, preset: str, kind: str = "lstm") -> Figure | None:
+def training_motion_figure(outcome: PaperOutcome, preset: str, kind: str = "lstm") -> Figure | None:
     """Figure 7: a network trained on either motion, on a trial of each; None if one of them is missing."""
     models = {motion: _trained_on(outcome, motion, preset, kind) for motion in MOTIONS}
     found = {MOTION_NAMES[motion]: result for motion, result in models.items() if result is not None}
@@ -80,16 +80,16 @@ def training_motion_figure(outcome: StudyOutcome, preset: str, kind: str = "lstm
     return figure
 
 
-def _trained_on(outcome: StudyOutcome, motion: str, preset: str, kind: str) -> JobResult | None:
+def _trained_on(outcome: PaperOutcome, motion: str, preset: str, kind: str) -> JobResult | None:
     split = [split_tested_on(motion)]
     return outcome.better(split, stage="main", kind=kind, direction="forward", preset=preset, train=motion)
 
 
-def median_trial(outcome: StudyOutcome, motion: str, judge: JobResult) -> Trial:
+def median_trial(outcome: PaperOutcome, motion: str, judge: JobResult) -> Trial:
     """The test trial on which the judge's error is the median: neither the best nor the worst example."""
     split = split_tested_on(motion)
     order = np.argsort(judge.figures("rmse_deg", [split]), kind="stable")
-    return outcome.splits[split][int(order[len(order) // 2])]
+    return outcome.drawn[split][int(order[len(order) // 2])]
 
 
 def example_figure(views: Mapping[str, Matched], kinds: Sequence[str]) -> Figure | None:

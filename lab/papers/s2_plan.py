@@ -12,8 +12,8 @@ from hystmpc.trials.types import Vec
 
 from ..statistics import SignedRank, pairwise
 from .job import Splits, TrainingJob, TrainingTask, betas_for, preset_for, steps_for
-from .result import JobResult, StudyOutcome
-from .settings import StudySettings
+from .result import JobResult, PaperOutcome
+from .settings import PaperSettings
 from .worker import WINDOWS
 
 MOTIONS = ("sin", "p2p")
@@ -28,7 +28,7 @@ def split_tested_on(motion: str) -> str:
     return f"{motion}/test"
 
 
-def s2_tasks(settings: StudySettings, splits: Splits) -> tuple[TrainingTask, ...]:
+def s2_tasks(settings: PaperSettings, splits: Splits) -> tuple[TrainingTask, ...]:
     """Every model on each motion (`main`), on both together (`cross`), and with other windows (`window`).
 
     Everything is tested on both motions. Mixed training has the last beta alone: what it is for, holds, is in the data.
@@ -44,7 +44,7 @@ def s2_tasks(settings: StudySettings, splits: Splits) -> tuple[TrainingTask, ...
     return tuple(_task(job, splits) for job in jobs)
 
 
-def _jobs(settings: StudySettings, stage: str, train: str, betas: StudySettings) -> Iterator[TrainingJob]:
+def _jobs(settings: PaperSettings, stage: str, train: str, betas: PaperSettings) -> Iterator[TrainingJob]:
     kinds = [kind for kind in settings.kinds if kind not in settings.left_out]
     for kind in kinds:
         for preset in dict.fromkeys(preset_for(kind, asked) for asked in settings.presets):
@@ -54,7 +54,7 @@ def _jobs(settings: StudySettings, stage: str, train: str, betas: StudySettings)
                     yield TrainingJob(stage, kind, preset, direction, train, beta, settings.seed, steps)
 
 
-def _window_jobs(settings: StudySettings) -> Iterator[TrainingJob]:
+def _window_jobs(settings: PaperSettings) -> Iterator[TrainingJob]:
     """Forward, sinusoids, beta 0: as the published code's numbers are."""
     for kind, windows in WINDOWS.items():
         if kind in settings.kinds and kind not in settings.left_out:
@@ -76,7 +76,7 @@ def _task(job: TrainingJob, splits: Splits) -> TrainingTask:
 class Matched:
     """The models that were trained and tested on one motion, in one direction, with one preset."""
 
-    outcome: StudyOutcome
+    outcome: PaperOutcome
     motion: str
     direction: str
     preset: str
@@ -117,7 +117,7 @@ class Matched:
         return f"{self.direction} map, {MOTION_NAMES[self.motion]}, preset {self.preset}"
 
 
-def matched(outcome: StudyOutcome) -> list[Matched]:
+def matched(outcome: PaperOutcome) -> list[Matched]:
     """Every combination that has results."""
     views = [
         Matched(outcome, motion, direction, preset)

@@ -9,10 +9,10 @@ import numpy as np
 from hystmpc.trials.errors import HystmpcError
 from hystmpc.trials.report import Heading, Paragraph, Piece, Plot, Report
 
-from ..tables import StudyTable
-from .common import jobs_pieces, jobs_table, set_up
+from ..study import StudyTable
+from .common import jobs_pieces, jobs_table, paper_set_up
 from .printed import S2_FNN_BIAS_DEG
-from .result import StudyOutcome
+from .result import PaperOutcome
 from .s2_figures import (
     errors_figure,
     example_figure,
@@ -37,7 +37,7 @@ from .s2_tables import (
 _FIGURE_9 = ("fnn", "hb2", "fnn_hib")
 
 
-def s2_report(outcome: StudyOutcome) -> tuple[Report, list[StudyTable]]:
+def s2_report(outcome: PaperOutcome) -> tuple[Report, list[StudyTable]]:
     """The page and all tables that are written as CSV."""
     views = matched(outcome)
     sections = [*_overview(outcome, views), *_device(outcome), *_training(outcome), *_details(views)]
@@ -45,7 +45,7 @@ def s2_report(outcome: StudyOutcome) -> tuple[Report, list[StudyTable]]:
     tables = [piece for piece in sections if isinstance(piece, StudyTable)]
     page = Report(
         "Study of S2: forward and inverse maps of a tendon catheter",
-        (*set_up(outcome), *pieces, *jobs_pieces(outcome)),
+        (*paper_set_up(outcome), *pieces, *jobs_pieces(outcome)),
         "simulated device, beside what the paper prints",
     )
     return page, [*tables, long_table(outcome), jobs_table(outcome)]
@@ -55,7 +55,7 @@ def _is_shown(piece: Piece | StudyTable) -> bool:
     return not isinstance(piece, StudyTable) or piece.shown
 
 
-def _overview(outcome: StudyOutcome, views: list[Matched]) -> Iterator[Piece | StudyTable]:
+def _overview(outcome: PaperOutcome, views: list[Matched]) -> Iterator[Piece | StudyTable]:
     """Figure 8 and Table I."""
     yield Heading("Errors by model (Figure 8)")
     for preset in outcome.presets:
@@ -99,7 +99,7 @@ def branch_bias(view: Matched) -> tuple[float, float]:
         ModelError: if its model is gone or damaged.
     """
     rising, falling = [], []
-    for trial in view.outcome.splits[split_tested_on(view.motion)]:
+    for trial in view.outcome.drawn[split_tested_on(view.motion)]:
         error = (view.outcome.free_run(view.results[BASELINE].job, trial).theta - trial.angle)[1:]
         change = np.diff(trial.command)
         rising.append(error[change > 0])
@@ -107,9 +107,9 @@ def branch_bias(view: Matched) -> tuple[float, float]:
     return float(np.mean(np.concatenate(rising))), float(np.mean(np.concatenate(falling)))
 
 
-def _device(outcome: StudyOutcome) -> Iterator[Piece | StudyTable]:
+def _device(outcome: PaperOutcome) -> Iterator[Piece | StudyTable]:
     """Figures 5 and 6."""
-    loops = hysteresis_figure(outcome.splits)
+    loops = hysteresis_figure(outcome.drawn)
     if loops is not None:
         yield Heading("Hysteresis of the device (Figure 5)")
         yield Plot(
@@ -119,7 +119,7 @@ def _device(outcome: StudyOutcome) -> Iterator[Piece | StudyTable]:
             "smoother over displacement than over tension.",
         )
     try:
-        found = tip_mapping(outcome.splits)
+        found = tip_mapping(outcome.drawn)
     except HystmpcError as error:
         yield Paragraph(f"Figure 6 is missing: {error}")
         return
@@ -133,7 +133,7 @@ def _device(outcome: StudyOutcome) -> Iterator[Piece | StudyTable]:
         )
 
 
-def _training(outcome: StudyOutcome) -> Iterator[Piece | StudyTable]:
+def _training(outcome: PaperOutcome) -> Iterator[Piece | StudyTable]:
     """Figure 7, the cross table and the window study."""
     yield Heading("Training motion against test motion (Figure 7)")
     for preset in outcome.presets:

@@ -9,9 +9,9 @@ import numpy as np
 from hystmpc.models.kinds.catalogue import KINDS
 
 from ..statistics import least_p
-from ..tables import NOTHING, Cell, StudyTable
+from ..study import NOTHING, Cell, StudyTable
 from .printed import S2_ORDER, S2_RELATIVE, S2_VALIDATION, S2_WINDOWS, Printed, s2_symbol
-from .result import StudyOutcome, title_of
+from .result import PaperOutcome, title_of
 from .s2_plan import BASELINE, MOTION_NAMES, MOTIONS, TRAINING_SETS, UNITS, Matched, matched, split_tested_on
 
 _CATALOGUE = frozenset(kind.name for kind in KINDS)
@@ -105,7 +105,7 @@ def _difference(ours: float, paper: Printed | None) -> Cell:
     return round(ours - paper.value, 1)
 
 
-def long_table(outcome: StudyOutcome) -> StudyTable:
+def long_table(outcome: PaperOutcome) -> StudyTable:
     """Every figure of every job on every trial; CSV only."""
     rows: list[Sequence[Cell]] = []
     for result in outcome.done:
@@ -150,7 +150,7 @@ def wilcoxon_table(view: Matched) -> StudyTable | None:
     return StudyTable(f"wilcoxon_{view.suffix}", (*columns, "p Holm", "sign by Holm"), rows, caption)
 
 
-def symbols_table(outcome: StudyOutcome, preset: str, motion: str) -> StudyTable | None:
+def symbols_table(outcome: PaperOutcome, preset: str, motion: str) -> StudyTable | None:
     """Table I as the paper lays it out: forward / inverse, ours and the paper's in brackets."""
     views = {v.direction: v for v in matched(outcome) if v.preset == preset and v.motion == motion}
     signs = {(t.row, t.column, d): t.symbol for d, view in views.items() for t in view.tests}
@@ -177,7 +177,7 @@ def symbols_table(outcome: StudyOutcome, preset: str, motion: str) -> StudyTable
     return StudyTable(f"table_1_{motion}_{preset}", ["", *map(title_of, kinds[:-1])], rows, caption)
 
 
-def cross_table(outcome: StudyOutcome, direction: str, preset: str) -> StudyTable | None:
+def cross_table(outcome: PaperOutcome, direction: str, preset: str) -> StudyTable | None:
     """Mean RMSE by training motion and test motion; None without cross-trained models."""
     rows: list[list[Cell]] = []
     for kind in outcome.kinds:
@@ -200,7 +200,7 @@ def cross_table(outcome: StudyOutcome, direction: str, preset: str) -> StudyTabl
     return StudyTable(f"cross_training_{direction}_{preset}", columns, rows, caption)
 
 
-def window_table(outcome: StudyOutcome) -> StudyTable | None:
+def window_table(outcome: PaperOutcome) -> StudyTable | None:
     """Error by length of the training windows; None without that stage."""
     rows: list[list[Cell]] = []
     for result in outcome.matching(stage="window"):

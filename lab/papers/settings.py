@@ -7,8 +7,9 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import Field, field_validator
 
 from hystmpc.models.kinds.catalogue import KINDS
-from hystmpc.trials.config import Settings
 from hystmpc.trials.errors import ConfigError, did_you_mean
+
+from ..study import StudySettings
 
 NotNegative = Annotated[float, Field(ge=0)]
 StudyName = Literal["s1", "s2", "real"]
@@ -35,7 +36,7 @@ _DEFAULTS: dict[str, dict[str, Any]] = {
 }
 
 
-class StudySettings(Settings):
+class PaperSettings(StudySettings):
     """Settings of a study; `for_study` fills in each study's own defaults.
 
     Attributes:

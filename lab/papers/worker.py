@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from hystmpc.models.contract.export import export_onnx
 from hystmpc.models.contract.load import OnnxModel, load_onnx
@@ -15,13 +16,13 @@ from hystmpc.models.kinds.kind import FitRequest, Identified
 from hystmpc.models.kinds.networks import NetworkKind
 from hystmpc.models.train.networks import fit_network, network_bundle
 from hystmpc.models.train.settings import NetworkSettings
-from hystmpc.sim.jobs.runner import attempt
 from hystmpc.trials.errors import FitError, LogError
 from hystmpc.trials.trial import Trial
 
 from ..rivals.forms import FeedForwardSettings
 from .job import TrainingTask
-from .result import JobResult, Score, model_file, result_files
+from .result import Score, model_file
+from .settings import PaperSettings
 
 WINDOWS = {"lstm": (2, 10, 20, 30, 40, 50, 100), "fnn_hib": (1, 2, 10, 20, 30, 40, 50, 100)}
 """Lengths that the code of S2 compares [samples]: of a training window, and of a history buffer."""
@@ -42,10 +43,10 @@ def fit_with_window(kind: str, trials: Sequence[Trial], request: FitRequest, win
     network = kind_named(kind)
     assert isinstance(network, NetworkKind)
     settings = windowed(network.training(request), window)
-    found = fit_network(trials, settings, None, request.validation)
-    history = tuple((look.step, look.validation_rmse_deg) for look in found.history)
-    report = f"weights of step {found.best_step} of {settings.steps}, {window} samples"
-    return Identified(network_bundle(found, trials, request.limits), None, history, report, found.interrupted)
+    trained = fit_network(trials, settings, None, request.validation)
+    history = tuple((look.step, look.validation_rmse_deg) for look in trained.history)
+    report = f"weights of step {trained.best_step} of {settings.steps}, {window} samples"
+    return Identified(network_bundle(trained, trials, request.limits), None, history, report, trained.interrupted)
 
 
 def windowed(settings: NetworkSettings, window: int) -> NetworkSettings:
@@ -62,38 +63,33 @@ def windowed(settings: NetworkSettings, window: int) -> NetworkSettings:
     return NetworkSettings.parse(data, f"window of {window} samples")
 
 
-def do_job(task: TrainingTask, folder: Path) -> JobResult:
-    """Train, export into `folder`/models, score on every test trial and write the result; an error is a result too.
+def run_task(task: TrainingTask, settings: PaperSettings, folder: Path) -> dict[str, Any]:
+    """Train, export into `folder`/models, score on every test trial; the fields of a `JobResult`.
 
     Raises:
         KeyboardInterrupt: if the user ended it; a model that was cut short is no result.
     """
-    made = attempt(lambda: _trained(task, folder))
-    result = JobResult(task.job, task.fingerprint, "failed", made.error, made.seconds, task.samples)
-    if made.value is not None:
-        found, scores = made.value
-        history = tuple((int(step), float(error)) for step, error in found.history if math.isfinite(error))
-        numbers = _numbers(found)
-        result = replace(result, status="done", message=found.report, history=history, scores=scores, numbers=numbers)
-    result_files(folder).save(result)
-    return result
+    del settings  # the task holds all of them
+    made, scores = _trained(task, folder)
+    history = tuple((int(step), float(error)) for step, error in made.history if math.isfinite(error))
+    return {"message": made.report, "history": history, "scores": scores, "numbers": _numbers(made)}
 
 
 def _trained(task: TrainingTask, folder: Path) -> tuple[Identified, tuple[Score, ...]]:
-    found = _identified(task)
-    if found.interrupted:
+    identified = _identified(task)
+    if identified.interrupted:
         raise KeyboardInterrupt
     path = model_file(folder, task.job)
     path.parent.mkdir(parents=True, exist_ok=True)
-    export_onnx(found.bundle, path)
-    return found, tuple(_scores(load_onnx(path), task))
+    export_onnx(identified.bundle, path)
+    return identified, tuple(_scores(load_onnx(path), task))
 
 
-def _numbers(found: Identified) -> int:
+def _numbers(identified: Identified) -> int:
     """Numbers that a model holds."""
-    if found.simulator is not None:
-        return int(found.simulator.chain.values.size)
-    graph = found.bundle.graph() if callable(found.bundle.graph) else found.bundle.graph
+    if identified.simulator is not None:
+        return int(identified.simulator.chain.values.size)
+    graph = identified.bundle.graph() if callable(identified.bundle.graph) else identified.bundle.graph
     return sum(math.prod(tensor.dims) for tensor in graph.initializer)
 
 
@@ -123,26 +119,24 @@ def _scores(model: OnnxModel, task: TrainingTask) -> Iterable[Score]:
             yield Score(split, trial.source, evaluate(model, trial, before=task.before).errors, later)
 
 
-def estimated_seconds(tasks: Sequence[TrainingTask], timed: bool = True) -> dict[str, float]:
+def estimated_seconds(tasks: Sequence[TrainingTask], settings: PaperSettings) -> dict[str, float]:
     """Processor time by key of the job that each is expected to take on this machine as it is loaded now [s].
 
-    Jobs of one kind, preset and constancy term on about as many samples are timed once.
-
-    Args:
-        timed: False to go by the samples alone, without timing anything.
+    Jobs of one kind, preset and constancy term on about as many samples are timed once; a quick study goes by the
+    samples alone.
     """
     seconds: dict[tuple[object, ...], float | None] = {}
-    found = {}
+    expected = {}
     for task in tasks:
         job = task.job
         size = round(2 * math.log2(max(task.samples, 1)))  # half octaves
         group = job.kind, job.preset, job.steps, job.window, bool(job.constancy), size
-        if timed and group not in seconds:
+        if not settings.quick and group not in seconds:
             seconds[group] = _training_seconds(task)
         training = seconds.get(group)
-        found[job.key] = _FIXED_S + _scoring_seconds(task)
-        found[job.key] += _OPERATOR_S_PER_SAMPLE * task.samples if training is None else training
-    return found
+        expected[job.key] = _FIXED_S + _scoring_seconds(task)
+        expected[job.key] += _OPERATOR_S_PER_SAMPLE * task.samples if training is None else training
+    return expected
 
 
 def _training_seconds(task: TrainingTask) -> float | None:

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import hashlib
-import re
 import time
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -17,93 +14,17 @@ from hystmpc.models.evaluate import free_run
 from hystmpc.models.kinds.catalogue import kind_named
 from hystmpc.models.kinds.kind import FitRequest
 from hystmpc.models.simulator import ChainModel, load_simulator, save_simulator
-from hystmpc.trials.json_text import json_hash
 from hystmpc.trials.types import Vec
 
-from ..result_files import ResultFiles, Status
 from .catalogue import data_set
-from .records import Case, ScoredRecord
-from .settings import PublicSettings
+from .records import ScoredRecord
+from .settings import PublicJob, PublicSettings, Score
 
-FORMAT = "hystmpc-public-job/2"
 _LAPS = 3  # passes over a period: the first two end the transient
 
 
-@dataclass(frozen=True)
-class PublicJob:
-    """One kind of model on one case."""
-
-    case: str
-    kind: str
-
-    @property
-    def key(self) -> str:
-        """Name of its files."""
-        words = re.sub(r"[^A-Za-z0-9.]+", "-", self.case).strip("-")
-        return f"{words}-{self.kind}" if words else self.kind
-
-
-@dataclass(frozen=True)
-class Score:
-    """Errors of a free run over one record, in the unit of the data set.
-
-    Attributes:
-        rmse: root mean square error.
-        spread: the same less the mean error.
-        span: range of the measured output where it counts.
-    """
-
-    rmse: float
-    spread: float
-    span: float
-
-
-@dataclass(frozen=True)
-class PublicResult:
-    """Outcome of one kind on one case.
-
-    Attributes:
-        status: `failed` if anything raised.
-        message: the error of a failed job, else how the identification went.
-        fit_s: time of the identification [s].
-        parameters: values of its readable form, with their labels; nothing of a network.
-        scores: by test record.
-    """
-
-    job: PublicJob
-    fingerprint: str
-    status: Status
-    message: str
-    seconds: float
-    fit_s: float = 0.0
-    parameters: Mapping[str, float] = field(default_factory=dict)
-    scores: Mapping[str, Score] = field(default_factory=dict)
-
-
-def public_jobs(settings: PublicSettings, cases: Sequence[Case]) -> tuple[PublicJob, ...]:
-    """A job for each case and kind."""
-    return tuple(PublicJob(case.name, kind) for case in cases for kind in dict.fromkeys(settings.kinds))
-
-
-def fingerprint(job: PublicJob, settings: PublicSettings) -> str:
-    """SHA-256 over the settings and the files."""
-    files = [hashlib.sha256(path.read_bytes()).hexdigest() for path in data_set(settings).files(settings)]
-    own = settings.model_dump(mode="json") | {"kinds": job.kind, "data": job.case, "test": files}
-    return json_hash(own)
-
-
-def result_files(folder: Path) -> ResultFiles[PublicResult]:
-    """Results of the study's folder."""
-    return ResultFiles(folder, PublicResult, FORMAT)
-
-
-def study_kind(
-    job: PublicJob, settings: PublicSettings, folder: Path
-) -> tuple[str, float, dict[str, float], dict[str, Score]]:
-    """Identify and score; the model is written into the folder.
-
-    Returns:
-        Message, time of the identification [s], parameters and scores, see `PublicResult`.
+def run_kind(job: PublicJob, settings: PublicSettings, folder: Path) -> dict[str, Any]:
+    """Message, time, parameters and scores of a job, see `PublicResult`; the model is written into the folder.
 
     Raises:
         HystmpcError: if a file cannot be used, or the kind cannot be identified from it.
@@ -112,20 +33,20 @@ def study_kind(
     case = next(case for case in data_set(settings).cases(settings) if case.name == job.case)
     request = FitRequest(kind.usual_preset(False), settings.seed, settings.steps(job.kind))
     start = time.perf_counter()
-    found = kind.fit(case.training, request)
+    identified = kind.fit(case.training, request)
     seconds = time.perf_counter() - start
     (folder / "models").mkdir(exist_ok=True)
-    export_onnx(found.bundle, _file(job, folder, "onnx"))
+    export_onnx(identified.bundle, _file(job, folder, "onnx"))
     parameters: dict[str, float] = {}
-    if found.simulator is not None:
-        save_simulator(found.simulator, _file(job, folder, "yaml"))
-        chain = found.simulator.chain
+    if identified.simulator is not None:
+        save_simulator(identified.simulator, _file(job, folder, "yaml"))
+        chain = identified.simulator.chain
         parameters = dict(zip(chain.labels, chain.values.tolist(), strict=True))
     scores = {}
     for record in case.tests:
         left = record.errors(over_record(job, folder, record))
         scores[record.name] = Score(float(np.sqrt(np.mean(left**2))), float(np.std(left)), record.span)
-    return found.report, seconds, parameters, scores
+    return {"message": identified.report, "fit_s": seconds, "parameters": parameters, "scores": scores}
 
 
 def over_record(job: PublicJob, folder: Path, record: ScoredRecord) -> Vec:

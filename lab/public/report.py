@@ -2,51 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from matplotlib.figure import Figure
 
 from hystmpc.models.kinds.catalogue import kind_named
 from hystmpc.trials.report import MEASURED, PALETTE, Heading, Piece, Plot, Report, new_figure
 
-from ..page import cell, set_up
-from ..tables import NOTHING, Cell, StudyTable
+from ..study import NOTHING, Cell, Outcome, StudyTable, cell, set_up
 from .catalogue import data_set
-from .job import PublicResult, over_record
+from .job import over_record
 from .records import Case
-from .settings import PublicSettings
+from .settings import PublicResult, PublicSettings
 
+PublicOutcome = Outcome[PublicSettings, PublicResult]
+"""With the cases of the data set as what was drawn."""
 _SHOWN, _MOST_PARAMETERS = 400, 12  # samples, numbers
-
-
-@dataclass(frozen=True, eq=False)
-class PublicOutcome:
-    """What the study has come to.
-
-    Attributes:
-        cases: of the data set.
-        results: of all jobs.
-        folder, meta: of the run.
-    """
-
-    settings: PublicSettings
-    cases: Sequence[Case]
-    results: Sequence[PublicResult]
-    folder: Path
-    meta: Mapping[str, Any]
-
-    @property
-    def done(self) -> list[PublicResult]:
-        """Results of jobs that worked."""
-        return [result for result in self.results if result.status == "done"]
-
-    @property
-    def failed(self) -> list[PublicResult]:
-        """Results that hold an error."""
-        return [result for result in self.results if result.status == "failed"]
 
 
 def errors_table(outcome: PublicOutcome) -> StudyTable:
@@ -61,7 +32,7 @@ def errors_table(outcome: PublicOutcome) -> StudyTable:
     for p in data.published:
         blank = [NOTHING] * 4
         rows.append(("", p.test, p.rmse, [NOTHING, p.test, p.model, "published", p.rmse, *blank]))
-    places = {case.name: k for k, case in enumerate(outcome.cases)}
+    places = {case.name: k for k, case in enumerate(outcome.drawn)}
     rows.sort(key=lambda row: (places[row[0]], row[1], row[2]))
     columns = ["case", "test", "model", "from", f"RMSE [{unit}]", f"less its mean [{unit}]"]
     columns += ("RMSE [% of range]", "less its mean [% of range]", "time to fit [s]")
@@ -70,9 +41,9 @@ def errors_table(outcome: PublicOutcome) -> StudyTable:
 
 def cases_table(outcome: PublicOutcome) -> StudyTable:
     """What is known of the cases."""
-    names = list(dict.fromkeys(name for case in outcome.cases for name in case.facts))
+    names = list(dict.fromkeys(name for case in outcome.drawn for name in case.facts))
     rows = list[list[Cell]]()
-    for case in outcome.cases:
+    for case in outcome.drawn:
         scored = sum(len(record.trial) - record.first for record in case.tests)
         row: list[Cell] = [case.name or NOTHING, sum(map(len, case.training)), scored]
         rows.append([*row, *(case.facts.get(name, NOTHING) for name in names)])
@@ -124,7 +95,7 @@ def public_report(outcome: PublicOutcome) -> tuple[Report, list[StudyTable]]:
     facts = {"data set": outcome.settings.dataset, "data": Path(outcome.settings.data).name}
     facts |= {"files of the test": ", ".join(given) or "none given"}
     plots = []
-    for case in outcome.cases:
+    for case in outcome.drawn:
         if (figure := _against(outcome, case, data.units.angle)) is not None:
             first = case.tests[0]
             how = "simulated here" if first.simulated else "recorded"

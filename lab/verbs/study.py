@@ -1,26 +1,27 @@
-"""`hystmpc study`: every model of a paper trained, tested and set beside what the paper prints."""
+"""`hystmpc study`: the jobs of one of the studies, its bars, and what failed."""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Mapping
 from enum import StrEnum
+from importlib import import_module
 from pathlib import Path
-from typing import Annotated
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import typer
 
-from hystmpc.cli.console import errors
+from hystmpc.cli.bars import bar
+from hystmpc.cli.console import INTERRUPTED, errors, out, table
 from hystmpc.trials.errors import ConfigError
+from hystmpc.trials.files import require_writable
 from hystmpc.trials.run_folder import require_resumable
 
-from ..papers.settings import STAGES, StudySettings
-from .study_commission import commission
-from .study_control import control, rates
-from .study_identify import identify
-from .study_jobs import completed, ended
-from .study_kinds import kinds as kinds_over_devices
-from .study_public import public
+from ..papers.settings import STAGES
+
+if TYPE_CHECKING:
+    from ..study import BegunStudy, Outcome, Study, StudyTable
 
 
 class Name(StrEnum):
@@ -36,13 +37,19 @@ class Name(StrEnum):
     PUBLIC = "public"
 
 
-_OTHERS = {
-    Name.CONTROL: control,
-    Name.IDENTIFY: identify,
-    Name.COMMISSION: commission,
-    Name.PUBLIC: public,
-    Name.KINDS: kinds_over_devices,
-}
+_PAPERS = (Name.S1, Name.S2, Name.REAL)
+_OPTIONS: Mapping[Name, tuple[str, ...]] = MappingProxyType(
+    {
+        **dict.fromkeys(_PAPERS, ("logs", "epochs_scale", "kinds", "presets", "directions", "stages")),
+        Name.KINDS: ("data", "kinds", "presets"),
+        Name.CONTROL: ("rates_hz", "plants", "controllers", "motions"),
+        Name.IDENTIFY: ("devices", "kind", "drive", "rates_hz"),
+        Name.COMMISSION: ("devices", "rates_hz", "diagnose"),
+        Name.PUBLIC: ("dataset", "data", "test", "kinds"),
+    }
+)
+"""Options of each study, beside those of all."""
+
 _STAGES = "; ".join(f"{name}: {', '.join(stages)}" for name, stages in STAGES.items())
 
 
@@ -85,51 +92,107 @@ def study(
     Ctrl-C keeps what is done.
     """
     workers = jobs or os.cpu_count() or 1
-    loop = {"rates_hz": rates(loop_rates), "plants": _names(plants), "controllers": _names(controllers)}
-    loop["motions"] = _names(motions)
-    modelling = {"kinds": kinds, "presets": presets, "directions": directions, "stages": stages}
-    drawn = {"devices": devices, "kind": kind, "drive": drive, "rates_hz": loop["rates_hz"]}
-    benches = {"devices": devices, "rates_hz": loop["rates_hz"], "diagnose": diagnose}
-    benchmark = {"dataset": dataset, "data": data, "test": test, "kinds": _names(kinds)}
-    own: dict[Name, Mapping[str, object]] = {Name.CONTROL: loop, Name.IDENTIFY: drawn, Name.COMMISSION: benches}
-    compared = {"data": data, "kinds": _names(kinds), "presets": _names(presets)}
-    own |= {Name.PUBLIC: benchmark, Name.KINDS: compared}
-    _check_options(name, {"logs": logs, "epochs-scale": epochs_scale, **modelling}, own)
-    if name in _OTHERS:
-        _OTHERS[name]({**own[name], "seed": seed, "quick": quick}, folder, workers)
+    given: dict[str, Any] = {"logs": [str(log) for log in logs or []], "epochs_scale": epochs_scale}
+    given |= {"kinds": _names(kinds), "presets": _names(presets), "directions": _names(directions)}
+    given |= {"stages": _names(stages), "rates_hz": _rates(loop_rates), "plants": _names(plants)}
+    given |= {"controllers": _names(controllers), "motions": _names(motions), "devices": devices, "kind": kind}
+    given |= {"drive": drive, "diagnose": diagnose, "dataset": dataset, "data": data, "test": test}
+    for option, value in given.items():
+        if option not in _OPTIONS[name] and value not in (None, (), []):
+            unused = option.removesuffix("_hz").replace("_", "-")
+            raise ConfigError(f"study {name.value}: got --{unused}, which it has no use for")
+    changes = {option: given[option] for option in _OPTIONS[name]} | {"seed": seed, "quick": quick}
+    if name == Name.KINDS:
+        _over_devices(changes, folder, workers)
         return
-    settings = StudySettings.for_study(
-        name.value,
-        logs=[str(log) for log in logs or []],
-        layout=layout,
-        rate_hz=rate_hz,
-        seed=seed,
-        epochs_scale=epochs_scale,
-        quick=quick,
-        **{option: _names(text) for option, text in modelling.items()},
-    )
-    _run(settings, folder, workers)
-
-
-def _check_options(name: Name, modelling: Mapping[str, object], others: Mapping[Name, Mapping[str, object]]) -> None:
-    """Refuse options that a study has no use for."""
-    own = others.get(name, modelling)
-    for options in (modelling, *others.values()):
-        for option, value in options.items():
-            if option not in own and value not in (None, (), []):
-                raise ConfigError(f"study {name.value}: got --{option.removesuffix('_hz')}, which it has no use for")
-
-
-def _run(settings: StudySettings, folder: Path, workers: int) -> None:
-    """Say how long it will take, do it, and say what failed."""
-    from ..papers.run import prepare, run_study  # kept out of the way of the other verbs' start
-
+    if name in _PAPERS:
+        changes |= {"layout": layout, "rate_hz": rate_hz}
+    chosen = _listed(name)
+    settings = chosen.settings(**changes)
     require_resumable(folder)
-    if settings.left_out:
-        errors.print(f"not in the catalogue, left out: {', '.join(settings.left_out)}", style="yellow")
-    errors.print("making the trials and timing a few steps of every model ...")
-    study = prepare(settings, folder)
-    ended(completed(study.ready, settings.study, workers, lambda progress: run_study(study, workers, progress)), folder)
+    if name in _PAPERS:
+        if settings.left_out:
+            errors.print(f"not in the catalogue, left out: {', '.join(settings.left_out)}", style="yellow")
+        errors.print("making the trials and timing a few steps of every model ...")
+    outcome = _completed(chosen.begin(settings, folder), name.value, workers)
+    if chosen.summary is not None:
+        _show(chosen.summary(outcome), chosen.digits)
+    done = len(outcome.results) - len(outcome.failed)
+    out.print(f"{done} jobs done, {len(outcome.failed)} failed; report: {folder / 'report.html'}")
+
+
+def _listed(name: str) -> Study[Any, Any, Any]:
+    """A study by its name, imported when it is asked for: its libraries are slow to load."""
+    if name in _PAPERS:
+        return cast("Study[Any, Any, Any]", import_module("hystmpc_lab.papers.study").STUDIES[name])
+    return cast("Study[Any, Any, Any]", import_module(f"hystmpc_lab.{name}.study").STUDY)
+
+
+def _completed(begun: BegunStudy[Any, Any, Any], name: str, workers: int) -> Outcome[Any, Any]:
+    """Do the open jobs of a study: the time it will take, a bar with the time left, and what failed.
+
+    Raises:
+        typer.Exit: with 130 if the user ended it.
+    """
+    minutes = begun.minutes(workers)
+    errors.print(f"{len(begun.costs)} of {len(begun.jobs)} jobs to do on {workers} cores: about {minutes} min")
+    try:
+        with bar(f"study {name}", sum(begun.costs.values())) as show:
+            outcome = begun.finish(workers, lambda done, total, note="": show(done, note, total=total))
+    except KeyboardInterrupt:
+        kept = f"finished jobs are kept in {begun.folder.path}, the same command goes on"
+        errors.print(f"interrupted: {kept}", style="yellow")
+        raise typer.Exit(INTERRUPTED) from None
+    for failed in outcome.failed:
+        errors.print(f"failed: {failed.job.key}: {failed.message}", style="red", highlight=False)
+    return cast("Outcome[Any, Any]", outcome)
+
+
+def _over_devices(changes: dict[str, Any], folder: Path, workers: int) -> None:
+    """The study on the logs of each device in a folder of its own, then the tables over all of them.
+
+    Raises:
+        ConfigError: without a list of devices, or with a wrong one; if a folder holds something else.
+    """
+    from ..papers.devices import device_settings, kinds_report  # as other studies: late
+
+    file = changes.pop("data")
+    if file is None:
+        raise ConfigError("study kinds: got no --data, expected a YAML file of devices and their logs")
+    require_writable(folder)
+    settings = device_settings(file, **changes)
+    for name in settings:
+        require_resumable(folder / name)
+    outcomes: dict[str, Any] = {}
+    for name, of_device in settings.items():
+        errors.print(f"{name}: timing a few steps of every kind ...")
+        outcomes[name] = _completed(_listed(Name.REAL).begin(of_device, folder / name), name, workers)
+    page, tables = kinds_report(outcomes)
+    for one in tables:
+        one.save(folder)
+        _show(one, 3)
+    page.save(folder / "report.html")
+    out.print(f"report: {folder / 'report.html'}", soft_wrap=True)
+
+
+def _show(one: StudyTable, digits: int) -> None:
+    rows = [[f"{cell:.{digits}g}" if isinstance(cell, float) else str(cell) for cell in row] for row in one.rows]
+    out.print(table(one.caption, one.columns, rows))
+
+
+def _rates(text: str | None) -> tuple[float, ...]:
+    """Rates between commas [Hz].
+
+    Raises:
+        ConfigError: if one is not a number.
+    """
+    numbers = []
+    for part in _names(text):
+        try:
+            numbers.append(float(part))
+        except ValueError:
+            raise ConfigError(f"--rates: got {part!r}, expected numbers such as 25,250") from None
+    return tuple(numbers)
 
 
 def _names(text: str | None) -> tuple[str, ...]:

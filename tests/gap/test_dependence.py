@@ -22,10 +22,10 @@ from hystmpc.trials.errors import GapError
 from hystmpc.trials.read import read_trials
 from hystmpc.trials.trial import Trial, resample
 from hystmpc.trials.types import Vec
-from hystmpc_lab.blind.cores import RATE_HZ, CapstanCore, DahlCore
 from hystmpc_lab.blind.device import BlindDevice
 from hystmpc_lab.blind.generators import GENERATORS, LABELS, UNKNOWN, Generator, Withheld
 from hystmpc_lab.blind.plan import RICH
+from hystmpc_lab.devices.cores import RATE_HZ, CapstanCore, DahlCore
 
 from ..models.zoo import BACKLASH
 from .engine_examples import simulator_of

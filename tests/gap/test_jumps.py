@@ -16,8 +16,8 @@ from hystmpc.gap.logs.preparation import prepare
 from hystmpc.models.chain import Chain
 from hystmpc.models.identify.cross_validation import CrossValidation
 from hystmpc.trials.trial import Trial
-from hystmpc_lab.blind.cores import FINE_S, Scene
 from hystmpc_lab.blind.generators import lugre_tip
+from hystmpc_lab.devices.cores import FINE_S, Scene
 
 from ..models.zoo import BACKLASH
 from .engine_examples import DT, Vec, moves, simulator_of, sine, trials_of

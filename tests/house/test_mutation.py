@@ -20,7 +20,6 @@ def test_every_mutant_applies_and_its_tests_are_there(mutant: Any) -> None:
     text = mutants.mutated(mutant, (ROOT / mutant.file).read_text(encoding="utf-8"))
     if mutant.file.endswith(".py"):
         compile(text, mutant.file, "exec")
-    assert mutant.file.startswith(f"{mutant.room}/")
     assert mutant.tests
     assert [test for test in mutant.tests if not (ROOT / test).exists()] == []
 
@@ -32,7 +31,7 @@ def test_every_mutant_has_a_name_and_a_change_of_its_own() -> None:
 
 @pytest.mark.parametrize("old", ["this stands nowhere", "def "])
 def test_text_that_is_not_found_once_is_an_error(old: str) -> None:
-    rotten = mutants.Mutant("rotten", "ctrl", "ctrl/command.py", old, "x", ("tests/ctrl/test_limits.py",))
+    rotten = mutants.Mutant("rotten", "ctrl/command.py", old, "x", ("tests/ctrl/test_limits.py",))
     with pytest.raises(mutants.NotApplicableError, match="expected it once"):
         mutants.mutated(rotten, (ROOT / rotten.file).read_text(encoding="utf-8"))
 
@@ -47,10 +46,10 @@ def test_a_mutant_is_killed_in_a_copy_and_one_that_changes_nothing_survives(copy
     """Were the original imported, the first one would survive; could nothing survive, the second would be killed."""
     file, tests = "ctrl/command.py", ("tests/ctrl/test_limits.py",)
     before = (ROOT / file).read_bytes()
-    wrong = mutants.Mutant("no clip", "ctrl", file, "return min(max(u if", "return 0.0 * min(max(u if", tests)
+    wrong = mutants.Mutant("no clip", file, "return min(max(u if", "return 0.0 * min(max(u if", tests)
     found = copy.judged(wrong)
     assert (found.verdict, "test_limits.py::" in found.by) == ("killed", True)
-    harmless = mutants.Mutant("words", "ctrl", file, '"""The command: what', '"""A command: what', tests)
+    harmless = mutants.Mutant("words", file, '"""The command: what', '"""A command: what', tests)
     assert copy.judged(harmless).verdict == "survived"
     assert (ROOT / file).read_bytes() == before == (copy.root / file).read_bytes()
 
@@ -60,7 +59,6 @@ def test_tests_that_hang_kill_the_mutant_and_say_so(copy: Any, monkeypatch: pyte
     monkeypatch.setattr(copy, "timeout_s", 5.0)
     endless = mutants.Mutant(
         "endless",
-        "ctrl",
         "ctrl/command.py",
         "import math\n",
         "import math\nwhile True: pass\n",

@@ -18,7 +18,6 @@ from hystmpc_lab.blind.device import DEVICES
 from hystmpc_lab.blind.generators import GENERATORS, LABELS, Withheld, generator_named
 from hystmpc_lab.blind.injection import INJECTIONS, Injection, injection_case
 from hystmpc_lab.blind.make import CASES, SUITES, WHEEL, device_of, make_blind, make_case, places
-from hystmpc_lab.blind.muscle import MuscleCore
 from hystmpc_lab.blind.plan import ALIASED, POOR, draw_plan
 from hystmpc_lab.blind.reading import load_scored
 from hystmpc_lab.blind.retuning import retune, rms
@@ -31,6 +30,7 @@ from hystmpc_lab.blind.sealed import (
     read_case,
     read_manifest,
 )
+from hystmpc_lab.devices.cores import MuscleCore
 
 WORDS = {
     *LABELS,

@@ -15,7 +15,6 @@ import hystmpc_lab.blind
 from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.types import Vec
 from hystmpc_lab.blind import kernels
-from hystmpc_lab.blind.cores import FINE_S, TRAVEL_MM, CapstanCore, Core, DahlCore, Mounting, RodCore, Scene
 from hystmpc_lab.blind.device import DEVICES, BlindDevice, core_of, lasts_s
 from hystmpc_lab.blind.generators import (
     ALIASED_RATE,
@@ -34,7 +33,17 @@ from hystmpc_lab.blind.generators import (
     lugre_tip,
 )
 from hystmpc_lab.blind.motions import RAMP_HOLD, SINE, STEPS, TRIANGLES
-from hystmpc_lab.blind.muscle import MuscleCore
+from hystmpc_lab.devices.cores import (
+    FINE_S,
+    TRAVEL_MM,
+    CapstanCore,
+    Core,
+    DahlCore,
+    Mounting,
+    MuscleCore,
+    RodCore,
+    Scene,
+)
 
 ELASTIC_ROD = RodCore(fast_share=0.0, slow_share=0.0)
 CORES = (CapstanCore(), DahlCore(), RodCore(), MuscleCore())

@@ -9,12 +9,11 @@ import numpy as np
 import pytest
 
 from hystmpc_lab.commission.bars import CommissionOutcome, bars, gap_agrees, over_rival
-from hystmpc_lab.commission.device import PreparedPlant, bench_settings, worn
-from hystmpc_lab.commission.job import CommissionResult, as_result, commission_jobs
+from hystmpc_lab.commission.device import PreparedPlant, bench_settings
 from hystmpc_lab.commission.report import commission_report
-from hystmpc_lab.commission.run import prepare_commission, run_commission
-from hystmpc_lab.commission.settings import CommissionStudySettings
-from hystmpc_lab.identify.device import DrawnDevice, DrawnPlant, draw_devices
+from hystmpc_lab.commission.settings import CommissionResult, CommissionStudySettings
+from hystmpc_lab.commission.study import STUDY
+from hystmpc_lab.devices.drawn import DrawnDevice, DrawnPlant, draw_devices, worn
 
 FOUR = draw_devices(4, 3, quick=True)  # one of each family
 
@@ -78,7 +77,8 @@ def results(settings: CommissionStudySettings) -> tuple[CommissionResult, ...]:
         | {"gap.before_deg": 2.0, "gap.after_deg": 1.0},
     }
     return tuple(
-        replace(as_result(job, settings), status="done", figures=good[job.stage]) for job in commission_jobs(settings)
+        replace(STUDY.blank(job, settings, Path()), status="done", figures=good[job.stage])
+        for job in STUDY.jobs(settings, STUDY.draw(settings))
     )
 
 
@@ -112,8 +112,8 @@ def test_the_fall_that_was_said_agrees_within_thirty_per_cent_of_its_share(
 def test_one_device_from_the_bench_to_the_table(tmp_path: Path) -> None:
     """A device with nothing to compare with: commissioned, changed, without a sensor; nothing beyond a limit."""
     settings = CommissionStudySettings.of(devices=1, seed=3, quick=True, evaluations=10)
-    study = prepare_commission(settings, tmp_path)
-    outcome = run_commission(study)
+    study = STUDY.begin(settings, tmp_path)
+    outcome = study.finish()
     assert not outcome.failed, [result.message for result in outcome.failed]
     judged = {bar.name: bar for bar in bars(outcome)}
     assert judged["samples beyond a limit, all controllers"].value == 0

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,20 +12,14 @@ from hystmpc.ctrl.command import CommandLimits
 from hystmpc.ctrl.loop import LoopLog
 from hystmpc.sim.closed_loop import ClosedLoopRun
 from hystmpc.trajectories.config import parse_motion
-from hystmpc.trials.errors import ConfigError, LogError
+from hystmpc.trials.errors import ConfigError
 from hystmpc_lab.control.bars import BARS, BarVerdict, ControlOutcome, control_figures, exact, limit_cycle, verdicts
 from hystmpc_lab.control.controllers import CONTROLLERS
-from hystmpc_lab.control.job import (
-    ControlJob,
-    ControlResult,
-    control_jobs,
-    fingerprint,
-    gains_file,
-    result_files,
-)
+from hystmpc_lab.control.job import control_jobs, gains_file
 from hystmpc_lab.control.plants import MISMATCH, PLANTS, half_width
 from hystmpc_lab.control.report import bars_table, loop_table
-from hystmpc_lab.control.settings import MOTIONS, ControlSettings, motion
+from hystmpc_lab.control.settings import MOTIONS, ControlJob, ControlResult, ControlSettings, motion
+from hystmpc_lab.control.study import STUDY
 
 DT = 0.1
 LIMITS = CommandLimits(0.0, 6.0, 10.0)
@@ -222,19 +215,6 @@ def test_a_table_says_nothing_where_there_is_nothing() -> None:
     assert row[:5] == ["pid", "-", 0.1, 0.3, "-"]
 
 
-def test_results_survive_their_file_and_damage_is_told(tmp_path: Path) -> None:
-    run = replace(result("pi", "pid", hold_error_deg=math.nan), ladder={"controller": 3})
-    files = result_files(tmp_path)
-    files.save(run)
-    again = files.load(run.job)
-    assert again is not None
-    assert math.isnan(again.figures["hold_error_deg"])
-    assert replace(again, figures={}) == replace(run, figures={})
-    files.path(run.job).write_text("{}")
-    with pytest.raises(LogError, match="remove it"):
-        files.load(run.job)
-
-
 def test_jobs_come_in_stages_and_networks_only_at_their_rate() -> None:
     jobs = control_jobs(ControlSettings())
     assert len({job.key for job in jobs}) == len(jobs)
@@ -247,12 +227,12 @@ def test_jobs_come_in_stages_and_networks_only_at_their_rate() -> None:
 def test_a_run_depends_on_the_gains_that_a_search_leaves(tmp_path: Path) -> None:
     settings = ControlSettings.of(plants=["pi"], controllers=["pid"])
     run = next(job for job in control_jobs(settings) if job.stage == "run")
-    before = fingerprint(run, settings, tmp_path)
+    before = STUDY.fingerprint(run, settings, tmp_path)
     file = gains_file(tmp_path, "pi", 25.0, "pid")
     file.parent.mkdir()
     file.write_text("{}")
-    assert fingerprint(run, settings, tmp_path) != before
-    assert fingerprint(run, settings.model_copy(update={"seed": 2}), tmp_path) != before
+    assert STUDY.fingerprint(run, settings, tmp_path) != before
+    assert STUDY.fingerprint(run, settings.model_copy(update={"seed": 2}), tmp_path) != before
 
 
 def test_the_rate_weight_keeps_its_meaning_at_another_rate() -> None:

@@ -9,11 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from hystmpc.trials.errors import ConfigError
 from hystmpc_lab.control.bars import ControlOutcome
-from hystmpc_lab.control.report import runs_table
-from hystmpc_lab.control.run import prepare_control, run_control
 from hystmpc_lab.control.settings import ControlSettings
+from hystmpc_lab.control.study import STUDY
 
 pytestmark = pytest.mark.slow
 SETTINGS = ControlSettings.of(
@@ -25,7 +23,7 @@ SETTINGS = ControlSettings.of(
 def whole(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, ControlOutcome]:
     """One plant, one motion, two controllers at 25 Hz, made in one go."""
     folder = tmp_path_factory.mktemp("control") / "run"
-    return folder, run_control(prepare_control(SETTINGS, folder))
+    return folder, STUDY.begin(SETTINGS, folder).finish()
 
 
 def test_it_leaves_results_signals_tables_and_a_report(whole: tuple[Path, ControlOutcome]) -> None:
@@ -43,40 +41,3 @@ def test_it_leaves_results_signals_tables_and_a_report(whole: tuple[Path, Contro
     assert not re.search(r"https?://|@import|//cdn", html)
     assert "QUICK" in html
     assert html.count("<svg") >= 2
-
-
-def test_a_second_call_does_nothing_again(whole: tuple[Path, ControlOutcome]) -> None:
-    folder, outcome = whole
-    study = prepare_control(SETTINGS, folder)
-    assert study.costs == {}
-    seen: list[str] = []
-    again = run_control(study, progress=lambda done, total, note="": seen.append(note))
-    assert seen == ["3 of 3 jobs "]
-    assert again.results == outcome.results
-
-
-def test_an_interrupted_one_goes_on_to_the_same_figures(whole: tuple[Path, ControlOutcome], tmp_path: Path) -> None:
-    def stop(done: float, total: float, note: str = "") -> None:
-        if note.startswith("2 of 3 jobs"):
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        run_control(prepare_control(SETTINGS, tmp_path / "run"), progress=stop)
-    assert not (tmp_path / "run" / "report.html").exists()
-    study = prepare_control(SETTINGS, tmp_path / "run")
-    assert len(study.costs) == 1
-    again = run_control(study)
-
-    def steady(outcome: ControlOutcome) -> list[list[object]]:
-        """Rows without the share of late steps, which the machine decides."""
-        table = runs_table(outcome)
-        late = list(table.columns).index("late steps (not judged)")
-        return [[cell for k, cell in enumerate(row) if k != late] for row in table.rows]
-
-    assert steady(again) == steady(whole[1])
-
-
-def test_a_folder_of_another_study_is_refused(tmp_path: Path) -> None:
-    (tmp_path / "notes.txt").write_text("mine")
-    with pytest.raises(ConfigError, match="not empty"):
-        prepare_control(SETTINGS, tmp_path)

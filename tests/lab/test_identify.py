@@ -14,14 +14,13 @@ from hystmpc.ctrl.guarded import build_controller
 from hystmpc.ctrl.mpc_settings import LinearisedMpcSettings
 from hystmpc.sim.closed_loop import run_closed_loop
 from hystmpc.trials.errors import FitError
-from hystmpc_lab.identify import kernels
+from hystmpc_lab.devices import kernels
+from hystmpc_lab.devices.drawn import FAMILIES, DrawnDevice, DrawnPlant, draw_devices
+from hystmpc_lab.devices.exact import ExactInverse, ExactPredictor, exact_controller
+from hystmpc_lab.devices.kernels import PidNumbers
+from hystmpc_lab.devices.motions import fresh_motions, recordings
 from hystmpc_lab.identify.bars import CONTROLLERS, IdentifyOutcome, bars
-from hystmpc_lab.identify.device import FAMILIES, DrawnDevice, DrawnPlant, draw_devices
-from hystmpc_lab.identify.exact import ExactInverse, ExactPredictor, exact_controller
-from hystmpc_lab.identify.job import IdentifyJob, IdentifyResult
-from hystmpc_lab.identify.kernels import PidNumbers
-from hystmpc_lab.identify.motions import fresh_motions, recordings
-from hystmpc_lab.identify.settings import IdentifySettings
+from hystmpc_lab.identify.settings import IdentifyJob, IdentifyResult, IdentifySettings
 
 DEVICES = draw_devices(12, seed=3)
 QUIET = [replace(device, noise_deg=0.0) for device in draw_devices(4, seed=3, quick=True)]

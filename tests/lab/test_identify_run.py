@@ -9,10 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from hystmpc.trials.errors import ConfigError
 from hystmpc_lab.identify.bars import CONTROLLERS, IdentifyOutcome
-from hystmpc_lab.identify.run import prepare_identify, run_identify
 from hystmpc_lab.identify.settings import IdentifySettings
+from hystmpc_lab.identify.study import STUDY
 
 pytestmark = pytest.mark.slow
 SETTINGS = IdentifySettings.of(quick=True, kind="pi")
@@ -22,7 +21,7 @@ SETTINGS = IdentifySettings.of(quick=True, kind="pi")
 def whole(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, IdentifyOutcome]:
     """Four devices, made in one go."""
     folder = tmp_path_factory.mktemp("identify") / "run"
-    return folder, run_identify(prepare_identify(SETTINGS, folder))
+    return folder, STUDY.begin(SETTINGS, folder).finish()
 
 
 def test_it_leaves_results_models_tables_and_a_report(whole: tuple[Path, IdentifyOutcome]) -> None:
@@ -40,16 +39,3 @@ def test_it_leaves_results_models_tables_and_a_report(whole: tuple[Path, Identif
     assert not re.search(r"https?://|@import|//cdn", html)
     assert "QUICK" in html
     assert "<svg" in html
-
-
-def test_a_second_call_does_nothing_again(whole: tuple[Path, IdentifyOutcome]) -> None:
-    folder, outcome = whole
-    study = prepare_identify(SETTINGS, folder)
-    assert study.costs == {}
-    assert run_identify(study).results == outcome.results
-
-
-def test_a_folder_of_another_study_is_refused(whole: tuple[Path, IdentifyOutcome], tmp_path: Path) -> None:
-    (tmp_path / "notes.txt").write_text("mine")
-    with pytest.raises(ConfigError):
-        prepare_identify(SETTINGS, tmp_path)

@@ -23,10 +23,11 @@ from hystmpc_lab.papers.printed import (
     S2_WINDOWS,
     s2_symbol,
 )
-from hystmpc_lab.papers.result import Score, result_files
+from hystmpc_lab.papers.result import Score
 from hystmpc_lab.papers.s1 import TESTS, relative_change
 from hystmpc_lab.papers.s2_plan import s2_tasks
-from hystmpc_lab.papers.settings import S1_KINDS, S2_KINDS, StudySettings
+from hystmpc_lab.papers.settings import S1_KINDS, S2_KINDS, PaperSettings
+from hystmpc_lab.papers.study import STUDIES
 from hystmpc_lab.statistics import compared, holm, least_p, pairwise, signed_rank
 
 from .study_examples import JOB, small_splits, small_trial
@@ -119,7 +120,7 @@ def test_relative_change_by_hand() -> None:
 
 
 def tasks_of(**changes: object) -> tuple[TrainingTask, ...]:
-    settings = StudySettings.for_study("s2", **changes)
+    settings = PaperSettings.for_study("s2", **changes)
     return s2_tasks(settings, small_splits())
 
 
@@ -143,35 +144,39 @@ def test_the_share_of_epochs_is_for_networks_only() -> None:
     assert all(task.job.steps is None for task in tasks_of(epochs_scale=1.0, kinds=("lstm",)))
 
 
+def printed(task: TrainingTask) -> str:
+    return STUDIES["s2"].fingerprint(task, PaperSettings.for_study("s2"), Path())
+
+
 def test_a_fingerprint_follows_settings_and_trials() -> None:
     task = tasks_of(kinds=("backlash",))[0]
-    assert task.fingerprint == tasks_of(kinds=("backlash",))[0].fingerprint
+    assert printed(task) == printed(tasks_of(kinds=("backlash",))[0])
     others = [
         replace(task, job=replace(task.job, seed=2)),
         replace(task, training=(small_trial("other", phase=0.1),)),
         replace(task, tests={}),
         replace(task, validation=()),
     ]
-    assert len({task.fingerprint, *(other.fingerprint for other in others)}) == 5
+    assert len({printed(task), *(printed(other) for other in others)}) == 5
 
 
 def test_a_result_reads_back_as_it_was_written(tmp_path: Path) -> None:
     errors = Errors(1.0, -0.5, 0.9, 3.0, math.inf, 0.0)
     score = Score("p2p/test", "a/b", errors, replace(errors, rmse_deg=0.5))
     result = replace(JOB, history=((1, 2.5), (2, 0.1)), scores=(score, replace(score, later=None)))
-    result_files(tmp_path).save(result)
-    assert result_files(tmp_path).load(result.job) == result
-    assert result_files(tmp_path).load(replace(result.job, seed=7)) is None
+    STUDIES["s2"].files(tmp_path).save(result)
+    assert STUDIES["s2"].files(tmp_path).load(result.job) == result
+    assert STUDIES["s2"].files(tmp_path).load(replace(result.job, seed=7)) is None
     assert result.figures("rmse_deg", ["p2p/test"]).tolist() == [1.0, 1.0]
 
 
 @pytest.mark.parametrize("text", ["", "{}", '{"format": "other"}', "[1]", '{"format": "hystmpc-study-job/1"}'])
 def test_a_damaged_result_is_named(tmp_path: Path, text: str) -> None:
-    path = result_files(tmp_path).path(JOB.job)
+    path = STUDIES["s2"].files(tmp_path).path(JOB.job)
     path.parent.mkdir()
     path.write_text(text)
     with pytest.raises(LogError, match=path.name):
-        result_files(tmp_path).load(JOB.job)
+        STUDIES["s2"].files(tmp_path).load(JOB.job)
 
 
 @pytest.mark.parametrize(
@@ -189,7 +194,7 @@ def test_a_damaged_result_is_named(tmp_path: Path, text: str) -> None:
 )
 def test_wrong_settings_are_one_line(study: str, changes: dict[str, object], message: str) -> None:
     with pytest.raises(ConfigError, match=message) as error:
-        StudySettings.for_study(study, **changes)
+        PaperSettings.for_study(study, **changes)
     assert "\n" not in str(error.value)
 
 
@@ -198,6 +203,6 @@ def test_one_log_cannot_be_left_out(tmp_path: Path) -> None:
     t = np.arange(0, 10, 0.02)
     log.write_text("time_s,command,angle_deg\n" + "".join(f"{x:.2f},{np.sin(x)},{np.cos(x)}\n" for x in t))
     with pytest.raises(ConfigError, match="at least two"):
-        study_splits(StudySettings.for_study("real", logs=(str(log),)))
+        study_splits(PaperSettings.for_study("real", logs=(str(log),)))
     with pytest.raises(ConfigError, match="given twice"):
-        study_splits(StudySettings.for_study("real", logs=(str(log), str(log))))
+        study_splits(PaperSettings.for_study("real", logs=(str(log), str(log))))

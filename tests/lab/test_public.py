@@ -28,9 +28,9 @@ from hystmpc_lab.public.boucwen import (
     simulated_tests,
 )
 from hystmpc_lab.public.records import withheld_end
-from hystmpc_lab.public.run import prepare_public, run_public
 from hystmpc_lab.public.seals import SealData
 from hystmpc_lab.public.settings import PublicSettings
+from hystmpc_lab.public.study import STUDY
 
 from ..models.running import run_chain
 
@@ -175,8 +175,8 @@ def test_a_withheld_pressure_is_divided_by_what_a_line_through_the_friction_of_t
 
 @pytest.mark.slow
 def test_friction_that_follows_the_pressure_halves_the_error(ring: PublicSettings, tmp_path: Path) -> None:
-    outcome = run_public(prepare_public(ring, tmp_path / "study"))
-    *_, plain, scaled = outcome.cases
+    outcome = STUDY.begin(ring, tmp_path / "study").finish()
+    *_, plain, scaled = outcome.drawn
     errors = {r.job.case: next(iter(r.scores.values())) for r in outcome.done}
     assert not outcome.failed
     assert errors[scaled.name].spread < 0.5 * errors[plain.name].spread
@@ -222,7 +222,7 @@ def test_one_kind_from_the_record_to_the_table(tmp_path: Path) -> None:
     test = written(tmp_path / "steady.csv", steady.command, steady.angle)
     settings = PublicSettings.of(dataset="boucwen", data=data, test=[test], kinds=("oscillator",))
     folder = tmp_path / "study"
-    outcome = run_public(prepare_public(settings, folder))
+    outcome = STUDY.begin(settings, folder).finish()
     assert not outcome.failed
     (result,) = outcome.done
     assert result.scores["steady, given"].rmse < 5e-6
@@ -232,4 +232,4 @@ def test_one_kind_from_the_record_to_the_table(tmp_path: Path) -> None:
     assert {row["test"] for row in rows if row["from"] == "ours"} == tests
     assert {row["test"] for row in rows if row["from"] == "published"} == {"multisine, official"}
     assert "steady.csv" in (folder / "report.html").read_text()
-    assert prepare_public(settings, folder).costs == {}  # nothing is done twice
+    assert STUDY.begin(settings, folder).costs == {}  # nothing is done twice

@@ -37,7 +37,7 @@ def test_each_kind_of_fault_at_two_random_moments(tmp_path: Path) -> None:
 
 @pytest.fixture(scope="module")
 def moments() -> ModuleType:
-    return script("moments")
+    return script("random_moments")
 
 
 def rows(held: list[float], first_ms: int = 0) -> list[tuple[float, ...]]:

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from types import MappingProxyType
-from typing import final
+from typing import Any, final
 
 import numpy as np
 
@@ -19,9 +19,8 @@ from hystmpc.sim.devices.rod_solver import new_work
 from hystmpc.sim.plants.computed import ComputedPlant, Sensing
 from hystmpc.trials.types import Vec
 
-from ..blind.cores import CapstanCore, Core, DahlCore, RodCore
-from ..blind.muscle import MuscleCore
 from . import kernels
+from .cores import CapstanCore, Core, DahlCore, MuscleCore, RodCore
 from .kernels import CAPSTAN, DAHL, FINE_S, MUSCLE, OWN, ROD, Packed
 
 FAMILIES = ("rod", "capstan", "dahl", "muscle")
@@ -36,7 +35,7 @@ _CORES: Mapping[str, type[Core]] = MappingProxyType(
     {"rod": RodCore, "capstan": CapstanCore, "dahl": DahlCore, "muscle": MuscleCore}
 )
 _CODES = {"rod": ROD, "capstan": CAPSTAN, "dahl": DAHL, "muscle": MUSCLE}
-_NODES, _ELEMENTS = 16, 8  # as in the cores of the blind check
+_ELEMENTS = 8  # of a Dahl core
 _REVERSAL = 1.15  # widths of the Dahl elements over those at which the angle stands still at a reversal
 _ROD_STEP_S = 0.02  # longest, as in the blind check
 _FLEXURE_S, _SETTLED, _LONGEST_S = 10.0, 6.0, 60.0
@@ -160,6 +159,22 @@ def _core(random: np.random.Generator, family: str) -> RodCore | CapstanCore | D
     return replace(core, fast_share=0.0, slow_share=0.0) if isinstance(core, RodCore) else core  # type: ignore[return-value]
 
 
+def worn(device: DrawnDevice, friction: float, stiffness: float) -> DrawnDevice:
+    """The device with other friction and stiffness, as factors; a stiffer one moves less for the same command.
+
+    The friction of a muscle is divided by its factor: with more of it the angle would rise as the pressure falls.
+    """
+    core = device.core
+    changes: dict[str, Any]
+    if isinstance(core, MuscleCore):
+        changes = {"friction": core.friction / friction, "greatest_deg": core.greatest_deg / stiffness}
+    else:
+        names: tuple[str, ...] = ("wrap",) if isinstance(core, CapstanCore) else ("friction",)
+        names += ("drag_n",) if isinstance(core, RodCore) else ()
+        changes = {name: getattr(core, name) * friction for name in names} | {"gain": core.gain / stiffness}
+    return replace(device, core=replace(core, **changes))
+
+
 def packed(device: DrawnDevice, delay_s: float) -> Packed:
     """The device as the recursions read it, with another delay [s]."""
     core = device.core
@@ -168,8 +183,7 @@ def packed(device: DrawnDevice, delay_s: float) -> Packed:
     places = max(math.ceil(fine * FINE_S / _ROD_STEP_S - 1e-9), 1)
     capstan = core if isinstance(core, CapstanCore) else CapstanCore()
     dahl = core if isinstance(core, DahlCore) else DahlCore()
-    bends = np.arange(_NODES) >= round((1 - capstan.bending) * _NODES)
-    weights = bends / bends.sum() / capstan.load
+    shares, weights = capstan.compliances()
     widths = np.geomspace(1.0, dahl.spread, _ELEMENTS)
     # At a reversal an element turns twice as fast as the place moves: together they may not outrun it, else the angle
     # would go on rising while the command falls.
@@ -190,7 +204,7 @@ def packed(device: DrawnDevice, delay_s: float) -> Packed:
         offset_deg=float(core.offset_deg),
         wrap=np.full(fine, capstan.wrap),
         pretension=float(capstan.pretension),
-        shares=weights + capstan.compliance / _NODES,
+        shares=shares,
         weights=weights,
         widths=widths,
         parts=np.full(_ELEMENTS, dahl.friction / float(widths.sum())),
@@ -208,12 +222,12 @@ def _virgin(device: DrawnDevice, p: Packed) -> Vec:
     """State (S,) of a device that was never moved, at command 0."""
     core = device.core
     if isinstance(core, RodCore):
-        own = RodCatheter(core.rod()).virgin()
+        core_state = RodCatheter(core.rod()).virgin()
     elif isinstance(core, MuscleCore):
-        own = np.array([0.0, 0.0, -1.0, 0.0, 0.0])
+        core_state = np.array([0.0, 0.0, -1.0, 0.0, 0.0])
     else:
-        own = np.full(_NODES, core.pretension) if isinstance(core, CapstanCore) else np.zeros(_ELEMENTS)
-    return np.concatenate([np.zeros(p.commands + OWN), own])
+        core_state = core.virgin() if isinstance(core, CapstanCore) else np.zeros(_ELEMENTS)
+    return np.concatenate([np.zeros(p.commands + OWN), core_state])
 
 
 def at_rest(device: DrawnDevice, p: Packed) -> tuple[float, Vec]:

@@ -1,27 +1,119 @@
-"""Compiled recursions of the drawn devices: one sample, roll-outs, and a whole loop under PID for its tuning.
+"""Compiled recursions of the drawn devices: cores, one sample, roll-outs, and a loop under PID for its tuning.
 
-All functions take a device as `Packed` and its state (S,) as [commands (Q,), drive, its speed, creep, last place of the
-core, state of the core], and move the state on in place.
+A core has functions of its own. The others take a whole device as `Packed` and its state (S,) as [commands (Q,), drive,
+its speed, creep, last place of the core, state of the core], and move the state on in place.
 """
 
 from __future__ import annotations
 
+import math
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from hystmpc.models.kernels.numba_ import njit
-from hystmpc.sim.devices import muscle, rod_solver
-from hystmpc.sim.devices.muscle import MuscleNumbers
+from hystmpc.sim.devices import rod_solver
+from hystmpc.sim.devices.muscle import MuscleNumbers, slack
+from hystmpc.sim.devices.muscle import advance as advance_muscle
 from hystmpc.sim.devices.rod_equations import Knots, RodNumbers, StepNumbers
 from hystmpc.sim.devices.rod_solver import Work
-
-from ..blind import kernels
 
 CAPSTAN, DAHL, ROD, MUSCLE = range(4)
 FINE_S = 0.002
 OWN = 4  # entries of the state beside the commands and the core's
 SETTLE = 5  # fine steps in which the muscle's valve settles
+_SOLVES = 30
+MUSCLE_PARTS = 2
+"""Steps of a muscle in a fine step, whose valve takes 2 ms."""
+
+
+@njit(cache=True, error_model="numpy")
+def capstan(x: Any, wrap: Any, tension: Any, shares: Any, weights: Any, rest: float, out: Any) -> None:
+    """Bend out (T,) of a catheter whose tendon's proximal end is at x (T,); `tension` (N,) is the state.
+
+    x = sum shares_i (T_i - rest) and out = sum weights_i (T_i - rest), displacements [mm] of tensions [N].
+
+    Quasi-static: every point keeps its tension unless the proximal tension T0 pulls it out of its friction cone,
+    T_i <- clip(T_i, T0 exp(-kappa s_i), T0 exp(+kappa s_i)); T0 meets the proximal displacement.
+    """
+    count = tension.size
+    low, high, following = np.empty(count), np.empty(count), np.empty(count)
+    t0 = tension[0]
+    for k in range(x.size):
+        for i in range(count):
+            high[i] = math.exp(wrap[k] * i / (count - 1))
+            low[i] = 1 / high[i]
+        for _ in range(_SOLVES):
+            total, slope = 0.0, 0.0
+            for i in range(count):
+                value, rate = tension[i], 0.0
+                if value < t0 * low[i]:
+                    value, rate = t0 * low[i], low[i]
+                elif value > t0 * high[i]:
+                    value, rate = t0 * high[i], high[i]
+                elif i == 0:
+                    value, rate = t0, 1.0
+                total += shares[i] * (value - rest)
+                slope += shares[i] * rate
+                following[i] = value
+            miss = x[k] - total
+            if abs(miss) < 1e-9:
+                break
+            t0 = max(t0 + miss / max(slope, shares[0]), 1e-6)
+        bend = 0.0
+        for i in range(count):
+            tension[i] = following[i]
+            bend += weights[i] * (following[i] - rest)
+        out[k] = bend
+
+
+@njit(cache=True, error_model="numpy")
+def dahl(x: Any, scale: Any, widths: Any, shares: Any, deflection: Any, out: Any) -> None:
+    """Friction deflection out (T,) of parallel Dahl elements; `deflection` (N,) is the state.
+
+    dd_i / d|x| = (sign(dx) w_i - d_i) / w_i, exact over a step of constant direction.
+    """
+    before = x[0]
+    for k in range(x.size):
+        step = x[k] - before
+        before = x[k]
+        total = 0.0
+        for i in range(widths.size):
+            width = widths[i] * scale[k]
+            if step != 0.0:
+                side = width if step > 0 else -width
+                deflection[i] = side + (deflection[i] - side) * math.exp(-abs(step) / width)
+            total += shares[i] * deflection[i]
+        out[k] = total
+
+
+@njit(cache=True, error_model="numpy")
+def muscle(x: Any, friction: Any, p: Any, dt: float, state: Any, out: Any) -> None:
+    """Angle out (T,) [deg] of a muscle under pressures x (T,) [bar]; `state` (5,) is moved on.
+
+    Friction f (T,) over pull stands for that among its numbers `p`. The pull b (1 - f z) turns with z within the
+    presliding: that is at least 2 f b / (1 - f), so that the pull never rises as the pressure b falls.
+    """
+    pressure = np.empty(1)
+    for k in range(x.size):
+        bladder = slack(x[k], p.slack_bar, p.slack_width_bar)
+        least = 2 * friction[k] * bladder / (1 - friction[k])
+        now = MuscleNumbers(
+            p.supply_bar,
+            p.valve_s,
+            p.fill_s,
+            p.vent_s,
+            p.slack_bar,
+            p.slack_width_bar,
+            friction[k],
+            max(p.presliding_bar, least),
+            p.greatest_deg,
+            p.half_bar,
+            p.late,
+            p.late_share,
+            p.bend_share,
+        )
+        advance_muscle(state, x[k : k + 1], now, dt, MUSCLE_PARTS, out[k : k + 1], pressure)
 
 
 class Packed(NamedTuple):
@@ -90,14 +182,14 @@ def bend(p: Packed, core: Any, places: Any, steps: int) -> float:
     n = places.size - 1
     out = np.empty(n + 1)
     if p.core == CAPSTAN:
-        kernels.capstan(places[1:], p.wrap, core, p.shares, p.weights, p.pretension, out)
+        capstan(places[1:], p.wrap, core, p.shares, p.weights, p.pretension, out)
         return float(p.offset_deg + p.gain * out[n - 1])
     if p.core == DAHL:
-        kernels.dahl(places, p.ones, p.widths, p.parts, core, out)
+        dahl(places, p.ones, p.widths, p.parts, core, out)
         return float(p.offset_deg + p.gain * (places[n] - out[n]))
     if p.core == MUSCLE:
         pressure = np.empty(n)
-        muscle.advance(core, places[1:], p.muscle, FINE_S, kernels.MUSCLE_PARTS, out, pressure)
+        advance_muscle(core, places[1:], p.muscle, FINE_S, MUSCLE_PARTS, out, pressure)
         return float(p.offset_deg + p.gain * out[n - 1])
     coarse, unused, tension = np.empty(steps), np.empty(steps), np.empty(steps)
     for k in range(steps):

@@ -9,7 +9,7 @@ from hystmpc.trajectories.excitation import identification_motions
 from hystmpc.trajectories.trajectory import Trajectory
 from hystmpc.trials.trial import Trial, Units
 
-from .device import DrawnPlant
+from .drawn import DrawnPlant
 
 SCANS_HZ = {"scan": 0.2, "fast_scan": 0.6}
 _SLOPE_SHARE = 0.35  # of the greatest speed that the fast scan may ask for

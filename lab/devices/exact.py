@@ -12,7 +12,7 @@ from hystmpc.models.model import Inverse, Predictor
 from hystmpc.trials.types import Vec
 
 from . import kernels
-from .device import DrawnDevice, at_rest, packed
+from .drawn import DrawnDevice, at_rest, packed
 from .kernels import FINE_S
 
 _DIFFERENCE = 2e-3  # of the travel

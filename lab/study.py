@@ -1,0 +1,516 @@
+"""A study: what is drawn, what is run, which bars; its jobs in a run folder, its tables, and its page.
+
+A study is one value of `Study`. Its jobs are done in processes of their own, each leaves one file, and the same command
+resumes where an earlier one ended. Then the tables, the bars and the page are written.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Generic, Literal, Self, TypeVar, final
+
+import numpy as np
+from pydantic import BeforeValidator
+
+from hystmpc.sim.jobs.runner import attempt, backend_for
+from hystmpc.trials.config import Settings
+from hystmpc.trials.files import write_atomically
+from hystmpc.trials.json_text import file_text, json_hash, plain
+from hystmpc.trials.report import REFERENCE, Heading, KeyValues, Paragraph, Piece, Report, Table, new_figure
+from hystmpc.trials.run_folder import RunFolder, resumed_folder
+from hystmpc.trials.types import Progress
+
+from .result_files import ResultFiles, Status, wall_minutes
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure as Plotted
+
+Cell = str | int | float
+NOTHING = "-"
+Figure = Annotated[float, BeforeValidator(lambda value: math.nan if value is None else value)]
+"""A number of a result; one that is not there is null in the file, and NaN here."""
+
+Figures = Mapping[str, float]
+_NAMED = 6  # devices that a bar names
+_MARKS = "os^v"
+_QUICK_NOTE = "QUICK: the numbers below show that everything runs, and say nothing about the controllers."
+
+
+class StudySettings(Settings):
+    """Settings that every study has: `study`, `seed` and `quick` are fields of each.
+
+    Attributes:
+        QUICK: changes of the defaults for a quick run.
+    """
+
+    QUICK: ClassVar[Mapping[str, Any]] = {}
+
+    @classmethod
+    def of(cls, **changes: Any) -> Self:
+        """The study with some changes; a change that is None or empty keeps the default.
+
+        Raises:
+            ConfigError: on a number out of bounds or an unknown name.
+            FitError: on an unknown kind of model.
+        """
+        data = dict(cls.QUICK) if changes.get("quick") else {}
+        data |= {name: value for name, value in changes.items() if value not in (None, (), [])}
+        settings = cls.parse(data, f"study {cls.model_fields['study'].default}")
+        settings.check_names()
+        return settings
+
+    def check_names(self) -> None:
+        """Refuse unknown names.
+
+        Raises:
+            ConfigError: on an unknown name.
+            FitError: on an unknown kind of model.
+        """
+
+
+@dataclass(frozen=True)
+class Result:
+    """Outcome of one job; a study adds what its jobs find.
+
+    Attributes:
+        fingerprint: hash of all that the result depends on.
+        status: `failed` if anything raised.
+        message: the error of a failed job, else how it went.
+        seconds: wall time [s].
+    """
+
+    job: Any
+    fingerprint: str
+    status: Status
+    message: str
+    seconds: float
+
+
+S = TypeVar("S", bound=Settings)
+J = TypeVar("J", bound=Any)
+F = TypeVar("F", bound=Result)
+_T = TypeVar("_T")
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome(Generic[S, F]):
+    """A study with the results of all its jobs.
+
+    Attributes:
+        folder, meta: of the run.
+        drawn: what was drawn, see `Study.draw`.
+    """
+
+    settings: S
+    results: tuple[F, ...]
+    folder: Path
+    meta: Mapping[str, Any] = field(default_factory=dict)
+    drawn: Any = None
+
+    @property
+    def done(self) -> tuple[F, ...]:
+        """Results of the jobs that worked."""
+        return tuple(result for result in self.results if result.status == "done")
+
+    @property
+    def failed(self) -> tuple[F, ...]:
+        """Results that hold an error."""
+        return tuple(result for result in self.results if result.status == "failed")
+
+
+def plain_result(result: Any) -> dict[str, Any]:
+    """A result as JSON; a number that is not finite is null."""
+    return dict(plain(asdict(result)))
+
+
+def nothing(*given: Any) -> Any:
+    """Nothing drawn, nothing known before a job is done."""
+    del given
+    return {}
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Study(Generic[S, J, F]):
+    """One study; all functions are of a module's top level, since worker processes call them.
+
+    Attributes:
+        name: as in `config.yaml`.
+        form: name and version of the format of its result files.
+        settings: makes its settings from changes of the defaults, see `StudySettings.of`.
+        result: type of its results.
+        jobs: all jobs, from the settings and what was drawn; each has a `key`, and a `stage` where there are stages.
+        run: fields of a job's result, from job, settings and folder of the run.
+        inputs: all that the result depends on, as JSON, from the same.
+        costs: expected processor time of jobs by key [s].
+        page: the page and all tables that are written as CSV.
+        draw: devices, trials or records, from the settings.
+        facts: fields of a result that are known before the job is done.
+        data: content of `tables/NAME.json`; None for no such file.
+        summary: table that the command line shows at the end, and its digits; None for none.
+        stages: of the jobs, in their order; each may need files that the stages before it leave.
+        outcome: type of its outcome.
+        encode: a result as JSON.
+    """
+
+    name: str
+    form: str
+    settings: Callable[..., S]
+    result: type[F]
+    jobs: Callable[[S, Any], Sequence[J]]
+    run: Callable[[J, S, Path], Mapping[str, Any]]
+    inputs: Callable[[J, S, Path], Any]
+    costs: Callable[[Sequence[J], S], Mapping[str, float]]
+    page: Callable[[Any], tuple[Report, list[StudyTable]]]
+    draw: Callable[[S], Any] = nothing
+    facts: Callable[[J, S], Mapping[str, Any]] = nothing
+    data: Callable[[Any], Mapping[str, Any]] | None = None
+    summary: Callable[[Any], StudyTable] | None = None
+    digits: int = 4
+    stages: tuple[str, ...] = ()
+    outcome: Callable[..., Any] = Outcome
+    encode: Callable[[Any], dict[str, Any]] = plain_result
+
+    def files(self, folder: Path) -> ResultFiles[F]:
+        """Files of the results in a folder."""
+        return ResultFiles(folder, self.result, self.form, self.encode)
+
+    def fingerprint(self, job: J, settings: S, folder: Path) -> str:
+        """SHA-256 over all that a job's result depends on."""
+        return json_hash(self.inputs(job, settings, folder))
+
+    def blank(self, job: J, settings: S, folder: Path) -> F:
+        """The result before anything is done, of status `failed`."""
+        empty = {"job": job, "fingerprint": self.fingerprint(job, settings, folder), "status": "failed"}
+        return self.result(**{**empty, "message": "", "seconds": 0.0, **self.facts(job, settings)})
+
+    def do(self, job: J, settings: S, folder: Path) -> F:
+        """Do one job and write its result; an error is a result too.
+
+        Raises:
+            KeyboardInterrupt: if the user ended it; nothing is written then.
+        """
+        made = attempt(lambda: self.run(job, settings, folder))
+        result = replace(self.blank(job, settings, folder), message=made.error, seconds=made.seconds)
+        if made.value is not None:
+            result = replace(result, status="done", **made.value)
+        self.files(folder).save(result)
+        return result
+
+    def begin(self, settings: S, out: Path | str) -> BegunStudy[S, J, F]:
+        """Draw, open the folder, and see what is done.
+
+        Args:
+            out: a new or empty folder, or one in which the study was begun; its finished jobs are kept.
+
+        Raises:
+            ConfigError: if the folder holds something else.
+            LogError: if a result or a record is damaged.
+        """
+        drawn = self.draw(settings)
+        jobs, saved = tuple(self.jobs(settings, drawn)), settings.model_dump(mode="json")
+        folder = resumed_folder(Path(out), saved, int(saved["seed"]), partial(_other_study, self.name))
+        kept = self.files(folder.path).kept(jobs, lambda job: self.fingerprint(job, settings, folder.path))
+        costs = self.costs([job for job in jobs if job.key not in kept], settings)
+        return BegunStudy(self, settings, drawn, jobs, folder, costs)
+
+
+def _other_study(wanted: str, earlier: Any) -> str:
+    """Why a folder with these earlier settings does not belong to a study; empty where it does."""
+    name = earlier.get("study") if isinstance(earlier, dict) else None
+    return "" if name == wanted else f"holds a run of {name or 'something else'}, expected one of study {wanted}"
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class BegunStudy(Generic[S, J, F]):
+    """A study whose folder is open; its open jobs are still to be done.
+
+    Attributes:
+        jobs: all of them.
+        costs: expected processor time of the jobs that are not done yet, by key [s].
+    """
+
+    study: Study[S, J, F]
+    settings: S
+    drawn: Any
+    jobs: tuple[J, ...]
+    folder: RunFolder
+    costs: Mapping[str, float]
+
+    def minutes(self, workers: int) -> int:
+        """Estimated wall time of the jobs that are not done yet [min]."""
+        return wall_minutes(self.costs, workers)
+
+    def finish(self, workers: int = 1, progress: Progress | None = None) -> Any:
+        """Do the open jobs stage by stage; write tables, page, and `tables/NAME.json` where the study has data for it.
+
+        Args:
+            workers: processes, each on one thread; with 1 the jobs run in this process.
+            progress: see `ResultFiles.complete`.
+
+        Returns:
+            The outcome, of the study's type.
+
+        Raises:
+            ConfigError: if worker processes died again and again.
+            LogError: if a result's file is damaged.
+            KeyboardInterrupt: if the user ended it; finished jobs are kept.
+            ValueError: if a number in the data is not finite: JSON has no word for it.
+        """
+        study, settings, folder = self.study, self.settings, self.folder.path
+        stages: list[Sequence[J]] = [[job for job in self.jobs if job.stage == stage] for stage in study.stages]
+        results = study.files(folder).complete(
+            stages or [self.jobs],
+            partial(study.do, settings=settings, folder=folder),
+            lambda job: study.fingerprint(job, settings, folder),
+            backend_for(workers, where=str(folder)),
+            self.costs,
+            progress,
+        )
+        outcome = study.outcome(settings, results, folder, self.folder.meta, self.drawn)
+        page, tables = study.page(outcome)
+        for table in tables:
+            table.save(folder)
+        if study.data is not None:
+            write_atomically(folder / "tables" / f"{study.name}.json", file_text(study.data(outcome)))
+        self.folder.write_report(page)
+        return outcome
+
+
+@dataclass(frozen=True)
+class Rate:
+    """A share of cases."""
+
+    hits: int
+    cases: int
+
+    @property
+    def value(self) -> float:
+        """The share; not-a-number without cases."""
+        return self.hits / self.cases if self.cases else float("nan")
+
+    @property
+    def ci90(self) -> tuple[float, float]:
+        """Wilson's 90 % interval (E. B. Wilson, J. Am. Stat. Assoc. 22, 1927)."""
+        from scipy.stats import binomtest  # slow to import
+
+        if not self.cases:
+            return 0.0, 1.0
+        interval = binomtest(self.hits, self.cases).proportion_ci(0.9, method="wilson")
+        # Rounding may put an end past the rate itself where that is 0 or 1.
+        return min(float(interval.low), self.value), max(float(interval.high), self.value)
+
+
+@dataclass(frozen=True)
+class Bar:
+    """A requirement: a number, its bounds, and the cases that miss it.
+
+    Attributes:
+        value: the number; not-a-number where no case tells.
+        wanted: `lower` and `upper` bound.
+    """
+
+    name: str
+    value: float
+    wanted: tuple[float, float]
+    cases: int
+    misses: tuple[str, ...] = ()
+    ci90: tuple[float, float] | None = None
+
+    @property
+    def state(self) -> Literal["met", "missed", "not measured"]:
+        """Whether the number is within its bounds."""
+        if not self.cases or np.isnan(self.value):
+            return "not measured"
+        return "met" if self.wanted[0] <= self.value <= self.wanted[1] else "missed"
+
+    @property
+    def goal(self) -> str:
+        """The bounds in words."""
+        low, high = self.wanted
+        if low <= 0:
+            return f"<= {high:g}" if high > 0 else "0"
+        return f">= {low:g}" if high >= 1 > low else "1" if low >= 1 else f"{low:g} to {high:g}"
+
+    @property
+    def plain(self) -> dict[str, Any]:
+        """As JSON; a number that is not finite is null."""
+        return {**plain(asdict(self)), "state": self.state}
+
+    @classmethod
+    def at_most(
+        cls, name: str, values: Figures, limit: float, level: float = 1.0, misses: tuple[str, ...] | None = None
+    ) -> Self:
+        """An order statistic of figures by device: at least the share `level` of them is no greater; 1 for the worst.
+
+        Args:
+            values: infinite for a device that was lost.
+            misses: devices against the bar; those beyond the limit where left out.
+        """
+        ranked = np.sort(np.array(list(values.values())))
+        value = float(ranked[math.ceil(level * ranked.size) - 1])
+        return cls(name, value, (0.0, limit), ranked.size, beyond(values, limit) if misses is None else misses)
+
+    @classmethod
+    def share(cls, name: str, hits: Mapping[str, bool], wanted: tuple[float, float], counted: bool = False) -> Self:
+        """The share of the devices that hit; against the bar are those that do not, or that do where `counted`."""
+        rate = Rate(sum(hits.values()), len(hits))
+        misses = tuple(name for name, hit in hits.items() if bool(hit) is counted)
+        return cls(name, rate.value, wanted, len(hits), misses, rate.ci90)
+
+    @classmethod
+    def none(cls, name: str, totals: Figures) -> Self:
+        """A total over devices that has to be 0."""
+        return cls(name, sum(totals.values()), (0.0, 0.0), len(totals), tuple(k for k, n in totals.items() if n))
+
+
+def beyond(values: Figures, limit: float) -> tuple[str, ...]:
+    """Devices whose figure is more than a limit, or not a number."""
+    return tuple(name for name, value in values.items() if not value <= limit)
+
+
+def rmse_of(figures: Figures, controller: str) -> float:
+    """RMSE of a controller over all motions [deg]; infinite where it is not there."""
+    return figures.get(f"{controller}.rmse_deg", math.inf)
+
+
+def over(controller: str, *others: str) -> Callable[[Figures], float]:
+    """RMSE of a controller over the least of others; infinite where one of them is missing."""
+
+    def ratio(figures: Figures) -> float:
+        a, b = rmse_of(figures, controller), min(rmse_of(figures, other) for other in others)
+        return a / b if math.isfinite(a) and b > 0 else math.inf
+
+    return ratio
+
+
+def by_device(devices: Mapping[str, Figures], figure: Callable[[Figures], _T]) -> dict[str, _T]:
+    """A figure of every device."""
+    return {name: figure(figures) for name, figures in devices.items()}
+
+
+@dataclass(frozen=True)
+class StudyTable:
+    """Rows of one table; floats are shown to four digits and written in full.
+
+    Attributes:
+        caption: what it shows, and whether its numbers are simulated, real or printed in a paper.
+    """
+
+    name: str
+    columns: Sequence[str]
+    rows: Sequence[Sequence[Cell]]
+    caption: str
+    shown: bool = True
+
+    @property
+    def piece(self) -> Table:
+        """The table of the report."""
+        return Table(self.columns, self.rows, f"{self.caption} ({self.name}.csv)")
+
+    @property
+    def csv(self) -> str:
+        """Comma-separated text."""
+        out = io.StringIO()
+        writer = csv.writer(out, lineterminator="\n")
+        writer.writerow(self.columns)
+        writer.writerows(self.rows)
+        return out.getvalue()
+
+    def save(self, folder: Path) -> Path:
+        """Write `tables/<name>.csv` below the study's folder."""
+        return write_atomically(folder / "tables" / f"{self.name}.csv", self.csv)
+
+    def only(self, caption: str, *columns: str) -> StudyTable:
+        """Some of the columns."""
+        places = [list(self.columns).index(name) for name in columns]
+        return StudyTable(self.name, columns, [[row[k] for k in places] for row in self.rows], caption)
+
+
+def cell(value: float) -> Cell:
+    """A figure in a table; one that is not there is a dash."""
+    return value if math.isfinite(value) else NOTHING if math.isnan(value) else "infinite"
+
+
+def bars_table(judged: Sequence[Bar]) -> StudyTable:
+    """Every bar with its number and goal."""
+    rows: list[list[Cell]] = []
+    for bar in judged:
+        interval = NOTHING if bar.ci90 is None else f"{bar.ci90[0]:.2f} to {bar.ci90[1]:.2f}"
+        more = f" and {len(bar.misses) - _NAMED} more" if len(bar.misses) > _NAMED else ""
+        named = ", ".join(bar.misses[:_NAMED]) + more
+        rows.append([bar.name, cell(bar.value), interval, bar.goal, bar.cases, bar.state, named or NOTHING])
+    columns = ("bar", "number", "90 % interval", "goal", "devices", "state", "devices beyond it")
+    return StudyTable("bars", columns, rows, "Simulated: the bars.")
+
+
+def bars_summary(judged: Sequence[Bar]) -> StudyTable:
+    """The bars as the command line shows them."""
+    return bars_table(judged).only("Bars", "bar", "number", "goal", "devices", "state")
+
+
+def figures_table(devices: Mapping[str, Figures]) -> StudyTable:
+    """Every figure of every device; CSV only."""
+    rows: list[list[Cell]] = [
+        [name, k, cell(value)] for name, figures in devices.items() for k, value in figures.items()
+    ]
+    return StudyTable("figures", ("device", "figure", "value"), rows, "", shown=False)
+
+
+def set_up(
+    about: str, facts: Mapping[str, object], outcome: Outcome[Any, Any], note: str | None = None
+) -> Iterator[Piece]:
+    """The head of a page: what was done, the settings, and what failed.
+
+    Args:
+        about: the study in some sentences; may be empty.
+        facts: rows of this study, before those that all studies have.
+        note: sentence below the settings; that of a quick run where left out.
+    """
+    settings, results, failed = outcome.settings, outcome.results, outcome.failed
+    yield Heading("Set-up")
+    if about:
+        yield Paragraph(about)
+    yield KeyValues(
+        {
+            **facts,
+            "jobs": f"{len(results) - len(failed)} done, {len(failed)} failed",
+            "seed": settings.seed,
+            "processor time of all jobs": f"{sum(r.seconds for r in results) / 60:.1f} min",
+            "hystmpc": outcome.meta.get("versions", {}).get("hystmpc"),
+            "started": outcome.meta.get("start"),
+        }
+    )
+    if note := (_QUICK_NOTE if settings.quick else "") if note is None else note:
+        yield Paragraph(note)
+    for result in failed:
+        yield Paragraph(f"FAILED: {result.job.key}: {result.message}")
+
+
+def ratios_figure(families: Mapping[str, Sequence[Sequence[float]]], subjects: Sequence[tuple[str, str]]) -> Plotted:
+    """RMSE over that of the better tuned rival, a panel for each family, its devices sorted by the first subject.
+
+    Args:
+        families: a row for each device of the family, with a ratio for each subject.
+        subjects: label and colour of each.
+    """
+    with new_figure(7.0, 3.0) as figure:
+        panels = figure.subplots(1, len(families), sharey=True)
+        for axes, (family, devices) in zip(panels, families.items(), strict=True):
+            ratios = np.array(sorted(devices, key=lambda row: row[0])).reshape(-1, len(subjects))
+            for y, (label, colour), mark in zip(ratios.T, subjects, _MARKS, strict=False):
+                axes.plot(np.arange(y.size), y, mark, color=colour, markersize=3.5, label=label, linestyle="none")
+            axes.axhline(1.0, color=REFERENCE, linewidth=0.8)
+            axes.axhline(0.5, color=REFERENCE, linewidth=0.6, linestyle="--")
+            axes.set(title=family, xticks=[], yscale="log")
+        panels[0].set_ylabel("RMSE over the best tuned PID's")
+        figure.supxlabel("devices, sorted", fontsize=9.0)
+        figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper center", ncols=3)
+    return figure
