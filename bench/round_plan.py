@@ -23,7 +23,7 @@ from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.types import Vec
 
 from .config import InvestigateSettings
-from .first_motions import first_motions, further_motion
+from .first_motions import FirstMotions, first_motions, further_motion
 from .motions import prepare_seconds, run_seconds
 from .stages import Figure
 
@@ -87,18 +87,7 @@ def plan_first(settings: InvestigateSettings, simulator: Simulator, left_s: floa
     count, around = settings.investigate.first_motions, run_seconds(settings, 0)
     longest = _first_longest_s(settings, left_s)
     chosen = first_motions(simulator, _family(settings, longest), count, allowed(settings), around)
-    runs = {
-        name: _written(folder, name, option, chosen.numbers[name], settings, longest)
-        for name, option in chosen.options.items()
-    }
-    return RoundPlan(
-        motions=tuple(runs),
-        seconds=round_seconds(settings, runs),
-        separates=chosen.explanations,
-        probability=chosen.probability,
-        bits=information_bits(chosen.probability, len(chosen.explanations)),
-        looked_at=len(chosen.options),
-    )
+    return _plan_of(chosen, settings, longest, folder)
 
 
 def first_seconds(settings: InvestigateSettings, left_s: float) -> float:
@@ -109,6 +98,11 @@ def first_seconds(settings: InvestigateSettings, left_s: float) -> float:
     """
     count, longest = settings.investigate.first_motions, _first_longest_s(settings, left_s)
     return prepare_seconds(settings) + count * run_seconds(settings, math.ceil(longest / settings.dt_s))
+
+
+def _room_s(settings: InvestigateSettings, left_s: float) -> float:
+    """Longest motion that the device time left permits in a round of its own [s]."""
+    return left_s - prepare_seconds(settings) - run_seconds(settings, 0)
 
 
 def _first_longest_s(settings: InvestigateSettings, left_s: float) -> float:
@@ -133,8 +127,7 @@ def plan_next(
         number: of the recording that it becomes.
         longer: factor on the motion's duration, where shorter ones did not decide.
     """
-    room = left_s - round_seconds(settings, {}) - run_seconds(settings, 0)
-    longest = min(room, longer * settings.investigate.longest_motion_s)
+    longest = min(_room_s(settings, left_s), longer * settings.investigate.longest_motion_s)
     least = LEAST_MOTION_S if longer == 1 else 0.5 * longest
     if longest < LEAST_MOTION_S:
         return None
@@ -183,8 +176,7 @@ def plan_more(
         question: its explanations, fitted to what was recorded, judge what is allowed; those of a typical size do where
             there is none.
     """
-    room = left_s - round_seconds(settings, {}) - run_seconds(settings, 0)
-    longest = min(room, _FURTHER * settings.investigate.longest_motion_s)
+    longest = min(_room_s(settings, left_s), _FURTHER * settings.investigate.longest_motion_s)
     if longest < LEAST_MOTION_S:
         return None
     around = run_seconds(settings, 0)
@@ -198,15 +190,21 @@ def plan_more(
     chosen = further_motion(simulator, _family(settings, longest), recorded, number, fits, around)
     if chosen is None:
         return None
-    (name,) = chosen.options
-    commands = _written(folder, name, chosen.options[name], chosen.numbers[name], settings, longest)
+    return replace(_plan_of(chosen, settings, longest, folder), undirected=True)
+
+
+def _plan_of(chosen: FirstMotions, settings: InvestigateSettings, longest_s: float, folder: Path) -> RoundPlan:
+    """Plan of motions that were chosen among the starts of the family; writes them."""
+    runs = {
+        name: _written(folder, name, option, chosen.numbers[name], settings, longest_s)
+        for name, option in chosen.options.items()
+    }
     return RoundPlan(
-        motions=(name,),
-        seconds=round_seconds(settings, {name: commands}),
+        motions=tuple(runs),
+        seconds=round_seconds(settings, runs),
         separates=chosen.explanations,
         probability=chosen.probability,
         bits=information_bits(chosen.probability, len(chosen.explanations)),
-        undirected=True,
         looked_at=len(chosen.options),
     )
 
