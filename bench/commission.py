@@ -20,24 +20,24 @@ from hystmpc.trials.run_folder import RunFolder, alone_in
 from hystmpc.trials.types import Progress
 
 from .config import CommissionBlock, CommissionSettings, narrowed
-from .controller import TIP_FILE, ControllerMade, Identified, fresh_references, make_controllers
+from .controller import TIP_FILE, ControllerFiles, IdentifiedDevice, fresh_references, make_controllers
 from .device import Device, Open, opened_device
 from .identify import (
     FIXED_FILE,
     MODEL_FILE,
-    Checked,
-    Diagnosed,
-    Fitted,
+    FittedModel,
+    ModelDiagnosis,
     Subject,
+    TrialCheck,
     check_trials,
     diagnose_model,
     fit_model,
     subject_of,
 )
 from .motions import CONTROLLERS, SCANS_HZ, Budget, budget, directions, recordings
-from .phases import Bounded, Climb, Climbed, dash
+from .phases import Bounded, Climb, ClimbResult, dash
 from .stages import Figure, Stages, begun, differing, fingerprint
-from .verify import MPC, Tracks, Verified, judge, load_tracks, track_all
+from .verify import MPC, Tracks, Verification, judge_tracks, load_tracks, track_all
 
 NAMES = ("1-range", "2-record", "3-check", "4-fit", "5-diagnose", "6-controller", "7-verify")
 """Folders of the stages, in their order."""
@@ -50,14 +50,14 @@ _COMPUTING_S = {FIT: 60.0, DIAGNOSE: 150.0, CONTROLLER: 40.0, "report": 10.0}  #
 
 
 @dataclass(frozen=True)
-class Ranged:
-    """The range and the rate that are used from here on.
+class CommandRange:
+    """Range and rate of the command that all further stages use.
 
     Attributes:
         lower, upper: of the command.
         rate_per_s: greatest change of the command.
         low_deg, high_deg: angles at rest within the range [deg].
-        words: how they were found.
+        words: how they were determined.
         still: longest travel of the command in which the tip did not move.
     """
 
@@ -72,14 +72,14 @@ class Ranged:
 
 @dataclass(frozen=True)
 class RecordedTrials:
-    """Names of the recordings, in their order."""
+    """Recordings by name, in their order."""
 
     names: tuple[str, ...]
 
 
 @dataclass(frozen=True, eq=False)
 class Commissioned:
-    """What a commissioning left behind.
+    """Result of a commissioning.
 
     Attributes:
         folder: of the run.
@@ -94,30 +94,30 @@ class Commissioned:
     tip: Path
     model: Path
     report: Path
-    verified: Verified | None
+    verified: Verification | None
     device_s: float
     __repr__ = brief
 
 
-def plan_rows(settings: CommissionSettings, found: Budget) -> tuple[tuple[str, str, float], ...]:
-    """Stages with their motions and minutes of device time, as they are said before anything moves."""
-    steps, own = settings.commission.range_steps, settings.commission.motions
-    motions = len(own) if own else 1 + len(SCANS_HZ)
-    prepare = f"; preparation {found.prepare_s:.0f} s" if found.prepare_s else ""
+def plan_rows(settings: CommissionSettings, planned: Budget) -> tuple[tuple[str, str, float], ...]:
+    """Rows of the plan: stage, its motions, and minutes of device time."""
+    steps, given = settings.commission.range_steps, settings.commission.motions
+    motions = len(given) if given else 1 + len(SCANS_HZ)
+    prepare = f"; preparation {planned.prepare_s:.0f} s" if planned.prepare_s else ""
     rows = [
-        (RANGE, f"climb in {steps} steps, a dash at the greatest rate{prepare}", found.range_s + found.prepare_s),
-        (RECORD, f"6 recordings: steps, holds, sines, reversals{prepare}", found.record_s + found.prepare_s),
+        (RANGE, f"climb in {steps} steps, a dash at the greatest rate{prepare}", planned.range_s + planned.prepare_s),
+        (RECORD, f"6 recordings: steps, holds, sines, reversals{prepare}", planned.record_s + planned.prepare_s),
         (CHECK, "none", 0.0),
         (FIT, "none", 0.0),
         (DIAGNOSE, "none" if settings.commission.diagnose else "left out", 0.0),
         (CONTROLLER, "none", 0.0),
         (
             VERIFY,
-            f"{motions} references with {len(CONTROLLERS)} controllers, {found.motion_s:.0f} s each{prepare}",
-            found.verify_s + found.prepare_s,
+            f"{motions} references with {len(CONTROLLERS)} controllers, {planned.motion_s:.0f} s each{prepare}",
+            planned.verify_s + planned.prepare_s,
         ),
     ]
-    return (*((name, what, seconds / 60) for name, what, seconds in rows), ("all", "", found.total_s / 60))
+    return (*((name, what, seconds / 60) for name, what, seconds in rows), ("all", "", planned.total_s / 60))
 
 
 def commission_device(
@@ -126,7 +126,7 @@ def commission_device(
     out: Path | str,
     progress: Progress | None = None,
 ) -> Commissioned:
-    """Find the safe range and rate, record, check, identify, diagnose, make the controller, verify it, report.
+    """Commission a device: safe range and rate, recordings, model, controller, verification, report.
 
     The same call goes on after the last complete stage, and within recordings and verification after the last complete
     motion.
@@ -155,7 +155,7 @@ def commission_logs(
     settings: CommissionSettings | None = None,
     progress: Progress | None = None,
 ) -> Commissioned:
-    """The same from recordings alone: check, identify, diagnose, make the controller, report; nothing is verified.
+    """Commission from recordings alone: model, controller and report, without a verification on the device.
 
     Args:
         logs: files or folders.
@@ -174,8 +174,8 @@ def commission_logs(
 
 
 @only_reads()
-def report_again(folder: Path | str) -> Commissioned:
-    """Write the report of a complete commissioning again from what its stages have left; no device is opened.
+def rewrite_report(folder: Path | str) -> Commissioned:
+    """Rewrite the report of a complete commissioning from the results of its stages, without moving the device.
 
     Raises:
         ConfigError: if a stage was begun after other results than those before it, or another process works in it.
@@ -210,9 +210,9 @@ def _computing_s(block: CommissionBlock) -> float:
 
 
 def _on_device(settings: CommissionSettings, stages: Stages, planned: Budget) -> Commissioned:
-    """All stages, each loaded or done now."""
+    """Go through all stages; complete ones are loaded."""
     seconds = planned.range_s + planned.prepare_s
-    ranged = stages.complete(RANGE, Ranged, lambda folder: _ranged(settings, stages), device_s=seconds)
+    ranged = stages.complete(RANGE, CommandRange, lambda folder: _ranged(settings, stages), device_s=seconds)
     bench = narrowed(settings, ranged.lower, ranged.upper, ranged.rate_per_s, ranged.still)
 
     def record(folder: Path) -> RecordedTrials:
@@ -224,22 +224,22 @@ def _on_device(settings: CommissionSettings, stages: Stages, planned: Budget) ->
     subject = subject_of(settings, bench.limits.build(), trials)
     identified = _identified(subject, stages)
 
-    def verify(folder: Path) -> Verified:
+    def verify(folder: Path) -> Verification:
         motions = fresh_references(subject, identified.made.reached, planned.motion_s)
         tracks = track_all(stages.device, motions, bench, folder, lambda what: stages.say(f"verify {what}"))
         fitted = identified.fitted
-        return judge(tracks, subject.limits, settings.dt_s, fitted.sensor_sigma_deg, fitted.model_sigma_deg)
+        return judge_tracks(tracks, subject.limits, settings.dt_s, fitted.sensor_sigma_deg, fitted.model_sigma_deg)
 
-    verified = stages.complete(VERIFY, Verified, verify, device_s=planned.verify_s + planned.prepare_s)
+    verified = stages.complete(VERIFY, Verification, verify, device_s=planned.verify_s + planned.prepare_s)
     tracks = load_tracks(stages.root / VERIFY)
     in_order = {motion: tracks[motion] for motion in verified.scores[MPC].by_motion if motion in tracks}
     return _reported(identified, stages, ranged.words, in_order, verified)
 
 
-def _ranged(settings: CommissionSettings, stages: Stages) -> Ranged:
-    """Climb in every direction, then dash; what was found is narrower than the limits or as wide."""
+def _ranged(settings: CommissionSettings, stages: Stages) -> CommandRange:
+    """Range of the command by climbs from the safe command, and its rate by a dash; never beyond the limits."""
     stages.say("range")
-    block, climbs = settings.commission, list[Climbed]()
+    block, climbs = settings.commission, list[ClimbResult]()
     for k, end in enumerate(directions(settings)):
         climb = Climb(settings, end, settings.angle_limits, block.range_steps, block.angle_limits_deg is None)
         stages.device.explore(f"{RANGE}/climb-{k + 1}", climb, settings)
@@ -269,7 +269,7 @@ def _ranged(settings: CommissionSettings, stages: Stages) -> Ranged:
     still = max(c.still for c in climbs)
     within = narrowed(settings, lower, upper, limits.rate_per_s, still)
     rate, said = _dashed(within, first.end, stages.device, block.angle_limits_deg)
-    return Ranged(lower, upper, rate, low_deg, high_deg, f"{words}; {said}", still)
+    return CommandRange(lower, upper, rate, low_deg, high_deg, f"{words}; {said}", still)
 
 
 def _dashed(
@@ -284,37 +284,37 @@ def _dashed(
     return rate, f"the device follows {limit:g} per s" if rate == limit else f"it follows {rate:g} of {limit:g} per s"
 
 
-def _identified(subject: Subject, stages: Stages) -> Identified:
-    """Check, identification, diagnosis and controller: what needs no device."""
-    checked = stages.complete(CHECK, Checked, lambda folder: check_trials(subject))
+def _identified(subject: Subject, stages: Stages) -> IdentifiedDevice:
+    """Stages without a device: check, identification, diagnosis, controllers."""
+    checked = stages.complete(CHECK, TrialCheck, lambda folder: check_trials(subject))
 
-    def fit(folder: Path) -> Fitted:
+    def fit(folder: Path) -> FittedModel:
         return fit_model(subject, folder, stages.computing("identify"))
 
-    def diagnose(folder: Path) -> Diagnosed:
+    def diagnose(folder: Path) -> ModelDiagnosis:
         return diagnose_model(subject, stages.root / FIT / MODEL_FILE, folder, stages.computing("diagnose"))
 
-    def make(folder: Path) -> ControllerMade:
+    def make(folder: Path) -> ControllerFiles:
         noise = fitted.sensor_sigma_deg if math.isfinite(fitted.sensor_sigma_deg) else 0.0
         return make_controllers(subject, model, noise, folder, stages.computing("tune"))
 
-    fitted = stages.complete(FIT, Fitted, fit, _COMPUTING_S[FIT])
+    fitted = stages.complete(FIT, FittedModel, fit, _COMPUTING_S[FIT])
     model, diagnosed = stages.root / FIT / MODEL_FILE, None
     if subject.block.diagnose:
-        diagnosed = stages.complete(DIAGNOSE, Diagnosed, diagnose, _COMPUTING_S[DIAGNOSE])
+        diagnosed = stages.complete(DIAGNOSE, ModelDiagnosis, diagnose, _COMPUTING_S[DIAGNOSE])
         model = stages.root / DIAGNOSE / FIXED_FILE if diagnosed.corrected else model
-    made = stages.complete(CONTROLLER, ControllerMade, make, _COMPUTING_S[CONTROLLER])
-    return Identified(subject, checked, fitted, diagnosed, made, model)
+    made = stages.complete(CONTROLLER, ControllerFiles, make, _COMPUTING_S[CONTROLLER])
+    return IdentifiedDevice(subject, checked, fitted, diagnosed, made, model)
 
 
 def _reported(
-    identified: Identified,
+    identified: IdentifiedDevice,
     stages: Stages,
     range_words: str,
     tracks: Tracks | None = None,
-    verified: Verified | None = None,
+    verified: Verification | None = None,
 ) -> Commissioned:
-    """Write the page."""
+    """Write the report."""
     from .report import CommissionStory, write_commission  # matplotlib takes a second to import
 
     stages.say("report")
@@ -325,7 +325,7 @@ def _reported(
 
 
 def _from_logs(files: Sequence[Path], settings: CommissionSettings | None) -> tuple[Subject, str]:
-    """What is identified from logs, and where its limits come from.
+    """Subject of an identification from logs, and the origin of its limits in words.
 
     Raises:
         ConfigError: if the logs are beyond the limits of the bench, or in another unit.

@@ -15,11 +15,11 @@ from hystmpc.trials.config import Count, FolderName, NotNegativeInt, Positive, S
 
 MOST_MINUTES = 5.0
 _STILL_MARGIN, _MOST_TRAVEL = 1.5, 0.9  # of the travel seen without motion, and of the range
-_MARGIN = 0.05  # of the sensor's range: how far from its ends the tip is kept where nothing else is said
+_MARGIN = 0.05  # of the sensor's range: distance of the default angle limits from its ends
 
 
 class CommissionBlock(Settings):
-    """Block `commission`; every key has a default.
+    """Block `commission` of a bench file; every key has a default.
 
     Attributes:
         minutes: of device time, all motions together [min]; a motion that is repeated after an interruption adds to it.
@@ -42,7 +42,7 @@ class CommissionBlock(Settings):
 
 
 class InvestigateBlock(Settings):
-    """Block `investigate`; every key has a default.
+    """Block `investigate` of a bench file; every key has a default.
 
     Attributes:
         minutes: of device time, which all motions together never exceed [min].
@@ -87,7 +87,7 @@ class CommissionSettings(BenchSettings):
 
     @property
     def angle_limits(self) -> tuple[float, float]:
-        """Where the tip may go [deg]."""
+        """Least and greatest angle that the tip may take [deg]."""
         if self.commission.angle_limits_deg is not None:
             return self.commission.angle_limits_deg
         low, high = self.sensor.lower_deg, self.sensor.upper_deg
@@ -105,7 +105,7 @@ class InvestigateSettings(CommissionSettings):
 
     @property
     def budget_s(self) -> float:
-        """Device time [s]."""
+        """Device time that is allowed [s]."""
         return 60.0 * self.investigate.minutes
 
 
@@ -113,7 +113,7 @@ C = TypeVar("C", bound=CommissionSettings)
 
 
 def load_commission(path: Path | str, overrides: Iterable[str] = ()) -> CommissionSettings:
-    """Read a bench file with the block `commission`; file names in it start at its own folder and come out absolute.
+    """Read a bench file with the block `commission`; its file names are relative to it and become absolute.
 
     Raises:
         ConfigError: on an unreadable file, an unknown key or a value out of bounds.
@@ -123,20 +123,20 @@ def load_commission(path: Path | str, overrides: Iterable[str] = ()) -> Commissi
 
 
 def located_commission(settings: C, folder: Path) -> C:
-    """The settings with file names that start at `folder`."""
+    """Settings with absolute file names; relative ones start at `folder`."""
     changes: dict[str, Any] = located(settings, folder)
     motions = settings.commission.motions
     if motions is not None:
-        found = {
+        absolute = {
             name: m.model_copy(update={"file": folder / m.file}) if isinstance(m, SampledSettings) else m
             for name, m in motions.items()
         }
-        changes["commission"] = settings.commission.model_copy(update={"motions": found})
+        changes["commission"] = settings.commission.model_copy(update={"motions": absolute})
     return settings.model_copy(update=changes)
 
 
 def load_investigation(path: Path | str, overrides: Iterable[str] = ()) -> InvestigateSettings:
-    """Read a bench file with the block `investigate`; file names in it start at its own folder and come out absolute.
+    """Read a bench file with the block `investigate`; its file names are relative to it and become absolute.
 
     Raises:
         ConfigError: on an unreadable file, an unknown key or a value out of bounds.
@@ -149,11 +149,11 @@ def load_investigation(path: Path | str, overrides: Iterable[str] = ()) -> Inves
 def located_investigation(
     settings: InvestigateSettings, folder: Path, model: Path | str | None = None, minutes: float | None = None
 ) -> InvestigateSettings:
-    """The settings with file names that start at `folder`.
+    """Settings with absolute file names; relative ones start at `folder`.
 
     Args:
-        model: taken in place of the file's own; starts at the present folder.
-        minutes: taken in place of the file's own.
+        model: taken in place of the file's; starts at the present folder.
+        minutes: taken in place of the file's.
 
     Raises:
         ConfigError: if the minutes are out of bounds.
@@ -173,7 +173,7 @@ def located_investigation(
 def narrowed(
     settings: BenchSettings, lower: float, upper: float, rate_per_s: Positive, still: float = 0.0
 ) -> BenchSettings:
-    """The bench with narrower limits of the command.
+    """Settings of the bench with narrower limits of the command.
 
     How far a stop may go on stays as it was. The travel without a motion of the tip that is implausible is never more
     than nine tenths of the narrower range, since over all of it the tip was seen to move:

@@ -1,4 +1,4 @@
-"""The controller files: the predictive controller on the identified model, and the rivals it is verified beside."""
+"""Controller files: the predictive controller on the identified model, and those that it is compared with."""
 
 from __future__ import annotations
 
@@ -23,29 +23,29 @@ from hystmpc.trials.config import dump_yaml
 from hystmpc.trials.files import write_atomically
 from hystmpc.trials.types import Progress
 
-from .identify import Checked, Diagnosed, Fitted, Subject, reached_angles
-from .motions import Reached, references
+from .identify import FittedModel, ModelDiagnosis, Subject, TrialCheck, reached_angles
+from .motions import ReachedAngles, references
 from .stages import Figure
 
 TIP_FILE = "tip.yaml"
 _TUNING, _FRESH = 3, 4  # draws of references: those of the tuning, and those of the verification
 _TUNED_S = 10.0  # of each tuning motion
 _FULL_HZ = 50.0  # above it the search has fewer evaluations, so that it takes no longer
-_INVERSE_SHARE = 4  # the search beside an inverse costs more and is not verified: a share of the evaluations
+_INVERSE_SHARE = 4  # the search with an inverse costs more, and its result is not verified: a share of the evaluations
 _TOLERANCE_DEG, _TOLERANCE_SIGMAS = 0.5, 3.0
 
 
 @dataclass(frozen=True)
-class ControllerMade:
-    """The files of the controllers, and where they come from.
+class ControllerFiles:
+    """Result of the stage that writes the controller files.
 
     Attributes:
         reached: angles between which references may lie.
-        pid, inverse_pid: gains, found on the identified model with its noise.
+        pid, inverse_pid: gains, tuned on the identified model with its noise.
         pid_rmse_deg, inverse_pid_rmse_deg: of the true angle on that model [deg].
     """
 
-    reached: Reached
+    reached: ReachedAngles
     pid: Mapping[str, float]
     pid_rmse_deg: Figure
     inverse_pid: Mapping[str, float]
@@ -53,8 +53,8 @@ class ControllerMade:
 
 
 @dataclass(frozen=True, eq=False)
-class Identified:
-    """The device as identified, with its controllers.
+class IdentifiedDevice:
+    """Results of the stages without a device: model, diagnosis, controllers.
 
     Attributes:
         checked, fitted, diagnosed, made: results of the stages; no diagnosis where it was left out.
@@ -62,17 +62,17 @@ class Identified:
     """
 
     subject: Subject
-    checked: Checked
-    fitted: Fitted
-    diagnosed: Diagnosed | None
-    made: ControllerMade
+    checked: TrialCheck
+    fitted: FittedModel
+    diagnosed: ModelDiagnosis | None
+    made: ControllerFiles
     model: Path
 
 
 def make_controllers(
     subject: Subject, model: Path, sigma_deg: float, folder: Path, progress: Progress
-) -> ControllerMade:
-    """Write `tip.yaml` beside the stage's folder, and in it `pid.yaml`, `inverse.yaml` and `inverse_pid.yaml`.
+) -> ControllerFiles:
+    """Write `tip.yaml` next to the stage's folder, and `pid.yaml`, `inverse.yaml` and `inverse_pid.yaml` into it.
 
     Raises:
         HystmpcError: if the model cannot be used.
@@ -84,16 +84,16 @@ def make_controllers(
     whole = max(round(subject.block.tune_evaluations * min(1.0, _FULL_HZ / subject.rate_hz)), 24)
     shares = {"pid": whole, "inverse_pid": max(whole // _INVERSE_SHARE, 24)}
     starts: dict[str, PidLike] = {"pid": PidControllerSettings(), "inverse_pid": InversePidControllerSettings()}
-    total, before, found = sum(shares.values()), 0, dict[str, PidTuning]()
+    total, before, tuned = sum(shares.values()), 0, dict[str, PidTuning]()
     for name, start in starts.items():
 
-        def told(done: float, of: float, note: str = "", before: int = before, share: int = shares[name]) -> None:
+        def report(done: float, of: float, note: str = "", before: int = before, share: int = shares[name]) -> None:
             progress(before + share * done / of, total, f"gains {note}".strip())
 
         config = study.config.model_copy(update={"tune_pid": TuningSettings(evaluations=shares[name])})
-        found[name] = with_wider_dead_zone(tuned_gains(replace(study, config=config), start, told), study, step)
+        tuned[name] = rounding_ignored(tuned_gains(replace(study, config=config), start, report), study, step)
         before += shares[name]
-    gains = {name: tuned.settings.gains.model_dump() for name, tuned in found.items()}
+    gains = {name: one.settings.gains.model_dump() for name, one in tuned.items()}
     tolerance = max(_TOLERANCE_DEG, _TOLERANCE_SIGMAS * sigma_deg)
     files: dict[Path, dict[str, Any]] = {
         folder / "pid.yaml": {"kind": "pid", "gains": gains["pid"]},
@@ -103,16 +103,16 @@ def make_controllers(
     }
     for file, controller in files.items():
         write_tip(file, model, controller, subject, reached, tolerance)
-    return ControllerMade(
-        reached, gains["pid"], found["pid"].rmse_deg, gains["inverse_pid"], found["inverse_pid"].rmse_deg
+    return ControllerFiles(
+        reached, gains["pid"], tuned["pid"].rmse_deg, gains["inverse_pid"], tuned["inverse_pid"].rmse_deg
     )
 
 
 def predictive(subject: Subject, pid: Mapping[str, float]) -> dict[str, Any]:
-    """The controller block of `tip.yaml`; angle limits that the user has given are soft limits of the plan.
+    """Block `controller` of `tip.yaml`; angle limits of the user become soft limits of the plan.
 
     Args:
-        pid: gains of the feedback to which it hands over where its model foretells nothing.
+        pid: gains of the feedback that takes over where the model does not predict the angle.
     """
     block: dict[str, Any] = {"kind": "linearised_mpc", "supervisor": {"pid": dict(pid)}}
     if subject.block.angle_limits_deg is not None:
@@ -122,7 +122,12 @@ def predictive(subject: Subject, pid: Mapping[str, float]) -> dict[str, Any]:
 
 
 def write_tip(
-    file: Path, model: Path, controller: Mapping[str, Any], subject: Subject, reached: Reached, tolerance_deg: float
+    file: Path,
+    model: Path,
+    controller: Mapping[str, Any],
+    subject: Subject,
+    reached: ReachedAngles,
+    tolerance_deg: float,
 ) -> Path:
     """Write the file of a `TipController`; the model's name is relative to it.
 
@@ -143,7 +148,7 @@ def write_tip(
 
 
 def tip_settings(file: Path) -> TipSettings:
-    """Settings of such a file, the model's name absolute.
+    """Read a file of a `TipController`; the model's name becomes absolute.
 
     Raises:
         ConfigError: if the file is not one.
@@ -152,31 +157,33 @@ def tip_settings(file: Path) -> TipSettings:
     return settings.model_copy(update={"model": str((folder / settings.model).resolve())})
 
 
-def fresh_references(subject: Subject, reached: Reached, motion_s: float) -> dict[str, MotionSettings]:
-    """References that neither the identification nor the tuning has seen; the user's own where there are some."""
+def fresh_references(subject: Subject, reached: ReachedAngles, motion_s: float) -> dict[str, MotionSettings]:
+    """References for the verification, new to identification and tuning; those of the user where there are some."""
     return references(reached, motion_s, (subject.block.seed, _FRESH), subject.block.motions)
 
 
 def sensor_step_deg(model: Path) -> float:
-    """Step of the sensor's readings, as the model's file says [deg]; 0 of a continuous sensor."""
+    """Resolution of the sensor according to the model's file [deg]; 0 for a continuous sensor."""
     noise = load_simulator(model).identification.noise
     return 0.0 if noise is None else noise.sensor_resolution_deg
 
 
-def with_wider_dead_zone(found: PidTuning, study: Study, step_deg: float) -> PidTuning:
-    """Gains that do not integrate half a step of the sensor's readings, so that a hold rests; their error on the model.
+def rounding_ignored(tuned: PidTuning, study: Study, step_deg: float) -> PidTuning:
+    """Tuned gains with a dead zone of half the sensor's resolution, and their error on the model.
 
-    The search looks at the error alone, which a command that hunts around a reading may even lower.
+    Without it the command oscillates in a hold, which the search does not see: it looks at the error alone.
     """
-    gains = found.settings.gains.with_dead_zone(step_deg)
-    if gains == found.settings.gains:
-        return found
-    settings = found.settings.model_copy(update={"gains": gains})
-    return replace(found, settings=settings, rmse_deg=math.sqrt(mean_square_of(study, settings)))
+    gains = tuned.settings.gains.with_dead_zone(step_deg)
+    if gains == tuned.settings.gains:
+        return tuned
+    settings = tuned.settings.model_copy(update={"gains": gains})
+    return replace(tuned, settings=settings, rmse_deg=math.sqrt(mean_square_of(study, settings)))
 
 
-def tuning_study(subject: Subject, model: Path, reached: Reached, sigma_deg: float, step_deg: float = 0.0) -> Study:
-    """The identified model with the sensor as the device, and references of the same kinds from its rest.
+def tuning_study(
+    subject: Subject, model: Path, reached: ReachedAngles, sigma_deg: float, step_deg: float = 0.0
+) -> Study:
+    """Simulated study for the tuning: the identified model with the sensor's noise, references from its rest.
 
     Args:
         sigma_deg: noise of the sensor, the error of its steps included [deg].
@@ -202,7 +209,7 @@ def tuning_study(subject: Subject, model: Path, reached: Reached, sigma_deg: flo
 
 
 def _from_rest(motion: MotionSettings, rest_deg: float) -> MotionSettings:
-    """The reference with an approach from where the device rests."""
+    """The reference, begun at the angle at which the device rests."""
     if isinstance(motion, PointToPointSettings):
         targets, holds = (motion.start_deg, *motion.targets_deg), (1.0, *motion.holds_s)
         return motion.model_copy(update={"start_deg": rest_deg, "targets_deg": targets, "holds_s": holds})

@@ -1,4 +1,4 @@
-"""A device that can be moved: one run of the bench for each motion, in real time or on a simulated clock."""
+"""The device of a commissioning or investigation: one run for each motion, in real time or on a simulated clock."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ _SEEDS = 100_003
 _TICK_S = 1.0
 
 Tick = Callable[[float], None]
-"""Told the seconds of the present motion."""
+"""Called with the seconds of the present motion."""
 
 
 class DeviceStoppedError(HystmpcError):
@@ -61,7 +61,7 @@ class DeviceStoppedError(HystmpcError):
 
 @dataclass(frozen=True, eq=False)
 class Track:
-    """A reference that was tracked, one row a sample (N,); the lead-in is left out.
+    """Record of a tracked reference, one row a sample (N,), without the lead-in.
 
     Attributes:
         t: end of the sample since the reference's start [s].
@@ -80,11 +80,11 @@ class Track:
 
     @property
     def error_deg(self) -> Vec:
-        """Measured less wanted angle (N,) [deg]."""
+        """Tracking error: measured minus reference angle (N,) [deg]."""
         return self.measured_deg - self.reference_deg
 
     def save(self, path: Path) -> Path:
-        """Write it, whole or not at all."""
+        """Write the record as CSV, whole or not at all."""
         columns: dict[str, Sequence[str] | Vec] = {
             "time_s": self.t,
             "reference_deg": self.reference_deg,
@@ -97,7 +97,7 @@ class Track:
 
     @classmethod
     def load(cls, path: Path) -> Track:
-        """What `save` has written.
+        """Read the CSV of `save`.
 
         Raises:
             LogError: if it is no such file.
@@ -124,7 +124,7 @@ class Device(Protocol):
     """Device time that all calls took together [s]."""
 
     def explore(self, name: str, phase: Phase, bench: BenchSettings) -> None:
-        """Go through a phase that decides itself, on the angle's limits too."""
+        """Run a phase that chooses its commands and keeps the angle limits itself."""
         ...
 
     def play(self, name: str, commands: Vec, bench: BenchSettings) -> Trial:
@@ -141,7 +141,7 @@ class Device(Protocol):
 
 
 Open = Callable[[Path, Tick], Device]
-"""Opens a device, given the folder of the work and what to tell while a motion lasts."""
+"""Opens a device, given the folder of the work and what to call while a motion lasts."""
 
 
 @final
@@ -157,8 +157,8 @@ class BenchDevice(Device):
         folder: of the commissioning or investigation.
         angle_limits: beyond which recordings and tracks are stopped safely [deg]; None for those of the sensor.
         views: what is shown while a motion lasts.
-        note: told what the loop's process says.
-        tick: told the seconds of the present motion, once a second and by no thread of the loop.
+        note: called with messages of the loop's process.
+        tick: called once a second with the seconds of the present motion, from a thread outside the loop.
     """
 
     def __init__(
@@ -196,7 +196,7 @@ class BenchDevice(Device):
         return track_of(samples, reference.build().duration_s, bench.dt_s)
 
     def _perform(self, name: str, phase: Phase, bench: BenchSettings) -> tuple[Sample, ...]:
-        """One run: preparation where it is due, the way to the safe command, the phase, the way back."""
+        """One run on the device: preparation, approach to the safe command, the phase, the way back."""
 
         def approach(held: float) -> Vec:
             return waypoint_commands(held, [bench.safe_command], [bench.dt_s], bench.ramps, bench.dt_s)
@@ -236,7 +236,7 @@ class BenchDevice(Device):
             self._tick(len(kept.samples) * dt_s)
 
     def _of_motion(self, name: str, stage: str, bench: BenchSettings) -> BenchSettings:
-        """The bench for this motion: prepared once a stage, a computed device with a seed of its own."""
+        """Settings of one motion: preparation once a stage; a seed by name for a computed device."""
         transport = bench.transport
         if isinstance(transport, SimulatedSettings):
             seed = transport.seed + zlib.crc32(name.encode()) % _SEEDS
@@ -250,21 +250,22 @@ class BenchDevice(Device):
 def opened_device(
     settings: CommissionSettings, folder: Path, views: Views = Views(), note: Note = lambda text: None
 ) -> Open:
-    """Opens the device of the settings.
+    """Opener of the device that the settings describe.
 
     Args:
         folder: where file names of a simulated plant start.
         views: what is shown while a motion lasts.
-        note: told what the loop's process says.
+        note: called with messages of the loop's process.
     """
     plants, limits = plants_in(folder, settings.command_unit), settings.commission.angle_limits_deg
     return lambda root, tick: BenchDevice(settings, plants, root, limits, views, note, tick)
 
 
 def track_of(samples: Sequence[Sample], duration_s: float, dt_s: float) -> Track:
-    """What of a run's samples belongs to a reference of that duration [s], which is their end; the lead-in is left out.
+    """Record of a reference of that duration [s] from the samples of its run, without the lead-in.
 
-    The angle at the end of a sample is what the next one has measured; NaN where that was skipped.
+    The reference is the end of the run. The angle at the end of a sample is what the next one has measured; NaN where
+    that was skipped.
 
     Raises:
         LogError: if nothing was tracked.
@@ -290,7 +291,7 @@ def track_of(samples: Sequence[Sample], duration_s: float, dt_s: float) -> Track
 
 
 def _free(folder: Path, name: str) -> Path:
-    """A folder that is not there yet: a run that was cut short keeps its own."""
+    """A new folder of that name, numbered where a run that was cut short has left one."""
     free, number = folder / name, 1
     while free.exists():
         number += 1
@@ -299,7 +300,7 @@ def _free(folder: Path, name: str) -> Path:
 
 
 def _used(folder: Path) -> float:
-    """Device time of earlier calls [s]."""
+    """Device time of earlier calls in this folder [s]."""
     try:
         return float(json.loads((folder / TIME_FILE).read_text(encoding="utf-8"))["seconds"])
     except (OSError, ValueError, KeyError, TypeError):

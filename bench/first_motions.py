@@ -29,12 +29,12 @@ _NUDGE = 0.3  # of the unknowns' typical changes
 
 @dataclass(frozen=True, eq=False)
 class FirstMotions:
-    """The motions, in the order of recording.
+    """First motions of an investigation, in the order of recording.
 
     Attributes:
         options: each with its expected result, by the name of its recording.
         numbers: of each in the family (22,).
-        explanations: names that they are to tell apart.
+        explanations: names of the hypotheses that they are to discriminate.
         probability: expected one of the right name, chance being one over their number.
     """
 
@@ -51,7 +51,7 @@ def first_motions(
     allowed: Callable[[Option], bool],
     overhead_s: float,
 ) -> FirstMotions:
-    """Motions of the family's starts that tell most per second which effect the simulator might lack.
+    """Starts of the family with most expected information per second about which effect the simulator lacks.
 
     Every effect of the library is added to the simulator at a typical size. The first motion is the one with the most
     expected information per second, each further one that which adds most to those before it; the distances of two
@@ -61,7 +61,7 @@ def first_motions(
     Args:
         count: of motions, two or more.
         allowed: whether a motion may be played, judged by the angles that the explanations expect.
-        overhead_s: device time of a run beside its motion [s].
+        overhead_s: device time of a run without its motion [s].
 
     Raises:
         FitError: if no motion is allowed.
@@ -89,7 +89,7 @@ def further_motion(
     allowed: Callable[[Option], bool],
     overhead_s: float,
 ) -> FirstMotions | None:
-    """The start of the family that adds most per second to those recorded; None where none is left or allowed.
+    """Unrecorded start of the family with most expected information per second; None where none is allowed.
 
     The error of an explanation's form is the same in each repeat of a motion. Only another kind of motion shows it in
     another way.
@@ -98,7 +98,7 @@ def further_motion(
         recorded: names of the starts that were recorded already.
         number: of the recording that it becomes.
         allowed: whether a motion may be played, judged by the angles that the explanations expect.
-        overhead_s: device time of a run beside its motion [s].
+        overhead_s: device time of a run without its motion [s].
     """
     names, options = _options(simulator, family, allowed)
     known = [option for name, (option, _) in options.items() if name in recorded]
@@ -113,10 +113,10 @@ def further_motion(
 def _options(
     simulator: Simulator, family: MotionFamily, allowed: Callable[[Option], bool]
 ) -> tuple[tuple[str, ...], dict[str, tuple[Option, Vec]]]:
-    """Names of the explanations, and by its name each start of the family that is allowed, with its numbers."""
+    """Names of the hypotheses, and each allowed start of the family with its numbers, by name."""
     everything, noise = explanations(simulator, family.limits, family.dt), prior_noise(simulator)
-    found = [_fastest(family, name, everything, noise, allowed) for name in family.starts]
-    options = {option.motion.name: (option, numbers) for option, numbers in filter(None, found)}
+    fastest = [_fastest(family, name, everything, noise, allowed) for name in family.starts]
+    options = {option.motion.name: (option, numbers) for option, numbers in filter(None, fastest)}
     return tuple(explanation.name for explanation in everything), options
 
 
@@ -127,7 +127,7 @@ def _fastest(
     noise: Noise,
     allowed: Callable[[Option], bool],
 ) -> tuple[Option, Vec] | None:
-    """A motion of the family's starts as fast as it is allowed, with its numbers; None where it is not."""
+    """The start of that name, as fast as allowed, with its numbers; None where no speed is allowed."""
     for factor in _SLOWER:
         numbers = family.slower(family.starts[name], factor)
         option = option_on(everything, family.motion(numbers, name), noise)
@@ -139,7 +139,7 @@ def _fastest(
 def _greedy(
     options: Sequence[Option], known: Sequence[Option], names: int, count: int, overhead_s: float
 ) -> list[Option]:
-    """At most `count` options, each the one that adds most per second to those before it and those known."""
+    """At most `count` options, chosen one by one for most additional information per second."""
     chosen: list[Option] = []
     squares = sum((option.distances**2 for option in known), np.zeros((names, names)))
     bits = information_bits(expected_probability(np.sqrt(squares)), names)
@@ -158,23 +158,23 @@ def _greedy(
 
 
 def explanations(simulator: Simulator, limits: CommandLimits, dt: float) -> tuple[OpenHypothesis, ...]:
-    """The simulator as it is, and with each effect of the library at a typical size."""
+    """Hypotheses: the simulator as it is, and with each effect of the library at a typical size."""
     angles = simulator.trained_angle_deg
     scale = Scale(limits.lower, limits.upper, angles.lower, angles.upper, 20.0, 100.0, dt)
     baseline = baseline_of(simulator.at_sample_time(dt).chain, Range(lower=limits.lower, upper=limits.upper))
-    found = {NOTHING: _explanation(NOTHING, baseline, None, angles.lower)}
+    hypotheses = {NOTHING: _explanation(NOTHING, baseline, None, angles.lower)}
     for candidate in candidates(scale, baseline.effects):
-        if candidate.effect not in found and candidate.operators:
-            found[candidate.effect] = _explanation(candidate.effect, baseline, candidate, angles.lower)
-    return tuple(found.values())
+        if candidate.effect not in hypotheses and candidate.operators:
+            hypotheses[candidate.effect] = _explanation(candidate.effect, baseline, candidate, angles.lower)
+    return tuple(hypotheses.values())
 
 
 def _explanation(name: str, baseline: Baseline, candidate: Candidate | None, rest_deg: float) -> OpenHypothesis:
     problem = Problem(baseline, () if candidate is None else (candidate,))
     q = problem.start(baseline.nominal, [] if candidate is None else [candidate.starts[-1]])
     if candidate is not None:
-        own = q[problem.size - len(candidate.free) :]
-        own[:] = np.where(own == 0.0, 1.0, own)  # a size of none is one typical change
+        sizes = q[problem.size - len(candidate.free) :]
+        sizes[:] = np.where(sizes == 0.0, 1.0, sizes)  # a size of none is one typical change
     q = np.clip(q, problem.lower, problem.upper)
     nudged = [np.clip(q + _NUDGE * row, problem.lower, problem.upper) for row in np.eye(problem.size)]
     runs = [free_run(problem.fitted_chain(p), rest_deg) for p in (q, *nudged)]
@@ -182,7 +182,7 @@ def _explanation(name: str, baseline: Baseline, candidate: Candidate | None, res
 
 
 def prior_noise(simulator: Simulator) -> Noise:
-    """Noise and form error as the simulator's file states them; a little of both where it does not."""
+    """Noise and model error as stated in the simulator's file, with small lower bounds."""
     identification = simulator.identification
     noise = nominal_noise_deg(identification) or 0.0
     sizes = [residual.rmse_deg for residual in identification.residuals]

@@ -1,4 +1,4 @@
-"""From recorded trials to a model: what blocks, the identification, and what the model leaves."""
+"""From recorded trials to a model: quality check, identification, diagnosis of the residual."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Progress
 
 from .config import CommissionBlock, CommissionSettings
-from .motions import Reached
+from .motions import ReachedAngles
 from .stages import Figure
 
 MODEL_FILE, FIXED_FILE = "model.yaml", "model.fixed.yaml"
@@ -36,7 +36,7 @@ _KIND = "auto"
 
 @dataclass(frozen=True)
 class Subject:
-    """What is identified, and within which limits it is moved.
+    """A device to be identified: limits, sample rate, recordings.
 
     Attributes:
         name: of the device.
@@ -44,7 +44,7 @@ class Subject:
         rate_hz: samples per second.
         limits: range and rate that are used.
         safe_command: where the device rests.
-        angle_limits: where the tip may go [deg]; None where nothing is said.
+        angle_limits: where the tip may go [deg]; None for no limits.
         trials: files of the recordings.
     """
 
@@ -59,7 +59,7 @@ class Subject:
 
 
 def subject_of(settings: CommissionSettings, limits: CommandLimits, trials: Iterable[Path]) -> Subject:
-    """The device of the settings, within these limits, with these recordings."""
+    """Subject with these limits and recordings, all else as in the settings."""
     return Subject(
         name=settings.name,
         command_unit=settings.command_unit,
@@ -73,16 +73,16 @@ def subject_of(settings: CommissionSettings, limits: CommandLimits, trials: Iter
 
 
 @dataclass(frozen=True)
-class Checked:
-    """Lines of the quality check, each with the file; none of them blocks."""
+class TrialCheck:
+    """Result of the quality check: warnings with their files, number and duration of the trials."""
 
     warnings: tuple[str, ...]
     trials: int
     seconds: float
 
 
-def check_trials(subject: Subject) -> Checked:
-    """Look at all recordings as `hystmpc check` does.
+def check_trials(subject: Subject) -> TrialCheck:
+    """Quality check of all recordings, as of `hystmpc check`.
 
     Raises:
         LogError: with the first fault if a recording cannot be used.
@@ -99,11 +99,11 @@ def check_trials(subject: Subject) -> Checked:
     moved = max(float(np.ptp(trial.angle)) for trial in trials)
     if all(np.ptp(trial.command) == 0 for trial in trials) or moved == 0:
         raise LogError("check: neither command nor angle moves, expected recordings of a motion")
-    return Checked(tuple(warnings), len(trials), sum(trial.duration_s for trial in trials))
+    return TrialCheck(tuple(warnings), len(trials), sum(trial.duration_s for trial in trials))
 
 
 def uniform_trials(subject: Subject) -> list[Trial]:
-    """All recordings at the rate of the device.
+    """Recordings, resampled to the rate of the device.
 
     Raises:
         LogError: if one cannot be read or resampled.
@@ -119,8 +119,8 @@ Number = tuple[str, Figure, Figure, Figure]
 
 
 @dataclass(frozen=True)
-class Fitted:
-    """The identified model.
+class FittedModel:
+    """Result of the identification.
 
     Attributes:
         report: one line: what it consists of, and the error on trials left out.
@@ -141,7 +141,7 @@ class Fitted:
     sensor_step_deg: Figure = 0.0
 
 
-def fit_model(subject: Subject, folder: Path, progress: Progress) -> Fitted:
+def fit_model(subject: Subject, folder: Path, progress: Progress) -> FittedModel:
     """Identify the whole device and write `model.yaml`.
 
     Raises:
@@ -154,15 +154,15 @@ def fit_model(subject: Subject, folder: Path, progress: Progress) -> Fitted:
     trials = uniform_trials(subject)
     kind.check(trials, request)
     total = kind.steps(request) or 100
-    found = kind.fit(trials, request, lambda done, rmse: progress(done, total, f"best {rmse:.4f} deg"))
-    if found.interrupted:
+    fitted = kind.fit(trials, request, lambda done, rmse: progress(done, total, f"best {rmse:.4f} deg"))
+    if fitted.interrupted:
         raise KeyboardInterrupt
-    if found.simulator is None:
+    if fitted.simulator is None:
         raise FitError(f"{_KIND}: got no readable model, expected one")
-    save_simulator(found.simulator, folder / MODEL_FILE)
-    noise, parts = found.simulator.identification.noise, found.parts
-    return Fitted(
-        report=found.report,
+    save_simulator(fitted.simulator, folder / MODEL_FILE)
+    noise, parts = fitted.simulator.identification.noise, fitted.parts
+    return FittedModel(
+        report=fitted.report,
         parts=tuple((r.part, r.form, r.without_deg, r.with_deg) for r in (parts.rows if parts else ())),
         numbers=tuple((f"{r.owner} {r.name}", r.value, *r.ci90) for r in (parts.parameters if parts else ())),
         sensor_sigma_deg=math.nan if noise is None else noise.sensor_sigma_deg,
@@ -173,8 +173,8 @@ def fit_model(subject: Subject, folder: Path, progress: Progress) -> Fitted:
 
 
 @dataclass(frozen=True)
-class Diagnosed:
-    """What the model leaves, in words.
+class ModelDiagnosis:
+    """Result of the diagnosis of the model's residual, in words.
 
     Attributes:
         verdict: headline, reason, sizes of the gap, and the tracking error that is expected.
@@ -187,8 +187,8 @@ class Diagnosed:
     next: str
 
 
-def diagnose_model(subject: Subject, model: Path, folder: Path, progress: Progress) -> Diagnosed:
-    """Diagnose what the model leaves; write the diagnosis, and `model.fixed.yaml` where that is certified better.
+def diagnose_model(subject: Subject, model: Path, folder: Path, progress: Progress) -> ModelDiagnosis:
+    """Diagnose the model's residual; write the diagnosis, and `model.fixed.yaml` where it is certified better.
 
     A model that cannot be diagnosed on these trials is no error: the verdict says why.
 
@@ -209,7 +209,7 @@ def diagnose_model(subject: Subject, model: Path, folder: Path, progress: Progre
     if corrected is not None:
         save_simulator(corrected, folder / FIXED_FILE)
     motion = diagnosis.next_motion
-    return Diagnosed(
+    return ModelDiagnosis(
         verdict=(headline(diagnosis), diagnosis.reason, closed_sentence(diagnosis), tracking_sentence(diagnosis)),
         corrected=corrected is not None,
         next="" if motion is None else f"record {folder.name}/diagnosis/{motion.file} ({motion.duration_s:.0f} s)",
@@ -217,19 +217,19 @@ def diagnose_model(subject: Subject, model: Path, folder: Path, progress: Progre
 
 
 def certified(diagnosis: Diagnosis) -> bool:
-    """Whether the corrected simulator is better on trials that nothing was chosen on, the interval of 90 % included.
+    """Whether the corrected simulator is better on held-out trials, with the whole interval of 90 %.
 
     A faulty sensor is nothing that a simulator can be corrected by.
     """
     gap = diagnosis.gap
     better = gap.with_effects_rmse_deg < min(gap.nominal_rmse_deg, gap.retuned_rmse_deg)
-    found = any(effect.name != "sensor" for effect in diagnosis.effects)
-    named = diagnosis.verdict in ("named", "one_of") and found and bool(gap.final_trials)
+    physical = any(effect.name != "sensor" for effect in diagnosis.effects)
+    named = diagnosis.verdict in ("named", "one_of") and physical and bool(gap.final_trials)
     return named and better and gap.closed_ci90[0] > 0
 
 
-def reached_angles(subject: Subject, model: Path) -> Reached:
-    """Angles between which references may lie: reached at rest by the model, seen in the trials, and allowed.
+def reached_angles(subject: Subject, model: Path) -> ReachedAngles:
+    """Range of angles for references: reached by the model at rest, covered by the trials, within the limits.
 
     Raises:
         FitError: if nothing is left between them.
@@ -245,4 +245,4 @@ def reached_angles(subject: Subject, model: Path) -> Reached:
             f"model: rests between {rest[0]:.2f} and {rest[1]:.2f} deg, trials show {trained.lower:.2f} to "
             f"{trained.upper:.2f} deg, expected angles in common within the limits"
         )
-    return Reached(low, high, (high - low) / (limits.upper - limits.lower) * limits.rate)
+    return ReachedAngles(low, high, (high - low) / (limits.upper - limits.lower) * limits.rate)

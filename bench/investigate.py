@@ -1,4 +1,4 @@
-"""An investigation: round after round recorded, diagnosed and planned, until the verdict is stable or time is spent."""
+"""An investigation: rounds of recording, diagnosis and planning until the verdict is stable or time is spent."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from hystmpc.trials.types import Progress, Vec
 
 from .config import InvestigateSettings
 from .device import Open
-from .identify import MODEL_FILE, Fitted, check_trials, fit_model, subject_of
+from .identify import MODEL_FILE, FittedModel, check_trials, fit_model, subject_of
 from .motions import LEAST_SHARE, prepare_seconds, recordings, recordings_seconds
-from .round_plan import Plan, first_seconds, plan_first, planned_commands
-from .rounds import DIAGNOSIS, FIRST, Investigated, Judged, RecordedRound, Round, judge, round_folder
+from .round_plan import RoundPlan, first_seconds, plan_first, planned_commands
+from .rounds import DIAGNOSIS, FIRST, Investigated, RecordedRound, Round, RoundVerdict, judge_round, round_folder
 from .stages import Stages, begun, fingerprint
 
 RESULT_FILE, REPORT_FILE = "investigation.json", "report.html"
@@ -35,7 +35,7 @@ def investigate_device(
     out: Path | str,
     progress: Progress | None = None,
 ) -> Investigated:
-    """Record, diagnose and record what decides most, until the verdict is stable or the device time is spent.
+    """Investigate the gap between a simulator and its device, until the verdict is stable or the time is spent.
 
     The same call goes on after the last complete part, and within the recordings after the last complete motion.
 
@@ -60,7 +60,7 @@ def investigate_device(
 
 
 def plan_rows(settings: InvestigateSettings) -> tuple[tuple[str, str, float], ...]:
-    """Parts with their motions and minutes of device time, as they are said before anything moves.
+    """Rows of the plan: part, its motions, and minutes of device time.
 
     Raises:
         ConfigError: if the minutes are too few.
@@ -88,7 +88,7 @@ def plan_rows(settings: InvestigateSettings) -> tuple[tuple[str, str, float], ..
 
 
 def identification_share(settings: InvestigateSettings) -> float:
-    """Share of the full recordings of a commissioning that a simulator is identified from; 0 where one is given.
+    """Length of the recordings for the identification, as a share of the full ones; 0 where a simulator is given.
 
     Raises:
         ConfigError: if the minutes are too few.
@@ -121,10 +121,10 @@ def _model_hash(settings: InvestigateSettings) -> str:
 
 
 def _investigated(settings: InvestigateSettings, stages: Stages) -> Investigated:
-    """All rounds, each loaded or done now."""
+    """Go through all rounds; complete stages are loaded."""
     model, rounds = _model(settings, stages), list[Round]()
     plan = stages.complete(
-        FIRST, Plan, lambda folder: plan_first(settings, load_simulator(model), stages.left_s, folder)
+        FIRST, RoundPlan, lambda folder: plan_first(settings, load_simulator(model), stages.left_s, folder)
     )
     planned_in = stages.root / FIRST
     while True:
@@ -139,10 +139,10 @@ def _round(
     stages: Stages,
     model: Path,
     before: Sequence[Round],
-    plan: Plan,
+    plan: RoundPlan,
     planned_in: Path,
 ) -> Round:
-    """Record what is planned, and judge all recordings so far."""
+    """Record the planned motions and diagnose all recordings so far."""
     number = len(before) + 1
     name = round_folder(stages.root, number).name
     runs = {motion: planned_commands(planned_in, motion) for motion in plan.motions}
@@ -151,15 +151,15 @@ def _round(
     played += [(number, motion) for motion in recorded.names]
     files = [round_folder(stages.root, k) / "record" / "trials" / f"{motion}.csv" for k, motion in played]
 
-    def diagnose(folder: Path) -> Judged:
+    def diagnose(folder: Path) -> RoundVerdict:
         left_s, verdicts = settings.budget_s - recorded.device_s, [earlier.judged for earlier in before]
-        return judge(settings, model, files, verdicts, left_s, folder, stages.computing(f"{name}: diagnose"))
+        return judge_round(settings, model, files, verdicts, left_s, folder, stages.computing(f"{name}: diagnose"))
 
-    return Round(number, plan, recorded, stages.complete(f"{name}/diagnose", Judged, diagnose, _JUDGE_S))
+    return Round(number, plan, recorded, stages.complete(f"{name}/diagnose", RoundVerdict, diagnose, _JUDGE_S))
 
 
 def _model(settings: InvestigateSettings, stages: Stages) -> Path:
-    """The simulator that is judged: given, or identified from recordings of its own."""
+    """The simulator under test: given, or identified first from recordings of the device."""
     if settings.investigate.model is not None:
         return Path(settings.investigate.model)
     motions = recordings(settings, identification_share(settings), settings.investigate.seed)
@@ -169,11 +169,11 @@ def _model(settings: InvestigateSettings, stages: Stages) -> Path:
     subject = subject_of(settings, settings.limits.build(), trials)
     seeded = replace(subject, block=settings.commission.model_copy(update={"seed": settings.investigate.seed}))
 
-    def fit(folder: Path) -> Fitted:
+    def fit(folder: Path) -> FittedModel:
         check_trials(seeded)
         return fit_model(seeded, folder, stages.computing(f"{IDENTIFY}: fit"))
 
-    stages.complete(f"{IDENTIFY}/fit", Fitted, fit, _FIT_S)
+    stages.complete(f"{IDENTIFY}/fit", FittedModel, fit, _FIT_S)
     return stages.root / IDENTIFY / "fit" / MODEL_FILE
 
 
@@ -183,7 +183,7 @@ def _record(stages: Stages, settings: InvestigateSettings, runs: Mapping[str, Ve
 
 
 def _reported(settings: InvestigateSettings, stages: Stages, rounds: tuple[Round, ...], model: Path) -> Investigated:
-    """Write result and page."""
+    """Write the result and the report."""
     root, last = stages.root, rounds[-1].judged
     fixed = round_folder(root, len(rounds)) / "diagnose" / DIAGNOSIS / FIXED_FILE
     made = Investigated(

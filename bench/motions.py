@@ -1,4 +1,4 @@
-"""Motions of a commissioning: commands to identify from, fresh references to verify with, and how long they take."""
+"""Motions on the device: recordings for identification, references for verification, and their device time."""
 
 from __future__ import annotations
 
@@ -39,8 +39,8 @@ LEAST_SHARE = 0.15
 
 
 @dataclass(frozen=True)
-class Reached:
-    """Angles that the device has reached at rest, and how fast it can go through them.
+class ReachedAngles:
+    """Range of angles that the device reaches at rest, and its speed.
 
     Attributes:
         low_deg, high_deg: least and greatest [deg].
@@ -53,7 +53,7 @@ class Reached:
 
     @property
     def motion(self) -> MotionLimitsSettings:
-        """Limits of a target's motion that the device can follow: a third of its speed, reached within 0.2 s."""
+        """Limits of a target's motion that the device can follow: 35 % of its speed, reached within 0.2 s."""
         velocity = float(f"{min(60.0, _SLOPE_SHARE * self.speed_deg_s):.3g}")
         return MotionLimitsSettings(
             velocity_deg_s=velocity,
@@ -63,7 +63,7 @@ class Reached:
 
 
 def recordings(bench: BenchSettings, share: float, seed: int) -> dict[str, Vec]:
-    """Commands (N,) of every recording: from rest at the safe command, and back to it, within the limits of the bench.
+    """Commands (N,) of each recording, from rest at the safe command and back, within the limits of the bench.
 
     Args:
         share: of the full three minutes.
@@ -72,14 +72,14 @@ def recordings(bench: BenchSettings, share: float, seed: int) -> dict[str, Vec]:
     random = np.random.default_rng([seed, 1])
     stroke, mirrored = limits.upper - limits.lower, limits.upper - safe < safe - limits.lower
     start = limits.upper if mirrored else limits.lower
-    found: dict[str, Vec] = {}
+    runs: dict[str, Vec] = {}
     for name, motion in identification_motions(stroke, limits.rate, random, share):
         moves = motion(dt * np.arange(round(motion.duration_s / dt) + 1, dtype=np.float64))
-        asked = start - moves if mirrored else start + moves
-        there = np.concatenate([_rest(safe, dt), _line(safe, start, limits.rate, dt), asked])
+        wanted = start - moves if mirrored else start + moves
+        there = np.concatenate([_rest(safe, dt), _line(safe, start, limits.rate, dt), wanted])
         played = limits.clip_plans(there, safe, dt)
-        found[name] = np.concatenate([played, _line(float(played[-1]), safe, limits.rate, dt), _rest(safe, dt)])
-    return found
+        runs[name] = np.concatenate([played, _line(float(played[-1]), safe, limits.rate, dt), _rest(safe, dt)])
+    return runs
 
 
 def _line(start: float, end: float, rate: float, dt: float) -> Vec:
@@ -111,12 +111,12 @@ class Budget:
 
     @property
     def total_s(self) -> float:
-        """All of it [s]."""
+        """Device time in all [s]."""
         return 3 * self.prepare_s + self.range_s + self.record_s + self.verify_s
 
 
 def budget(settings: CommissionSettings) -> Budget:
-    """How the device time is divided: preparation and range as they are, then recordings and verification.
+    """Division of the device time: preparation and range as needed, the rest to recordings and verification.
 
     The range is taken to be that of the limits, so that a narrower one takes less.
 
@@ -130,8 +130,8 @@ def budget(settings: CommissionSettings) -> Budget:
     left = whole - 3 * prepare - first
     ways_s = recordings_seconds(settings, 0.0)
     share = min((_RECORD_SHARE * left - ways_s) / WHOLE_S, 1.0)
-    own = settings.commission.motions
-    count = len(CONTROLLERS) * (len(own) if own else 1 + len(SCANS_HZ))
+    given = settings.commission.motions
+    count = len(CONTROLLERS) * (len(given) if given else 1 + len(SCANS_HZ))
     around = _BETWEEN_S + return_seconds(settings) + 1.5
     record = ways_s + WHOLE_S * share
     motion = (left - record) / count - around
@@ -141,9 +141,9 @@ def budget(settings: CommissionSettings) -> Budget:
             f"commission: got {max(WHOLE_S * share, 0.0):.0f} s for recordings after {first + 3 * prepare:.0f} s of "
             f"preparation and range, {least}"
         )
-    if own is not None:
-        longest = max(m.build().duration_s for m in own.values())
-        motion, needed = longest, sum(m.build().duration_s + around for m in own.values()) * len(CONTROLLERS)
+    if given is not None:
+        longest = max(m.build().duration_s for m in given.values())
+        motion, needed = longest, sum(m.build().duration_s + around for m in given.values()) * len(CONTROLLERS)
         if needed > left - record:
             raise ConfigError(f"commission: got motions of {needed:.0f} s, expected {left - record:.0f} s; {least}")
         return Budget(prepare, first, record, needed, share, motion)
@@ -153,38 +153,38 @@ def budget(settings: CommissionSettings) -> Budget:
 
 
 def directions(bench: BenchSettings) -> tuple[float, ...]:
-    """Ends of the command to climb to: both where the safe command lies between them, the farther one first."""
+    """Limits of the command to climb to, the farther first; one where the safe command is at the other."""
     low, high, safe = bench.limits.lower, bench.limits.upper, bench.safe_command
     ends = sorted((low, high), key=lambda end: -abs(end - safe))
     return tuple(end for end in ends if abs(end - safe) > 0.02 * (high - low))
 
 
 def away_seconds(bench: BenchSettings) -> float:
-    """Contact, approach and the end of a run at the safe command [s], from a device that rests there."""
+    """Device time of a run without its motion [s]: contact, approach and end at the safe command."""
     return _BETWEEN_S + 7 * bench.dt_s
 
 
 def run_seconds(bench: BenchSettings, commands: int) -> float:
-    """Device time of one run that plays so many commands, at the most [s]."""
+    """Upper bound on the device time of a run that plays so many commands [s]."""
     return commands * bench.dt_s + away_seconds(bench) + _RESERVE_S
 
 
 def recordings_seconds(bench: BenchSettings, share: float) -> float:
-    """Device time of all recordings, at the longest [s]; with a share of 0 that of their ways and rests alone."""
+    """Upper bound on the device time of all recordings [s]; with a share of 0, of their ways and rests alone."""
     low, high, safe = bench.limits.lower, bench.limits.upper, bench.safe_command
     ways = (min(safe - low, high - safe) + max(safe - low, high - safe)) / (_RETURN * bench.limits.rate_per_s)
     return _RECORDINGS * (2 * _REST_S + away_seconds(bench) + ways) + WHOLE_S * share
 
 
 def return_seconds(bench: BenchSettings) -> float:
-    """Way back to the safe command from the farther end of the range [s]."""
+    """Duration of the way back to the safe command from the farther limit [s]."""
     safe, low, high = bench.safe_command, bench.limits.lower, bench.limits.upper
     far = low if safe - low > high - safe else high
     return ramp_commands(far, 0.0, safe, bench.ramps, bench.dt_s).size * bench.dt_s
 
 
 def prepare_seconds(bench: BenchSettings) -> float:
-    """How long the preparation of the bench takes, from the safe command [s]."""
+    """Duration of the preparation, begun at the safe command [s]."""
     held, samples = bench.safe_command, 0
     for step in bench.prepare:
         held, taken = _walk(step, bench, held)
@@ -193,7 +193,7 @@ def prepare_seconds(bench: BenchSettings) -> float:
 
 
 def _walk(step: PrepareStep, bench: BenchSettings, held: float) -> tuple[float, int]:
-    """The command after a step of preparation, and its samples; a check of the angle is taken to be passed."""
+    """Command after a step of preparation, and its number of samples; checks of the angle count as passed."""
     phase = step.phase(bench.ramps, bench.dt_s)
     low, high = getattr(step, "least_move_deg", 0.0), getattr(step, "most_move_deg", 0.0)
     phase.begin(PhaseInput(0.0, held), Past([], []))
@@ -206,9 +206,9 @@ def _walk(step: PrepareStep, bench: BenchSettings, held: float) -> tuple[float, 
 
 
 def references(
-    reached: Reached, motion_s: float, seed: Sequence[int], given: Mapping[str, MotionSettings] | None = None
+    reached: ReachedAngles, motion_s: float, seed: Sequence[int], given: Mapping[str, MotionSettings] | None = None
 ) -> dict[str, MotionSettings]:
-    """Point to point with holds, a scan at 0.2 Hz and one at 0.6 Hz, over ranges drawn within the reached angles.
+    """References over random ranges of the reached angles: point to point with holds, scans at 0.2 and 0.6 Hz.
 
     Args:
         motion_s: of each, about [s].
@@ -220,7 +220,9 @@ def references(
     return dict(_drawn(reached, motion_s, np.random.default_rng(list(seed))))
 
 
-def _drawn(reached: Reached, motion_s: float, random: np.random.Generator) -> Iterator[tuple[str, MotionSettings]]:
+def _drawn(
+    reached: ReachedAngles, motion_s: float, random: np.random.Generator
+) -> Iterator[tuple[str, MotionSettings]]:
     limits = reached.motion
     low, high = _range(reached, random)
     moves = max(2, round(motion_s / 3.0))
@@ -256,7 +258,7 @@ def _drawn(reached: Reached, motion_s: float, random: np.random.Generator) -> It
         )
 
 
-def _range(reached: Reached, random: np.random.Generator) -> tuple[float, float]:
+def _range(reached: ReachedAngles, random: np.random.Generator) -> tuple[float, float]:
     whole = reached.high_deg - reached.low_deg
     low, usable = reached.low_deg + _EDGE * whole, (1 - 2 * _EDGE) * whole
     width = float(random.uniform(*_WHOLE_SHARE)) * usable

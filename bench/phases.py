@@ -19,7 +19,7 @@ from hystmpc.trials.types import Vec
 MEDIAN = 3
 """Angles whose median is believed: one outlier is no angle."""
 
-BESIDE = 0.02
+ANGLE_MARGIN = 0.02
 """Share of the angle limits by which the tip may pass them in motion, before the run is stopped."""
 
 HOLD_S = 0.6
@@ -37,8 +37,8 @@ _CAREFUL = 0.9  # of the rate at which a device that does not follow has moved
 
 
 @dataclass(frozen=True)
-class Climbed:
-    """How far the command went.
+class ClimbResult:
+    """Result of a climb.
 
     Attributes:
         end: the farthest command at which the tip rested within its limits.
@@ -57,13 +57,13 @@ class Climbed:
 
 @final
 class Bounded(Phase):
-    """Another phase, stopped safely where the median of the last three angles passes the limits by 2 % of them.
+    """Safety wrapper of a phase: stop where the median of three angles passes the limits by 2 % of their range.
 
-    The command's range is found at rest; a device that overshoots in a fast motion goes farther. Angles count as they
-    are shown, also beyond the sensor's range and faster than plausible: those are beyond the limits, not missing.
+    The command's range is measured at rest; a device that overshoots in a fast motion goes farther. Angles count as
+    they are shown, also beyond the sensor's range and faster than plausible: those are beyond the limits, not missing.
 
     Args:
-        phase: what is done.
+        phase: that is wrapped.
         angle_limits: where the tip may go [deg]; None for the range of the sensor.
         sensor: that shows the angle.
     """
@@ -72,22 +72,22 @@ class Bounded(Phase):
         self.name, self._phase = phase.name, phase
         self._which = "commission.angle_limits_deg" if angle_limits else "the range of the sensor"
         low, high = angle_limits or (sensor.lower_deg, sensor.upper_deg)
-        more = BESIDE * (high - low)
-        self._low, self._high = low - more, high + more
+        margin = ANGLE_MARGIN * (high - low)
+        self._low, self._high = low - margin, high + margin
         self._recent: deque[float] = deque(maxlen=MEDIAN)
 
     @property
     def closed_loop(self) -> bool:
-        """As the phase itself."""
+        """As of the wrapped phase."""
         return self._phase.closed_loop
 
     def begin(self, now: PhaseInput, past: Past) -> None:
-        """As the phase itself."""
+        """As of the wrapped phase."""
         self._recent.clear()
         self._phase.begin(now, past)
 
     def step(self, now: PhaseInput) -> Decision:
-        """What the phase decides; a fault beyond the limits."""
+        """Decision of the wrapped phase, with a fault beyond the limits."""
         decision = self._phase.step(now)
         keep_shown(self._recent, now)
         angle = float(np.median(self._recent)) if len(self._recent) == MEDIAN else math.nan
@@ -97,7 +97,7 @@ class Bounded(Phase):
 
 
 def keep_shown(recent: deque[float], now: PhaseInput) -> None:
-    """Keep the angle that is shown in this sample, where one is."""
+    """Append the angle of this sample, usable or not, where there is one."""
     shown = now.angle_deg if math.isfinite(now.angle_deg) else now.shown_deg
     if math.isfinite(shown):
         recent.append(shown)
@@ -105,7 +105,7 @@ def keep_shown(recent: deque[float], now: PhaseInput) -> None:
 
 @final
 class Climb(Phase):
-    """Goes from the command held towards `end` in ramps with rests, and back; stops short of the angle's limits.
+    """Climb from the held command towards `end` in ramps with rests, and back; it ends near the angle limits.
 
     A step is taken only with a usable angle. The first one is a quarter; each is made smaller where the steepest slope
     seen so far, times 1.5, would lead beyond the limits. An angle beyond them on the way turns the motion back at once;
@@ -138,21 +138,21 @@ class Climb(Phase):
         span, range_deg = bench.limits.upper - bench.limits.lower, sensor.upper_deg - sensor.lower_deg
         self._moves = watch.moves_of(range_deg)
         self._travel = watch.travel_of(span, onward=True) if watch.watch_motion else math.inf
-        alike = watch.model_copy(update={"travel_s": SMOOTH_S})  # the command is averaged as the angle is
-        self._watch, self._still = MotionWatch(alike, span, range_deg), 0.0
+        smoothed = watch.model_copy(update={"travel_s": SMOOTH_S})  # the command is averaged as the angle is
+        self._watch, self._still = MotionWatch(smoothed, span, range_deg), 0.0
         window = max(round(_WINDOW_S / bench.dt_s), 1)
         self._settling: deque[float] = deque(maxlen=2 * window)
         self._samples = self._waited = 0
-        self._result = Climbed(math.nan, math.nan, math.nan, "it was not finished")
+        self._result = ClimbResult(math.nan, math.nan, math.nan, "it was not finished")
 
     def begin(self, now: PhaseInput, past: Past) -> None:
-        """Rest first, for an angle to compare with."""
+        """Begin with a rest, for the angle at the start."""
         del past
         self._start = self._at = self._target = now.held
         self._plan = deque(self._way(now.held, now.held))
 
     def step(self, now: PhaseInput) -> Decision:
-        """The next command of the present step; a new step, or the way back, where it is over."""
+        """Next command of the present step, of the next one, or of the way back."""
         keep_shown(self._recent, now)
         self._settling.append(now.angle_deg)
         self._samples += 1
@@ -167,12 +167,12 @@ class Climb(Phase):
         return Decision(u, self.name, finished=self._back and not self._plan)
 
     @property
-    def result(self) -> Climbed:
-        """How far it went."""
+    def result(self) -> ClimbResult:
+        """Farthest command, its angle, and why the climb ended."""
         return replace(self._result, still=self._still)
 
     def _settles(self, angle: float) -> bool:
-        """Whether the tip is still on its way from where it rested last, and there is time for it."""
+        """Whether the tip still moves after a step, and the longest rest is not over."""
         if math.isnan(self._start_deg):
             return False
         half = len(self._settling) // 2
@@ -183,7 +183,7 @@ class Climb(Phase):
         return bool(moves) and self._waited * self._bench.dt_s < _SETTLES_S
 
     def _rested(self, now: PhaseInput, angle: float) -> None:
-        """Judge the step that is over and plan the next one; without an angle, wait."""
+        """Evaluate the finished step and plan the next one; without an angle, wait."""
         if not math.isfinite(now.angle_deg) or len(self._recent) < MEDIAN or self._settles(angle):
             return None
         self._waited = 0
@@ -191,8 +191,8 @@ class Climb(Phase):
             self._start_deg = angle
             if self._widen:
                 low, high = self._limits
-                more = BESIDE * (high - low)
-                self._limits = min(low, angle - more), max(high, angle + more)
+                margin = ANGLE_MARGIN * (high - low)
+                self._limits = min(low, angle - margin), max(high, angle + margin)
         elif self._target != self._at:
             slope = (angle - self._at_deg) / (self._target - self._at)
             self._slope = max(self._slope, slope, key=abs)
@@ -216,7 +216,7 @@ class Climb(Phase):
         return None
 
     def _next_step(self, angle: float) -> float:
-        """How far to go: a whole step, less where that might lead beyond the limits, 0 where little is left."""
+        """Next step: whole, shortened where it might lead beyond the limits, 0 where little remains."""
         whole, left = (self._end - self._start) / self._steps, self._end - self._at
         if self._at == self._start:
             return _LEAST_STEP * whole  # nothing is known of the slope yet
@@ -228,9 +228,9 @@ class Climb(Phase):
         return step if abs(step) >= _LEAST_STEP * min(abs(whole), abs(left)) else 0.0
 
     def _turn(self, now: PhaseInput, why: str) -> None:
-        """Back to where it began; what was found is said."""
+        """Begin the way back and set the result."""
         self._back = True
-        self._result = Climbed(self._at, self._at_deg, self._start_deg, why)
+        self._result = ClimbResult(self._at, self._at_deg, self._start_deg, why)
         bench = self._bench
         back = stop_commands(now.held, now.velocity, self._start, bench.ramps, bench.overshoot, bench.dt_s)
         self._plan = deque([*back.tolist(), *self._way(self._start, self._start)])
@@ -240,7 +240,7 @@ class Climb(Phase):
 
 
 def climb_seconds(bench: BenchSettings, end: float, steps: int) -> float:
-    """How long a climb to `end` takes, and the way back [s]."""
+    """Duration of a climb to `end` and of the way back [s]."""
     safe = bench.safe_command
     stops = [*np.linspace(safe, end, steps + 2).tolist(), safe]
     return waypoint_commands(safe, stops, [HOLD_S] * len(stops), bench.ramps, bench.dt_s).size * bench.dt_s
@@ -248,7 +248,7 @@ def climb_seconds(bench: BenchSettings, end: float, steps: int) -> float:
 
 @final
 class Dash(Phase):
-    """A short way there and back at the greatest rate; finds the rate of a device that says what it holds.
+    """Dash there and back at the greatest rate, which measures the rate of a device that reports its command.
 
     Args:
         commands: to play (N,), the way there in the first `there` of them.
@@ -259,42 +259,42 @@ class Dash(Phase):
 
     def __init__(self, commands: Vec, there: int, span: float, bench: BenchSettings) -> None:
         self._commands, self._there, self._span, self._bench = commands.tolist(), there, span, bench
-        self._told: list[float] = []
+        self._reported: list[float] = []
         self._k = 0
 
     def begin(self, now: PhaseInput, past: Past) -> None:
         del past
-        self._told, self._k = [now.reported], 0
+        self._reported, self._k = [now.reported], 0
 
     def step(self, now: PhaseInput) -> Decision:
-        """The next command; keeps what the device says that it holds."""
+        """The next command; the command that the device reports is kept."""
         if self._k:
-            self._told.append(now.reported)
+            self._reported.append(now.reported)
         u = self._commands[min(self._k, len(self._commands) - 1)]
         self._k += 1
         return Decision(u, self.name, finished=self._k > len(self._commands))
 
     @property
     def seconds(self) -> float:
-        """How long it takes [s]."""
+        """Duration [s]."""
         return len(self._commands) * self._bench.dt_s
 
     @property
     def tells(self) -> bool:
-        """Whether the device says what it holds."""
-        return bool(np.isfinite(self._told).any())
+        """Whether the device reports the command that it holds."""
+        return bool(np.isfinite(self._reported).any())
 
     @property
     def rate_per_s(self) -> float:
-        """The limit's rate where the device has followed or does not tell, else nine tenths of its own."""
+        """Rate to use: the limit where the device followed it or reports nothing, else 90 % of the measured rate."""
         limit = self._bench.limits.rate_per_s
-        told = np.array(self._told[1 : self._there + 1])
+        reported = np.array(self._reported[1 : self._there + 1])
         sent = np.array(self._commands[: self._there])
-        if not self.tells or not np.isfinite(told).any():
+        if not self.tells or not np.isfinite(reported).any():
             return limit
-        lasts, wanted = _ten_to_ninety(told, sent[0], self._span), _ten_to_ninety(sent, sent[0], self._span)
+        lasts, wanted = _ten_to_ninety(reported, sent[0], self._span), _ten_to_ninety(sent, sent[0], self._span)
         if math.isnan(lasts):  # it did not even come to nine tenths of the way
-            known = told[np.isfinite(told)]
+            known = reported[np.isfinite(reported)]
             moved = float(np.abs(known - sent[0]).max())
             return _CAREFUL * min(limit, max(moved / (sent.size * self._bench.dt_s), 0.01 * limit))
         if lasts <= wanted + _FOLLOWS:
@@ -303,7 +303,7 @@ class Dash(Phase):
 
 
 def dash(bench: BenchSettings, end: float) -> Dash:
-    """The dash for a range that ends at `end`: half of it, or 0.6 s at the greatest rate."""
+    """Dash over half of the way to `end`, at most 0.6 s at the greatest rate."""
     safe, rate, dt = bench.safe_command, bench.limits.rate_per_s, bench.dt_s
     span = math.copysign(min(_DASH_SHARE * abs(end - safe), _DASH_S * rate), end - safe)
     moving = max(math.ceil(abs(span) / (rate * dt) - 1e-9), 1)
@@ -315,7 +315,7 @@ def dash(bench: BenchSettings, end: float) -> Dash:
 
 
 def _ten_to_ninety(values: Vec, start: float, span: float) -> float:
-    """Samples between the first value beyond a tenth of the way and the first beyond nine tenths; NaN if none is."""
+    """Rise time in samples from 10 % to 90 % of the way; NaN where 90 % is not reached."""
     share = (values - start) / span
     early, late = np.flatnonzero(share >= 0.1 - 1e-9), np.flatnonzero(share >= 0.9 - 1e-9)
     return float(late[0] - early[0]) if late.size else math.nan

@@ -1,4 +1,4 @@
-"""Simulated devices for transports of the bench: `rig` knows no simulator, so that they are made here."""
+"""Simulated devices for the transport `kind: simulated`; made here, since `rig` does not import simulators."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from hystmpc.rig.transports.simulated import SimulatedSettings
 from hystmpc.rig.transports.transport import PlantFactory
 from hystmpc.trials.errors import ConfigError
 
-_NOISE_DEG = 0.05  # of a device that is told none: an angle that never changes would be taken for a dead sensor
+_NOISE_DEG = 0.05  # default: an angle that never changes would be taken for a dead sensor
 
 
 def make_plant(settings: Mapping[str, Any], dt_s: float, seed: int, folder: Path, unit: str) -> tuple[Plant, float]:
-    """The plant that a block `plant` describes, and the command that it holds after a reset.
+    """Plant of a block `plant`, and the command that it holds after a reset.
 
     Args:
         settings: `simulator` or `device`, parameters and effects as in a simulation file.
@@ -43,7 +43,7 @@ def make_plant(settings: Mapping[str, Any], dt_s: float, seed: int, folder: Path
 
 
 def plants_in(folder: Path, unit: str) -> PlantFactory:
-    """A factory for transports of `kind: simulated`."""
+    """Factory of simulated devices for the transport `kind: simulated`."""
 
     def made(settings: SimulatedSettings, dt_s: float) -> tuple[Plant, float]:
         return make_plant(settings.plant, dt_s, settings.seed, folder, unit)

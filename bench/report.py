@@ -33,13 +33,13 @@ from hystmpc.trials.report import (
 )
 from hystmpc.trials.run_folder import RunFolder
 
-from .controller import TIP_FILE, Identified
+from .controller import TIP_FILE, IdentifiedDevice
 from .device import Track
 from .identify import Subject, uniform_trials
 from .motions import CONTROLLERS
-from .round_plan import Plan
+from .round_plan import RoundPlan
 from .rounds import DIAGNOSIS, FIRST, Ending, Investigated, Round, round_folder
-from .verify import MPC, PID, TITLES, Tracks, Verified
+from .verify import MPC, PID, TITLES, Tracks, Verification
 
 _COLOURS = {MPC: MEASURED, "inverse": MODEL, PID: COMMAND}
 _DASH = {MPC: DASHES[0], "inverse": DASHES[1], PID: DASHES[2]}
@@ -64,26 +64,26 @@ _ANGLES = (
 
 @dataclass(frozen=True, eq=False)
 class CommissionStory:
-    """All that the page of a commissioning shows.
+    """Content of the report of a commissioning.
 
     Attributes:
-        range_words: how the range was found, or where the limits come from.
+        range_words: how the range was determined, or where the limits come from.
         used_s: device time, motions that were cut short included [s].
         tracks, verified: None after a commissioning from logs.
     """
 
-    identified: Identified
+    identified: IdentifiedDevice
     range_words: str
     used_s: float
     tracks: Tracks | None
-    verified: Verified | None
+    verified: Verification | None
 
 
 def write_commission(story: CommissionStory, path: Path) -> Path:
     """Write the page of a commissioning, whole or not at all.
 
     Raises:
-        LogError: if a recording is not there any more.
+        LogError: if a recording is missing.
     """
     name, subtitle = story.identified.subject.name, story.identified.fitted.report
     return Report(f"Commissioning of {name}", tuple(_commissioned(story)), subtitle).save(path)
@@ -93,7 +93,7 @@ def write_investigation(made: Investigated, name: str, command_unit: str) -> Pat
     """Write the page of an investigation, whole or not at all.
 
     Raises:
-        LogError: if the files of a round are not there any more.
+        LogError: if a file of a round is missing.
     """
     subtitle = f"simulator {made.model.name}, {len(made.rounds)} rounds, {made.device_s:.0f} s of device time"
     return Report(f"Investigation of {name}", tuple(_investigated(made, command_unit)), subtitle).save(made.report)
@@ -172,7 +172,7 @@ def _commissioned(story: CommissionStory) -> Iterator[Piece]:
     )
 
 
-def _scores(verified: Verified) -> Table:
+def _scores(verified: Verification) -> Table:
     motions = next(iter(verified.scores.values())).by_motion
     columns = (
         "controller",
@@ -259,7 +259,7 @@ def _or_dash(value: float) -> object:
     return value if math.isfinite(value) else "-"
 
 
-def _corrected(identified: Identified) -> bool:
+def _corrected(identified: IdentifiedDevice) -> bool:
     return identified.diagnosed is not None and identified.diagnosed.corrected
 
 
@@ -277,32 +277,32 @@ def _investigated(made: Investigated, unit: str) -> Iterator[Piece]:
     yield KeyValues(
         {
             "device time": f"{made.device_s:.0f} s of {made.budget_s:.0f} s, motions that were cut short included",
-            "corrected simulator": "none" if made.fixed is None else _beside(made.fixed, made.folder),
-            "whole diagnosis": _beside(_diagnosis(made, made.rounds[-1]) / "report.html", made.folder),
+            "corrected simulator": "none" if made.fixed is None else _relative(made.fixed, made.folder),
+            "whole diagnosis": _relative(_diagnosis(made, made.rounds[-1]) / "report.html", made.folder),
         }
     )
     yield _overview(made)
-    for found in made.rounds:
-        yield from _round(made, found, unit)
+    for one in made.rounds:
+        yield from _round(made, one, unit)
 
 
-def _diagnosis(made: Investigated, found: Round) -> Path:
-    return round_folder(made.folder, found.number) / "diagnose" / DIAGNOSIS
+def _diagnosis(made: Investigated, one: Round) -> Path:
+    return round_folder(made.folder, one.number) / "diagnose" / DIAGNOSIS
 
 
-def _beside(path: Path, folder: Path) -> str:
+def _relative(path: Path, folder: Path) -> str:
     return path.relative_to(folder).as_posix()
 
 
 def _overview(made: Investigated) -> Table:
     rows = []
-    for found in made.rounds:
-        judged = found.judged
+    for one in made.rounds:
+        judged = one.judged
         rows.append(
             (
-                found.number,
-                f"{found.recorded.device_s:.0f}",
-                len(found.recorded.names),
+                one.number,
+                f"{one.recorded.device_s:.0f}",
+                len(one.recorded.names),
                 judged.headline,
                 percent(judged.probability) if math.isfinite(judged.probability) else "-",
                 judged.retuned_deg,
@@ -313,20 +313,20 @@ def _overview(made: Investigated) -> Table:
     return Table(columns, rows, "Verdict after each round, on all trials so far; RMSE on trials kept for the end.")
 
 
-def _round(made: Investigated, found: Round, unit: str) -> Iterator[Piece]:
-    yield Heading(f"Round {found.number}: {found.judged.headline}")
-    yield Paragraph(why_these(found.plan))
-    yield Paragraph(f"Verdict on {found.judged.trials} trials: {found.judged.reason}.")
+def _round(made: Investigated, one: Round, unit: str) -> Iterator[Piece]:
+    yield Heading(f"Round {one.number}: {one.judged.headline}")
+    yield Paragraph(why_these(one.plan))
+    yield Paragraph(f"Verdict on {one.judged.trials} trials: {one.judged.reason}.")
     yield Plot(
-        _figure(made, found, unit),
+        _figure(made, one, unit),
         "Above: command. Middle: measured angle, the simulator as given, and the corrected one after this round. "
         "Below: what was expected to stay apart between the explanations when each is retuned.",
         zoom=True,
     )
 
 
-def why_these(plan: Plan) -> str:
-    """Why the motions of a round were chosen, in words."""
+def why_these(plan: RoundPlan) -> str:
+    """Reason for the motions of a round, in words."""
     names = listed([in_words(name) for name in plan.separates], "and")
     odds = f"{percent(plan.probability)} expected for the right name, {percent(1 / len(plan.separates))} by chance"
     if len(plan.motions) > 1:
@@ -340,33 +340,33 @@ def why_these(plan: Plan) -> str:
             f"recorded yet. It was chosen as the first ones were, to tell apart {names}: {odds}."
         )
     aim = "to put the verdict to the test against" if plan.confirms else "to tell apart"
-    said = f"The motion was designed {aim} {names}: {odds}. {plan.looked_at} motions were compared."
+    text = f"The motion was designed {aim} {names}: {odds}. {plan.looked_at} motions were compared."
     if plan.menu and math.isfinite(plan.menu_gain):
-        said += (
+        text += (
             f" It is expected to tell {plan.menu_gain:.1f} times as much per second as the best motion of the menu, "
             f"{in_words(plan.menu)}."
         )
-    return said
+    return text
 
 
-def _figure(made: Investigated, found: Round, unit: str) -> Figure:
+def _figure(made: Investigated, one: Round, unit: str) -> Figure:
     """Command, angles and expected separation of each motion of a round, a column each."""
-    log = RunFolder.open(_diagnosis(made, found)).log()
-    motions = made.folder / FIRST if found.number == 1 else _diagnosis(made, made.rounds[found.number - 2]).parent
-    names = found.recorded.names
+    log = RunFolder.open(_diagnosis(made, one)).log()
+    motions = made.folder / FIRST if one.number == 1 else _diagnosis(made, made.rounds[one.number - 2]).parent
+    names = one.recorded.names
     with new_figure(9.0, 4.6) as figure:
         grid = figure.subplots(3, len(names), sharex="col", sharey="row", height_ratios=(1, 1.6, 0.8), squeeze=False)
-        for (command, angle, apart), name in zip(grid.T, names, strict=True):
-            own = np.asarray(log["trial"]) == f"{name}.csv"
-            t = np.asarray(log["time_s"], dtype=np.float64)[own]
+        for (command, angle, separation), name in zip(grid.T, names, strict=True):
+            rows = np.asarray(log["trial"]) == f"{name}.csv"
+            t = np.asarray(log["time_s"], dtype=np.float64)[rows]
             sent = log.get("command", log.get("command_bar"))
-            command.plot(t - t[0], np.asarray(sent)[own], color=COMMAND)
+            command.plot(t - t[0], np.asarray(sent)[rows], color=COMMAND)
             for column, colour, width, label in _ANGLES:
-                angle.plot(t - t[0], np.asarray(log[column])[own], color=colour, lw=width, label=label)
+                angle.plot(t - t[0], np.asarray(log[column])[rows], color=colour, lw=width, label=label)
             planned = read_csv(motions / f"{name}.csv")
-            apart.plot(planned.t, planned.channels[SEPARATION_COLUMN], color=REFERENCE)
+            separation.plot(planned.t, planned.channels[SEPARATION_COLUMN], color=REFERENCE)
             command.set_title(name.replace("_", " "))
-            apart.set_xlabel("time [s]")
+            separation.set_xlabel("time [s]")
         for axes, text in zip(grid[:, 0], (f"command [{unit}]", "tip angle [deg]", "apart [deg]"), strict=True):
             axes.set_ylabel(text)
         figure.legend(*grid[1, 0].get_legend_handles_labels(), loc="outside upper right", ncols=3)

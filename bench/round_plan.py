@@ -1,4 +1,4 @@
-"""What is recorded next: commands within the limits and the device time that is left, and why."""
+"""Planning of a round: motions within the limits and the remaining device time, and the reason for them."""
 
 from __future__ import annotations
 
@@ -23,15 +23,15 @@ from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.types import Vec
 
 from .config import InvestigateSettings
-from .first_motions import first_motions, further_motion
+from .first_motions import FirstMotions, first_motions, further_motion
 from .motions import prepare_seconds, run_seconds
 from .stages import Figure
 
 LEAST_MOTION_S = 8.0
-"""A shorter motion is not worth a run of its own [s]."""
+"""Duration of the shortest motion that is planned [s]."""
 
 LEAST_BITS = 0.1
-"""Expected information below which a motion tells nothing."""
+"""Least expected information of a designed motion [bit]."""
 
 _CAREFUL = 0.7  # of the travel without motion that stops a run
 _FURTHER = 2.0  # of the longest first motion: a kind of motion that was not recorded yet
@@ -39,13 +39,13 @@ _FIRST_SHARE = 0.6  # of the device time that the first motions may take
 
 
 @dataclass(frozen=True)
-class Plan:
-    """Motions of one round.
+class RoundPlan:
+    """Plan of a round: its motions and their expected information.
 
     Attributes:
         motions: names of their files, in the order of recording.
         seconds: device time that they take at most, the runs around them included [s].
-        separates: explanations that they are to tell apart.
+        separates: hypotheses that they are to discriminate.
         probability: expected one of the right explanation; `bits` the same as information.
         confirms: whether the trials so far decide already, so that the motion only puts their answer to the test.
         undirected: whether a designed motion did not decide, or none is known that could: a kind of motion that was not
@@ -77,8 +77,8 @@ def least_seconds(bench: BenchSettings) -> float:
     return prepare_seconds(bench) + run_seconds(bench, math.ceil(LEAST_MOTION_S / bench.dt_s))
 
 
-def plan_first(settings: InvestigateSettings, simulator: Simulator, left_s: float, folder: Path) -> Plan:
-    """Choose the first motions and write them.
+def plan_first(settings: InvestigateSettings, simulator: Simulator, left_s: float, folder: Path) -> RoundPlan:
+    """Plan the first round and write its motions.
 
     Raises:
         ConfigError: if the device time is too short for them.
@@ -86,19 +86,8 @@ def plan_first(settings: InvestigateSettings, simulator: Simulator, left_s: floa
     """
     count, around = settings.investigate.first_motions, run_seconds(settings, 0)
     longest = _first_longest_s(settings, left_s)
-    found = first_motions(simulator, _family(settings, longest), count, allowed(settings), around)
-    runs = {
-        name: _written(folder, name, option, found.numbers[name], settings, longest)
-        for name, option in found.options.items()
-    }
-    return Plan(
-        motions=tuple(runs),
-        seconds=round_seconds(settings, runs),
-        separates=found.explanations,
-        probability=found.probability,
-        bits=information_bits(found.probability, len(found.explanations)),
-        looked_at=len(found.options),
-    )
+    chosen = first_motions(simulator, _family(settings, longest), count, allowed(settings), around)
+    return _plan_of(chosen, settings, longest, folder)
 
 
 def first_seconds(settings: InvestigateSettings, left_s: float) -> float:
@@ -109,6 +98,11 @@ def first_seconds(settings: InvestigateSettings, left_s: float) -> float:
     """
     count, longest = settings.investigate.first_motions, _first_longest_s(settings, left_s)
     return prepare_seconds(settings) + count * run_seconds(settings, math.ceil(longest / settings.dt_s))
+
+
+def _room_s(settings: InvestigateSettings, left_s: float) -> float:
+    """Longest motion that the device time left permits in a round of its own [s]."""
+    return left_s - prepare_seconds(settings) - run_seconds(settings, 0)
 
 
 def _first_longest_s(settings: InvestigateSettings, left_s: float) -> float:
@@ -125,16 +119,15 @@ def _first_longest_s(settings: InvestigateSettings, left_s: float) -> float:
 
 def plan_next(
     settings: InvestigateSettings, question: Question, left_s: float, number: int, longer: int, folder: Path
-) -> Plan | None:
-    """Design the motion that is worth most and write it; None where no motion tells enough.
+) -> RoundPlan | None:
+    """Plan a designed motion with most expected information and write it; None where none has enough.
 
     Args:
         left_s: device time that is left [s].
         number: of the recording that it becomes.
         longer: factor on the motion's duration, where shorter ones did not decide.
     """
-    room = left_s - round_seconds(settings, {}) - run_seconds(settings, 0)
-    longest = min(room, longer * settings.investigate.longest_motion_s)
+    longest = min(_room_s(settings, left_s), longer * settings.investigate.longest_motion_s)
     least = LEAST_MOTION_S if longer == 1 else 0.5 * longest
     if longest < LEAST_MOTION_S:
         return None
@@ -150,7 +143,7 @@ def plan_next(
         return None
     name = f"{number}-designed"
     commands = _written(folder, name, searched.chosen, searched.numbers, settings, longest)
-    return Plan(
+    return RoundPlan(
         motions=(name,),
         seconds=round_seconds(settings, {name: commands}),
         separates=tuple(hypothesis.name for hypothesis in question.hypotheses),
@@ -171,8 +164,8 @@ def plan_more(
     recorded: Collection[str],
     question: Question | None,
     folder: Path,
-) -> Plan | None:
-    """A motion of a kind that was not recorded yet, twice as long as the first ones.
+) -> RoundPlan | None:
+    """Plan a motion of a kind that was not recorded yet, twice as long as the first ones.
 
     None where the device time is too short, or no kind is left that is allowed.
 
@@ -183,38 +176,43 @@ def plan_more(
         question: its explanations, fitted to what was recorded, judge what is allowed; those of a typical size do where
             there is none.
     """
-    room = left_s - round_seconds(settings, {}) - run_seconds(settings, 0)
-    longest = min(room, _FURTHER * settings.investigate.longest_motion_s)
+    longest = min(_room_s(settings, left_s), _FURTHER * settings.investigate.longest_motion_s)
     if longest < LEAST_MOTION_S:
         return None
     around = run_seconds(settings, 0)
-    judged, hypotheses = allowed(settings), question.hypotheses if question else ()
+    is_allowed, hypotheses = allowed(settings), question.hypotheses if question else ()
 
     def fits(option: Option) -> bool:
         motion = option.motion
         angles = np.array([fitted.simulate(motion.command, motion.dt) for fitted in hypotheses])
-        return judged(replace(option, angles=angles) if hypotheses else option)
+        return is_allowed(replace(option, angles=angles) if hypotheses else option)
 
-    found = further_motion(simulator, _family(settings, longest), recorded, number, fits, around)
-    if found is None:
+    chosen = further_motion(simulator, _family(settings, longest), recorded, number, fits, around)
+    if chosen is None:
         return None
-    (name,) = found.options
-    commands = _written(folder, name, found.options[name], found.numbers[name], settings, longest)
-    return Plan(
-        motions=(name,),
-        seconds=round_seconds(settings, {name: commands}),
-        separates=found.explanations,
-        probability=found.probability,
-        bits=information_bits(found.probability, len(found.explanations)),
-        undirected=True,
-        looked_at=len(found.options),
+    return replace(_plan_of(chosen, settings, longest, folder), undirected=True)
+
+
+def _plan_of(chosen: FirstMotions, settings: InvestigateSettings, longest_s: float, folder: Path) -> RoundPlan:
+    """Plan of motions that were chosen among the starts of the family; writes them."""
+    runs = {
+        name: _written(folder, name, option, chosen.numbers[name], settings, longest_s)
+        for name, option in chosen.options.items()
+    }
+    return RoundPlan(
+        motions=tuple(runs),
+        seconds=round_seconds(settings, runs),
+        separates=chosen.explanations,
+        probability=chosen.probability,
+        bits=information_bits(chosen.probability, len(chosen.explanations)),
+        looked_at=len(chosen.options),
     )
 
 
 def allowed(settings: InvestigateSettings) -> Callable[[Option], bool]:
-    """Whether a motion keeps the tip within its limits, and would not be taken for that of a blocked tip.
+    """Test of a motion: expected angles within the limits, and no false alarm of a blocked tip.
 
-    Judged by the angles of all explanations; the bench's own watch on motion is asked with 0.7 of its travel. The
+    RoundVerdict by the angles of all explanations; the bench's own watch on motion is asked with 0.7 of its travel. The
     limits count for what is expected on the whole, since a typical size of an effect is nothing that was seen.
     """
     low, high = settings.angle_limits
@@ -225,7 +223,7 @@ def allowed(settings: InvestigateSettings) -> Callable[[Option], bool]:
     watch = settings.plausibility
     careful = watch.model_copy(update={"travel": _CAREFUL * watch.travel_of(span, onward=True)})
 
-    def judged(option: Option) -> bool:
+    def is_allowed(option: Option) -> bool:
         expected = np.median(option.angles, axis=0)
         if expected.min() < low or expected.max() > high:
             return False
@@ -237,20 +235,20 @@ def allowed(settings: InvestigateSettings) -> Callable[[Option], bool]:
                 return False
         return True
 
-    return judged
+    return is_allowed
 
 
 def planned_commands(folder: Path, name: str) -> Vec:
-    """Commands (N,) of a planned motion, from its file.
+    """Read the commands (N,) of a planned motion.
 
     Raises:
-        LogError: if the file is not there any more, or no motion.
+        LogError: if the file is missing or no motion.
     """
     return read_csv(folder / f"{name}.csv").command
 
 
 def _family(settings: InvestigateSettings, longest_s: float) -> MotionFamily:
-    """Motions at the rate at which a diagnosis simulates."""
+    """Family of motions at the rate at which a diagnosis simulates."""
     dt = max(settings.dt_s, 1 / MOST_HZ)
     return MotionFamily(settings.limits.build(), dt, settings.safe_command, longest_s)
 
@@ -258,10 +256,10 @@ def _family(settings: InvestigateSettings, longest_s: float) -> MotionFamily:
 def _written(
     folder: Path, name: str, option: Option, numbers: Vec, settings: InvestigateSettings, longest_s: float
 ) -> Vec:
-    """Write a motion at the rate of the bench, with the angle and the separation that are expected; its commands."""
+    """Write a motion at the rate of the bench with its expected angle and separation; returns its commands."""
     family = MotionFamily(settings.limits.build(), settings.dt_s, settings.safe_command, longest_s)
     motion, then = family.motion(numbers, name), option.motion.t
     expected = np.interp(motion.t, then, option.angles.mean(axis=0))[None]
-    at_bench = replace(option, motion=motion, angles=expected, separation=np.interp(motion.t, then, option.separation))
-    write_motion(folder / f"{name}.csv", MotionProposal((), at_bench, ()), settings.command_unit)
+    resampled = replace(option, motion=motion, angles=expected, separation=np.interp(motion.t, then, option.separation))
+    write_motion(folder / f"{name}.csv", MotionProposal((), resampled, ()), settings.command_unit)
     return planned_commands(folder, name)

@@ -1,4 +1,4 @@
-"""Rounds of an investigation: what was recorded, the verdict on all trials so far, and whether another one follows."""
+"""Rounds of an investigation: recordings, verdict on all trials so far, and the rule for another round."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from hystmpc.trials.read import read_trials
 from hystmpc.trials.types import Progress
 
 from .config import InvestigateSettings
-from .round_plan import Plan, least_seconds, plan_more, plan_next
+from .round_plan import RoundPlan, least_seconds, plan_more, plan_next
 from .stages import Figure
 
 Ending = Literal["", "named", "no_gap", "nothing_gained", "budget"]
@@ -36,8 +36,8 @@ _MOST_OF_IT = 0.5  # of the structural gap: a name that leaves more of it than i
 
 
 @dataclass(frozen=True)
-class Judged:
-    """What a diagnosis of all trials so far says.
+class RoundVerdict:
+    """Verdict of a round: the diagnosis of all trials so far, and what follows.
 
     Attributes:
         verdict, effects, ambiguity, reason: of the diagnosis; effects by name, the most probable first.
@@ -64,13 +64,13 @@ class Judged:
     left_deg: Figure
     trials: int
     flips: bool = False
-    next: Plan | None = None
+    next: RoundPlan | None = None
     ended: Ending = ""
     why: str = ""
 
     @property
     def result(self) -> tuple[str, frozenset[str], frozenset[frozenset[str]]]:
-        """Verdict, names and sets that could not be told apart: what has to stay the same.
+        """Verdict, effects and indistinguishable sets, by which rounds are compared.
 
         Without a gap it is the same whether numbers have moved: that is a matter of size.
         """
@@ -80,7 +80,7 @@ class Judged:
 
 @dataclass(frozen=True)
 class RecordedRound:
-    """What was recorded.
+    """Recordings of a round.
 
     Attributes:
         names: of the motions that were played; fewer than planned where the device time did not suffice.
@@ -103,22 +103,22 @@ class Round:
     """
 
     number: int
-    plan: Plan
+    plan: RoundPlan
     recorded: RecordedRound
-    judged: Judged
+    judged: RoundVerdict
     __repr__ = brief
 
 
 @dataclass(frozen=True, eq=False)
 class Investigated:
-    """What an investigation left behind.
+    """Result of an investigation.
 
     Attributes:
         folder: of the run.
         rounds: in their order, one at least.
         ended, why: what ended it, and that in one sentence.
         model: simulator that was judged.
-        fixed: that with the effects found; None where the diagnosis made none.
+        fixed: corrected by the effects of the diagnosis; None where the diagnosis made none.
         report: the page.
         device_s: device time used, motions that were cut short included [s].
         budget_s: device time allowed [s].
@@ -139,12 +139,12 @@ class Investigated:
         return in_brief(self, f"{last.verdict} after {len(self.rounds)} rounds, {self.device_s:.4g} s: {last.reason}")
 
     @property
-    def verdict(self) -> Judged:
-        """The last round's."""
+    def verdict(self) -> RoundVerdict:
+        """Verdict of the last round."""
         return self.rounds[-1].judged
 
     def as_json(self) -> dict[str, Any]:
-        """The form `hystmpc-investigation/1`: plain dicts, lists, numbers and strings."""
+        """Plain data of the format `hystmpc-investigation/1`."""
         last = self.verdict
         return {
             "format": FORMAT,
@@ -161,7 +161,7 @@ class Investigated:
             "diagnosis": (round_folder(self.folder, len(self.rounds)) / "diagnose" / DIAGNOSIS)
             .relative_to(self.folder)
             .as_posix(),
-            "rounds": plain([asdict(found) for found in self.rounds]),
+            "rounds": plain([asdict(one) for one in self.rounds]),
         }
 
 
@@ -170,16 +170,16 @@ def round_folder(root: Path, number: int) -> Path:
     return root / f"round-{number}"
 
 
-def judge(
+def judge_round(
     settings: InvestigateSettings,
     model: Path,
     files: Sequence[Path],
-    before: Sequence[Judged],
+    before: Sequence[RoundVerdict],
     left_s: float,
     folder: Path,
     progress: Progress | None = None,
-) -> Judged:
-    """Diagnose all trials, write the diagnosis, and plan the next round where there is to be one.
+) -> RoundVerdict:
+    """Diagnose all trials, write the diagnosis, and plan the next round where one follows.
 
     Args:
         model: simulator that is judged.
@@ -203,29 +203,29 @@ def judge(
         seed=seed,
         progress=progress,
     )
-    findings, judged = done.findings, judged_of(done.diagnosis, len(files))
+    findings, judged = done.findings, round_verdict(done.diagnosis, len(files))
     sought = judged.verdict in _OPEN or judged.verdict in _NO_GAP
-    alike, number = _alike([*before, judged]), len(files) + 1
-    longer = _LONGER ** (alike - 1) if sought else 1
+    repeats, number = _equal_count([*before, judged]), len(files) + 1
+    longer = _LONGER ** (repeats - 1) if sought else 1
 
-    def planned() -> Plan | None:
-        asked, recorded = question(findings), {file.stem.partition("-")[2] for file in files}
-        undecided = alike > 1  # the last motion was to decide, and did not
-        if undecided and (more := plan_more(settings, simulator, left_s, number, recorded, asked, folder)):
-            return more
-        if asked is not None and alike < _STUCK:
-            designed = plan_next(settings, asked, left_s, number, longer, folder)
+    def planned() -> RoundPlan | None:
+        open_question, recorded = question(findings), {file.stem.partition("-")[2] for file in files}
+        undecided = repeats > 1  # the last motion was to decide, and did not
+        if undecided and (further := plan_more(settings, simulator, left_s, number, recorded, open_question, folder)):
+            return further
+        if open_question is not None and repeats < _STUCK:
+            designed = plan_next(settings, open_question, left_s, number, longer, folder)
             if designed is not None:
                 return designed
-        return None if undecided else plan_more(settings, simulator, left_s, number, recorded, asked, folder)
+        return None if undecided else plan_more(settings, simulator, left_s, number, recorded, open_question, folder)
 
     return with_next(judged, before, planned, left_s, least_seconds(settings))
 
 
-def judged_of(diagnosis: Diagnosis, trials: int) -> Judged:
-    """A diagnosis as a round keeps it."""
+def round_verdict(diagnosis: Diagnosis, trials: int) -> RoundVerdict:
+    """Verdict of a round from the diagnosis."""
     gap = diagnosis.gap
-    return Judged(
+    return RoundVerdict(
         verdict=diagnosis.verdict,
         effects=tuple(effect.name for effect in diagnosis.effects),
         ambiguity=diagnosis.ambiguity,
@@ -242,13 +242,13 @@ def judged_of(diagnosis: Diagnosis, trials: int) -> Judged:
 
 
 def with_next(
-    judged: Judged,
-    before: Sequence[Judged],
-    planned: Callable[[], Plan | None],
+    judged: RoundVerdict,
+    before: Sequence[RoundVerdict],
+    planned: Callable[[], RoundPlan | None],
     left_s: float,
     least_s: float,
-) -> Judged:
-    """The verdict with what follows from it: an end and its reason, or the next round.
+) -> RoundVerdict:
+    """Verdict with its consequence: the end of the investigation and its reason, or the next round.
 
     Ends, in this order: the same effect named in two rounds in a row, or several in three, where they close at least
     half of the gap; no gap in four rounds in a row; too little device time for one more motion; no motion that tells
@@ -260,29 +260,29 @@ def with_next(
         left_s: device time that is left [s].
         least_s: that the shortest round takes [s].
     """
-    alike = _alike([*before, judged])
+    repeats = _equal_count([*before, judged])
     names = " and ".join(name.replace("_", " ") for name in judged.effects)
-    often = alike >= (_SURE if len(judged.effects) == 1 else _STABLE)
+    often = repeats >= (_SURE if len(judged.effects) == 1 else _STABLE)
     if judged.verdict == "named" and often and not judged.flips and judged.closed_share >= _MOST_OF_IT:
-        why = f"{names} named in {alike} rounds in a row, the last of which was to tell it from its neighbours"
+        why = f"{names} named in {repeats} rounds in a row, the last of which was to tell it from its neighbours"
         return replace(judged, ended="named", why=why)
-    if judged.verdict in _NO_GAP and alike >= _STUCK and not judged.flips:
+    if judged.verdict in _NO_GAP and repeats >= _STUCK and not judged.flips:
         moved = " with the simulator's numbers retuned" if judged.verdict == "retuned" else ""
-        return replace(judged, ended="no_gap", why=f"no structural gap{moved} in {alike} rounds in a row")
+        return replace(judged, ended="no_gap", why=f"no structural gap{moved} in {repeats} rounds in a row")
     if left_s < least_s:
         why = f"{left_s:.0f} s of device time are left, one more motion takes {least_s:.0f} s or more"
         return replace(judged, ended="budget", why=why)
     plan = planned()
     if plan is None:
         why = "no motion within limits and device time is expected to tell more"
-        if alike >= _STUCK:
-            why = f"the same result in {alike} rounds in a row, and every kind of motion was recorded that is allowed"
+        if repeats >= _STUCK:
+            why = f"the same result in {repeats} rounds in a row, and every kind of motion was recorded that is allowed"
         return replace(judged, ended="nothing_gained", why=why)
     return replace(judged, next=plan)
 
 
-def _alike(verdicts: Sequence[Judged]) -> int:
-    """How many of the last verdicts are equal."""
+def _equal_count(verdicts: Sequence[RoundVerdict]) -> int:
+    """Number of last verdicts with the same result."""
     count = 0
     for verdict in reversed(verdicts):
         if verdict.result != verdicts[-1].result:

@@ -1,4 +1,4 @@
-"""The one runner of stages: a folder each, begun with a fingerprint, recorded or computed, complete with its result."""
+"""Runner of stages: each has a folder, a fingerprint of what it depends on, and a result that is loaded on resume."""
 
 from __future__ import annotations
 
@@ -27,18 +27,18 @@ RESULT, BEGUN = "result.json", "begun.json"
 _COMPUTED = 0.05  # seconds that a computed device takes for one of device time, for the bar
 
 Figure = Annotated[float, BeforeValidator(lambda value: math.nan if value is None else value)]
-"""A number that JSON shows as null where it is none."""
+"""A number, NaN where JSON has null."""
 
 R = TypeVar("R")
 
 
 class EndedEarlyError(HystmpcError):
-    """The device has moved, and a stage could not be completed; what was recorded is kept."""
+    """A stage that could not be completed after the device has moved; recordings are kept."""
 
 
 @final
 class Stages:
-    """Stages in a folder: done in order or loaded, each with the fingerprint of settings and earlier results.
+    """Stages of one folder in their order: done, or loaded where complete after the same settings and results.
 
     Device time and computing time add up to one bar; a computed device counts with 5 % of its time.
 
@@ -93,7 +93,7 @@ class Stages:
     def complete(
         self, name: str, kind: type[R], do: Callable[[Path], R], computing_s: float = 0.0, device_s: float = 0.0
     ) -> R:
-        """The result of a stage, loaded or done now.
+        """Result of a stage: loaded where it is complete, else done now.
 
         Args:
             name: of its folder under `root`.
@@ -131,7 +131,7 @@ class Stages:
         return result
 
     def record(self, runs: Mapping[str, Vec], bench: BenchSettings, folder: Path, limited: bool = False) -> list[str]:
-        """Play commands (N,) and write each recording into `folder/trials`, those apart that lie there already.
+        """Play commands (N,) and write each recording into `folder/trials`; existing recordings are kept.
 
         Args:
             folder: of the stage.
@@ -179,11 +179,11 @@ class Stages:
         self._progress(min(passed, total), total, note)
 
     def tick(self, moving_s: float) -> None:
-        """Report the same while a motion lasts."""
+        """Report the progress while a motion lasts."""
         self.say(self._note, moving_s)
 
     def computing(self, what: str) -> Progress:
-        """The progress of the present stage's computation, as part of the whole."""
+        """Progress of the present stage's computation, as part of the whole."""
 
         def report(done: float, total: float, note: str = "", /) -> None:
             self._computing_s = self._stage_s * min(done / max(total, 1e-9), 1.0)
@@ -202,7 +202,7 @@ def begun(
     opens: Open | None = None,
     progress: Progress | None = None,
 ) -> Iterator[Stages]:
-    """The stages of a commissioning or an investigation, in a new folder or in the one in which the same was begun.
+    """Begin or resume the stages of a commissioning or an investigation in a folder.
 
     Args:
         kind: `commissioning` or `investigation`.
@@ -237,7 +237,7 @@ def begun(
 
 
 def _begun_after(file: Path) -> str:
-    """Fingerprint of what a stage was begun after."""
+    """Fingerprint of settings and results before a stage, from its file."""
     try:
         return str(json.loads(file.read_text(encoding="utf-8"))["fingerprint"])
     except (OSError, ValueError, KeyError, TypeError):
@@ -245,7 +245,7 @@ def _begun_after(file: Path) -> str:
 
 
 def _loaded(file: Path, adapter: TypeAdapter[R]) -> R:
-    """The result of a complete stage."""
+    """Read the result of a complete stage."""
     try:
         data = json.loads(file.read_text(encoding="utf-8"))
         if data["format"] != FORMAT:
@@ -262,7 +262,7 @@ def fingerprint(parts: object) -> str:
 
 
 def differing(before: Any, now: Mapping[str, Any], at: str = "") -> str:
-    """The first key whose value differs, with both values; empty where all are equal."""
+    """First key whose value differs, with both values, in words; empty where all are equal."""
     if not isinstance(before, Mapping):
         return f"holds {at or 'settings'} {before!r}, now {now!r}"
     for key in dict.fromkeys((*before, *now)):

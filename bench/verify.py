@@ -1,4 +1,4 @@
-"""Verification: fresh references with each controller on the device itself, and what follows from the errors."""
+"""Verification on the device: tracking of new references by each controller, and the comparison of their errors."""
 
 from __future__ import annotations
 
@@ -43,8 +43,8 @@ Tracks = Mapping[str, Mapping[str, Track]]
 
 
 @dataclass(frozen=True)
-class Scored:
-    """One controller over all references.
+class ControllerScore:
+    """Score of one controller over all references.
 
     Attributes:
         rms_deg: of measured less wanted angle, sensor noise included [deg].
@@ -66,8 +66,8 @@ class Scored:
 
 
 @dataclass(frozen=True)
-class Verified:
-    """The verdict and its figures.
+class Verification:
+    """Result of the verification.
 
     Attributes:
         verified: whether the predictive controller is better than the PID, beyond chance.
@@ -81,7 +81,7 @@ class Verified:
     verdict: str
     steps: tuple[str, ...]
     sensor_sigma_deg: Figure
-    scores: Mapping[str, Scored]
+    scores: Mapping[str, ControllerScore]
     __repr__ = brief
 
 
@@ -92,10 +92,10 @@ def track_all(
     folder: Path,
     say: Callable[[str], None],
 ) -> Tracks:
-    """Track every reference with every controller; tracks that lie in the folder already are not repeated.
+    """Track every reference with every controller; existing tracks are kept.
 
     Args:
-        folder: of the stage; `tip.yaml` lies beside it.
+        folder: of the stage, next to `tip.yaml`.
         say: called before each motion with its name.
 
     Raises:
@@ -118,7 +118,7 @@ def track_all(
 
 
 def load_tracks(folder: Path) -> Tracks:
-    """The tracks of a stage that is complete.
+    """Read the tracks of a complete stage.
 
     Raises:
         LogError: if one cannot be read.
@@ -130,8 +130,10 @@ def load_tracks(folder: Path) -> Tracks:
     return tracks
 
 
-def judge(tracks: Tracks, limits: CommandLimits, dt_s: float, sigma_deg: float, model_sigma_deg: float) -> Verified:
-    """Scores of all controllers, and whether the predictive one is better than the PID.
+def judge_tracks(
+    tracks: Tracks, limits: CommandLimits, dt_s: float, sigma_deg: float, model_sigma_deg: float
+) -> Verification:
+    """Compare the controllers: scores, and whether the predictive one is better than the PID.
 
     Square errors are compared in blocks of one second of the same reference: verified is a mean difference of more than
     two standard errors and 5 %. The errors hold the noise of the sensor, which is the same for all, and that of its
@@ -156,16 +158,18 @@ def judge(tracks: Tracks, limits: CommandLimits, dt_s: float, sigma_deg: float, 
     if rounding > _ROUNDS * sigma_deg:
         figures += f" (it reads in steps of {step:.3g} deg, so that no RMS below {rounding:.3f} deg can be measured)"
     if max(score.late_share for score in scores.values()) > _FALLBACKS:
-        return Verified(False, f"{_late_words(scores)} {figures}.", _LATE_STEPS, sigma_deg, scores)
+        return Verification(False, f"{_late_words(scores)} {figures}.", _LATE_STEPS, sigma_deg, scores)
     if verified:
         steps = _verified_steps(scores)
-        return Verified(True, f"Verified: better than the PID tuned on the model. {figures}.", steps, sigma_deg, scores)
+        return Verification(
+            True, f"Verified: better than the PID tuned on the model. {figures}.", steps, sigma_deg, scores
+        )
     why, steps = _reasons(scores, mean, error, sigma_deg, model_sigma_deg)
-    return Verified(False, f"Not better than the PID. {figures}. {why}", steps, sigma_deg, scores)
+    return Verification(False, f"Not better than the PID. {figures}. {why}", steps, sigma_deg, scores)
 
 
-def _late_words(scores: Mapping[str, Scored]) -> str:
-    """That deadlines were missed, and how many."""
+def _late_words(scores: Mapping[str, ControllerScore]) -> str:
+    """Sentence on missed deadlines."""
     shares = ", ".join(f"{TITLES[name]} {100 * score.late_share:.0f} %" for name, score in scores.items())
     return (
         "Nothing is verified: this machine missed deadlines, and the comparison is not valid. Samples without time for "
@@ -174,8 +178,8 @@ def _late_words(scores: Mapping[str, Scored]) -> str:
     )
 
 
-def _verified_steps(scores: Mapping[str, Scored]) -> tuple[str, ...]:
-    """What to do with a controller that is verified."""
+def _verified_steps(scores: Mapping[str, ControllerScore]) -> tuple[str, ...]:
+    """Next steps with a verified controller."""
     steps = [f"use {TIP_FILE}: hystmpc.TipController.from_config, or `controller:` of `hystmpc run`"]
     if scores["inverse"].rms_deg <= scores[MPC].rms_deg:
         steps.append(
@@ -187,7 +191,7 @@ def _verified_steps(scores: Mapping[str, Scored]) -> tuple[str, ...]:
     return tuple(steps)
 
 
-def _scored(tracks: Mapping[str, Track], limits: CommandLimits, dt_s: float) -> Scored:
+def _scored(tracks: Mapping[str, Track], limits: CommandLimits, dt_s: float) -> ControllerScore:
     errors = {name: track.error_deg[np.isfinite(track.error_deg)] for name, track in tracks.items()}
     pooled = np.concatenate(list(errors.values()))
     held = resting = samples = fallbacks = beyond = late = skipped = 0
@@ -201,7 +205,7 @@ def _scored(tracks: Mapping[str, Track], limits: CommandLimits, dt_s: float) -> 
         late += sum(a and b not in _OWN for a, b in zip(track.late, track.source, strict=False))
         skipped += round((track.t[-1] - track.t[0]) / dt_s) + 1 - len(track.source)
         beyond += violations(track.command, float(track.command[0]), limits, dt_s)
-    return Scored(
+    return ControllerScore(
         rms_deg=_rms(pooled),
         by_motion={name: _rms(error) for name, error in errors.items()},
         greatest_deg=float(np.abs(pooled).max(initial=0.0)) if pooled.size else math.nan,
@@ -222,9 +226,9 @@ def _gains(pid: Track, mpc: Track, dt_s: float) -> Vec:
 
 
 def _reasons(
-    scores: Mapping[str, Scored], mean: float, error: float, sigma_deg: float, model_sigma_deg: float
+    scores: Mapping[str, ControllerScore], mean: float, error: float, sigma_deg: float, model_sigma_deg: float
 ) -> tuple[str, tuple[str, ...]]:
-    """Why it is not better, and what to do."""
+    """Reason why it is not better, and next steps."""
     mpc, pid = scores[MPC], scores[PID]
     if max(mpc.rms_deg, pid.rms_deg) < _NOISE_FACTOR * sigma_deg:
         return "Both are at the sensor's noise: these references cannot tell them apart.", (

@@ -68,9 +68,9 @@ def _commissioning(run: Path, before: list[Path] | None, diagnosis: Path | None)
     """The report of a commissioning; it compares with no other run."""
     if before or diagnosis is not None:
         raise ConfigError("report: a commissioning has no use for --before and --diagnosis, expected a run of `run`")
-    from hystmpc.bench.commission import report_again
+    from hystmpc.bench.commission import rewrite_report
 
-    out.print(f"report: {report_again(run).report}", soft_wrap=True)
+    out.print(f"report: {rewrite_report(run).report}", soft_wrap=True)
 
 
 def _fall(run: Path, before: list[Path], diagnosis: Path | None) -> tuple[Piece, ...]:

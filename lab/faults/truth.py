@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from hystmpc.bench.phases import BESIDE, MEDIAN
+from hystmpc.bench.phases import ANGLE_MARGIN, MEDIAN
 from hystmpc.rig.safety.plausibility import PlausibilitySettings
 from hystmpc.trials.types import Vec
 
@@ -178,7 +178,7 @@ def past_deg(truth: Truth) -> float:
     if limits is None:
         return 0.0
     low, high = limits
-    beside = BESIDE * (high - low)
+    beside = ANGLE_MARGIN * (high - low)
     outside = np.maximum(truth.angle - (high + beside), (low - beside) - truth.angle)
     worst = 0.0
     for k in np.flatnonzero((outside[1:] > 0) & (outside[:-1] <= 0)) + 1:

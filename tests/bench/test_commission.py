@@ -13,7 +13,7 @@ import pytest
 
 import hystmpc
 from hystmpc.bench import motions
-from hystmpc.bench.commission import NAMES, commission_logs, report_again
+from hystmpc.bench.commission import NAMES, commission_logs, rewrite_report
 from hystmpc.bench.config import CommissionSettings, load_commission
 from hystmpc.bench.device import DeviceStoppedError
 from hystmpc.bench.identify import Subject
@@ -189,11 +189,11 @@ def test_logs_alone_end_before_the_verification(
     assert tip.dt == pytest.approx(0.04)
     assert commission_logs([logs], tmp_path / "run", bench).model == found.model
     found.report.unlink()
-    assert report_again(tmp_path / "run").report.exists()
+    assert rewrite_report(tmp_path / "run").report.exists()
     changed = sorted(logs.glob("*.csv"))[0]
     changed.write_text("".join(changed.read_text().splitlines(keepends=True)[:-1]))
     with pytest.raises(LogError, match="expected the recordings that it was made from"):
-        report_again(tmp_path / "run")
+        rewrite_report(tmp_path / "run")
 
 
 def test_recordings_keep_to_a_range_that_is_narrower_than_the_limits(

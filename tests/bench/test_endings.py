@@ -8,18 +8,18 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hystmpc.bench.round_plan import Plan
-from hystmpc.bench.rounds import Judged, with_next
+from hystmpc.bench.round_plan import RoundPlan
+from hystmpc.bench.rounds import RoundVerdict, with_next
 from hystmpc.gap.diagnosis import Verdict
 
-PLAN = Plan(("4-designed",), 15.0, ("lag", "delay"), 0.9, 0.85)
+PLAN = RoundPlan(("4-designed",), 15.0, ("lag", "delay"), 0.9, 0.85)
 
 
-def judged(verdict: Verdict, *effects: str, ambiguity: tuple[tuple[str, ...], ...] = ()) -> Judged:
-    return Judged(verdict, effects, ambiguity, "reason", "headline", "closed", 0.9, 0.9, 1.0, 0.1, 3)
+def judged(verdict: Verdict, *effects: str, ambiguity: tuple[tuple[str, ...], ...] = ()) -> RoundVerdict:
+    return RoundVerdict(verdict, effects, ambiguity, "reason", "headline", "closed", 0.9, 0.9, 1.0, 0.1, 3)
 
 
-def ended(*verdicts: Judged, left_s: float = 100.0, plan: Plan | None = PLAN) -> Judged:
+def ended(*verdicts: RoundVerdict, left_s: float = 100.0, plan: RoundPlan | None = PLAN) -> RoundVerdict:
     return with_next(verdicts[-1], verdicts[:-1], lambda: plan, left_s, 12.0)
 
 
@@ -56,7 +56,7 @@ EITHER = judged("one_of", "lag", ambiguity=(("lag", "delay"),))
         ((judged("too_little"),) * 5, ""),
     ],
 )
-def test_it_ends_where_the_result_is_stable(verdicts: tuple[Judged, ...], ending: str) -> None:
+def test_it_ends_where_the_result_is_stable(verdicts: tuple[RoundVerdict, ...], ending: str) -> None:
     found = ended(*verdicts)
     assert found.ended == ending
     assert (found.next is None) == bool(ending)
@@ -73,7 +73,9 @@ def test_it_ends_where_time_or_motions_run_out() -> None:
     left_s=st.floats(0, 60),
     some=st.booleans(),
 )
-def test_it_goes_on_or_says_why_not_and_changes_no_verdict(verdicts: list[Judged], left_s: float, some: bool) -> None:
+def test_it_goes_on_or_says_why_not_and_changes_no_verdict(
+    verdicts: list[RoundVerdict], left_s: float, some: bool
+) -> None:
     found = ended(*verdicts, left_s=left_s, plan=PLAN if some else None)
     assert (found.next is None) == bool(found.ended) == bool(found.why)
     assert found.next is None or left_s >= 12.0

@@ -8,7 +8,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from hystmpc.bench.config import CommissionSettings, narrowed
-from hystmpc.bench.motions import Reached, budget, prepare_seconds, recordings, references
+from hystmpc.bench.motions import ReachedAngles, budget, prepare_seconds, recordings, references
 from hystmpc.rig.safety.plausibility import PlausibilitySettings
 from hystmpc.trials.errors import ConfigError
 
@@ -93,7 +93,7 @@ def test_preparation_counts_as_long_as_it_lasts() -> None:
 def test_references_stay_within_the_reached_angles_and_speed(
     low: float, width: float, speed: float, seconds: float, seed: int
 ) -> None:
-    reached = Reached(low, low + width, speed)
+    reached = ReachedAngles(low, low + width, speed)
     for motion in references(reached, seconds, (seed, 4)).values():
         trajectory = motion.build()
         t = np.arange(0.0, trajectory.duration_s, 0.01)

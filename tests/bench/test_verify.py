@@ -11,10 +11,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hystmpc.bench.controller import with_wider_dead_zone
+from hystmpc.bench.controller import rounding_ignored
 from hystmpc.bench.device import Track, track_of
 from hystmpc.bench.motions import CONTROLLERS
-from hystmpc.bench.verify import MPC, PID, Verified, judge
+from hystmpc.bench.verify import MPC, PID, Verification, judge_tracks
 from hystmpc.ctrl.command import CommandLimits
 from hystmpc.ctrl.feedback import PidControllerSettings
 from hystmpc.rig.recording.sample import Sample
@@ -40,9 +40,9 @@ def track(error_deg: float, source: str = "mpc", fallbacks: int = 0, late: int =
     )
 
 
-def verdict(sigma: float = 0.05, step: float = 0.0, **of_mpc: int) -> Verified:
+def verdict(sigma: float = 0.05, step: float = 0.0, **of_mpc: int) -> Verification:
     runs = {name: track(ERRORS[name], "controller", step=step) for name in CONTROLLERS if name != MPC}
-    return judge({"scan": {MPC: track(ERRORS[MPC], step=step, **of_mpc), **runs}}, LIMITS, DT, sigma, 0.1)
+    return judge_tracks({"scan": {MPC: track(ERRORS[MPC], step=step, **of_mpc), **runs}}, LIMITS, DT, sigma, 0.1)
 
 
 @given(st.integers(11, SAMPLES))
@@ -73,7 +73,7 @@ def test_fallbacks_in_time_are_no_late_ones() -> None:
 def test_late_samples_of_a_rival_count_too() -> None:
     runs = {name: track(ERRORS[name], "controller") for name in CONTROLLERS}
     runs[PID] = track(ERRORS[PID], "controller", 50, 50)
-    assert "not valid" in judge({"scan": runs}, LIMITS, DT, 0.05, 0.1).verdict
+    assert "not valid" in judge_tracks({"scan": runs}, LIMITS, DT, 0.05, 0.1).verdict
 
 
 @given(st.integers(5, 100))
@@ -85,7 +85,7 @@ def test_skipped_samples_had_no_time(skipped: int) -> None:
         ("mpc",) * kept.size,
     )
     runs = {name: track(ERRORS[name], "controller") for name in CONTROLLERS} | {MPC: cut}
-    found = judge({"scan": runs}, LIMITS, DT, 0.05, 0.1)
+    found = judge_tracks({"scan": runs}, LIMITS, DT, 0.05, 0.1)
     assert found.scores[MPC].late_share == pytest.approx(skipped / SAMPLES)
     assert ("not valid" in found.verdict) == (skipped > 10)
 
@@ -126,4 +126,4 @@ def test_tracks_of_earlier_versions_are_read(tmp_path: Path) -> None:
 
 def test_gains_that_are_deaf_enough_stay_as_they_were_found() -> None:
     found = PidTuning(PidControllerSettings(), 0.3, 0.4, 24)
-    assert with_wider_dead_zone(found, None, 0.1) is found  # type: ignore[arg-type]  # nothing is run again
+    assert rounding_ignored(found, None, 0.1) is found  # type: ignore[arg-type]  # nothing is run again
