@@ -241,7 +241,7 @@ class ModelledLimitsSettings(LimitsSettings):
 
 
 if TYPE_CHECKING:
-    from dataclasses import replace  # type checkers know its arguments
+    from dataclasses import replace as replace  # type checkers know its arguments
 else:
 
     def replace(old: Any, /, **changes: Any) -> Any:
