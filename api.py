@@ -10,10 +10,9 @@ from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 from hystmpc.trials.brief import in_brief
 from hystmpc.trials.errors import ControllerError, FitError, in_a_line
-from hystmpc.trials.read import Layout, Log, read_trials
+from hystmpc.trials.read import Layout, Log, at_rate, read_trials
 from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Progress
-from hystmpc.trials.uniform import at_rate
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -77,9 +76,9 @@ class Evaluation:
 
     def plot(self) -> Figure:
         """Measurement, model and error over time, of the three trials with the greatest error."""
-        from hystmpc.models.evaluation_report import time_figure
+        from hystmpc.models.evaluation_report import free_run_figure
 
-        return time_figure(self.trials)
+        return free_run_figure(self.trials)
 
     @in_a_line
     def report(self, path: Path | str) -> Path:

@@ -22,15 +22,15 @@ from hystmpc.rig.recording.recorder_process import Views, open_recorder_process
 from hystmpc.rig.recording.recording import RecordingMeta
 from hystmpc.rig.recording.sample import Sample, SampleList, Sink, Tee
 from hystmpc.rig.run import BenchResult, Note, run_bench
-from hystmpc.rig.safety.ramp import way_commands
+from hystmpc.rig.safety.ramp import waypoint_commands
 from hystmpc.rig.transports.simulated import SimulatedSettings
 from hystmpc.rig.transports.transport import PlantFactory
 from hystmpc.trajectories.config import MotionSettings
 from hystmpc.trials.csv_files import format_table
 from hystmpc.trials.errors import HystmpcError, LogError
 from hystmpc.trials.files import write_atomically
+from hystmpc.trials.formats import read_lines
 from hystmpc.trials.tables import read_table
-from hystmpc.trials.text_ import read_lines
 from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Vec
 
@@ -191,7 +191,7 @@ class BenchDevice(Device):
     def track(self, name: str, tip: TipSettings, reference: MotionSettings, bench: BenchSettings) -> Track:
         plain = {key: getattr(bench, key) for key in BenchSettings.model_fields} | {"limits": bench.limits.model_dump()}
         run = RunSettings.parse(plain | {"controller": tip, "reference": reference.model_dump()}, name)
-        phase = tracking_phase(run, beside=self.in_real_time)
+        phase = tracking_phase(run, threaded=self.in_real_time)
         samples = self._perform(name, Bounded(phase, self._angle_limits, bench.sensor), bench)
         return track_of(samples, reference.build().duration_s, bench.dt_s)
 
@@ -199,7 +199,7 @@ class BenchDevice(Device):
         """One run: preparation where it is due, the way to the safe command, the phase, the way back."""
 
         def approach(held: float) -> Vec:
-            return way_commands(held, [bench.safe_command], [bench.dt_s], bench.ramps, bench.dt_s)
+            return waypoint_commands(held, [bench.safe_command], [bench.dt_s], bench.ramps, bench.dt_s)
 
         def phases() -> list[Phase]:
             return [CommandMotion("approach", approach), phase]

@@ -21,11 +21,10 @@ from hystmpc.models.prediction.build import controller_model
 from hystmpc.models.simulator import load_simulator, save_simulator
 from hystmpc.trials.check import Severity, check
 from hystmpc.trials.errors import FitError, LogError
-from hystmpc.trials.read import read_trials
+from hystmpc.trials.read import at_rate, read_trials
 from hystmpc.trials.recording import require_recorded
 from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Progress
-from hystmpc.trials.uniform import at_rate
 
 from .config import CommissionBlock, CommissionSettings
 from .motions import Reached

@@ -13,7 +13,7 @@ from hystmpc.rig.config import BenchSettings
 from hystmpc.rig.experiment.phases import Decision, Past, Phase, PhaseInput
 from hystmpc.rig.safety.intake import SensorSettings
 from hystmpc.rig.safety.plausibility import SMOOTH_S, MotionWatch
-from hystmpc.rig.safety.ramp import stop_commands, way_commands
+from hystmpc.rig.safety.ramp import stop_commands, waypoint_commands
 from hystmpc.trials.types import Vec
 
 MEDIAN = 3
@@ -236,14 +236,14 @@ class Climb(Phase):
         self._plan = deque([*back.tolist(), *self._way(self._start, self._start)])
 
     def _way(self, held: float, to: float) -> list[float]:
-        return way_commands(held, [to], [HOLD_S], self._bench.ramps, self._bench.dt_s).tolist()
+        return waypoint_commands(held, [to], [HOLD_S], self._bench.ramps, self._bench.dt_s).tolist()
 
 
 def climb_seconds(bench: BenchSettings, end: float, steps: int) -> float:
     """How long a climb to `end` takes, and the way back [s]."""
     safe = bench.safe_command
     stops = [*np.linspace(safe, end, steps + 2).tolist(), safe]
-    return way_commands(safe, stops, [HOLD_S] * len(stops), bench.ramps, bench.dt_s).size * bench.dt_s
+    return waypoint_commands(safe, stops, [HOLD_S] * len(stops), bench.ramps, bench.dt_s).size * bench.dt_s
 
 
 @final
@@ -264,12 +264,12 @@ class Dash(Phase):
 
     def begin(self, now: PhaseInput, past: Past) -> None:
         del past
-        self._told, self._k = [now.told], 0
+        self._told, self._k = [now.reported], 0
 
     def step(self, now: PhaseInput) -> Decision:
         """The next command; keeps what the device says that it holds."""
         if self._k:
-            self._told.append(now.told)
+            self._told.append(now.reported)
         u = self._commands[min(self._k, len(self._commands) - 1)]
         self._k += 1
         return Decision(u, self.name, finished=self._k > len(self._commands))

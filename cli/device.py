@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from hystmpc.rig.device.config import DeviceSettings
+from hystmpc.rig.device import DeviceSettings
 from hystmpc.rig.transports.transport import DeviceLink
 from hystmpc.trials.config import load_settings
 
@@ -22,7 +22,7 @@ def device(
 ) -> None:
     """Serve a simulated device until Ctrl-C; it listens on the loopback unless told otherwise."""
     from hystmpc.bench.plants import make_plant
-    from hystmpc.rig.device.server import serve
+    from hystmpc.rig.device import serve
 
     settings = load_settings(DeviceSettings, config, overrides or ())
     folder = config.resolve().parent

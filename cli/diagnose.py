@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from hystmpc.trials.errors import ConfigError
-from hystmpc.trials.figure_folder import figures_to
-from hystmpc.trials.files import require_writable
+from hystmpc.trials.files import figures_to, require_writable
 from hystmpc.trials.read import read_trials
 from hystmpc.trials.recording import require_recorded
 from hystmpc.trials.trial import Trial

@@ -22,8 +22,7 @@ from hystmpc.models.evaluate import (
 from hystmpc.models.evaluate import evaluate as score
 from hystmpc.models.load import load_model
 from hystmpc.models.model import LoadedModel
-from hystmpc.trials.figure_folder import figures_to
-from hystmpc.trials.files import write_atomically
+from hystmpc.trials.files import figures_to, write_atomically
 from hystmpc.trials.trial import Trial
 
 from .bars import bar, each

@@ -24,7 +24,7 @@ from hystmpc.models.kinds.worth import identified
 from hystmpc.models.load import load_model
 from hystmpc.models.simulator import save_simulator
 from hystmpc.trials.errors import ConfigError
-from hystmpc.trials.figure_folder import figures_to
+from hystmpc.trials.files import figures_to
 from hystmpc.trials.read import expand_logs
 from hystmpc.trials.trial import SlowLogError, Trial, Units
 
@@ -169,7 +169,7 @@ def _at_rate(logs: Sequence[Path], preset: str, rate_hz: float | None, sampled_h
         return trials_at(logs, preset, DEFAULT_RATE_HZ, sampled_hz)
     except SlowLogError as error:
         default = f"the default of {DEFAULT_RATE_HZ:g} Hz"
-        raise SlowLogError(error.source, error.own_hz, default, f"; add `--rate-hz {error.own_hz:.4g}`") from None
+        raise SlowLogError(error.source, error.log_hz, default, f"; add `--rate-hz {error.log_hz:.4g}`") from None
 
 
 _SEEN, _UNSEEN = " that it was identified from", " that the fit did not see"

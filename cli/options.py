@@ -15,18 +15,17 @@ import typer
 from hystmpc.models.contract.checks import parse_model
 from hystmpc.models.contract.metadata import PREFIX
 from hystmpc.trials.check import Severity, check
-from hystmpc.trials.clock_findings import gaps_said
-from hystmpc.trials.command_noise import noise_said
+from hystmpc.trials.clock_findings import gaps_text
+from hystmpc.trials.command_noise import noise_text
 from hystmpc.trials.config import read_yaml
 from hystmpc.trials.errors import ConfigError, HystmpcError, ModelError
 from hystmpc.trials.files import require_writable
 from hystmpc.trials.from_outside import allow_python
 from hystmpc.trials.layouts import PRESETS
-from hystmpc.trials.read import expand_logs, read_trials
+from hystmpc.trials.read import at_rate, expand_logs, read_trials
 from hystmpc.trials.recording import require_recorded
 from hystmpc.trials.run_folder import require_vacant
 from hystmpc.trials.trial import Trial, parts_at_gaps
-from hystmpc.trials.uniform import at_rate
 
 from .console import errors
 
@@ -94,11 +93,11 @@ def trials_at(logs: Sequence[Path], layout: str, rate_hz: float, sampled_hz: flo
     recorded = read_trials(logs, layout, sampled_hz=sampled_hz)
     for trial in recorded:
         require_recorded(trial)
-        if said := gaps_said(trial, parts_at_gaps(trial)):
+        if said := gaps_text(trial, parts_at_gaps(trial)):
             errors.print(f"note: {trial.source}: {said}", soft_wrap=True, highlight=False)
     trials = at_rate(recorded, rate_hz)
     for trial in trials:
-        if said := noise_said(trial):
+        if said := noise_text(trial):
             errors.print(f"note: {trial.source}: {said}", soft_wrap=True, highlight=False)
     warn_of_units(trials)
     return trials

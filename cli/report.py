@@ -10,7 +10,7 @@ import typer
 
 from hystmpc.trials.config import read_yaml
 from hystmpc.trials.errors import ConfigError
-from hystmpc.trials.figure_folder import figures_to
+from hystmpc.trials.files import figures_to
 from hystmpc.trials.from_outside import only_reads
 from hystmpc.trials.run_folder import RunFolder
 
@@ -49,7 +49,7 @@ def _report(run: Path, before: list[Path] | None, diagnosis: Path | None) -> Non
         return
     more = _fall(run, before or [], diagnosis)
     if {"transport", "sensor", "reference"} <= keys:
-        from hystmpc.rig.experiment.review_page import review_run
+        from hystmpc.rig.experiment.review import review_run
 
         for line in review_run(run, more).lines:
             out.print(f"review: {line}", soft_wrap=True, markup=False)

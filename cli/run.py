@@ -48,7 +48,7 @@ def run(
         desk=desk,
     )
     finish(settings, result)
-    from hystmpc.rig.experiment.review_page import review_run  # matplotlib takes a second to import: after the run
+    from hystmpc.rig.experiment.review import review_run  # matplotlib takes a second to import: after the run
 
     report = folder / "report.html"
     try:

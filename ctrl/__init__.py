@@ -15,8 +15,9 @@ if TYPE_CHECKING:
     from .command import Command, CommandLimits, ControlInput, Source, Stopwatch, Timing
     from .config import CONTROLLERS, parse_controller
     from .estimation.observer import EstimatorSettings
-    from .feedback import InverseControllerSettings, InversePidControllerSettings, PidControllerSettings
+    from .feedback import PidControllerSettings
     from .guarded import build_controller
+    from .inverse_settings import InverseControllerSettings, InversePidControllerSettings
     from .law import Law, LawSettings, Proposal
     from .loop import Controller, Plant, run_loop
     from .mpc_settings import LinearisedMpcSettings, SamplingMpcSettings
@@ -54,8 +55,9 @@ if not TYPE_CHECKING:
         ("hystmpc.ctrl.command", "Command CommandLimits ControlInput Source Stopwatch Timing"),
         ("hystmpc.ctrl.config", "CONTROLLERS parse_controller"),
         ("hystmpc.ctrl.estimation.observer", "EstimatorSettings"),
-        ("hystmpc.ctrl.feedback", "InverseControllerSettings InversePidControllerSettings PidControllerSettings"),
+        ("hystmpc.ctrl.feedback", "PidControllerSettings"),
         ("hystmpc.ctrl.guarded", "build_controller"),
+        ("hystmpc.ctrl.inverse_settings", "InverseControllerSettings InversePidControllerSettings"),
         ("hystmpc.ctrl.law", "Law LawSettings Proposal"),
         ("hystmpc.ctrl.loop", "Controller Plant run_loop"),
         ("hystmpc.ctrl.mpc_settings", "LinearisedMpcSettings SamplingMpcSettings"),

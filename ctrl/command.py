@@ -89,6 +89,15 @@ class ControlInput:
     forecast_error: float = 0.0  # error of the forecasts over that of none, see `Estimate`
 
 
+@dataclass(frozen=True, eq=False)
+class CommandPlan:
+    """Admissible commands (H,), the model's angles along them (H,) [deg], and their cost."""
+
+    commands: Vec
+    angles: Vec
+    cost: float
+
+
 @final
 class Stopwatch:
     """Laps of one step; the only clock a controller reads."""
@@ -232,7 +241,7 @@ class ModelledLimitsSettings(LimitsSettings):
 
 
 if TYPE_CHECKING:
-    from dataclasses import replace  # type checkers know its arguments
+    from dataclasses import replace as replace  # type checkers know its arguments
 else:
 
     def replace(old: Any, /, **changes: Any) -> Any:
@@ -249,9 +258,6 @@ else:
         if len(fields) != count:
             raise TypeError(f"{type(old).__name__}: got {sorted(changes)}, expected {sorted(old.__dict__)}")
         return new
-
-
-__all__ = ["replace"]
 
 
 def limits_of_model(facts: ModelMetadata) -> CommandLimits:

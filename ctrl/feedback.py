@@ -1,4 +1,4 @@
-"""Laws without a horizon, and their settings: PID, inverse feedforward, both together.
+"""Laws without a horizon: PID with its settings, inverse feedforward, both together.
 
 S2 is RA-L 2024, PMC11633443.
 """
@@ -6,22 +6,19 @@ S2 is RA-L 2024, PMC11633443.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, ClassVar, Literal, Protocol, TypeVar, final
+from typing import ClassVar, Literal, Protocol, TypeVar, final
 
 import numpy as np
 from pydantic import field_validator
 
 from hystmpc.models.model import Inverse, Predictor
-from hystmpc.trials.config import Count, NotNegative, Positive, Settings
+from hystmpc.trials.config import NotNegative, Positive, Settings
 from hystmpc.trials.errors import ControllerError
 from hystmpc.trials.types import Vec
 
-from .command import EMPTY, CommandLimits, ControlInput, Source, Stopwatch, replace
-from .estimation.observer import EstimatorSettings, LastMeasurement, Observer, SensorKindSettings
+from .command import EMPTY, CommandLimits, CommandPlan, ControlInput, Source, Stopwatch, replace
+from .estimation.observer import LastMeasurement, Observer, SensorKindSettings
 from .law import Law, LawSettings, Proposal
-
-if TYPE_CHECKING:
-    from .mpc import CommandPlan
 
 S = TypeVar("S", bound=SensorKindSettings)
 
@@ -303,62 +300,3 @@ class InversePid(Law[InversePidMemory]):
         u, pid = self._pid.correct(memory.pid, error, given, u_alone)
         watch.lap("pid")
         return Proposal(u, InversePidMemory(wanted.memory, pid, state, u_alone, dues, error))
-
-
-class FeedforwardSettings(LawSettings):
-    """What both controllers with an inverse have.
-
-    Attributes:
-        reference_dead_zone_deg: change of the reference that is not followed [deg].
-        preview: samples of the reference that the inverse of a model with lag or delay looks at.
-        estimator: how state and disturbance are estimated from the measurements.
-    """
-
-    estimator: EstimatorSettings = EstimatorSettings()  # pyright: ignore[reportIncompatibleVariableOverride]  # frozen
-    reference_dead_zone_deg: NotNegative = REFERENCE_DEAD_ZONE_DEG
-    preview: Count = 20
-
-    def bridged_samples(self, dt_s: float) -> int:
-        return self.estimator.bridged_samples(self.ladder.max_missing_samples, dt_s)
-
-    def observer(self, predictor: Predictor) -> Observer:
-        return self.estimator.observer(predictor)
-
-    def feedforward(self, predictor: Predictor, inverse: Inverse, limits: CommandLimits) -> InverseFeedforward:
-        """The inverse: over the preview for a model that answers late (`steady_inverse` too), else sample by sample."""
-        from hystmpc.models.inverse.drive import DrivenInverse  # numba and CasADi, which importing settings spares
-        from hystmpc.models.inverse.one_step import inverted_after_a_hold
-
-        ahead = None
-        if isinstance(inverse, DrivenInverse) or inverted_after_a_hold(inverse):
-            from .linearised.feasible_inverse import FeasibleInverse
-
-            ahead = FeasibleInverse(predictor, inverse, limits, self.preview)
-        return InverseFeedforward(inverse, self.reference_dead_zone_deg, ahead)
-
-
-class InverseControllerSettings(FeedforwardSettings):
-    """Inverse feedforward."""
-
-    kind: Literal["inverse"] = "inverse"
-
-    def law(self, predictor: Predictor, inverse: Inverse, limits: CommandLimits) -> Law[Any]:
-        return self.feedforward(predictor, inverse, limits)
-
-
-class InversePidControllerSettings(FeedforwardSettings):
-    """Inverse feedforward with PID feedback.
-
-    Attributes:
-        gains: of the PID.
-    """
-
-    kind: Literal["inverse_pid"] = "inverse_pid"
-    gains: PidSettings = PidSettings(kp_per_deg=0.01, ki_per_deg_s=0.2)
-
-    _measures = field_validator("estimator")(needs_sensor)
-
-    def law(self, predictor: Predictor, inverse: Inverse, limits: CommandLimits) -> Law[Any]:
-        feedforward = self.feedforward(predictor, inverse, limits)
-        pid, oldest = Pid(self.gains, limits, predictor.dt), self.estimator.oldest_samples(predictor.dt)
-        return InversePid(feedforward, pid, predictor, limits, oldest)

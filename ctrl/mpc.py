@@ -16,10 +16,10 @@ from hystmpc.models.kernels.numba_ import njit
 from hystmpc.models.model import Inverse, Predictor, static_gain
 from hystmpc.trials.types import Vec
 
-from .command import CommandLimits, ControlInput, Source, Stopwatch, attempt
+from .command import CommandLimits, CommandPlan, ControlInput, Source, Stopwatch, attempt
 from .law import Law, Proposal
 from .learning.predictor import LearnedFollower, LearnedInverse
-from .mpc_settings import HoldSettings, PredictiveSettings, WeightsSettings
+from .planning_settings import HoldSettings, PredictiveSettings, WeightsSettings
 
 P = TypeVar("P")
 
@@ -47,15 +47,6 @@ class PlanningProblem:
     reference: Vec  # wanted angles [deg], shape (H,)
     feedforward: Vec  # the inverse plan, from which effort is measured, shape (H,)
     angle_limits: tuple[float, float]  # soft limits of the angle [deg], lower and upper
-
-
-@dataclass(frozen=True, eq=False)
-class CommandPlan:
-    """Admissible commands (H,), the model's angles along them (H,) [deg], and their cost."""
-
-    commands: Vec
-    angles: Vec
-    cost: float
 
 
 @final

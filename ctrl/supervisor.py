@@ -10,7 +10,7 @@ from hystmpc.models.model import Inverse, Predictor, static_gain
 from .command import CommandLimits, ControlInput, Source, Stopwatch, attempt, replace
 from .feedback import InverseFeedforward, InversePid, Pid, PidFeedback, PidSettings
 from .law import Law, Proposal
-from .mpc_settings import SupervisorSettings
+from .planning_settings import SupervisorSettings
 
 SupervisorLevel = Literal["mpc", "inverse_pid", "pid"]
 LEVELS: tuple[SupervisorLevel, ...] = ("mpc", "inverse_pid", "pid")

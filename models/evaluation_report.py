@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
+from matplotlib.figure import Figure
+
 from hystmpc.trials.figures import Look, LoopPanel, SimulatedTrial, loop_figure, time_figure
 from hystmpc.trials.report import MEASURED, MODEL, Heading, Paragraph, Piece, Plot, Report, Table
 
@@ -36,11 +38,21 @@ def _pieces(which: str, results: Sequence[TrialEvaluation]) -> Iterator[Piece]:
     yield Table(ERROR_COLUMNS, error_rows(results), note)
     yield from (Paragraph(f"{sentence}.") for sentence in start_sentences(results))
     drawn = "of all trials" if len(results) <= _SHOWN else f"of the {_SHOWN} trials with the greatest error"
-    worst = sorted(results, key=lambda run: -run.errors.rmse_deg)[:_SHOWN]
-    over_time = time_figure([_simulated(run) for run in worst], "error")
-    yield Plot(over_time, f"Measured and simulated output {drawn}, and the error of the model below.", True)
+    worst = _worst(results)
+    yield Plot(
+        free_run_figure(results), f"Measured and simulated output {drawn}, and the error of the model below.", True
+    )
     loops = loop_figure([_loop(run) for run in worst], command, unit)
     yield Plot(loops, f"Output [{unit}] over command [{command}] of the same trials.")
+
+
+def free_run_figure(results: Sequence[TrialEvaluation]) -> Figure:
+    """Measurement, model and error over time, of the three trials with the greatest error."""
+    return time_figure([_simulated(run) for run in _worst(results)], "error")
+
+
+def _worst(results: Sequence[TrialEvaluation]) -> list[TrialEvaluation]:
+    return sorted(results, key=lambda run: -run.errors.rmse_deg)[:_SHOWN]
 
 
 def _simulated(run: TrialEvaluation) -> SimulatedTrial:

@@ -1,4 +1,4 @@
-"""What the loop talks to in a lab: transports, the loop itself, preparation, safe stop, recordings."""
+"""The real-time control loop at a bench: transports, safety, preparation, safe stop, recording, live view."""
 
 from __future__ import annotations
 

@@ -48,7 +48,7 @@ TransportSettings = Annotated[
 
 
 class BenchSettings(Settings):
-    """What a bench is.
+    """Settings of a bench: device, limits, ramps, sensor, transport, preparation.
 
     Attributes:
         name: of the device; a latched stop belongs to it.
@@ -112,7 +112,7 @@ class BenchSettings(Settings):
 
     @property
     def overshoot(self) -> float:
-        """How far a stop may go on [mm or bar]."""
+        """Greatest overshoot of a stop in the direction of motion [mm or bar]."""
         return self.stop_overshoot or min(0.2, 0.02 * (self.limits.upper - self.limits.lower))
 
     @property
@@ -122,7 +122,7 @@ class BenchSettings(Settings):
 
 
 class ReviewSettings(Settings):
-    """Block `review`: from which error of the model's free run on something is due; see `review`.
+    """Block `review`: bar of the model's free-run error above which a new identification or diagnosis is due.
 
     Attributes:
         due_above_deg: RMS error of the free run [deg].
@@ -205,7 +205,7 @@ class RecordSettings(BenchSettings):
 
 
 def load_run(path: Path | str, overrides: Iterable[str] = ()) -> RunSettings:
-    """Read an experiment; file names in it start at its own folder and come out absolute.
+    """Read the settings of an experiment; file names relative to its folder become absolute.
 
     Raises:
         ConfigError: on an unreadable file, an unknown key or a value out of bounds.
@@ -222,7 +222,7 @@ def load_run(path: Path | str, overrides: Iterable[str] = ()) -> RunSettings:
 
 
 def load_record(path: Path | str, overrides: Iterable[str] = ()) -> RecordSettings:
-    """Read a recording; as `load_run`.
+    """Read the settings of a recording, as `load_run`.
 
     Raises:
         ConfigError: on an unreadable file, an unknown key or a value out of bounds.
@@ -236,7 +236,7 @@ def load_record(path: Path | str, overrides: Iterable[str] = ()) -> RecordSettin
 
 
 def located(settings: BenchSettings, folder: Path) -> dict[str, Any]:
-    """The settings of every bench that name files, with file names that start at `folder`.
+    """Settings of a bench that hold file names, with these resolved against `folder`.
 
     Raises:
         ConfigError: if the latch's file is another kind of file, which a stop would replace and `--reset` remove.
@@ -258,9 +258,9 @@ def _may_latch(file: Path) -> bool:
     """Whether a file may be a latch's: it is one, it is empty, or nothing is there."""
     try:
         text = file.read_text(encoding="utf-8")
-        found = json.loads(text) if text.strip() else {"cause": ""}
+        content = json.loads(text) if text.strip() else {"cause": ""}
     except (FileNotFoundError, NotADirectoryError):
         return True
     except (OSError, ValueError, RecursionError):
         return False
-    return isinstance(found, dict) and "cause" in found
+    return isinstance(content, dict) and "cause" in content

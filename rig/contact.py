@@ -1,4 +1,4 @@
-"""The first contact with a device: what it has to say of itself before anything is sent. Nothing in here waits."""
+"""First contact with a device: measurements that are required before the first command. Nothing in here waits."""
 
 from __future__ import annotations
 
@@ -13,24 +13,23 @@ from .config import BenchSettings
 from .transports.transport import Reading, Transport
 
 _GREET_NS = 100_000_000
-
 _ENOUGH = 3  # plausible angles before anything is believed
 
 
 @dataclass(frozen=True)
 class DeviceContact:
-    """What is known of a device that has answered."""
+    """State of a device that has answered: held command and newest reading."""
 
     held: float  # the command that it holds, as it says or as `start_command` does
     newest: Reading  # the loop keeps half a sample's distance from its receipt, and goes by its time of flight
 
     @property
-    def tells(self) -> bool:
-        """Whether the device says itself what it holds."""
+    def reports_held(self) -> bool:
+        """Whether the device reports the command that it holds."""
         return math.isfinite(self.newest.held)
 
     def seen_at(self, now_ns: int) -> Reading:
-        """Its session, sequence and time of flight, as if it came now without an angle.
+        """The newest reading moved to the present, without its angle: same session, sequence and time of flight.
 
         What has piled up since then is late by these, however long it lay.
         """
@@ -52,7 +51,7 @@ class FirstContact:
         self._angle, self._listens, self._greeted_ns = math.nan, True, 0
 
     def judge(self, reading: Reading) -> DeviceContact | None:
-        """What is known once it is enough, None until then.
+        """State of the device after enough plausible readings, None until then.
 
         Raises:
             ConfigError: if device and `start_command` disagree, neither tells what is held, or that is beyond the
@@ -74,7 +73,7 @@ class FirstContact:
         return DeviceContact(_start(self._settings, reading.held), reading)
 
     def missing(self) -> str:
-        """What is still missing, in one line."""
+        """Error line for a device that has not answered as required."""
         settings, sensor = self._settings, self._settings.sensor
         if not self._listens:
             return f"{settings.name}: the device listens to another controller, expected that one to have ended"

@@ -16,7 +16,7 @@ BINS = 400
 
 @dataclass(frozen=True)
 class TimingSummary:
-    """Figures of one quantity; quantiles are upper edges of their bins, NaN without a sample.
+    """Statistics of one time; quantiles are upper edges of their bins, NaN without a sample.
 
     Attributes:
         count: samples.
@@ -73,7 +73,7 @@ class Histogram:
         return self._greatest if k >= BINS - 1 else min(self._width * (k + 1), self._greatest)
 
     def summary(self) -> TimingSummary:
-        """The figures."""
+        """Count, mean, maximum and quantiles."""
         mean = self._sum / self._count if self._count else math.nan
         greatest = self._greatest if self._count else math.nan
         return TimingSummary(self._count, mean, greatest, self.quantile(0.5), self.quantile(0.99), self.quantile(0.999))
@@ -95,12 +95,12 @@ class Timings:
     def as_dict(self) -> dict[str, object]:
         """Plain data for `timing.json`."""
         parts = {"period": self.period, "execution": self.execution, "jitter": self.jitter}
-        found: dict[str, object] = {"missed": self.missed, "skipped": self.skipped}
+        data: dict[str, object] = {"missed": self.missed, "skipped": self.skipped}
         for name, histogram in parts.items():
             filled = np.flatnonzero(histogram.counts)
-            found[name] = {
+            data[name] = {
                 "summary": {k: None if v != v else v for k, v in vars(histogram.summary()).items()},
                 "bin_s": float(histogram.edges_s[1]),
                 "counts": {int(k): int(histogram.counts[k]) for k in filled},
             }
-        return found
+        return data

@@ -1,4 +1,4 @@
-"""The loop at a bench: absolute deadlines on a monotonic clock, one phase after another, a safe end."""
+"""The control loop at a bench: absolute deadlines on a monotonic clock, a sequence of phases, a safe stop."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from .reader import Reader
 from .realtime import Clock
 from .recording.sample import Sample, Sink
 from .safety.gate import Anchor, Gate
-from .safety.intake import Intake, Seen
-from .safety.stop import StopFlag
+from .safety.intake import Intake, Observation
+from .safety.stop import StopFlag, cause_of
 from .transports.transport import Reading, Transport
 
 
 @dataclass(frozen=True)
 class RunOutcome:
-    """What the loop says of a run when it is over.
+    """Outcome of a run: cause of the stop, counts of samples, commands and faults.
 
     Attributes:
         cause: why it was stopped; empty after a run that came to its end.
@@ -52,13 +52,13 @@ class RunOutcome:
 
 
 _S = 1e-9
-_PILED_UP = 25  # times 4096 readings
+_DISCARD_ROUNDS = 25  # times 4096 readings
 _SLOW_NS = 300_000_000  # how far behind calls of the wire may put the loop
-_CALM = 5  # samples without a fault before others are taken in C
+_FAULTLESS = 5  # samples without a fault before others are taken in C
 
 
 class Times(NamedTuple):
-    """Of one sample [ns]: monotonic its wake-up, deadline and end, and the wall clock."""
+    """Times of one sample [ns]: monotonic wake-up, deadline and end, and the wall clock."""
 
     woke: int
     deadline: int
@@ -72,7 +72,7 @@ ToSafe = Callable[[str], SafeStop]
 
 @final
 class ControlLoop:
-    """Waits for a deadline, reads, decides, limits, writes, hands the sample on; never raises, never logs.
+    """Real-time loop: wait for the deadline, read, decide, limit, write, record; it never raises.
 
     `run` waits by its clock. A caller that has a clock of its own, such as a timer, calls `begin` once, then in each
     period `sample(due())`, and `outcome` in the end; a period that it misses is to the loop a sample that ended late.
@@ -117,11 +117,11 @@ class ControlLoop:
         self._past_y: deque[float] = deque(maxlen=REMEMBERED)
         self._start_ns = self._woke_ns = self._boot_ns = self._deadline_ns = 0
         self._wire_ns = self._behind_ns = 0  # spent in calls of the transport, and what it has cost in the end
-        self._thrown = 0  # readings before the first sample
+        self._discarded = 0  # readings before the first sample
         self._failures = 0  # samples that have failed
-        self._sequence = self._skipped = self._waited = self._commands = self._unsent = self._refused = 0
+        self._sequence = self._skipped = self._waited = self._commands = self._not_sent = self._refused = 0
         self._late = False
-        self._calm = 0  # samples in a row without a fault
+        self._faultless = 0  # samples in a row without a fault
         self._in_c, self._left_c = 0, Counter[str]()
         self._refused_ns: int | None = None  # since when no command leaves
         self._newest: Reading | None = None
@@ -129,16 +129,16 @@ class ControlLoop:
 
     @property
     def cause(self) -> str:
-        """Why it stops, or has stopped; empty while it does not."""
+        """Cause of the stop; empty without one."""
         return self._cause
 
     @property
     def lost(self) -> int:
         """Measurements that were sent and never came."""
-        return max(0, self._intake.lost - self._thrown)
+        return max(0, self._intake.lost - self._discarded)
 
     def run(self, phases: Sequence[Phase], beat_ns: int = 0) -> RunOutcome:
-        """Go through the phases and lead the device to the safe command; whatever happens, the transport is closed.
+        """Execute the phases, then the motion to the safe command; the transport is closed in every case.
 
         Args:
             phases: what to do.
@@ -152,16 +152,16 @@ class ControlLoop:
                 deadline = self._taken_in_c(deadline)
                 self._clock.wait_until(deadline)
             except Exception as error:  # noqa: BLE001 - as in a sample
-                self._flag.set(_said(error))
+                self._flag.set(cause_of(error))
             going = self.sample(deadline)
         try:
             self._transport.stop(goodbye=self._confirmed)
         except Exception:  # noqa: BLE001 - the run is over; there is nobody left to tell
-            self._unsent += 1
+            self._not_sent += 1
         return self.outcome()
 
     def begin(self, phases: Sequence[Phase], beat_ns: int = 0) -> None:
-        """Be ready for the first sample; arguments as of `run`."""
+        """Initialise the loop for its first sample; arguments as of `run`."""
         self._rest = deque(phases)
         self._drain()
         now = self._clock.now_ns()
@@ -175,40 +175,40 @@ class ControlLoop:
         try:
             behind = self._clock.now_ns() - deadline
         except Exception as error:  # noqa: BLE001 - as in a sample
-            self._flag.set(_said(error))
+            self._flag.set(cause_of(error))
             return deadline
         return deadline + max(0, behind // self._dt_ns) * self._dt_ns
 
     def sample(self, deadline: int) -> bool:
         """One sample, due at monotonic time `deadline` [ns]; False after the last one."""
-        self._begin_at(deadline)
+        self._advance_to(deadline)
         self._wire_ns = 0
         try:
             return self._sample(deadline)
         except Exception as error:  # noqa: BLE001 - whatever is broken, the next samples lead to the safe command
-            return self._failed(_said(error), deadline)
+            return self._failed(cause_of(error), deadline)
 
     def outcome(self) -> RunOutcome:
-        """What there is to say of the run so far."""
-        counts = self._gate.clipped, self._unsent, self._refused
+        """Outcome of the run so far."""
+        counts = self._gate.clipped, self._not_sent, self._refused
         in_c = self._in_c, dict(self._left_c)
         return RunOutcome(
             self._cause, self._sequence, self._stop_s, self._safe_s, self._confirmed, *counts, dict(self.faults), *in_c
         )
 
     def _taken_in_c(self, deadline: int) -> int:
-        """The deadline of the next sample that is to be taken here: those before it are taken in C, where one can."""
+        """Execute samples in C where that is possible; returns the deadline of the next sample in Python."""
         phase = self._phase
-        compiled = None if phase is None or self._calm < _CALM or self._flag.word.value else phase.compiled()
+        compiled = None if phase is None or self._faultless < _FAULTLESS or self._flag.word.value else phase.compiled()
         if phase is None or compiled is None:
             return deadline
         parts = compiled.parts(self._intake, self._gate, self._transport)
         if parts is None:
             return deadline
-        self._calm = 0
-        self._begin_at(deadline)
-        own = {"deadline_ns": deadline, "boot_ns": self._boot_ns, "dt_ns": self._dt_ns, "stall_ns": self._stall_ns}
-        compiled.begin({**parts, **self._anchor.numbers(), **own})
+        self._faultless = 0
+        self._advance_to(deadline)
+        times = {"deadline_ns": deadline, "boot_ns": self._boot_ns, "dt_ns": self._dt_ns, "stall_ns": self._stall_ns}
+        compiled.begin({**parts, **self._anchor.numbers(), **times})
         taken = phase.taken_in_c(self._flag)
         try:
             for sample, decision in taken:
@@ -216,7 +216,7 @@ class ControlLoop:
                 if decision.finished:
                     self._finished()
         except Exception as error:  # noqa: BLE001 - the loop must end at rest, from what the device says that it holds
-            self._flag.set(_said(error))
+            self._flag.set(cause_of(error))
             self._anchor.not_sent(self._clock.boot_ns())
         finally:
             taken.close()  # the loop in C has ended then
@@ -227,7 +227,7 @@ class ControlLoop:
         return int(view.deadline_ns)
 
     def _book(self, done: Any, raw: Sequence[tuple[bytes, int]], decision: Decision) -> None:
-        """A sample that was taken in C, by the rules of those that are taken here; what they find ends it there."""
+        """Check and record a sample that was executed in C by the rules of Python; a finding ends the loop in C."""
         self._in_c, self._wire_ns = self._in_c + 1, 0
         self._skip(done.skipped)
         readings = (self._transport.reading(*one) for one in raw)
@@ -238,11 +238,11 @@ class ControlLoop:
             self._flag.set(cause)
         self._gate.clipped += not abs(done.u - done.wanted) <= 1e-12
         if done.sent:
-            self._left(done.u, done.sent_ns)
+            self._command_sent(done.u, done.sent_ns)
         elif self._anchor.in_time(done.sent_boot_ns):
-            self._refused_by_wire(done.sent_boot_ns)
+            self._command_refused(done.sent_boot_ns)
         else:
-            self._unsent += 1
+            self._not_sent += 1
         self._remember(self._gate.last, seen)
         faults = seen.faults if done.sent else (*seen.faults, "command-not-sent")
         times = Times(done.woke_ns, done.deadline_ns, done.done_ns, done.wall_ns)
@@ -253,11 +253,11 @@ class ControlLoop:
         if boot - self._boot_ns > self._stall_ns + self._dt_ns:
             self._flag.set(f"the loop stood still for {_S * (boot - self._boot_ns):.2f} s")
         self._boot_ns = boot
-        seen = self._look()
+        seen = self._observe()
         stop = self._flag.cause or seen.dead
         # What a slow reading has told is as old as the judgement; for a command it is one more delay.
-        sure = self._anchor.judge(seen, boot if self._gate.anchored else self._clock.boot_ns())
-        if not sure:
+        known = self._anchor.judge(seen, boot if self._gate.anchored else self._clock.boot_ns())
+        if not known:
             return self._wait(woke, deadline, seen, stop)
         skipped = self._skipped + (self._waited if self._commands else 0)
         velocity = self._gate.velocity
@@ -268,8 +268,8 @@ class ControlLoop:
             self._phase.begin(now, Past([], []))  # the way out starts where the device was found
         self._waited = 0
         if stop := stop or self._anchor.moved:
-            self._halt(stop, now)
-        self._cut_short()
+            self._begin_stop(stop, now)
+        self._drop_phases()
         decision = self._decide(now)
         u = self._gate.admissible(decision.u, self._clock.now_ns())
         sent = self._send(u)
@@ -291,15 +291,15 @@ class ControlLoop:
         return True
 
     def _finished(self) -> None:
-        """The phase is over. Where the way back is next, it is worked out now, in what is left of the sample."""
+        """End the phase; the return motion, if it is next, is computed now, in the rest of the sample."""
         self._phase = None
         if not self._rest:
             phase = self._to_safe("")
             phase.begin(PhaseInput(math.nan, self._gate.last, velocity=self._gate.velocity), Past([], []))
             self._phase = phase
 
-    def _wait(self, woke: int, deadline: int, seen: Seen, stop: str) -> bool:
-        """Send nothing in this sample, since it is not known what the device holds; False where that is given up."""
+    def _wait(self, woke: int, deadline: int, seen: Observation, stop: str) -> bool:
+        """Send nothing in this sample while the held command is unknown; False where the run is given up."""
         over = self._anchor.given_up or (stop if not self._commands else "")
         held = seen.held if math.isfinite(seen.held) else self._gate.last
         if math.isfinite(held):
@@ -308,7 +308,7 @@ class ControlLoop:
         try:
             self._transport.greet()
         except Exception:  # noqa: BLE001 - as a command that did not leave
-            self._unsent += 1
+            self._not_sent += 1
         self._wire_ns += self._clock.now_ns() - began
         decision = Decision(held, "wait", over or "nothing is sent until it is known what the device holds")
         faults = (*seen.faults, "held-unknown") if self._commands else seen.faults
@@ -325,7 +325,7 @@ class ControlLoop:
         return True
 
     def _failed(self, cause: str, deadline: int) -> bool:
-        """A sample in which a part has failed that nothing goes without: nothing was decided, or it did not leave.
+        """Record a failed sample: an indispensable part has raised, so nothing was decided or nothing was sent.
 
         The next sample stops safely. Where such samples add up to `stall_s`, the device is left to its watchdog: False.
         """
@@ -333,7 +333,7 @@ class ControlLoop:
         self._failures += 1
         with suppress(Exception):  # the clock itself, or the book-keeping
             self._anchor.not_sent(self._clock.boot_ns())  # it may have left, and not be in the books
-            seen, held = Seen(math.nan, ("sample-failed",), ""), self._gate.last
+            seen, held = Observation(math.nan, ("sample-failed",), ""), self._gate.last
             times = self._times(max(self._woke_ns, deadline), deadline)
             self._conclude(times, seen, Decision(held, "wait", cause), held, seen.faults)
         if self._failures * self._dt_ns <= self._stall_ns:
@@ -341,8 +341,8 @@ class ControlLoop:
         self._cause = self._cause or cause
         return False
 
-    def _remember(self, held: float, seen: Seen) -> None:
-        """Keep the sample for a controller that takes over."""
+    def _remember(self, held: float, seen: Observation) -> None:
+        """Append the sample to the history for a controller that starts later."""
         if isinstance(self._phase, AwaitStart):  # the device rests: however long that lasts, it is one sample
             self._past_u.clear()
             self._past_y.clear()
@@ -353,10 +353,13 @@ class ControlLoop:
     def _times(self, woke: int, deadline: int) -> Times:
         return Times(woke, deadline, self._clock.now_ns(), self._clock.wall_ns())
 
-    def _conclude(self, times: Times, seen: Seen, decision: Decision, u: float, faults: tuple[str, ...]) -> None:
-        """Count and hand on what the sample was."""
+    def _conclude(self, times: Times, seen: Observation, decision: Decision, u: float, faults: tuple[str, ...]) -> None:
+        """Count and record the sample."""
         period = times.woke - self._woke_ns
-        self._count(period, times.woke - times.deadline, times.done - times.woke)
+        if self._sequence:
+            self.timings.period.add(_S * period)
+        self.timings.jitter.add(_S * (times.woke - times.deadline))
+        self.timings.execution.add(_S * (times.done - times.woke))
         self._late = times.done > times.deadline + self._dt_ns
         self.timings.missed += self._late
         if self._late:
@@ -364,14 +367,18 @@ class ControlLoop:
         if self._is_slow("command-not-sent" not in faults and decision.source != "wait"):
             faults = (*faults, "wire-slow")
         self.faults.update(faults)
-        self._calm = 0 if faults else self._calm + 1
+        self._faultless = 0 if faults else self._faultless + 1
         if math.isfinite(u):  # before the first contact there is nothing to record
-            self._hand_on(self._record(times, period, seen, decision, u, faults))
+            record = self._record(times, period, seen, decision, u, faults)
+            try:
+                self._sink.put(record)
+            except Exception:  # noqa: BLE001 - a full disk must not move the device
+                self._refused += 1
         self._woke_ns = times.woke
         self._sequence += 1
 
     def _is_slow(self, sent: bool) -> bool:
-        """Whether the wire took longer than a sample; asks for a stop where it alone has put the loop too far behind.
+        """Whether the transport took longer than a sample; requests a stop where it has delayed the loop too far.
 
         Quicker samples make up for slow ones where a command has left in them: a loaded machine is no slow wire.
         """
@@ -383,41 +390,41 @@ class ControlLoop:
         return over > 0
 
     def _drain(self) -> None:
-        """Throw away what has piled up before the first sample, all but the newest; for `stall_s` at most.
+        """Discard readings that queued before the first sample, all but the newest; for `stall_s` at most.
 
         What cannot be read meanwhile is old when it is read, and is judged by its age.
         """
         try:
             until = self._clock.now_ns() + self._stall_ns
-            for _ in range(_PILED_UP):
+            for _ in range(_DISCARD_ROUNDS):
                 readings = self._reader.within(until - self._clock.now_ns()).readings
                 if not readings:
                     return
-                self._thrown += len(readings) - (self._newest is None)
+                self._discarded += len(readings) - (self._newest is None)
                 self._newest = readings[-1]
         except Exception as error:  # noqa: BLE001 - as in a sample
-            self._flag.set(_said(error))
+            self._flag.set(cause_of(error))
 
-    def _look(self) -> Seen:
-        """What has arrived, judged; a transport that fails shows as a missing angle, a judgement that does stops."""
+    def _observe(self) -> Observation:
+        """Read and check measurements; a transport that fails is a missing angle, a check that fails stops the run."""
         taken = self._reader.take(spared=bool(self._cause) and self._gate.anchored)
         self._wire_ns += taken.took_ns
         readings = taken.readings if self._newest is None else [self._newest, *taken.readings]
         self._newest = None
         faults = (taken.fault,) if taken.fault else ()
         try:
-            unheard = bool(readings) and not readings[-1].listens
+            not_listening = bool(readings) and not readings[-1].listens
             seen = self._intake.judge(readings, self._clock.now_ns(), self._gate.last)
         except Exception as error:  # noqa: BLE001 - a reading may hold anything
-            self._flag.set(f"a reading cannot be judged: {_said(error)}")
-            return Seen(math.nan, ("not-judged", *faults), "")
-        if unheard and self._commands and self._gate.anchored:
+            self._flag.set(f"a reading cannot be judged: {cause_of(error)}")
+            return Observation(math.nan, ("not-judged", *faults), "")
+        if not_listening and self._commands and self._gate.anchored:
             self._flag.set("the device listens to this controller no more: its watchdog has acted, or another has it")
             return replace(seen, follows=False, faults=(*seen.faults, "not-heard", *faults))
         return replace(seen, faults=(*seen.faults, *faults)) if faults else seen
 
     def _decide(self, now: PhaseInput) -> Decision:
-        """What the present phase wants; the stop's way out where it fails."""
+        """Decision of the present phase; that of the safe stop where the phase fails."""
         for _ in range(3):
             try:
                 if self._phase is None:
@@ -427,15 +434,15 @@ class ControlLoop:
                 decision = self._phase.step(now)
                 wrong, _ = decision.fault, float(decision.u)
             except Exception as error:  # noqa: BLE001 - phases run foreign code; the loop must end at rest
-                self._halt(_said(error), now)
+                self._begin_stop(cause_of(error), now)
                 continue
             if not wrong or isinstance(self._phase, SafeStop):
                 return decision
-            self._halt(wrong, now)
+            self._begin_stop(wrong, now)
         return Decision(now.held, "stop", "safe stop: held")  # out of reach: SafeStop never raises
 
-    def _halt(self, cause: str, now: PhaseInput) -> None:
-        """Turn to the safe stop, once."""
+    def _begin_stop(self, cause: str, now: PhaseInput) -> None:
+        """Begin the safe stop, once."""
         if isinstance(self._phase, SafeStop) and self._phase.cause:
             return
         self._cause, self._stop_s = cause, _S * (self._clock.now_ns() - self._start_ns)
@@ -444,57 +451,45 @@ class ControlLoop:
         phase.begin(now, Past([], []))
         self._phase = phase
 
-    def _cut_short(self) -> None:
-        """Leave out all phases but the way back where the regular end is asked for."""
+    def _drop_phases(self) -> None:
+        """Drop the remaining phases where the regular end is requested; the return motion is next."""
         if self._flag.ending and not isinstance(self._phase, SafeStop):
             self._rest.clear()
             self._phase = None
 
     def _send(self, u: float) -> bool:
-        """Whether the command has left; one that has not counts as never sent."""
+        """Send a command; False where it was not sent."""
         if not self._anchor.in_time(self._clock.boot_ns()):
-            self._unsent += 1
+            self._not_sent += 1
             return False
         began = self._clock.now_ns()
         try:
             self._transport.write(u)
         except Exception:  # noqa: BLE001 - counted and shown; a dead device ends the run by its silence
             self._wire_ns += self._clock.now_ns() - began
-            self._refused_by_wire(self._clock.boot_ns())
+            self._command_refused(self._clock.boot_ns())
             return False
         now = self._clock.now_ns()
         self._wire_ns += now - began
-        self._left(u, now)
+        self._command_sent(u, now)
         return True
 
-    def _left(self, u: float, at: int) -> None:
-        """A command has left."""
+    def _command_sent(self, u: float, at: int) -> None:
+        """Book a command that was sent."""
         self._gate.sent(u, at)
         self._anchor.sent()
         self._commands += 1
         self._refused_ns = None
 
-    def _refused_by_wire(self, now: int) -> None:
-        """Ask for a stop where the wire has taken no command for too long: a device may talk and not listen."""
-        self._unsent += 1
+    def _command_refused(self, now: int) -> None:
+        """Request a stop where the transport has accepted no command for too long."""
+        self._not_sent += 1
         self._anchor.not_sent(now)
         self._refused_ns = now if self._refused_ns is None else self._refused_ns
         if now - self._refused_ns > self._stall_ns:
             self._flag.set(f"no command has left for {_S * (now - self._refused_ns):.2f} s")
 
-    def _hand_on(self, sample: Sample) -> None:
-        try:
-            self._sink.put(sample)
-        except Exception:  # noqa: BLE001 - a full disk must not move the device
-            self._refused += 1
-
-    def _count(self, period: int, lateness: int, execution: int) -> None:
-        if self._sequence:
-            self.timings.period.add(_S * period)
-        self.timings.jitter.add(_S * lateness)
-        self.timings.execution.add(_S * execution)
-
-    def _begin_at(self, deadline: int) -> None:
+    def _advance_to(self, deadline: int) -> None:
         """The next sample is due then; those before it have passed wholly."""
         self._skip(max(0, (deadline - self._deadline_ns) // self._dt_ns - 1))
         self._deadline_ns = deadline
@@ -506,7 +501,7 @@ class ControlLoop:
         self._sequence += samples
 
     def _record(
-        self, times: Times, period: int, seen: Seen, decision: Decision, u: float, faults: tuple[str, ...]
+        self, times: Times, period: int, seen: Observation, decision: Decision, u: float, faults: tuple[str, ...]
     ) -> Sample:
         limited, woke = not abs(u - decision.u) <= 1e-9, times.woke
         return Sample(
@@ -526,8 +521,3 @@ class ControlLoop:
             sequence=self._sequence,
             taken_s=_S * (woke - self._start_ns) - seen.age_s if math.isfinite(seen.angle_deg) else math.nan,
         )
-
-
-def _said(error: BaseException) -> str:
-    """An error as a cause."""
-    return f"{type(error).__name__}: {' '.join(str(error).split())[:200]}"

@@ -1,4 +1,4 @@
-"""What a transport has to say, read in a share of the sample: a slow wire costs angles, never commands."""
+"""Reading of measurements within a share of the sample: a slow transport costs angles, never commands."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _SPARED_NS, _SLOW_FOR_NS = 800_000_000, 3_000_000_000
 
 
 class Taken(NamedTuple):
-    """What was read: readings in the order of arrival, the name of what failed, and how long it took [ns]."""
+    """Readings in the order of arrival, the name of the error, and the time that reading took [ns]."""
 
     readings: list[Reading]
     fault: str
@@ -22,7 +22,7 @@ class Taken(NamedTuple):
 
 @final
 class Reader:
-    """Reads until nothing is left or a quarter of a sample is over; what it raises is named.
+    """Reads the transport until it is empty or a quarter of a sample is over; errors are named, not raised.
 
     At least one call is made. A call that takes longer cannot be broken off here, and no other one follows it. What is
     left comes first the next time: the oldest is read first, so that a backlog shows as age.
@@ -37,7 +37,7 @@ class Reader:
         self._read_ns = 0
 
     def take(self, spared: bool = False) -> Taken:
-        """What has arrived.
+        """Readings that have arrived.
 
         Args:
             spared: whether a wire on which reading lately took longer than a sample is left to the commands for most of
@@ -54,7 +54,7 @@ class Reader:
         return taken
 
     def within(self, budget_ns: int) -> Taken:
-        """What has arrived, as far as it can be read in a time [ns]; nothing in one below 0."""
+        """Readings that can be read within a time [ns]; none in a negative one."""
         readings: list[Reading] = []
         began = now = self._clock.now_ns()
         fault = ""

@@ -1,4 +1,4 @@
-"""The control process: clock, scheduling, core, memory, garbage collection, thread switching; set and restored."""
+"""Real-time setup of the control process: clock, scheduling, CPU affinity, locked memory, garbage collection."""
 
 from __future__ import annotations
 
@@ -19,14 +19,12 @@ from hystmpc.trials.config import NotNegative, Settings
 
 # MCL_CURRENT | MCL_FUTURE | MCL_ONFAULT of <sys/mman.h>: without the last one, a new thread waits for its whole stack.
 _LOCK = 7
-
 _SWITCH_S = 0.00005  # how long another thread may keep the interpreter while the loop wants it
-
 _BOOT: int | None = getattr(time, "CLOCK_BOOTTIME", None)  # Linux
 
 
 class Clock(Protocol):
-    """Where time comes from."""
+    """Source of time."""
 
     def now_ns(self) -> int:
         """Monotonic time [ns]."""
@@ -130,7 +128,7 @@ class RealtimeSettings(SchedulingSettings):
 
 @contextmanager
 def scheduled(settings: SchedulingSettings) -> Iterator[list[str]]:
-    """Core, scheduling class and locked memory of this process, put back afterwards.
+    """Set CPU affinity, scheduling class and locked memory of this process, and restore them.
 
     Yields:
         One line for everything that the system did not permit, and how to permit it.
@@ -152,7 +150,7 @@ def scheduled(settings: SchedulingSettings) -> Iterator[list[str]]:
 
 @contextmanager
 def control_process(settings: RealtimeSettings) -> Iterator[list[str]]:
-    """Prepare the process for the loop and put everything back after it.
+    """Set up the process for the control loop, and restore it.
 
     What exists is frozen and the collector is off, so that nothing is collected in the loop; one BLAS thread.
 

@@ -1,11 +1,11 @@
-"""One run on a device: transport, first contact, loop, stop, latch. What is done in it is given as phases."""
+"""One run on a device: transport, first contact, control loop, safe stop, latch; its motions are given as phases."""
 
 from __future__ import annotations
 
 import json
 import math
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import AbstractContextManager, nullcontext, suppress
+from contextlib import nullcontext, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -34,15 +34,13 @@ _PAUSE_NS = 1_000_000
 Note = Callable[[str], None]
 
 _REPEATS = 5  # of the safe command
-
 _PATIENCE_S = 1.0  # how long it is sent to a device that does not say that it holds it
-
 _TOLERANCE = 0.01  # of the range: how far what a device says it holds may lie beside what was sent, where none is set
 
 
 @dataclass(frozen=True)
 class BenchResult:
-    """What a run left behind."""
+    """Result of a run on a device."""
 
     outcome: RunOutcome  # how it ended
     timings: Timings  # period, execution, jitter, misses
@@ -99,39 +97,28 @@ def run_bench(
             contact = first_contact(settings, wire, clock, flag)
             begins: list[Phase] = [] if desk.started else [AwaitStart(lambda: desk.started)]
             work = [*begins, *(step.phase(settings.ramps, settings.dt_s) for step in settings.prepare), *phases()]
-            samples = _opened(latch, sink)
+            samples = _open_latched(latch, sink)
         except BaseException:
-            _part(wire)
+            _close(wire)
             raise
         try:
-            result = _loop(settings, wire, clock, contact, flag, work, samples, note, control)
-            _conclude(latch, result.outcome.cause)
+            with control as notes:
+                for text in notes:
+                    note(text)
+                closed = any(phase.closed_loop for phase in work)
+                loop = control_loop(settings, wire, clock, contact, flag, samples, closed_loop=closed)
+                outcome = loop.run(work, contact.newest.received_ns + round(0.5e9 * settings.dt_s))
+            result = BenchResult(outcome, loop.timings, dict(wire.counters), loop.lost, tuple(notes))
+            if outcome.cause:
+                latch.set(outcome.cause)
+            else:
+                latch.release()
         finally:
-            _part(wire)
+            _close(wire)
             samples.close()
     if folder is not None:
         _leave_files(result, folder)
     return result
-
-
-def _loop(
-    settings: BenchSettings,
-    transport: Transport,
-    clock: Clock,
-    contact: DeviceContact,
-    flag: StopFlag,
-    work: Sequence[Phase],
-    samples: Sink,
-    note: Note,
-    control: AbstractContextManager[list[str]],
-) -> BenchResult:
-    with control as notes:
-        for text in notes:
-            note(text)
-        closed = any(phase.closed_loop for phase in work)
-        loop = control_loop(settings, transport, clock, contact, flag, samples, closed_loop=closed)
-        outcome = loop.run(work, contact.newest.received_ns + round(0.5e9 * settings.dt_s))
-    return BenchResult(outcome, loop.timings, dict(transport.counters), loop.lost, tuple(notes))
 
 
 def control_loop(
@@ -146,7 +133,7 @@ def control_loop(
     stays: Callable[[], bool] = lambda: False,
     closed_loop: bool = False,
 ) -> ControlLoop:
-    """The one loop through which whatever moves a device goes: intake, plausibility and gate as the settings say.
+    """The control loop of a bench with its sensor checks, motion watch and command gate: the only way to move a device.
 
     Args:
         safe: where a stop leads, in place of the bench's `safe_command`; NaN stays where it is, see `SafeStop`.
@@ -170,7 +157,7 @@ def control_loop(
         with suppress(TrajectoryError):
             way(contact.held, velocity)
     gate = Gate(limits, dt_s)
-    if not contact.tells:
+    if not contact.reports_held:
         gate.anchor(contact.held)
     anchor = Anchor(gate, tolerance, max(3.0 * dt_s, sensor.age_limit_s), silence_s, safe, sensor.dead_after_s)
     watch = None
@@ -183,8 +170,8 @@ def control_loop(
     return ControlLoop(clock, transport, intake, gate, anchor, dt_s, samples, to_safe, flag, sensor.dead_after_s)
 
 
-def _opened(latch: Latch, sink: Callable[[], Sink]) -> Sink:
-    """The recording of a run that is latched: one that cannot be latched must not leave a folder."""
+def _open_latched(latch: Latch, sink: Callable[[], Sink]) -> Sink:
+    """Latch the run, then open its recording: a run that cannot be latched leaves no folder."""
     latch.set(RUNNING)
     try:
         return sink()
@@ -193,18 +180,10 @@ def _opened(latch: Latch, sink: Callable[[], Sink]) -> Sink:
         raise
 
 
-def _part(transport: Transport) -> None:
-    """Close the wire without a goodbye; a driver that fails at it must not hide why the run has ended."""
+def _close(transport: Transport) -> None:
+    """Close the transport without a goodbye; an error of its driver must not hide why the run has ended."""
     with suppress(Exception):
         transport.stop()
-
-
-def _conclude(latch: Latch, cause: str) -> None:
-    """Release the latch, or leave the cause in it."""
-    if cause:
-        latch.set(cause)
-    else:
-        latch.release()
 
 
 def _leave_files(result: BenchResult, folder: Path) -> None:
@@ -217,7 +196,7 @@ def _leave_files(result: BenchResult, folder: Path) -> None:
 
 
 def reset_latch(settings: BenchSettings) -> None:
-    """Release the latch, as somebody who has looked at the device asks for.
+    """Release the latch of a stopped device, after a person has inspected the device.
 
     Raises:
         ConfigError: if another program controls the device now.
@@ -227,7 +206,7 @@ def reset_latch(settings: BenchSettings) -> None:
 
 
 def first_contact(settings: BenchSettings, transport: Transport, clock: Clock, flag: StopFlag) -> DeviceContact:
-    """Wait until the device answers and listens to this controller; it is not moved.
+    """Wait until the device answers and accepts commands of this controller; nothing is moved.
 
     Raises:
         ConfigError: if no plausible angle comes in time, the device listens to another controller, device and
@@ -246,5 +225,5 @@ def first_contact(settings: BenchSettings, transport: Transport, clock: Clock, f
             reading = None
         if reading is None:
             clock.wait_until(clock.now_ns() + _PAUSE_NS)
-        elif found := contact.judge(reading):
-            return found
+        elif answered := contact.judge(reading):
+            return answered

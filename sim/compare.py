@@ -9,9 +9,8 @@ from pathlib import Path
 
 from hystmpc.trials.config import dump_yaml
 from hystmpc.trials.files import write_atomically
-from hystmpc.trials.parts import parts
 from hystmpc.trials.run_folder import RunFolder
-from hystmpc.trials.types import Progress
+from hystmpc.trials.types import Progress, parts
 
 from .config import SimulationConfig, load_simulation
 from .report import study_report

@@ -22,7 +22,7 @@ from hystmpc.rig.config import BenchSettings
 from hystmpc.rig.experiment.phases import CommandMotion
 from hystmpc.rig.recording.sample import Sample
 from hystmpc.rig.run import BenchResult, run_bench
-from hystmpc.rig.safety.ramp import way_commands
+from hystmpc.rig.safety.ramp import waypoint_commands
 from hystmpc.rig.transports.transport import Reading, Transport
 from hystmpc.trials.types import Vec
 
@@ -213,7 +213,7 @@ class LoopContract(Wired):
 
             def work() -> list[CommandMotion]:
                 def way(held: float) -> Vec:
-                    return way_commands(held, [_AWAY], [0.3], settings.ramps, settings.dt_s)
+                    return waypoint_commands(held, [_AWAY], [0.3], settings.ramps, settings.dt_s)
 
                 return [CommandMotion("away", way)]
 

@@ -10,7 +10,7 @@ from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass
 from typing import TypeVar
 
-from hystmpc.rig.transports.guarded import lacking, nonsense
+from hystmpc.rig.transports.from_outside import missing_methods, reading_fault
 from hystmpc.rig.transports.transport import Reading, Transport
 
 _COMES_S = 5.0  # for something to arrive, on a busy machine
@@ -64,7 +64,7 @@ class TransportContract(Wired):
     def test_it_has_what_a_transport_has(self) -> None:
         """Four methods and the mapping `counters`."""
         with self.connected() as c:
-            require(not lacking(c.transport), f"it lacks {lacking(c.transport)}")
+            require(not missing_methods(c.transport), f"it lacks {missing_methods(c.transport)}")
             require(
                 all(isinstance(n, int) for n in dict(c.transport.counters).values()), "counters maps causes to counts"
             )
@@ -76,7 +76,7 @@ class TransportContract(Wired):
             for k in range(1, 4):
                 c.tell(40.0 + k, 0.5 * k)
                 found = until(c.transport.read)
-                require(nonsense(found, time.monotonic_ns()) == "", nonsense(found, time.monotonic_ns()))
+                require(reading_fault(found, time.monotonic_ns()) == "", reading_fault(found, time.monotonic_ns()))
                 require(self.near(found.angle_deg, 40.0 + k), f"sent angle {40.0 + k}, read {found.angle_deg}")
                 told = math.isnan(found.held) or self.near(found.held, 0.5 * k)
                 require(told, f"the device holds {0.5 * k}, read {found.held}; NaN where the wire does not tell")

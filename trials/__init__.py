@@ -41,9 +41,9 @@ def lazily(package: str, *names: tuple[str, str]) -> Callable[[str], Any]:
         if name not in home:
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
         module, entry = home[name]
-        found = getattr(import_module(module), entry.rpartition("=")[2])
-        setattr(import_module(package), name, found)  # asked for once
-        return found
+        value = getattr(import_module(module), entry.rpartition("=")[2])
+        setattr(import_module(package), name, value)  # asked for once
+        return value
 
     return getattribute
 

@@ -1,4 +1,4 @@
-"""Signals out of named arrays: variables, fields of structs, rows or columns of matrices."""
+"""Signals of logs that hold named arrays: variables, struct fields, rows or columns of matrices."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class ArrayLog:
 
     @property
     def clock(self) -> str:
-        """What stands in for a time signal that has no known name; empty for nothing."""
+        """Signal that is used as time where none has a known name; empty for none."""
         return min(self.times, default=LOG_TIME if self.clocks else "")
 
     def names(self) -> tuple[str, ...]:
@@ -72,18 +72,17 @@ class ArrayLog:
         return [Series(t, y) for y in values]
 
     def _clock(self, signal: str, count: int) -> Vec:
-        own = self.clocks.get(signal)
-        return own if own is not None and own.size == count else np.full(count, np.nan)
+        stamps = self.clocks.get(signal)
+        return stamps if stamps is not None and stamps.size == count else np.full(count, np.nan)
 
     def _vector(self, signal: str) -> Vec:
         if signal in self._named:  # a name that holds dots or brackets of its own
             return self._named[signal].astype(np.float64)
         *way, last = split_path(signal) or [signal]
         try:
-            found = walk(self.variables, way, single=True)
-            value = (
-                _along(found, last) if _is_matrix(found) and isinstance(last, int) else walk(found, [last], single=True)
-            )
+            holder = walk(self.variables, way, single=True)
+            of_matrix = _is_matrix(holder) and isinstance(last, int)
+            value = _along(holder, int(last)) if of_matrix else walk(holder, [last], single=True)
         except (KeyError, IndexError, TypeError):
             raise self._missing(signal) from None
         array = np.asarray(value)
@@ -96,14 +95,14 @@ class ArrayLog:
         return array.astype(np.float64).reshape(-1)
 
     def _missing(self, signal: str) -> LogError:
-        """That a signal is not there, or why it cannot be read."""
+        """Error for a signal that is missing, or that cannot be read."""
         first = str((split_path(signal) or [signal])[0])
         if self.unread and first not in self.variables:
             return self.not_read(first)
         return missing(self.path, signal, self.names())
 
     def not_read(self, name: str = "") -> LogError:
-        """Why a variable cannot be read; of another name, the first of those that cannot."""
+        """Error for a variable that cannot be read: the named one, otherwise the first such variable."""
         known = name if name in self.unread else next(iter(self.unread))
         return LogError(f"{self.path}: {shown(known, 40)} is {self.unread[known]}")
 
@@ -124,9 +123,9 @@ def _vectors(value: Any, prefix: str) -> list[tuple[str, NDArray[Any]]]:
     """Everything that is a vector of numbers, by name."""
     if isinstance(value, Mapping):
         inner = [(f"{prefix}.{name}" if prefix else str(name), item) for name, item in value.items()]
-        return [found for path, item in inner for found in _vectors(item, path)]
+        return [vector for path, item in inner for vector in _vectors(item, path)]
     if isinstance(value, list):
-        return [found for k, item in enumerate(value[:_MOST_SIGNALS]) for found in _vectors(item, f"{prefix}[{k}]")]
+        return [vector for k, item in enumerate(value[:_MOST_SIGNALS]) for vector in _vectors(item, f"{prefix}[{k}]")]
     if not isinstance(value, np.ndarray) or value.dtype.kind not in "fiub" or value.size < 2:
         return []
     plain = np.squeeze(value)

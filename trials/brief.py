@@ -1,4 +1,4 @@
-"""The line that Python and notebooks show of a result: what it is and the numbers that matter, never an array whole."""
+"""One-line text (`repr`) of a result for Python and notebooks, with arrays shown by their shape."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _MOST_NUMBERS = 3  # of a sequence that is written out
 
 
 def in_brief(kind: object, text: str) -> str:
-    """`Kind(text)` on one line of at most `LONGEST` characters; what is too long ends in dots.
+    """Text `Kind(text)` on one line, cut to at most `LONGEST` characters.
 
     Args:
         kind: whose class is named.

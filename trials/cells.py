@@ -1,4 +1,4 @@
-"""Columns of cells as text: numbers as people in many countries write them, and dates and times of day."""
+"""Conversion of text cells to numbers: decimal point or comma, thousands separators, dates and times of day."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _GROUP = "[ \u00a0\u202f'\u2019]"  # marks of thousands that are no decimal mark
 
 
 def _form(decimal: str, group: str) -> re.Pattern[str]:
-    """Numbers with this decimal mark, whose thousands this mark may part, or one that is never a decimal mark."""
+    """Pattern of numbers with a decimal mark, and with `group` or a neutral character as thousands separator."""
     parted = rf"\d{{1,3}}(?:{group}\d{{3}})+|\d{{1,3}}(?:{_GROUP}\d{{3}})+"
     return re.compile(rf"[-+]?(?:(?:\d+|{parted})(?:{decimal}\d*)?|{decimal}\d+){_POWER}")
 
@@ -64,7 +64,7 @@ class Converted:
 
 
 def is_value(cell: str) -> bool:
-    """Whether a cell holds a number, or a date or time; not where it says that there is none."""
+    """Whether a cell holds a number, a date or a time; a mark for a missing value is none of these."""
     return bool(cell) and (_number_like(cell) or _stamp(cell) is not None)
 
 
@@ -76,7 +76,7 @@ def _number_like(cell: str) -> bool:
 
 
 def convert(columns: Sequence[Sequence[str]], comma_likely: bool) -> list[Converted]:
-    """Every column of a table; one writer has one decimal mark, so that columns tell it for one another.
+    """Convert every column of a table; a decimal mark that is certain in one column holds for all of them.
 
     Args:
         columns: cells, stripped, (T,) each.
@@ -87,23 +87,23 @@ def convert(columns: Sequence[Sequence[str]], comma_likely: bool) -> list[Conver
         marks: list[set[str]] = [set() for _ in columns]
     else:
         marks = [_marks(cells) for cells in columns]
-    sure = [own & {".", ","} for own in marks]
+    sure = [kinds & {".", ","} for kinds in marks]
     known = set[str]().union(*sure)
     common = next(iter(known)) if len(known) == 1 else ""
-    found = []
-    for cells, values, own, certain in zip(columns, plain, marks, sure, strict=True):
-        if values is not None and (common != "," or own != {"?."}):
-            found.append(Converted("number", values))
+    converted = []
+    for cells, values, kinds, certain in zip(columns, plain, marks, sure, strict=True):
+        if values is not None and (common != "," or kinds != {"?."}):
+            converted.append(Converted("number", values))
         else:
             mark = next(iter(certain)) if len(certain) == 1 else common
-            if mark == "." and own == {"?,"} and all("," in cell for cell in cells if cell.lower() not in MISSING):
+            if mark == "." and kinds == {"?,"} and all("," in cell for cell in cells if cell.lower() not in MISSING):
                 mark = "?"  # 1,234 and 5,678 beside numbers with points: of three digits each, not of thousands alone
-            found.append(_column(cells, mark, comma_likely))
-    return found
+            converted.append(_column(cells, mark, comma_likely))
+    return converted
 
 
 def _floats(cells: Sequence[str]) -> Vec | None:
-    """The cells as Python reads them, or None where it does not read them all."""
+    """Numbers of the cells by `float`; None if one cell is no number."""
     if any("_" in cell for cell in cells):  # Python reads 1_0 as 10, a log does not mean it
         return None
     try:
@@ -113,14 +113,14 @@ def _floats(cells: Sequence[str]) -> Vec | None:
 
 
 def _marks(cells: Iterable[str]) -> set[str]:
-    """What the cells say of their decimal mark: `.` or `,` for certain, `?.` and `?,` where it may part thousands."""
-    found = set()
+    """Possible decimal marks of a column: `.` or `,` if certain, `?.` or `?,` if it may separate thousands."""
+    marks = set()
     for cell in cells:
         if ("." in cell or "," in cell) and _number_like(cell):
-            found.add(_mark(cell))
-            if found & {".", ","}:  # a cell that says otherwise is found when the column is read
+            marks.add(_mark(cell))
+            if marks & {".", ","}:  # a cell that says otherwise is found when the column is read
                 break
-    return found
+    return marks
 
 
 def _mark(cell: str) -> str:
@@ -174,12 +174,12 @@ def _stamp(cell: str) -> re.Match[str] | None:
     """A date, a time of day or both; at least one of them."""
     if len(cell) > _LONGEST_STAMP or (":" not in cell and cell.count("-") + cell.count("/") + cell.count(".") < 2):
         return None
-    found = _STAMP.fullmatch(cell)
-    return found if found and (found["a"] or found["h"]) and (found["h"] or not found["part"]) else None
+    stamp = _STAMP.fullmatch(cell)
+    return stamp if stamp and (stamp["a"] or stamp["h"]) and (stamp["h"] or not stamp["part"]) else None
 
 
 def _times(cells: Sequence[str]) -> Converted:
-    """Seconds since the first stamp. Times of day without a date go on after midnight."""
+    """Convert dates and times of day to seconds since the first; without a date, midnight is passed."""
     stamps = [None if cell.lower() in MISSING else _stamp(cell) for cell in cells]
     known = [k for k, stamp in enumerate(stamps) if stamp is not None]
     fault = next(((k, "") for k, cell in enumerate(cells) if stamps[k] is None and cell.lower() not in MISSING), None)
@@ -229,7 +229,7 @@ def _since_first(days: Sequence[int], seconds: Sequence[tuple[int, int]], turn: 
 
 
 def _days(stamps: Sequence[re.Match[str]]) -> tuple[list[int], int | None]:
-    """Day of every stamp, counted from any one day, and the first that is none; zeros where no date is given."""
+    """Day number of every stamp (zero without a date), and the index of the first impossible date."""
     triples = [(s["a"], s["b"], s["c"]) for s in stamps]
     different = set(triples)
     by_order = {order: {triple: _day(triple, order) for triple in different} for order in ("ymd", "dmy", "mdy")}

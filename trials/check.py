@@ -2,23 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from dataclasses import replace
+from collections.abc import Iterator
 
 import numpy as np
 
-from .clock_findings import as_sampled, clock_of, time_findings
+from .clock_findings import clock_of, sampled_time, time_findings
 from .clock_shift import IMPOSSIBLE_S, clock_shift
 from .clocks import SLOWEST_HZ, UNUSUAL_HZ, suspected_unit
-from .csv_files import Columns, read_columns
 from .errors import LogError, in_a_line
 from .findings import CheckReport as CheckReport
 from .findings import Finding as Finding
 from .findings import Severity as Severity
-from .layouts import ANGLE_UNIT_OF, CANONICAL, COMMAND_UNIT_OF, LogMapping, Preset, SignalSettings
-from .read import Layout, Log, is_table, read_raw, resolve
-from .signal_findings import Written, encoding_findings, motion_findings, shift_said
-from .signals import Raw
+from .layouts import ANGLE_UNIT_OF, COMMAND_UNIT_OF, LogMapping, SignalSettings
+from .read import Layout, Log, read_unchecked, resolve
+from .signal_findings import Conversion, encoding_findings, motion_findings
+from .signals import UncheckedLog
 from .trial import Trial, even_time
 from .types import Vec
 
@@ -30,7 +28,7 @@ _MODEL_HZ = 25.0  # at which `fit` runs where nothing else is asked for
 
 @in_a_line
 def check(log: Log, preset: Layout = "auto", sampled_hz: float | None = None) -> CheckReport:
-    """Look at time base, jitter, gaps, duplicates, values, units, sign, excitation, segments and first flexure.
+    """Check a log: time base, jitter, gaps, duplicates, values, units, sign, excitation, segments and first flexure.
 
     A file or frame is read leniently: what `read_trials` would refuse becomes a finding.
 
@@ -44,52 +42,38 @@ def check(log: Log, preset: Layout = "auto", sampled_hz: float | None = None) ->
         ConfigError: on an unknown preset or a wrong mapping file.
     """
     if isinstance(log, Trial):
-        log = log if sampled_hz is None else replace(log, t=even_time(len(log), sampled_hz))
-        return _report(log, "", CANONICAL, "sample {}".format)
+        t = log.t if sampled_hz is None else even_time(len(log), sampled_hz)
+        return _report(UncheckedLog(t, log.command, log.angle, log.channels, log.units, log.source))
     layout = resolve(preset)
-    if not is_table(log) or isinstance(layout, LogMapping):
-        raw = read_raw(log, layout, sampled_hz)
-        mapping = layout if isinstance(layout, LogMapping) and sampled_hz is None else None
-        return _report(raw, raw.preset, CANONICAL, "sample {}".format, raw.note, mapping)
-    columns = read_columns(log, layout, sampled_hz)
-    return _report(columns, columns.preset.name, columns.preset, lambda k: f"row {columns.row(k)}", columns.note)
+    return _report(read_unchecked(log, layout, sampled_hz), layout if sampled_hz is None else None)
 
 
-def _report(
-    log: Trial | Raw | Columns,
-    name: str,
-    layout: Preset,
-    where: Callable[[int], str],
-    note: str = "",
-    mapping: LogMapping | None = None,
-) -> CheckReport:
+def _report(log: UncheckedLog, layout: Layout | None = None) -> CheckReport:
     """All findings; those on the motion are made on samples that are finite, in order of time, and repaired."""
-    found = [Finding(Severity.NOTE, "file", note)] if note else []
-    found += _value_findings(log, where)
-    unit = mapping.time_unit if mapping is not None and mapping.rate_hz is None else "s"
-    clock = clock_of(log.t, log.command, unit)
-    found += time_findings(clock, log.command, log.angle, where)
-    rows = np.column_stack((as_sampled(clock), log.command, log.angle, np.arange(log.t.size)))
+    mapping = layout if isinstance(layout, LogMapping) else None
+    findings = [Finding(Severity.NOTE, "file", log.note)] if log.note else []
+    findings += _value_findings(log)
+    clock = clock_of(log.t, log.command, mapping.time_unit if mapping is not None and mapping.rate_hz is None else "s")
+    findings += time_findings(clock, log.command, log.angle, log.where)
+    rows = np.column_stack((sampled_time(clock), log.command, log.angle, np.arange(log.t.size)))
     rows = rows[np.isfinite(rows).all(axis=1)]
     rows = rows[np.diff(np.maximum.accumulate(rows[:, 0]), prepend=-np.inf) > 0]
     if len(rows) < LEAST_SAMPLES:
-        found.append(
-            Finding(Severity.ERROR, "length", f"{len(rows)} usable samples, expected at least {LEAST_SAMPLES}")
-        )
+        text = f"{len(rows)} usable samples, expected at least {LEAST_SAMPLES}"
+        findings.append(Finding(Severity.ERROR, "length", text))
     if len(rows) > 1:
         t, command, angle = rows.T[:3]
-        found += _short(t)
+        findings += _short(t)
         trial = Trial(t, command, angle, units=log.units, source=log.source)
-        encoded, trial = encoding_findings(trial, _written(mapping), lambda k: where(int(rows[k, 3])))
-        found += encoded
-        found += motion_findings(trial, layout)
-    return CheckReport(log.source, name, tuple(found))
+        encoded, trial = encoding_findings(trial, _conversions(mapping), lambda k: log.where(int(rows[k, 3])))
+        findings += [*encoded, *motion_findings(trial, log.ranges)]
+    return CheckReport(log.source, log.preset, tuple(findings))
 
 
-def _written(mapping: LogMapping | None) -> tuple[Written, Written]:
-    """How command and angle came from the numbers of the log."""
+def _conversions(mapping: LogMapping | None) -> tuple[Conversion, Conversion]:
+    """Conversions from the numbers in the log to command and angle."""
     if mapping is None:
-        return Written(), Written()
+        return Conversion(), Conversion()
     command, angle = mapping.command, mapping.angle
     return (
         _from(command, COMMAND_UNIT_OF.get(command.unit, ("", 1.0))[1]),
@@ -97,12 +81,12 @@ def _written(mapping: LogMapping | None) -> tuple[Written, Written]:
     )
 
 
-def _from(settings: SignalSettings, factor: float) -> Written:
-    return Written(factor * settings.scale, factor * settings.offset)
+def _from(settings: SignalSettings, factor: float) -> Conversion:
+    return Conversion(factor * settings.scale, factor * settings.offset)
 
 
 def _short(t: Vec) -> Iterator[Finding]:
-    """A log that has enough samples, but not at the rate at which models usually run."""
+    """Finding on a log that is too short at the usual rate of models."""
     duration, count = float(t[-1] - t[0]), t.size
     if count >= LEAST_SAMPLES and duration * _MODEL_HZ + 1 < LEAST_SAMPLES:
         rate = min(round(200 / duration, -1), (count - 1) / duration) if duration > 0 else _MODEL_HZ
@@ -113,7 +97,7 @@ def _short(t: Vec) -> Iterator[Finding]:
         yield Finding(Severity.NOTE, "length", text)
 
 
-def _value_findings(log: Trial | Raw | Columns, where: Callable[[int], str]) -> Iterator[Finding]:
+def _value_findings(log: UncheckedLog) -> Iterator[Finding]:
     """Cells without a finite number, per signal."""
     clean = True
     main = {"time": log.t, "command": log.command, "angle": log.angle}
@@ -122,25 +106,25 @@ def _value_findings(log: Trial | Raw | Columns, where: Callable[[int], str]) -> 
         if bad.size:
             clean = False
             severity = Severity.ERROR if name in main else Severity.NOTE
-            message = f"{name}: {bad.size} of {values.size} not finite, first at {where(int(bad[0]))}"
+            message = f"{name}: {bad.size} of {values.size} not finite, first at {log.where(int(bad[0]))}"
             yield Finding(severity, "values", message)
     if clean:
         yield Finding(Severity.OK, "values", f"{log.t.size} samples, all finite")
 
 
 def require_sound(trial: Trial) -> None:
-    """Refuse a trial that is read wrongly: time in another unit, codes, jumps by a modulus, an early answer.
+    """Refuse a trial with wrong signals: another unit of time, codes for missing values, wraps, an output that leads.
 
     Raises:
         LogError: with what `check` says of it.
     """
     _require_seconds(trial)
-    findings, _ = encoding_findings(trial, (Written(), Written()), "sample {}".format)
+    findings, _ = encoding_findings(trial, (Conversion(), Conversion()), "sample {}".format)
     for finding in findings:
         raise LogError(f"{trial.source}: {finding.topic}: {finding.message}")
     shift = clock_shift(trial.t, trial.command, trial.angle)
     if shift is not None and shift.late_s < -IMPOSSIBLE_S:
-        raise LogError(f"{trial.source}: {shift_said(shift)}")
+        raise LogError(f"{trial.source}: {shift.text}")
 
 
 def _require_seconds(trial: Trial) -> None:

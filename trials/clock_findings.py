@@ -1,4 +1,4 @@
-"""Findings on the clock of a log: its rate, its unit, jitter, gaps, repeated stamps, and stretches that stand still."""
+"""Findings on the time stamps of a log: rate, unit, jitter, gaps, repeated stamps, and stuck samples."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from .clocks import (
     UNUSUAL_HZ,
     CounterWrap,
     Interval,
-    Suspicion,
+    SuspectedUnit,
     counter_wrap,
     interval_of,
     suspected_unit,
@@ -51,16 +51,16 @@ class Clock:
     wrap: CounterWrap | None
     unit: str
     interval: Interval | None
-    suspicion: Suspicion | None
+    suspicion: SuspectedUnit | None
 
     @property
     def factor(self) -> float:
-        """Seconds in what was taken for one."""
+        """Factor from the stamps as read to seconds."""
         return 1.0 if self.suspicion is None else SECONDS[self.suspicion.units[0]]
 
 
 def clock_of(t: Vec, command: Vec, unit: str = "s") -> Clock:
-    """Look at time stamps (T,) [s] that were read in `unit`; the command (T,) tells how fast the device moves."""
+    """Analyse time stamps (T,) [s] that were read in `unit`; the command (T,) shows how fast the device moves."""
     wrap = counter_wrap(t / SECONDS[unit])
     whole = t if wrap is None else without_wraps(t, wrap.modulus * SECONDS[unit])
     known = command[np.isfinite(command)]
@@ -70,7 +70,7 @@ def clock_of(t: Vec, command: Vec, unit: str = "s") -> Clock:
     return Clock(whole, wrap, unit, interval_of(whole), suspicion)
 
 
-def as_sampled(clock: Clock) -> Vec:
+def sampled_time(clock: Clock) -> Vec:
     """Time (T,) [s] in the likely unit, evenly spaced where a coarse clock repeats its stamps."""
     steps = np.diff(clock.t[np.isfinite(clock.t)])
     coarse = steps.size and np.all(steps >= 0) and np.mean(steps == 0) > _COARSE_SHARE
@@ -103,7 +103,7 @@ def time_findings(clock: Clock, command: Vec, angle: Vec, where: Callable[[int],
 
 
 def _base(clock: Clock, duration: float) -> Finding:
-    """Rate and duration, or the unit that they are more likely in."""
+    """Finding on sampling rate and duration, or on the suspected unit of time."""
     assert clock.interval is not None
     t, rate = clock.t, 1 / max(clock.interval.middle, 1e-300)
     if clock.suspicion is None:
@@ -149,7 +149,7 @@ def _gaps(
     if (intervals > 0).all():
         even = Trial(t[kept], t[kept], t[kept])
         with suppress(LogError):
-            return Finding(Severity.NOTE, "gaps", f"{text}; {gaps_said(even, parts_at_gaps(even))}")
+            return Finding(Severity.NOTE, "gaps", f"{text}; {gaps_text(even, parts_at_gaps(even))}")
     advice = "cut the log there"
     moved = np.abs(command[kept[gaps + 1]] - command[kept[gaps]])
     if gaps.size > 1 and np.all(moved <= _STOOD * np.nanmax(command) - _STOOD * np.nanmin(command)):
@@ -161,8 +161,8 @@ def _gaps(
     return Finding(Severity.ERROR, "gaps", f"{text}, {longest}; {advice}")
 
 
-def gaps_said(trial: Trial, parts: Sequence[Trial]) -> str:
-    """What is made of a trial with gaps, in words: what is left out, and what is used; empty without a gap."""
+def gaps_text(trial: Trial, parts: Sequence[Trial]) -> str:
+    """Text on how a trial is cut at its gaps: samples left out, and parts used; empty without a gap."""
     left = len(trial) - sum(map(len, parts))
     if not left and len(parts) == 1:
         return ""
@@ -186,9 +186,9 @@ def _order(clock: Clock, kept: NDArray[np.intp], intervals: Vec, where: Callable
         return Finding(Severity.ERROR, topic, text)
     same, back = np.flatnonzero(intervals == 0), np.flatnonzero(intervals < 0)
     parts = [
-        f"{found.size} time stamps {what}, first at {where(int(kept[found[0] + 1]))}"
-        for found, what in ((same, "repeat the one before"), (back, "run backwards"))
-        if found.size
+        f"{samples.size} time stamps {what}, first at {where(int(kept[samples[0] + 1]))}"
+        for samples, what in ((same, "repeat the one before"), (back, "run backwards"))
+        if samples.size
     ]
     if parts:
         return Finding(Severity.ERROR, topic, "; ".join(parts) + clock_advice(clock.t[kept] * clock.factor))
@@ -196,7 +196,7 @@ def _order(clock: Clock, kept: NDArray[np.intp], intervals: Vec, where: Callable
 
 
 def _stuck(t: Vec, command: Vec, angle: Vec) -> Finding:
-    """Stretches of one and the same angle; of these, the one over which the command travels farthest."""
+    """Stuck samples: the stretch of constant angle over which the command moves farthest."""
     topic = "stuck samples"
     starts = np.concatenate(([0], np.flatnonzero(angle[1:] != angle[:-1]) + 1))
     share = 1 - (starts.size - 1) / (angle.size - 1)
@@ -220,7 +220,7 @@ def _stuck(t: Vec, command: Vec, angle: Vec) -> Finding:
 
 
 def _sensor_step(angle: Vec) -> float:
-    """Step in which a sensor reads, where it is a noticeable share of the range; 0 of a finer one."""
+    """Resolution of a sensor, if it is a noticeable share of the range; otherwise 0."""
     levels = np.unique(angle[np.isfinite(angle)])
     if levels.size < 3 or levels.size > 0.5 * angle.size:
         return 0.0
@@ -233,7 +233,7 @@ def _sensor_step(angle: Vec) -> float:
 
 
 def _gain(command: Vec, angle: Vec) -> float:
-    """Size of the slope of a straight line, angle over command; 0 where there is none."""
+    """Absolute gain: slope of a straight line, angle over command; 0 if it is undefined."""
     known = np.isfinite(command) & np.isfinite(angle)
     if np.count_nonzero(known) < 2:
         return 0.0

@@ -1,4 +1,4 @@
-"""Two clocks in one log: the angle answers its command before it was given, or much later than a device can."""
+"""Time shift between command and output that no device explains: two clocks in one log."""
 
 from __future__ import annotations
 
@@ -44,9 +44,19 @@ class ClockShift:
     correlation: float
     without: float
 
+    @property
+    def text(self) -> str:
+        """The shift in words, with the key of a mapping file that takes it out."""
+        late = "later" if self.late_s > 0 else "earlier"
+        return (
+            f"the angle answers {abs(self.late_s):.3g} s {late} than the command was given (correlation "
+            f"{self.without:.2f}, {self.correlation:.2f} without this shift): two clocks? A mapping file with "
+            f"`angle: {{..., shift_s: {-self.late_s:.3g}}}` moves it"
+        )
+
 
 def clock_shift(t: Vec, command: Vec, angle: Vec) -> ClockShift | None:
-    """The shift in time between command and angle that no device explains; None where there is none to be told.
+    """Time shift between command and angle that no device explains; None if there is none.
 
     It is told where a shift makes the two look alike (correlation of 0.9 and more) and leaves less than 0.3 of the
     variance that is left by every delay of up to `DELAY_S`, and by every first-order lag. A periodic command tells no
@@ -81,7 +91,7 @@ def clock_shift(t: Vec, command: Vec, angle: Vec) -> ClockShift | None:
 
 
 def _repeats(u: Vec, lag: int, slack: int) -> bool:
-    """Whether a command, or its opposite, comes again so that a delay of up to `slack` samples looks like `lag`."""
+    """Whether a command is so periodic that a delay of up to `slack` samples cannot be told from `lag`."""
     near, far = (lag - slack, lag) if lag > 0 else (-lag, slack - lag)
     _, like = correlations(u, u, min(far, u.size - 10))
     later = np.abs(like[like.size // 2 :])  # from no lag on
@@ -90,19 +100,19 @@ def _repeats(u: Vec, lag: int, slack: int) -> bool:
 
 
 def _like_a_device(u: Vec, y: Vec, lag: int, dt: float, whole: Vec) -> float:
-    """Greatest correlation at a delay of a device: of the whole log, and of the parts that the shift compares.
+    """Greatest correlation at a delay that a device may have: of the whole log, and of its compared parts.
 
     A log whose first motion differs from its later ones is like itself one motion later, but also in each part.
     """
-    found, count = [float(whole.max())], u.size - abs(lag)
+    greatest, count = [float(whole.max())], u.size - abs(lag)
     for part in (slice(0, count), slice(u.size - count, u.size)):
         lags, like = correlations(u[part], y[part], round(DELAY_S / dt))
-        found.append(float(np.abs(like[lags * dt >= -_EARLY_S]).max()))
-    return max(found)
+        greatest.append(float(np.abs(like[lags * dt >= -_EARLY_S]).max()))
+    return max(greatest)
 
 
 def shift_between(command_t: Vec, command: Vec, angle_t: Vec, angle: Vec) -> ClockShift | None:
-    """The shift of two signals with clocks of their own, whose stamps need not overlap; None where they are not alike.
+    """Time shift between two signals with separate clocks; None if they do not correlate.
 
     Args:
         command_t, command: (T,), stamps increasing [s].
@@ -151,7 +161,7 @@ def correlations(u: Vec, y: Vec, most: int) -> tuple[Index, Vec]:
 
 
 def _left_by_lags(u: Vec, y: Vec, dt: float) -> float:
-    """Least share of the variance of y that u behind a first-order lag and its own direct share leave."""
+    """Least unexplained variance share of y, over models of u: first-order lag plus direct term."""
     from scipy.signal import lfilter, lfiltic
 
     least = 1.0

@@ -1,4 +1,4 @@
-"""What time stamps tell of the clock behind them: its rate, its unit, and a counter that wrapped."""
+"""Analysis of time stamps: sampling interval, unit, and wraps of a counter."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from .types import Vec
+from .types import Index, Mask, Vec
 
 SECONDS = MappingProxyType({"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0, "d": 86400.0})
 """Unit of a time signal -> seconds; spreadsheets count in days, `d`."""
@@ -28,7 +28,7 @@ _SAME = 1.5  # a step of a clock that is longer than that many usual ones is a g
 
 @dataclass(frozen=True)
 class Interval:
-    """Interval between two samples of a log that was sampled evenly, as far as its stamps tell it.
+    """Bounds of the sampling interval of an evenly sampled log.
 
     Attributes:
         least, most: bounds [s].
@@ -44,12 +44,12 @@ class Interval:
 
     @property
     def rate_hz(self) -> float:
-        """The rate of fewest digits that the stamps allow [Hz]; four digits where none of up to four does."""
+        """Roundest sampling rate within the bounds [Hz]."""
         return plainest(1 / self.most, 1 / self.least if self.least > 0 else np.inf)
 
 
 def plainest(least: float, most: float) -> float:
-    """The number of fewest significant digits, up to four, between two positive numbers, nearest to their middle."""
+    """Number with the fewest significant digits, up to four, between two positive numbers."""
     middle = 0.5 * (least + most) if np.isfinite(most) else least
     rounded = [float(f"{middle:.{digits}e}") for digits in range(4)]
     return next((number for number in rounded if least <= number <= most), rounded[-1])
@@ -68,7 +68,9 @@ def interval_of(t: Vec) -> Interval | None:
     if not forward.size:
         return None
     whole = (steps >= 0) & (steps <= _SAME * float(np.median(forward)))
-    start, stop = _longest(whole)
+    starts, stops = runs(whole)
+    longest = int(np.argmax(stops - starts))
+    start, stop = int(starts[longest]), int(stops[longest])
     part, steps = t[start : stop + 1], steps[start:stop]
     edges = np.flatnonzero(steps > 0) + 1
     if edges.size == steps.size or edges.size < 3:
@@ -81,16 +83,14 @@ def interval_of(t: Vec) -> Interval | None:
     return Interval(duration / (count + slack), duration / max(count - slack, 0.5))
 
 
-def _longest(inside: np.ndarray) -> tuple[int, int]:
-    """Start and stop (exclusive) of the longest run of true values."""
+def runs(inside: Mask) -> tuple[Index, Index]:
+    """Starts and stops (exclusive) of the runs of true values in (T,)."""
     edges = np.diff(np.concatenate(([0], inside.astype(np.int8), [0])))
-    starts, stops = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)
-    k = int(np.argmax(stops - starts))
-    return int(starts[k]), int(stops[k])
+    return np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)
 
 
 def _resolution(t: Vec) -> float:
-    """Last decimal that stamps are written with, which increase [s]; 0 where they have all digits."""
+    """Resolution of increasing stamps [s], by their last decimal; 0 if they have all digits."""
     least = float(np.diff(t).min())
     for digits in range(10):
         if 10.0**-digits > 1.001 * least:  # stamps that coarse would repeat
@@ -102,8 +102,8 @@ def _resolution(t: Vec) -> float:
 
 
 @dataclass(frozen=True)
-class Suspicion:
-    """Another unit that time stamps, read as seconds, are likely in.
+class SuspectedUnit:
+    """Suspected unit of time stamps that were read as seconds.
 
     Attributes:
         units: the unit, or two that are as likely, keys of `SECONDS`.
@@ -116,13 +116,13 @@ class Suspicion:
 
     @property
     def text(self) -> str:
-        """The question, and what reads the log then."""
+        """Question to the user, and the key of a mapping file that corrects it."""
         names = " or ".join(UNIT_NAMES[unit] for unit in self.units)
         return f"is it in {names}? A mapping file with `time_unit: {self.units[0]}` reads it"
 
 
-def suspected_unit(t: Vec, turns: int = 0) -> Suspicion | None:
-    """The unit that stamps (T,), taken for seconds, are more likely in; None where seconds may be right.
+def suspected_unit(t: Vec, turns: int = 0) -> SuspectedUnit | None:
+    """Suspected unit of stamps (T,) that were read as seconds; None if seconds are plausible.
 
     Where the rate is too slow or too fast for seconds, that unit is taken in which the rate and the time between two
     reversals of the command are most usual.
@@ -138,11 +138,11 @@ def suspected_unit(t: Vec, turns: int = 0) -> Suspicion | None:
     turn = duration / (turns + 1) if turns else None
     dated = step < 1e-3 and _DATES[0] < float(np.nanmin(t)) and float(np.nanmax(t)) < _DATES[1]
     if dated or step <= 1 / UNUSUAL_HZ:
-        return Suspicion(_likeliest(("min", "h", "d"), step, turn, dated), dated or step <= 1 / FASTEST_HZ)
+        return SuspectedUnit(_likeliest(("min", "h", "d"), step, turn, dated), dated or step <= 1 / FASTEST_HZ)
     if step >= 1 / SLOWEST_HZ:
-        return Suspicion(_likeliest(("ms", "us", "ns"), step, turn), certain=True)
+        return SuspectedUnit(_likeliest(("ms", "us", "ns"), step, turn), certain=True)
     if step >= 0.1 / SLOWEST_HZ and turn is not None and turn > _NEVER_TURNS_S:
-        return Suspicion(("ms",), certain=False)
+        return SuspectedUnit(("ms",), certain=False)
     return None
 
 
@@ -161,7 +161,7 @@ def _likeliest(units: tuple[str, ...], step: float, turn: float | None, dated: b
 
 @dataclass(frozen=True)
 class CounterWrap:
-    """A clock that started again from its least number.
+    """Wrap of a clock: a counter that restarts at its least value.
 
     Attributes:
         modulus: by how much it fell, in the unit of the stamps.
@@ -175,7 +175,7 @@ class CounterWrap:
 
     @property
     def text(self) -> str:
-        """What it is."""
+        """Description for messages."""
         if self.bits and self.modulus == 2.0**self.bits:
             return f"a counter of {self.bits} bits that wraps at 2^{self.bits}"
         return f"a clock that wraps at {self.modulus:.16g}"
@@ -185,16 +185,16 @@ _PERIODS = (60.0, 3600.0, 43200.0, 86400.0)  # seconds of a minute, of an hour, 
 
 
 def _moduli() -> dict[float, int]:
-    found = {2.0**bits / scale: bits for bits in range(8, 65) for scale in (1e9, 1e6, 1e3, 1.0)}
+    counters = {2.0**bits / scale: bits for bits in range(8, 65) for scale in (1e9, 1e6, 1e3, 1.0)}
     others = [second * scale for second in (1.0, *_PERIODS) for scale in (1.0, 1e3, 1e6, 1e9)]
-    return found | dict.fromkeys(others, 0)
+    return counters | dict.fromkeys(others, 0)
 
 
 _MODULI = _moduli()
 
 
 def counter_wrap(t: Vec) -> CounterWrap | None:
-    """The modulus at which a clock wrapped, from its stamps (T,) in any unit; None where it fell in another way.
+    """Detect the wraps of a counter in time stamps (T,) of any unit; None if there are none.
 
     Every fall has to be that of one counter: 2^n counts of s, ms, us or ns, or a minute, hour or day.
     """
@@ -218,6 +218,6 @@ def counter_wrap(t: Vec) -> CounterWrap | None:
 
 
 def without_wraps(t: Vec, modulus: float) -> Vec:
-    """Stamps (T,) of a counter that wraps, as if it did not: at each fall by more than half of it, plus the modulus."""
+    """Unwrap time stamps (T,) of a counter: add the modulus at each fall by more than half of it."""
     falls = np.diff(t, prepend=t[:1]) < -0.5 * modulus
     return t + modulus * np.cumsum(falls)

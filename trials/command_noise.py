@@ -1,4 +1,4 @@
-"""Noise of a recorded command: found where nothing answers to it, and taken off so that no turn is left of it.
+"""Measurement noise of a recorded command: detection and removal, so that it causes no reversals.
 
 A play follows the extremes of its input. It turns the noise of a measured command, as of a pressure sensor, into travel
 that the device never made: at rest the model creeps on with the logarithm of time.
@@ -36,25 +36,25 @@ _ALIKE = 1.6  # factor by which the noise of two trials may seem to differ
 _TURN = 2.5  # standard deviations of the noise: a smaller motion back and forth is none
 
 
-def quiet(trials: Sequence[Trial]) -> list[Trial]:
-    """Trials of one device with the noise of the command taken off and told in `command_noise`.
+def remove_command_noise(trials: Sequence[Trial]) -> list[Trial]:
+    """Remove the measurement noise of the command from trials of one device; its size is kept in `command_noise`.
 
     One without such noise is left as it is. Where it is found in one trial, others whose quietest parts are as noisy
     have it, too.
     """
-    found = [(0.0, 1) if trial.command_noise > 0 else _found(trial) for trial in trials]
-    sure = [own for own in found if own[0] > 0]
+    noises = [(0.0, 1) if trial.command_noise > 0 else _noise_level(trial) for trial in trials]
+    sure = [noise for noise in noises if noise[0] > 0]
     if not sure:
         return list(trials)
     usual = sorted(sure)[len(sure) // 2]
     return [
-        _without(trial, *(own if own[0] > 0 else _like(trial, *usual)))
-        for trial, own in zip(trials, found, strict=True)
+        _without(trial, *(noise if noise[0] > 0 else _like(trial, *usual)))
+        for trial, noise in zip(trials, noises, strict=True)
     ]
 
 
-def noise_said(trial: Trial) -> str:
-    """What was taken off the command of a trial, in words; empty where nothing was."""
+def noise_text(trial: Trial) -> str:
+    """Text on the noise that was removed from the command of a trial; empty if none was."""
     if trial.command_noise == 0:
         return ""
     return f"noise of {trial.command_noise:.2g} {trial.units.command} is taken off the measured command"
@@ -69,12 +69,12 @@ def _without(trial: Trial, sigma: float, stride: int) -> Trial:
 
 
 def _like(trial: Trial, sigma: float, stride: int) -> tuple[float, int]:
-    """The noise of another trial, where the quietest parts of this one have as much; else none."""
+    """Noise level of other trials, if the quietest parts of this one have as much; otherwise zero."""
     thinned = trial.command[::stride]
     if trial.command_noise > 0 or thinned.size < _LEAST_BLOCKS * _BLOCK:
         return 0.0, 1
-    own = _quietest(_off_neighbours(trial.t[::stride], thinned[:, None])[:, 0])[0]
-    return (own, stride) if sigma / _ALIKE < own < _ALIKE * sigma else (0.0, 1)
+    level = _quietest(_residuals(trial.t[::stride], thinned[:, None])[:, 0])[0]
+    return (level, stride) if sigma / _ALIKE < level < _ALIKE * sigma else (0.0, 1)
 
 
 def command_noise(trial: Trial) -> float:
@@ -86,11 +86,11 @@ def command_noise(trial: Trial) -> float:
     all times, a smooth or a wandering command is not white, and a random one is large or is answered. Samples that hang
     together, as of a filtered sensor, are looked at again at greater intervals.
     """
-    return _found(trial)[0]
+    return _noise_level(trial)[0]
 
 
-def _found(trial: Trial) -> tuple[float, int]:
-    """Standard deviation, and the number of samples that hang together."""
+def _noise_level(trial: Trial) -> tuple[float, int]:
+    """Standard deviation of the noise, and the number of samples over which it is correlated."""
     stride, signals = 1, np.column_stack([trial.command, trial.angle])
     while stride == 1 or stride * trial.dt <= _LONGEST_S:
         sigma = _white(trial.t[::stride], signals[::stride])
@@ -101,34 +101,34 @@ def _found(trial: Trial) -> tuple[float, int]:
 
 
 def _white(t: Vec, signals: Vec) -> float:
-    """Standard deviation of white noise in the command that nothing answers to; 0 where there is none."""
+    """Standard deviation of white noise in the command that the output does not follow; 0 if there is none."""
     span, height = (float(v) for v in np.ptp(signals, axis=0))
     if t.size < _LEAST_BLOCKS * _BLOCK or not span > 0:
         return 0.0
-    left = _off_neighbours(t, signals)
+    left = _residuals(t, signals)
     sigma, rests = _quietest(left[:, 0])
     changes = np.abs(np.diff(signals[:, 0]))
     least = max(_LEAST * span, _ROUNDED * float(np.min(changes[changes > 0])))
     if not least <= sigma <= _MOST * span:
         return 0.0
     for farther, factor in _FARTHER:
-        apart = _off_neighbours(t[::farther], signals[::farther, :1])[:, 0]
+        apart = _residuals(t[::farther], signals[::farther, :1])[:, 0]
         at = np.arange(apart.size) * farther
         if not sigma / factor <= _deviation(apart[rests[np.minimum(at, rests.size - 1)]]) <= sigma * factor:
             return 0.0
     blocks = left[: left.shape[0] // _BLOCK * _BLOCK, 0].reshape(-1, _BLOCK)
     if not _is_flat(blocks[rests[: blocks.size : _BLOCK]]):
         return 0.0
-    return 0.0 if _answered(left, rests, sigma, height / span) else sigma
+    return 0.0 if _responds(left, rests, sigma, height / span) else sigma
 
 
 def _deviation(left: Vec) -> float:
-    """Standard deviation of white noise from these distances, a few larger ones left aside [of the signal]."""
+    """Robust standard deviation of residuals, by their median absolute value."""
     return _NORMAL * float(np.median(np.abs(left)))
 
 
 def _quietest(left: Vec) -> tuple[float, NDArray[np.bool_]]:
-    """Deviation of these distances (T,) where there is least of them, and which samples those are (T,)."""
+    """Robust standard deviation of the quietest blocks of residuals (T,), and the mask of their samples (T,)."""
     blocks = left[: left.size // _BLOCK * _BLOCK].reshape(-1, _BLOCK)
     levels = np.median(np.abs(blocks), axis=1)
     rests = np.zeros(left.size, dtype=bool)
@@ -137,23 +137,23 @@ def _quietest(left: Vec) -> tuple[float, NDArray[np.bool_]]:
     return _OF_QUIET * _deviation(left[rests]), rests
 
 
-def _off_neighbours(t: Vec, signals: Vec) -> Vec:
-    """Distance (T - 4, K) from a cubic through two neighbours on either side, of unit variance for unit white noise."""
+def _residuals(t: Vec, signals: Vec) -> Vec:
+    """Residuals (T - 4, K) from the cubic through two neighbours on each side, with the variance of white noise."""
     at = [np.arange(k, t.size - 4 + k) for k in (0, 1, 3, 4)]
     middle, power = np.arange(2, t.size - 2), np.ones(t.size - 4)
     left = signals[middle].copy()
-    for own in at:
+    for node in at:
         weight = np.ones(middle.size)
         for other in at:
-            if other is not own:
-                weight *= (t[middle] - t[other]) / (t[own] - t[other])
-        left -= weight[:, None] * signals[own]
+            if other is not node:
+                weight *= (t[middle] - t[other]) / (t[node] - t[other])
+        left -= weight[:, None] * signals[node]
         power += weight**2
     return np.asarray(left / np.sqrt(power)[:, None])
 
 
 def _is_flat(blocks: Vec) -> bool:
-    """Whether the signal behind these distances (B, N) has a white spectrum in the upper half of its band."""
+    """Whether blocks of residuals (B, N) come from a signal with a white spectrum in the upper half of its band."""
     power = np.mean(np.abs(np.fft.rfft(blocks * np.hanning(blocks.shape[1]), axis=1)) ** 2, axis=0)
     turns = np.pi * np.linspace(0, 1, power.size)
     upper = slice(power.size // 2, None)
@@ -162,8 +162,8 @@ def _is_flat(blocks: Vec) -> bool:
     return max(parts) < _FLAT * min(parts)
 
 
-def _answered(left: Vec, rests: NDArray[np.bool_], sigma: float, slope: float) -> bool:
-    """Whether the angle follows what is quick in the command (T, 2) within some samples at these rests (T,)."""
+def _responds(left: Vec, rests: NDArray[np.bool_], sigma: float, slope: float) -> bool:
+    """Whether the output responds to the fast part of the command, by regression on residuals (T, 2) at rest (T,)."""
     ends = np.flatnonzero(rests)
     ends = ends[ends >= _LAGS]
     past = np.column_stack([left[ends - lag, 0] for lag in range(_LAGS + 1)])
@@ -178,7 +178,7 @@ def _answered(left: Vec, rests: NDArray[np.bool_], sigma: float, slope: float) -
 
 
 def _smoothed(command: Vec, sigma: float, stride: int) -> Vec:
-    """The command by lines through as many samples before and after each as agree with it.
+    """Smooth the command by local straight lines over adaptive windows before and after each sample.
 
     Of windows that end at a sample, the longest whose value there agrees with those of all shorter ones, and likewise
     of windows that begin there: steps and corners stay where they are, and a rest is averaged over hundreds of samples.
@@ -192,7 +192,7 @@ def _smoothed(command: Vec, sigma: float, stride: int) -> Vec:
 
 
 def _one_sided(command: Vec, sigma: float, stride: int) -> tuple[Vec, Vec]:
-    """Values (T,) at the ends of lines through the samples before, and their variances."""
+    """One-sided local linear estimates (T,) from past samples, and their variances."""
     value, variance = command.copy(), np.full(command.size, sigma**2)
     low, high, open_ = command - _AGREE * sigma, command + _AGREE * sigma, np.ones(command.size, dtype=bool)
     sums = [np.concatenate([[0.0], np.cumsum(np.arange(command.size) ** k * (command - command[0]))]) for k in (0, 1)]
@@ -203,20 +203,20 @@ def _one_sided(command: Vec, sigma: float, stride: int) -> tuple[Vec, Vec]:
         total, moment = (s[end] - s[end - size] for s in sums)
         mean = total / size
         tilt = (moment - (end - 0.5 * (size + 1)) * total) * 12 / (size * (size**2 - 1.0))
-        found = command[0] + mean + tilt * 0.5 * (size - 1)
+        ends = command[0] + mean + tilt * 0.5 * (size - 1)
         spread = sigma**2 * min(1.0, (4.0 * size - 2.0) / (size * (size + 1.0)) * stride)
         at = end - 1
-        low[at] = np.maximum(low[at], found - _AGREE * math.sqrt(spread))
-        high[at] = np.minimum(high[at], found + _AGREE * math.sqrt(spread))
+        low[at] = np.maximum(low[at], ends - _AGREE * math.sqrt(spread))
+        high[at] = np.minimum(high[at], ends + _AGREE * math.sqrt(spread))
         open_[: size - 1] = False
         open_[at] &= low[at] <= high[at]
         kept = at[open_[at]]
-        value[kept], variance[kept] = found[open_[at]], spread
+        value[kept], variance[kept] = ends[open_[at]], spread
     return value, variance
 
 
 def _monotone(command: Vec, turn: float) -> Vec:
-    """The command between turns of at least that size as the nearest that does not turn round (least squares)."""
+    """Monotone least-squares fit of the command between reversals of at least size `turn`."""
     made, ends = command.copy(), _turning_points(command, turn)
     for a, b in itertools.pairwise(ends):
         rising = bool(command[b] >= command[a])
@@ -225,17 +225,17 @@ def _monotone(command: Vec, turn: float) -> Vec:
 
 
 def _turning_points(command: Vec, turn: float) -> list[int]:
-    """First and last sample, and those between at which the command turns back by more than `turn`."""
-    found, least, most, way = [0], 0, 0, 0
+    """First and last sample, and the reversals between them by more than `turn`."""
+    turns, least, most, way = [0], 0, 0, 0
     for k, value in enumerate(command.tolist()):
         least = k if value < command[least] else least
         most = k if value > command[most] else most
         if way >= 0 and value < command[most] - turn:
             if way > 0 or most > 0:
-                found.append(most)
+                turns.append(most)
             way, least = -1, k
         elif way <= 0 and value > command[least] + turn:
             if way < 0 or least > 0:
-                found.append(least)
+                turns.append(least)
             way, most = 1, k
-    return [*dict.fromkeys([*found, command.size - 1])]
+    return [*dict.fromkeys([*turns, command.size - 1])]

@@ -1,4 +1,4 @@
-"""One configuration: YAML, validated by pydantic, unknown keys answered with the nearest right name."""
+"""Configuration files: YAML, validated by pydantic; an unknown key is refused with the nearest known name."""
 
 from __future__ import annotations
 
@@ -55,9 +55,9 @@ class Settings(BaseModel):
     def _numbers_are_numbers(cls, data: Any) -> Any:
         if isinstance(data, dict):
             for key, field in cls.model_fields.items():
-                found = _misread_number(data[key], field.annotation) if key in data else None
-                if found is not None:
-                    raise _MisreadError(f"expected a valid number, got {shown(found[1])}", (key, *found[0]))
+                misread = _misread_number(data[key], field.annotation) if key in data else None
+                if misread is not None:
+                    raise _MisreadError(f"expected a valid number, got {shown(misread[1])}", (key, *misread[0]))
         return data
 
     @classmethod
@@ -89,7 +89,7 @@ class Settings(BaseModel):
 
 
 def _misread_number(value: Any, annotation: Any) -> tuple[tuple[Any, ...], Any] | None:
-    """The first text or truth value in `value` that stands where `annotation` allows only numbers.
+    """First text or Boolean in `value` at a place where `annotation` allows only numbers.
 
     pydantic turns `true` into 1.0 and `"010"` into 10.0. Blocks (pydantic models) look after their own fields.
 
@@ -106,8 +106,8 @@ def _misread_number(value: Any, annotation: Any) -> tuple[tuple[Any, ...], Any] 
         return ((), value) if kinds and kinds <= {int, float} else None
     for member in members:
         for key, item, inner in _items(value, get_origin(member), get_args(member)):
-            if (found := _misread_number(item, inner)) is not None:
-                return (key, *found[0]), found[1]
+            if (misread := _misread_number(item, inner)) is not None:
+                return (key, *misread[0]), misread[1]
     return None
 
 

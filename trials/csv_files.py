@@ -1,20 +1,20 @@
-"""Trials from and to tables: delimited text, sheets and data frames, by the columns of a preset."""
+"""Reading and writing of trials as tables: delimited text, sheets and data frames, by the columns of a preset."""
 
 from __future__ import annotations
 
 import csv
 import io
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .errors import LogError, shown
+from .errors import LogError
 from .files import write_atomically
-from .formats import format_of
+from .formats import format_of, read_lines
 from .layouts import (
     CANONICAL,
     COMMAND_UNIT_OF,
@@ -30,12 +30,10 @@ from .layouts import (
     get_preset,
     unit_of,
 )
-from .lvm_ import is_lvm, lvm_table
-from .merged import is_merged, merged
+from .lvm import is_lvm, lvm_table
+from .signals import Cells, UncheckedLog, is_merged, merged, merged_note
 from .tables import Frame, Table, frame_table, text_table
-from .text_ import read_lines
-from .trial import Trial, Units, clock_advice, even_time
-from .types import Index, Vec
+from .trial import Trial, Units, even_time
 from .xlsx_ import open_xlsx
 
 
@@ -51,50 +49,12 @@ def format_table(columns: Mapping[str, Sequence[str] | NDArray[np.generic]]) -> 
     return out.getvalue()
 
 
-@dataclass(frozen=True, eq=False)
-class Columns:
-    """A log as it was written: numbers, but not yet checked to be finite or in order.
+def read_columns(
+    log: Path | str | Frame, preset: str | Preset = "auto", sampled_hz: float | None = None
+) -> UncheckedLog:
+    """Read a log without any check of its values: empty cells are not-a-number, time may repeat.
 
-    Attributes:
-        t, command, angle: time [s], command and tip angle [deg], each (T,).
-        channels: further columns under their readable names, each (T,).
-        units: units of command and angle.
-        preset: the layout that was read.
-        table: the text behind it, to name rows in messages.
-        names: columns of the log behind `t`, `command` and `angle`.
-        rows: of the table, one a sample; None where every row is a sample.
-        note: what a user should know about the file; empty if nothing.
-    """
-
-    t: Vec
-    command: Vec
-    angle: Vec
-    channels: Mapping[str, Vec]
-    units: Units
-    preset: Preset
-    table: Table
-    names: Mapping[str, str]
-    rows: Index | None = None
-    note: str = ""
-
-    @property
-    def source(self) -> str:
-        """Path of the log."""
-        return self.table.source
-
-    def row(self, sample: int) -> int:
-        """Row of a sample, 1-based as an editor shows it."""
-        return self.cell(sample, "t")[0]
-
-    def cell(self, sample: int, signal: str) -> tuple[int, str]:
-        """Row and text of a sample of `t`, `command` or `angle`."""
-        return self.table.locate(sample if self.rows is None else int(self.rows[sample]), self.names[signal])
-
-
-def read_columns(log: Path | str | Frame, preset: str | Preset = "auto", sampled_hz: float | None = None) -> Columns:
-    """Read a log without judging its values: empty cells are not-a-number, time may repeat.
-
-    Columns of text are left out; `Columns.table.texts` holds them.
+    Columns of text are left out; `UncheckedLog.cells.table.texts` holds them.
 
     Raises:
         LogError: if the file cannot be read as a table or lacks a column; names file, row and column.
@@ -122,18 +82,17 @@ def read_columns(log: Path | str | Frame, preset: str | Preset = "auto", sampled
     channels = {layout.channels.get(k, k): table.numbers[k] for k in others}
     unit, factor = COMMAND_UNIT_OF.get(layout.command[command], (layout.command[command], 1.0))
     u, angle = factor * table.numbers[command], table.numbers[angle_name]
-    units, note = Units(unit, angle_unit, inverse=False), table.left_out(names.values())
+    units, note, rows = Units(unit, angle_unit, inverse=False), table.left_out(names.values()), None
     if sampled_hz is not None:
         t = even_time(u.size, sampled_hz)
-        return Columns(t, u, angle, channels, units, layout, table, names, note=note)
-    t = table.numbers[layout.time]
-    if is_merged(u, angle):
-        found = merged(t, u, angle, channels)
-        note = "; ".join(filter(None, (found.note, note)))
-        return Columns(
-            found.t, found.command, found.angle, found.channels, units, layout, table, names, found.rows, note
-        )
-    return Columns(t, u, angle, channels, units, layout, table, names, note=note)
+    else:
+        t = table.numbers[layout.time]
+        if is_merged(u, angle):
+            note = "; ".join(filter(None, (merged_note(u, angle), note)))
+            rows, t, u, channels = merged(t, u, angle, channels)
+            angle = angle[rows]
+    cells, ranges = Cells(table, names, rows), (layout.command_range, layout.angle_range)
+    return UncheckedLog(t, u, angle, channels, units, path, layout.name, note, ranges, cells)
 
 
 def read_csv(log: Path | str | Frame, preset: str | Preset = "auto", sampled_hz: float | None = None) -> Trial:
@@ -151,25 +110,7 @@ def read_csv(log: Path | str | Frame, preset: str | Preset = "auto", sampled_hz:
         LogError: on anything else; one line with file, row, column, what was got and what was expected.
         ConfigError: on an unknown preset.
     """
-    columns = read_columns(log, preset, sampled_hz)
-    path = columns.source
-    for name, values in (("t", columns.t), ("command", columns.command), ("angle", columns.angle)):
-        bad = np.flatnonzero(~np.isfinite(values))
-        if bad.size:
-            row, cell = columns.cell(int(bad[0]), name)
-            more = f" ({bad.size} such cells)" if bad.size > 1 else ""
-            got = shown(cell, 60) if cell else "an empty cell"
-            raise LogError(
-                f"{path}, row {row}, column {columns.names[name]!r}: got {got}, expected a finite number{more}"
-            )
-    late = np.flatnonzero(np.diff(columns.t) <= 0)
-    if late.size:
-        k = int(late[0])
-        raise LogError(
-            f"{path}, row {columns.row(k + 1)}, column {columns.names['t']!r}: got {columns.t[k + 1]:.9g} s after "
-            f"{columns.t[k]:.9g} s, expected increasing time ({late.size} such rows){clock_advice(columns.t)}"
-        )
-    return Trial(columns.t, columns.command, columns.angle, columns.channels, columns.units, path)
+    return read_columns(log, preset, sampled_hz).trial()
 
 
 def write_csv(trial: Trial, path: Path | str) -> Path:
@@ -214,7 +155,7 @@ def open_table(log: Path | str | Frame, wanted: Iterable[str] = (), names: Seque
 
 
 def _table_and_layout(log: Path | str | Frame, layout: Preset | None) -> tuple[Table, Preset]:
-    """The columns of a log, and their layout: the one given, or what the header tells."""
+    """Columns of a log, and their layout: the given one, otherwise the one that matches the header."""
     wanted = layout.known() if layout is not None else [name for preset in PRESETS for name in preset.known()]
     table = open_table(log, wanted, layout.columns if layout is not None else ())
     header, clock = table.header, _clock(table, (layout or CANONICAL).spelled(table.header), (layout or CANONICAL).time)
@@ -230,7 +171,7 @@ def _table_and_layout(log: Path | str | Frame, layout: Preset | None) -> tuple[T
 
 
 def _clock(table: Table, header: Sequence[str], time: str) -> str:
-    """The column of dates or times of day that stands in for a missing time column: the one that changes most often."""
+    """Column of dates or times of day that replaces a missing time column: the one with most different values."""
     dates = sorted(name for name in table.times if name in table.numbers)
     if time in header or not dates:
         return ""
@@ -241,7 +182,7 @@ _TIME_UNITS = ("s", "ms", "us", "ns", "min", "h", "d")
 
 
 def _require_units(table: Table, expected: Mapping[str, str]) -> None:
-    """Refuse a row of units that says otherwise than the names of the columns."""
+    """Refuse a row of units that contradicts the names of the columns."""
     for name, unit in expected.items():
         said = unit_of(table.units.get(name, ""))
         if said and said != unit and said in {*get_args(UnitName), *_TIME_UNITS} and name not in table.times:
@@ -252,7 +193,7 @@ def _require_units(table: Table, expected: Mapping[str, str]) -> None:
 
 
 def _header_hint(table: Table) -> str:
-    """What to add where the first row holds none of the names."""
+    """Advice for an error line, if the header holds no known name."""
     if table.named:
         return MAPPING_HINT
     return " (the first row holds numbers, expected column names; a mapping file can name columns '[0]', '[1]')"

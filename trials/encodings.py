@@ -1,4 +1,4 @@
-"""Numbers of a sensor that are no measurements: codes for a missing value, wraps of a counter or angle, a sign bit."""
+"""Encodings of logged numbers: codes for missing values, wraps of a counter or angle, a sign bit."""
 
 from __future__ import annotations
 
@@ -6,10 +6,9 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
-from .clocks import plainest
-from .types import Vec
+from .clocks import plainest, runs
+from .types import Index, Mask, Vec
 
 Key = Literal["missing", "wraps_at", "sign_bit"]
 
@@ -48,7 +47,7 @@ _BETTER = 0.6  # of the variance left unexplained by the other signal, after a r
 
 @dataclass(frozen=True, eq=False)
 class Encoding:
-    """What is wrong with the numbers of one signal, and the signal without it.
+    """Encoding of the numbers of one signal, and the decoded signal.
 
     Attributes:
         key: of a mapping file, that reads it.
@@ -64,7 +63,7 @@ class Encoding:
 
 
 def unwrapped(values: Vec, modulus: float) -> Vec:
-    """The signal (T,) without jumps by a modulus, its first value in [-modulus / 2, modulus / 2).
+    """Unwrap a signal (T,) by a modulus; its first value is in [-modulus / 2, modulus / 2).
 
     A step of more than half the modulus is taken for a wrap. Not-a-number is left out and stays.
     """
@@ -77,19 +76,19 @@ def unwrapped(values: Vec, modulus: float) -> Vec:
 
 
 def sign_and_magnitude(values: Vec, bit: int) -> Vec:
-    """Numbers (T,) whose bit `bit` is their sign and whose lower bits are their size."""
+    """Decode numbers (T,) in sign-magnitude form, with the sign in bit `bit`."""
     return np.where(values >= 2.0**bit, 2.0**bit - values, values)
 
 
 def decoded(values: Vec, missing: tuple[float, ...], sign_bit: int | None, wraps_at: float | None) -> Vec:
-    """A logged signal (T,) as a mapping file says that it is encoded; not-a-number in place of codes."""
+    """Decode a logged signal (T,) by the keys of a mapping file; codes for missing values become not-a-number."""
     out = np.where(np.isin(values, missing), np.nan, values) if missing else values
     out = out if sign_bit is None else sign_and_magnitude(out, sign_bit)
     return out if wraps_at is None else unwrapped(out, wraps_at)
 
 
 def encodings(values: Vec, other: Vec, dt: float, is_command: bool) -> list[Encoding]:
-    """What is wrong with the numbers of one signal, in the order in which it has to be repaired.
+    """Detect the encodings of one signal, in the order in which they have to be decoded.
 
     Codes for a missing value are isolated: the signal jumps to exactly this value and back. Wraps and a sign bit are
     jumps of one size between the ends of the signal's range, without which the other signal explains it better.
@@ -100,7 +99,7 @@ def encodings(values: Vec, other: Vec, dt: float, is_command: bool) -> list[Enco
         dt: usual sample interval [s].
         is_command: whether `values` is the command.
     """
-    found: list[Encoding] = []
+    repairs: list[Encoding] = []
     late = max(1, round(_LATE_S / dt))
 
     def codes(values: Vec, far_only: bool) -> list[Encoding]:
@@ -113,17 +112,17 @@ def encodings(values: Vec, other: Vec, dt: float, is_command: bool) -> list[Enco
             kept.append(code)
         return kept
 
-    found += codes(values, far_only=True)
-    values = found[-1].values if found else values
+    repairs += codes(values, far_only=True)
+    values = repairs[-1].values if repairs else values
     jumps, others = _jumps(values, other, late, is_command), codes(values, far_only=False)
     # Jumps that are all to one value and back are its code, whatever their size.
     if jumps is not None and (not others or _jumps(others[-1].values, other, late, is_command) is not None):
-        return [*found, jumps]
-    return [*found, *others]
+        return [*repairs, jumps]
+    return [*repairs, *others]
 
 
-def _code(values: Vec, known: NDArray[np.bool_], dt: float, is_command: bool, far_only: bool) -> Encoding | None:
-    """A value that stands for a missing one; `far_only`: a listed code, far from all other values."""
+def _code(values: Vec, known: Mask, dt: float, is_command: bool, far_only: bool) -> Encoding | None:
+    """Detect a code for a missing value; `far_only`: a listed code, far from all other values."""
     signal, index = values[known], np.flatnonzero(known)
     if signal.size < _LEAST:
         return None
@@ -137,7 +136,7 @@ def _code(values: Vec, known: NDArray[np.bool_], dt: float, is_command: bool, fa
             continue
         low, high = (float(end) for end in np.percentile(rest, [1, 99]))
         away = max(low - value, value - high) / max(high - low, 1e-12 * abs(value), 1e-300)
-        starts, stops = _runs(here)
+        starts, stops = runs(here)
         jump = _least_jump(signal, value, starts, stops)
         usual = float(np.percentile(_steps_beside(signal, here), _USUAL if far_only else 100.0))
         isolated = jump > max(_JUMP * usual, 0.2 * (high - low))
@@ -153,27 +152,21 @@ def _code(values: Vec, known: NDArray[np.bool_], dt: float, is_command: bool, fa
     return None
 
 
-def _least_jump(signal: Vec, value: float, starts: NDArray[np.intp], stops: NDArray[np.intp]) -> Vec:
-    """Of each stretch of a value the lesser of the steps into it and out of it; the other one at an end of the log."""
+def _least_jump(signal: Vec, value: float, starts: Index, stops: Index) -> Vec:
+    """Smaller of the two steps into and out of each run of a value; at an end of the log the only one."""
     into = np.where(starts > 0, np.abs(value - signal[np.maximum(starts - 1, 0)]), np.inf)
     out = np.where(stops < signal.size, np.abs(signal[np.minimum(stops, signal.size - 1)] - value), np.inf)
     return np.minimum(into, out)
 
 
-def _steps_beside(signal: Vec, here: NDArray[np.bool_]) -> Vec:
+def _steps_beside(signal: Vec, here: Mask) -> Vec:
     """Sizes of the steps that neither begin nor end in `here`."""
     steps = np.abs(np.diff(signal))[~(here[1:] | here[:-1])]
     return steps if steps.size else np.zeros(1)
 
 
-def _runs(inside: NDArray[np.bool_]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Starts and stops (exclusive) of the runs of true values."""
-    edges = np.diff(np.concatenate(([0], inside.astype(np.int8), [0])))
-    return np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)
-
-
 def _jumps(values: Vec, other: Vec, late: int, is_command: bool) -> Encoding | None:
-    """A sign bit or a modulus behind jumps of one size."""
+    """Detect a sign bit or a modulus from jumps of equal size."""
     index = np.flatnonzero(np.isfinite(values))
     signal, witness = values[index], other[index]
     if signal.size < 10:
@@ -202,25 +195,25 @@ def _jumps(values: Vec, other: Vec, late: int, is_command: bool) -> Encoding | N
     return best
 
 
-def _unasked(command: Vec, jumps: NDArray[np.intp], late: int) -> bool:
-    """Whether the command makes no step of its own before any of the jumps of the angle."""
+def _unasked(command: Vec, jumps: Index, late: int) -> bool:
+    """Whether no step of the command precedes a jump of the angle."""
     steps, least = np.abs(np.diff(command, prepend=command[:1])), _ASKED * float(np.ptp(command))
     before = np.cumsum(steps > least)
     return bool(np.all(before[jumps] == before[np.maximum(jumps - late, 0)]))
 
 
 def _repairs(signal: Vec, jumps: Vec, usual: float) -> list[tuple[Key, float, Vec]]:
-    """What may have made these jumps, the nearest modulus first."""
+    """Possible encodings behind these jumps, the nearest modulus first."""
     least, most, size = float(signal.min()), float(signal.max()), float(np.median(jumps))
     slack = 2 * usual + 0.02 * size
     if float(np.ptp(jumps)) > 4 * slack:
         return []
-    found: list[tuple[Key, float, Vec]] = []
+    repairs: list[tuple[Key, float, Vec]] = []
     bit = int(np.log2(max(most, 1.0)))
     if least >= 0 and bit >= _LEAST_BIT and np.all(signal == np.rint(signal)):
         low, high = signal[signal < 2.0**bit], signal[signal >= 2.0**bit] - 2.0**bit
         if max(float(low.max(initial=0.0)), float(high.max())) < 0.5 * 2.0**bit:
-            found.append(("sign_bit", float(bit), sign_and_magnitude(signal, bit)))
+            repairs.append(("sign_bit", float(bit), sign_and_magnitude(signal, bit)))
     # A motion across the seam shortens the jump by its step: the modulus is no less than the longest one.
     steps = np.abs(np.diff(signal))
     grain = float(steps[steps > 0].min())  # a sensor of coarse steps leaves two moduli open: the usual one of them
@@ -229,11 +222,11 @@ def _repairs(signal: Vec, jumps: Vec, usual: float) -> list[tuple[Key, float, Ve
     near = [m for m in MODULI if (1 - _ROUNDED) * shortest <= m <= longest] or [plainest(shortest, longest)]
     least_seam = min(_seam(signal, m) for m in near)
     near.sort(key=lambda m: (_seam(signal, m) > least_seam + grain, m in _UNUSUAL, _seam(signal, m)))
-    return [*found, *(("wraps_at", float(m), unwrapped(signal, m)) for m in near)]
+    return [*repairs, *(("wraps_at", float(m), unwrapped(signal, m)) for m in near)]
 
 
 def _seam(signal: Vec, modulus: float) -> float:
-    """How far the jumps are from those of a modulus: of a motion across the seam they are shorter by its step."""
+    """Median mismatch between the jumps and a modulus, corrected for the motion during the jump."""
     steps = np.diff(signal)
     wrapped = np.flatnonzero(np.abs(steps) > 0.5 * modulus)
     beside = 0.5 * (steps[np.maximum(wrapped - 1, 0)] + steps[np.minimum(wrapped + 1, steps.size - 1)])
@@ -243,7 +236,7 @@ def _seam(signal: Vec, modulus: float) -> float:
 
 
 def _unexplained(signal: Vec, witness: Vec, late: int, is_command: bool) -> float:
-    """Least share of the variance that a straight line of the other signal, delayed by up to `late` samples, leaves."""
+    """Least unexplained variance share of a linear fit between the signals, over delays of up to `late` samples."""
     count = min(signal.size, witness.size)
     shares = []
     for lag in sorted({round(late * k / 12) for k in range(13)}):

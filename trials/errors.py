@@ -19,7 +19,7 @@ _SHORTEST_PLACE = 24
 
 
 def in_short(text: str) -> str:
-    """The text in at most `LONGEST` characters: a long path loses its beginning first, then the text its own middle.
+    """Shorten a text to `LONGEST` characters: first the beginning of a long path, then the middle of the text.
 
     A path keeps its last part whole, and at least `_SHORTEST_PLACE` characters: the same log is refused by the same
     words wherever it lies.
@@ -83,7 +83,7 @@ class GapError(HystmpcError):
 
 
 def shown(value: object, longest: int = 100) -> str:
-    """A value as an error shows it: on one line, its middle left out where it has more characters than `longest`."""
+    """Text of a value for an error: one line, shortened in its middle to about `longest` characters."""
     try:
         text = " ".join(repr(value).split())
     except Exception as error:  # noqa: BLE001 - such as an integer of more digits than Python writes
@@ -93,7 +93,7 @@ def shown(value: object, longest: int = 100) -> str:
 
 
 def in_a_line(function: Callable[P, R]) -> Callable[P, R]:
-    """A function of the package's face, where an argument of a wrong type is a `ConfigError` too.
+    """Decorator of a public function: an argument of a wrong type raises `ConfigError`.
 
     What Python says of it is in the line, and the cause of the error.
 
@@ -132,7 +132,7 @@ def nearest(got: str, available: Iterable[str]) -> str:
 
 
 def require(package: str, extra: str, purpose: str) -> None:
-    """Say in one line what to install where an optional package is missing.
+    """Require an optional package; the error says what to install.
 
     Args:
         package: import name.

@@ -1,9 +1,10 @@
-"""The data of a figure: what its curves, bars and images show, for tables and for figures that zoom."""
+"""Data of a figure: its curves, bars and images, for interactive figures and for files (SVG, PDF, CSV)."""
 
 from __future__ import annotations
 
+import csv
 import re
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any
 from weakref import WeakKeyDictionary
@@ -18,6 +19,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Rectangle, StepPatch
 from numpy.typing import NDArray
 
+from .files import figures_folder
 from .types import Vec
 
 MOST_POINTS = 3000
@@ -90,8 +92,8 @@ def _rules(axes: Axes) -> list[float]:
 def _bands(axes: Axes) -> list[tuple[float, float]]:
     """Begin and end of the stretches of x that are shaded over the whole height."""
     shaded = (patch for patch in axes.patches if isinstance(patch, Rectangle) and patch.get_height() == 1.0)
-    found = [p for p in shaded if p.get_data_transform() == axes.get_xaxis_transform(which="grid")]
-    return [(float(patch.get_x()), float(patch.get_x() + patch.get_width())) for patch in found]
+    bands = [p for p in shaded if p.get_data_transform() == axes.get_xaxis_transform(which="grid")]
+    return [(float(patch.get_x()), float(patch.get_x() + patch.get_width())) for patch in bands]
 
 
 def rows_of(figure: Figure) -> Iterator[tuple[object, ...]]:
@@ -172,7 +174,7 @@ def _plain(text: str) -> str:
 
 
 def zoomed(figure: Figure) -> dict[str, Any]:
-    """What a page needs to draw the curves of a figure anew: panels in its own places, with all points.
+    """Data of an interactive figure: panels, axes and curves with all points.
 
     Drawn before: places are those of the last drawing. A panel's own legend stays with it where the figure has one too.
     """
@@ -181,8 +183,8 @@ def zoomed(figure: Figure) -> dict[str, Any]:
     for axes in figure.axes:
         box, first = axes.get_position(), axes.get_shared_x_axes().get_siblings(axes)
         curves = [_of_zoom(curve) for curve in curves_of(axes)]
-        own = dict[str, dict[str, Any]]()
-        entries = own if figure.legends and axes.get_legend() is not None else legend
+        panel_entries = dict[str, dict[str, Any]]()
+        entries = panel_entries if figure.legends and axes.get_legend() is not None else legend
         for curve in curves:
             if curve["label"]:
                 entries.setdefault(curve["label"], curve["look"])
@@ -199,7 +201,7 @@ def zoomed(figure: Figure) -> dict[str, Any]:
                 "rules": _rules(axes),
                 "bands": _bands(axes),
                 "curves": curves,
-                "legend": list(own.items()),
+                "legend": list(panel_entries.items()),
             }
         )
     return {"size": [float(width), float(height)], "panels": panels, "legend": list(legend.items())}
@@ -218,3 +220,28 @@ def _of_zoom(curve: Curve) -> dict[str, Any]:
 def _short(value: float) -> float | None:
     """Six digits, which no screen shows; null where there is no number."""
     return float(f"{value:.6g}") if np.isfinite(value) else None
+
+
+_WORDS = 4  # of heading and of caption
+_WORD = re.compile(r"[a-z0-9]+")
+
+
+def write_figures(named: Iterable[tuple[str, str, Figure]]) -> None:
+    """Write figures where `figures_to` asks for them: `01-WORDS.svg`, `.pdf` and `.csv` for each, in their order.
+
+    Args:
+        named: heading above it, caption, figure.
+    """
+    folder = figures_folder()
+    if folder is None:
+        return
+    folder.mkdir(parents=True, exist_ok=True)
+    for number, (heading, caption, figure) in enumerate(named, start=1 + len(list(folder.glob("*.svg")))):
+        words = [word for text in (heading, caption) for word in _WORD.findall(text.lower())[:_WORDS]]
+        path = folder / "-".join((f"{number:02d}", *words))
+        figure.savefig(path.with_suffix(".svg"), metadata={"Date": None})
+        figure.savefig(path.with_suffix(".pdf"), metadata={"CreationDate": None})
+        with path.with_suffix(".csv").open("w", newline="", encoding="utf-8") as file:
+            writer = csv.writer(file)
+            writer.writerow(COLUMNS)
+            writer.writerows(rows_of(figure))

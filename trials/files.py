@@ -1,10 +1,13 @@
-"""Writing files whole or not at all, and whether they can be written."""
+"""Atomic writing of files, a check for write permission, and the folder for figure files (`--figures DIR`)."""
 
 from __future__ import annotations
 
 import os
 import stat
 import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
 from pathlib import Path
 
 from .errors import ConfigError
@@ -64,7 +67,7 @@ def require_writable(path: Path | str) -> None:
 
 
 def _mode(path: Path) -> int | None:
-    """What lies at a path, links not followed; None where nothing does.
+    """File mode at a path, without following links; None if nothing is there.
 
     Raises:
         OSError: if that cannot be told.
@@ -73,3 +76,21 @@ def _mode(path: Path) -> int | None:
         return os.lstat(path).st_mode
     except FileNotFoundError:
         return None
+
+
+_WANTED: ContextVar[Path | None] = ContextVar("figures", default=None)
+
+
+@contextmanager
+def figures_to(folder: Path | None) -> Iterator[None]:
+    """Context in which every report also writes its figures into a folder; None writes none."""
+    token = _WANTED.set(folder)
+    try:
+        yield
+    finally:
+        _WANTED.reset(token)
+
+
+def figures_folder() -> Path | None:
+    """The folder that `figures_to` asks for."""
+    return _WANTED.get()

@@ -1,4 +1,4 @@
-"""Findings of a quality check: how much each matters, what was looked at, what was found."""
+"""Findings of a quality check: severity, topic and message."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class Finding:
 
 @dataclass(frozen=True)
 class CheckReport:
-    """All findings on one log, in the order in which they were looked for.
+    """All findings on one log, in the order of the checks.
 
     Attributes:
         source: path of the log.

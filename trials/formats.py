@@ -1,12 +1,20 @@
-"""Which format a log has, told by its first bytes, and by its ending where these say nothing."""
+"""Format of a log file, by its first bytes or its extension; reading of its bytes, and of its text in any encoding."""
 
 from __future__ import annotations
 
+import codecs
 import re
 import zipfile
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from .errors import LogError
+from .types import Vec
 
 MOST_BYTES = 1 << 30
 """Of a log, as it lies and unpacked: more is no log of one trial."""
@@ -93,7 +101,7 @@ def format_of(path: Path) -> str:
 
 
 def _packed(path: Path) -> str | None:
-    """What a ZIP archive is, by the names in it."""
+    """Format of a ZIP archive, by the names in it."""
     try:
         with zipfile.ZipFile(path) as archive:
             names = archive.namelist()
@@ -121,10 +129,128 @@ def require_known(path: Path | str, data: bytes) -> None:
 
 
 def foreign_text(text: str) -> str:
-    """Name and remedy of text that is no table, `NAME, ...`; empty where it may be one."""
+    """Name and remedy of text in a known format that is no table; empty if it may be one."""
     head = text[:_HEAD]
     if _JSON.match(head):
         return f"JSON, which is not read; {_CSV}"
     if _MARKUP.match(head):
         return f"XML or HTML, which is not read; {_CSV}"
     return ""
+
+
+_CONTROL = re.compile(r"[\x00-\x08\x0e-\x1f]")
+_MARKS = (
+    (codecs.BOM_UTF8, "utf-8"),
+    (codecs.BOM_UTF32_LE, "utf-32-le"),  # begins as the mark of UTF-16 does
+    (codecs.BOM_UTF32_BE, "utf-32-be"),
+    (codecs.BOM_UTF16_LE, "utf-16-le"),
+    (codecs.BOM_UTF16_BE, "utf-16-be"),
+)
+_TAIL = "\x00\x1a"  # what a power cut leaves behind the last row, and the end mark of DOS
+_BLOCK = 1 << 22
+_SAMPLE = 4096
+_MANY, _FEW = 0.4, 0.02  # shares of zero bytes: text of western letters in UTF-16 has every second one
+
+
+def read_lines(path: Path | str) -> list[str]:
+    """Text of a file, line by line; byte order marks, UTF-16, CRLF and a missing last newline make no difference.
+
+    Raises:
+        LogError: if the path is missing, a folder, unreadable, empty, or of a format that is no delimited text.
+    """
+    data = read_bytes(path)
+    require_known(path, data)
+    text = _decoded(path, data)
+    if not text.strip():
+        raise LogError(f"{path}: empty file, expected a header row and at least two rows of numbers")
+    if foreign := foreign_text(text):
+        raise LogError(f"{path}: {foreign}")
+    return text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
+
+
+def read_bytes(path: Path | str, count: int | None = None) -> bytes:
+    """All bytes of a file, or its first `count`.
+
+    Raises:
+        LogError: if the path is missing, a folder or unreadable, or holds more than `MOST_BYTES`.
+    """
+    blocks, left = [], MOST_BYTES
+    try:
+        if count is not None:
+            with Path(path).open("rb") as file:
+                return file.read(count)
+        with Path(path).open("rb") as file:
+            while left >= 0 and (block := file.read(_BLOCK)):  # as much at once as there is, not as there might be
+                blocks.append(block)
+                left -= len(block)
+    except FileNotFoundError:
+        raise LogError(f"{path}: no such file") from None
+    except IsADirectoryError:
+        raise LogError(f"{path}: is a folder, expected a file") from None
+    except (OSError, ValueError) as error:
+        raise LogError(f"{path}: cannot be read ({getattr(error, 'strerror', None) or error})") from None
+    if left < 0:
+        raise LogError(f"{path}: more than {MOST_BYTES} bytes, expected a log of one trial")
+    return b"".join(blocks)
+
+
+def one_line(error: Exception) -> str:
+    """Text of an error on one line; its type where it has none."""
+    return " ".join(str(error).split()) or type(error).__name__
+
+
+def damaged(reason: str) -> str:
+    """Note on a log of which only the part before a fault was read."""
+    return f"cut off or damaged: {reason}; what stands before is read"
+
+
+@contextmanager
+def reading(path: Path | str, what: str) -> Iterator[None]:
+    """A block that reads a file with a third-party library, which may raise anything on a damaged file.
+
+    Raises:
+        LogError: for whatever the library raises; names the file and what it was expected to be.
+    """
+    try:
+        yield
+    except LogError:
+        raise
+    except Exception as error:  # noqa: BLE001 - see above
+        raise LogError(f"{path}: not a readable {what}, or cut off ({one_line(error)[:100]})") from None
+
+
+def seconds_since_first(dates: NDArray[Any]) -> Vec:
+    """Dates (T,) of numpy as seconds since the first one; not-a-number where there is no date."""
+    return np.asarray((dates - dates[:1]) / np.timedelta64(1, "s"), dtype=np.float64)
+
+
+def _decoded(path: Path | str, data: bytes) -> str:
+    mark, encoding = next(((m, e) for m, e in _MARKS if data.startswith(m)), (b"", _unmarked(data)))
+    wide = {"utf-16": 2, "utf-32": 4}.get(encoding[:6], 0)
+    if wide:
+        body = data[len(mark) :]
+        try:
+            text = body[: len(body) // wide * wide].decode(encoding)  # without a character that was cut off
+        except UnicodeDecodeError:
+            raise LogError(f"{path}: binary (no {encoding.upper()} text), expected delimited text") from None
+        text, place = text.rstrip(_TAIL), "character"
+    else:
+        text, place = data.rstrip(_TAIL.encode()).decode("latin-1"), "byte"
+    if bad := _CONTROL.search(text):
+        control = f"{place} {ord(bad.group()):#04x} at offset {bad.start()}"
+        raise LogError(f"{path}: binary ({control}), expected delimited text")
+    if wide:
+        return text
+    with suppress(UnicodeDecodeError):
+        return text.encode("latin-1").decode("utf-8-sig")
+    return text  # of older lab software; every byte has a meaning in Latin-1
+
+
+def _unmarked(data: bytes) -> str:
+    """Encoding of text without a byte order mark."""
+    sample = data[:_SAMPLE]
+    half = max(1, len(sample) // 2)
+    even, odd = sample[::2].count(0) / half, sample[1::2].count(0) / half
+    if odd > _MANY and even < _FEW:
+        return "utf-16-le"
+    return "utf-16-be" if even > _MANY and odd < _FEW else "utf-8"

@@ -38,7 +38,7 @@ _reading: ContextVar[bool] = ContextVar("reading", default=False)
 
 
 def allow_python(*names: str) -> None:
-    """Say yes to classes that files name as `python: MODULE:CLASS`: their modules may run.
+    """Allow classes that files name as `python: MODULE:CLASS`: their modules may be imported.
 
     It holds for this process and for those that it starts from now on.
 
@@ -51,7 +51,7 @@ def allow_python(*names: str) -> None:
 
 @contextmanager
 def only_reads() -> Iterator[None]:
-    """While a folder is read, as for a report: nothing that it names is imported, whatever has been said yes to."""
+    """Context in which a folder is only read: no class that it names is imported, even if it is allowed."""
     token = _reading.set(True)
     try:
         yield
@@ -61,7 +61,7 @@ def only_reads() -> Iterator[None]:
 
 @contextmanager
 def given_by(where: object) -> Iterator[None]:
-    """While data are read that come from `where`: with `MEMORY` the names in them are the program's own.
+    """Context in which data from `where` are validated; `MEMORY` marks data of the program itself.
 
     Data within data are of the same source.
     """
@@ -73,12 +73,12 @@ def given_by(where: object) -> Iterator[None]:
 
 
 def is_reading() -> bool:
-    """Whether a folder is only read now, see `only_reads`."""
+    """Whether the context `only_reads` is active."""
     return _reading.get()
 
 
 def refusal(name: str, group: str) -> str:
-    """Why MODULE:NAME may not be imported now, empty where it may be.
+    """Reason why MODULE:NAME may not be imported now; empty if it may.
 
     Args:
         group: of the entry points among which it may be.
@@ -95,19 +95,19 @@ def refusal(name: str, group: str) -> str:
 
 
 def _place_of(name: str) -> str:
-    """Where the module of MODULE:NAME lies, empty where it is not found; nothing is imported to find out."""
-    found = None
+    """Path of the module of MODULE:NAME, without importing it; empty if there is none."""
+    spec = None
     with working_folder(), suppress(ImportError, ValueError, OSError):
-        found = find_spec(name.partition(":")[0].partition(".")[0])
-    if found is None:
+        spec = find_spec(name.partition(":")[0].partition(".")[0])
+    if spec is None:
         return ""
-    place = found.origin or next(iter(found.submodule_search_locations or ()), found.name)
+    place = spec.origin or next(iter(spec.submodule_search_locations or ()), spec.name)
     return place if len(place) <= _LONGEST_PLACE else f"...{place[-_LONGEST_PLACE:]}"
 
 
 @contextmanager
 def working_folder() -> Iterator[None]:
-    """While something of the working folder is imported: the folder is last on the path, and gone from it again.
+    """Context of an import from the working folder, which is last on the import path.
 
     A file in it takes the place of no module that is installed.
     """
@@ -129,7 +129,7 @@ def installed(group: str) -> dict[str, str]:
 
 
 def object_named(name: str, what: str, group: str, fits: Callable[[Any], bool], wanted: str) -> Any:
-    """The object MODULE:NAME, of an installed package or of the working folder.
+    """Import the object MODULE:NAME from an installed package or the working folder.
 
     Args:
         name: module and name in it.
@@ -148,7 +148,7 @@ def object_named(name: str, what: str, group: str, fits: Callable[[Any], bool], 
     here = str(Path.cwd())
     try:
         with working_folder():
-            found = import_module(module)
+            loaded = import_module(module)
     except ModuleNotFoundError as error:
         missing = error.name or module
         if f"{module}.".startswith(f"{missing}."):
@@ -159,17 +159,17 @@ def object_named(name: str, what: str, group: str, fits: Callable[[Any], bool], 
     except (Exception, SystemExit) as error:  # noqa: BLE001 - a module of the lab's may raise anything
         text = " ".join(str(error).split())[:200]
         raise ConfigError(f"{what} {name}: cannot be imported ({type(error).__name__}: {text})") from None
-    value = getattr(found, attribute, None)
+    value = getattr(loaded, attribute, None)
     if not fits(value):
-        fitting = {key: kept for key, kept in vars(found).items() if fits(kept) and not key.startswith("_")}
-        own = [key for key, kept in fitting.items() if not isinstance(kept, type) or kept.__module__ == module]
-        hint = did_you_mean(attribute, own)
-        raise ConfigError(f"{what} {name}: no {wanted} {attribute!r} in {found.__file__}, {hint}")
+        fitting = {key: kept for key, kept in vars(loaded).items() if fits(kept) and not key.startswith("_")}
+        names = [key for key, kept in fitting.items() if not isinstance(kept, type) or kept.__module__ == module]
+        hint = did_you_mean(attribute, names)
+        raise ConfigError(f"{what} {name}: no {wanted} {attribute!r} in {loaded.__file__}, {hint}")
     return value
 
 
 def class_named(name: str, what: str, group: str, base: type[T]) -> type[T]:
-    """The class MODULE:CLASS; errors as of `object_named`.
+    """Import the class MODULE:CLASS; errors as of `object_named`.
 
     Args:
         base: class that it has to derive from.
@@ -179,8 +179,8 @@ def class_named(name: str, what: str, group: str, base: type[T]) -> type[T]:
     def fits(value: Any) -> bool:
         return isinstance(value, type) and issubclass(value, base)
 
-    found: type[T] = object_named(name, what, group, fits, wanted)
-    return found
+    kind: type[T] = object_named(name, what, group, fits, wanted)
+    return kind
 
 
 def installed_objects(group: str, what: str, kind: type[T], taken: Iterable[str]) -> dict[str, T]:
@@ -195,17 +195,17 @@ def installed_objects(group: str, what: str, kind: type[T], taken: Iterable[str]
     Raises:
         ConfigError: if one cannot be imported, is of another class, or has a name that is taken.
     """
-    found: dict[str, T] = {}
+    objects: dict[str, T] = {}
     for value in installed(group).values():
         made = object_named(value, what, group, lambda kept: isinstance(kept, kind), f"{kind.__name__} object")
-        if made.name in found or made.name in taken:
+        if made.name in objects or made.name in taken:
             raise ConfigError(f"{what} {value}: got the name {made.name!r}, which is taken, expected another")
-        found[made.name] = made
-    return found
+        objects[made.name] = made
+    return objects
 
 
 def with_kind(known: Iterable[str], group: str) -> Callable[[Any], Any]:
-    """Reads a block with `kind: NAME` or `python: MODULE:CLASS`; the latter becomes `kind: python`.
+    """Validator of a block with `kind: NAME` or `python: MODULE:CLASS`; the latter becomes `kind: python`.
 
     A class that may not be imported is refused here, before anything else is done. A reader of a folder lets it be, and
     one that is not found is refused where it would be imported.
@@ -214,7 +214,7 @@ def with_kind(known: Iterable[str], group: str) -> Callable[[Any], Any]:
         known: kinds of the package itself, which come before an entry point of the same name.
         group: of the entry points that make further kinds known.
     """
-    own = [kind for kind in known if kind != "python"]
+    kinds = [kind for kind in known if kind != "python"]
 
     def read(data: Any) -> Any:
         if not isinstance(data, Mapping):
@@ -224,19 +224,19 @@ def with_kind(known: Iterable[str], group: str) -> Callable[[Any], Any]:
             return {"kind": "python", **data}
         kind = data.get("kind")
         if kind is None:
-            raise ValueError(f"got neither kind nor python, expected kind: {', '.join(own)}, or python: MODULE:CLASS")
-        if kind in own:
+            raise ValueError(f"got neither kind nor python, expected kind: {', '.join(kinds)}, or python: MODULE:CLASS")
+        if kind in kinds:
             return data
         others = installed(group)
         if kind not in others:
-            raise ValueError(f"unknown kind {kind!r}, {did_you_mean(str(kind), [*own, *others])}")
+            raise ValueError(f"unknown kind {kind!r}, {did_you_mean(str(kind), [*kinds, *others])}")
         return {**data, "kind": "python", "python": others[kind]}
 
     return read
 
 
 def _judge(name: Any, group: str) -> None:
-    """Refuse a class that may not be imported; remember one that the program's own code names.
+    """Refuse a class that may not be imported; allow one that the program itself names.
 
     Raises:
         ValueError: if it may not be.

@@ -85,7 +85,7 @@ class Preset:
         return gone
 
     def _command_names(self) -> str:
-        """The names that a command may have, in few words."""
+        """Short text of the names that a command may have."""
         first, *others = self.command
         several = len(others) > 1 and all(name.startswith(f"{first}_") for name in others)
         return f"{first} or {first}_UNIT" if several else " or ".join(self.command)
@@ -216,7 +216,7 @@ def detect_preset(header: Sequence[str]) -> Preset:
 
 
 def few(names: Iterable[str], longest: int = 60) -> str:
-    """The first names, in so many letters, for an error line."""
+    """First names of a list, up to `longest` characters, for an error line."""
     kept: list[str] = []
     every = [name for name in names if name]
     for name in every:
@@ -307,7 +307,7 @@ class AngleSettings(SignalSettings):
 
 
 class LogMapping(Settings):
-    """Where a log holds what.
+    """Mapping of the signals of a log to time, command, angle and channels.
 
     Attributes:
         command, angle: the two signals that every trial has.
@@ -339,7 +339,7 @@ class LogMapping(Settings):
 
 
 def is_mapping_file(preset: str) -> bool:
-    """Whether what was written after `--preset` names a mapping file."""
+    """Whether the value of `--preset` is the name of a mapping file."""
     return Path(preset).suffix.lower() in (".yaml", ".yml")
 
 

@@ -1,9 +1,13 @@
-"""Variables of MATLAB files, version 4 to 7.3."""
+"""Variables of MATLAB files, version 4 to 7.3; what a file unpacks to is bounded before any of it is unpacked."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+import struct
+import zlib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -11,8 +15,7 @@ import numpy as np
 
 from .arrays import ArrayLog
 from .errors import LogError, require
-from .formats import MOST_BYTES
-from .mat_bounds import require_bounded
+from .formats import MOST_BYTES, read_bytes, reading
 
 _HDF5 = b"\x89HDF\r\n\x1a\n"
 _DEEPEST = 8  # structs within structs; deeper is no log
@@ -32,31 +35,19 @@ def open_mat(path: Path | str) -> ArrayLog:
         LogError: if the file is missing, cut off or no MATLAB file, its links form a loop, or `h5py` (version 7.3) is
             not installed.
     """
-    try:
-        with Path(path).open("rb") as file:
-            head = file.read(520)
-    except FileNotFoundError:
-        raise LogError(f"{path}: no such file") from None
-    except OSError as error:
-        raise LogError(f"{path}: cannot be read ({error.strerror})") from None
+    head = read_bytes(path, 520)
     is_hdf5 = _HDF5 in (head[:8], head[512:520])
     if is_hdf5:
         require("h5py", "logs", f"{path}: reading MATLAB 7.3 files")
-    reader: Callable[[str], tuple[dict[str, Any], dict[str, str]]] = _read_hdf5 if is_hdf5 else _read_scipy
-    try:
-        variables, unread = reader(str(path))
-    except LogError:
-        raise
-    except Exception as error:  # noqa: BLE001 - on damaged files both libraries raise whatever they meet
-        reason = " ".join(str(error).split()) or type(error).__name__
-        raise LogError(f"{path}: not a readable MATLAB file, or cut off ({reason})") from None
+    with reading(path, "MATLAB file"):
+        variables, unread = _read_hdf5(str(path)) if is_hdf5 else _read_scipy(str(path))
     if not variables and not unread:
         raise LogError(f"{path}: holds no variable")
     return ArrayLog(str(path), variables, unread=unread)
 
 
 def _object(kind: str, name: str) -> str:
-    """What is said of a variable that only MATLAB can read."""
+    """Advice for a variable that only MATLAB can read."""
     short = name if name.isidentifier() and len(name) <= 40 else "T"
     remedy = {
         "table": f"writetable({short}, 'log.csv')",
@@ -72,14 +63,14 @@ def _read_scipy(path: str) -> tuple[dict[str, Any], dict[str, str]]:
     from scipy.io import loadmat
     from scipy.io.matlab import MatlabFunction, MatlabObject, MatlabOpaque
 
-    require_bounded(path)
-    # Without a name of its own scipy would add .mat to a path that has another ending.
-    found = loadmat(path, appendmat=False, struct_as_record=True, squeeze_me=False, chars_as_strings=True)
+    data = read_bytes(path)
+    _require_bounded(path, data)
+    contents = loadmat(BytesIO(data), struct_as_record=True, squeeze_me=False, chars_as_strings=True)
     variables, unread = {}, {}
-    for name, value in found.items():
+    for name, value in contents.items():
         if isinstance(value, MatlabOpaque | MatlabObject | MatlabFunction):
-            own, kind = _opaque(value, name)
-            unread[own] = _object(kind, own)
+            title, kind = _opaque(value, name)
+            unread[title] = _object(kind, title)
         elif not name.startswith("__"):
             variables[name] = _plain(value)
     return variables, unread
@@ -88,8 +79,8 @@ def _read_scipy(path: str) -> tuple[dict[str, Any], dict[str, str]]:
 def _opaque(value: Any, name: str) -> tuple[str, str]:
     """Name and class of an object; those of a table stand in its content."""
     if value.dtype.names and {"s0", "s2"} <= set(value.dtype.names) and value.size:
-        own, kind = (value.reshape(-1)[0][part] for part in ("s0", "s2"))
-        return _text(own) or name, _text(kind) or "object"
+        title, kind = (value.reshape(-1)[0][part] for part in ("s0", "s2"))
+        return _text(title) or name, _text(kind) or "object"
     return name, str(getattr(value, "classname", "object"))
 
 
@@ -130,7 +121,7 @@ def _read_hdf5(path: str) -> tuple[dict[str, Any], dict[str, str]]:
 
 
 class _Hdf5Tree:
-    """The objects of an HDF5 file, whose links may form a loop, or lead to one object so often that a walk never ends.
+    """Bounded reader of the objects of an HDF5 file, whose links may form loops.
 
     Nothing outside the file is opened, whatever the file says.
 
@@ -158,10 +149,10 @@ class _Hdf5Tree:
         if not left:
             raise LogError(f"{self._path}: {name!r}: too many links that lead to one another")
         target = links.get_val(key).decode("utf-8", "surrogateescape")
-        found = self._file["/"] if target.startswith("/") else group
+        place = self._file["/"] if target.startswith("/") else group
         for part in target.split("/"):
-            found = self.item(found, part, left - 1) if part not in ("", ".") else found
-        return found
+            place = self.item(place, part, left - 1) if part not in ("", ".") else place
+        return place
 
     def read(self, item: Any) -> Any:
         """Groups as mappings; matrices the way MATLAB shows them, which stores them transposed."""
@@ -208,7 +199,7 @@ class _Hdf5Tree:
 
 
 def _place(item: Any) -> tuple[int, int]:
-    """File and address of an object, the same by whatever link it was come to."""
+    """File and address of an object, independent of the link that leads to it."""
     from h5py import h5o  # pyright: ignore[reportAttributeAccessIssue]  # compiled, without a stub
 
     about = h5o.get_info(item.id)
@@ -221,3 +212,80 @@ def _matrix(item: Any) -> Any:
     if item.attrs.get("MATLAB_class") == b"char":  # stored as the numbers of its letters
         return "".join(map(chr, np.asarray(item[()]).reshape(-1)[:_LONGEST_TEXT].tolist()))
     return np.asarray(item[()]).T
+
+
+_DEEPEST_CELL = 32  # matrices within cells and structs
+_HEADER, _TAG = 128, 8
+_INT32, _MATRIX, _COMPRESSED = 5, 14, 15
+_HOLDING = (1, 2, 3)  # cell, struct, object
+_LEAST = 8  # bytes that any element of these takes
+
+
+def _require_bounded(path: str, data: bytes) -> None:
+    """Refuse a file that would fill the memory, or whose cells say to be more than the file has room for.
+
+    A file of version 4 is not packed: it is as large as it is. What is damaged is left to the reader.
+    """
+    ends = {b"IM": "<", b"MI": ">"}.get(data[126:128])
+    if ends is None or not any(data[:4]):
+        return
+    _File(path, ends, MOST_BYTES).walk(memoryview(data)[_HEADER:])
+
+
+@dataclass
+class _File:
+    """The elements of a file.
+
+    Attributes:
+        ends: byte order, as `struct` names it.
+        left: bytes that may still be unpacked.
+    """
+
+    path: str
+    ends: str
+    left: int
+
+    def walk(self, data: memoryview, depth: int = 0) -> None:
+        """Check the elements of a file, or of a matrix."""
+        if depth > _DEEPEST_CELL:
+            raise LogError(
+                f"{self.path}: more than {_DEEPEST_CELL} cells or structs within one another, expected a log"
+            )
+        for kind, content in self._elements(data):
+            if kind == _COMPRESSED:
+                self.walk(self._unpacked(content), depth)
+            elif kind == _MATRIX:
+                self._require_room(content)
+                self.walk(content, depth + 1)
+
+    def _elements(self, data: memoryview) -> Iterator[tuple[int, memoryview]]:
+        at = 0
+        while at + _TAG <= len(data):
+            kind, size = struct.unpack_from(f"{self.ends}II", data, at)
+            if kind >> 16:  # a small one, whose content stands in the tag
+                yield kind & 0xFFFF, data[at + 4 : at + 4 + min(kind >> 16, 4)]
+                at += _TAG
+                continue
+            yield kind, data[at + _TAG : at + _TAG + size]
+            at += _TAG + (size if kind == _COMPRESSED else -(-size // _TAG) * _TAG)
+
+    def _unpacked(self, content: memoryview) -> memoryview:
+        unpacking = zlib.decompressobj()
+        try:
+            unpacked = unpacking.decompress(content, self.left + 1)
+        except zlib.error:
+            return memoryview(b"")  # the reader says so
+        self.left -= len(unpacked)
+        if self.left < 0:
+            raise LogError(f"{self.path}: unpacks to more than {MOST_BYTES} bytes, expected a log")
+        return memoryview(unpacked)
+
+    def _require_room(self, content: memoryview) -> None:
+        """Refuse a matrix of cells or structs that there is no room for: each would be made before any is read."""
+        (_, flags), (kind, sizes), *_ = [*self._elements(content[:4096]), (0, content[:0]), (0, content[:0])]
+        if len(flags) < 4 or kind != _INT32:
+            return
+        holds = struct.unpack_from(f"{self.ends}I", flags)[0] & 0xFF
+        dims = struct.unpack(f"{self.ends}{len(sizes) // 4}i", sizes[: len(sizes) // 4 * 4])
+        if holds in _HOLDING and math.prod(dims) * _LEAST > len(content):
+            raise LogError(f"{self.path}: {math.prod(dims)} cells in {len(content)} bytes, expected a log")

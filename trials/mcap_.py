@@ -1,9 +1,8 @@
-"""MCAP logs: a run's log is written as one channel of JSON messages; signals are read from JSON and ROS 2 messages."""
+"""MCAP logs: writing of a run as one channel of JSON messages; reading of JSON and ROS 2 messages."""
 
 from __future__ import annotations
 
 import importlib.util
-import io
 import json
 import math
 import struct
@@ -18,7 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .errors import LogError, require
-from .messages import Decoder, MessageLog, Topic, UnreadableError, cdr_decoder
+from .formats import damaged, one_line, read_bytes
+from .messages import Decoder, MessageLog, Topic, UnreadableError, late_decoder
 
 TOPIC = "/hystmpc/log"
 
@@ -41,7 +41,7 @@ def format_mcap(
     from mcap.writer import Writer
 
     values = {k: c.tolist() if isinstance(c, np.ndarray) else list(c) for k, c in columns.items()}
-    out = io.BytesIO()
+    out = BytesIO()
     writer = Writer(out)
     writer.start(profile="", library="hystmpc")
     schema = writer.register_schema("hystmpc.Sample", "jsonschema", json.dumps(_schema(columns)).encode())
@@ -97,22 +97,13 @@ class McapRecords:
         Raises:
             LogError: if the file cannot be read or is no MCAP file.
         """
-        data = self._bytes()
+        data = read_bytes(self.path)
+        if not data.startswith(MAGIC):
+            raise LogError(f"{self.path}: not an MCAP file (starts with {data[:8]!r}, expected {MAGIC!r})")
         try:
             yield from self._walk(data, len(MAGIC), top=True)
         except _DamagedError as error:
-            self.note = f"cut off or damaged: {error}; what stands before is read"
-
-    def _bytes(self) -> bytes:
-        try:
-            data = Path(self.path).read_bytes()
-        except FileNotFoundError:
-            raise LogError(f"{self.path}: no such file") from None
-        except OSError as error:
-            raise LogError(f"{self.path}: cannot be read ({error.strerror})") from None
-        if not data.startswith(MAGIC):
-            raise LogError(f"{self.path}: not an MCAP file (starts with {data[:8]!r}, expected {MAGIC!r})")
-        return data
+            self.note = damaged(str(error))
 
     def _walk(self, data: bytes, at: int, top: bool) -> Iterator[Any]:
         """Records of the file, or of one chunk; what follows the data section is not looked at."""
@@ -175,7 +166,7 @@ class McapRecords:
 
 
 def _unpacked(chunk: Any, most: int) -> bytes:
-    """The records of a chunk, of as many bytes as it says.
+    """Unpack the records of a chunk, within its declared size.
 
     Raises:
         ValueError: if it cannot be unpacked, or has other bytes.
@@ -203,10 +194,10 @@ def _unpacked(chunk: Any, most: int) -> bytes:
     raise ValueError(f"compression {chunk.compression!r}")
 
 
-def _whole(found: bytes, size: int) -> bytes:
-    if len(found) != size:
+def _whole(unpacked: bytes, size: int) -> bytes:
+    if len(unpacked) != size:
         raise ValueError(f"unpacks to other than its {size} bytes")
-    return found
+    return unpacked
 
 
 def open_mcap(path: Path | str) -> MessageLog:
@@ -231,24 +222,20 @@ def open_mcap(path: Path | str) -> MessageLog:
 
 
 def _decoder(encoding: str, schema: Any) -> Decoder:
-    """How to read the messages of a channel; decided when the first one is read."""
+    """How to read the messages of a channel."""
     if encoding == "json":
         return _parse_json
-    found: list[Decoder] = []
+    if encoding == "cdr" and schema is not None:
+        return late_decoder(schema.name, schema.encoding, schema.data.decode("utf-8", errors="replace"))
 
-    def decode(raw: bytes) -> Any:
-        if encoding != "cdr" or schema is None:
-            raise UnreadableError(f"encoding {encoding!r}, expected json or cdr (ROS 2)")
-        if not found:
-            text = schema.data.decode("utf-8", errors="replace")
-            found.append(cdr_decoder(schema.name, schema.encoding, text))
-        return found[0](raw)
+    def refuse(_: bytes) -> Any:
+        raise UnreadableError(f"encoding {encoding!r}, expected json or cdr (ROS 2)")
 
-    return decode
+    return refuse
 
 
 def _parse_json(raw: bytes) -> Any:
     try:
         return json.loads(raw)
     except (ValueError, RecursionError) as error:
-        raise UnreadableError(f"not JSON ({' '.join(str(error).split())})") from None
+        raise UnreadableError(f"not JSON ({one_line(error)})") from None

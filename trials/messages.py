@@ -1,4 +1,4 @@
-"""Signals out of logs of messages, JSON or ROS 2 (CDR): what MCAP files and ROS 2 bags have in common."""
+"""Signals of logs that hold messages (JSON, ROS 1, ROS 2): what MCAP files and ROS bags have in common."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from typing import Any, final
 import numpy as np
 
 from .errors import LogError, require
+from .formats import one_line
 from .layouts import HEADER_TIME, LOG_TIME, few
 from .signals import Series, split_path, walk
 
@@ -23,7 +24,7 @@ class UnreadableError(Exception):
 
 @lru_cache(maxsize=64)  # parsing a definition takes longer than reading thousands of messages
 def cdr_decoder(message_type: str, encoding: str, definition: str) -> Decoder:
-    """A function from the bytes of a message to an object with the message's fields.
+    """Decoder from the bytes of a message to an object with its fields.
 
     Args:
         message_type: such as `std_msgs/msg/Float64`.
@@ -66,15 +67,8 @@ def cdr_decoder(message_type: str, encoding: str, definition: str) -> Decoder:
 
 
 def late_decoder(message_type: str, encoding: str, definition: str) -> Decoder:
-    """A `cdr_decoder` that looks at the definition when the first message is read."""
-    found: list[Decoder] = []
-
-    def decode(raw: bytes) -> Any:
-        if not found:
-            found.append(cdr_decoder(message_type, encoding, definition))
-        return found[0](raw)
-
-    return decode
+    """Decoder that parses the definition of its messages when the first one is read; see `cdr_decoder`."""
+    return lambda raw: cdr_decoder(message_type, encoding, definition)(raw)
 
 
 @cache
@@ -88,7 +82,7 @@ def fields_of(message: Any, prefix: str = "") -> Mapping[str, float]:
     """Numbers of one message by their paths: `data`, `header.stamp.sec`, `position[0]`; at most 8 of an array."""
     if isinstance(message, bool | int | float):
         return {prefix: float(message)}
-    found: dict[str, float] = {}
+    numbers: dict[str, float] = {}
     inner: Iterable[tuple[Any, Any]]
     if isinstance(message, Mapping):
         inner = message.items()
@@ -102,13 +96,8 @@ def fields_of(message: Any, prefix: str = "") -> Mapping[str, float]:
         inner = vars(message).items() if hasattr(message, "__dict__") else ()
     for name, value in inner:
         if not str(name).startswith("__"):
-            found |= fields_of(value, f"{prefix}.{name}" if prefix else str(name))
-    return found
-
-
-def one_line(error: Exception) -> str:
-    """Text of an error on one line; its type where it has none."""
-    return " ".join(str(error).split()) or type(error).__name__
+            numbers |= fields_of(value, f"{prefix}.{name}" if prefix else str(name))
+    return numbers
 
 
 @dataclass(frozen=True)
@@ -152,14 +141,14 @@ class MessageLog:
         firsts: dict[str, bytes] = {}
         for topic, _, raw in self.messages:
             firsts.setdefault(topic, raw)
-        found: dict[str, float] = {}
+        values: dict[str, float] = {}
         for topic, raw in firsts.items():
             try:
                 fields = fields_of(self.topics[topic].decode(raw))
             except (UnreadableError, RecursionError, OverflowError):
                 continue  # what cannot be read is not on offer; asking for it says why
-            found |= {f"{topic}.{name}" if name else topic: value for name, value in fields.items()}
-        return found
+            values |= {f"{topic}.{name}" if name else topic: value for name, value in fields.items()}
+        return values
 
     def series(self, signals: Sequence[str], time: str) -> list[Series]:
         """The signals asked for; see `Source`.

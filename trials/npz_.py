@@ -14,11 +14,11 @@ from numpy.lib import format as npy
 
 from .arrays import ArrayLog
 from .errors import LogError, shown
-from .formats import MOST_BYTES
-from .text_ import read_bytes
+from .formats import MOST_BYTES, read_bytes, reading, seconds_since_first
 
 _MOST_ARRAYS = 2000
 _LONGEST_HEADER = 10_000
+_PICKLED = "an array of pickled objects, which can run code; save plain numbers instead"
 
 
 def open_npz(path: Path | str) -> ArrayLog:
@@ -31,26 +31,21 @@ def open_npz(path: Path | str) -> ArrayLog:
     """
     data = read_bytes(path)
     unread: dict[str, str] = {}
-    try:
+    with reading(path, "file of NumPy"):
         if data.startswith(b"PK"):
             variables = _members(str(path), data, unread)
         else:
-            found = _array(str(path), BytesIO(data), len(data), MOST_BYTES)
-            if found is None:
-                raise LogError(f"{path}: an array of pickled objects, which can run code; save plain numbers instead")
-            variables = _single(found)
-    except LogError:
-        raise
-    except Exception as error:  # noqa: BLE001 - on damaged files archive, packing and headers raise whatever they meet
-        reason = " ".join(str(error).split())[:100] or type(error).__name__
-        raise LogError(f"{path}: not a readable file of NumPy, or cut off ({reason})") from None
+            array = _array(str(path), BytesIO(data), len(data), MOST_BYTES)
+            if array is None:
+                raise LogError(f"{path}: {_PICKLED}")
+            variables = _single(array)
     if not variables and not unread:
         raise LogError(f"{path}: holds no array")
     return ArrayLog(str(path), variables, unread=unread)
 
 
 def _members(path: str, data: bytes, unread: dict[str, str]) -> dict[str, Any]:
-    found: dict[str, Any] = {}
+    arrays: dict[str, Any] = {}
     left = MOST_BYTES
     with zipfile.ZipFile(BytesIO(data)) as archive:
         parts = archive.infolist()
@@ -61,15 +56,15 @@ def _members(path: str, data: bytes, unread: dict[str, str]) -> dict[str, Any]:
             with archive.open(part) as file:
                 value = _array(path, cast(BinaryIO, file), part.file_size, left)
             if value is None:
-                unread[name] = "an array of pickled objects, which can run code; save plain numbers instead"
+                unread[name] = _PICKLED
                 continue
             left -= value.nbytes
-            found[name] = _fields(value)
-    return found
+            arrays[name] = _fields(value)
+    return arrays
 
 
 def _array(path: str, file: BinaryIO, size: int, left: int) -> np.ndarray[Any, Any] | None:
-    """One array, whose size is looked at before any memory is taken for it; None of pickled objects."""
+    """Read one array, after a check of its size; None if it holds pickled objects."""
     version = npy.read_magic(file)
     if version == (1, 0):
         shape, by_columns, dtype = npy.read_array_header_1_0(file, max_header_size=_LONGEST_HEADER)
@@ -88,8 +83,7 @@ def _array(path: str, file: BinaryIO, size: int, left: int) -> np.ndarray[Any, A
     if len(content) < needed:
         raise ValueError("it ends within an array")
     if dtype.kind == "M":  # dates
-        dates = np.frombuffer(content, dtype=dtype)
-        return (dates - dates[:1]) / np.timedelta64(1, "s")
+        return seconds_since_first(np.frombuffer(content, dtype=dtype))
     flat = np.frombuffer(content, dtype=dtype, count=math.prod(shape)) if dtype.itemsize else np.empty(0)
     return flat.reshape(shape, order="F" if by_columns else "C") if flat.size else np.empty(0)
 

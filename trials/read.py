@@ -1,4 +1,4 @@
-"""Reading recorded trials of any format: files and folders, told by their names; data frames; trials in memory."""
+"""Reading recorded trials of any format: files and folders, data frames, trials in memory; on one uniform grid."""
 
 from __future__ import annotations
 
@@ -7,27 +7,34 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TypeGuard
 
 import numpy as np
 
 from .arrays import ArrayLog
-from .csv_files import open_table, read_csv
+from .command_noise import remove_command_noise
+from .csv_files import open_table, read_columns
 from .errors import ConfigError, LogError, in_a_line
 from .formats import ENDINGS, format_of
 from .layouts import LogMapping, Preset, get_preset, is_mapping_file, load_mapping
 from .mat_ import open_mat
 from .mcap_ import open_mcap
-from .merged import is_merged, own_rows, said_of
 from .npz_ import open_npz
-from .rosbag1_ import open_bag1
-from .rosbag_ import is_bag, open_bag
-from .signals import Raw, Series, Source, canonical_mapping, missing, read_mapped
+from .rosbag_ import is_bag, open_bag, open_bag1
+from .signals import (
+    Series,
+    Source,
+    UncheckedLog,
+    canonical_mapping,
+    filled_rows,
+    is_merged,
+    merged_note,
+    missing,
+    read_mapped,
+)
 from .tables import Frame, Table
 from .tdms_ import open_tdms
-from .trial import Trial, even_time, positive_rate
+from .trial import Trial, even_time, parts_at_gaps, positive_rate, require_uniform, resample
 from .types import Vec
-from .uniform import at_rate
 
 Layout = str | Preset | LogMapping
 """A layout's name, a mapping file (`*.yaml`), a `Preset` (tables), a `LogMapping`, or `auto`."""
@@ -74,12 +81,12 @@ def read_trials(
     for log in several or expand_logs([]):  # which refuses to do without any
         files = expand_logs([log]) if isinstance(log, Path | str) else [log]
         trials += [read_log(file, layout, sampled_hz) for file in files]
-    trials = _told_apart(trials)
+    trials = _with_unique_names(trials)
     return trials if rate_hz is None else at_rate(trials, rate_hz)
 
 
-def _told_apart(trials: list[Trial]) -> list[Trial]:
-    """The trials with a number behind each name that stands more than once: results name trials."""
+def _with_unique_names(trials: list[Trial]) -> list[Trial]:
+    """Trials with unique names: a number follows each name that occurs more than once."""
     counts, seen = Counter(trial.source for trial in trials), Counter[str]()
     named = []
     for trial in trials:
@@ -98,10 +105,7 @@ def read_log(log: Log, preset: Layout = "auto", sampled_hz: float | None = None)
     """
     if isinstance(log, Trial):
         return log if sampled_hz is None else replace(log, t=even_time(len(log), sampled_hz))
-    layout = resolve(preset)
-    if is_table(log) and not isinstance(layout, LogMapping):
-        return read_csv(log, layout, sampled_hz)
-    return read_raw(log, layout, sampled_hz).trial()
+    return read_unchecked(log, preset, sampled_hz).trial()
 
 
 _OTHERS = ", ".join(f"*{ending}" for ending in ENDINGS)
@@ -136,8 +140,8 @@ def _logs_in(folder: Path) -> list[Path]:
 _NO_LOGS = (".", "~$")  # what macOS and Excel leave beside files
 
 
-def read_raw(log: Path | str | Frame, preset: Layout = "auto", sampled_hz: float | None = None) -> Raw:
-    """Read a log by its named signals without judging its values.
+def read_unchecked(log: Path | str | Frame, preset: Layout = "auto", sampled_hz: float | None = None) -> UncheckedLog:
+    """Read a log without any check of its values.
 
     Raises:
         LogError: if the log cannot be read, or lacks a signal.
@@ -146,6 +150,8 @@ def read_raw(log: Path | str | Frame, preset: Layout = "auto", sampled_hz: float
     layout = resolve(preset)
     if isinstance(layout, LogMapping):
         return _read_mapping(log, layout, sampled_hz)
+    if _is_table(log):
+        return read_columns(log, layout, sampled_hz)
     source = _open(log, ())
     if layout != "auto":
         name = layout.name if isinstance(layout, Preset) else layout
@@ -163,7 +169,7 @@ def read_raw(log: Path | str | Frame, preset: Layout = "auto", sampled_hz: float
     return read_mapped(source, _sampled(mapping, sampled_hz))
 
 
-def _read_mapping(log: Path | str | Frame, mapping: LogMapping, sampled_hz: float | None) -> Raw:
+def _read_mapping(log: Path | str | Frame, mapping: LogMapping, sampled_hz: float | None) -> UncheckedLog:
     source = _open(log, (mapping.time, *(name for s in mapping.signals() for name in (s.signal, s.minus or s.signal))))
     times = source.table.times if isinstance(source, _TableLog) else getattr(source, "times", ())
     if mapping.time in times:
@@ -177,7 +183,7 @@ def _sampled(mapping: LogMapping, sampled_hz: float | None) -> LogMapping:
 
 
 def resolve(preset: Layout) -> Layout:
-    """What `--preset` means: a mapping is read from its file; a name is checked.
+    """Resolve `--preset`: read a mapping from its file, or check a name.
 
     Raises:
         ConfigError: on an unknown preset or a wrong mapping file.
@@ -187,19 +193,16 @@ def resolve(preset: Layout) -> Layout:
     return load_mapping(preset) if is_mapping_file(preset) else get_preset(preset)
 
 
-def is_table(log: Path | str | Frame) -> TypeGuard[Path | str | Frame]:
+def _is_table(log: Path | str | Frame) -> bool:
     """Whether a log is delimited text, a workbook or a data frame."""
     return isinstance(log, Frame) or not (is_bag(Path(log)) or format_of(Path(log)) in OPENERS)
 
 
 def _open(log: Path | str | Frame, wanted: Iterable[str]) -> Source:
-    if isinstance(log, Frame):
-        return _TableLog(open_table(log))
+    if isinstance(log, Frame) or _is_table(log):
+        return _TableLog(open_table(log, wanted))
     path = Path(log)
-    if is_bag(path):
-        return open_bag(path)
-    opener = OPENERS.get(format_of(path))
-    return opener(path) if opener is not None else _TableLog(open_table(path, wanted))
+    return open_bag(path) if is_bag(path) else OPENERS[format_of(path)](path)
 
 
 class _TableLog:
@@ -219,8 +222,8 @@ class _TableLog:
             return [Series(np.full(y.size, np.nan), y) for y in columns]
         command, angle, *_ = columns
         if is_merged(command, angle):
-            self.note = "; ".join(filter(None, (said_of(command, angle), self.note)))
-            return [own_rows(t, y) for y in columns]
+            self.note = "; ".join(filter(None, (merged_note(command, angle), self.note)))
+            return [filled_rows(t, y) for y in columns]
         return [Series(t, y) for y in columns]
 
     def _column(self, name: str) -> Vec:
@@ -237,3 +240,22 @@ class _TableLog:
 
 
 _PLACE = re.compile(r"\[\d{1,4}\]")  # a column by its place, also of a table whose columns have names
+
+
+def at_rate(trials: Iterable[Trial], rate_hz: float) -> list[Trial]:
+    """Trials cut at their gaps, on a uniform grid, without the noise of a measured command (`remove_command_noise`).
+
+    One without such noise that lies on the grid is left as it is.
+
+    Raises:
+        ConfigError, LogError: see `parts_at_gaps` and `resample`.
+    """
+    parts = remove_command_noise([part for trial in trials for part in parts_at_gaps(trial)])
+    return [part if _lies_at(part, rate_hz) else resample(part, rate_hz) for part in parts]
+
+
+def _lies_at(trial: Trial, rate_hz: float) -> bool:
+    try:
+        return bool(np.isclose(require_uniform(trial) * rate_hz, 1.0, rtol=1e-9))
+    except LogError:
+        return False

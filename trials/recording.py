@@ -1,9 +1,19 @@
-"""What may stand for a recording: signals that are read rightly, and an angle that was measured."""
+"""Recordings: which trials may be identified from, and the order in which they were recorded."""
 
 from __future__ import annotations
 
+import itertools
+from collections.abc import Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any, Final, Literal
+
+import numpy as np
+
 from .check import require_sound
+from .config import Settings, dump_yaml, read_yaml
 from .errors import LogError
+from .files import write_atomically
 from .trial import Trial
 
 SEPARATION_COLUMN = "separation_deg"
@@ -11,7 +21,7 @@ SEPARATION_COLUMN = "separation_deg"
 
 
 def require_recorded(trial: Trial) -> None:
-    """Refuse a trial that nothing can be learned from: a proposed motion, or signals that are read wrongly.
+    """Refuse a trial that is no recording: a motion proposed by a diagnosis, or wrong signals.
 
     Raises:
         LogError: if its angle is the one that a diagnosis expects, or `check` finds time in
@@ -20,3 +30,87 @@ def require_recorded(trial: Trial) -> None:
     if SEPARATION_COLUMN in trial.channels:
         raise LogError(f"{trial.source}: is a motion proposed by a diagnosis, expected what was recorded on it")
     require_sound(trial)
+
+
+MANIFEST = "manifest.yaml"
+FORMAT: Final = "hystmpc-recording/1"
+WALL_CLOCK = "wall_ns"  # column of a bench's log: time since 1970 [ns]
+
+
+class RecordingManifest(Settings):
+    """`manifest.yaml` beside logs: which trials one session has recorded, the first one first.
+
+    Attributes:
+        recorded: names of the files in the order of recording.
+        start: of the session; orders sessions of several folders.
+    """
+
+    format: Literal["hystmpc-recording/1"] = FORMAT
+    recorded: tuple[str, ...]
+    start: datetime | None = None
+
+
+def write_manifest(folder: Path, files: Sequence[Path], start: datetime | None = None) -> Path:
+    """Write the manifest of logs that were recorded into a folder in that order.
+
+    Args:
+        folder: of the logs.
+        files: in the order of recording.
+        start: of the session; now where left out.
+    """
+    begun = (start or datetime.now(UTC)).isoformat()
+    content = {"format": FORMAT, "start": begun, "recorded": [file.name for file in files]}
+    return write_atomically(folder / MANIFEST, dump_yaml(content))
+
+
+def by_clock(trials: Sequence[Trial]) -> list[int] | None:
+    """Indices of the trials in the order of their time stamps; None if these do not define one.
+
+    They tell it where all logs have one clock: no two trials have time in common. The wall clock of a bench's log
+    counts before its time stamps, which begin anew in each log.
+    """
+    spans = [_span(trial) for trial in trials]
+    order = sorted(range(len(spans)), key=lambda k: spans[k])
+    apart = all(spans[a][1] < spans[b][0] for a, b in itertools.pairwise(order))
+    same_clock = len({WALL_CLOCK in trial.channels for trial in trials}) == 1
+    return order if apart and same_clock else None
+
+
+def by_manifest(sources: Sequence[str]) -> list[int] | None:
+    """Indices of the logs in the order of the manifests in their folders; None if a log is not listed.
+
+    Logs of several folders are ordered by the starts of their sessions.
+
+    Raises:
+        ConfigError: if a manifest of this format cannot be used.
+    """
+    places: list[tuple[str, int]] = []
+    manifests = {folder: _manifest(folder) for folder in {Path(source).parent for source in sources}}
+    starts = [manifest.start for manifest in manifests.values() if manifest is not None]
+    if len(starts) < len(manifests) or (len(manifests) > 1 and len(set(starts) - {None}) < len(manifests)):
+        return None
+    for path in map(Path, sources):
+        manifest = manifests[path.parent]
+        if manifest is None or path.name not in manifest.recorded:
+            return None
+        begun = manifest.start.astimezone(UTC).isoformat() if manifest.start and len(manifests) > 1 else ""
+        places.append((begun, manifest.recorded.index(path.name)))
+    return sorted(range(len(places)), key=lambda k: places[k]) if len(set(places)) == len(places) else None
+
+
+def _span(trial: Trial) -> tuple[float, float]:
+    wall = trial.channels.get(WALL_CLOCK)
+    if wall is not None and np.isfinite(wall).all():
+        return 1e-9 * float(wall[0]), 1e-9 * float(wall[-1])
+    return float(trial.t[0]), float(trial.t[-1])
+
+
+def _manifest(folder: Path) -> RecordingManifest | None:
+    """The manifest of a folder; None where there is none, or one of something else."""
+    file = folder / MANIFEST
+    if not file.is_file():
+        return None
+    data: Any = read_yaml(file)
+    if not isinstance(data, dict) or data.get("format") != FORMAT:
+        return None
+    return RecordingManifest.parse(data, str(file))

@@ -24,8 +24,7 @@ from matplotlib.figure import Figure
 from matplotlib.text import Text
 from matplotlib.ticker import FixedLocator, LogFormatter, LogLocator, MaxNLocator, NullFormatter, StrMethodFormatter
 
-from .figure_data import zoomed
-from .figure_files import write_figures
+from .figure_data import write_figures, zoomed
 from .files import write_atomically
 
 
@@ -220,7 +219,7 @@ def figure_svg(figure: Figure, prefix: str = "") -> str:
 
 
 def three_ticks(figure: Figure) -> None:
-    """At least three numbers on every axis that has any: one says nothing of a scale, and two little."""
+    """Set at least three tick labels on every axis, so that its scale can be read."""
     for axes in figure.axes:
         for axis in (axes.xaxis, axes.yaxis):
             locator, (low, high) = axis.get_major_locator(), sorted(axis.get_view_interval())
@@ -246,13 +245,17 @@ def _more_on_logarithmic(axis: Axis, low: float, high: float) -> None:
 
 
 def _print_as_it_is(figure: Figure) -> None:
-    """Take every text literally: names of files and trials come from outside, and two `$` in one would be read as
-    mathematics, which fails. Tick labels of a logarithmic axis are mathematics of the library's own."""
+    """Turn off mathematics in every text but the tick labels of logarithmic axes.
+
+    Names of files and trials come from outside, and two `$` in one would be read as mathematics, which fails.
+    """
     axes = [axis for each in figure.axes for axis in (each.xaxis, each.yaxis)]
     powers = [axis for axis in axes if isinstance(axis.get_major_formatter(), LogFormatter)]
-    own = {id(label) for axis in powers for which in ("major", "minor") for label in axis.get_ticklabels(which=which)}
+    mathematical = {
+        id(label) for axis in powers for which in ("major", "minor") for label in axis.get_ticklabels(which=which)
+    }
     for text in figure.findobj(Text):
-        if isinstance(text, Text) and id(text) not in own:
+        if isinstance(text, Text) and id(text) not in mathematical:
             text.set_parse_math(False)
 
 
@@ -267,7 +270,7 @@ def _bitmap(figure: Figure, prefix: str = "") -> str:
 
 
 def _block(piece: Piece, number: str, drawn: Callable[[Figure, str], str] = figure_svg) -> dict[str, Any]:
-    """What the template needs of one piece."""
+    """Fields of one piece for the page template."""
     if isinstance(piece, Heading):
         return {"kind": "heading", "text": piece.text, "level": piece.level, "id": f"section-{number}"}
     if isinstance(piece, Paragraph):
@@ -291,7 +294,7 @@ def _block(piece: Piece, number: str, drawn: Callable[[Figure, str], str] = figu
 
 
 def _in_script(data: Any) -> Markup:
-    """Data as a page's own text can hold it: nothing in it ends the element."""
+    """JSON text for a script element of a page, with `<` escaped."""
     return Markup(json.dumps(data, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c"))
 
 

@@ -1,4 +1,4 @@
-"""The folder that every simulation, experiment, study and diagnosis leaves behind; a run can be replayed from it."""
+"""Run folder: the files that every simulation, experiment, study and diagnosis writes, for replay."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ from .config import Settings, dump_yaml, read_yaml
 from .csv_files import format_table, read_csv
 from .errors import ConfigError, LogError
 from .files import require_writable, write_atomically
+from .formats import read_lines
 from .json_text import file_hash
 from .layouts import CANONICAL
 from .tables import read_table
-from .text_ import read_lines
 from .trial import Trial
 
 FORMAT = "hystmpc-run/1"
@@ -114,9 +114,9 @@ class RunFolder:
             raise LogError(f"{path}: no readable meta.json, expected the folder of a run") from None
         except (ValueError, RecursionError) as error:
             raise LogError(f"{file}: not JSON ({error})") from None
-        found = meta.get("format") if isinstance(meta, dict) else None
-        if found != FORMAT:
-            raise LogError(f"{file}: format {found!r}, expected {FORMAT!r}")
+        written = meta.get("format") if isinstance(meta, dict) else None
+        if written != FORMAT:
+            raise LogError(f"{file}: format {written!r}, expected {FORMAT!r}")
         if gone := [name for name, kind in _META.items() if not isinstance(meta.get(name), kind)]:
             raise LogError(f"{file}: lacks {', '.join(gone)}, expected what a run writes there")
         return cls(Path(path), meta)
@@ -167,7 +167,7 @@ class RunFolder:
 
 
 def require_vacant(folder: Path) -> None:
-    """A run never overwrites anything: refuse what holds something, before any work is done.
+    """Refuse a folder that is not empty: a run never overwrites anything.
 
     Raises:
         ConfigError: if the path is a file, a folder that is not empty, or cannot be written.
@@ -187,7 +187,7 @@ def require_vacant(folder: Path) -> None:
 
 
 def require_resumable(folder: Path) -> None:
-    """A run that can go on begins in a new or empty folder, or goes on in one of a run; whose it is its settings tell.
+    """Refuse a folder that is neither empty nor a run that can be resumed.
 
     Raises:
         ConfigError: if the path is a file, a folder that holds something else, or cannot be written.

@@ -8,6 +8,7 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import NDArray
 
+from .clocks import runs
 from .errors import ConfigError, LogError
 from .trial import Trial, require_uniform
 from .types import Index, Vec
@@ -57,9 +58,7 @@ class Segments:
 
     def runs(self, motion: Motion) -> list[tuple[int, int]]:
         """Start and stop (exclusive) of every unbroken run of that motion."""
-        inside = np.concatenate(([0], (self.labels == motion).astype(np.int8), [0]))
-        edges = np.diff(inside)
-        starts, stops = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)
+        starts, stops = runs(self.labels == motion)
         return list(zip(starts.tolist(), stops.tolist(), strict=True))
 
     @property
@@ -141,7 +140,7 @@ def turning_points(command: Vec, threshold: float) -> tuple[int, Index]:
 
 
 def _held(command: Vec, window: int, band: float) -> NDArray[np.bool_]:
-    """Samples inside some stretch of `window` samples over which the command ranges over at most `band`."""
+    """Mask of the samples in any window of `window` samples in which the command stays within `band`."""
     if window > command.size:
         return np.zeros(command.size, dtype=np.bool_)
     stretches = np.lib.stride_tricks.sliding_window_view(command, window)

@@ -1,4 +1,4 @@
-"""Findings on the signals of a log: how their numbers are written, units, sign, motion and the first flexure."""
+"""Findings on the signals of a log: units, sign, excitation, segments and the set after the first flexure."""
 
 from __future__ import annotations
 
@@ -7,12 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .clock_shift import DELAY_S, ClockShift, clock_shift, correlations
+from .clock_shift import DELAY_S, clock_shift, correlations
 from .encodings import MODULI, Encoding, encodings
 from .errors import LogError
 from .findings import Finding, Severity
-from .first_flexure import Verdict, first_flexure
-from .layouts import Preset
 from .segments import Motion, Segments, segment
 from .trial import Trial, parts_at_gaps, resample
 from .types import Vec
@@ -32,16 +30,22 @@ _MISTAKEN: dict[str, tuple[tuple[float, float, str], ...]] = {
 }
 
 
+Range = tuple[float, float]
 _COMMANDS, _ANGLES, _ANY = (-100.0, 100.0), (-200.0, 200.0), (-np.inf, np.inf)  # plausible values: mm or bar, deg
 
 
-def motion_findings(trial: Trial, preset: Preset) -> Iterator[Finding]:
-    """Findings on a trial whose values are finite and in order."""
+def motion_findings(trial: Trial, ranges: tuple[Range | None, Range | None]) -> Iterator[Finding]:
+    """Findings on a trial whose values are finite and in order.
+
+    Args:
+        trial: any.
+        ranges: plausible values of command and angle; None for those of a tip that bends.
+    """
     span = float(np.ptp(trial.command))
     bends = trial.units.angle == "deg" and trial.units.command in ("mm", "bar")
-    ranges = (preset.command_range or _COMMANDS, preset.angle_range or _ANGLES) if bends else (_ANY, _ANY)
-    yield _units("command", trial.command, trial.units.command, ranges[0], bends)
-    yield _units("angle", trial.angle, trial.units.angle, ranges[1], bends)
+    commands, angles = (ranges[0] or _COMMANDS, ranges[1] or _ANGLES) if bends else (_ANY, _ANY)
+    yield _units("command", trial.command, trial.units.command, commands, bends)
+    yield _units("angle", trial.angle, trial.units.angle, angles, bends)
     if span == 0:
         text = f"the command is {trial.command[0]:g} {trial.units.command} throughout: nothing can be identified"
         yield Finding(Severity.ERROR, "excitation", text)
@@ -52,7 +56,7 @@ def motion_findings(trial: Trial, preset: Preset) -> Iterator[Finding]:
         return
     shift = clock_shift(trial.t, trial.command, trial.angle)
     if shift is not None:
-        yield Finding(Severity.WARNING, "clocks", shift_said(shift))
+        yield Finding(Severity.WARNING, "clocks", shift.text)
         trial = _moved(trial, shift.late_s)
     yield _sign(trial)
     try:
@@ -67,18 +71,8 @@ def motion_findings(trial: Trial, preset: Preset) -> Iterator[Finding]:
     yield _first_flexure(even, parts)
 
 
-def shift_said(shift: ClockShift) -> str:
-    """A shift in words, with the key of a mapping file that takes it out."""
-    late = "later" if shift.late_s > 0 else "earlier"
-    return (
-        f"the angle answers {abs(shift.late_s):.3g} s {late} than the command was given (correlation "
-        f"{shift.without:.2f}, {shift.correlation:.2f} without this shift): two clocks? A mapping file with "
-        f"`angle: {{..., shift_s: {-shift.late_s:.3g}}}` moves it"
-    )
-
-
 def _moved(trial: Trial, late_s: float) -> Trial:
-    """The trial with its angle earlier by `late_s`, as far as both are known."""
+    """Trial with its angle shifted earlier by `late_s`."""
     at = trial.t + late_s
     inside = (at >= trial.t[0]) & (at <= trial.t[-1])
     angle = np.interp(at[inside], trial.t, trial.angle)
@@ -100,7 +94,7 @@ def _units(name: str, values: Vec, unit: str, plausible: tuple[float, float], be
 
 
 def _sign(trial: Trial) -> Finding:
-    """Does the angle rise with the command, and by how much; at the delay at which it follows best."""
+    """Sign and size of the gain from command to angle, at the delay of best correlation."""
     lag, together = _best_delay(trial)
     u, y = trial.command[: len(trial) - lag], trial.angle[lag:]
     u, y = u - u.mean(), y - y.mean()
@@ -121,7 +115,7 @@ _WHY = "; a play wider than the motion, a long delay, or signals of two devices?
 
 
 def _best_delay(trial: Trial) -> tuple[int, float]:
-    """Delay of the angle [samples] of those that a device may have, and the correlation there; 0 if none adds much.
+    """Delay of best correlation [samples] within what a device may have, and the correlation; 0 if a delay adds little.
 
     A periodic command is like its opposite half a period later: the sign is that without a delay, unless the other one
     leaves next to nothing.
@@ -159,42 +153,176 @@ def _segments(trial: Trial, parts: Segments) -> Finding:
     return Finding(Severity.OK, "segments", ", ".join(texts))
 
 
-def _first_flexure(trial: Trial, parts: Segments) -> Finding:
-    """Whether the first flexure left a set, as far as two rests at one command tell."""
-    topic, unit, out = "first flexure", trial.units.command, trial.units.angle
-    found = first_flexure(trial, parts)
-    opening = ""
-    if parts.reversals.size:
-        top = int(parts.reversals[0])
-        opening = f"ends at {trial.t[top]:.4g} s, at {trial.command[top]:.3g} {unit}; "
-    if found.verdict is Verdict.UNKNOWN or found.before is None or found.after is None:
-        text = f"{opening}a set cannot be told: {found.why}{'' if found.after else _TWO_RESTS}"
-        return Finding(Severity.NOTE, topic, text)
-    before, after, change = found.before, found.after, found.change
-    text = (
-        f"{opening}at rest at {after.command:.4g} {unit} the angle was {before.angle:.4g} {out} before it and is "
-        f"{after.angle:.4g} {out} after it"
-    )
-    if found.verdict is Verdict.NONE:
-        return Finding(Severity.OK, topic, f"{text}: it comes back")
-    what = f"a set of {change:+.2g} {out}"
-    if found.verdict is Verdict.SET_OR_PLAY:
-        what = f"{change:+.2g} {out}, by a set or by a play that began elsewhere"
-    return Finding(Severity.WARNING, topic, f"{text}: {what}; score later motions only (--skip-first-flexure)")
+SAME = 0.005
+"""Share of the command's range within which two rests are at one command."""
 
+LEAST_SET = 0.02
+"""Share of the angle's range below which a change is none; three times the noise of an electromagnetic tracker."""
 
-_TWO_RESTS = "; it takes two rests of the command at one value, one before and one after the first motion"
+_LEAST_NOISES = 4.0  # standard errors
+_BENDS = 0.2  # of the range of the angle: less of a first flexure does not tell which way the angle goes
+_SAME_READING = 1e-6  # of the range of the angle
+_TAIL = 0.5  # of a rest, at its end: what is looked at
+_CREEP = 0.5  # of the bend: the most that creep adds
+_FULL_LOOP = 1.2  # of the half-way gap, by which the gap at the start is greater if plays from rest are not its cause
 
 
 @dataclass(frozen=True)
-class Written:
-    """How a signal came from the number in the log: value = scale * number + offset."""
+class Rest:
+    """The end of a hold of the command.
+
+    Attributes:
+        start, stop: samples of the hold.
+        command: during it.
+        angle: a recorded one of its end, their median.
+        error: standard error of that angle.
+        drift: speed of the angle there, its standard error on top [angle/s].
+    """
+
+    start: int
+    stop: int
+    command: float
+    angle: float
+    error: float
+    drift: float
+
+
+def _first_flexure(trial: Trial, parts: Segments) -> Finding:
+    """Permanent set after the first flexure: change of the angle between two rests at one command.
+
+    The angle has to stand still in both, so that lag, drift and creep are no set. Creep of time constant tau that
+    drifts by d is still off by d tau, and not by more than 0.5 T / tau of the bend if it had the time T to grow; for no
+    tau that is more than sqrt(0.5 d T bend).
+
+    A play leaves the angle above where it began, if the flexure was upwards and came back from there, whatever the
+    play: a change the other way is a set. Of a change this way, the gap between the way there and the way back tells:
+    of plays that begin between their middle and the side of the flexure it is never wider at the start than half-way.
+    Plays begin so where the command begins at zero, the end of its range. Anywhere else it is a set, or a play that
+    began elsewhere.
+
+    Args:
+        trial: uniformly sampled.
+        parts: its segments.
+    """
+    unit, u = trial.units.command, trial.command
+    if not parts.reversals.size:
+        return _no_two_rests("", "the command never turns back")
+    top, span = int(parts.reversals[0]), float(np.ptp(u))
+    opening = f"ends at {trial.t[top]:.4g} s, at {u[top]:.3g} {unit}; "
+    steps = np.abs(np.diff(trial.angle))
+    grain = 2 * float(steps[steps > _SAME_READING * np.ptp(trial.angle)].min(initial=float(np.ptp(trial.angle))))
+    rests = [_rest(trial, start, stop, grain) for start, stop in parts.holds]
+    before = next((r for r in rests if r.start < top and abs(r.command - u[top]) > SAME * span), None)
+    if before is None:
+        return _no_two_rests(opening, "the command does not rest before it")
+    later = [r for r in rests if r.start > top and abs(r.command - before.command) <= SAME * span]
+    finding = _no_two_rests(opening, f"the command does not rest again at {before.command:.4g} {unit}, where it began")
+    for after in later:
+        finding = _set(trial, before, after, top, opening)
+        if finding.severity is not Severity.NOTE:
+            break
+    return finding
+
+
+def _no_two_rests(opening: str, why: str) -> Finding:
+    advice = "it takes two rests of the command at one value, one before and one after the first motion"
+    return Finding(Severity.NOTE, "first flexure", f"{opening}a set cannot be told: {why}; {advice}")
+
+
+def _set(trial: Trial, before: Rest, after: Rest, top: int, opening: str) -> Finding:
+    """Finding on the change of the angle between two rests at one command."""
+    bend, change = float(np.ptp(trial.angle)), after.angle - before.angle
+    elapsed, moved = trial.t[after.stop - 1] - trial.t[before.stop - 1], trial.t[after.start] - trial.t[before.stop - 1]
+    drift = max(before.drift, after.drift)
+    creeping = max(drift * float(elapsed), float(np.sqrt(_CREEP * drift * moved * bend)))
+    topic, out = "first flexure", trial.units.angle
+    text = (
+        f"{opening}at rest at {after.command:.4g} {trial.units.command} the angle was {before.angle:.4g} {out} before "
+        f"it and is {after.angle:.4g} {out} after it"
+    )
+    if abs(change) <= max(LEAST_SET * bend, _LEAST_NOISES * float(np.hypot(before.error, after.error))):
+        return Finding(Severity.OK, topic, f"{text}: it comes back")
+    if abs(change) <= creeping:
+        why = "the angle had not come to rest in the holds, or is too noisy there"
+        return Finding(Severity.NOTE, topic, f"{opening}a set cannot be told: {why}")
+    what = f"{change:+.2g} {out}, by a set or by a play that began elsewhere"
+    if not _may_be_play(trial, before, after, top):
+        what = f"a set of {change:+.2g} {out}"
+    return Finding(Severity.WARNING, topic, f"{text}: {what}; score later motions only (--skip-first-flexure)")
+
+
+def _rest(trial: Trial, start: int, stop: int, grain: float = 0.0) -> Rest:
+    """Angle at the end of a hold; `grain` is the drift that a constant reading may hide."""
+    first = stop - max(2, round((stop - start) * _TAIL))
+    first = max(first, start)
+    t, y = trial.t[first:stop], trial.angle[first:stop]
+    median = float(np.partition(y, y.size // 2)[y.size // 2])
+    moment = t - t.mean()
+    power = float(moment @ moment)
+    slope = float(moment @ y) / power if power > 0 else 0.0
+    grain = grain if float(np.ptp(y)) <= _SAME_READING * float(np.ptp(trial.angle)) else 0.0
+    noise, seconds = float(np.std(y - y.mean() - slope * moment)), float(np.ptp(t)) or trial.dt
+    error = noise / np.sqrt(power) if power > 0 else 0.0
+    return Rest(
+        start,
+        stop,
+        float(np.median(trial.command[start:stop])),
+        median,
+        noise / y.size**0.5 + grain / 8,
+        abs(slope) + error + grain / seconds,
+    )
+
+
+def _may_be_play(trial: Trial, before: Rest, after: Rest, top: int) -> bool:
+    """Whether a play that begins elsewhere explains a change of the angle between two rests."""
+    u, y = trial.command, trial.angle
+    span, change = float(np.ptp(u)), after.angle - before.angle
+    way = y[before.stop : top + 1 + round(DELAY_S / trial.dt)] - before.angle
+    farthest = float(way[np.argmax(np.abs(way))])
+    if abs(farthest) < _BENDS * float(np.ptp(y)):
+        return True
+    out, rises = float(np.sign(u[top] - before.command)), float(np.sign(farthest))
+    if change * rises < 0:
+        return float((out * (u[top : after.start + 1] - before.command)).min()) < -SAME * span
+    at_end = min(abs(before.command - u.min()), abs(before.command - u.max())) <= SAME * span
+    if not at_end or abs(before.command) > SAME * span:
+        return True
+    half = 0.5 * (before.command + float(u[top]))
+    there, back = _at(u, y, before.stop - 1, top, half), _at(u, y, top, after.start, half)
+    if there is None or back is None:
+        return True
+    gap = (back - there) * rises
+    steeper = max(1.0, _steeper(there, back, before, after, float(y[top])))
+    return not abs(change) > _FULL_LOOP * steeper * max(gap, 0.0)
+
+
+def _steeper(there: float, back: float, before: Rest, after: Rest, top: float) -> float:
+    """Ratio of the slopes of the first and second half of the flexure."""
+    middle, start = 0.5 * (there + back), 0.5 * (before.angle + after.angle)
+    far = abs(top - middle)
+    return abs(middle - start) / far if far > 0 else np.inf
+
+
+def _at(u: Vec, y: Vec, start: int, stop: int, level: float) -> float | None:
+    """Angle where the command first passes a level between two samples; None where it does not."""
+    side = u[start : stop + 1] >= level
+    passed = np.flatnonzero(side[1:] != side[:-1])
+    if not passed.size:
+        return None
+    k = start + int(passed[0])
+    share = (level - u[k]) / (u[k + 1] - u[k])
+    return float(y[k] + share * (y[k + 1] - y[k]))
+
+
+@dataclass(frozen=True)
+class Conversion:
+    """Linear conversion from the number in the log to a signal: value = scale * number + offset."""
 
     scale: float = 1.0
     offset: float = 0.0
 
     def number(self, values: Vec) -> Vec:
-        """The numbers (T,) in the log, whole ones exactly so."""
+        """Numbers (T,) in the log; integers are exact."""
         if self.scale == 1.0 and self.offset == 0.0:
             return values
         numbers = (values - self.offset) / self.scale
@@ -207,18 +335,18 @@ class Written:
 
 
 def encoding_findings(
-    trial: Trial, written: tuple[Written, Written], where: Callable[[int], str]
+    trial: Trial, conversions: tuple[Conversion, Conversion], where: Callable[[int], str]
 ) -> tuple[list[Finding], Trial]:
     """Codes, wraps and sign bits among the numbers of command and angle, and the trial without them.
 
     Args:
         trial: as read.
-        written: how command and angle were made of the numbers in the log.
+        conversions: how command and angle were made of the numbers in the log.
         where: names a sample for the reader.
     """
-    found = []
+    findings = []
     signals = {"angle": trial.angle, "command": trial.command}
-    for name, form in (("angle", written[1]), ("command", written[0])):
+    for name, form in (("angle", conversions[1]), ("command", conversions[0])):
         other = signals["command" if name == "angle" else "angle"]
         known = np.flatnonzero(np.isfinite(other))
         if known.size < 2:
@@ -231,30 +359,30 @@ def encoding_findings(
             signals[name] = whole
         for repair in repairs:
             at = where(int(known[repair.samples[0]]))
-            found.append(Finding(Severity.ERROR, f"numbers of {name}", _encoding(repair, name, known.size, at)))
-    if not found:
+            findings.append(Finding(Severity.ERROR, f"numbers of {name}", _encoding(repair, name, known.size, at)))
+    if not findings:
         return [], trial
     kept = np.isfinite(signals["command"]) & np.isfinite(signals["angle"])
     if np.count_nonzero(kept) < 2:
-        return found, trial
+        return findings, trial
     t = trial.t[kept]
     repaired = Trial(t, signals["command"][kept], signals["angle"][kept], units=trial.units, source=trial.source)
-    return found, repaired
+    return findings, repaired
 
 
-def _encoding(found: Encoding, name: str, count: int, where: str) -> str:
-    value, times = f"{found.value:.10g}", len(found.samples)
-    if found.key == "missing":
+def _encoding(encoding: Encoding, name: str, count: int, where: str) -> str:
+    value, times = f"{encoding.value:.10g}", len(encoding.samples)
+    if encoding.key == "missing":
         return (
             f"{times} of {count} are {value}, first at {where}: a code for a missing value; a mapping file with "
             f"`{name}: {{..., missing: [{value}]}}` leaves them out"
         )
-    if found.key == "sign_bit":
+    if encoding.key == "sign_bit":
         return (
-            f"{times} jumps by about {2**found.value:g}, first at {where}: bit {value} is the sign; a mapping file "
+            f"{times} jumps by about {2**encoding.value:g}, first at {where}: bit {value} is the sign; a mapping file "
             f"with `{name}: {{..., sign_bit: {value}}}` reads it"
         )
-    exact = "" if found.value in MODULI else ", or the sensor's own exact range,"
+    exact = "" if encoding.value in MODULI else ", or the sensor's own exact range,"
     return (
         f"{times} jumps by about {value}, first at {where}: it wraps there; a mapping file with "
         f"`{name}: {{..., wraps_at: {value}}}`{exact} takes them out"

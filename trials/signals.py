@@ -1,4 +1,4 @@
-"""Signals with time stamps of their own, brought to one time base: what the readers of all formats have in common."""
+"""Common part of all log readers: signals with separate time stamps, joined on one time base."""
 
 from __future__ import annotations
 
@@ -20,13 +20,14 @@ from .layouts import (
     COMMAND_UNIT_OF,
     HEADER_TIME,
     LOG_TIME,
-    OUTPUT_UNITS,
+    OUTPUT_COLUMN,
     LogMapping,
     SignalSettings,
     few,
 )
-from .trial import Trial, Units
-from .types import Vec
+from .tables import Table
+from .trial import Trial, Units, clock_advice
+from .types import Index, Vec
 
 _MOST_COMPARED = 2000  # names among which the nearest is looked for
 _STEP = re.compile(r"\.?([^.\[\]]+)|\[([^\[\]]+)\]")
@@ -57,7 +58,7 @@ class Source(Protocol):
 
     @property
     def note(self) -> str:
-        """What a user should know about the file, such as that it is cut off; empty if nothing."""
+        """Note to the user about the file, such as that it is cut off; empty for none."""
         ...
 
     def names(self) -> tuple[str, ...]:
@@ -78,16 +79,18 @@ class Source(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
-class Raw:
-    """A log on one time base, its values not yet judged.
+class UncheckedLog:
+    """Signals of a log on one time base, before any check of their values: time may repeat, values may be missing.
 
     Attributes:
-        t, command, angle: (T,).
+        t, command, angle: time [s], command and output in `units`, each (T,).
         channels: further signals, (T,) each.
         units: of command and angle.
         source: path of the log.
-        preset: name of the layout it was read with.
+        preset: name of the layout it was read with; empty for a trial from memory.
         note: what a user should know about the file; empty if nothing.
+        ranges: plausible values of command and angle; None for any.
+        cells: of a table, where its samples stand.
     """
 
     t: Vec
@@ -96,20 +99,68 @@ class Raw:
     channels: Mapping[str, Vec]
     units: Units
     source: str
-    preset: str
+    preset: str = ""
     note: str = ""
+    ranges: tuple[tuple[float, float] | None, tuple[float, float] | None] = (None, None)
+    cells: Cells | None = None
+
+    def where(self, sample: int) -> str:
+        """A sample as messages name it: `row 7` of a table, else `sample 5`."""
+        return f"sample {sample}" if self.cells is None else f"row {self.cells.locate(sample, 't')[0]}"
 
     def trial(self) -> Trial:
         """The log as a trial.
 
         Raises:
-            LogError: if values are not finite, time does not increase, or fewer than two samples are left.
+            LogError: if values are not finite, time does not increase, or fewer than two samples are left; of a table
+                with row, column and cell.
         """
+        if self.cells is not None:
+            _require_valid(self, self.cells)
         return Trial(self.t, self.command, self.angle, self.channels, self.units, self.source)
 
 
-def read_mapped(source: Source, mapping: LogMapping) -> Raw:
-    """Bring the signals of a mapping to one time base.
+@dataclass(frozen=True, eq=False)
+class Cells:
+    """Cells of a table behind the samples of a log.
+
+    Attributes:
+        table: of the log.
+        names: columns of the log behind `t`, `command` and `angle`.
+        rows: of the table, one a sample; None where every row is a sample.
+    """
+
+    table: Table
+    names: Mapping[str, str]
+    rows: Index | None = None
+
+    def locate(self, sample: int, signal: str) -> tuple[int, str]:
+        """Row, 1-based as an editor shows it, and text of a sample of `t`, `command` or `angle`."""
+        return self.table.locate(sample if self.rows is None else int(self.rows[sample]), self.names[signal])
+
+
+def _require_valid(log: UncheckedLog, cells: Cells) -> None:
+    """Refuse values that are not finite and time that does not increase, by row and column."""
+    for name, values in (("t", log.t), ("command", log.command), ("angle", log.angle)):
+        bad = np.flatnonzero(~np.isfinite(values))
+        if bad.size:
+            row, cell = cells.locate(int(bad[0]), name)
+            more = f" ({bad.size} such cells)" if bad.size > 1 else ""
+            got = shown(cell, 60) if cell else "an empty cell"
+            raise LogError(
+                f"{log.source}, row {row}, column {cells.names[name]!r}: got {got}, expected a finite number{more}"
+            )
+    late = np.flatnonzero(np.diff(log.t) <= 0)
+    if late.size:
+        k = int(late[0])
+        raise LogError(
+            f"{log.source}, {log.where(k + 1)}, column {cells.names['t']!r}: got {log.t[k + 1]:.9g} s after "
+            f"{log.t[k]:.9g} s, expected increasing time ({late.size} such rows){clock_advice(log.t)}"
+        )
+
+
+def read_mapped(source: Source, mapping: LogMapping) -> UncheckedLog:
+    """Join the signals of a mapping on one time base.
 
     The base is the time stamps of the angle (or of the command, as the mapping says) that lie inside the span of the
     other one. The command keeps its last value until the next (it is what the device was told); measured signals are
@@ -123,27 +174,27 @@ def read_mapped(source: Source, mapping: LogMapping) -> Raw:
     wanted = [signal.signal for signal in mapping.signals()]
     own_time = mapping.rate_hz is None and mapping.time not in (LOG_TIME, HEADER_TIME)
     taken = [signal.minus for signal in mapping.signals() if signal.minus is not None]
-    found = source.series([*wanted, *taken], mapping.time if mapping.rate_hz is None else LOG_TIME)
-    for name, series in zip([*wanted, *taken], found, strict=True):
+    logged = source.series([*wanted, *taken], mapping.time if mapping.rate_hz is None else LOG_TIME)
+    for name, series in zip([*wanted, *taken], logged, strict=True):
         if not series.values.size:
             raise LogError(f"{source.path}: signal {name!r} is empty, expected samples{_and(source.note)}")
     owners = [*mapping.signals(), *(signal for signal in mapping.signals() if signal.minus is not None)]
-    found = _differences(source.path, mapping, [_decoded(s, owner) for s, owner in zip(found, owners, strict=True)])
+    logged = _differences(source.path, mapping, [_decoded(s, owner) for s, owner in zip(logged, owners, strict=True)])
     if mapping.rate_hz is not None:
-        found = [Series(np.arange(s.values.size) / mapping.rate_hz, s.values, s.left_out) for s in found]
+        logged = [Series(np.arange(s.values.size) / mapping.rate_hz, s.values, s.left_out) for s in logged]
     elif own_time:
-        found = [Series(_seconds(s.t, mapping), s.values, s.left_out) for s in found]
-    elif np.isnan(found[0].t).all():
+        logged = [Series(_seconds(s.t, mapping), s.values, s.left_out) for s in logged]
+    elif np.isnan(logged[0].t).all():
         raise LogError(f"{source.path}: no time stamps of its own, expected `time: SIGNAL` or `rate_hz` in the mapping")
     else:
-        start = min(float(np.min(s.t)) for s in found)
-        found = [Series(s.t - start, s.values, s.left_out) for s in found]
+        start = min(float(np.min(s.t)) for s in logged)
+        logged = [Series(s.t - start, s.values, s.left_out) for s in logged]
     shifts = (signal.shift_s for signal in mapping.signals())
-    return _joined(source, mapping, [_shifted(s, shift) for s, shift in zip(found, shifts, strict=True)])
+    return _joined(source, mapping, [_shifted(s, shift) for s, shift in zip(logged, shifts, strict=True)])
 
 
 def _decoded(series: Series, settings: SignalSettings) -> Series:
-    """The signal as it is encoded in the log; samples whose value stands for a missing one are to be left out."""
+    """Decode a signal by the keys of its mapping, and mark the codes for missing values."""
     values = decoded(series.values, settings.missing, settings.sign_bit, settings.wraps_at)
     return Series(series.t, values, np.isnan(values) & ~np.isnan(series.values))
 
@@ -155,14 +206,14 @@ def _seconds(t: Vec, mapping: LogMapping) -> Vec:
 
 
 def _shifted(series: Series, shift_s: float) -> Series:
-    """The samples that count, at their own time."""
+    """Valid samples of a signal, with its stamps shifted."""
     if series.left_out is None or not series.left_out.any():
         return Series(series.t + shift_s, series.values) if shift_s else series
     return Series(series.t[~series.left_out] + shift_s, series.values[~series.left_out])
 
 
 def canonical_mapping(names: Sequence[str], path: str, clock: str = "") -> LogMapping:
-    """The mapping of a log whose signals have the names of canonical columns, told from the names alone.
+    """Mapping of a log whose signals have the names of canonical columns.
 
     Args:
         names: of the signals.
@@ -172,9 +223,8 @@ def canonical_mapping(names: Sequence[str], path: str, clock: str = "") -> LogMa
     Raises:
         LogError: if they have not; lists what there is and says what to do.
     """
-    commands = {"command": "mm"} | {f"command_{unit}": unit for unit in COMMAND_UNIT_OF}
+    commands, outputs = CANONICAL.command, {column: unit for unit, column in OUTPUT_COLUMN.items()}
     ends = {CANONICAL.spelled([name.rpartition(".")[2]])[0]: name for name in reversed(names)}
-    outputs = {"angle_deg": "deg"} | {f"angle_{unit}": unit for unit in OUTPUT_UNITS}
     command, angle = (next((name for name in known if name in ends), None) for known in (commands, outputs))
     if command is None or angle is None or ("time_s" not in ends and not clock):
         raise LogError(
@@ -198,8 +248,8 @@ def canonical_mapping(names: Sequence[str], path: str, clock: str = "") -> LogMa
 
 def split_path(path: str) -> list[str | int]:
     """`position[0]` as `["position", 0]`; `[tendon]` stays a text."""
-    found = [plain or key for plain, key in _STEP.findall(path)]
-    return [int(part) if part.lstrip("-").isdigit() else part for part in found]
+    steps = [plain or key for plain, key in _STEP.findall(path)]
+    return [int(part) if part.lstrip("-").isdigit() else part for part in steps]
 
 
 def walk(value: Any, steps: Sequence[str | int], single: bool = False) -> Any:
@@ -220,15 +270,15 @@ def walk(value: Any, steps: Sequence[str | int], single: bool = False) -> Any:
             continue
         if single and isinstance(step, str) and isinstance(value, list) and len(value) == 1:
             value = value[0]
-        found = _enter(value, step, owner)
-        if found is KeyError:
+        following = _enter(value, step, owner)
+        if following is KeyError:
             raise KeyError(step)
-        owner, value = value, found
+        owner, value = value, following
     return value
 
 
 def missing(path: str, name: str, names: Sequence[str]) -> LogError:
-    """What to raise where a signal is not in the log."""
+    """Error for a signal that is not in the log."""
     choice = f"available: {few(sorted(names), 90)}{nearest(name, names[:_MOST_COMPARED])}"
     return LogError(f"{path}: no signal {shown(name, 40)}; {choice if names else 'the log holds no numbers'}")
 
@@ -245,12 +295,12 @@ def _enter(value: Any, step: str | int, owner: Any) -> Any:
     return value[step] if -len(value) <= step < len(value) else KeyError
 
 
-def _differences(path: str, mapping: LogMapping, found: Sequence[Series]) -> list[Series]:
-    """The mapping's signals, less what is to be taken from them; `found` has the latter at its end, in order."""
+def _differences(path: str, mapping: LogMapping, logged: Sequence[Series]) -> list[Series]:
+    """Signals of the mapping after subtraction of each `minus`; `logged` has these at its end, in order."""
     signals = mapping.signals()
-    taken = iter(found[len(signals) :])
+    taken = iter(logged[len(signals) :])
     left = []
-    for settings, series in zip(signals, found, strict=False):
+    for settings, series in zip(signals, logged, strict=False):
         if settings.minus is not None:
             other = next(taken)
             if not np.array_equal(other.t, series.t, equal_nan=True):
@@ -264,9 +314,9 @@ def _differences(path: str, mapping: LogMapping, found: Sequence[Series]) -> lis
     return left
 
 
-def _joined(source: Source, mapping: LogMapping, found: Sequence[Series]) -> Raw:
-    command, angle = (_ordered(s) for s in found[:2])
-    base, other = (found[1], command) if mapping.base == "angle" else (found[0], angle)
+def _joined(source: Source, mapping: LogMapping, logged: Sequence[Series]) -> UncheckedLog:
+    command, angle = (_ordered(s) for s in logged[:2])
+    base, other = (logged[1], command) if mapping.base == "angle" else (logged[0], angle)
     with np.errstate(invalid="ignore"):
         inside = ~((base.t < other.t[0]) | (base.t > other.t[-1]))  # stamps that are no number stay and are reported
     t = base.t[inside]
@@ -276,13 +326,14 @@ def _joined(source: Source, mapping: LogMapping, found: Sequence[Series]) -> Raw
             f"{source.path}: command and angle share {t.size} samples (they span {spans}), expected 2 or more"
             f"{_two_clocks(mapping, command, angle)}"
         )
-    signals = [_at(t, series, settings) for series, settings in zip(found, mapping.signals(), strict=True)]
+    signals = [_at(t, series, settings) for series, settings in zip(logged, mapping.signals(), strict=True)]
     # What gives the base keeps its values as they are: nothing of it is interpolated, not even where a stamp repeats.
-    own = 1 if mapping.base == "angle" else 0
-    signals[own] = mapping.signals()[own].scale * base.values[inside] + mapping.signals()[own].offset
+    k = 1 if mapping.base == "angle" else 0
+    settings = mapping.signals()[k]
+    signals[k] = settings.scale * base.values[inside] + settings.offset
     unit, factor = COMMAND_UNIT_OF.get(mapping.command.unit, (mapping.command.unit, 1.0))
     angle_unit, angle_factor = ANGLE_UNIT_OF.get(mapping.angle.unit, (mapping.angle.unit, 1.0))
-    return Raw(
+    return UncheckedLog(
         t,
         factor * signals[0],
         angle_factor * signals[1],
@@ -295,7 +346,7 @@ def _joined(source: Source, mapping: LogMapping, found: Sequence[Series]) -> Raw
 
 
 def _two_clocks(mapping: LogMapping, command: Series, angle: Series) -> str:
-    """What to do about two signals that have hardly any time in common, for the end of a line."""
+    """Advice on two signals with hardly any common time, for the end of an error line."""
     shift = shift_between(command.t, command.values, angle.t, angle.values)
     if shift is None:
         return "; are their clocks two?"
@@ -306,7 +357,7 @@ def _two_clocks(mapping: LogMapping, command: Series, angle: Series) -> str:
 
 
 def _ordered(series: Series) -> Series:
-    """In order of time, finite stamps only; of equal stamps the last one counts."""
+    """Samples sorted by time, with finite stamps only; of equal stamps the last one counts."""
     order = np.argsort(series.t, kind="stable")
     order = order[np.isfinite(series.t[order])]
     t = series.t[order]
@@ -318,16 +369,70 @@ def _ordered(series: Series) -> Series:
 
 def _at(t: Vec, series: Series, settings: SignalSettings) -> Vec:
     """Values at times t, scaled."""
-    if t.size == series.t.size and np.array_equal(t, series.t):
-        return settings.scale * series.values + settings.offset
-    own = _ordered(series)
-    if settings.hold:
-        values = own.values[np.clip(np.searchsorted(own.t, t, side="right") - 1, 0, None)]
+    same = t.size == series.t.size and np.array_equal(t, series.t)
+    return settings.scale * (series.values if same else at_times(t, series, settings.hold)) + settings.offset
+
+
+def at_times(t: Vec, series: Series, hold: bool) -> Vec:
+    """Values at times t, the last one before each or interpolated; not-a-number outside the signal's span."""
+    known = _ordered(series)
+    if hold:
+        values = known.values[np.clip(np.searchsorted(known.t, t, side="right") - 1, 0, None)]
     else:
-        values = np.interp(t, own.t, own.values)
-    values = np.where((t < own.t[0]) | (t > own.t[-1]), np.nan, values)
-    return settings.scale * values + settings.offset
+        values = np.interp(t, known.t, known.values)
+    return np.where((t < known.t[0]) | (t > known.t[-1]), np.nan, values)
 
 
 def _and(note: str) -> str:
     return f" ({note})" if note else ""
+
+
+_LEAST_ROWS = 10
+_SHARE = 0.2  # of rows that lack one of the two; fewer are single cells that went missing, which are named
+_EVEN = 3.0  # times the median: a longer run of empty cells is a dropout
+
+
+def is_merged(command: Vec, angle: Vec) -> bool:
+    """Whether the signals of a table lie in rows of their own, so that empty cells are no lost values.
+
+    So it is where at least a fifth of the rows hold one of the two signals only, and one of these is true: the command
+    is in every row that holds the angle; fewer than half of the rows hold both; or the command has a value every few
+    rows throughout. A command that is missing for a while among complete rows is lost.
+    """
+    has_command, has_angle = ~np.isnan(command), ~np.isnan(angle)
+    one, both = has_command ^ has_angle, has_command & has_angle
+    if command.size < _LEAST_ROWS or one.sum() < _SHARE * command.size or min(has_command.sum(), has_angle.sum()) < 2:
+        return False
+    runs = np.diff(np.flatnonzero(has_command))
+    regular = bool(runs.max() <= _EVEN * max(1.0, float(np.median(runs))))
+    return bool(not (has_angle & ~has_command).any() or 2 * both.sum() < one.sum() + both.sum() or regular)
+
+
+def filled_rows(t: Vec, values: Vec) -> Series:
+    """Signal of a table in the rows that hold a value of it."""
+    there = ~np.isnan(values) & np.isfinite(t)
+    return Series(t[there], values[there])
+
+
+def merged(t: Vec, command: Vec, angle: Vec, channels: Mapping[str, Vec]) -> tuple[Index, Vec, Vec, dict[str, Vec]]:
+    """Rows of the angle within the span of the command, with the other signals at their times.
+
+    Returns:
+        rows of the table, (T,); time; the command, which keeps its last value until the next one; channels,
+        interpolated between their own rows.
+    """
+    u = filled_rows(t, command)
+    inside = ~np.isnan(angle) & np.isfinite(t)
+    if u.t.size:
+        inside &= (t >= u.t.min()) & (t <= u.t.max())
+    base = t[inside]
+    others = {name: at_times(base, filled_rows(t, values), hold=False) for name, values in channels.items()}
+    return np.flatnonzero(inside), base, at_times(base, u, hold=True), others
+
+
+def merged_note(command: Vec, angle: Vec) -> str:
+    """Note on a log whose signals lie in rows of their own."""
+    return (
+        f"signals lie in rows of their own: {np.count_nonzero(~np.isnan(command))} of the command, "
+        f"{np.count_nonzero(~np.isnan(angle))} of the angle; the command keeps its value until its next row"
+    )

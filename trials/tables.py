@@ -12,12 +12,226 @@ from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
-from .cells import Converted, convert, is_value
+from .cells import MISSING, Converted, convert, is_value
 from .errors import LogError, shown
-from .grid import BLANK, Grid, cells_of, grid_of_cells, grid_of_lines
+from .formats import seconds_since_first
 from .types import Vec
 
+BLANK = " "
+"""The delimiter of cells that one or several blanks separate."""
+
+MOST_COLUMNS = 4096
+
+_DELIMITERS = (",", ";", "\t", "|", BLANK)
+_SAMPLE, _LETTERS = 400, 200_000  # most rows, and letters in all, that tell the layout
 _COMMENTS = ("#", "%", "//")
+_UNIT_WORDS = """
+s sec secs second seconds ms msec us usec ns min h hour hours d day days hz khz mm um nm cm m in inch deg rad ° degree
+degrees bar mbar kpa pa mpa psi v mv kv volt volts a ma n mn kn nmm k c °c degc celsius percent % rpm g kg n*m n·m deg/s
+°/s rad/s mm/s m/s m/s^2 count counts steps pulse pulses ticks lsb adu 1 - none float double int bool string text unit
+units
+"""
+_UNITS = frozenset(_UNIT_WORDS.split())
+
+
+@dataclass(frozen=True)
+class Grid:
+    """Location of a table among rows of text or of a sheet.
+
+    Attributes:
+        delimiter: of the cells; empty where they are apart already.
+        header: names of the columns; empty where no row names them.
+        header_row: index of the row that holds them, or of the first row of data.
+        units: cells of the row of units below the header; empty where there is none.
+        start, stop: rows of data, by index.
+    """
+
+    delimiter: str
+    header: tuple[str, ...]
+    header_row: int
+    units: tuple[str, ...]
+    start: int
+    stop: int
+
+
+def cells_of(line: str, delimiter: str) -> list[str]:
+    """The cells of one row of text, stripped."""
+    if not line:
+        return []
+    if delimiter == BLANK and '"' not in line:
+        return line.split()
+    if '"' in line:
+        try:
+            cells = [cell.strip() for cell in next(csv.reader([line], delimiter=delimiter), [])]
+            return [cell for cell in cells if cell] if delimiter == BLANK else cells
+        except csv.Error:  # a cell longer than any
+            return [line]
+    return [cell.strip() for cell in line.split(delimiter)]
+
+
+def grid_of_lines(lines: Sequence[str], source: str, wanted: Iterable[str] = ()) -> Grid:
+    """Locate the table in lines of text, one of which is not blank.
+
+    The delimiter is the one that leaves the greatest share of cells with a number, a date or a time.
+
+    Args:
+        lines: of the file.
+        source: its path, for messages.
+        wanted: names of columns that a layout knows.
+
+    Raises:
+        LogError: if there are no rows, or more columns than in any log.
+    """
+    sample: list[int] = []
+    letters = 0
+    for k, line in enumerate(lines):
+        if line.strip():
+            letters += len(line)
+            if sample and (letters > _LETTERS or len(sample) > _SAMPLE):
+                break
+            sample.append(k)
+    if letters > _LETTERS and len(sample) == 1:
+        raise LogError(
+            f"{source}, row {sample[0] + 1}: {len(lines[sample[0]])} characters in one row, expected delimited text"
+        )
+    if declared := _declared_delimiter(lines[sample[0]]):
+        del sample[0]
+    if not sample:
+        raise LogError(f"{source}: no rows, expected a header row and at least two rows of numbers")
+    choices = {}
+    for delimiter in (declared,) if declared else _DELIMITERS:
+        choices[delimiter] = _judge([_judged(cells_of(_uncommented(lines[k]), delimiter)) for k in sample])
+    delimiter = max(choices, key=lambda d: (choices[d][0], d != BLANK, choices[d][1]))
+    purity, width = choices[delimiter]
+    if not purity:
+        delimiter = declared or _of_header(lines[sample[0]])
+    return _located(lambda k: cells_of(lines[k], delimiter), sample, len(lines), delimiter, width, source, wanted)
+
+
+def grid_of_cells(rows: Sequence[Sequence[str]], source: str, wanted: Iterable[str] = ()) -> Grid:
+    """Locate the table among rows of cells, such as those of a sheet; see `grid_of_lines`.
+
+    Raises:
+        LogError: if all are empty, or there are more columns than in any log.
+    """
+    sample = [k for k, row in enumerate(rows) if any(row)][:_SAMPLE]
+    if not sample:
+        raise LogError(f"{source}: empty, expected a header row and at least two rows of numbers")
+    _, width = _judge([_judged(rows[k]) for k in sample])
+    return _located(lambda k: list(rows[k]), sample, len(rows), "", width, source, wanted)
+
+
+def _declared_delimiter(line: str) -> str:
+    """The delimiter that the first line of a file of Excel names: `sep=;`."""
+    text = line.strip("\r\n ").strip('"')
+    return text[4:5] if text[:4].lower() == "sep=" and len(text) <= 5 and text[4:5].strip(" ") else ""
+
+
+def _of_header(line: str) -> str:
+    """The delimiter of a row of names."""
+    delimiter = max(_DELIMITERS[:-1], key=line.count)
+    return delimiter if delimiter in line or len(line.split()) < 2 else BLANK
+
+
+def _uncommented(line: str) -> str:
+    """A row without the mark of a comment at its beginning."""
+    for mark in _COMMENTS:
+        if line.lstrip().startswith(mark):
+            return line.lstrip().lstrip(mark[0]).lstrip(" ")
+    return line
+
+
+def _judged(cells: Sequence[str]) -> tuple[int, int, int]:
+    """Counts of a row: cells, cells with a value, cells with anything else."""
+    known = [cell for cell in cells if cell.lower() not in MISSING]
+    values = sum(map(is_value, known))
+    return len(cells), values, len(known) - values
+
+
+def _is_data(judged: tuple[int, int, int]) -> bool:
+    return judged[1] > judged[2]
+
+
+def _judge(rows: Sequence[tuple[int, int, int]]) -> tuple[float, int]:
+    """Share of value cells in the data rows of the most frequent width, and this width; nearly zero for one column."""
+    data = [row for row in rows if _is_data(row)]
+    counts = Counter(row[0] for row in data)
+    if not counts:
+        return 0.0, 0
+    width = max(counts, key=lambda w: (counts[w], w))
+    fitting = [row for row in data if row[0] == width]
+    values, others = sum(row[1] for row in fitting), sum(row[2] for row in fitting)
+    return (values / (values + others) * len(fitting) / len(data) if width > 1 else 1e-6), width
+
+
+def _located(
+    cells: Callable[[int], list[str]],
+    sample: Sequence[int],
+    count: int,
+    delimiter: str,
+    width: int,
+    source: str,
+    wanted: Iterable[str],
+) -> Grid:
+    """Header, units, and first and last row of data."""
+    judged = {k: _judged(cells(k)) for k in sample}
+    data = next((k for k in sample if judged[k][0] == width and _is_data(judged[k])), None)
+    if data is None:  # names alone, or cells of which none is a number
+        header = tuple(_trimmed(_named(cells(sample[0]), delimiter)))
+        if not header:
+            raise LogError(f"{source}: no name and no number in any row, expected a header and rows of numbers")
+        _require_width(header, source, sample[0])
+        return Grid(delimiter, header, sample[0], (), sample[0] + 1, count)
+    known = {name.casefold() for name in wanted}
+    above = [k for k in sample if k < data]
+    names = {k: tuple(_trimmed(_named(cells(k), delimiter))) for k in above}
+    names = {k: row for k, row in names.items() if len(row) > 1 and not _is_data(_judged(row))}
+    hits = {k: sum(name.casefold() in known for name in row) for k, row in names.items()}
+    narrow = width - 1 if not any(cells(k)[-1] for k in sample if k >= data and judged[k][0] == width) else width
+    names = {k: row for k, row in names.items() if narrow <= len(row) <= width or hits[k]}
+    head = max(names, key=lambda k: (hits[k], not _are_units(names[k]), len(names[k]) == width, k), default=None)
+    if head is None:
+        _require_width(cells(data), source, data)
+        return Grid(delimiter, (), data, (), data, _end(cells, data, count))
+    below = [k for k in above if k > head]
+    units = next((k for k in below if _are_units(cells(k))), None)
+    start = next((k for k in below if judged[k][1] and k != units), data)
+    _require_width(names[head], source, head)
+    unit_cells = names.get(units, ()) if units is not None else ()
+    return Grid(delimiter, names[head], head, unit_cells, start, _end(cells, start, count))
+
+
+def _named(cells: list[str], delimiter: str) -> list[str]:
+    """The cells of a row of names, without the mark of a comment."""
+    first = _uncommented(cells[0]).strip() if cells else ""
+    return [first, *cells[1:]] if first or delimiter != BLANK else cells[1:]
+
+
+def _trimmed(cells: list[str]) -> list[str]:
+    """Cells without the empty ones at the end of the row."""
+    while cells and not cells[-1]:
+        cells = cells[:-1]
+    return cells
+
+
+def _are_units(cells: Iterable[str]) -> bool:
+    known = [cell.strip("[](){}<> ").replace("µ", "u").replace("μ", "u").lower() for cell in cells]
+    return all(cell in _UNITS for cell in known if cell)
+
+
+def _end(cells: Callable[[int], list[str]], start: int, count: int) -> int:
+    """End of the data rows; rows without a value at the end of a file are comments."""
+    stop = count
+    while stop > start + 1 and not any(map(is_value, cells(stop - 1))):
+        stop -= 1
+    return stop
+
+
+def _require_width(cells: Sequence[str], source: str, row: int) -> None:
+    if len(cells) > MOST_COLUMNS:
+        raise LogError(f"{source}, row {row + 1}: {len(cells)} cells, expected at most {MOST_COLUMNS}")
+
+
 Row = tuple[int, Sequence[str]]  # its number, counted from 1 as an editor shows it, and its cells
 
 
@@ -70,7 +284,7 @@ class Table:
         )
 
     def left_out(self, asked: Iterable[str]) -> str:
-        """What to say of columns that begin with numbers, hold something else further on, and are not asked for."""
+        """Note on unused columns in which text follows numbers; empty if there are none."""
         faults = {name: fault[0] for name, fault in self.faults.items() if name not in asked}
         if not faults:
             return ""
@@ -80,7 +294,7 @@ class Table:
         return f"column {shown(name, 40)}{more} left out: row {row} holds {shown(cell, 40)}, no number"
 
     def not_numbers(self, column: str) -> LogError:
-        """What to raise where a column of `texts` is asked for as numbers."""
+        """Error for a column of `texts` that is needed as numbers."""
         sample, why = self.faults.get(column, (0, ""))
         row, cell = self.locate(sample, column)
         expected = f"expected a number{f'; {why}' if why else ''}"
@@ -119,8 +333,7 @@ def frame_table(frame: Frame, source: str = "<frame>") -> Table:
     numbers = {k: np.asarray(v, dtype=np.float64) for k, v in columns.items() if v.dtype.kind in "fiub"}
     times = frozenset(k for k, v in columns.items() if v.dtype.kind == "M")
     for k in times:
-        since = columns[k] - columns[k][0]
-        numbers[k] = np.where(np.isnat(since), np.nan, since / np.timedelta64(1, "s"))
+        numbers[k] = seconds_since_first(columns[k])
     for k, v in columns.items():  # a column with gaps may hold objects
         if v.dtype.kind == "O":
             with suppress(TypeError, ValueError):
@@ -158,11 +371,11 @@ def text_table(lines: Sequence[str], source: str, wanted: Iterable[str] = (), na
     block = _fast(lines[grid.start : stop], grid.delimiter, len(header))
     if block is None:
         kept = rows()
-        found = convert(_columns(kept, len(header)), grid.delimiter != ",") if kept else []
+        converted = convert(_columns(kept, len(header)), grid.delimiter != ",") if kept else []
     else:
-        found = [Converted("number", np.ascontiguousarray(column)) for column in block.T]
+        converted = [Converted("number", np.ascontiguousarray(column)) for column in block.T]
         kept = []
-    return _table(source, grid, header, found, kept, rows, bool(names) or bool(grid.header))
+    return _table(source, grid, header, converted, kept, rows, bool(names) or bool(grid.header))
 
 
 def sheet_table(rows: Sequence[Sequence[str]], source: str, wanted: Iterable[str] = ()) -> Table:
@@ -177,12 +390,12 @@ def sheet_table(rows: Sequence[Sequence[str]], source: str, wanted: Iterable[str
     _require_once(header, f"{source}, row {grid.header_row + 1}")
     short = ((k + 1, rows[k]) for k in range(grid.start, grid.stop) if any(rows[k]))
     kept = _checked(((k, [*row, *[""] * (len(header) - len(row))]) for k, row in short), header, source)
-    found = convert(_columns(kept, len(header)), comma_likely=True) if kept else []
-    return _table(source, grid, header, found, kept, lambda: kept, bool(grid.header))
+    converted = convert(_columns(kept, len(header)), comma_likely=True) if kept else []
+    return _table(source, grid, header, converted, kept, lambda: kept, bool(grid.header))
 
 
 def read_table(lines: Sequence[str], source: str) -> Table:
-    """Columns of a text that this package wrote; every column that begins with a number holds nothing else.
+    """Columns of a text that this package wrote, in which a column is all numbers or all text.
 
     Raises:
         LogError: see `text_table`; also on text among numbers, named by row and column.
@@ -193,7 +406,7 @@ def read_table(lines: Sequence[str], source: str) -> Table:
     empty = {name: k for k, name in enumerate(table.header) if name in table.numbers and _is_empty(table.numbers[name])}
     rows = table.rows() if table.rows is not None and empty else ()
     cells = {name: tuple(row[k].strip() for _, row in rows) for name, k in empty.items()}
-    words = {name: own for name, own in cells.items() if not {*map(str.lower, own)} <= {"", "nan", "-nan"}}
+    words = {name: texts for name, texts in cells.items() if not {*map(str.lower, texts)} <= {"", "nan", "-nan"}}
     numbers = {name: values for name, values in table.numbers.items() if name not in words}
     return replace(table, numbers=numbers, texts={**table.texts, **words})  # `-` is a word of this package's own
 
@@ -206,14 +419,14 @@ def _table(
     source: str,
     grid: Grid,
     header: tuple[str, ...],
-    found: Sequence[Converted],
+    converted: Sequence[Converted],
     kept: Sequence[Row],
     rows: Callable[[], Sequence[Row]],
     named: bool,
 ) -> Table:
-    if not found:
+    if not converted:
         raise LogError(f"{source}: header only, expected at least two rows of numbers")
-    columns = dict(zip(header, found, strict=True))
+    columns = dict(zip(header, converted, strict=True))
     whole = {name: c.values for name, c in columns.items() if c.values is not None and c.fault is None}
     texts = {name: tuple(row[k].strip() for _, row in kept) for k, name in enumerate(header) if name not in whole}
     faults = {name: c.fault for name, c in columns.items() if c.fault is not None and c.kind != "text"}
@@ -274,7 +487,7 @@ def _is_unfinished(line: str, delimiter: str, width: int) -> bool:
 
 
 def _fast(lines: Sequence[str], delimiter: str, width: int) -> Vec | None:
-    """All cells as numbers, (T, width), or None where anything is unusual and must be read cell by cell."""
+    """Fast conversion of all cells to numbers (T, width); None if some need conversion cell by cell."""
     if delimiter != BLANK and {line.count(delimiter) for line in lines if line} != {width - 1}:
         return None
     if delimiter != "," and any("," in line for line in lines):

@@ -13,8 +13,7 @@ import numpy as np
 
 from .arrays import ArrayLog
 from .errors import LogError, require
-from .formats import MOST_BYTES
-from .text_ import read_bytes
+from .formats import MOST_BYTES, damaged, read_bytes, reading, seconds_since_first
 from .types import Vec
 
 _MOST_CHANNELS = 2000
@@ -32,31 +31,25 @@ def open_tdms(path: Path | str) -> ArrayLog:
     """
     require("nptdms", "logs", f"{path}: reading TDMS files")
     data = read_bytes(path)
-    try:
-        with _warnings() as said:
-            variables, clocks, times = _read(str(path), data)
-    except LogError:
-        raise
-    except Exception as error:  # noqa: BLE001 - on damaged files the library raises whatever it meets
-        reason = " ".join(str(error).split())[:100] or type(error).__name__
-        raise LogError(f"{path}: not a readable TDMS file, or cut off ({reason})") from None
+    with reading(path, "TDMS file"), _warnings() as warnings:
+        variables, clocks, times = _read(str(path), data)
     if not variables:
         raise LogError(f"{path}: holds no channel of numbers")
-    note = f"cut off or damaged: {said[0][:100]}; what stands before is read" if said else ""
+    note = damaged(warnings[0][:100]) if warnings else ""
     return ArrayLog(str(path), variables, note, clocks, times=times)
 
 
 @contextmanager
 def _warnings() -> Iterator[list[str]]:
-    """What the library says of a damaged file, which it would print."""
-    logger, said = logging.getLogger("nptdms"), list[str]()
+    """Collect the warnings of the library on a damaged file."""
+    logger, warnings = logging.getLogger("nptdms"), list[str]()
     handler = logging.Handler(logging.WARNING)
-    handler.emit = lambda record: said.append(" ".join(record.getMessage().split()))  # type: ignore[method-assign]
+    handler.emit = lambda record: warnings.append(" ".join(record.getMessage().split()))  # type: ignore[method-assign]
     before = logger.propagate
     logger.propagate = False
     logger.addHandler(handler)
     try:
-        yield said
+        yield warnings
     finally:
         logger.removeHandler(handler)
         logger.propagate = before
@@ -96,7 +89,7 @@ def _numbers(channel: Any) -> np.ndarray[Any, Any] | None:
         return None
     values = np.asarray(channel[:])
     if values.dtype.kind == "M":
-        return (values - values[0]) / np.timedelta64(1, "s")
+        return seconds_since_first(values)
     return values if values.dtype.kind in "fiub" else None
 
 

@@ -1,4 +1,4 @@
-"""One recorded trial: what every reader returns and every identification takes; resampling it."""
+"""The type `Trial`: one recording of time, command and angle; cutting at gaps and resampling."""
 
 from __future__ import annotations
 
@@ -44,9 +44,9 @@ class Units:
             object.__setattr__(self, "inverse", self.command == "deg" != self.angle)
 
     def named(self, unit: str) -> str:
-        """The unit of a quantity, such as `deg/cmd`, with the names of these units in it; empty of a plain number."""
+        """Unit of a quantity, such as `deg/cmd`, with these units for `cmd` and `deg`; empty for a plain number."""
         names = {"cmd": self.command, "deg": self.angle}
-        return "" if unit == "1" else re.sub(r"\b(cmd|deg)\b", lambda found: names[found[0]], unit)
+        return "" if unit == "1" else re.sub(r"\b(cmd|deg)\b", lambda match: names[match[0]], unit)
 
 
 @dataclass(frozen=True, eq=False)  # arrays have no single truth value: trials are compared by identity
@@ -109,13 +109,13 @@ class Trial:
 
     @property
     def inverted(self) -> bool:
-        """Whether command and angle have changed places: what an inverse map is identified from."""
+        """Whether command and angle are exchanged, for the identification of an inverse model."""
         return bool(self.units.inverse)
 
     def swapped(self) -> Trial:
-        """The trial with command and angle exchanged, so that a model of it maps angle to command; twice is once."""
+        """Trial with command and angle exchanged, for the identification of an inverse model."""
         units = Units(self.units.angle, self.units.command, not self.inverted)
-        return Trial(self.t, self.angle, self.command, self.channels, units, self.source, self.command_noise)
+        return replace(self, command=self.angle, angle=self.command, units=units)
 
     @property
     def duration_s(self) -> float:
@@ -130,15 +130,8 @@ class Trial:
     def select(self, start: int, stop: int | None = None) -> Trial:
         """Return samples start to stop (exclusive) as a trial of its own; time keeps its origin."""
         part = slice(start, stop)
-        return Trial(
-            self.t[part],
-            self.command[part],
-            self.angle[part],
-            {k: v[part] for k, v in self.channels.items()},
-            self.units,
-            self.source,
-            self.command_noise,
-        )
+        channels = {name: values[part] for name, values in self.channels.items()}
+        return replace(self, t=self.t[part], command=self.command[part], angle=self.angle[part], channels=channels)
 
     def plot(self) -> Figure:
         """Angle and command over time, and the angle over the command: the hysteresis loop."""
@@ -171,7 +164,7 @@ class Trial:
 
 
 def _vector(values: ArrayLike, name: str, source: str) -> Vec:
-    """Return a read-only copy of `values`, or say that it has not one dimension."""
+    """Read-only copy of `values` with one dimension."""
     vector = np.array(values, dtype=np.float64)
     if vector.ndim != 1:
         raise LogError(f"{source}: {name} has shape {vector.shape}, expected one dimension (T,)")
@@ -180,7 +173,7 @@ def _vector(values: ArrayLike, name: str, source: str) -> Vec:
 
 
 def _signal(values: ArrayLike, name: str, source: str) -> Vec:
-    """Return `values` as a read-only finite vector, or say which sample is not finite."""
+    """Read-only copy of `values` with one dimension and finite numbers."""
     vector = _vector(values, name, source)
     bad = np.flatnonzero(~np.isfinite(vector))
     if bad.size:
@@ -190,7 +183,7 @@ def _signal(values: ArrayLike, name: str, source: str) -> Vec:
 
 
 def positive_rate(rate_hz: float) -> float:
-    """A rate [Hz] that can be one.
+    """Check that a rate [Hz] is a positive number.
 
     Raises:
         ConfigError: if it is not a positive number.
@@ -206,7 +199,7 @@ def even_time(samples: int, rate_hz: float) -> Vec:
 
 
 def clock_advice(t: Vec) -> str:
-    """What to do about time stamps (T,) [s] that repeat or run backwards, for an error line: `; ...`."""
+    """Advice on time stamps (T,) [s] that repeat or run backwards, for the end of an error line."""
     wrap = counter_wrap(t)
     if wrap is not None:
         return f"; {wrap.text}: `hystmpc check` names the key of a mapping file that reads it"
@@ -235,7 +228,7 @@ def gap_limit_s(median_interval_s: float, max_gap_s: float = MAX_GAP_S) -> float
 
 
 def parts_at_gaps(trial: Trial, max_gap_s: float = MAX_GAP_S) -> tuple[Trial, ...]:
-    """The trial cut at its gaps, less parts that are too short, see `PART_S`; one without a gap is left as it is.
+    """Cut a trial at its gaps and drop parts that are too short, see `PART_S`.
 
     Time keeps its origin. Of several parts each says in its source from when it is.
 
@@ -259,7 +252,7 @@ def parts_at_gaps(trial: Trial, max_gap_s: float = MAX_GAP_S) -> tuple[Trial, ..
 
 
 def _widest_gap(trial: Trial, limit: float) -> str:
-    """The start of an error line."""
+    """Beginning of an error line: the widest gap."""
     intervals = np.diff(trial.t)
     k = int(np.argmax(intervals))
     return (
@@ -271,19 +264,19 @@ def _widest_gap(trial: Trial, limit: float) -> str:
 class SlowLogError(LogError):
     """A log has too few samples for a rate: a finer grid would only invent them."""
 
-    def __init__(self, source: str, own_hz: float, asked: str, remedy: str = "") -> None:
+    def __init__(self, source: str, log_hz: float, asked: str, remedy: str = "") -> None:
         super().__init__(
-            f"{source}: sampled at {own_hz:.4g} Hz (median), too slow for {asked}, expected at most "
-            f"{_RATE_MARGIN * own_hz:.4g} Hz ({_RATE_MARGIN:g} times its own rate){remedy}"
+            f"{source}: sampled at {log_hz:.4g} Hz (median), too slow for {asked}, expected at most "
+            f"{_RATE_MARGIN * log_hz:.4g} Hz ({_RATE_MARGIN:g} times its own rate){remedy}"
         )
-        self.source, self.own_hz, self._rest = source, own_hz, (asked, remedy)
+        self.source, self.log_hz, self._rest = source, log_hz, (asked, remedy)
 
     def __reduce__(self) -> tuple[type[SlowLogError], tuple[object, ...]]:
-        return SlowLogError, (self.source, self.own_hz, *self._rest)  # it travels out of worker processes
+        return SlowLogError, (self.source, self.log_hz, *self._rest)  # it travels out of worker processes
 
 
 def resample(trial: Trial, rate_hz: float, max_gap_s: float = MAX_GAP_S) -> Trial:
-    """Interpolate linearly onto t[0] + k / rate_hz, up to the last sample; channels come along.
+    """Interpolate all signals linearly onto t[0] + k / rate_hz, up to the last sample.
 
     Short parts beside a gap are left out first (`parts_at_gaps`). There is no anti-aliasing filter: a command that a
     controller sent is not band-limited, and a filter would shift its turning points.
@@ -303,20 +296,14 @@ def resample(trial: Trial, rate_hz: float, max_gap_s: float = MAX_GAP_S) -> Tria
     if others:
         raise LogError(f"{_widest_gap(trial, gap_limit_s(trial.dt, max_gap_s))}; cut the log there")
     trial = first
-    own_hz = 1.0 / trial.dt
-    if rate_hz > _RATE_MARGIN * own_hz:
-        raise SlowLogError(trial.source, own_hz, f"{rate_hz:g} Hz")
+    log_hz = 1.0 / trial.dt
+    if rate_hz > _RATE_MARGIN * log_hz:
+        raise SlowLogError(trial.source, log_hz, f"{rate_hz:g} Hz")
     count = math.floor(trial.duration_s * rate_hz + 1e-6) + 1
     t = trial.t[0] + np.arange(count) / rate_hz
-    return Trial(
-        t,
-        np.interp(t, trial.t, trial.command),
-        np.interp(t, trial.t, trial.angle),
-        {name: np.interp(t, trial.t, values) for name, values in trial.channels.items()},
-        trial.units,
-        trial.source,
-        trial.command_noise,
-    )
+    command, angle = np.interp(t, trial.t, trial.command), np.interp(t, trial.t, trial.angle)
+    channels = {name: np.interp(t, trial.t, values) for name, values in trial.channels.items()}
+    return replace(trial, t=t, command=command, angle=angle, channels=channels)
 
 
 def require_uniform(trial: Trial) -> float:

@@ -1,7 +1,9 @@
-"""Types that all rooms use: arrays, time first everywhere, and what is told about a long computation."""
+"""Types that all rooms use: arrays with time as first axis, and the progress of a long computation."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from itertools import accumulate
 from typing import Protocol
 
 import numpy as np
@@ -21,6 +23,26 @@ Index = NDArray[np.intp]
 
 
 class Progress(Protocol):
-    """What a long computation calls as it goes on: steps done, steps in all, and what is being done."""
+    """Callback of a long computation: steps done, steps in all, and a note on the current step."""
 
     def __call__(self, done: float, total: float, note: str = "", /) -> None: ...
+
+
+def parts(progress: Progress | None, seconds: Sequence[float]) -> tuple[Progress, ...]:
+    """Progress callbacks of the parts of a computation, scaled to the progress of the whole.
+
+    Args:
+        progress: of the whole; None where nobody looks.
+        seconds: expected time of each part, in their order; only their ratios matter.
+    """
+    total = sum(seconds)
+
+    def part(before: float, share: float) -> Progress:
+        def told(done: float, steps: float, note: str = "", /) -> None:
+            if progress is not None:
+                progress(before + share * min(done / max(steps, 1e-9), 1.0), total, note)
+
+        return told
+
+    starts = [0.0, *accumulate(seconds)][:-1]
+    return tuple(part(before, share) for before, share in zip(starts, seconds, strict=True))

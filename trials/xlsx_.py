@@ -1,4 +1,4 @@
-"""Sheets of Excel workbooks (.xlsx) as tables; a workbook that one was given runs no code and fills no memory."""
+"""Sheets of Excel workbooks (.xlsx) as tables; no code of a workbook runs, and its unpacked size is bounded."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from .errors import LogError, require
-from .grid import MOST_COLUMNS
-from .tables import Table, sheet_table
+from .formats import reading
+from .tables import MOST_COLUMNS, Table, sheet_table
 
 MOST_BYTES = 1 << 28
 """Of all parts of a workbook, unpacked: a million rows of four columns have half of it."""
@@ -25,7 +25,7 @@ _UTF_16 = (b"<\0", b"\0<", b"\xff\xfe", b"\xfe\xff")
 
 
 def open_xlsx(path: Path | str, wanted: Iterable[str] = ()) -> Table:
-    """The sheet of a workbook that holds most of the names that are wanted, or else the first that holds a table.
+    """Read the sheet of a workbook that holds most of the wanted names, otherwise the first one with a table.
 
     Formulas count with the values that they had when the workbook was saved; dates and times of day are seconds since
     the first.
@@ -35,13 +35,8 @@ def open_xlsx(path: Path | str, wanted: Iterable[str] = ()) -> Table:
             sheet holds a table.
     """
     require("openpyxl", "logs", f"{path}: reading Excel workbooks")
-    try:
+    with reading(path, "Excel workbook"):
         sheets = _sheets(path)
-    except LogError:
-        raise
-    except Exception as error:  # noqa: BLE001 - on damaged files the library raises whatever it meets
-        reason = " ".join(str(error).split())[:100] or type(error).__name__
-        raise LogError(f"{path}: not a readable Excel workbook, or cut off ({reason})") from None
     names, tables, faults = frozenset(name.casefold() for name in wanted), [], []
     for title, rows in sheets:
         try:
@@ -58,7 +53,7 @@ def _sheets(path: Path | str) -> list[tuple[str, list[list[str]]]]:
     from openpyxl import load_workbook
 
     _require_bounded(path)
-    found, left = [], _MOST_CELLS
+    sheets, left = [], _MOST_CELLS
     with warnings.catch_warnings(), Path(path).open("rb") as file:  # of a path, the library asks for its ending
         warnings.simplefilter("ignore")  # of styles and extensions that are not kept
         book = load_workbook(file, read_only=True, data_only=True, keep_links=False)
@@ -76,10 +71,10 @@ def _sheets(path: Path | str) -> list[tuple[str, list[list[str]]]]:
                     if left < 0 or len(cells) > MOST_COLUMNS:
                         raise LogError(f"{path}: more cells than in any log, expected one trial; save it as CSV")
                     rows.append(cells)
-                found.append((str(sheet.title), rows))
+                sheets.append((str(sheet.title), rows))
         finally:
             book.close()
-    return found
+    return sheets
 
 
 def _texts(row: Sequence[Any]) -> list[str]:
@@ -105,7 +100,7 @@ def _text(value: Any) -> str:
 
 
 def _require_bounded(path: Path | str) -> None:
-    """Refuse what would fill the memory, or names other files: parts that unpack to too much, and XML with entities."""
+    """Refuse a workbook that unpacks to too much, or whose XML defines entities."""
     with zipfile.ZipFile(path) as archive:
         parts = archive.infolist()
         size = sum(part.file_size for part in parts)

@@ -1,4 +1,4 @@
-"""YAML, read strictly: decimal numbers, `true` and `false`, no key twice, bounded depth and size.
+"""Strict YAML: decimal numbers, `true` and `false`, no duplicate keys, bounded depth and size.
 
 PyYAML follows YAML 1.1, in which `010` is 8, `1:30` is 90 and `on` is true. Here a plain scalar is a number only where
 it is written as JSON writes one (`12`, `-0.5`, `1e-3`; also `+1`, `.5`, `2.`, `.inf`, `.nan`), and a truth value only
@@ -45,7 +45,7 @@ def _refusal(problem: str, mark: Any) -> yaml.MarkedYAMLError:
 
 
 class _StrictLoader(yaml.SafeLoader):
-    """The loader of the module's docstring; its bounds hold while the tree is composed, before anything is built."""
+    """Strict YAML loader, see the module's docstring; its bounds hold before any object is built."""
 
     def __init__(self, text: str) -> None:
         super().__init__(text)
@@ -145,7 +145,7 @@ def parse_yaml(text: str) -> Any:
 
 
 def compose_yaml(text: str) -> yaml.Node | None:
-    """The tree of a text, with the place of every entry; None for an empty one.
+    """Parse a text into a tree with the line of every entry; None for an empty text.
 
     Raises:
         YamlError: as `parse_yaml`, but for values, which are not looked at.
@@ -191,7 +191,7 @@ Location = Sequence[str | int]
 
 
 class MisplacedError(ValueError):
-    """What a validator raises where it knows the offending entry within its own block.
+    """Error of a validator that knows the offending entry within its block.
 
     Args:
         message: one line.
@@ -215,14 +215,14 @@ def line_of(text: str, at: Location) -> int | None:
         return None
     line = None
     for part in at:
-        found = _entry(node, part)
-        if found is not None:
-            line, node = found
+        entry = _entry(node, part)
+        if entry is not None:
+            line, node = entry
     return line
 
 
 def place_in(path: Path | str, overrides: Sequence[str] = ()) -> Callable[[Location], str]:
-    """A function that says where an entry stands: `file.yaml, line 3`, or the override that set it.
+    """Function that names the place of an entry: `file.yaml, line 3`, or the override that set it.
 
     Args:
         path: a YAML file; read again only when a place is asked for.

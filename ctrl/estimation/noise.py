@@ -37,7 +37,7 @@ Sigmas = tuple[float | None, float | None, float | None]
 
 @final
 class NoiseBank:
-    """Kalman filters of one disturbance, each for other noises, weighted by how well they foretell the measurements.
+    """Kalman filters of one disturbance, each for other noises, weighted by how well they predict the measurements.
 
         z_k = y_k - model_k = d_k + v_k,   var(v) = sensor^2,   var(d_{k+1} - d_k) = drift^2 dt + motion^2 |du_k|
 

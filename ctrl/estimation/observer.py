@@ -209,7 +209,7 @@ class OutputEstimator(Observer):
     measurement meets the prediction made for its own instant, and plans start where the queue ends.
 
     The frames of an intermittent sensor are noisy, and few. What they make of the disturbance acts as far as it has
-    foretold the offsets z_j of later frames, with a doubt of 5 frames and a memory of 10 s:
+    predicted the offsets z_j of later frames, with a doubt of 5 frames and a memory of 10 s:
 
         d_k = s_k m_k,   s_k = sum_j m_j z_j / (sum_j m_j^2 + 5 sensor_sigma^2),   0 <= s_k <= 1
 

@@ -25,7 +25,7 @@ from hystmpc.models.kernels.numba_ import njit
 from hystmpc.trials.types import Vec
 
 from ..command import replace
-from ..mpc_settings import AdaptationSettings
+from ..planning_settings import AdaptationSettings
 
 LAGS_S: Vec = np.array([0.0, 0.02, 0.045, 0.075, 0.11, 0.15, 0.2, 0.26])
 DELAYS = 6
@@ -235,7 +235,7 @@ _OFFSET_DEG, _GAIN, _DRIFT = 10.0, 1.0, 0.3  # standard deviations of offset, w_
 _RECENT = 0.8  # of the errors that the supervisor judges by, from block to block
 _WORST = 1.2  # error of a block that counts as the worst: one bad block says little
 _SURPRISE = 9.0  # variances of an error in a hold, from which on it is an offset that has jumped
-_FLOOR = 0.5  # standard deviations of the sensor: no model has to foretell better
+_FLOOR = 0.5  # standard deviations of the sensor: no model has to predict better
 
 
 @dataclass(frozen=True, eq=False)
@@ -300,13 +300,13 @@ class FilterBank:
 
     Q lets the offset drift, and the weights walk with the travel of the command only: in a hold nothing is forgotten,
     and an error of more than three standard deviations is an offset that has jumped.
-    Every 0.24 s all z are frozen, and until the next time each drive foretells the angles from the commands alone. The
+    Every 0.24 s all z are frozen, and until the next time each drive predicts the angles from the commands alone. The
     model with its own disturbance does too, and so does the last angle. The mean squares of the errors, over the blocks
     in which the angle moved, are the scores. The drive with the best score is used. It acts with the share
 
         s = (1 - (score + e) / (score of the model + e) - 0.6) / 0.3, within 0 and 1,   e = (sensor / 2)^2
 
-    so that it has to foretell clearly better than the model, and fades where it does not.
+    so that it has to predict clearly better than the model, and fades where it does not.
 
     Args:
         dt: sample time [s].

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from hystmpc.trials.types import Vec
 
-from .planner import QpData, QpPattern, QpSolution, QpSolver
+from .qp import QpData, QpPattern, QpSolution, QpSolver
 
 _STATUS = {
     1: "solved",
@@ -51,9 +51,10 @@ class DaqpSolver(QpSolver):
     def __init__(self, pattern: QpPattern, options: DaqpOptions) -> None:
         self._pattern, self._options = pattern, options
         across, down = _positions(pattern.hessian)
-        self._upper, self._lower = across * pattern.variables + down, down * pattern.variables + across
+        size = self._size = pattern.hessian.get_shape()[0]
+        self._upper, self._lower = across * size + down, down * size + across
         across, down = _positions(pattern.constraints)
-        self._rows = across * pattern.variables + down
+        self._rows = across * size + down
         self._own = local()
 
     def solve(self, data: QpData) -> QpSolution:
@@ -79,7 +80,7 @@ class DaqpSolver(QpSolver):
         """Hessian (n, n) and constraint rows (m, n), dense."""
         memory: tuple[Vec, Vec] | None = getattr(self._own, "memory", None)
         if memory is None:
-            n, m = self._pattern.variables, self._pattern.rows
+            n, m = self._size, self._pattern.constraints.get_shape()[0]
             memory = self._own.memory = np.zeros((n, n)), np.zeros((m, n))
             memory[1].reshape(-1)[self._rows] = self._pattern.constraints.data
         hessian, rows = memory

@@ -11,9 +11,10 @@ from hystmpc.models.inverse.one_step import inverted_after_a_hold
 from hystmpc.models.model import Inverse, Predictor
 from hystmpc.trials.types import Vec
 
-from ..command import CommandLimits, Stopwatch
-from ..mpc import HOLD, INVERSE, Candidates, CommandPlan, PlanCost, PlanningError, PlanningProblem
-from ..mpc_settings import LinearisedMpcSettings, WeightsSettings
+from ..command import CommandLimits, CommandPlan, Stopwatch
+from ..mpc import HOLD, INVERSE, Candidates, PlanCost, PlanningError, PlanningProblem
+from ..mpc_settings import LinearisedMpcSettings
+from ..planning_settings import WeightsSettings
 from .planner import LinearisedPlanner
 
 _RATE_WEIGHT = 0.01  # at 25 Hz [deg^2 per squared command unit]: next to nothing beside an error of the angle

@@ -9,7 +9,7 @@ from typing import Any, final
 import numpy as np
 import osqp
 
-from .planner import QpData, QpPattern, QpSolution, QpSolver
+from .qp import QpData, QpPattern, QpSolution, QpSolver
 
 _UNFINISHED = "maximum iterations reached"
 _USABLE = ("solved", "solved inaccurate", _UNFINISHED)  # inaccurate: within ten times the tolerance
@@ -50,7 +50,7 @@ class OsqpSolver(QpSolver):
 
     def __init__(self, pattern: QpPattern, options: OsqpOptions) -> None:
         self._pattern, self._options = pattern, options
-        self._origin = np.zeros(pattern.variables)
+        self._origin = np.zeros(pattern.hessian.get_shape()[0])
         # the last entry of every column of an upper triangle is the one on the diagonal
         self._diagonal = pattern.hessian.indptr[1:] - 1
         self._own = local()
@@ -84,7 +84,7 @@ class OsqpSolver(QpSolver):
         return result, iterations
 
     def _build(self) -> Any:
-        variables, rows = self._pattern.variables, self._pattern.rows
+        rows, variables = self._pattern.constraints.get_shape()
         workspace = osqp.OSQP()
         # copies: an update writes into the matrices of the set-up, and one that is not finite would stay in the pattern
         workspace.setup(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, final
+from typing import Any, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,86 +17,13 @@ from hystmpc.models.model import Predictor
 from hystmpc.trials.errors import ControllerError
 from hystmpc.trials.types import Mat, Vec
 
-from ..command import CommandLimits, Stopwatch
+from ..command import CommandLimits, CommandPlan, Stopwatch
 from ..learning.predictor import LearnedPredictor
-from ..mpc import CommandPlan, PlanCost, Planner, PlanningError, PlanningProblem
-from ..mpc_settings import LinearisedMpcSettings, WeightsSettings
-
-if TYPE_CHECKING:
-    from .daqp_ import DaqpOptions
-    from .osqp_ import OsqpOptions
-
-
-@dataclass(frozen=True, eq=False)
-class QpPattern:
-    """What never changes: sparsity and size of  min 1/2 z'Pz + q'z  s.t.  lower <= A z <= upper.
-
-    Attributes:
-        hessian: P, upper triangle in CSC order, with placeholder values.
-        constraints: A in CSC order.
-        moving: positions of the Jacobian's entries in the data of `constraints`; empty without soft limits.
-        bounds: leading rows of A that are those of the identity: bounds on the first entries of z.
-    """
-
-    hessian: sparse.csc_matrix
-    constraints: sparse.csc_matrix
-    moving: NDArray[np.intp]
-    bounds: int
-
-    @property
-    def variables(self) -> int:
-        """Entries of z."""
-        return self.hessian.get_shape()[0]
-
-    @property
-    def rows(self) -> int:
-        """Rows of A."""
-        return self.constraints.get_shape()[0]
-
-
-@dataclass(frozen=True, eq=False)
-class QpData:
-    """What changes from step to step.
-
-    Attributes:
-        hessian_data: entries of P in the order of the pattern.
-        gradient, lower, upper: q and the bounds of A z.
-        constraint_data: entries of A in the order of the pattern; None while A stays as it is.
-        dual: where the multipliers of A z start.
-    """
-
-    hessian_data: Vec
-    gradient: Vec
-    lower: Vec
-    upper: Vec
-    constraint_data: Vec | None
-    dual: Vec
-
-    @property
-    def finite(self) -> bool:
-        """Whether cost and gradient are."""
-        return bool(all_finite(self.hessian_data, self.gradient))
-
-
-@dataclass(frozen=True, eq=False)
-class QpSolution:
-    """What the solver found."""
-
-    primal: Vec  # z, shape (n,)
-    usable: bool  # whether `primal` is a step worth trying: solved, or finite when the iterations ran out
-    status: str  # the solver's own words
-    iterations: int  # taken
-    unfinished: bool = False  # whether the iterations ran out
-
-
-class QpSolver(ABC):
-    """Solves the quadratic programs of one pattern; equal data give equal answers, to the last bit."""
-
-    name: str  # in messages
-
-    @abstractmethod
-    def solve(self, data: QpData) -> QpSolution:
-        """Solve one program of the family; a failure shows in the solution, not as an exception."""
+from ..mpc import PlanCost, Planner, PlanningError, PlanningProblem
+from ..planning_settings import LinearisationSettings, WeightsSettings
+from .daqp_ import DaqpOptions
+from .osqp_ import OsqpOptions
+from .qp import QpData, QpPattern
 
 
 class PlanProgram(ABC):
@@ -453,15 +380,9 @@ _LEARNED_ITERATIONS = 2
 _KEPT = 0.9  # share of the promised decrease from which on no part of the step is worth a roll-out
 
 
-def _options_of(settings: LinearisedMpcSettings) -> OsqpOptions | DaqpOptions:
-    """Options of the solver that is asked for; the other one is not imported."""
-    if settings.solver == "daqp":
-        from .daqp_ import DaqpOptions
-
-        return DaqpOptions()
-    from .osqp_ import OsqpOptions
-
-    return OsqpOptions(eps=settings.solver_eps)
+def _options_of(settings: LinearisationSettings) -> OsqpOptions | DaqpOptions:
+    """Options of the solver that is asked for."""
+    return DaqpOptions() if settings.solver == "daqp" else OsqpOptions(eps=settings.solver_eps)
 
 
 @final
@@ -483,7 +404,7 @@ class LinearisedPlanner(Planner[None]):
     def __init__(
         self,
         predictor: Predictor,
-        settings: LinearisedMpcSettings,
+        settings: LinearisationSettings,
         limits: CommandLimits,
         options: OsqpOptions | DaqpOptions | None = None,
     ) -> None:
@@ -519,7 +440,7 @@ class LinearisedPlanner(Planner[None]):
         _, jacobian = self._predictor.linearise(problem.state, start.commands)
         watch.lap("linearise")
         data = self._qp.data(problem, start, jacobian)
-        if not data.finite:
+        if not all_finite(data.hessian_data, data.gradient):
             fault = "quadratic program" if math.isfinite(jacobian.sum()) else "model's Jacobian"
             raise PlanningError(f"the {fault} is not finite")
         solution = self._solver.solve(data)

@@ -17,7 +17,7 @@ from hystmpc.trials.errors import ControllerError
 
 from ..command import CommandLimits, limits_of_model, modelled_limits, narrowed_limits
 from ..guarded import GuardedController, build_controller, pair_for
-from ..mpc_settings import PredictiveSettings, WeightsSettings
+from ..planning_settings import PredictiveSettings, WeightsSettings
 from .reach import Workspace, angles_at_rest
 from .settings import TipSettings
 

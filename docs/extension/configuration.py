@@ -7,9 +7,9 @@ from functools import cache
 from typing import Literal, get_args, get_origin
 
 from hystmpc.cli.schema import FILES, settings_of
+from hystmpc.cli.settings_reference import Key, keys_of, reachable, summary_of
 from hystmpc.models.contract.metadata import ModelMetadata
 from hystmpc.trials.config import Settings
-from hystmpc.trials.described import Key, keys_of, reachable, summary_of
 
 from .tables import anchor, sentence, table
 

@@ -11,8 +11,8 @@ import numpy as np
 
 from hystmpc.models.contract.metadata import ModelMetadata
 from hystmpc.models.simulator import Simulator
-from hystmpc.trials.clock_findings import gaps_said
-from hystmpc.trials.command_noise import noise_said
+from hystmpc.trials.clock_findings import gaps_text
+from hystmpc.trials.command_noise import noise_text
 from hystmpc.trials.errors import GapError
 from hystmpc.trials.recording import require_recorded
 from hystmpc.trials.trial import Trial, parts_at_gaps
@@ -201,13 +201,13 @@ def _unit_remark(factor: float, units: dict[float, str]) -> str:
 
 def _gap_notes(trials: Sequence[Trial]) -> Iterator[str]:
     for trial in trials:
-        if said := gaps_said(trial, parts_at_gaps(trial)):
+        if said := gaps_text(trial, parts_at_gaps(trial)):
             yield f"{Path(trial.source).name}: gaps in time; {said}."
 
 
 def _log_notes(trial: Trial) -> Iterator[str]:
     name, intervals, command = Path(trial.source).name, np.diff(trial.t), trial.command
-    if said := noise_said(trial):
+    if said := noise_text(trial):
         yield f"{name}: {said}."
     jitter = float(np.std(intervals)) / trial.dt
     if jitter > _JITTER:

@@ -22,7 +22,7 @@ from hystmpc.models.identify.runs import Run, fingerprint, runs_of
 from hystmpc.models.model import LoadedModel
 from hystmpc.models.simulator import Identification, Simulator
 from hystmpc.models.start import motion_line, search_box
-from hystmpc.trials.command_noise import quiet
+from hystmpc.trials.command_noise import remove_command_noise
 from hystmpc.trials.errors import GapError, LogError
 from hystmpc.trials.segments import first_flexure_end, segment
 from hystmpc.trials.trial import Trial, Units, parts_at_gaps, resample
@@ -334,7 +334,7 @@ def _has_seen(identification: Identification, trials: Sequence[Trial], dt_s: flo
     """Whether it was identified on one of these trials, or on all of them, at any rate."""
     known = {r.fingerprint for r in identification.residuals if r.fingerprint}
     # A file's sample time is rounded: 0.03333333333 s stand for 30 Hz, but 0.03 s for 1 / 0.03 Hz.
-    parts = quiet([part for trial in trials for part in _parts(trial)])
+    parts = remove_command_noise([part for trial in trials for part in _parts(trial)])
     for taken in (trials, parts, *(_at(parts, rate) for rate in {1 / dt_s, round(1 / dt_s, 4)})):
         if identification.training_data_hash == fingerprint(taken):
             return True

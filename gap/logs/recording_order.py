@@ -9,7 +9,7 @@ import numpy as np
 
 from hystmpc.models.identify.runs import fingerprint
 from hystmpc.trials.errors import GapError
-from hystmpc.trials.recording_order import by_clock, by_manifest
+from hystmpc.trials.recording import by_clock, by_manifest
 from hystmpc.trials.trial import Trial
 
 from ..diagnosis import Order

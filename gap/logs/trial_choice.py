@@ -11,7 +11,7 @@ from scipy.spatial import KDTree
 
 from hystmpc.models.contract.metadata import ModelMetadata
 from hystmpc.models.identify.runs import Before, Run
-from hystmpc.trials.command_noise import quiet
+from hystmpc.trials.command_noise import remove_command_noise
 from hystmpc.trials.errors import GapError
 from hystmpc.trials.trial import Trial, parts_at_gaps, resample
 from hystmpc.trials.types import Index, Vec
@@ -114,7 +114,7 @@ def choose_trials(
         GapError: if a part of a trial between gaps is too short.
         LogError: if the simulator's rate is fixed and above a log's, or too much lies in short parts between gaps.
     """
-    parts = quiet([part for trial in trials for part in _parts(trial)])
+    parts = remove_command_noise([part for trial in trials for part in _parts(trial)])
     rate = _common_rate(parts, facts, fixed)
     uniform = [resample(part, rate) for part in parts]
     before = Before.each(uniform) if ordered else (Before(),) * len(uniform)

@@ -58,10 +58,12 @@ MUTANTS: tuple[Mutant, ...] = (
         "self._added_s = 0.0",
     ),
     _intake(
-        "what is no number is held", "if reading.listens and tells else math.nan", "if reading.listens else math.nan"
+        "what is no number is held",
+        "if reading.listens and reports_held else math.nan",
+        "if reading.listens else math.nan",
     ),
-    _gate("what nothing has led to is believed", "<= held <= max(last, led) + self._tolerance:", "<= held:"),
-    _gate("a false command below the last is believed", "min(last, led) - self._tolerance <= held <=", "held <="),
+    _gate("what nothing has led to is believed", "<= held <= max(last, goal) + self._tolerance:", "<= held:"),
+    _gate("a false command below the last is believed", "min(last, goal) - self._tolerance <= held <=", "held <="),
     _gate(
         "the watchdog is taken to act at once",
         "if boot_ns - sent_ns >= self._watchdog_ns else last",
@@ -69,10 +71,14 @@ MUTANTS: tuple[Mutant, ...] = (
     ),
     _gate(
         "the watchdog is taken never to act",
-        "led = self._safe if boot_ns - sent_ns >= self._watchdog_ns else last",
-        "led = last",
+        "goal = self._safe if boot_ns - sent_ns >= self._watchdog_ns else last",
+        "goal = last",
     ),
-    _gate("a false command is waited for without end", "if boot_ns - self._untrue_ns > _UNTRUE_NS:", "if boot_ns < 0:"),
+    _gate(
+        "a false command is waited for without end",
+        "if boot_ns - self._implausible_ns > _IMPLAUSIBLE_NS:",
+        "if boot_ns < 0:",
+    ),
     _gate(
         "a device that moves by itself is waited for without end",
         "elif boot_ns - self._lost_ns > _LONGEST_NS:",

@@ -8,23 +8,22 @@ _RECEIVED = ("tests/cli/test_received.py",)
 _named = Mutated("trials", "trials/from_outside.py", _RECEIVED)
 _unread = Mutated("ctrl", "ctrl/config.py", _RECEIVED)
 _parsed = Mutated("trials", "trials/config.py", _RECEIVED)
-_reviewed = Mutated("rig", "rig/experiment/review_page.py", _RECEIVED)
+_reviewed = Mutated("rig", "rig/experiment/review.py", _RECEIVED)
 _measured = Mutated("gap", "gap/tracking/measured.py", _RECEIVED)
 _loaded = Mutated("sim", "sim/results.py", _RECEIVED)
 _workers = Mutated("sim", "sim/jobs/backend.py", _RECEIVED)
 _recorder = Mutated("rig", "rig/recording/recorder_process.py", _RECEIVED)
 _bench = Mutated("rig", "rig/config.py", _RECEIVED)
-_device = Mutated("rig", "rig/device/server.py", _RECEIVED)
+_device = Mutated("rig", "rig/device.py", _RECEIVED)
 _option = Mutated("cli", "cli/options.py", _RECEIVED)
 _compiled = mutated_file("rig", "compiled/controller.py", "test_library.py")
 _build = Mutated("codegen", "codegen/build.py", ("tests/rig/test_library.py",))
-_server = mutated_file("rig", "live/server.py", "test_live_hostile.py", "test_live_control.py", "test_live.py")
-_hdf5 = mutated_file("trials", "mat_.py", "test_bounds.py", "test_mat.py")
-_version_5 = mutated_file("trials", "mat_bounds.py", "test_bounds.py")
+_server = mutated_file("rig", "live/page.py", "test_live_hostile.py", "test_live_control.py", "test_live.py")
+_mat = mutated_file("trials", "mat_.py", "test_bounds.py", "test_mat.py")
 _mcap = mutated_file("trials", "mcap_.py", "test_bounds.py")
 _numpy = mutated_file("trials", "npz_.py", "test_bounds.py")
 _workbook = mutated_file("trials", "xlsx_.py", "test_bounds.py")
-_bag = mutated_file("trials", "rosbag1_.py", "test_bounds.py")
+_bag = mutated_file("trials", "rosbag_.py", "test_bounds.py")
 _kernels = mutated_file("models", "kernels/numba_.py", "test_kernel_cache.py")
 
 MUTANTS: tuple[Mutant, ...] = (
@@ -56,7 +55,7 @@ MUTANTS: tuple[Mutant, ...] = (
     _workers("workers look into the working folder", 'os.environ["PYTHONSAFEPATH"] = before or "1"', "pass"),
     _recorder("the recorder looks into the working folder", '[sys.executable, "-P", "-m"', '[sys.executable, "-m"'),
     _bench("any file may be a latch", "if not _may_latch(place):", "if False:"),
-    _bench("any JSON may be a latch", 'isinstance(found, dict) and "cause" in found', "isinstance(found, dict)"),
+    _bench("any JSON may be a latch", 'isinstance(content, dict) and "cause" in content', "isinstance(content, dict)"),
     _device("a device's log goes into any file", 'if begins not in ("", _HEADER):', "if False:"),
     _option("nobody has to say yes", "    if allow:\n        allow_python()", "    allow_python()"),
     _compiled("the C is not compared", "if differs := _difference(controller, compiled):", "if differs := '':"),
@@ -94,20 +93,20 @@ MUTANTS: tuple[Mutant, ...] = (
     ),
     _server(
         "a request that waits stops the server",
-        'threading.Thread(target=asked, name="hystmpc-page-request", daemon=True).start()',
-        "asked()",
+        'threading.Thread(target=ask, name="hystmpc-page-request", daemon=True).start()',
+        "ask()",
     ),
     _server("requests that wait are never done", "server.waiting -= not emergency", "pass"),
     _server("a head may be long", "if len(head) > _LARGEST_HEAD:", "if False:"),
-    _hdf5("data may lie in a file of raw numbers", "if item.external or item.is_virtual:", "if item.is_virtual:"),
-    _hdf5("data may be virtual", "if item.external or item.is_virtual:", "if item.external:"),
-    _hdf5("a link may lead out", "if kind != h5l.TYPE_SOFT:", "if False:"),
-    _hdf5("a link of the first level is followed blindly", "item = tree.item(file, name)\n", "item = file[name]\n"),
-    _hdf5("a link in a group is followed blindly", "self.read(self.item(item, name))", "self.read(item[name])"),
-    _hdf5("a filter is looked for", "- _FILTERS:", "- _FILTERS - {32015}:"),
-    _hdf5("a variable may be as large as it says", "        self._bytes -= size * (item.size or 0)\n", ""),
-    _hdf5("a chunk may be as large as it says", "min(self._bytes, MOST_BYTES - size * chunk) < 0", "self._bytes < 0"),
-    _hdf5("references are read without end", "if (item.size or 0) > self._left:", "if False:"),
+    _mat("data may lie in a file of raw numbers", "if item.external or item.is_virtual:", "if item.is_virtual:"),
+    _mat("data may be virtual", "if item.external or item.is_virtual:", "if item.external:"),
+    _mat("a link may lead out", "if kind != h5l.TYPE_SOFT:", "if False:"),
+    _mat("a link of the first level is followed blindly", "item = tree.item(file, name)\n", "item = file[name]\n"),
+    _mat("a link in a group is followed blindly", "self.read(self.item(item, name))", "self.read(item[name])"),
+    _mat("a filter is looked for", "- _FILTERS:", "- _FILTERS - {32015}:"),
+    _mat("a variable may be as large as it says", "        self._bytes -= size * (item.size or 0)\n", ""),
+    _mat("a chunk may be as large as it says", "min(self._bytes, MOST_BYTES - size * chunk) < 0", "self._bytes < 0"),
+    _mat("references are read without end", "if (item.size or 0) > self._left:", "if False:"),
     _numpy("pickles are read", "if dtype.hasobject:", "if False:"),
     _numpy("an array is as large as it says", "if needed > size:", "if False:"),
     _numpy("arrays count one by one", "            left -= value.nbytes\n", ""),
@@ -116,14 +115,14 @@ MUTANTS: tuple[Mutant, ...] = (
     _workbook("other encodings hide entities", "if not tail and block.startswith(_UTF_16):", "if False:"),
     _workbook("rows far down are made", "if len(rows) - filled > _MOST_EMPTY:", "if False:"),
     _bag("chunks unpack without a bound", "if left < 0:", "if False:"),
-    _version_5("cells are made without room", "if holds in _HOLDING and", "if holds == 1 and"),
-    _version_5(
+    _mat("cells are made without room", "if holds in _HOLDING and", "if holds == 1 and"),
+    _mat(
         "cells within cells are not looked at", "                self.walk(content, depth + 1)", "                pass"
     ),
-    _version_5("cells may lie ever deeper", "if depth > _DEEPEST:", "if False:"),
-    _version_5("variables unpack one by one", "self.left -= len(found)", "self.left = MOST_BYTES - len(found)"),
+    _mat("cells may lie ever deeper", "if depth > _DEEPEST_CELL:", "if False:"),
+    _mat("variables unpack one by one", "self.left -= len(unpacked)", "self.left = MOST_BYTES - len(unpacked)"),
     _mcap("chunks unpack one by one", "self.left -= len(records) if chunk.compression else 0", "pass"),
-    _mcap("a chunk may be longer than it says", "if len(found) != size:", "if len(found) < size:"),
+    _mcap("a chunk may be longer than it says", "if len(unpacked) != size:", "if len(unpacked) < size:"),
     _kernels("code of a folder of others runs", "if not only_ours(Path(self._cache_path)):", "if False:"),
     _kernels(
         "kernels lie where others write",

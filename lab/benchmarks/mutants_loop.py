@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from mutant import Mutant, Mutated, mutated_file  # isort: skip
 
-_guard = mutated_file("rig", "transports/guarded.py", "test_from_outside.py")
+_guard = mutated_file("rig", "transports/from_outside.py", "test_from_outside.py")
 _guarded_loop = mutated_file("rig", "loop.py", "test_whatever_raises.py")
 _slow = mutated_file("rig", "loop.py", "test_slow_wire.py")
 _stepped = mutated_file("rig", "loop.py", "test_loop.py")
@@ -12,13 +12,13 @@ _reader = mutated_file("rig", "reader.py", "test_slow_wire.py")
 _contact = mutated_file("rig", "contact.py", "test_slow_wire.py")
 _listens = Mutated("rig", "rig/loop.py", ("tests/ros2/test_planner_motion.py",))
 _node = Mutated("ros2", "ros2/hystmpc_ros/hystmpc_ros/planner.py", ("tests/ros2/test_planner_motion.py",))
-_steering = Mutated("rig", "rig/experiment/steering.py", ("tests/ros2/test_planner_motion.py",))
+_steering = Mutated("rig", "rig/experiment/experiment.py", ("tests/ros2/test_planner_motion.py",))
 _rest = Mutated("rig", "rig/experiment/phases.py", ("tests/ros2/test_planner_motion.py",))
 
 MUTANTS: tuple[Mutant, ...] = (
     _guarded_loop(
         "what a part raises leaves the loop",
-        "            return self._failed(_said(error), deadline)",
+        "            return self._failed(cause_of(error), deadline)",
         "            raise",
     ),
     _guarded_loop(
@@ -36,7 +36,7 @@ MUTANTS: tuple[Mutant, ...] = (
     ),
     _guarded_loop(
         "a reading that nobody can judge is forgotten",
-        'self._flag.set(f"a reading cannot be judged: {_said(error)}")',
+        'self._flag.set(f"a reading cannot be judged: {cause_of(error)}")',
         "pass",
     ),
     _guarded_loop(
@@ -69,8 +69,8 @@ MUTANTS: tuple[Mutant, ...] = (
     ),
     _listens(
         "a device that listens no more is commanded",
-        "if unheard and self._commands and self._gate.anchored:",
-        "if unheard and self._commands < 0:",
+        "if not_listening and self._commands and self._gate.anchored:",
+        "if not_listening and self._commands < 0:",
     ),
     _listens(
         "what a device holds that listens no more counts",
@@ -104,12 +104,12 @@ MUTANTS: tuple[Mutant, ...] = (
     ),
     _rest(
         "a rest anywhere is confirmed",
-        "abs(now.told - self._safe) <= self._tolerance",
-        "abs(now.told - self._end) <= self._tolerance",
+        "abs(now.reported - self._safe) <= self._tolerance",
+        "abs(now.reported - self._end) <= self._tolerance",
     ),
-    _guard("a batch drops what has failed", "                found = error\n", "                return\n"),
+    _guard("a batch drops what has failed", "                item = error\n", "                return\n"),
     _guard("what does not fit the units is believed", "if math.isinf(getattr(reading, name)):", "if False:"),
-    _guard("anything listens", "if not isinstance(found.listens, bool | np.bool_):", "if False:"),
-    _guard("numbers of numpy stay what they are", "int(found.sequence),", "found.sequence,"),
+    _guard("anything listens", "if not isinstance(value.listens, bool | np.bool_):", "if False:"),
+    _guard("numbers of numpy stay what they are", "int(raw.sequence),", "raw.sequence,"),
     _guard("a command waits behind a reading that is late", "                self._late = True\n", ""),
 )

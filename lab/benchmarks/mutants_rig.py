@@ -9,7 +9,7 @@ _frames = mutated_file("rig", "safety/intake.py", "test_sensor_kinds.py")
 _followed = mutated_file("rig", "safety/plausibility.py", "test_drive_following.py")
 _order = mutated_file("rig", "transports/sessions.py", "test_parts.py", "test_udp.py")
 _units = mutated_file("rig", "transports/transport.py", "test_units.py")
-_guard = mutated_file("rig", "transports/guarded.py", "test_from_outside.py")
+_guard = mutated_file("rig", "transports/from_outside.py", "test_from_outside.py")
 _datagram = mutated_file("rig", "transports/udp.py", "test_datagram.py", "test_udp.py")
 _signals = mutated_file("rig", "safety/stop.py", "test_signals.py")
 _prepare = mutated_file("rig", "experiment/phases.py", "test_prepare.py")
@@ -24,20 +24,20 @@ _tracking = mutated_file("rig", "experiment/experiment.py", "test_run.py")
 _admission = mutated_file("rig", "transports/sessions.py", "test_sessions.py")
 _udp = mutated_file("rig", "transports/udp.py", "test_udp.py", "test_sessions.py")
 _dds = mutated_file("rig", "transports/dds_.py", "test_sessions.py", "test_dds.py")
-_topics = mutated_file("rig", "transports/dds.py", "test_sessions.py", "test_dds.py")
-_server = mutated_file("rig", "device/server.py", "test_sessions.py")
+_topics = mutated_file("rig", "transports/topics.py", "test_sessions.py", "test_dds.py")
+_server = mutated_file("rig", "device.py", "test_sessions.py")
 _latch = mutated_file("rig", "safety/stop.py", "test_parts.py", "test_run.py")
 _bench = mutated_file("rig", "run.py", "test_run.py")
 _connect = mutated_file("rig", "contact.py", "test_run.py")
 _host = mutated_file("rig", "recording/recorder_process.py", "test_recording_faults.py")
-_controls = mutated_file("rig", "live/controls.py", "test_live_control.py")
+_controls = mutated_file("rig", "live/desk.py", "test_live_control.py")
 _desk = mutated_file("rig", "live/desk.py", "test_live_control.py")
 _asked_loop = mutated_file("rig", "loop.py", "test_live_control.py")
 _asked_flag = mutated_file("rig", "safety/stop.py", "test_live_control.py")
 _asked_bench = mutated_file("rig", "run.py", "test_live_control.py")
 _asked_phase = mutated_file("rig", "experiment/phases.py", "test_live_control.py")
 _targets = mutated_file("rig", "experiment/experiment.py", "test_live_control.py")
-_page = mutated_file("rig", "live/server.py", "test_live_control.py", "test_live.py")
+_page = mutated_file("rig", "live/page.py", "test_live_control.py", "test_live.py")
 _compiled = mutated_file("rig", "compiled/controller.py", "test_backends.py")
 _taken = mutated_file("rig", "compiled/loop.c", "test_loop_in_c.py")
 _watched = mutated_file("rig", "compiled/loop.py", "test_loop_in_c.py")
@@ -186,8 +186,8 @@ MUTANTS: tuple[Mutant, ...] = (
     ),
     _frames(
         "a silent device without a sensor is commanded on",
-        "silent = self._tells and silent_s",
-        "silent = self._tells and 0.0 * silent_s",
+        "silent = self._reports_held and silent_s",
+        "silent = self._reports_held and 0.0 * silent_s",
     ),
     _intake(
         "a dead sensor does not stop the run",
@@ -303,12 +303,12 @@ MUTANTS: tuple[Mutant, ...] = (
         "if boot_ns - self._judged_ns <= self._gap_ns:",
         "if boot_ns >= 0:",
     ),
-    _loop("commands are sent without an anchor", "if not sure:", "if not sure and not self._commands:"),
+    _loop("commands are sent without an anchor", "if not known:", "if not known and not self._commands:"),
     _loop("goodbye is always said", "stop(goodbye=self._confirmed)", "stop(goodbye=True)"),
     _loop(
         "a phase that raises is held",
-        "                self._halt(_said(error), now)\n                continue",
-        '                return Decision(now.held, "hold", _said(error))',
+        "                self._begin_stop(cause_of(error), now)\n                continue",
+        '                return Decision(now.held, "hold", cause_of(error))',
     ),
     _loop(
         "the fault of a phase is ignored",
@@ -329,12 +329,12 @@ MUTANTS: tuple[Mutant, ...] = (
     ),
     _loop(
         "a command that did not leave counts as sent",
-        "            self._refused_by_wire(self._clock.boot_ns())\n            return False",
-        "            self._refused_by_wire(0)\n            self._gate.sent(u, self._clock.now_ns())",
+        "            self._command_refused(self._clock.boot_ns())\n            return False",
+        "            self._command_refused(0)\n            self._gate.sent(u, self._clock.now_ns())",
     ),
     _loop("a wire that takes no command goes on", "if now - self._refused_ns > self._stall_ns:", "if now < 0:"),
     _loop("a way back that was not sent ends well", "if not self._phase.sent and not self._cause:", "if now is None:"),
-    _guard("nonsense is believed", "if fault := nonsense(found, self._now()):", "if fault := '':"),
+    _guard("nonsense is believed", "if fault := reading_fault(item, self._now()):", "if fault := '':"),
     _guard(
         "calls wait behind one that hangs",
         "        if not self.idle:\n            raise",
@@ -349,7 +349,7 @@ MUTANTS: tuple[Mutant, ...] = (
     ),
     _motion(
         "held is claimed without the device's word",
-        "self.confirmed = abs(now.told - self._safe) <= self._tolerance",
+        "self.confirmed = abs(now.reported - self._safe) <= self._tolerance",
         "self.confirmed = True",
     ),
     _motion("the stop ends at once", "there = self.sent and (", "there = True or ("),
@@ -379,7 +379,7 @@ MUTANTS: tuple[Mutant, ...] = (
     _tracking("the model is not watched", "watch.judge(command.disturbance)", '""'),
     _intake(
         "the command held by a device that listens to another counts",
-        "self._held = reading.held if reading.listens and tells else math.nan",
+        "self._held = reading.held if reading.listens and reports_held else math.nan",
         "self._held = reading.held",
     ),
     _admission(
@@ -387,11 +387,13 @@ MUTANTS: tuple[Mutant, ...] = (
         "if not known and self._pinned is not None and now_ns - self._heard_ns <= self._silence_ns:",
         "if now_ns < 0:",
     ),
-    _admission("anybody may command", 'return "" if self._pinned == (sender, session) else ANOTHER', 'return ""'),
+    _admission(
+        "anybody may command", "        elif not known:\n            return", "        elif False:\n            return"
+    ),
     _admission(
         "the sender does not matter",
-        'return "" if self._pinned == (sender, session) else ANOTHER',
-        'return "" if self._pinned[1] == session else ANOTHER',
+        "        elif not known:\n",
+        "        elif self._pinned[1] != session:\n",
     ),
     _admission(
         "who has never commanded may say goodbye",
@@ -420,7 +422,11 @@ MUTANTS: tuple[Mutant, ...] = (
     ),
     _dds("every writer is the same", "come = writer, message.session,", "come = 0, 0,"),
     _server("the watchdog never bites", "if self._silent <= self._settings.watchdog_s:", "if self._silent <= 1e9:"),
-    _server("no greeting is wanted after the watchdog", "self._deaf = self._deaf or bites", "self._deaf = False"),
+    _server(
+        "no greeting is wanted after the watchdog",
+        "self._awaits_greeting = self._awaits_greeting or trips",
+        "self._awaits_greeting = False",
+    ),
     _server(
         "a goodbye disarms the watchdog anywhere",
         "if abs(self._held - self._rest) <= _AT_REST * (self._limits.upper - self._limits.lower):",
@@ -428,8 +434,8 @@ MUTANTS: tuple[Mutant, ...] = (
     ),
     _server(
         "a greeting ends the return",
-        "                self._deaf = False\n",
-        "                self._deaf, self._silent = False, 0.0\n",
+        "                self._awaits_greeting = False\n",
+        "                self._awaits_greeting, self._silent = False, 0.0\n",
     ),
     _server(
         "the drive jumps",
@@ -441,8 +447,8 @@ MUTANTS: tuple[Mutant, ...] = (
     _bench("a run is not latched while it lasts", "    latch.set(RUNNING)\n", ""),
     _bench(
         "a stop is not latched",
-        "    if cause:\n        latch.set(cause)",
-        "    if not cause:\n        latch.set(cause)",
+        "            if outcome.cause:\n",
+        "            if not outcome.cause:\n",
     ),
     _bench("a latched stop is ignored", "        latch.require_released()\n", ""),
     _connect(
@@ -482,7 +488,7 @@ MUTANTS: tuple[Mutant, ...] = (
     _controls("a foreign name is ours", "return name.lower() in self._names", "return True"),
     _controls(
         "an e-stop waits for other requests",
-        '        if self.is_estop(path):\n            return _answer(self._ask("estop", 0.0))\n',
+        '        if self.is_estop(path):\n            return _http(self._ask("estop", 0.0))\n',
         "",
     ),
     _desk("an e-stop ends the run regularly", "            self.flag.set(E_STOP)\n", "            self.flag.end()\n"),
@@ -516,7 +522,7 @@ MUTANTS: tuple[Mutant, ...] = (
     _asked_phase("the run begins before the start", "finished=started)", "finished=True)"),
     _targets(
         "a target out of reach is taken",
-        "        if not reach:\n            return Answer(False, reach.reason)\n",
+        "        if not reach:\n            return Reply(False, reach.reason)\n",
         "",
     ),
     _targets("a target before the hand-over is taken", "            if not self._tracks:", "            if False:"),

@@ -41,7 +41,7 @@ from rich.console import Console
 from hystmpc.cli.main import main as hystmpc
 from hystmpc.rig.config import load_run
 from hystmpc.rig.experiment.experiment import tracking_phase
-from hystmpc.rig.experiment.review_page import review_run
+from hystmpc.rig.experiment.review import review_run
 from hystmpc_lab.faults.cases import SAFE, FaultCase, Link, watchdog_s, write_device, write_run
 from hystmpc_lab.faults.play import device_log
 

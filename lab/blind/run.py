@@ -17,9 +17,9 @@ from hystmpc.sim.jobs.runner import attempt, backend_for, run_jobs
 from hystmpc.trials.csv_files import write_csv
 from hystmpc.trials.errors import ConfigError, HystmpcError, LogError, did_you_mean
 from hystmpc.trials.files import write_atomically
+from hystmpc.trials.formats import read_lines
 from hystmpc.trials.read import read_trials
 from hystmpc.trials.tables import read_table
-from hystmpc.trials.text_ import read_lines
 from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Progress
 

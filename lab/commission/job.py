@@ -17,8 +17,9 @@ from hystmpc.bench.commission import Commissioned, commission_device
 from hystmpc.bench.controller import TIP_FILE, tip_settings
 from hystmpc.bench.device import BenchDevice
 from hystmpc.ctrl.command import CommandLimits, limits_of_model
-from hystmpc.ctrl.feedback import InverseControllerSettings, PidControllerSettings
+from hystmpc.ctrl.feedback import PidControllerSettings
 from hystmpc.ctrl.guarded import GuardedController, build_controller, pair_for
+from hystmpc.ctrl.inverse_settings import InverseControllerSettings
 from hystmpc.ctrl.law import LawSettings
 from hystmpc.ctrl.loop import Controller, ImagingSettings, NoSensorSettings
 from hystmpc.ctrl.mpc_settings import LinearisedMpcSettings

@@ -21,16 +21,15 @@ from hystmpc.bench.plants import plants_in
 from hystmpc.ctrl import TipController
 from hystmpc.ctrl.planner.settings import TipSettings
 from hystmpc.rig.config import BenchSettings, RunSettings
-from hystmpc.rig.experiment.experiment import run_experiment, tracking_phase
+from hystmpc.rig.experiment.experiment import Steering, run_experiment, tracking_phase
 from hystmpc.rig.experiment.phases import CommandMotion, Phase
 from hystmpc.rig.experiment.record import Recorded
-from hystmpc.rig.experiment.steering import Steering
 from hystmpc.rig.realtime import SimulatedClock
 from hystmpc.rig.recording.recorder_process import Views, open_recorder_process
 from hystmpc.rig.recording.recording import RecordingMeta
 from hystmpc.rig.recording.sample import SampleList, Sink
 from hystmpc.rig.run import BenchResult, run_bench
-from hystmpc.rig.safety.ramp import way_commands
+from hystmpc.rig.safety.ramp import waypoint_commands
 from hystmpc.rig.transports.transport import Conversion, RunContext
 from hystmpc.trajectories.config import MotionSettings
 from hystmpc.trials.config import dump_yaml
@@ -188,7 +187,7 @@ def _run(settings: dict[str, Any], folder: Path, how: How) -> Move:
         return lambda: _outcome(
             run_experiment(run, lambda: _recorder(run, folder / "run"), plants, folder=folder), folder
         )
-    tracking = tracking_phase(run, beside=False)
+    tracking = tracking_phase(run, threaded=False)
     return lambda: _outcome(run_bench(run, lambda: [tracking], SampleList, plants, clock=SimulatedClock()), folder)
 
 
@@ -209,7 +208,7 @@ def _record(settings: dict[str, Any], folder: Path, how: How) -> Move:
     commands = _excitation(bench)
 
     def approach(held: float) -> Vec:
-        return way_commands(held, [float(commands[0])], [1.0], bench.ramps, bench.dt_s)
+        return waypoint_commands(held, [float(commands[0])], [1.0], bench.ramps, bench.dt_s)
 
     phases: list[Phase] = [CommandMotion("approach", approach), Recorded("excitation", commands, bench.dt_s)]
     plants = plants_in(Path(), bench.command_unit)
@@ -221,7 +220,7 @@ def _excitation(bench: BenchSettings) -> Vec:
     t = bench.dt_s * np.arange(round(10.0 / bench.dt_s))
     way = 0.7 * bench.limits.upper
     sweep = 0.5 * way * (1.0 - np.cos(2.0 * math.pi * (0.2 + 0.02 * t) * t))
-    steps = way_commands(float(sweep[-1]), [1.0, 5.0, 2.0, 4.0, 0.0], [1.0] * 5, bench.ramps, bench.dt_s)
+    steps = waypoint_commands(float(sweep[-1]), [1.0, 5.0, 2.0, 4.0, 0.0], [1.0] * 5, bench.ramps, bench.dt_s)
     return np.concatenate([sweep, steps])
 
 

@@ -13,13 +13,9 @@ import numpy as np
 from pydantic import BeforeValidator
 
 from hystmpc.ctrl.command import CommandLimits
-from hystmpc.ctrl.feedback import (
-    InverseControllerSettings,
-    InversePidControllerSettings,
-    PidControllerSettings,
-    PidSettings,
-)
+from hystmpc.ctrl.feedback import PidControllerSettings, PidSettings
 from hystmpc.ctrl.guarded import build_controller, pair_for
+from hystmpc.ctrl.inverse_settings import InverseControllerSettings, InversePidControllerSettings
 from hystmpc.ctrl.law import LawSettings
 from hystmpc.ctrl.loop import Controller
 from hystmpc.ctrl.mpc_settings import LinearisedMpcSettings, SamplingMpcSettings

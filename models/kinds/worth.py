@@ -10,7 +10,6 @@ from hystmpc.trials.check import check
 from hystmpc.trials.clock_shift import clock_shift
 from hystmpc.trials.errors import FitError
 from hystmpc.trials.findings import Severity
-from hystmpc.trials.signal_findings import shift_said
 from hystmpc.trials.trial import Trial
 
 from ..contract.export import model_bytes
@@ -39,7 +38,7 @@ def identified(
     except FitError as error:
         for trial in trials:
             if (shift := clock_shift(trial.t, trial.command, trial.angle)) is not None and not trial.inverted:
-                raise FitError(f"{trial.source}: {shift_said(shift)}") from error
+                raise FitError(f"{trial.source}: {shift.text}") from error
         raise
     if identification.interrupted or request.steps is not None:
         return identification

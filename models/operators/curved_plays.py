@@ -9,8 +9,7 @@ from typing import ClassVar, Self, final
 
 import casadi as ca
 
-from .hysteresis import play
-from .operator import Operator, Parameter, Symbol, check_values, maximum, minimum
+from .operator import Operator, Parameter, Symbol, check_values, maximum, minimum, play
 
 _NARROW = 1e-9  # half-width below which a gradual play is none [cmd]
 

@@ -10,8 +10,7 @@ import casadi as ca
 
 from hystmpc.trials.errors import ModelError
 
-from .hysteresis import play
-from .operator import Number, Operator, Parameter, Symbol, check_values, maximum, minimum
+from .operator import Number, Operator, Parameter, Symbol, check_values, maximum, minimum, play
 
 
 @final

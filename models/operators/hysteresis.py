@@ -7,12 +7,7 @@ from typing import Annotated, ClassVar, final
 
 import casadi as ca
 
-from .operator import Number, Operator, Symbol, maximum, minimum
-
-
-def play(u: Symbol, z: Symbol, r: Symbol) -> Symbol:
-    """Next state of a play of half-width `r` whose state is `z`: max(u - r, min(u + r, z))."""
-    return maximum(u - r, minimum(u + r, z))
+from .operator import Number, Operator, Symbol, maximum, minimum, play
 
 
 @dataclass(frozen=True)

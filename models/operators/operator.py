@@ -205,6 +205,11 @@ def maximum(a: Symbol, b: Symbol) -> Symbol:
     return ca.if_else(a >= b, a, b)
 
 
+def play(u: Symbol, z: Symbol, r: Symbol) -> Symbol:
+    """Next state of a play of half-width `r` whose state is `z`: max(u - r, min(u + r, z))."""
+    return maximum(u - r, minimum(u + r, z))
+
+
 class Memoryless(Operator):
     """A static map y = curve(u).
 

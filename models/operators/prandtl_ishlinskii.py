@@ -7,8 +7,7 @@ from typing import ClassVar, Self, final
 
 import casadi as ca
 
-from .hysteresis import play
-from .operator import Operator, Parameter, Symbol, check_values
+from .operator import Operator, Parameter, Symbol, check_values, play
 from .static_curves import Pieces, band_parameters, freeze_bands, pieces_of
 
 _LITTLE = 1e-9  # share of what is divided by, so that nothing is divided by zero

@@ -10,8 +10,7 @@ import casadi as ca
 
 from hystmpc.trials.errors import ModelError
 
-from .hysteresis import play
-from .operator import Number, Operator, Parameter, Symbol, check_values, maximum
+from .operator import Number, Operator, Parameter, Symbol, check_values, maximum, play
 
 
 @final

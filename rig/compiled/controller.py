@@ -53,7 +53,7 @@ _REASONS = (
 def compiled_controller(
     controller: GuardedController[Any], settings: TipSettings, spin_s: float = 0.0
 ) -> CompiledController:
-    """The controller that `settings` say, as C.
+    """Export, compile and check the controller of the settings as C.
 
     Args:
         controller: the same in Python.
@@ -65,22 +65,22 @@ def compiled_controller(
     """
     try:
         export = export_controller(settings)
-        beside = loop.source() if loop.available() else ""
+        loop_source = loop.source() if loop.available() else ""
         fixed = {
             "spin_ns": round(1e9 * spin_s),
             "stop_after": settings.controller.resolved().ladder.stop_after_failures,
         }
-        compiled = CompiledController(controller, export, controller_library(export, beside), fixed)
+        compiled = CompiledController(controller, export, controller_library(export, loop_source), fixed)
     except (ExportError, OSError) as error:
-        said = str(error).removeprefix("export-c: ")
-        raise ConfigError(f"realtime.backend c: {said}; backend: python needs nothing") from None
+        reason = str(error).removeprefix("export-c: ")
+        raise ConfigError(f"realtime.backend c: {reason}; backend: python needs nothing") from None
     if differs := _difference(controller, compiled):
         raise ConfigError(f"realtime.backend c: {differs}; expected another compiler or CC, or backend: python")
     return compiled
 
 
 def _difference(python: GuardedController[Any], compiled: CompiledController) -> str:
-    """Where the two differ over some steps from rest, empty where they do not.
+    """First difference between the controllers in Python and C over some steps from rest; empty without one.
 
     The reference rises and falls, the angle follows as predicted, and some samples have none or one far off.
     """
@@ -104,7 +104,7 @@ def _difference(python: GuardedController[Any], compiled: CompiledController) ->
 
 @final
 class CompiledController(PlannersController):
-    """Answers as its Python does: the same commands, sources and lines of status; a state is its own snapshot.
+    """A controller compiled from C with the commands, sources and status lines of the Python one; states are snapshots.
 
     Of the estimate there is what the rig looks at: angle of now, disturbance, learned part, counts. Of the plan there
     is its first angle. `refusal` says why the next steps have no time for a plan, as that of `TimelyLaw`.
@@ -156,11 +156,11 @@ class CompiledController(PlannersController):
             ControllerError: as `GuardedController.replay`.
         """
         first = int(self._python.usable_in(commands, angles)[0])
-        beside = self._begun(float(angles[first]), float(commands[max(first - 1, 0)]))
+        replayed = self._begun(float(angles[first]), float(commands[max(first - 1, 0)]))
         for y, u in zip(angles[first:].tolist(), commands[first:].tolist(), strict=True):
-            if beside.look_on(y, u):
+            if replayed.look_on(y, u):
                 raise ControllerError(f"replay: the model fails at command {u}")
-        return self._state(beside, FallbackState())
+        return self._state(replayed, FallbackState())
 
     def sigma_deg(self, state: GuardedState[Any]) -> float:
         """Standard deviation of the error of the estimated angle [deg]; not-a-number where it is not known."""
@@ -211,7 +211,7 @@ class CompiledController(PlannersController):
         return _command(answer.u, answer, status, watch.stages), after
 
     def taken(self, sample: Any, stalled: int, refusal: str) -> Command:
-        """The answer of a sample that a loop in C has taken.
+        """Command of a sample that the loop in C has executed.
 
         Args:
             stalled: of the sample before it.
@@ -228,7 +228,7 @@ class CompiledController(PlannersController):
         return after
 
     def take_up(self, state: GuardedState[bytes]) -> None:
-        """Go on from `state`."""
+        """Set the memory of the C to `state`."""
         c = self._loaded
         if state.memory is not self._newest:
             c.remember(state.memory)
@@ -238,7 +238,7 @@ class CompiledController(PlannersController):
             c.stop()
 
     def _begun(self, y: float, u: float) -> LoadedController:
-        """A memory of its own, at rest."""
+        """New memory of the C, initialised at rest."""
         self._python.init(y, u)
         begun = LoadedController(self._export, self._library)
         if refused := begun.init(y, u):
@@ -275,13 +275,13 @@ def _line(
     stalled: int = 0,
     refusal: str = "",
 ) -> str:
-    """The line that `GuardedController` would say of an answer with `source`, `status` and `missing`."""
+    """Status line as `GuardedController` writes it for an answer of the C."""
     notes = []
     if answer.status:
-        said = _REASONS[answer.status].format(
+        reason = _REASONS[answer.status].format(
             cause=cause, reference=reference, missing=answer.missing, stalled=stalled, refusal=refusal
         )
-        notes.append(f"stopped: {said}" if _SOURCES[answer.source] is Source.STOP else said)
+        notes.append(f"stopped: {reason}" if _SOURCES[answer.source] is Source.STOP else reason)
     elif answer.source == _FEEDBACK:
         notes.append(f"{LEVELS[level]}: forecasts are off by {100 * forecast_error:.0f} % of the motion")
     if answer.missing:

@@ -1,4 +1,4 @@
-"""The loop of a run in C: samples are taken there for as long as all is as expected, and looked at here."""
+"""The control loop in C: it executes whole samples while nothing is unusual; Python reads their results."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ _AHEAD_S, _MOST_AHEAD = 0.25, 2048  # how far the reference is known ahead: time
 
 
 def available() -> bool:
-    """Whether this system has what the loop calls."""
+    """Whether this system has the functions that the loop in C calls."""
     return sys.platform in ("linux", "darwin")
 
 
@@ -83,7 +83,7 @@ class CompiledLoop:
         self._ahead = preview + min(max(round(_AHEAD_S / dt_s), 4), _MOST_AHEAD)
 
     def begin(self, numbers: Mapping[str, Any]) -> None:
-        """Be as at this moment: nothing has been taken yet.
+        """Initialise the struct for the next sample.
 
         Args:
             numbers: fields of the struct.
@@ -95,7 +95,7 @@ class CompiledLoop:
     def samples(
         self, numbers: Mapping[str, Any], wanted: Callable[[Vec], Vec], end: int, flag: StopFlag
     ) -> Generator[Any]:
-        """Take samples in C, and hand on the struct `hystmpc_sample` of each; `view` then says how it ended.
+        """Execute samples in C and yield the struct `hystmpc_sample` of each; `view` says afterwards how it ended.
 
         Args:
             numbers: further fields of the struct as they are now, `steps` among them.
@@ -122,7 +122,7 @@ class CompiledLoop:
             run.join()
 
     def parts(self, intake: Intake, gate: Gate, transport: Transport) -> dict[str, Any] | None:
-        """Fields of the struct as these three say; None where one of them has to stay in Python."""
+        """Initial state of the sensor checks, the gate and the transport in C; None where one of them has no C."""
         judged, limited = intake.numbers(self.view.dt_s, _SIZES["RECENT"]), gate.numbers()
         wire = transport.numbers()
         if judged is None or limited is None or wire is None:
@@ -131,7 +131,7 @@ class CompiledLoop:
 
     @property
     def reason(self) -> str:
-        """Why it has ended."""
+        """Reason for which the loop in C has ended."""
         return _REASONS[self.view.reason]
 
     def unread(self) -> list[tuple[bytes, int]]:
@@ -158,7 +158,7 @@ class CompiledLoop:
             view.read = k + 1
 
     def _feed(self, wanted: Callable[[Vec], Vec]) -> None:
-        """Make the reference known further ahead; where it fails, the loop ends for want of it."""
+        """Extend the reference in the buffer of the loop; where that fails, the loop ends."""
         view = self.view
         first, last = int(view.fed), min(int(view.steps) + self._ahead, int(view.end) + self._preview + 1)
         missing, whole = last - first, last == view.end + self._preview + 1
@@ -179,7 +179,7 @@ def _received(readings: Any, count: int) -> list[tuple[bytes, int]]:
 
 @contextmanager
 def _after_the_loop() -> Iterator[None]:
-    """This thread behind the one that it has started, where both run under SCHED_FIFO."""
+    """Lower the priority of this thread below the loop's where both run under SCHED_FIFO."""
     if not hasattr(os, "sched_getscheduler") or os.sched_getscheduler(0) != os.SCHED_FIFO:
         yield
         return

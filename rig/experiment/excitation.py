@@ -1,4 +1,4 @@
-"""What `record` can play: the papers' identification commands, ruckig motions, and files.
+"""Excitations of `record`: the identification commands of the papers, jerk-limited ramps, and motion files.
 
 S1 is Wu et al., RA-L 2021 (DOI 10.1109/LRA.2021.3061069), S2 RA-L 2024, PMC11633443.
 """
@@ -23,12 +23,12 @@ from hystmpc.trajectories.excitation import (
 from hystmpc.trajectories.trajectory import Trajectory, sample
 from hystmpc.trials.config import NotNegative, Positive, Settings
 from hystmpc.trials.errors import LogError
+from hystmpc.trials.formats import read_lines
 from hystmpc.trials.layouts import CANONICAL
 from hystmpc.trials.tables import Table, read_table
-from hystmpc.trials.text_ import read_lines
 from hystmpc.trials.types import Vec
 
-from ..safety.ramp import RampSettings, way_commands
+from ..safety.ramp import RampSettings, waypoint_commands
 
 
 class TrajectoryExcitation(Settings):
@@ -125,7 +125,9 @@ class StopsSettings(Settings):
 
     def commands(self, rate_hz: float, ramps: RampSettings) -> Vec:
         """Commands (N,)."""
-        return np.concatenate([[self.start], way_commands(self.start, self.stops, self.holds_s, ramps, 1 / rate_hz)])
+        return np.concatenate(
+            [[self.start], waypoint_commands(self.start, self.stops, self.holds_s, ramps, 1 / rate_hz)]
+        )
 
 
 class MotionFileSettings(Settings):
@@ -154,7 +156,14 @@ class MotionFileSettings(Settings):
             LogError: if the file cannot be read, lacks a column, or holds numbers that are not finite or in order.
         """
         del ramps
-        return read_motion(self.file, rate_hz)
+        table, column = _motion_table(self.file)
+        t, u = table.numbers["time_s"], table.numbers[column]
+        if t.size < 2 or not np.isfinite([t, u]).all() or not (np.diff(t) > 0).all():
+            raise LogError(
+                f"{self.file}: got {t.size} rows, expected at least 2 with finite numbers and increasing time_s"
+            )
+        steps = int(np.ceil((t[-1] - t[0]) * rate_hz - 1e-9))
+        return np.interp(t[0] + np.arange(steps + 1) / rate_hz, t, u)
 
 
 Excitation = Annotated[
@@ -163,22 +172,8 @@ Excitation = Annotated[
 ]
 
 
-def read_motion(path: Path | str, rate_hz: float) -> Vec:
-    """Commands (N,) of a motion file at a rate.
-
-    Raises:
-        LogError: if the file cannot be read, lacks a column, or holds numbers that are not finite or in order.
-    """
-    table, column = _motion_table(path)
-    t, u = table.numbers["time_s"], table.numbers[column]
-    if t.size < 2 or not np.isfinite([t, u]).all() or not (np.diff(t) > 0).all():
-        raise LogError(f"{path}: got {t.size} rows, expected at least 2 with finite numbers and increasing time_s")
-    steps = int(np.ceil((t[-1] - t[0]) * rate_hz - 1e-9))
-    return np.interp(t[0] + np.arange(steps + 1) / rate_hz, t, u)
-
-
 def _motion_table(path: Path | str) -> tuple[Table, str]:
-    """The file, and the name of its one column of commands."""
+    """Table of a motion file, and the name of its command column."""
     table = read_table(read_lines(path), str(path))
     names = [name for name in table.header if name in CANONICAL.command]
     if "time_s" not in table.numbers or len(names) != 1 or names[0] not in table.numbers:

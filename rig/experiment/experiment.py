@@ -1,4 +1,4 @@
-"""A closed-loop experiment: preparation, hand-over to a controller, tracking of a reference, and back."""
+"""Controllers as phases: tracking of an experiment's reference after a bumpless transfer, and steering by targets."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from typing import TYPE_CHECKING, Any, Protocol, final
 import numpy as np
 from numpy.typing import ArrayLike
 
-from hystmpc.ctrl.command import Command, ControlInput, Source, Stopwatch, modelled_limits
-from hystmpc.ctrl.config import ControllerSettings
+from hystmpc.ctrl.command import Command, CommandLimits, ControlInput, Source, Stopwatch, modelled_limits
+from hystmpc.ctrl.config import ControllerSettings, sensor_fault
 from hystmpc.ctrl.estimation.observer import EstimatorSettings
 from hystmpc.ctrl.guarded import GuardedController
 from hystmpc.ctrl.law import Law, Proposal
 from hystmpc.ctrl.monitor import ChangeMonitor, MonitorState
 from hystmpc.ctrl.planner.assembly import Assembly, assemble
 from hystmpc.ctrl.planner.reach import beyond_reach
-from hystmpc.ctrl.planner.settings import TipSettings
+from hystmpc.ctrl.planner.settings import TipSettings, read_settings
 from hystmpc.ctrl.planner.tip_controller import TipController
 from hystmpc.trajectories.motion import Kinematics, PiecewiseCubic
 from hystmpc.trajectories.ruckig_ import move_to_rest
@@ -30,7 +30,7 @@ from hystmpc.trials.errors import ConfigError, ControllerError
 from hystmpc.trials.types import Vec
 
 from ..config import RunSettings
-from ..live.desk import Answer, Desk
+from ..live.desk import Desk, Reply
 from ..recording.sample import Sink
 from ..run import BenchResult, Note, run_bench
 from ..safety.intake import SensorSettings
@@ -62,7 +62,7 @@ def run_experiment(
     transport: Transport | None = None,
     desk: Desk | None = None,
 ) -> BenchResult:
-    """Do the experiment; everything that can be wrong is found before anything moves. Arguments as of `run_bench`.
+    """Run the experiment; settings and model are checked before anything moves. Arguments as of `run_bench`.
 
     With a desk the run takes targets too; after the first one it goes on until somebody ends it.
 
@@ -77,11 +77,11 @@ def run_experiment(
     )
 
 
-def tracking_phase(settings: RunSettings, beside: bool = True, note: Note = lambda text: None) -> Tracking:
-    """The controller of an experiment, compiled and warm, as a phase.
+def tracking_phase(settings: RunSettings, threaded: bool = True, note: Note = lambda text: None) -> Tracking:
+    """Phase that tracks the reference of an experiment; its controller is built, compiled and warmed up.
 
     Args:
-        beside: whether the hand-over goes on beside the loop, see `Tracking`.
+        threaded: whether the transfer to the controller runs in a thread, see `Tracking`.
         note: told where the reference goes beyond the model's reach.
 
     Raises:
@@ -95,8 +95,8 @@ def tracking_phase(settings: RunSettings, beside: bool = True, note: Note = lamb
     law = tip_settings.controller
     ladder = law.resolved().ladder
     if ladder.safe_command is None:  # a stop of the controller's own goes where the loop's would
-        own = {"ladder": {**ladder.model_dump(), "safe_command": settings.safe_command}}
-        law = type(law).parse({**law.model_dump(exclude_unset=True), **own})
+        with_safe = {"ladder": {**ladder.model_dump(), "safe_command": settings.safe_command}}
+        law = type(law).parse({**law.model_dump(exclude_unset=True), **with_safe})
         tip_settings = tip_settings.model_copy(update={"controller": law})
     tip_settings = tip_settings.model_copy(
         update={"limits": tip_settings.limits or limits, "start_command": settings.safe_command}
@@ -119,11 +119,11 @@ def tracking_phase(settings: RunSettings, beside: bool = True, note: Note = lamb
     fails = None if drill is None else (drill.solver_fails_from_s, drill.solver_fails_from_s + drill.solver_fails_for_s)
     watch = model_watch(settings.plausibility, law, settings.dt_s)
     monitor = ChangeMonitor(assembly.predictor.noise, settings.dt_s, assembly.workspace.model)
-    return Tracking(tip, law_of_it, lead_in, watch, monitor, fails, settings.sensor, beside, compiled)
+    return Tracking(tip, law_of_it, lead_in, watch, monitor, fails, settings.sensor, threaded, compiled)
 
 
 def _compiled(settings: RunSettings, assembly: Assembly, tip_settings: TipSettings) -> CompiledController | None:
-    """The controller as C, None for the backend of Python."""
+    """Controller compiled from C; None for the backend python."""
     if settings.realtime.backend == "python":
         return None
     from ..compiled.controller import compiled_controller
@@ -147,7 +147,7 @@ def _fits(settings: RunSettings, assembly: Assembly) -> None:
 
 
 class LeadInTrajectory:
-    """A reference behind a motion (None where the tip is there already) that leads to where it starts."""
+    """A reference after a lead-in motion to its first angle; None where the tip is there already."""
 
     def __init__(self, lead: PiecewiseCubic | None, reference: Trajectory) -> None:
         self._lead, self._reference = lead, reference
@@ -180,8 +180,8 @@ class Tracking(Phase):
         monitor: says in the status that the device has changed since identification.
         drill_s: from when until when the law is made to fail, as an exercise [s]; None for never.
         sensor: of the bench; continuous where left out.
-        beside: whether the hand-over goes on beside the loop; False where a sample takes no time, so that each run of a
-            computed device is the same.
+        threaded: whether the transfer runs in a thread of its own; False where a sample takes no time, so that each run
+            of a computed device is the same.
         compiled: the controller, where it is one in C: it may take whole samples.
     """
 
@@ -196,16 +196,16 @@ class Tracking(Phase):
         monitor: ChangeMonitor,
         drill_s: tuple[float, float] | None = None,
         sensor: SensorSettings | None = None,
-        beside: bool = True,
+        threaded: bool = True,
         compiled: CompiledController | None = None,
     ) -> None:
-        self._beside, self._compiled = beside, compiled
+        self._threaded, self._compiled = threaded, compiled
         self._tip, self._law, self._lead_in, self._watch, self._drill = tip, law, lead_in, watch, drill_s
         self._kind, self._rest_deg = ("continuous", None) if sensor is None else (sensor.kind, sensor.rest_deg)
         self._monitor, self._changed = monitor, ""
         self._judged: MonitorState | None = None
         self._held_samples = 0
-        self._early: list[tuple[float, float]] = []
+        self._early_frames: list[tuple[float, float]] = []
         self._reference: Trajectory | None = None
         self._worker: Thread | None = None
         self._past: Past | None = None
@@ -224,7 +224,7 @@ class Tracking(Phase):
         reach = self._tip.reachable(math.nan)
         return reach.low_deg, reach.high_deg
 
-    def target(self, angle_deg: float) -> Answer:
+    def target(self, angle_deg: float) -> Reply:
         """Move to an angle [deg] and stay there, in place of the reference, until the run is ended; by any thread.
 
         Raises:
@@ -232,15 +232,15 @@ class Tracking(Phase):
         """
         reach = self._tip.reachable(angle_deg)
         if not reach:
-            return Answer(False, reach.reason)
+            return Reply(False, reach.reason)
         with self._turn:
             if not self._tracks:
-                return Answer(False, "no target can be set now: the controller does not track")
+                return Reply(False, "no target can be set now: the controller does not track")
             self._tip.set_target(angle_deg)
             self._stays = True
             if self._compiled is not None and self._compiled.loop is not None:
                 self._compiled.loop.interrupt()
-        return Answer(True, reach.reason)
+        return Reply(True, reach.reason)
 
     def begin(self, now: PhaseInput, past: Past) -> None:
         del now
@@ -258,10 +258,10 @@ class Tracking(Phase):
             self._tip.set_reference(self._wanted)  # it begins now
             self._held_samples = 0
         now_s = self._tip.dt * self._tip.snapshot().steps
-        for angle, taken_s in [*self._early, *((frame.angle_deg, now_s - frame.age_s) for frame in now.frames)]:
+        for angle, taken_s in [*self._early_frames, *((frame.angle_deg, now_s - frame.age_s) for frame in now.frames)]:
             with suppress(ControllerError):  # older than what the controller remembers
                 self._tip.measure(angle, taken_s)
-        self._early.clear()
+        self._early_frames.clear()
         self._law.refusal = self._refusal(now)
         control = self._tip.snapshot().control
         if self._kind == "continuous" and control is not None and control.estimate.angles:
@@ -300,7 +300,7 @@ class Tracking(Phase):
             tip.took(0, command, law.after())
 
     def _judge(self, angle_deg: float, model: float) -> None:
-        """Compare the model's own angle with the measured one; once a second it is asked whether the device changed."""
+        """Compare predicted and measured angle; test once a second whether the device has changed."""
         if self._judged is None:
             self._judged = self._monitor.init(model, angle_deg)
         self._judged = self._monitor.advance(self._judged, model, angle_deg)
@@ -309,7 +309,7 @@ class Tracking(Phase):
             self._changed = f"; {change.sign}" if change.certain else ""
 
     def _waits(self, now: PhaseInput) -> bool:
-        """Whether the hand-over lasts; it starts with the first usable angle, without a sensor at once."""
+        """Whether the transfer to the controller lasts; it starts with the first usable angle, or without a sensor."""
         past = self._past
         if past is not None:
             past.keep(now, self._tip.dt)
@@ -317,13 +317,13 @@ class Tracking(Phase):
                 self._past = None
                 self._worker = Thread(target=self._hand_over, args=(past,), name="hand-over", daemon=True)
                 self._worker.start()
-                if not self._beside:
+                if not self._threaded:
                     self._worker.join()
             return True
         waits = self._worker is not None and self._worker.is_alive()
         if waits and self._kind != "continuous":
             now_s = self._tip.dt * (self._held_samples + now.skipped)
-            self._early += [(frame.angle_deg, now_s - frame.age_s) for frame in now.frames]
+            self._early_frames += [(frame.angle_deg, now_s - frame.age_s) for frame in now.frames]
             self._held_samples += 1 + now.skipped
         return waits
 
@@ -340,13 +340,13 @@ class Tracking(Phase):
 
     @staticmethod
     def _declare(past: Past, rest_deg: float) -> None:
-        """Put the declared angle at the rest before preparation, which has to be remembered from its beginning."""
+        """Set the declared rest angle at the first sample of the history, which has to reach back to the rest."""
         if len(past.commands) >= REMEMBERED:
             raise ConfigError(f"sensor.rest_deg: got {len(past.commands)} samples since the rest, expected fewer")
         past.angles_deg[:] = [rest_deg, *([math.nan] * (len(past.commands) - 1))]
 
     def _wanted(self, t: Vec) -> Vec:
-        """The preview."""
+        """Reference angles at times `t` [s]."""
         assert self._reference is not None
         return self._reference(t)
 
@@ -365,11 +365,11 @@ class Tracking(Phase):
         with self._turn:
             over = t >= reference.duration_s and not self._stays
             self._tracks = not over
-        return replace(decided(command, due_deg, self._watch, self._changed), finished=over)
+        return replace(decision_of(command, due_deg, self._watch, self._changed), finished=over)
 
 
-def decided(command: Command, due_deg: float, watch: ModelWatch, note: str = "") -> Decision:
-    """A controller's command as a phase hands it on; its own stop, and a device off its model, are faults.
+def decision_of(command: Command, due_deg: float, watch: ModelWatch, note: str = "") -> Decision:
+    """Decision from a controller's command; a stop of the controller and a large model error are faults.
 
     Args:
         due_deg: wanted angle at the end of the sample [deg].
@@ -390,14 +390,14 @@ def decided(command: Command, due_deg: float, watch: ModelWatch, note: str = "")
 
 
 def model_watch(plausibility: PlausibilitySettings, law: ControllerSettings, dt_s: float) -> ModelWatch:
-    """The watch over a controller's model, within the bound of its own estimator."""
+    """Monitor of a controller's model error, bounded by the disturbance limit of its estimator."""
     estimator = law.resolved().estimator
     limit = estimator.disturbance_limit_deg if isinstance(estimator, EstimatorSettings) else math.inf
     return ModelWatch(plausibility, limit, dt_s)
 
 
 def present_angle(tip: TipController) -> float:
-    """Where the tip is now, as the controller estimates it [deg]: the last angle of one without a model."""
+    """Present tip angle as the controller estimates it [deg]; the last measured one without a model."""
     control = tip.snapshot().control
     assert control is not None
     estimate = control.estimate
@@ -405,18 +405,18 @@ def present_angle(tip: TipController) -> float:
 
 
 class Refusing(Protocol):
-    """Something in a controller that can be told why there is no time for a plan; empty: there is."""
+    """A control law that skips planning where `refusal` gives a reason; an empty one lets it plan."""
 
     refusal: str
 
 
 class NoTimeError(Exception):
-    """There is no time for a plan; never leaves the controller's step."""
+    """No time for a plan in this sample; caught inside the controller's step."""
 
 
 @final
 class TimelyLaw(Law[Any]):
-    """The same law, but failing at once where `refusal` says why: shifted plan, inverse, hold, stop are next."""
+    """A control law that fails at once while `refusal` is set, so that the fallback ladder answers the sample."""
 
     def __init__(self, law: Law[Any]) -> None:
         self._law = law
@@ -433,6 +433,68 @@ class TimelyLaw(Law[Any]):
 
 
 def make_timely(controller: GuardedController[Any]) -> tuple[GuardedController[Any], TimelyLaw]:
-    """The same controller around a law that can be told to fail, and that law: only failing leads to the fallbacks."""
+    """Controller with its law wrapped in a `TimelyLaw`, and that law."""
     law = TimelyLaw(controller.law)
     return controller.with_law(law), law
+
+
+@final
+class Steering(Phase):
+    """A `TipController` that starts at rest where the device is found, and takes targets at any time, by any thread.
+
+    It steps as `Tracking` does: samples in which nothing was sent are told as holds, a sample that begins late is
+    answered by the fallbacks, and a device that leaves its model is a fault. It never ends by itself.
+
+    Attributes:
+        tip: the controller, for targets, its state and its stop.
+        limits: of the command.
+        unit: of the command, mm or bar.
+        safe_command: where a stop leads; NaN where it stays.
+
+    Raises:
+        ConfigError: if the controller's file cannot be used or its controller wants no continuous sensor.
+        HystmpcError: of any other kind, see `assemble`.
+    """
+
+    name = "steer"
+
+    def __init__(self, config: Path | str) -> None:
+        settings, folder = read_settings(config)
+        self._settings = settings.controller
+        if fault := sensor_fault(self._settings, "continuous"):
+            raise ConfigError(f"{config}: controller.{fault}")
+        assembly = assemble(settings, folder)
+        controller, law = make_timely(assembly.controller)
+        self._law: Refusing = law
+        self.tip = TipController(assembly, settings, controller)
+        self.limits: CommandLimits = assembly.limits
+        self.unit = assembly.unit
+        safe = self._settings.resolved().ladder.safe_command
+        self.safe_command = math.nan if safe is None else safe
+        self.watch(PlausibilitySettings())
+
+    def watch(self, plausibility: PlausibilitySettings) -> None:
+        """Restart the monitor of the model error with these settings."""
+        self._plausibility = plausibility
+        self._watch = model_watch(plausibility, self._settings, self.tip.dt)
+
+    def begin(self, now: PhaseInput, past: Past) -> None:
+        """Wait for the first usable angle."""
+        del now, past
+        self._started = False
+        self.watch(self._plausibility)
+
+    def step(self, now: PhaseInput) -> Decision:
+        """Hold until there is an angle, then one step of the controller."""
+        if not self._started:
+            if math.isnan(now.angle_deg):
+                return Decision(now.held, "hold", "waits for an angle")
+            self.tip.reset(now.angle_deg, now.held)
+            self._started = True
+        else:
+            for _ in range(now.skipped):
+                self.tip.skip()
+        self._law.refusal = LATE if now.late or now.skipped else ""
+        command = self.tip.step(now.angle_deg)
+        control = self.tip.snapshot().control
+        return decision_of(command, math.nan if control is None else control.due, self._watch)

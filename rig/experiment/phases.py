@@ -12,8 +12,8 @@ from pydantic import Field, model_validator
 from hystmpc.trials.config import Count, NotNegative, Positive, Settings
 from hystmpc.trials.types import Vec
 
-from ..safety.intake import SeenFrame
-from ..safety.ramp import RampSettings, ramp_commands, way_commands
+from ..safety.intake import ObservedFrame
+from ..safety.ramp import RampSettings, ramp_commands, waypoint_commands
 
 if TYPE_CHECKING:
     from ..compiled.loop import CompiledLoop
@@ -22,21 +22,21 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class PhaseInput:
-    """What a phase may look at."""
+    """Measurements and command state that a phase gets in each sample."""
 
     angle_deg: float  # measured angle, NaN where none is usable [deg]
     held: float  # the command sent last, or the one that the device was found to hold
     late: bool = False  # whether the previous sample missed its deadline, so that there is no time for a plan
     skipped: int = 0  # whole samples since the previous one in which nothing was sent and the device held `held`
-    told: float = math.nan  # the command that the device says it holds, NaN where it does not tell
+    reported: float = math.nan  # the command that the device says it holds, NaN where it does not tell
     velocity: float = 0.0  # of the command between the last two samples; 0 where the device was found at rest [unit/s]
-    frames: tuple[SeenFrame, ...] = ()  # of an intermittent sensor, accepted since the last sample
+    frames: tuple[ObservedFrame, ...] = ()  # of an intermittent sensor, accepted since the last sample
     shown_deg: float = math.nan  # the newest angle that is not stale, believed or not; NaN where none came [deg]
 
 
 @dataclass(frozen=True, slots=True)
 class Decision:
-    """What a phase wants.
+    """Command and status that a phase returns for a sample.
 
     Attributes:
         u: wanted command; the gate has the last word.
@@ -59,13 +59,13 @@ class Decision:
 
 @dataclass(frozen=True, slots=True)
 class Past:
-    """What was sent and measured in the run so far, for a controller that takes over; (T,) each, copies."""
+    """Commands and angles of the run so far, from which a controller starts; (T,) each, copies."""
 
     commands: list[float]
     angles_deg: list[float]
 
     def keep(self, now: PhaseInput, dt_s: float) -> None:
-        """Append a sample; frames go to the samples in which they were taken, or to the first one."""
+        """Append a sample; angles of frames go to the samples at which they were taken, or to the first one."""
         self.commands.append(now.held)
         self.angles_deg.append(math.nan if now.frames else now.angle_deg)
         place_frames(self.angles_deg, now.frames, dt_s)
@@ -75,8 +75,8 @@ REMEMBERED = 200_000
 """Samples of preparation that a controller can be told of."""
 
 
-def place_frames(angles: MutableSequence[float], frames: Sequence[SeenFrame], dt_s: float) -> None:
-    """Put frames into the samples in which they were taken; the last of `angles` belongs to now."""
+def place_frames(angles: MutableSequence[float], frames: Sequence[ObservedFrame], dt_s: float) -> None:
+    """Write the angles of frames into the samples at which they were taken; the last sample is the present one."""
     for frame in frames:
         angles[max(-1 - round(frame.age_s / dt_s), -len(angles))] = frame.angle_deg
 
@@ -100,18 +100,18 @@ class Phase(Protocol):
         ...
 
     def compiled(self) -> CompiledLoop | None:
-        """What takes the next samples in C; None where they have to be taken in Python."""
+        """Compiled loop for the next samples; None where Python has to execute them."""
         return None
 
     def taken_in_c(self, flag: StopFlag) -> Generator[tuple[Any, Decision]]:
-        """Samples that `compiled`, which has begun, takes until the flag is set; each with what was decided."""
+        """Samples executed by the compiled loop until the flag is set, each with its decision."""
         del flag
         yield from ()
 
 
 @final
 class CommandMotion(Phase):
-    """Plays commands that are worked out when it begins, from the command held then.
+    """Open-loop motion: commands computed from the held command when the phase begins.
 
     Args:
         commands: held command to the commands (N,) to send.
@@ -136,7 +136,7 @@ class CommandMotion(Phase):
 
 @final
 class AwaitStart(Phase):
-    """Holds the command until somebody lets the run begin; what is sent keeps the device's watchdog quiet.
+    """Hold the command until a person starts the run; sending it keeps the device's watchdog from acting.
 
     Args:
         started: asked once a sample.
@@ -175,7 +175,7 @@ class PretensionCheck(Phase):
         self._before = self._angle = math.nan
 
     def begin(self, now: PhaseInput, past: Past) -> None:
-        """Work the way out; the angle at rest is that of the moments before."""
+        """Compute the commands; the present angle is the angle at rest."""
         del past
         up, back = self._plan(now.held)
         self._commands, self._top, self._k = [*up.tolist(), *back.tolist()], up.size, 0
@@ -203,7 +203,7 @@ class PretensionCheck(Phase):
 
 @final
 class SafeStop(Phase):
-    """Leads the command to rest at the safe one and ends where the device has said that it holds it.
+    """Motion to rest at the safe command; it ends once the device reports that it holds that command.
 
     Every run ends with it: after its last phase, and after a stop. The safe command is sent `repeats` times at least,
     since a wire may lose some; where the device does not say that it is there, `patience` times.
@@ -242,7 +242,7 @@ class SafeStop(Phase):
         self.sent = self.confirmed = False
 
     def begin(self, now: PhaseInput, past: Past) -> None:
-        """Work the way out, also anew from where the device was found; never raises."""
+        """Compute the stop motion from the held command; never raises."""
         del past
         self._attempts -= 1
         try:
@@ -254,13 +254,13 @@ class SafeStop(Phase):
         self._k = self._rested = 0
 
     def step(self, now: PhaseInput) -> Decision:
-        """The next command; finished once the safe one is held, or where no attempt is left."""
+        """Next command; finished once the safe command is held or no attempt is left."""
         if self._attempts < 0:
             return Decision(now.held, self.name, f"{self._status}; given up", finished=True)
         u = self._commands[self._k] if self._k < len(self._commands) else self._end
         self._k += 1
         self._rested += abs(now.held - self._end) <= 1e-9 * (1 + abs(self._end))
-        self.confirmed = abs(now.told - self._safe) <= self._tolerance
+        self.confirmed = abs(now.reported - self._safe) <= self._tolerance
         self.sent = self._k >= len(self._commands) and self._rested >= self._repeats
         there = self.sent and (self.confirmed or self._rested >= self._patience)
         return Decision(u, self.name, self._status, finished=there and not self._stays())
@@ -301,7 +301,7 @@ class FlexureSettings(Settings):
         """The phase of this step."""
         stops = [self.upper, self.lower] * self.cycles
         holds = [self.hold_s] * len(stops)
-        return CommandMotion("flexure", lambda held: way_commands(held, stops, holds, ramps, dt_s))
+        return CommandMotion("flexure", lambda held: waypoint_commands(held, stops, holds, ramps, dt_s))
 
 
 class RelaxationSettings(Settings):
@@ -316,7 +316,7 @@ class RelaxationSettings(Settings):
 
     def phase(self, ramps: RampSettings, dt_s: float) -> Phase:
         """The phase of this step."""
-        return CommandMotion("relaxation", lambda held: way_commands(held, [held], [self.duration_s], ramps, dt_s))
+        return CommandMotion("relaxation", lambda held: waypoint_commands(held, [held], [self.duration_s], ramps, dt_s))
 
 
 class PretensionSettings(Settings):
@@ -347,7 +347,7 @@ class PretensionSettings(Settings):
         """The phase of this step."""
         return PretensionCheck(
             lambda held: (
-                way_commands(held, [held + self.by], [self.hold_s], ramps, dt_s),
+                waypoint_commands(held, [held + self.by], [self.hold_s], ramps, dt_s),
                 ramp_commands(held + self.by, 0.0, held, ramps, dt_s),
             ),
             self.least_move_deg,

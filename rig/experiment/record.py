@@ -1,4 +1,4 @@
-"""Recordings for identification: every excitation a trial, with the safety of an experiment."""
+"""Recordings for identification: each excitation is played by the control loop and becomes one trial."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from hystmpc.trials.csv_files import format_table, write_csv
 from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.files import write_atomically
 from hystmpc.trials.layouts import CANONICAL
-from hystmpc.trials.recording_order import write_manifest
+from hystmpc.trials.recording import write_manifest
 from hystmpc.trials.trial import Trial, Units
 from hystmpc.trials.types import Vec
 
@@ -24,7 +24,7 @@ from ..config import RecordSettings
 from ..live.desk import Desk
 from ..recording.sample import Sink
 from ..run import BenchResult, Note, run_bench
-from ..safety.ramp import way_commands
+from ..safety.ramp import waypoint_commands
 from ..transports.transport import PlantFactory, Transport
 from .phases import CommandMotion, Decision, Past, Phase, PhaseInput
 
@@ -38,7 +38,7 @@ _BETWEEN_FRAMES = (
 
 @final
 class Recorded(Phase):
-    """A phase that plays commands (N,) and keeps what was sent and measured.
+    """Phase that plays commands (N,) and records the commands sent and the angles measured.
 
     An angle belongs to the end of its sample: it is read at the beginning of the next one, so one sample more is
     spent at the last command. A frame belongs to the sample at whose end it was taken, and `late` samples more are
@@ -64,7 +64,7 @@ class Recorded(Phase):
         self._k = self._skipped = 0
 
     def step(self, now: PhaseInput) -> Decision:
-        """The next command; keeps the angle that the last one has led to."""
+        """Next command; records the angle at the end of the previous one."""
         k = self._k
         self._skipped += now.skipped
         count = len(self._commands)
@@ -81,7 +81,7 @@ class Recorded(Phase):
         return Decision(u, self.name, finished=k >= count + (self._late or 0))
 
     def write(self, folder: Path, unit: str) -> Path | None:
-        """Write what was recorded; None, and nothing is written, with fewer than two angles.
+        """Write the trial as CSV; None without a file where fewer than two angles were measured.
 
         Samples without an angle are left out; between frames they stay, with an empty cell: the commands count.
         """
@@ -112,7 +112,7 @@ class Recorded(Phase):
 
 @dataclass(frozen=True)
 class RecordResult:
-    """What a recording left behind."""
+    """Result of a recording."""
 
     bench: BenchResult  # how it went
     trials: tuple[Path, ...]  # files written, complete ones
@@ -173,7 +173,7 @@ def record(
 def _approach(settings: RecordSettings, start: float, held: float) -> Vec:
     """Ramp to where an excitation starts, and rest there."""
     rest_s = max(settings.settle_s, settings.dt_s)
-    return way_commands(held, [start], [rest_s], settings.ramps, settings.dt_s)
+    return waypoint_commands(held, [start], [rest_s], settings.ramps, settings.dt_s)
 
 
 def _within(settings: RecordSettings, name: str, commands: Vec) -> None:

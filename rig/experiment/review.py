@@ -1,26 +1,35 @@
-"""After a run: predicted against measured angle, and whether a new identification or a diagnosis is due."""
+"""Review of a run: predicted against measured angle, what is due, and the page report.html of the run folder."""
 
 from __future__ import annotations
 
+import json
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from hystmpc.ctrl.monitor import ChangeMonitor
-from hystmpc.models.contract.metadata import Range
 from hystmpc.models.evaluate import free_run
 from hystmpc.models.load import load_model, model_path
 from hystmpc.models.model import LoadedModel
-from hystmpc.trials.errors import LogError
+from hystmpc.trials.csv_files import write_csv
+from hystmpc.trials.errors import LogError, TrajectoryError
+from hystmpc.trials.figure_data import draw_long
+from hystmpc.trials.from_outside import only_reads
 from hystmpc.trials.layouts import CANONICAL
+from hystmpc.trials.report import Heading, KeyValues, Paragraph, Piece, Plot, Report, Table, style
 from hystmpc.trials.run_folder import Column, RunFolder
+from hystmpc.trials.trial import Trial, Units
 from hystmpc.trials.types import Vec
 
 from ..config import RunSettings
-from ..recording.csv_log import TAKEN
+from ..recording.report import Log, causes, numbers, timing_table, tracked
+from ..recording.sample import TAKEN
 
 TRIAL_FILE = "trial.csv"
 _LEAST = 10  # samples that can be judged
@@ -52,7 +61,7 @@ class ReviewedRun:
 
 @dataclass(frozen=True)
 class Review:
-    """What a run says about its model.
+    """Assessment of a model by a run: tracking error, prediction errors, and what is due.
 
     Attributes:
         advice: one line: nothing is due, a new identification, or a diagnosis.
@@ -86,7 +95,7 @@ class Review:
 
 
 def compare_with_model(run: RunFolder, settings: RunSettings) -> ReviewedRun:
-    """The run's log against its model.
+    """Predict the run with its model: the log's samples with the model's free run.
 
     Raises:
         LogError: if the log lacks a column or is too short.
@@ -96,66 +105,66 @@ def compare_with_model(run: RunFolder, settings: RunSettings) -> ReviewedRun:
     wanted = ("time_s", "angle_deg", "reference_deg", "predicted_deg", "sequence", "source")
     if gone := [name for name in wanted if name not in log]:
         raise LogError(f"{run.path}: the log lacks {', '.join(gone)}, expected the log of a run at a bench")
-    sequence = _numbers(log, "sequence").astype(np.int64)
+    sequence = numbers(log, "sequence").astype(np.int64)
     if sequence.size < _LEAST:
         raise LogError(f"{run.path}: {sequence.size} samples, expected at least {_LEAST} to be judged")
-    command = _numbers(log, CANONICAL.command_column(list(log)))
+    command = numbers(log, CANONICAL.command_column(list(log)))
     follows = np.flatnonzero(np.diff(sequence) == 1)  # rows whose end is the next row's beginning
     angle = _angles_when_taken(log)
     model = load_model(model_path(settings.controller.model), start="conditioned")
     free = _free_run(model, settings, command, sequence, angle)
-    measured = angle[follows + 1]
+    measured, trained = angle[follows + 1], model.metadata.trained_angle
     sources = [str(text) for text in log["source"]]
     past = max((k for k, name in enumerate(sources) if name in _PREPARATION), default=-1)
     return ReviewedRun(
-        t=_numbers(log, "time_s")[follows] + settings.dt_s,
+        t=numbers(log, "time_s")[follows] + settings.dt_s,
         command=command[follows],
         measured_deg=measured,
-        reference_deg=_numbers(log, "reference_deg")[follows],
-        predicted_deg=_numbers(log, "predicted_deg")[follows],
+        reference_deg=numbers(log, "reference_deg")[follows],
+        predicted_deg=numbers(log, "predicted_deg")[follows],
         free_deg=free[follows],
         counted=np.isfinite(measured) & np.isfinite(free[follows]) & (follows > past),
-        monitor=ChangeMonitor(model.metadata.noise, settings.dt_s, _ends(model.metadata.trained_angle)),
+        monitor=ChangeMonitor(model.metadata.noise, settings.dt_s, (trained.lower, trained.upper)),
     )
 
 
-def review(found: ReviewedRun, due_above_deg: float) -> Review:
-    """Figures and advice.
+def review(rows: ReviewedRun, due_above_deg: float) -> Review:
+    """Tracking and prediction errors of a run, and the advice that follows from them.
 
-    The free run r over the commands sent is compared with the measured angle y. Up to `due_above_deg` nothing is due.
+    The free run r over the commands sent is rows with the measured angle y. Up to `due_above_deg` nothing is due.
     Beyond it, the line y = offset + gain r decides: where it takes the error below the bar the model has the right
     shape and wants new numbers, otherwise something is missing in it.
 
     Raises:
         LogError: if too few samples can be judged.
     """
-    y, r = found.measured_deg[found.counted], found.free_deg[found.counted]
+    y, r = rows.measured_deg[rows.counted], rows.free_deg[rows.counted]
     if y.size < _LEAST:
         raise LogError(f"review: {y.size} samples with an angle after preparation, expected at least {_LEAST}")
     moved = float(np.ptp(r)) > due_above_deg
     gain, offset = (float(c) for c in np.polyfit(r, y, 1)) if moved else (1.0, float(np.mean(y - r)))
     free, corrected = _rms(y - r), _rms(y - offset - gain * r)
-    error = (found.measured_deg - found.reference_deg)[found.counted]
+    error = (rows.measured_deg - rows.reference_deg)[rows.counted]
     error = error[np.isfinite(error)]
     return Review(
         advice=_advice(free, corrected, offset, gain, due_above_deg),
         tracking_deg=_rms(error),
-        one_step_deg=_rms((found.measured_deg - found.predicted_deg)[found.counted]),
+        one_step_deg=_rms((rows.measured_deg - rows.predicted_deg)[rows.counted]),
         free_run_deg=free,
         offset_deg=offset,
         gain=gain,
         corrected_deg=corrected,
-        change=_change(found, r, y),
+        change=_change(rows, r, y),
         greatest_deg=float(np.max(np.abs(error))) if error.size else math.nan,
     )
 
 
 def _angles_when_taken(log: Mapping[str, Column]) -> Vec:
     """Angles (N,) [deg] in the rows of the times at which they were taken; NaN in all others."""
-    angle = _numbers(log, "angle_deg")
+    angle = numbers(log, "angle_deg")
     if TAKEN not in log:
         return angle
-    time, taken = _numbers(log, "time_s"), _numbers(log, TAKEN)
+    time, taken = numbers(log, "time_s"), numbers(log, TAKEN)
     seen = np.flatnonzero(np.isfinite(angle))
     placed = np.full_like(angle, np.nan)
     when = np.where(np.isfinite(taken), taken, time)[seen]
@@ -163,13 +172,9 @@ def _angles_when_taken(log: Mapping[str, Column]) -> Vec:
     return placed
 
 
-def _ends(angles: Range) -> tuple[float, float]:
-    return angles.lower, angles.upper
-
-
-def _change(found: ReviewedRun, free_deg: Vec, measured_deg: Vec) -> str:
-    """In a sentence; empty where the model's file does not say how far it is usually off, or too little was seen."""
-    change, when_s = found.monitor.along(free_deg, measured_deg)
+def _change(rows: ReviewedRun, free_deg: Vec, measured_deg: Vec) -> str:
+    """Test for a change of the device, as a sentence; empty without the model's noise or with too few samples."""
+    change, when_s = rows.monitor.along(free_deg, measured_deg)
     if math.isnan(change.probability):
         return ""
     if change.certain:
@@ -219,5 +224,147 @@ def _rms(values: Vec) -> float:
     return float(np.sqrt(np.mean(known**2))) if known.size else math.nan
 
 
-def _numbers(log: Mapping[str, Column], name: str) -> Vec:
-    return np.asarray(log[name], dtype=np.float64)
+@only_reads()
+def review_run(folder: Path, more: Sequence[Piece] = ()) -> Review:
+    """Review a run folder and write its `trial.csv` (for `fit` and `diagnose`) and `report.html`.
+
+    A run that is too short to be judged gets a report all the same.
+
+    Args:
+        more: shown behind the advice.
+
+    Raises:
+        LogError: if the folder holds no readable run.
+        ConfigError: if its settings are not those of a run.
+    """
+    run = RunFolder.open(folder)
+    settings = RunSettings.parse(run.config(), str(folder / "config.yaml"))
+    rows = None
+    try:
+        rows = compare_with_model(run, settings)
+        verdict = review(rows, settings.review.due_above_deg)
+        usable = np.isfinite(rows.measured_deg)
+        trial = Trial(
+            rows.t[usable],
+            rows.command[usable],
+            rows.measured_deg[usable],
+            units=Units(settings.command_unit),
+        )
+        write_csv(trial, folder / TRIAL_FILE)
+    except (LogError, TrajectoryError) as error:
+        verdict = Review(f"not judged: {error}", *(math.nan,) * 6)
+    write_page(run, settings, rows, verdict, more)
+    return verdict
+
+
+def write_page(
+    run: RunFolder, settings: RunSettings, rows: ReviewedRun | None, verdict: Review, more: Sequence[Piece] = ()
+) -> Path:
+    """Write report.html of a run.
+
+    Args:
+        rows: samples; None where there are too few.
+        more: shown behind the advice.
+
+    Raises:
+        LogError: if the log cannot be read.
+    """
+    timing = _timing(run.path / "timing.json")
+    outcome = timing.get("outcome", {})
+    pieces: list[Piece] = []
+    if not timing:
+        pieces.append(
+            Paragraph("The program was killed before it could say how the run ended: there is no timing.json.")
+        )
+    elif outcome.get("cause"):
+        pieces.append(Heading(f"Stopped: {outcome['cause']}"))
+        pieces.append(Paragraph("The stop is latched. Look at the device, then run again with `--reset`."))
+    pieces += [Paragraph(line[0].upper() + line[1:] + ".") for line in verdict.lines]
+    log = run.log()
+    pieces += [*more, Heading("Run"), KeyValues(_figures(settings, verdict, log, timing))]
+    if rows is not None:
+        pieces += [
+            Heading("Tracking"),
+            Plot(
+                tracked(rows.t, rows.reference_deg, rows.measured_deg, rows.command, settings.command_unit),
+                "Reference, measured angle and command over time.",
+                zoom=True,
+            ),
+            Heading("Predicted and measured angle"),
+            Plot(_prediction(rows), "Measured less predicted angle: one sample ahead, and in a free run.", True),
+        ]
+    pieces += [*_timing_pieces(timing, settings.dt_s), Heading("Stages of a sample"), timing_table(log), *causes(log)]
+    run_page = Report("Run at the bench", tuple(pieces), f"{settings.name}, {run.meta.get('start', '')}")
+    return run.write_report(run_page)
+
+
+def _timing(file: Path) -> dict[str, Any]:
+    try:
+        data = json.loads(file.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return {}
+    return data if isinstance(data, dict) else {}
+
+
+def _figures(settings: RunSettings, verdict: Review, log: Log, timing: Mapping[str, Any]) -> dict[str, object]:
+    wire, outcome = timing.get("wire", {}), timing.get("outcome", {})
+    angles = numbers(log, "angle_deg")
+    sent = outcome.get("samples", 0) - timing.get("skipped", 0)
+    judged = {
+        "RMS tracking error [deg]": verdict.tracking_deg,
+        "greatest tracking error [deg]": verdict.greatest_deg,
+        "RMS prediction error, one sample ahead [deg]": verdict.one_step_deg,
+        "RMS prediction error, free run [deg]": verdict.free_run_deg,
+        "... behind the best line [deg]": verdict.corrected_deg,
+        "gain of that line": verdict.gain,
+        "offset of that line [deg]": verdict.offset_deg,
+    }
+    return {
+        "device": settings.name,
+        "transport": settings.transport.kind,
+        "model": settings.controller.model,
+        "rate [Hz]": settings.rate_hz,
+        "samples": angles.size,
+        "samples without an angle": int(np.count_nonzero(~np.isfinite(angles))),
+        "samples not in the log": sent - angles.size if timing else "unknown",
+        **{name: value for name, value in judged.items() if math.isfinite(value)},
+        "deadlines missed, samples skipped": f"{timing.get('missed', '?')}, {timing.get('skipped', '?')}",
+        "commands limited at the last line": outcome.get("clipped", "unknown"),
+        "measurements lost on the way": wire.get("lost", "unknown"),
+        "messages rejected": ", ".join(f"{n} {c}" for c, n in wire.get("rejected", {}).items()) or "none",
+    }
+
+
+def _prediction(rows: ReviewedRun) -> Figure:
+    with style():
+        figure = Figure(figsize=(8, 3), layout="constrained")
+        axes = figure.subplots()
+        draw_long(axes, rows.t, rows.measured_deg - rows.free_deg, label="free run", color="C1")
+        draw_long(axes, rows.t, rows.measured_deg - rows.predicted_deg, label="one sample ahead", color="C0")
+        axes.axhline(0.0, color="0.6", linewidth=0.8)
+        axes.set_xlabel("time [s]")
+        axes.set_ylabel("measured less predicted [deg]")
+        axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2, borderaxespad=0.2)
+    return figure
+
+
+def _timing_pieces(timing: Mapping[str, Any], dt_s: float) -> Iterator[Piece]:
+    if not timing:
+        return
+    yield Heading("Timing")
+    keys = ("median_s", "p99_s", "p999_s", "greatest_s")
+    rows = []
+    for name in ("period", "execution", "jitter"):
+        summary = timing[name]["summary"]
+        rows.append((name, *(float("nan") if summary[k] is None else 1e3 * summary[k] for k in keys)))
+    yield Table(("", "median", "p99", "p99.9", "greatest"), rows, "Milliseconds; jitter is lateness of the wake-up.")
+    with style():
+        figure = Figure(figsize=(8, 2.6), layout="constrained")
+        for axes, name in zip(figure.subplots(1, 3), ("period", "execution", "jitter"), strict=True):
+            width = 1e3 * timing[name]["bin_s"]
+            counts = {int(k): n for k, n in timing[name]["counts"].items()}
+            axes.bar([width * (k + 0.5) for k in counts], list(counts.values()), width=width, log=True)
+            axes.set_xlabel(f"{name} [ms]")
+            axes.axvline(1e3 * dt_s, color="0.4", linestyle=":", linewidth=1)
+        figure.axes[0].set_ylabel("samples")
+    yield Plot(figure, "Counts of the control thread itself; dotted: sample time; the last bin holds all beyond it.")

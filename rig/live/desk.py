@@ -1,10 +1,16 @@
-"""What somebody at the live page may ask of a run, and what the run answers."""
+"""Remote control of a run from the live page: authorisation of requests, their effect, and the replies."""
 
 from __future__ import annotations
 
+import hmac
+import ipaddress
+import json
 import secrets
-from collections.abc import Callable
+import socket
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from http import HTTPStatus
+from threading import Lock
 from typing import Literal, final
 
 from pydantic import Field, model_validator
@@ -42,8 +48,8 @@ class LiveSettings(Settings):
 
 
 @dataclass(frozen=True)
-class Answer:
-    """What a run says to a request.
+class Reply:
+    """Reply of a run to a request.
 
     Attributes:
         done: whether it does as asked; nothing has changed where it does not.
@@ -56,7 +62,7 @@ class Answer:
 
 @dataclass(frozen=True)
 class Access:
-    """What a page has to know to take requests.
+    """Access token of the live page, and the range of targets that it offers.
 
     Attributes:
         token: what a request has to carry.
@@ -68,12 +74,12 @@ class Access:
 
 
 # An angle [deg] to whether it is tracked from now on.
-SetTarget = Callable[[float], Answer]
+SetTarget = Callable[[float], Reply]
 
 
 @final
 class Desk:
-    """Takes the requests of one run; of a run without one, nothing can be asked.
+    """Executes the requests of a person at the live page: start, stop, emergency stop, targets.
 
     A run looks at `flag` and `started` once a sample. Requests come by any thread. An e-stop is never refused.
 
@@ -91,38 +97,135 @@ class Desk:
 
     @property
     def access(self) -> Access | None:
-        """What the page has to know, None where nothing may be asked."""
+        """Access data of the page; None where the page only shows."""
         return Access(self._token, self._target_deg) if self.settings.control else None
 
     def take_targets(self, set_target: SetTarget, low_deg: float, high_deg: float) -> None:
-        """Let targets be set; the page shows the range [deg]."""
+        """Enable targets within a range [deg]."""
         self._set_target, self._target_deg = set_target, (low_deg, high_deg)
 
-    def ask(self, action: str, value: float = 0.0) -> Answer:
-        """Do as asked, or say why not; never raises.
+    def ask(self, action: str, value: float = 0.0) -> Reply:
+        """Execute a request or refuse it with a reason; never raises.
 
         Args:
             action: an `Action`.
             value: of a target [deg].
         """
         if not self.settings.control:
-            return Answer(False, "the page only shows this run (live.control is false)")
+            return Reply(False, "the page only shows this run (live.control is false)")
         if action == "estop":
             self.flag.set(E_STOP)
-            return Answer(True)
+            return Reply(True)
         if self.flag.cause or self.flag.ending:
-            return Answer(False, "the run is ending")
+            return Reply(False, "the run is ending")
         if action == "stop":
             self.flag.end()
-            return Answer(True)
+            return Reply(True)
         if action == "start":
             if self.started:
-                return Answer(False, "the run has started")
+                return Reply(False, "the run has started")
             self.started = True
-            return Answer(True)
+            return Reply(True)
         if action != "target" or self._set_target is None:
-            return Answer(False, f"this run knows no {action}")
+            return Reply(False, f"this run knows no {action}")
         try:
             return self._set_target(value)
         except HystmpcError as error:
-            return Answer(False, str(error))
+            return Reply(False, str(error))
+
+
+# An action and its value to what the run says.
+Ask = Callable[[str, float], Reply]
+
+MOST_BYTES = 200
+"""Of the body of a request."""
+
+_PATHS = {"/estop": "estop", "/stop": "stop", "/start": "start", "/target": "target"}
+_SCHEME = "Bearer "
+
+
+@final
+class Controls:
+    """Authorises requests to the page and forwards the admitted ones to the run; used by many threads.
+
+    Nothing is done for a request that does not carry the token, that another site's page has made, or that was sent to
+    a foreign name. A foreign page can have its own name point here, but not a number, so only numbers and this
+    machine's own names are taken.
+
+    Args:
+        access: what a request has to carry.
+        ask: hands a request to the run.
+        host: the name that the page is served on, where it is one.
+    """
+
+    def __init__(self, access: Access, ask: Ask, host: str = "") -> None:
+        self.access, self._ask = access, ask
+        self._names = {host.lower(), "localhost", socket.gethostname().lower()} - {""}
+        self._one = Lock()  # at a time, but for the e-stop, which waits for nobody
+
+    @staticmethod
+    def is_estop(path: str) -> bool:
+        """Whether a path is that of the e-stop."""
+        return _PATHS.get(path) == "estop"
+
+    def refusal(self, path: str, headers: Mapping[str, str], body: bytes) -> tuple[HTTPStatus, str] | None:
+        """Reason for refusing a request: a status and one line; None where it is admitted. Never waits."""
+        said = {name.lower(): value for name, value in headers.items()}
+        action = _PATHS.get(path)
+        if not self._is_ours(said.get("host", "")):
+            return HTTPStatus.MISDIRECTED_REQUEST, "unknown host"
+        if not _same_origin(said):
+            return HTTPStatus.FORBIDDEN, "only the page itself may ask"
+        if not self._carries_token(said.get("authorization", "")):
+            return HTTPStatus.FORBIDDEN, "wrong token: open the address that the terminal shows"
+        if action is None:
+            return HTTPStatus.NOT_FOUND, "no such request"
+        if action == "target" and _angle(body) is None:
+            return HTTPStatus.BAD_REQUEST, 'expected {"deg": a number}'
+        return None
+
+    def take(self, path: str, headers: Mapping[str, str], body: bytes) -> tuple[HTTPStatus, str]:
+        """HTTP answer to a request with this path, headers (any case) and body: a status and one line.
+
+        It waits for the run's answer.
+        """
+        if refused := self.refusal(path, headers, body):
+            return refused
+        if self.is_estop(path):
+            return _http(self._ask("estop", 0.0))
+        value = _angle(body) or 0.0
+        with self._one:
+            return _http(self._ask(_PATHS[path], value))
+
+    def _is_ours(self, host: str) -> bool:
+        """Whether a browser that asks this host asks us for certain: a number, or a name of this machine."""
+        name = host.rpartition(":")[0] if ":" in host and not host.endswith("]") else host
+        try:
+            ipaddress.ip_address(name.strip("[]"))
+        except ValueError:
+            return name.lower() in self._names
+        return True
+
+    def _carries_token(self, authorization: str) -> bool:
+        wanted = (_SCHEME + self.access.token).encode()
+        return hmac.compare_digest(authorization.encode(errors="replace"), wanted)
+
+
+def _http(said: Reply) -> tuple[HTTPStatus, str]:
+    return (HTTPStatus.OK if said.done else HTTPStatus.CONFLICT), said.text
+
+
+def _same_origin(said: Mapping[str, str]) -> bool:
+    """Whether no other site's page has made the request; programs say nothing of it, and need the token alone."""
+    origin, site = said.get("origin"), said.get("sec-fetch-site", "same-origin")
+    return site == "same-origin" and origin in (None, f"http://{said.get('host', '')}")
+
+
+def _angle(body: bytes) -> float | None:
+    """The angle of a target [deg], None where there is none."""
+    try:
+        data = json.loads(body)
+    except (ValueError, RecursionError):
+        return None
+    value = data.get("deg") if isinstance(data, dict) else None
+    return float(value) if isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < 1e9 else None

@@ -1,22 +1,344 @@
-"""The local page: one HTML file and a stream of server-sent events, for this machine only unless told otherwise."""
+"""The live page: one HTML file, a stream of server-sent events, and the HTTP server that sends them by one thread."""
 
 from __future__ import annotations
 
+import asyncio
 import json
 import math
+import socket
+import sys
+import threading
+from collections.abc import Mapping
+from contextlib import suppress
+from http import HTTPStatus
 from importlib.resources import files
 from typing import Any, final
 
 from hystmpc.trials.errors import ConfigError
 
-from .controls import Controls
-from .server import PageServer
+from ..transports.udp import is_loopback
+from .desk import MOST_BYTES, Controls
 from .state import LiveSnapshot, LiveView
+
+_MOST_CLIENTS = 200  # the oldest that is no stream gives way to the next one
+_LEAST_CLIENTS = 16
+_BACKLOG = 1024  # connections that the system keeps until they are looked at; one more would try again after a second
+_AT_ONCE = 64  # connections that are looked at before the requests of those that are there already
+_MOST_STREAMS = 12
+_MOST_REQUESTS = 8  # that carry the token and wait for the run; an e-stop is not counted
+_LARGEST_HEAD = 16_384  # bytes of a request before its body
+_ASKS_S = 1.5  # within which a request has to be there
+_TAKES_S = 5.0  # within which an answer has to be taken, and a message of a stream
+_SILENCE_S = 2.0  # after which an idle stream gets a comment, so that a client that left is noticed
+_CLOSE_S = 2.0
+_MOST_BEHIND = 65_536  # bytes that may come behind a request; more is no client of the page
+_UNSENT = 65_536  # bytes of a stream that its client has not taken; it gets no further message until it has
+_END = b"event: end\ndata: \n\n"  # else a browser would take the end for a broken connection
+_SECURE = {
+    "Cache-Control": "no-store",
+    "Content-Security-Policy": "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; "
+    "connect-src 'self'; frame-ancestors 'none'",
+    "X-Content-Type-Options": "nosniff",
+    "Referrer-Policy": "no-referrer",
+    "Connection": "close",
+}
+_ONCE = ("host", "authorization", "content-length", "origin", "sec-fetch-site")
+
+
+class BadRequestError(Exception):
+    """A malformed HTTP request; its argument is the status."""
+
+
+@final
+class PageServer:
+    """Serves one page, a stream of messages, and requests to `controls`.
+
+    Args:
+        page: the HTML.
+        controls: takes requests; None, and the page only shows.
+    """
+
+    def __init__(self, page: bytes, controls: Controls | None) -> None:
+        self.page, self.controls = page, controls
+        self.latest = b""
+        self.allowed: frozenset[str] = frozenset()
+        self.waiting = 0  # requests that a thread has handed to the run
+        self.clients: dict[_Client, None] = {}  # in the order in which they came
+        self.streams: set[_Client] = set()
+        self._loop = asyncio.new_event_loop()
+        self._ended = asyncio.Event()
+        self._thread = threading.Thread(target=self._work, name="hystmpc-page", daemon=True)
+
+    def listen(self, host: str, port: int) -> tuple[str, int]:
+        """Start the server and return address and port.
+
+        Raises:
+            OSError, OverflowError: if the address cannot be used.
+        """
+        self._socket = socket.create_server((host, port), backlog=_BACKLOG)
+        where = self._socket.getsockname()
+        self.allowed = _hosts(host, where[1])
+        self._thread.start()
+        return str(where[0]), int(where[1])
+
+    def publish(self, message: bytes) -> None:
+        """Send a message to every stream that has taken what it was sent before; by any thread."""
+        self.latest = b"data: " + message + b"\n\n"
+        self.call(self._publish)
+
+    def call(self, function: object, *arguments: object) -> None:
+        """Call a function in the server's thread; nothing where it has ended."""
+        with suppress(RuntimeError):
+            self._loop.call_soon_threadsafe(function, *arguments)  # type: ignore[arg-type]
+
+    def close(self) -> None:
+        """End the streams and stop listening; a second time does nothing."""
+        if self._thread.is_alive():
+            self.call(self._ended.set)
+            self._thread.join(2 * _CLOSE_S)
+
+    def admit(self, client: _Client) -> None:
+        """Take a connection in; where there are many, the oldest that only waits has to go."""
+        self.clients[client] = None
+        if len(self.clients) > _most_clients():
+            oldest = next((one for one in self.clients if one not in self.streams and not one.asks), client)
+            self.leave(oldest)  # now: it is told later, and the next one that comes needs another place
+            oldest.abort()
+
+    def leave(self, client: _Client) -> None:
+        """Forget a connection that has ended."""
+        self.clients.pop(client, None)
+        self.streams.discard(client)
+
+    def _work(self) -> None:
+        with suppress(RuntimeError):
+            self._loop.run_until_complete(self._serve())
+        self._loop.close()
+
+    async def _serve(self) -> None:
+        server = await self._loop.create_server(lambda: _Client(self), sock=self._socket, backlog=_AT_ONCE)
+        self._socket.listen(_BACKLOG)  # asyncio takes one number for both
+        while not self._ended.is_set():
+            with suppress(TimeoutError):
+                await asyncio.wait_for(self._ended.wait(), _SILENCE_S)
+            for stream in list(self.streams):
+                stream.send(b": waiting\n\n")
+        server.close()
+        for stream in list(self.streams):
+            stream.finish(_END)
+        end = self._loop.time() + _CLOSE_S
+        while self.streams and self._loop.time() < end:
+            await asyncio.sleep(0.01)
+        for client in list(self.clients):
+            client.abort()
+        await asyncio.sleep(0)
+
+    def _publish(self) -> None:
+        for stream in list(self.streams):
+            stream.send(self.latest)
+
+
+@final
+class _Client(asyncio.Protocol):
+    """One connection: one request, and its answer."""
+
+    def __init__(self, server: PageServer) -> None:
+        self._server = server
+        self._got = bytearray()
+        self._head: tuple[str, str, dict[str, str]] | None = None  # method, path, headers by name in lower case
+        self._length = 0
+        self._behind = 0  # bytes that came after it
+        self._answered = False
+        self.asks = False  # the run has been asked
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        assert isinstance(transport, asyncio.Transport)
+        self._transport = transport
+        transport.set_write_buffer_limits(high=_UNSENT)
+        self._timer = self._later(_ASKS_S)
+        self._server.admit(self)
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        del exc
+        self._timer.cancel()
+        self._server.leave(self)
+
+    def data_received(self, data: bytes) -> None:
+        if self._answered or self.asks:
+            self._behind += len(data)
+            if self._behind > _MOST_BEHIND:
+                self.abort()
+            return
+        self._got += data
+        try:
+            if self._complete():
+                self._do()
+        except BadRequestError as error:
+            self.answer(error.args[0], "")
+
+    def abort(self) -> None:
+        """Abort the connection."""
+        self._transport.abort()
+
+    def answer(self, status: HTTPStatus, text: str) -> None:
+        """Answer with a line of text."""
+        self._answer(status, "text/plain; charset=utf-8", text.encode())
+
+    def send(self, message: bytes) -> None:
+        """Write to a stream; one whose client takes nothing is passed over, and ended when its time is up."""
+        if self._transport.get_write_buffer_size() > _UNSENT // 2:
+            return
+        self._timer.cancel()
+        self._timer = self._later(_TAKES_S)
+        self._transport.write(message)
+
+    def finish(self, last: bytes = b"") -> None:
+        """Write the last bytes; the connection ends when the client has taken them, or its time is up."""
+        self._answered = True
+        self._timer.cancel()
+        self._timer = self._later(_TAKES_S)
+        self._transport.write(last)
+        with suppress(OSError, RuntimeError):
+            self._transport.write_eof()
+
+    def _later(self, seconds: float) -> asyncio.TimerHandle:
+        return asyncio.get_running_loop().call_later(seconds, self.abort)
+
+    def _complete(self) -> bool:
+        """Whether the whole request is there; no more of it is kept than may be.
+
+        Raises:
+            BadRequestError: if it is none, or too long.
+        """
+        if self._head is None:
+            head, blank, rest = bytes(self._got).partition(b"\r\n\r\n")
+            if len(head) > _LARGEST_HEAD:
+                raise BadRequestError(HTTPStatus.REQUEST_HEADER_FIELDS_TOO_LARGE)
+            if not blank:
+                return False
+            self._head = _parsed(head)
+            self._length = _length(self._head[2])
+            self._got = bytearray(rest)
+        return len(self._got) >= self._length
+
+    def _do(self) -> None:
+        assert self._head is not None
+        method, path, headers = self._head
+        server = self._server
+        if method == "GET":
+            if server.allowed and headers.get("host", "").lower() not in server.allowed:
+                # a foreign page that has its own name point here must not read along
+                self.answer(HTTPStatus.MISDIRECTED_REQUEST, "unknown host")
+            elif path == "/":
+                self._answer(HTTPStatus.OK, "text/html; charset=utf-8", server.page)
+            elif path == "/events":
+                self._watch()
+            else:
+                self.answer(HTTPStatus.NOT_FOUND, "nothing here")
+        elif method != "POST" or server.controls is None:
+            self.answer(HTTPStatus.NOT_IMPLEMENTED, "this page only shows")
+        else:
+            self._ask(server.controls, path, headers, bytes(self._got[: self._length]))
+
+    def _ask(self, controls: Controls, path: str, headers: Mapping[str, str], body: bytes) -> None:
+        """Hand a request that may pass to the run, by a thread of its own: the answer may take seconds."""
+        server = self._server
+        if refused := controls.refusal(path, headers, body):
+            self.answer(*refused)
+            return
+        emergency = controls.is_estop(path)
+        if not emergency and server.waiting >= _MOST_REQUESTS:
+            self.answer(HTTPStatus.SERVICE_UNAVAILABLE, "the run has not answered earlier requests")
+            return
+        self.asks = True
+        self._timer.cancel()
+        server.waiting += not emergency
+
+        def ask() -> None:
+            status, text = controls.take(path, headers, body)
+            server.call(reply, status, text)
+
+        def reply(status: HTTPStatus, text: str) -> None:
+            server.waiting -= not emergency
+            self.asks = False
+            self.answer(status, text)
+
+        threading.Thread(target=ask, name="hystmpc-page-request", daemon=True).start()
+
+    def _watch(self) -> None:
+        """The stream, where there are not too many."""
+        if len(self._server.streams) >= _MOST_STREAMS:
+            self.answer(HTTPStatus.SERVICE_UNAVAILABLE, "too many pages are open")
+            return
+        self._answered = True
+        self._server.streams.add(self)
+        self.send(_head(HTTPStatus.OK, "text/event-stream", None) + self._server.latest)
+
+    def _answer(self, status: HTTPStatus, kind: str, body: bytes) -> None:
+        self.finish(_head(status, kind, len(body)) + body)
+
+
+def _parsed(head: bytes) -> tuple[str, str, dict[str, str]]:
+    """Method, path and headers of a request.
+
+    Raises:
+        BadRequestError: if it is none, or says twice who asks or how much.
+    """
+    first, *lines = head.decode("latin-1").split("\r\n")
+    words = first.split(" ")
+    if len(words) != 3 or not words[2].startswith("HTTP/1."):
+        raise BadRequestError(HTTPStatus.BAD_REQUEST)
+    headers: dict[str, str] = {}
+    for line in lines:
+        name, colon, value = line.partition(":")
+        name = name.lower()
+        if not colon or not name or name != name.strip() or (name in headers and name in _ONCE):
+            raise BadRequestError(HTTPStatus.BAD_REQUEST)
+        headers[name] = value.strip()
+    return words[0], words[1], headers
+
+
+def _length(headers: Mapping[str, str]) -> int:
+    """Bytes of the body.
+
+    Raises:
+        BadRequestError: if it is not said in decimal digits, or is more than any request needs.
+    """
+    if "transfer-encoding" in headers:
+        raise BadRequestError(HTTPStatus.LENGTH_REQUIRED)
+    text = headers.get("content-length", "0")
+    if not (text.isascii() and text.isdigit()):
+        raise BadRequestError(HTTPStatus.BAD_REQUEST)
+    if len(text) > 10 or int(text) > MOST_BYTES:
+        raise BadRequestError(HTTPStatus.REQUEST_ENTITY_TOO_LARGE)
+    return int(text)
+
+
+def _head(status: HTTPStatus, kind: str, length: int | None) -> bytes:
+    fields = {"Content-Type": kind, **({} if length is None else {"Content-Length": str(length)}), **_SECURE}
+    lines = [f"HTTP/1.1 {status.value} {status.phrase}", *(f"{name}: {value}" for name, value in fields.items())]
+    return "\r\n".join([*lines, "", ""]).encode("latin-1")
+
+
+def _most_clients() -> int:
+    """Connections that are kept at a time: far fewer than the files that this process may open."""
+    if sys.platform == "win32":
+        return _MOST_CLIENTS
+    import resource
+
+    files = resource.getrlimit(resource.RLIMIT_NOFILE)[0]
+    return _MOST_CLIENTS if files < 0 else min(_MOST_CLIENTS, max(_LEAST_CLIENTS, files // 4))
+
+
+def _hosts(host: str, port: int) -> frozenset[str]:
+    """What a browser on this machine calls a page on the loopback; empty, any name will do, for other addresses."""
+    names = (host.lower(), "127.0.0.1", "localhost", "[::1]") if is_loopback(host) else ()
+    return frozenset(f"{name}:{port}" for name in names)
 
 
 @final
 class LivePage(LiveView):
-    """Serves what the run does to browsers; nothing that a browser sends is taken in, but requests to `controls`.
+    """Live view for browsers; all input but authorised requests to `controls` is ignored.
 
     Args:
         host: address to listen on; the loopback, unless others are to see the page.
@@ -49,7 +371,7 @@ class LivePage(LiveView):
 
     @property
     def address(self) -> str:
-        """What to open in a browser; with the token, which browsers keep to themselves, where it takes requests."""
+        """URL of the page; with the token in the fragment, which browsers do not send, where it takes requests."""
         host, port = self._where
         token = "" if self._controls is None else f"#{self._controls.access.token}"
         return f"http://{host}:{port}/{token}"
@@ -64,7 +386,7 @@ class LivePage(LiveView):
 
 
 def message(snapshot: LiveSnapshot, unit: str, rate_hz: float) -> dict[str, Any]:
-    """What a browser gets: figures, and the curves of the last 20 s."""
+    """Message to the browsers: figures, and the curves of the last 20 s."""
     last = snapshot.last
     timings = {}
     for name, histogram in (("late", snapshot.late), ("work", snapshot.total)):

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-import threading
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections import Counter, deque
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -16,22 +15,19 @@ from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.types import Vec
 
 from ..histogram import Histogram
-from ..recording.sample import Sample, SampleQueue, Sink
+from ..recording.sample import Sample, ThreadedSink
 
 WINDOW_S = 20.0
 """How much of the run is plotted [s]."""
 
 _POINTS_PER_S = 50.0  # of the plots; the figures are made of all samples
-
 _PERIOD_S = 0.125  # between two snapshots shown
-_QUEUE_S = 30.0
-
 _CLOSE_S = 5.0
 
 
 @dataclass(frozen=True, eq=False)
 class LiveSnapshot:
-    """What the views show.
+    """State of a run for the live views.
 
     Attributes:
         last: the newest sample.
@@ -81,7 +77,7 @@ class LiveState:
         self.notes: deque[str] = deque(maxlen=3)
 
     def update(self, samples: Iterable[Sample]) -> None:
-        """Take in samples in the order of the run."""
+        """Add samples in the order of the run."""
         for sample in samples:
             self._recent.append((sample.t_s, sample.reference_deg, sample.measured_deg, sample.command))
             self._late.add(sample.lateness_s)
@@ -94,7 +90,7 @@ class LiveState:
             self._count += 1
 
     def snapshot(self) -> LiveSnapshot | None:
-        """What there is to show, None before the first sample."""
+        """Snapshot of the last 20 s, None before the first sample."""
         if self._last is None:
             return None
         rows = np.array(self._recent)
@@ -120,7 +116,7 @@ class LiveState:
         )
 
 
-class LiveView(Sink, ABC):
+class LiveView(ThreadedSink):
     """Shows a snapshot 8 times a second by a thread of its own; what that raises ends the view, never the run.
 
     Raises:
@@ -129,19 +125,8 @@ class LiveView(Sink, ABC):
 
     def __init__(self, rate_hz: float) -> None:
         self._state = LiveState(rate_hz)
-        self._waiting = SampleQueue(max(round(_QUEUE_S * rate_hz), 10))
-        self.problem = ""
-        self._end = threading.Event()
-        self._thread = threading.Thread(target=self._work, name="hystmpc-live", daemon=True)
+        super().__init__("hystmpc-live", rate_hz, _PERIOD_S)
         self._thread.start()
-
-    @property
-    def dropped(self) -> int:
-        """Samples that were not shown."""
-        return self._waiting.dropped
-
-    def put(self, sample: Sample) -> None:
-        self._waiting.put(sample)
 
     def tell(self, text: str) -> None:
         """Show a line, such as that recording has stopped."""
@@ -149,23 +134,19 @@ class LiveView(Sink, ABC):
 
     def close(self) -> None:
         """Show the last state and end."""
-        self._waiting.closed = True
-        self._end.set()
-        self._thread.join(_CLOSE_S)
+        self._finish(_CLOSE_S)
 
     @abstractmethod
     def _show(self, snapshot: LiveSnapshot) -> None:
         """Draw or publish."""
 
-    def _work(self) -> None:
-        ending = False
-        while not ending:
-            ending = self._end.wait(_PERIOD_S)
-            try:
-                self._state.update(self._waiting.take())
-                if (snapshot := self._state.snapshot()) is not None:
-                    self._show(snapshot)
-            except Exception as error:  # noqa: BLE001 - a terminal that goes away or an odd sample must not end a run
-                self.problem = f"{type(error).__name__}: {error}"
-                self._waiting.closed = True
-                return
+    def _turn(self, samples: list[Sample], ending: bool) -> bool:
+        del ending
+        try:
+            self._state.update(samples)
+            if (snapshot := self._state.snapshot()) is not None:
+                self._show(snapshot)
+        except Exception as error:  # noqa: BLE001 - a terminal that goes away or an odd sample must not end a run
+            self.problem = f"{type(error).__name__}: {error}"
+            self._waiting.closed = True
+        return not self.problem

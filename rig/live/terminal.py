@@ -1,4 +1,4 @@
-"""The terminal view: is it tracking, what is it doing, is it in time, is anything wrong."""
+"""Terminal view of a run: tracking, command, timing, faults."""
 
 from __future__ import annotations
 
@@ -23,11 +23,8 @@ _EMPTY = 0x2800
 
 
 _LINE_EVERY = 80  # of the periods, where there is no terminal to draw on
-
 _PLOT_ROWS = 9
-
 _RECENT_S = 3.0  # a fault younger than this is shown as present
-
 _STATE_COLOURS = {
     "mpc": "green",
     "stop": "white on red",
@@ -134,7 +131,7 @@ class TerminalView(LiveView):
             self._console.print(headline(snapshot, self._unit), soft_wrap=True)
 
     def render(self, snapshot: LiveSnapshot) -> Panel:
-        """The whole view."""
+        """Panel of the whole view."""
         width = max(min(self._console.width, 110) - 14, 20)
         parts: list[RenderableType] = [headline(snapshot, self._unit), Text(), _plot(snapshot, width), Text()]
         parts += [_command(snapshot, self._unit, width), *_timing(snapshot, self._rate_hz, width), *_faults(snapshot)]
@@ -143,7 +140,7 @@ class TerminalView(LiveView):
 
 
 def headline(snapshot: LiveSnapshot, unit: str) -> Text:
-    """Where the run is: time, source, angle, reference, error, command; one line."""
+    """One line of the run's state: time, source, angle, reference, error, command."""
     last = snapshot.last
     error = last.reference_deg - last.measured_deg
     text = Text(f"{last.t_s:8.1f} s  ", no_wrap=True)

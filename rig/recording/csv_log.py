@@ -8,12 +8,7 @@ import os
 from pathlib import Path
 from typing import final
 
-from hystmpc.trials.layouts import CANONICAL
-
 from .sample import Sample
-
-TAKEN = "angle_taken_s"
-"""Column of the time at which the angle of a row was taken."""
 
 
 @final
@@ -44,8 +39,7 @@ class CsvLog:
             self._begin(sample)
         spent = dict(sample.stages_s)
         s = sample
-        angles = s.measured_deg, s.taken_s, s.reference_deg, s.predicted_deg
-        numbers = s.t_s, s.command, *angles, s.period_s, s.lateness_s
+        numbers = *s.motion(self._command).values(), s.period_s, s.lateness_s
         stages = (repr(float(spent[name])) if name in spent else "" for name in self._stages)
         texts = _cell(s.source), _cell(s.status), _cell(" ".join(s.faults))
         counts = int(s.sequence), int(s.wall_ns)
@@ -73,10 +67,8 @@ class CsvLog:
     def _begin(self, first: Sample) -> None:
         self._begun = True
         self._stages = self._stages or tuple(name for name, _ in first.stages_s)
-        numbers = (TAKEN, "reference_deg", "predicted_deg", "period_s", "lateness_s", "sequence", "wall_ns")
-        stages = map(stage_column, self._stages)
-        header = (CANONICAL.time, self._command, CANONICAL.angle, *numbers, *stages)
-        self._rows.writerow((*header, "source", "status", "faults", "missed"))
+        numbers = (*first.motion(self._command), "period_s", "lateness_s", "sequence", "wall_ns")
+        self._rows.writerow((*numbers, *map(stage_column, self._stages), "source", "status", "faults", "missed"))
 
 
 @final

@@ -9,8 +9,8 @@ from typing import IO, Any, cast, final
 
 from mcap.writer import Writer
 
-from .csv_log import TAKEN, GrowingFile, one_line, stage_column
-from .sample import Sample
+from .csv_log import GrowingFile, one_line, stage_column
+from .sample import TAKEN, Sample
 
 TIP, TIMING, EVENTS = "/tip", "/timing", "/events"
 _INFO, _WARNING, _ERROR = 2, 3, 4  # levels of foxglove.Log
@@ -50,15 +50,7 @@ class McapLog:
         if self._start_ns is None:
             self._start_ns = max(int(sample.wall_ns) - elapsed, 0)
         stamp = max(self._start_ns + elapsed, 0)
-        tip = {
-            "time_s": _number(sample.t_s),
-            self._command: _number(sample.command),
-            "angle_deg": _number(sample.measured_deg),
-            TAKEN: _number(sample.taken_s),
-            "reference_deg": _number(sample.reference_deg),
-            "predicted_deg": _number(sample.predicted_deg),
-        }
-        self._put(self._tip, stamp, sample, tip)
+        self._put(self._tip, stamp, sample, {name: _number(x) for name, x in sample.motion(self._command).items()})
         timing: dict[str, Any] = {
             "period_s": _number(sample.period_s),
             "lateness_s": _number(sample.lateness_s),

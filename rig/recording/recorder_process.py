@@ -27,34 +27,29 @@ from hystmpc.trials.config import Settings
 from hystmpc.trials.errors import ConfigError, HystmpcError
 from hystmpc.trials.run_folder import RunFolder
 
-from ..live.desk import Access, Answer, Desk
+from ..live.desk import Access, Desk, Reply
 from ..safety.stop import STOPPING
 from .recording import Recording, RecordingMeta, Tell, create_folder
-from .sample import Sample, SampleQueue, Sink, Tee
+from .sample import Sample, Sink, Tee, ThreadedSink
 
 _LENGTH = struct.Struct("<I")
 
 _FEED_S = 0.05
 _BLOCK = 10  # samples about: packing them keeps the interpreter from the control thread
-
-_QUEUE_S = 30.0
-
 _CLOSE_S = 20.0
-
-_ANSWER_S = 2.0  # how long the page waits for the run's answer
-
-_NO_ANSWER = "the run has not answered: use the device's own emergency stop"
+_REPLY_S = 2.0  # how long the page waits for the run's reply
+_NO_REPLY = "the run has not answered: use the device's own emergency stop"
 
 _logger = logging.getLogger(__name__)
 _lock = Lock()  # of the process's standard output
 
 
 # What the run said to requests of the page: number, whether it does as asked, and a line.
-Answers = Iterable[tuple[int, bool, str]]
+Replies = Iterable[tuple[int, bool, str]]
 
 
-def pack(samples: Iterable[Sample], answers: Answers = ()) -> bytes:
-    """One block of samples, and of answers.
+def pack(samples: Iterable[Sample], replies: Replies = ()) -> bytes:
+    """Serialise samples and replies as one block.
 
     `marshal` is the fastest way to bytes that the interpreter has; the reader is the same interpreter, started by the
     writer, so its limits (one version, trusted data) are none here.
@@ -62,23 +57,23 @@ def pack(samples: Iterable[Sample], answers: Answers = ()) -> bytes:
     Raises:
         ValueError, TypeError, AttributeError: on a sample whose fields are of other types than `Sample` says.
     """
-    body = marshal.dumps(([_plain(sample) for sample in samples], list(answers)))
+    body = marshal.dumps(([_plain(sample) for sample in samples], list(replies)))
     return _LENGTH.pack(len(body)) + body
 
 
-def unpack(pipe: BinaryIO, answered: Callable[[Answers], object] = lambda answers: None) -> Iterator[list[Sample]]:
+def unpack(pipe: BinaryIO, take_replies: Callable[[Replies], object] = lambda replies: None) -> Iterator[list[Sample]]:
     """Blocks of samples until the other side has closed the pipe or died; a block cut off by that is left out.
 
     Args:
-        answered: takes the answers of each block.
+        take_replies: takes the replies of each block.
     """
     while len(head := pipe.read(_LENGTH.size)) == _LENGTH.size:
         length = _LENGTH.unpack(head)[0]
         body = pipe.read(length)
         if len(body) < length:
             return
-        samples, answers = marshal.loads(body)
-        answered(answers)
+        samples, replies = marshal.loads(body)
+        take_replies(replies)
         yield [Sample(*fields) for fields in samples]
 
 
@@ -94,7 +89,7 @@ def _plain(s: Sample) -> tuple[object, ...]:
 
 @dataclass(frozen=True)
 class Views:
-    """What to show while a run goes on.
+    """Live views of a run.
 
     Attributes:
         terminal: the terminal view, on standard error.
@@ -152,8 +147,8 @@ def _take_back(folder: Path, made: bool) -> None:
 
 
 @final
-class RecorderProcess(Sink):
-    """Hands samples to a process; see `open_recorder_process`.
+class RecorderProcess(ThreadedSink):
+    """Sink that sends samples to the recorder process; see `open_recorder_process`.
 
     Raises:
         ConfigError: if the process does not start.
@@ -162,11 +157,10 @@ class RecorderProcess(Sink):
     def __init__(
         self, order: Mapping[str, Any], rate_hz: float, tell: Tell | None = None, desk: Desk | None = None
     ) -> None:
+        super().__init__("hystmpc-recorder-feed", rate_hz, min(_FEED_S, _BLOCK / rate_hz))
         self._tell = tell or _logger.warning
         self._desk = desk or Desk()
-        self._answers: deque[tuple[int, bool, str]] = deque()
-        self._waiting = SampleQueue(max(round(_QUEUE_S * rate_hz), 10))
-        self._feed_s = min(_FEED_S, _BLOCK / rate_hz)
+        self._replies: deque[tuple[int, bool, str]] = deque()
         self._folder = str(order["folder"])
         # -P: a file of the working folder takes the place of no module
         command = [sys.executable, "-P", "-m", "hystmpc.rig.recording.recorder_process"]
@@ -175,34 +169,26 @@ class RecorderProcess(Sink):
         assert self._process.stdout is not None
         self._to, self._from = self._process.stdin, self._process.stdout
         self.on_disk = self.lost = 0
-        self.problem = self.page = ""
-        self._end = threading.Event()
+        self.page = ""
         self._start(order)
-        self._reader = threading.Thread(target=self._listen, name="hystmpc-recorder-answers", daemon=True)
-        self._feeder = threading.Thread(target=self._feed, name="hystmpc-recorder-feed", daemon=True)
+        self._reader = threading.Thread(target=self._receive, name="hystmpc-recorder-answers", daemon=True)
         self._reader.start()
-        self._feeder.start()
+        self._thread.start()
 
     @property
     def dropped(self) -> int:
         """Samples that were not handed over."""
-        return self._waiting.dropped + self.lost
+        return super().dropped + self.lost
 
     @property
     def pid(self) -> int:
         """Number of the process."""
         return self._process.pid
 
-    def put(self, sample: Sample) -> None:
-        self._waiting.put(sample)
-
     def close(self) -> None:
-        """Hand over what is left and wait for the process to write it; told, not raised, where it fails."""
-        if self._end.is_set():
+        """Send the remaining samples and wait for the process to write them; failures are reported, not raised."""
+        if not self._finish(_CLOSE_S):
             return
-        self._waiting.closed = True
-        self._end.set()
-        self._feeder.join(_CLOSE_S)
         with suppress(OSError):  # the process has died: that has been told
             self._to.close()
         try:
@@ -227,24 +213,22 @@ class RecorderProcess(Sink):
             raise ConfigError(f"{self._folder}: the recording process did not start: {reason}")
         self.page = str(answer["ready"])
 
-    def _feed(self) -> None:
-        """The thread that packs and sends; a process that is slow makes it wait, not the control thread."""
-        while True:
-            ending = self._end.wait(self._feed_s)
-            samples = self._waiting.take()
-            block = self._packed(samples) if samples else b""
-            if self._answers:
-                block += pack((), [self._answers.popleft() for _ in range(len(self._answers))])
-            try:
-                self._to.write(block)
-                self._to.flush()
-            except OSError:
-                self._waiting.closed = True
-                self.lost += len(samples)
-                self._die()
-                return
-            if ending:
-                return
+    def _turn(self, samples: list[Sample], ending: bool) -> bool:
+        """Pack and send; a process that is slow makes the thread wait, not the control thread."""
+        del ending
+        block = self._packed(samples) if samples else b""
+        if self._replies:
+            block += pack((), [self._replies.popleft() for _ in range(len(self._replies))])
+        try:
+            self._to.write(block)
+            self._to.flush()
+        except OSError:
+            self._waiting.closed = True
+            self.lost += len(samples)
+            self.problem = f"{self._folder}: the recording process has died; the run goes on without a log"
+            self._tell(self.problem)
+            return False
+        return True
 
     def _packed(self, samples: list[Sample]) -> bytes:
         """One block; samples of wrong types are left out and counted."""
@@ -256,18 +240,14 @@ class RecorderProcess(Sink):
                 return b""
             return b"".join(self._packed([sample]) for sample in samples)
 
-    def _die(self) -> None:
-        self.problem = f"{self._folder}: the recording process has died; the run goes on without a log"
-        self._tell(self.problem)
-
-    def _listen(self) -> None:
+    def _receive(self) -> None:
         """The thread that reads what the process says."""
         for raw in self._from:
             answer = _line(raw)
             self.on_disk = int(answer.get("on_disk", self.on_disk))
             if "ask" in answer:
-                said = self._desk.ask(str(answer["ask"]), float(answer["value"]))
-                self._answers.append((int(answer["number"]), said.done, said.text))
+                reply = self._desk.ask(str(answer["ask"]), float(answer["value"]))
+                self._replies.append((int(answer["number"]), reply.done, reply.text))
             if "tell" in answer:
                 self.problem = str(answer["tell"])
                 self._tell(self.problem)
@@ -282,7 +262,7 @@ def _line(raw: bytes) -> dict[str, Any]:
 
 
 def serve() -> int:
-    """The process: read the order, then samples until the pipe closes, as a killed controller leaves it too."""
+    """Main function of the recorder process: read the order, then samples until the pipe closes."""
     for name in STOPPING:  # meant for the controller; this process ends after it
         if hasattr(signal, name):
             signal.signal(getattr(signal, name), signal.SIG_IGN)
@@ -293,7 +273,7 @@ def serve() -> int:
         _say(error=str(error))
         return 1
     _say(ready=page)
-    for samples in unpack(sys.stdin.buffer, requests.answered):
+    for samples in unpack(sys.stdin.buffer, requests.take_replies):
         for sample in samples:
             sink.put(sample)
     sink.close()
@@ -302,33 +282,33 @@ def serve() -> int:
 
 @final
 class _Requests:
-    """Hands what the page is asked to the controller, and waits for its answer."""
+    """Forwards requests of the page to the controller and waits for its reply."""
 
     def __init__(self) -> None:
         self._numbers = count()
-        self._open: dict[int, tuple[Event, list[Answer]]] = {}
+        self._open: dict[int, tuple[Event, list[Reply]]] = {}
 
-    def ask(self, action: str, value: float) -> Answer:
-        """What the run says; by any thread."""
-        number, come, said = next(self._numbers), Event(), list[Answer]()
-        self._open[number] = come, said
+    def ask(self, action: str, value: float) -> Reply:
+        """Reply of the run to a request; by any thread."""
+        number, arrived, received = next(self._numbers), Event(), list[Reply]()
+        self._open[number] = arrived, received
         _say(ask=action, value=value, number=number)
-        come.wait(_ANSWER_S)
+        arrived.wait(_REPLY_S)
         del self._open[number]
-        return said[0] if said else Answer(False, _NO_ANSWER)
+        return received[0] if received else Reply(False, _NO_REPLY)
 
-    def answered(self, answers: Answers) -> None:
-        """Take the controller's answers; one that comes too late is dropped."""
-        for number, done, text in answers:
+    def take_replies(self, replies: Replies) -> None:
+        """Take the controller's replies; one that comes too late is dropped."""
+        for number, done, text in replies:
             if number in self._open:
-                come, said = self._open[number]
-                said.append(Answer(done, text))
-                come.set()
+                arrived, received = self._open[number]
+                received.append(Reply(done, text))
+                arrived.set()
 
 
 def _sinks(order: dict[str, Any], requests: _Requests) -> tuple[Sink, str]:
     """Recording and views, and the address of the page."""
-    from ..live.controls import Controls
+    from ..live.desk import Controls
     from ..live.page import LivePage
     from ..live.terminal import TerminalView
 

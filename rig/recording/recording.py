@@ -1,9 +1,8 @@
-"""The sink that writes a run folder, by a thread of its own."""
+"""Recording of a run folder by a thread."""
 
 from __future__ import annotations
 
 import logging
-import threading
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,13 +16,12 @@ from hystmpc.trials.layouts import COMMAND_UNITS
 from hystmpc.trials.run_folder import RunFolder
 
 from .csv_log import CsvLog
-from .sample import Sample, SampleQueue, Sink
+from .sample import Sample, ThreadedSink
 
 FLUSH_S = 0.5
 """Time between flushes [s]: what a kill may cost at most, beside what was waiting."""
 
 _DRAIN_S = 0.02  # little and often: in a long turn the control thread would wait for the interpreter's lock
-_QUEUE_S = 30.0  # how long a disk may be stuck before samples are dropped
 _CLOSE_S = 10.0
 
 Tell = Callable[[str], None]
@@ -38,7 +36,7 @@ class _Log(Protocol):
 
 @dataclass(frozen=True)
 class RecordingMeta:
-    """What the run folder says beside the configuration.
+    """Metadata of a run folder.
 
     Attributes:
         unit: of the command.
@@ -98,7 +96,7 @@ def open_recording(
 
 
 @final
-class Recording(Sink):
+class Recording(ThreadedSink):
     """Writes log.csv and, where `mcap` is installed, log.mcap of a run folder; report.html at the end.
 
     Every 0.5 s whole rows and a whole chunk go to the disk. When the disk is full or fails, recording ends, the files
@@ -123,42 +121,33 @@ class Recording(Sink):
     ) -> None:
         if not rate_hz > 0:
             raise ConfigError(f"recording: got a rate of {rate_hz} Hz, expected a positive number")
+        super().__init__("hystmpc-recording", rate_hz, _DRAIN_S)
         self.run = run
         self._tell = tell or _logger.warning
         self._wants_report = report
         self._on_flush = flushed or (lambda count: None)
-        self._waiting = SampleQueue(max(round(_QUEUE_S * rate_hz), 10))
-        self._unit = meta.unit
         try:
             self._logs = _open_logs(run.path, meta)
         except OSError as error:
             raise ConfigError(f"{run.path}: log cannot be written ({error.strerror or error})") from None
         self._written = self._on_disk = self.unwritable = 0
-        self.problem = ""
-        self._end = threading.Event()
-        self._thread = threading.Thread(target=self._work, name="hystmpc-recording", daemon=True)
+        self._due_s = monotonic()
         self._thread.start()
 
     @property
     def dropped(self) -> int:
         """Samples that were not recorded: the queue was full, recording had ended, or they could not be written."""
-        return self._waiting.dropped + self.unwritable
+        return super().dropped + self.unwritable
 
     @property
     def on_disk(self) -> int:
-        """Samples that a kill of this process would not cost any more."""
+        """Samples on the disk, which a kill of this process cannot lose."""
         return self._on_disk
 
-    def put(self, sample: Sample) -> None:
-        self._waiting.put(sample)
-
     def close(self) -> None:
-        """Write what is left, the summary and the report; told, not raised, where that fails. Twice is once."""
-        if self._end.is_set():
+        """Write the remaining samples, the summary and the report, once; failures are reported, not raised."""
+        if not self._finish(_CLOSE_S):
             return
-        self._waiting.closed = True
-        self._end.set()
-        self._thread.join(_CLOSE_S)
         if self._thread.is_alive():
             self._tell(f"{self.run.path}: the disk did not take the log within {_CLOSE_S:g} s; its end is missing")
             return
@@ -167,26 +156,23 @@ class Recording(Sink):
         if self._on_disk and self._wants_report:
             self._report()
 
-    def _work(self) -> None:
-        """The thread: drain, and flush when it is time."""
-        due = monotonic()
-        while not self.problem:
-            ending = self._end.wait(_DRAIN_S)
-            try:
-                self._drain()
-                now = monotonic()
-                if self._written > self._on_disk and (now >= due or ending):
-                    self._flush()
-                    due = now + FLUSH_S
-                if ending:
-                    for log in self._logs:
-                        log.close()
-                    return
-            except OSError as error:
-                self._stop(error)
+    def _turn(self, samples: list[Sample], ending: bool) -> bool:
+        """Add to the logs, and flush when it is time."""
+        try:
+            self._add(samples)
+            now = monotonic()
+            if self._written > self._on_disk and (now >= self._due_s or ending):
+                self._flush()
+                self._due_s = now + FLUSH_S
+            if ending:
+                for log in self._logs:
+                    log.close()
+        except OSError as error:
+            self._stop(error)
+        return not self.problem
 
-    def _drain(self) -> None:
-        for sample in self._waiting.take():
+    def _add(self, samples: list[Sample]) -> None:
+        for sample in samples:
             try:
                 for log in self._logs:
                     log.add(sample)

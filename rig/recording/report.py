@@ -1,4 +1,4 @@
-"""report.html of a recording: what was sent and measured, how punctual the loop was, what went wrong."""
+"""report.html of a recording: commands and angles, timing of the loop, faults."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def timing_table(log: Log, more: tuple[str, ...] = ()) -> Table:
 
 
 def causes(log: Log) -> Iterator[Piece]:
-    """A table of samples by what gave the command, and by what went wrong."""
+    """Table of samples by source of the command and by fault."""
     sources = Counter(str(cell) for cell in log["source"])
     faults = Counter(word for cell in log.get("faults", ()) for word in str(cell).split() if word != "-")
     rows: list[tuple[object, ...]] = [("source", name, n) for name, n in sources.most_common()]
@@ -75,11 +75,11 @@ def _figures(log: Log, dropped: int) -> dict[str, object]:
     t, angle = numbers(log, "time_s"), numbers(log, "angle_deg")
     error = numbers(log, "reference_deg")[:-1] - angle[1:]  # wanted for the end of a sample, measured at the next one
     known = error[np.isfinite(error)]
-    found: dict[str, object] = {"samples": t.size, "duration [s]": float(t[-1] - t[0])}
+    figures: dict[str, object] = {"samples": t.size, "duration [s]": float(t[-1] - t[0])}
     if known.size:
-        found["RMS tracking error [deg]"] = float(np.sqrt(np.mean(known**2)))
-        found["greatest error [deg]"] = float(np.abs(known).max())
-    return found | {
+        figures["RMS tracking error [deg]"] = float(np.sqrt(np.mean(known**2)))
+        figures["greatest error [deg]"] = float(np.abs(known).max())
+    return figures | {
         "samples without an angle": int(np.count_nonzero(~np.isfinite(angle))),
         "deadlines missed": int(np.nansum(numbers(log, "missed"))),
         "samples not in the log": dropped,

@@ -1,11 +1,20 @@
-"""One sample at the bench and the sinks that take it: the border between control thread and recording."""
+"""Samples of the control loop, and sinks and queues that take them from the control thread."""
 
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from collections import deque
 from dataclasses import dataclass
+from threading import Event, Thread
 from typing import Protocol, final
+
+from hystmpc.trials.layouts import CANONICAL
+
+TAKEN = "angle_taken_s"
+"""Column of the time at which the angle of a row was taken."""
+
+_QUEUE_S = 30.0  # how long a disk, a terminal or another process may be stuck before samples are dropped
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,6 +56,17 @@ class Sample:
     sequence: int
     taken_s: float = math.nan
 
+    def motion(self, command: str) -> dict[str, float]:
+        """Time, command and angles by the name of their column; `command` is that of the command, as `command_mm`."""
+        return {
+            CANONICAL.time: self.t_s,
+            command: self.command,
+            CANONICAL.angle: self.measured_deg,
+            TAKEN: self.taken_s,
+            "reference_deg": self.reference_deg,
+            "predicted_deg": self.predicted_deg,
+        }
+
 
 class Sink(Protocol):
     """Takes samples from the control thread."""
@@ -56,7 +76,7 @@ class Sink(Protocol):
         ...
 
     def close(self) -> None:
-        """Write what is left and end."""
+        """Write the remaining samples and end."""
         ...
 
 
@@ -82,12 +102,56 @@ class SampleQueue:
             self._samples.append(sample)
 
     def take(self) -> list[Sample]:
-        """All that waits now, oldest first."""
+        """Samples in the queue, oldest first."""
         count = len(self._samples)
         return [self._samples.popleft() for _ in range(count)]
 
     def __len__(self) -> int:
         return len(self._samples)
+
+
+class ThreadedSink(Sink, ABC):
+    """A sink that queues samples for its own thread, so that a blocked thread never delays the control loop.
+
+    Args:
+        thread: name of the thread, which a subclass starts once it is ready.
+        rate_hz: rate of the loop; 30 s of samples may wait [Hz].
+        period_s: time between two turns of the thread [s].
+    """
+
+    def __init__(self, thread: str, rate_hz: float, period_s: float) -> None:
+        self._waiting = SampleQueue(max(round(_QUEUE_S * rate_hz), 10))
+        self._period_s = period_s
+        self.problem = ""
+        self._end = Event()
+        self._thread = Thread(target=self._work, name=thread, daemon=True)
+
+    @property
+    def dropped(self) -> int:
+        """Samples that were not handed over to the thread: the queue was full, or had ended."""
+        return self._waiting.dropped
+
+    def put(self, sample: Sample) -> None:
+        self._waiting.put(sample)
+
+    def _finish(self, patience_s: float) -> bool:
+        """Let the thread take what waits and end; False where it has been asked to before."""
+        if self._end.is_set():
+            return False
+        self._waiting.closed = True
+        self._end.set()
+        self._thread.join(patience_s)
+        return True
+
+    @abstractmethod
+    def _turn(self, samples: list[Sample], ending: bool) -> bool:
+        """Take the samples that waited, in the thread; False ends it."""
+
+    def _work(self) -> None:
+        ending, going = False, True
+        while going and not ending:
+            ending = self._end.wait(self._period_s)
+            going = self._turn(self._waiting.take(), ending)
 
 
 @final

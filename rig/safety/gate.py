@@ -1,4 +1,4 @@
-"""What may be sent: only while it is known what the device holds, within hard limits on value and rate from there."""
+"""Last limits on a command before it is sent: value, rate, and a known held command to start from."""
 
 from __future__ import annotations
 
@@ -9,26 +9,20 @@ from typing import final
 
 from hystmpc.ctrl.command import CommandLimits
 
-from .intake import Seen
+from .intake import Observation
 
 _S = 1e-9
-
 _SHORTEST = 0.1  # of a sample: time that two commands count as apart at least
-
 _ROUNDING = 1e-9  # of the range: a conversion of units
-
 _STILL_NS = 80_000_000  # how long the held command has to stand still before it is believed
-
 _STILL = 0.25  # of the tolerance: how far it may wander meanwhile
-
 _LONGEST_NS = 60_000_000_000  # how long a device may go on to move by itself
-
-_UNTRUE_NS = 2_000_000_000  # how long it may say that it holds what nothing has led it to
+_IMPLAUSIBLE_NS = 2_000_000_000  # how long it may say that it holds what nothing has led it to
 
 
 @final
 class Gate:
-    """Admits commands within the limits on value and rate; nothing is admitted while it is not known what is held.
+    """Limits commands in value and rate; none is admitted while the held command is unknown.
 
         u_k in [lower, upper],   |u_k - u_(k-1)| <= rate * min(max(t_k - t_(k-1), dt / 10), dt)
 
@@ -44,7 +38,7 @@ class Gate:
         self.clipped = 0
 
     def anchor(self, held: float) -> bool:
-        """Start from the command that the device holds, at rest; False, and nothing changes, beyond the limits."""
+        """Set the held command, at rest, as the start of the rate limit; False without an effect beyond the limits."""
         low, high = self._limits.lower, self._limits.upper
         slack = _ROUNDING * (high - low)
         if not low - slack <= held <= high + slack:
@@ -53,25 +47,25 @@ class Gate:
         return True
 
     def lose(self) -> None:
-        """It is not known any more what the device holds."""
+        """Mark the held command as unknown."""
         self.anchored = False
         self.velocity = 0.0
 
     def admissible(self, wanted: float, now_ns: int) -> float:
-        """The admissible command nearest to the wanted one at monotonic time `now_ns` [ns]; never raises."""
+        """Admissible command nearest to the requested one at monotonic time `now_ns` [ns]; never raises."""
         u = self._limits.clip(wanted, self.last, self._elapsed_s(now_ns))
         self.clipped += not abs(u - wanted) <= 1e-12
         return u
 
     def numbers(self) -> Mapping[str, float] | None:
-        """What the same check in C begins with; None while nothing has been sent."""
+        """Initial state of the same limits in C; None while nothing has been sent."""
         if not self.anchored or self._sent_ns is None:
             return None
         limits = {"lower": self._limits.lower, "upper": self._limits.upper, "rate": self._limits.rate}
         return {**limits, "dt_s": self._dt, "last": self.last, "gate_ns": self._sent_ns}
 
     def sent(self, u: float, now_ns: int) -> None:
-        """The command `u` has really left at `now_ns` [ns]: the next one is measured from it."""
+        """Book the command `u`, sent at `now_ns` [ns], as the start of the next rate limit."""
         self.velocity = (u - self.last) / self._dt
         self.last, self._sent_ns = u, now_ns
 
@@ -84,7 +78,7 @@ class Gate:
 
 @final
 class Anchor:
-    """Anchors the gate on what the device holds, before the first command and after every gap.
+    """Synchronises the gate with the command that the device holds, before the first command and after every gap.
 
     A gap is a time without commands that is longer than `gap_s` (a stalled loop, a suspended machine), a command that
     did not leave, or a device that does not hold what it was sent. After it, nothing is sent until fresh readings tell
@@ -114,15 +108,15 @@ class Anchor:
         self._gap_ns, self._silence_ns = round(gap_s / _S), round(silence_s / _S)
         self._watchdog_ns = round(watchdog_s / _S)
         self._recent: deque[tuple[int, float]] = deque()
-        self._tells = False
+        self._reports_held = False
         self._sent_ns: int | None = None
         self._lost_ns: int | None = None
-        self._untrue_ns: int | None = None
-        self._told_ns = self._judged_ns = 0
+        self._implausible_ns: int | None = None
+        self._reported_ns = self._judged_ns = 0
         self.moved = ""
         self.given_up = ""
 
-    def judge(self, seen: Seen, boot_ns: int) -> bool:
+    def judge(self, seen: Observation, boot_ns: int) -> bool:
         """Whether a command may be sent in this sample.
 
         `moved` then says, in the first sample after a gap, that the device holds something else than it was sent;
@@ -132,7 +126,7 @@ class Anchor:
             seen: what the sample saw.
             boot_ns: time now, suspension included [ns].
         """
-        self._tells = self._tells or math.isfinite(seen.held)
+        self._reports_held = self._reports_held or math.isfinite(seen.held)
         self._judged_ns = boot_ns
         self.moved = ""
         away = self._sent_ns is not None and boot_ns - self._sent_ns > self._gap_ns
@@ -141,39 +135,39 @@ class Anchor:
         if self._gate.anchored:
             return True
         self._lost_ns = boot_ns if self._lost_ns is None else self._lost_ns
-        return self._found(self._at_rest(seen.held, boot_ns), boot_ns) or self._waits(boot_ns)
+        return self._anchored_at(self._at_rest(seen.held, boot_ns), boot_ns) or self._waits(boot_ns)
 
     def in_time(self, boot_ns: int) -> bool:
-        """Whether the judgement of this sample still counts; where it does not, nothing may be sent."""
+        """Whether the check of this sample is recent enough to send; otherwise the held command becomes unknown."""
         if boot_ns - self._judged_ns <= self._gap_ns:
             return True
         self._lose(boot_ns)
         return False
 
     def numbers(self) -> Mapping[str, float]:
-        """What the same judgement in C begins with."""
+        """Initial state of the same check in C."""
         return {"gap_ns": self._gap_ns, "judged_ns": self._judged_ns}
 
     def sent(self) -> None:
-        """A command has left; time without commands counts from the judgement that allowed it."""
+        """Book a sent command; the time without commands counts from the check that allowed it."""
         self._sent_ns = self._judged_ns
 
     def not_sent(self, boot_ns: int) -> None:
-        """A command may not have left; a device that tells is asked, any other holds the one before."""
-        if self._tells:
+        """Book a command that may not have been sent: a device that reports its held command is asked for it."""
+        if self._reports_held:
             self._lose(boot_ns)
 
     def _lose(self, boot_ns: int) -> None:
         self._gate.lose()
         self._recent.clear()
-        self._untrue_ns = None
-        self._lost_ns = self._told_ns = boot_ns
+        self._implausible_ns = None
+        self._lost_ns = self._reported_ns = boot_ns
 
     def _at_rest(self, held: float, boot_ns: int) -> float:
-        """The held command once it stands still, NaN until then."""
+        """Held command once it is at rest, NaN until then."""
         if math.isnan(held):
             return math.nan
-        self._told_ns = boot_ns
+        self._reported_ns = boot_ns
         recent = self._recent
         recent.append((boot_ns, held))
         while len(recent) > 2 and recent[1][0] <= boot_ns - _STILL_NS:
@@ -182,7 +176,7 @@ class Anchor:
         still = max(values) - min(values) <= _STILL * self._tolerance
         return held if still and boot_ns - recent[0][0] >= _STILL_NS else math.nan
 
-    def _found(self, held: float, boot_ns: int) -> bool:
+    def _anchored_at(self, held: float, boot_ns: int) -> bool:
         if math.isnan(held) or not self._credible(held, boot_ns):
             return False
         before = self._gate.last
@@ -191,28 +185,28 @@ class Anchor:
             return False
         if abs(held - before) > self._tolerance:
             self.moved = f"the device does not follow: it holds {held:.4g}, sent was {before:.4g}"
-        self._lost_ns = self._untrue_ns = None
+        self._lost_ns = self._implausible_ns = None
         return True
 
     def _credible(self, held: float, boot_ns: int) -> bool:
-        """Whether anything can have led the device from the last command to what it says that it holds."""
+        """Whether the reported held command can follow from the last command or the device's watchdog."""
         last, sent_ns = self._gate.last, self._sent_ns
         if sent_ns is None:
             return True
-        led = self._safe if boot_ns - sent_ns >= self._watchdog_ns else last
-        if math.isnan(led) or min(last, led) - self._tolerance <= held <= max(last, led) + self._tolerance:
+        goal = self._safe if boot_ns - sent_ns >= self._watchdog_ns else last
+        if math.isnan(goal) or min(last, goal) - self._tolerance <= held <= max(last, goal) + self._tolerance:
             return True
-        self._untrue_ns = boot_ns if self._untrue_ns is None else self._untrue_ns
-        if boot_ns - self._untrue_ns > _UNTRUE_NS:
+        self._implausible_ns = boot_ns if self._implausible_ns is None else self._implausible_ns
+        if boot_ns - self._implausible_ns > _IMPLAUSIBLE_NS:
             self.given_up = (
                 f"the device says that it holds {held:.4g}, to which nothing has led it; sent was {last:.4g}"
             )
         return False
 
     def _waits(self, boot_ns: int) -> bool:
-        """Always False: nothing may be sent now. Gives up once it has lasted too long."""
+        """Refuse to send, always False; gives the run up where that has lasted too long."""
         assert self._lost_ns is not None
-        silent_ns = boot_ns - max(self._lost_ns, self._told_ns)
+        silent_ns = boot_ns - max(self._lost_ns, self._reported_ns)
         if silent_ns > self._silence_ns:
             self.given_up = self.given_up or f"the device has not told what it holds for {_S * silent_ns:.2f} s"
         elif boot_ns - self._lost_ns > _LONGEST_NS:

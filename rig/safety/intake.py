@@ -1,4 +1,4 @@
-"""Measurements judged at receipt: age, sequence, plausibility. What fails is rejected and named, never believed."""
+"""Checks of measurements at receipt: age, sequence, plausibility. A measurement that fails is rejected and named."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _NOISY = 5  # turns of the angle that show noise, with a fifth as many repetitio
 
 
 class SensorSettings(Settings):
-    """Block `sensor`: how angles come, what a plausible one is, and when the sensor counts as dead.
+    """Block `sensor`: kind of sensor, plausible angles, and the time after which the sensor counts as failed.
 
     Attributes:
         kind: `continuous`, an angle in every message; `intermittent`, frames of an imaging system: a message with a new
@@ -102,7 +102,7 @@ class SensorSettings(Settings):
 
 
 @dataclass(frozen=True, slots=True)
-class SeenFrame:
+class ObservedFrame:
     """The angle of a frame [deg], and how long ago it was taken [s]."""
 
     angle_deg: float
@@ -110,8 +110,8 @@ class SeenFrame:
 
 
 @dataclass(frozen=True, slots=True)
-class Seen:
-    """What one sample saw.
+class Observation:
+    """Checked measurements of one sample.
 
     Attributes:
         angle_deg: the newest accepted angle, NaN where none is new.
@@ -131,14 +131,14 @@ class Seen:
     dead: str
     held: float = math.nan
     follows: bool = True
-    frames: tuple[SeenFrame, ...] = ()
+    frames: tuple[ObservedFrame, ...] = ()
     age_s: float = 0.0
     shown_deg: float = math.nan
 
 
 @final
-class Absences:
-    """Adds up times without an angle: a sensor that comes and goes is no better than one that is dead.
+class DropoutMonitor:
+    """Sums the times without an angle over the last 10 s: a sensor with frequent dropouts counts as failed.
 
     Two sums over the last 10 s: times in which all readings lay beyond the plausible range, single samples left out;
     and silences, times since an accepted angle, that are longer than `age_limit_s` while readings come and are
@@ -191,7 +191,7 @@ def _sum(times: deque[tuple[int, float]], more_s: float, now_ns: int) -> float:
 
 @final
 class Intake:
-    """Judges readings one after another.
+    """Checks readings in the order of arrival.
 
     The age of an angle is the time since its receipt plus its excess time of flight: arrival less sender's stamp,
     less the least such difference seen, which rises by the drift of two clocks and no faster. That needs no common
@@ -216,18 +216,18 @@ class Intake:
         self._slope, self._turns = 0.0, 0  # of the angle
         self._equal = self._same = 0  # its repetitions, up to the last change and since
         longest_s = settings.silence_s  # a camera shows nothing for longer than an angle may be old
-        self._absences = Absences(settings.age_limit_s if settings.kind == "continuous" else longest_s, longest_s)
+        self._absences = DropoutMonitor(settings.age_limit_s if settings.kind == "continuous" else longest_s, longest_s)
         self._shown_deg = math.nan
         self._followed = DriveFollowing(settings.held_tolerance, settings.dead_after_s)
         self._dead = ""
         self._held = math.nan
-        self._tells = False
+        self._reports_held = False
         self._shown: tuple[int, float] | None = None
         self._past: deque[tuple[int, float]] = deque()
         self.counts: Counter[str] = Counter()
 
-    def judge(self, readings: list[Reading], now_ns: int, command: float) -> Seen:
-        """The newest plausible angle among what has arrived.
+    def judge(self, readings: list[Reading], now_ns: int, command: float) -> Observation:
+        """Newest plausible angle among the readings that have arrived, with the faults of the others.
 
         Args:
             readings: in the order of arrival.
@@ -235,7 +235,7 @@ class Intake:
             command: the command sent last; its travel tells a frozen sensor from a resting one. NaN before the first.
         """
         faults: list[str] = []
-        frames: list[SeenFrame] = []
+        frames: list[ObservedFrame] = []
         angle = self._held = self._shown_deg = math.nan
         seen_ns, continuous = now_ns, self._settings.kind == "continuous"
         self._travel += abs(command - self._command) if math.isfinite(command - self._command) else 0.0
@@ -247,7 +247,7 @@ class Intake:
                 faults.append(fault)
             elif taken_ns is not None:
                 if not continuous:
-                    frames.append(SeenFrame(reading.angle_deg, _S * (now_ns - taken_ns)))
+                    frames.append(ObservedFrame(reading.angle_deg, _S * (now_ns - taken_ns)))
                 if self._accept(reading, taken_ns):
                     angle, seen_ns = reading.angle_deg, now_ns if continuous else taken_ns
         if continuous and math.isnan(angle) and not faults:
@@ -259,12 +259,12 @@ class Intake:
         self._dead = self._dead or self._silence(now_ns, len(readings), faults)
         self.counts.update(faults)
         age_s, shown_deg = _S * (now_ns - seen_ns), self._shown_deg
-        return Seen(
+        return Observation(
             angle, tuple(dict.fromkeys(faults)), self._dead, self._held, follows, tuple(frames), age_s, shown_deg
         )
 
     def numbers(self, dt_s: float, recent: int) -> Mapping[str, Any] | None:
-        """What the same judgement in C begins with; None for a sensor or a moment that it does not know.
+        """Initial state of the same checks in C; None for a sensor or a state that the C does not support.
 
         Args:
             dt_s: sample time [s].
@@ -314,9 +314,9 @@ class Intake:
         if not (fresh or frame):
             return "stale", None
         if fresh:
-            tells = math.isfinite(reading.held)
-            self._held = reading.held if reading.listens and tells else math.nan
-            self._tells = self._tells or tells
+            reports_held = math.isfinite(reading.held)
+            self._held = reading.held if reading.listens and reports_held else math.nan
+            self._reports_held = self._reports_held or reports_held
         if frame:
             age_s += settings.latency_s
             taken_ns = now_ns - round(age_s / _S)
@@ -361,7 +361,7 @@ class Intake:
         return "frozen" if count and self._repeats >= count and self._travel >= settings.frozen_travel else ""
 
     def _count_turns(self, angle: float) -> None:
-        """Count what noise does: it turns the angle to and fro. A coarse sensor repeats it instead."""
+        """Count changes of direction, which noise causes, and repeated angles, which a coarse sensor causes."""
         slope = angle - self._angle
         if slope == 0.0:
             self._same += 1
@@ -377,7 +377,7 @@ class Intake:
         return self._settings.frozen_samples or 0 if noisy else 0
 
     def _accept(self, reading: Reading, taken_ns: int) -> bool:
-        """Whether it is the angle taken last; one that was overtaken is no measure for the next."""
+        """Accept an angle; False for one that was taken before the last accepted one."""
         if taken_ns < self._accepted_ns and math.isfinite(self._angle):
             return False
         self._accepted_ns, self._angle = taken_ns, reading.angle_deg
@@ -400,10 +400,10 @@ class Intake:
             self._past.popleft()
 
     def _silence(self, now_ns: int, readings: int, faults: list[str]) -> str:
-        """Why the run has to stop for want of an angle, or of any word where none is wanted."""
+        """Cause of a stop for a missing angle, or for a silent device without a sensor."""
         silent_s, wants_angle = _S * (now_ns - self._accepted_ns), self._settings.kind != "none"
         if not wants_angle:
-            silent = self._tells and silent_s > self._settings.silence_s
+            silent = self._reports_held and silent_s > self._settings.silence_s
             return f"device silent: no word of what it holds for {silent_s:.2f} s" if silent else ""
         if silent_s > self._settings.silence_s:
             return f"sensor dead: no plausible angle for {silent_s:.2f} s ({', '.join(sorted(set(faults)))})"

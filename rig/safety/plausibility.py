@@ -1,4 +1,4 @@
-"""Whether commands, drive and angle agree: a blocked tip, a dislodged sensor, a drive that does not follow."""
+"""Plausibility of motion: a blocked tip, a dislodged sensor, a wrong model, a drive that does not follow."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ class PlausibilitySettings(Settings):
 
 @final
 class MotionWatch:
-    """Finds commanded travel without angular travel, or with travel in the opposite direction.
+    """Detects commanded travel without angular travel, or with angular travel in the opposite direction.
 
     The angle is smoothed over 0.2 s. The command u is followed as a device of the slowest lag allowed would do:
 
@@ -123,12 +123,12 @@ class MotionWatch:
 
     @property
     def still(self) -> float:
-        """How far v has travelled since the angle has last moved; 0 before the first angle."""
+        """Travel of v since the last motion of the angle; 0 before the first angle."""
         travelled = self._most - self._least
         return 0.0 if math.isnan(travelled) else travelled
 
     def numbers(self) -> Mapping[str, float]:
-        """What the same rule in C begins with; `travel` -1 does not look, and Python judges every motion again."""
+        """Initial state of the same rule in C; `travel` -1 disables it, and Python checks every motion once more."""
         return {
             "travel": min(self._travel, self._onward) if self._on else -1.0,
             "lag_s": self._lag_s,
@@ -175,7 +175,7 @@ def _followed(lagged: float, value: float, share: float) -> float:
 
 @final
 class ModelWatch:
-    """Finds a model that the device does not obey any more: a disturbance that is too large for too long.
+    """Detects a device that has left its model: an estimated disturbance that is too large for too long.
 
     Args:
         limit_deg: bound of the estimator's disturbance; infinite without an estimator [deg].
@@ -188,7 +188,7 @@ class ModelWatch:
         self._samples = 0
 
     def numbers(self) -> Mapping[str, float]:
-        """What the same rule in C goes by, which ends at half of the samples."""
+        """Parameters and state of the same rule in C, which ends at half of the samples."""
         bound = self._bound if self._on else math.inf
         return {
             "departure_bound": bound,
@@ -210,7 +210,7 @@ class ModelWatch:
 
 @final
 class DriveFollowing:
-    """Compares what the device says it holds with everything that was sent lately.
+    """Detects a drive that does not follow: compares the reported held command with the commands sent lately.
 
     A device follows while what it holds lies within the least and the greatest command of the last `window_s`, or
     between them and the commands lagged by `window_s`, give or take `tolerance`. So a drive that is late or lags by as

@@ -15,7 +15,7 @@ from hystmpc.trials.types import Vec
 
 
 class RampSettings(Settings):
-    """How fast the loop itself moves the command: preparation, lead-in and the way back, in command units.
+    """Velocity, acceleration and jerk of the command in preparation, lead-in and return, in command units.
 
     A stop brakes first, see `stop_commands`: as gently as `acceleration_per_s2` where that keeps within the overshoot
     allowed, else with the deceleration that the overshoot needs, or with `brake_per_s2` where it is given.
@@ -34,7 +34,7 @@ class RampSettings(Settings):
 
     @property
     def limits(self) -> MotionLimits:
-        """The same numbers for ruckig, to which a unit is nothing."""
+        """The same limits as settings of ruckig, whose numbers have no unit."""
         return MotionLimits(
             velocity_deg_s=self.velocity_per_s,
             acceleration_deg_s2=self.acceleration_per_s2,
@@ -85,7 +85,7 @@ def stop_commands(
     return np.concatenate([braking, ramp_commands(float(braking[-1]), 0.0, safe, ramps, dt_s)])
 
 
-def way_commands(
+def waypoint_commands(
     start: float, stops: Sequence[float], holds_s: Sequence[float], ramps: RampSettings, dt_s: float
 ) -> Vec:
     """Commands (N,) from rest at `start` by ramps to every stop, each followed by its hold.

@@ -1,4 +1,4 @@
-"""Stops: asked for by a signal or another thread, remembered on disk by a latch until somebody resets it."""
+"""Stops: requested by a signal or another thread, latched on disk until a person resets the latch."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ RUNNING = "the program was killed while it controlled the device"
 
 @final
 class StopFlag:
-    """Set by a signal or another thread, looked at once a sample; the first cause stays.
+    """Stop request by a signal or another thread, read once a sample; the first cause stays.
 
     Attributes:
         cause: why a safe stop is asked for, empty while none is.
@@ -41,14 +41,19 @@ class StopFlag:
         self.word = ctypes.c_int(0)
 
     def set(self, cause: str) -> None:
-        """Ask for a safe stop."""
+        """Request a safe stop."""
         self.cause = self.cause or cause
         self.word.value = 1
 
     def end(self) -> None:
-        """Ask for the regular end: back to the safe command, without a latch."""
+        """Request the regular end: return to the safe command, without a latch."""
         self.ending = True
         self.word.value = 1
+
+
+def cause_of(error: BaseException) -> str:
+    """Type and first 200 characters of an error, on one line, as the cause of a stop."""
+    return f"{type(error).__name__}: {' '.join(str(error).split())[:200]}"
 
 
 @contextmanager
@@ -76,7 +81,7 @@ def stopping_on_signals(flag: StopFlag) -> Iterator[None]:
 
 @final
 class Latch:
-    """One file for one device. It is set while a run lasts, so that a killed program leaves it set.
+    """Latch of a stopped device: a file that exists while a run lasts, so that a killed program leaves it set.
 
     Beside it lies a lock of the operating system. A run holds it from before it looks at the latch until after it has
     released it: two programs never share a device, and the lock of one that was killed is free.
@@ -129,7 +134,7 @@ class Latch:
             )
 
     def set(self, cause: str) -> None:
-        """Remember a stop.
+        """Latch a stop with its cause.
 
         Raises:
             ConfigError: if the file cannot be written: a run that could not be latched must not start.
@@ -140,7 +145,7 @@ class Latch:
             raise ConfigError(f"{self.file}: cannot be written ({error.strerror}), expected a place to latch") from None
 
     def release(self) -> None:
-        """Forget the stop.
+        """Release the latch.
 
         Raises:
             ConfigError: if the file cannot be removed.
@@ -152,16 +157,16 @@ class Latch:
 
     def _read(self) -> dict[str, object] | None:
         try:
-            found = json.loads(self.file.read_text(encoding="utf-8"))
+            content = json.loads(self.file.read_text(encoding="utf-8"))
         except FileNotFoundError:
             return None
         except (OSError, ValueError):
-            found = None
+            content = None
         # A latch that cannot be read is one that is set.
-        return found if isinstance(found, dict) else {"cause": "unreadable latch", "since": "?"}
+        return content if isinstance(content, dict) else {"cause": "unreadable latch", "since": "?"}
 
 
 def latch_text(cause: str) -> str:
-    """What a latch says: the cause, since when, and which process has set it."""
+    """Content of a latch: cause, time, and process."""
     text = {"cause": cause, "since": datetime.now(UTC).isoformat(timespec="seconds"), "pid": os.getpid()}
     return json.dumps(text, indent=2) + "\n"

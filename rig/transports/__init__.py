@@ -1,1 +1,1 @@
-"""The wire between loop and device, behind one small protocol."""
+"""Transports between control loop and device, behind one protocol."""

@@ -1,41 +1,16 @@
-"""Two topics, one of angles and one of commands: the DDS transport by its settings, and the controller's end.
-
-`dds_` holds what needs Cyclone DDS (extra `rig`); a ROS 2 node brings a wire of its own.
-"""
+"""The DDS transport by its settings; `dds_` holds what needs Cyclone DDS (extra `rig`)."""
 
 from __future__ import annotations
 
 import importlib.util
-import math
-import time
-from collections import Counter
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from typing import Any, Literal, Protocol, Self, final
 
-from pydantic import Field
-
-from hystmpc.trials.config import Count, Settings
 from hystmpc.trials.errors import ConfigError
 
-from .transport import Conversion, DeviceLink, Reading, RunContext, Through, Transport, TransportBase
+from .topics import TopicSettings
+from .transport import DeviceLink, RunContext, SocketWrapper, Transport
 
 
-class QosSettings(Settings):
-    """Quality of service of both topics, in the words of ROS 2.
-
-    Attributes:
-        reliability: whether a lost message is sent again.
-        durability: whether a late reader gets the last messages.
-        depth: messages that are kept.
-    """
-
-    reliability: Literal["reliable", "best_effort"] = "reliable"
-    durability: Literal["volatile", "transient_local"] = "volatile"
-    depth: Count = 10
-
-
-class DdsSettings(TransportBase):
+class DdsSettings(TopicSettings):
     """`kind: dds`: two topics of a DDS domain, as ROS 2 nodes see them.
 
     Attributes:
@@ -46,25 +21,13 @@ class DdsSettings(TransportBase):
         interface: network interface; everything stays on the loopback where left out.
     """
 
-    kind: Literal["dds"]
-    angle_topic: str = "tip/angle_deg"
-    command_topic: str = "tip/command"
-    message: Literal["float64", "float64_stamped"] = "float64_stamped"
-    domain: int = Field(default=0, ge=0, le=232)
-    qos: QosSettings = QosSettings()
-    interface: str | None = None
-
-    @property
-    def place(self) -> str:
-        return f"dds topic {self.angle_topic} in domain {self.domain}"
-
     def open(self, run: RunContext) -> Transport:
         require_dds()
         from .dds_ import dds_transport
 
         return dds_transport(self, run.conversion)
 
-    def listen(self, silence_s: float, through: Through | None) -> DeviceLink:
+    def listen(self, silence_s: float, through: SocketWrapper | None) -> DeviceLink:
         """The device's end; datagrams, which faults could be put before, are out of reach.
 
         Raises:
@@ -85,118 +48,3 @@ def require_dds() -> None:
     """
     if importlib.util.find_spec("cyclonedds") is None:
         raise ConfigError("dds: the package cyclonedds is not installed, expected `pip install hystmpc[rig]`")
-
-
-_NS = 1_000_000_000
-# What a controller says by frame_id beside commands; a device says there which session it listens to.
-GREETING, GOODBYE = "greeting", "goodbye"
-_LISTENS = "listens:"
-
-
-def listening(session: int | None) -> str:
-    """The note of a device that listens to a session, or to none."""
-    return f"{_LISTENS}none" if session is None else f"{_LISTENS}{session:08x}"
-
-
-def stamp(wall_ns: int) -> tuple[int, int]:
-    """Seconds and nanoseconds of a time [ns]."""
-    return wall_ns // _NS, wall_ns % _NS
-
-
-@dataclass(frozen=True, slots=True)
-class TopicMessage:
-    """A measurement as it was on its topic.
-
-    Attributes:
-        data: raw angle.
-        sequence: the sender's count.
-        sent_ns: the sender's clock [ns].
-        session: of the sender; 0 where it has none.
-        held: raw command that the device holds; NaN where it does not tell.
-        note: `frame_id`, empty where there is none.
-    """
-
-    data: float
-    sequence: int
-    sent_ns: int
-    session: int = 0
-    held: float = math.nan
-    note: str = ""
-
-    @classmethod
-    def of(cls, stamped: Any) -> Self:
-        """Of a hystmpc_msgs/msg/Float64Stamped, of whatever binding."""
-        header = stamped.header
-        sent = header.stamp.sec * _NS + header.stamp.nanosec
-        return cls(stamped.data, stamped.sequence, sent, stamped.session, stamped.held, header.frame_id)
-
-
-class TopicWire(Protocol):
-    """A topic to write and one to read; nothing blocks."""
-
-    @property
-    def session(self) -> int:
-        """Of this end, chosen at random."""
-        ...
-
-    def read(self) -> TopicMessage | None:
-        """The oldest message that has not been read yet, None where there is none."""
-        ...
-
-    def write(self, value: float, held: float, *, note: str = "") -> None:
-        """Send a number; sequence and stamp are those of the wire."""
-        ...
-
-    def close(self) -> None:
-        """Leave both topics."""
-        ...
-
-
-@final
-class TopicTransport(Transport):
-    """Reads the angle's topic, writes the command's.
-
-    Plain Float64 carries neither sequence nor session: a restarted device is not noticed.
-
-    Args:
-        now_ns: monotonic clock [ns].
-    """
-
-    def __init__(self, wire: TopicWire, conversion: Conversion, now_ns: Callable[[], int] = time.monotonic_ns) -> None:
-        self._wire: TopicWire | None = wire
-        self._now = now_ns
-        self._conversion, self._listens = conversion, listening(wire.session)
-        self._device_has_sessions = False
-        self._counters: Counter[str] = Counter()
-
-    @property
-    def counters(self) -> Mapping[str, int]:
-        return self._counters
-
-    def read(self) -> Reading | None:
-        message = None if self._wire is None else self._wire.read()
-        if message is None:
-            return None
-        now, angle = self._now(), self._conversion.angle_deg(message.data)
-        self._device_has_sessions = message.note.startswith(_LISTENS)
-        listens = not self._device_has_sessions or message.note == self._listens
-        held = self._conversion.command(message.held)
-        return Reading(angle, message.sequence, message.session, message.sent_ns, now, held, listens)
-
-    def write(self, command: float) -> None:
-        if self._wire is not None:
-            self._wire.write(self._conversion.raw_command(command), 0.0)
-
-    def greet(self) -> None:
-        """Ask the device to listen; one that has no sessions would take this for a command."""
-        if self._wire is not None and self._device_has_sessions:
-            self._wire.write(math.nan, 0.0, note=GREETING)
-
-    def stop(self, goodbye: bool = False) -> None:
-        """Leave the topics; say goodbye before where that is wanted and the device has sessions."""
-        wire, self._wire = self._wire, None
-        if wire is not None:
-            if goodbye and self._device_has_sessions:
-                wire.write(math.nan, 0.0, note=GOODBYE)
-                time.sleep(0.02)  # the last message leaves before the writer does
-            wire.close()

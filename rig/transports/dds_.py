@@ -19,9 +19,9 @@ from cyclonedds.topic import Topic
 
 from hystmpc.trials.errors import ConfigError
 
-from .dds import GOODBYE, GREETING, DdsSettings, TopicMessage, TopicTransport, listening, stamp
 from .sessions import Admission
-from .transport import Conversion, DeviceLink, Incoming, Outgoing
+from .topics import GOODBYE, GREETING, TopicMessage, TopicSettings, TopicTransport, listening, stamp
+from .transport import Conversion, DeviceLink, Incoming, Outgoing, Says
 
 # Discovery and data on one interface; unicast, so that nothing is announced beyond it.
 _XML = """<CycloneDDS><Domain><General><Interfaces><NetworkInterface name="{name}"/></Interfaces>
@@ -75,7 +75,7 @@ HASHES: dict[type[Float64 | Float64Stamped], str] = {
 class _Wire:
     """One topic to write and one to read."""
 
-    def __init__(self, settings: DdsSettings, out: str, into: str) -> None:
+    def __init__(self, settings: TopicSettings, out: str, into: str) -> None:
         local = settings.interface is None
         xml = _XML.format(
             name=settings.interface or "lo",
@@ -131,7 +131,7 @@ class _Wire:
         self._writer = self._reader = self._participant = self._domain = None
 
 
-def _qos(settings: DdsSettings) -> Qos:
+def _qos(settings: TopicSettings) -> Qos:
     wanted = settings.qos
     reliable = Policy.Reliability.Reliable(max_blocking_time=0)  # a full queue drops; it must not block the loop
     return Qos(
@@ -141,7 +141,7 @@ def _qos(settings: DdsSettings) -> Qos:
     )
 
 
-def dds_transport(settings: DdsSettings, conversion: Conversion) -> TopicTransport:
+def dds_transport(settings: TopicSettings, conversion: Conversion) -> TopicTransport:
     """The controller's end in a domain. A Float64's age counts from the sender's DDS stamp.
 
     Raises:
@@ -163,7 +163,7 @@ class DdsLink(DeviceLink):
         ConfigError: if the domain cannot be joined.
     """
 
-    def __init__(self, settings: DdsSettings, silence_s: float) -> None:
+    def __init__(self, settings: TopicSettings, silence_s: float) -> None:
         self._wire = _Wire(settings, settings.angle_topic, settings.command_topic)
         self._admission = Admission(silence_s)
         self._counters: Counter[str] = Counter()
@@ -194,11 +194,11 @@ class DdsLink(DeviceLink):
         """What an admitted message says, or why it is refused; it has to come from the writer that has greeted."""
         writer = message.sample_info.publication_handle
         come = writer, message.session, message.sequence, time.monotonic_ns()
-        if message.header.frame_id == GREETING:
-            return self._admission.greeting(*come) or Incoming(says="greeting")
-        if message.header.frame_id == GOODBYE:
-            return self._admission.goodbye(*come) or Incoming(says="goodbye")
-        return self._admission.command(*come) or _command(message.data)
+        note = message.header.frame_id
+        says: Says = note if note in (GREETING, GOODBYE) else "command"
+        if reason := self._admission.admit(says, *come):
+            return reason
+        return _command(message.data) if says == "command" else Incoming(says=says)
 
 
 def _command(raw: float) -> Incoming | str:

@@ -1,9 +1,11 @@
-"""Sessions and sequence numbers: which messages are new, and which controller a device listens to."""
+"""Sessions and sequence numbers: order of messages, and exclusive access of one controller to a device."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from typing import final
+
+from .transport import Says
 
 NEW, RESTARTED, REPLAYED = "", "restarted", "replayed-or-reordered"
 _HALF = 1 << 31
@@ -12,7 +14,7 @@ _REMEMBERED = 64  # sessions that have ended; what claims to come from one of th
 
 @final
 class Order:
-    """Tells new messages from repeated, reordered and replayed ones; sequence numbers wrap at 2^32."""
+    """Detects repeated, reordered and replayed messages; sequence numbers wrap at 2^32."""
 
     def __init__(self) -> None:
         self._session: int | None = None
@@ -47,10 +49,10 @@ ANOTHER, NO_GREETING, OLD = "another controller", "no greeting", "replayed-or-re
 
 @final
 class Admission:
-    """A session is pinned by its greeting, and dropped by its goodbye or by the greeting of another after a silence.
+    """Exclusive access of one controller: its greeting opens a session, its goodbye or a silence frees the device.
 
-    What others send meanwhile is refused, whatever it is, and changes nothing. A session that has ended is not taken up
-    again. Every method answers with the reason of a refusal, empty where the message is admitted.
+    After a silence another greeting ends the session. What others send meanwhile is refused, whatever it is, and
+    changes nothing. A session that has ended is not taken up again.
 
     Args:
         silence_s: how long the pinned session has to be silent before another may greet [s].
@@ -68,44 +70,33 @@ class Admission:
         """The session that is listened to."""
         return None if self._pinned is None else self._pinned[1]
 
-    def greeting(self, sender: object, session: int, sequence: int, now_ns: int) -> str:
-        """A controller asks to be listened to.
+    def admit(self, says: Says, sender: object, session: int, sequence: int, now_ns: int) -> str:
+        """Reason for refusing a message, empty where it is admitted.
+
+        The goodbye of a session that has never commanded ends the session and is refused.
 
         Args:
-            sender: where the message comes from: an address, or the writer of a topic.
+            says: what it says.
+            sender: where it comes from: an address, or the writer of a topic.
             session, sequence: of the message.
             now_ns: monotonic time now [ns].
         """
         known = self._pinned == (sender, session)
-        if not known and self._pinned is not None and now_ns - self._heard_ns <= self._silence_ns:
-            return ANOTHER
-        if reason := self._in_order(session, sequence, now_ns):
-            return reason
-        if not known:
-            self._pinned, self._commanded = (sender, session), False
-        return ""
-
-    def command(self, sender: object, session: int, sequence: int, now_ns: int) -> str:
-        """A controller commands; arguments as for `greeting`."""
-        if reason := self._pinned_only(sender, session) or self._in_order(session, sequence, now_ns):
-            return reason
-        self._commanded = True
-        return ""
-
-    def goodbye(self, sender: object, session: int, sequence: int, now_ns: int) -> str:
-        """A controller leaves; refused for a session that has never commanded. Arguments as for `greeting`."""
-        if reason := self._pinned_only(sender, session) or self._in_order(session, sequence, now_ns):
-            return reason
-        self._pinned = None
-        return "" if self._commanded else "goodbye without a command"
-
-    def _pinned_only(self, sender: object, session: int) -> str:
-        if self._pinned is None:
+        if says == "greeting":
+            if not known and self._pinned is not None and now_ns - self._heard_ns <= self._silence_ns:
+                return ANOTHER
+        elif self._pinned is None:
             return NO_GREETING
-        return "" if self._pinned == (sender, session) else ANOTHER
-
-    def _in_order(self, session: int, sequence: int, now_ns: int) -> str:
+        elif not known:
+            return ANOTHER
         if self._order.judge(session, sequence) not in (NEW, RESTARTED):
             return OLD
         self._heard_ns = now_ns
+        if says == "goodbye":
+            self._pinned = None
+            return "" if self._commanded else "goodbye without a command"
+        if says == "command":
+            self._commanded = True
+        if says == "greeting" and not known:
+            self._pinned, self._commanded = (sender, session), False
         return ""

@@ -1,4 +1,4 @@
-"""A device in this process, computed or recorded: one sample of it for every command."""
+"""Simulated and replayed devices in this process: one sample for every command."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from .transport import Reading, RunContext, Transport, TransportBase
 
 @final
 class SimulatedTransport(Transport):
-    """A `Plant` behind the wire's interface; its time is the number of commands, so it never lags.
+    """A `Plant` as a transport; its time is the number of commands, so it has no delay.
 
     Args:
         held: the command that the plant holds after its reset.
@@ -74,9 +74,9 @@ class SimulatedTransport(Transport):
         if self._frames:
             frame = self._frames.popleft()
             self._sequence += 1
-            come_ns = now - round(1e9 * max(self._time_s - frame.arrives_s, 0.0))
-            sent_ns = come_ns - round(1e9 * (frame.arrives_s - frame.taken_s))
-            return Reading(frame.angle_deg, self._sequence, 0, sent_ns, come_ns, self._held)
+            arrived_ns = now - round(1e9 * max(self._time_s - frame.arrives_s, 0.0))
+            sent_ns = arrived_ns - round(1e9 * (frame.arrives_s - frame.taken_s))
+            return Reading(frame.angle_deg, self._sequence, 0, sent_ns, arrived_ns, self._held)
         if self._read_ns is not None and now - self._read_ns < self._dt_ns // 2:
             return None
         self._read_ns, self._sequence = now, self._sequence + 1
@@ -100,7 +100,7 @@ class SimulatedTransport(Transport):
 
 @final
 class RecordedPlant:
-    """The angles of a recorded run, one for every command, whatever that is; not-a-number after its end."""
+    """Replay of recorded angles, one for every command; not-a-number after the end."""
 
     def __init__(self, angles_deg: Vec, dt_s: float) -> None:
         self._angles, self.dt, self._k = angles_deg.tolist(), dt_s, 0

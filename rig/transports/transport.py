@@ -1,4 +1,4 @@
-"""A transport and the device's end of it: what a new device has to bring; units are converted here and nowhere else."""
+"""Interfaces of transports and of the device's end, and the conversion of units, which is done nowhere else."""
 
 from __future__ import annotations
 
@@ -46,12 +46,12 @@ class Reading:
             sequence: rises by one a measurement.
             held: command that the device holds; NaN where it does not tell.
         """
-        come_ns = time.monotonic_ns()
-        return cls(angle_deg, sequence, 0, come_ns, come_ns, held)
+        now_ns = time.monotonic_ns()
+        return cls(angle_deg, sequence, 0, now_ns, now_ns, held)
 
 
 class Transport(Protocol):
-    """The wire to a device. Nothing blocks for longer than a system call; what fails raises `OSError`.
+    """Transport to a device. No method blocks for longer than a system call; failures raise `OSError`.
 
     One from outside the package may speak other units, see `GuardedTransport`.
     """
@@ -79,20 +79,20 @@ class Transport(Protocol):
 
     @property
     def counters(self) -> Mapping[str, int]:
-        """What was rejected on the wire, by cause."""
+        """Rejected messages by cause."""
         ...
 
     def numbers(self) -> Mapping[str, float] | None:
-        """What a loop in C needs to read and write here; None for a wire that it does not know."""
+        """Data by which a loop in C reads and writes here; None for a transport without C."""
         return None
 
     def reading(self, data: bytes, received_ns: int) -> Reading | None:
-        """The reading that such a loop has received; None where it is none."""
+        """Decode a reading that such a loop has received; None for an invalid one."""
         del data, received_ns
         return None
 
     def take_back(self, unread: Sequence[tuple[bytes, int]], sent: int) -> None:
-        """Such a loop has ended: what it has received and not used is read first.
+        """Resume after such a loop: what it has received and not used is read first.
 
         Args:
             unread: bytes and monotonic time of receipt [ns].
@@ -103,7 +103,7 @@ class Transport(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Outgoing:
-    """A measurement on its way.
+    """A measurement in the wire's units, as a device sends it.
 
     Attributes:
         angle, held: raw angle and held command in the wire's units.
@@ -124,14 +124,14 @@ Says = Literal["command", "greeting", "goodbye"]
 
 @dataclass(frozen=True, slots=True)
 class Incoming:
-    """What the controller that is listened to says; `command` is the raw one, NaN unless it says one."""
+    """Message of the admitted controller; `command` is in the wire's unit, NaN for other messages."""
 
     command: float = math.nan
     says: Says = "command"
 
 
 class DeviceLink(Protocol):
-    """What a device server talks through. Nothing blocks."""
+    """Interface of the device's end of a wire. No method blocks."""
 
     greeted: bool
     """Whether controllers greet on this wire: without sessions they cannot."""
@@ -150,7 +150,7 @@ class DeviceLink(Protocol):
 
     @property
     def counters(self) -> Mapping[str, int]:
-        """What was rejected, by cause."""
+        """Rejected messages by cause."""
         ...
 
 
@@ -162,7 +162,7 @@ _TO_RUN = {"mm": ("mm", 1.0), "m": ("mm", 1e3), "bar": ("bar", 1.0), "kPa": ("ba
 
 
 class WireUnits(Settings):
-    """Block `wire`: what the device speaks. The angle in degrees is sign * raw + offset_deg, raw taken to degrees.
+    """Block `wire`: units of the device. The angle in degrees is sign * raw + offset_deg, raw taken to degrees.
 
     Attributes:
         angle_unit: unit of the angle on the wire.
@@ -220,7 +220,7 @@ Peer = tuple[str, int]
 
 
 class Datagrams(Protocol):
-    """What the device's end needs of a socket, so that faults can be put before it."""
+    """Interface of a datagram socket, behind which faults can be injected."""
 
     def recvfrom(self, size: int, /) -> tuple[bytes, Any]:
         """The oldest datagram and its sender; `BlockingIOError` where there is none."""
@@ -240,7 +240,7 @@ class Datagrams(Protocol):
 
 
 # Puts faults before a socket.
-Through = Callable[[Datagrams], Datagrams]
+SocketWrapper = Callable[[Datagrams], Datagrams]
 
 # Makes the device of `kind: simulated`: its settings and the sample time to a plant and the command that it holds.
 # Given by the program, since this room knows no simulator.
@@ -249,7 +249,7 @@ PlantFactory = Callable[[Any, float], tuple[Plant, float]]
 
 @dataclass(frozen=True)
 class RunContext:
-    """What a transport may need of the run that opens it."""
+    """Context of a run that opens a transport."""
 
     conversion: Conversion  # of the wire's units
     dt_s: float  # sample time of the loop [s]
@@ -258,7 +258,7 @@ class RunContext:
 
 
 class TransportBase(Settings):
-    """Base of the settings of every transport: they open it."""
+    """Base class of transport settings."""
 
     in_process: ClassVar[bool] = False  # the device answers at once, from this process
 

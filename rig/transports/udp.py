@@ -1,4 +1,4 @@
-"""Datagrams between controller and device; what arrives is hostile until checksum, order and number say otherwise.
+"""UDP transport; a datagram is accepted after checks of its checksum, session, sequence and value.
 
 A datagram has 44 bytes, little-endian:
 
@@ -47,7 +47,8 @@ from .transport import (
     Peer,
     Reading,
     RunContext,
-    Through,
+    Says,
+    SocketWrapper,
     Transport,
     TransportBase,
 )
@@ -59,7 +60,7 @@ SIZE = _BODY.size + _CRC.size
 
 
 class Kind(IntEnum):
-    """What a datagram says."""
+    """Kinds of datagrams."""
 
     READING = 1
     COMMAND = 2
@@ -68,6 +69,7 @@ class Kind(IntEnum):
 
 
 KINDS = {int(kind): kind for kind in Kind}
+_SAYS: Mapping[Kind, Says] = {Kind.HELLO: "greeting", Kind.STOP: "goodbye", Kind.COMMAND: "command"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,7 +101,7 @@ def encode(message: Datagram) -> bytes:
 
 
 def decode(data: bytes) -> Datagram | str:
-    """The datagram, or in a word why these bytes are none; never raises on bytes of any content or length."""
+    """Decode a datagram, or name the fault of its bytes; never raises on bytes of any content or length."""
     if len(data) != SIZE:
         return "wrong size"
     body = data[: _BODY.size]
@@ -190,7 +192,7 @@ class UdpTransport(Transport):
         return Reading(angle, message.sequence, message.session, message.stamp_ns, received_ns, held)
 
     def numbers(self) -> Mapping[str, float]:
-        """What a loop in C needs to read and write here."""
+        """Socket, session and conversion by which a loop in C reads and writes here."""
         conversion = self._conversion
         return {
             "descriptor": self._wire.fileno(),
@@ -245,7 +247,7 @@ class UdpLink(DeviceLink):
 
     greeted = True
 
-    def __init__(self, host: str, port: int, silence_s: float, through: Through | None = None) -> None:
+    def __init__(self, host: str, port: int, silence_s: float, through: SocketWrapper | None = None) -> None:
         wire = _open(host, port, "the device")
         self._wire: Datagrams = wire if through is None else through(wire)
         self._session, self._admission = secrets.randbits(32), Admission(silence_s)
@@ -270,10 +272,10 @@ class UdpLink(DeviceLink):
             except ConnectionError:  # the answer to a datagram that nobody took
                 continue
             message = decode(data)
-            said = message if isinstance(message, str) else self._said(message, peer)
-            if isinstance(said, Incoming):
-                return said
-            self._counters[said] += 1
+            accepted = message if isinstance(message, str) else self._admitted(message, peer)
+            if isinstance(accepted, Incoming):
+                return accepted
+            self._counters[accepted] += 1
         return None
 
     def send(self, message: Outgoing) -> None:
@@ -288,24 +290,17 @@ class UdpLink(DeviceLink):
     def close(self) -> None:
         self._wire.close()
 
-    def _said(self, message: Datagram, peer: Peer) -> Incoming | str:
+    def _admitted(self, message: Datagram, peer: Peer) -> Incoming | str:
         """What an admitted message says, or why it is refused."""
-        come = peer, message.session, message.sequence, time.monotonic_ns()
-        if message.kind is Kind.HELLO:
-            if reason := self._admission.greeting(*come):
-                return reason
-            self._peer = peer
-            return Incoming(says="greeting")
-        if message.kind is Kind.STOP:
-            if reason := self._admission.goodbye(*come):
-                return reason
-            self._peer = None
-            return Incoming(says="goodbye")
-        if message.kind is not Kind.COMMAND:
+        says = _SAYS.get(message.kind)
+        if says is None:
             return "not a command"
-        if reason := self._admission.command(*come):
+        if reason := self._admission.admit(says, peer, message.session, message.sequence, time.monotonic_ns()):
             return reason
-        return Incoming(message.value) if math.isfinite(message.value) else "not-a-number"
+        if says == "command":
+            return Incoming(message.value) if math.isfinite(message.value) else "not-a-number"
+        self._peer = peer if says == "greeting" else None
+        return Incoming(says=says)
 
 
 class UdpSettings(TransportBase):
@@ -357,7 +352,7 @@ class UdpListenSettings(Settings):
         _require_local("bind_host", self.bind_host, self.allow_network)
         return self
 
-    def listen(self, silence_s: float, through: Through | None) -> DeviceLink:
+    def listen(self, silence_s: float, through: SocketWrapper | None) -> DeviceLink:
         """The device's end of the wire, behind the faults that `through` puts before the socket.
 
         Raises:
@@ -366,11 +361,15 @@ class UdpListenSettings(Settings):
         return UdpLink(self.bind_host, self.bind_port, silence_s, through)
 
 
+def is_loopback(host: str) -> bool:
+    """Whether a host name or address is this machine's loopback."""
+    try:
+        return host == "localhost" or ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return False
+
+
 def _require_local(name: str, host: str, allow_network: bool) -> None:
     """Refuse addresses beyond the loopback unless they were allowed; the error is pydantic's to report."""
-    try:
-        local = host == "localhost" or ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        local = False
-    if not (local or allow_network):
+    if not (is_loopback(host) or allow_network):
         raise ValueError(f"got {name} {host!r}, expected a loopback address, or `allow_network: true`")

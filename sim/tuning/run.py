@@ -13,9 +13,8 @@ from hystmpc.trials.config import dump_yaml
 from hystmpc.trials.csv_files import format_table
 from hystmpc.trials.errors import ConfigError, FitError
 from hystmpc.trials.files import write_atomically
-from hystmpc.trials.parts import parts
 from hystmpc.trials.run_folder import RunFolder, alone_in, resumed_folder
-from hystmpc.trials.types import Progress
+from hystmpc.trials.types import Progress, parts
 
 from ..jobs.backend import Backend
 from ..jobs.runner import run_jobs

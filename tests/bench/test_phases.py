@@ -181,9 +181,9 @@ def test_a_device_slower_than_its_limit_is_found(own: float, tmp_path: Path) -> 
     """What it tells that it holds moves at a rate of its own, and is a sample late."""
     bench = bench_settings(tmp_path)
     phase, held, told = dash(bench, 6.0), 0.0, 0.0
-    phase.begin(PhaseInput(30.0, 0.0, told=0.0), Past([], []))
+    phase.begin(PhaseInput(30.0, 0.0, reported=0.0), Past([], []))
     while True:
-        decision = phase.step(PhaseInput(30.0, held, told=told))
+        decision = phase.step(PhaseInput(30.0, held, reported=told))
         told += float(np.clip(held - told, -own * bench.dt_s, own * bench.dt_s))
         held = decision.u
         if decision.finished:

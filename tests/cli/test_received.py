@@ -18,7 +18,7 @@ from hystmpc.ctrl.config import GROUP, parse_controller
 from hystmpc.ctrl.planner.tip_controller import TipController
 from hystmpc.gap.tracking.measured import measured_runs
 from hystmpc.rig.config import RunSettings, load_record, load_run
-from hystmpc.rig.experiment.review_page import review_run
+from hystmpc.rig.experiment.review import review_run
 from hystmpc.sim.config import load_simulation
 from hystmpc.sim.results import load_results
 from hystmpc.sim.sweep.table import table_of

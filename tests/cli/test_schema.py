@@ -12,8 +12,8 @@ from typer.testing import CliRunner
 
 from hystmpc.cli.main import app
 from hystmpc.cli.schema import FILES, settings_of
+from hystmpc.cli.settings_reference import json_schema, keys_of, reachable
 from hystmpc.trials.config import read_yaml
-from hystmpc.trials.described import json_schema, keys_of, reachable
 from hystmpc.trials.errors import ConfigError
 
 ROOT = Path(__file__).resolve().parents[2]

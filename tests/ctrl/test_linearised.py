@@ -10,11 +10,13 @@ import numpy as np
 import pytest
 from scipy.optimize import LinearConstraint, minimize
 
-from hystmpc.ctrl.command import CommandLimits, Stopwatch
+from hystmpc.ctrl.command import CommandLimits, CommandPlan, Stopwatch
 from hystmpc.ctrl.linearised.osqp_ import OsqpOptions, OsqpSolver
-from hystmpc.ctrl.linearised.planner import LinearisedPlanner, QpData, TrackingQp
-from hystmpc.ctrl.mpc import CommandPlan, PlanCost, PlanningError, PlanningProblem
-from hystmpc.ctrl.mpc_settings import LinearisedMpcSettings, WeightsSettings
+from hystmpc.ctrl.linearised.planner import LinearisedPlanner, TrackingQp
+from hystmpc.ctrl.linearised.qp import QpData
+from hystmpc.ctrl.mpc import PlanCost, PlanningError, PlanningProblem
+from hystmpc.ctrl.mpc_settings import LinearisedMpcSettings
+from hystmpc.ctrl.planning_settings import WeightsSettings
 from hystmpc.trials.errors import ConfigError, ControllerError
 
 from .plays import DT, LINEAR, PLAY, SOUND, Case, Faulty, Lag, not_a_number

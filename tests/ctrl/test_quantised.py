@@ -16,7 +16,7 @@ from hystmpc.ctrl.estimation.noise import NoiseBank
 from hystmpc.ctrl.feedback import PidSettings
 from hystmpc.ctrl.guarded import build_controller
 from hystmpc.ctrl.mpc import Hold, HoldRule
-from hystmpc.ctrl.mpc_settings import HoldSettings, SupervisorSettings
+from hystmpc.ctrl.planning_settings import HoldSettings, SupervisorSettings
 from hystmpc.ctrl.supervisor import feedback_gains
 from hystmpc.models.chain import Chain
 from hystmpc.models.contract.metadata import NoiseModel

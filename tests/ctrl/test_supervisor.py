@@ -15,7 +15,7 @@ from hystmpc.ctrl.config import CONTROLLERS
 from hystmpc.ctrl.feedback import PidSettings
 from hystmpc.ctrl.guarded import GuardedController, GuardedState, build_controller
 from hystmpc.ctrl.learning.predictor import Learning
-from hystmpc.ctrl.mpc_settings import SupervisorSettings
+from hystmpc.ctrl.planning_settings import SupervisorSettings
 from hystmpc.ctrl.supervisor import SupervisoryLaw, feedback_gains
 from hystmpc.trials.errors import ConfigError
 
@@ -31,7 +31,7 @@ def controller(**given: object) -> GuardedController[object]:
     return build_controller(asked, case.predictor, case.inverse, LIMITS)
 
 
-def distrusting(state: GuardedState[Any], forecast_error: float) -> GuardedState[Any]:
+def with_forecast_error(state: GuardedState[Any], forecast_error: float) -> GuardedState[Any]:
     """The state of a controller whose forecasts have been so bad."""
     learning = state.estimate.learning
     assert isinstance(learning, Learning)
@@ -53,7 +53,7 @@ def test_the_transfer_to_feedback_is_bumpless(forecast_errors: list[float], want
     assert isinstance(law, SupervisoryLaw)
     state = loop.init(y, 1.5)
     for forecast_error in forecast_errors:
-        state = distrusting(state, forecast_error)
+        state = with_forecast_error(state, forecast_error)
         before, level = state.estimate.command, state.memory.level
         reference = wanted + drift * np.arange(loop.horizon)
         command, state = loop.step(state, y, reference)
@@ -77,7 +77,7 @@ def test_the_level_follows_the_forecasts_and_stands_in_the_log(
     state = loop.init(40.0, 1.5)
     law = loop.law
     assert isinstance(law, SupervisoryLaw)
-    given_ = loop._input(distrusting(state, forecast_error), np.full(loop.horizon, 45.0))
+    given_ = loop._input(with_forecast_error(state, forecast_error), np.full(loop.horizon, 45.0))
     proposal = law.propose(state.memory, given_, Stopwatch())
     assert proposal.memory.level == level
     assert proposal.source == source

@@ -13,7 +13,7 @@ from hystmpc.rig.recording.sample import Sample
 from hystmpc.rig.safety.gate import Anchor, Gate
 from hystmpc.rig.safety.intake import Intake, SensorSettings
 from hystmpc.rig.safety.plausibility import MotionWatch, PlausibilitySettings
-from hystmpc.rig.safety.ramp import RampSettings, stop_commands, way_commands
+from hystmpc.rig.safety.ramp import RampSettings, stop_commands, waypoint_commands
 from hystmpc.rig.safety.stop import StopFlag
 from hystmpc.rig.transports.transport import Reading, Transport
 
@@ -196,7 +196,7 @@ class Rig:
 
 def travel(to: float = 3.0, hold_s: float = 1.0) -> CommandMotion:
     """A ramp to a command and back to 0, with rests."""
-    return CommandMotion("travel", lambda held: way_commands(held, [to, 0.0], [hold_s, hold_s], RAMPS, DT))
+    return CommandMotion("travel", lambda held: waypoint_commands(held, [to, 0.0], [hold_s, hold_s], RAMPS, DT))
 
 
 def following(k: int, command: float) -> float:

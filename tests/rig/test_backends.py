@@ -127,7 +127,7 @@ def run(case: Case, backend: str) -> tuple[list[Sample], RunOutcome]:
         return device(k, command)
 
     rig = Rig(script, costs_ns=case.costs_ns, sensor=settings.sensor)
-    outcome = rig.run([tracking_phase(settings, beside=False)])
+    outcome = rig.run([tracking_phase(settings, threaded=False)])
     return rig.sink.samples, outcome
 
 
@@ -235,7 +235,7 @@ def test_over_udp_python_would_have_sent_what_the_c_sent(tmp_path: Path) -> None
     sent, angles = (np.asarray(log[name], dtype=np.float64).tolist() for name in ("command_mm", "angle_deg"))
     sources, limited = list(log["source"]), ["limited from" in status for status in log["status"]]
     first, end = sources.index("hold"), sources.index("return")
-    phase = tracking_phase(load_run(folder / "run.yaml", ["realtime.backend=python"]), beside=False)
+    phase = tracking_phase(load_run(folder / "run.yaml", ["realtime.backend=python"]), threaded=False)
     phase.begin(PhaseInput(angles[first], sent[first - 1]), Past(sent[:first], angles[:first]))
     compared = 0
     begun = next(k for k in range(first, end) if sources[k] != "hold")  # the hand-over may take some samples

@@ -8,10 +8,10 @@ from typing import Any
 
 import pytest
 
-from hystmpc.rig.device.config import DeviceSettings, FaultSettings
-from hystmpc.rig.device.faulty_wire import FaultyDatagrams
+from hystmpc.rig.device import DeviceSettings
 from hystmpc.rig.transports.transport import Conversion, Outgoing
 from hystmpc.rig.transports.udp import UdpLink, UdpSettings, UdpTransport
+from hystmpc.rig.wire_faults import FaultSettings, FaultyDatagrams
 from hystmpc.trials.errors import ConfigError
 
 SENT = [0.1 * k for k in range(40)]

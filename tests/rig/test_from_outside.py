@@ -20,9 +20,8 @@ from hypothesis import strategies as st
 from hystmpc.rig.config import BenchSettings
 from hystmpc.rig.run import first_contact, run_bench
 from hystmpc.rig.safety.stop import StopFlag
-from hystmpc.rig.transports import guarded
-from hystmpc.rig.transports.from_outside import PythonSettings
-from hystmpc.rig.transports.guarded import GuardedTransport, nonsense
+from hystmpc.rig.transports import from_outside
+from hystmpc.rig.transports.from_outside import GuardedTransport, PythonSettings, reading_fault
 from hystmpc.rig.transports.transport import Conversion, Reading, RunContext
 from hystmpc.trials.errors import ConfigError
 
@@ -182,7 +181,7 @@ def test_the_class_speaks_the_units_of_the_wire(angle: float, held: float, facto
     )
 )
 def test_nonsense_is_named(found: object) -> None:
-    assert nonsense(found, 0)
+    assert reading_fault(found, 0)
 
 
 GOOD = Reading(30.0, 1, 0, 5, 5, 1.0)
@@ -199,7 +198,7 @@ WHOLE = ("sequence", "session", "sent_ns", "received_ns")
     ],
 )
 def test_every_field_is_looked_at(name: str, value: Any) -> None:
-    assert name in nonsense(replace(GOOD, **{name: value}), 10)
+    assert name in reading_fault(replace(GOOD, **{name: value}), 10)
     wire = guard(Bus(lambda: replace(GOOD, **{name: value})))
     with pytest.raises(ValueError, match=name):
         wire.read()
@@ -256,7 +255,7 @@ def test_what_is_fetched_several_at_a_time_comes_one_by_one_and_in_order(script:
 
 
 def test_a_reading_that_comes_late_is_kept_and_a_command_goes_before_the_next(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(guarded, "PATIENCE_S", 0.02)
+    monkeypatch.setattr(from_outside, "PATIENCE_S", 0.02)
     free, got, reads = threading.Event(), list[float](), [0]
 
     def read() -> Reading:
@@ -267,9 +266,9 @@ def test_a_reading_that_comes_late_is_kept_and_a_command_goes_before_the_next(mo
     wire = guard(Bus(read, got.append), replace(CONTEXT.conversion))
     with pytest.raises(TimeoutError):
         wire.read()
-    monkeypatch.setattr(guarded, "_AT_ONCE", 1)
+    monkeypatch.setattr(from_outside, "_AT_ONCE", 1)
     free.set()
-    monkeypatch.setattr(guarded, "PATIENCE_S", 5.0)
+    monkeypatch.setattr(from_outside, "PATIENCE_S", 5.0)
     end = time.monotonic() + 5
     while not wire._worker.idle and time.monotonic() < end:
         time.sleep(0.001)
@@ -308,7 +307,7 @@ def test_a_driver_ends_no_program(error: BaseException) -> None:
 
 def test_counters_that_hang_hold_up_nothing_and_the_device_is_closed(monkeypatch: pytest.MonkeyPatch) -> None:
     """They are asked for after a run, beside a device that has to be let go."""
-    monkeypatch.setattr(guarded, "PATIENCE_S", 0.05)
+    monkeypatch.setattr(from_outside, "PATIENCE_S", 0.05)
     free, hangs = threading.Event(), threading.Event()
 
     class Slow(Bus):
@@ -342,8 +341,8 @@ def test_what_was_counted_up_to_the_end_is_told_after_it() -> None:
 
 def test_a_call_that_hangs_raises_and_every_other_one_at_once_until_it_is_back(monkeypatch: pytest.MonkeyPatch) -> None:
     """One command at most can come late: none waits behind one that hangs."""
-    monkeypatch.setattr(guarded, "PATIENCE_S", 0.02)
-    monkeypatch.setattr(guarded, "_CLOSES_S", 0.02)
+    monkeypatch.setattr(from_outside, "PATIENCE_S", 0.02)
+    monkeypatch.setattr(from_outside, "_CLOSES_S", 0.02)
     free, got = threading.Event(), list[float]()
 
     def write(u: float) -> None:
@@ -370,7 +369,7 @@ def test_a_call_that_hangs_raises_and_every_other_one_at_once_until_it_is_back(m
 
 
 def test_a_transport_that_never_opens_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(guarded, "_OPENS_S", 0.02)
+    monkeypatch.setattr(from_outside, "_OPENS_S", 0.02)
     free = threading.Event()
     with pytest.raises(ConfigError, match=r"cannot be opened \(TimeoutError: it has not come back within 0.02 s\)"):
         GuardedTransport(free.wait, "test:Bus", CONTEXT)

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from hystmpc.rig.safety.intake import Intake, Seen, SensorSettings
+from hystmpc.rig.safety.intake import Intake, Observation, SensorSettings
 from hystmpc.rig.transports.transport import Reading
 
 MS = 1_000_000
@@ -33,7 +33,7 @@ def begun(samples: int = 3) -> Intake:
     return judge
 
 
-def frozen_after(samples: int, step: float) -> list[Seen]:
+def frozen_after(samples: int, step: float) -> list[Observation]:
     """What is seen of a sensor with noise that freezes after so many samples, while the command then steps."""
     judge = Intake(SENSOR, 0)
     for k in range(samples):
@@ -129,9 +129,9 @@ def test_clocks_that_drift_apart_are_no_delay(ppm: float, jitter_ms: float) -> N
         assert "stale" not in seen.faults
 
 
-def stream(judge: Intake, angles: Sequence[float], rate_hz: float, loop_hz: float = 25.0) -> list[Seen]:
+def stream(judge: Intake, angles: Sequence[float], rate_hz: float, loop_hz: float = 25.0) -> list[Observation]:
     """What a loop sees of a sensor that shows these angles, one after another."""
-    seen, done = list[Seen](), 0
+    seen, done = list[Observation](), 0
     for k in range(1, math.floor(len(angles) / rate_hz * loop_hz) + 1):
         now = k / loop_hz
         come = [(i, round(1e9 * (i + 1) / rate_hz)) for i in range(done, min(math.floor(now * rate_hz), len(angles)))]

@@ -15,7 +15,7 @@ from hystmpc.cli.main import main
 from hystmpc.ctrl import CommandLimits, TipController
 from hystmpc.ctrl.command import ModelledLimitsSettings, modelled_limits
 from hystmpc.rig.config import RecordSettings, RunSettings
-from hystmpc.rig.device.config import DeviceSettings
+from hystmpc.rig.device import DeviceSettings
 from hystmpc.rig.experiment.experiment import tracking_phase
 from hystmpc.sim.config import SimulationConfig
 from hystmpc.sim.study import prepare

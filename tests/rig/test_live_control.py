@@ -20,15 +20,14 @@ from hystmpc.ctrl.loop import Plant
 from hystmpc.rig.config import BenchSettings, RunSettings
 from hystmpc.rig.experiment.experiment import tracking_phase
 from hystmpc.rig.experiment.phases import CommandMotion, Decision, Past, Phase, PhaseInput
-from hystmpc.rig.live.controls import Controls
-from hystmpc.rig.live.desk import E_STOP, Answer, Desk, LiveSettings
+from hystmpc.rig.live.desk import E_STOP, Controls, Desk, LiveSettings, Reply
 from hystmpc.rig.live.page import LivePage
 from hystmpc.rig.realtime import SimulatedClock
 from hystmpc.rig.recording.recorder_process import Views, open_recorder_process
 from hystmpc.rig.recording.recording import RecordingMeta
 from hystmpc.rig.recording.sample import Sample
 from hystmpc.rig.run import BenchResult, run_bench
-from hystmpc.rig.safety.ramp import way_commands
+from hystmpc.rig.safety.ramp import waypoint_commands
 from hystmpc.rig.transports.simulated import SimulatedSettings
 from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.run_folder import RunFolder
@@ -103,8 +102,8 @@ class Listening(Straight):
 def there_and_back() -> list[Phase]:
     """Two motions, so that the second one can be left out."""
     return [
-        CommandMotion("to 3", lambda held: way_commands(held, [TOP], [0.05], RAMPS, DT)),
-        CommandMotion("to 1", lambda held: way_commands(held, [1.0], [0.05], RAMPS, DT)),
+        CommandMotion("to 3", lambda held: waypoint_commands(held, [TOP], [0.05], RAMPS, DT)),
+        CommandMotion("to 1", lambda held: waypoint_commands(held, [1.0], [0.05], RAMPS, DT)),
     ]
 
 
@@ -178,7 +177,7 @@ def test_a_long_wait_before_start_is_one_sample_of_the_past(tmp_path: Path) -> N
         """A motion that counts what it is told of the past."""
 
         name = "looking"
-        _motion = CommandMotion(name, lambda held: way_commands(held, [1.0], [0.05], RAMPS, DT))
+        _motion = CommandMotion(name, lambda held: waypoint_commands(held, [1.0], [0.05], RAMPS, DT))
 
         def begin(self, now: PhaseInput, past: Past) -> None:
             found.append(len(past.commands))
@@ -213,7 +212,7 @@ TRACKED = parse_yaml(SIMULATED + RUN)
 def tracked(folder: Path, asks: Mapping[int, tuple[str, str]]) -> tuple[BenchResult, Operator]:
     """A closed loop on a computed device."""
     settings = RunSettings.parse({**TRACKED, "latch_file": str(folder / "latched.json")})
-    desk, phase = Desk(CONTROL), tracking_phase(settings, beside=False)
+    desk, phase = Desk(CONTROL), tracking_phase(settings, threaded=False)
     desk.take_targets(phase.target, *phase.reach_deg)
     with page_of(desk) as page:
         operator, clock = Operator(page.address, asks), SimulatedClock()
@@ -258,9 +257,9 @@ class Heard:
 
     asked: list[tuple[str, float]] = field(default_factory=list)
 
-    def ask(self, action: str, value: float) -> Answer:
+    def ask(self, action: str, value: float) -> Reply:
         self.asked.append((action, value))
-        return Answer(True, "done")
+        return Reply(True, "done")
 
 
 @pytest.fixture
@@ -340,14 +339,14 @@ def test_an_e_stop_waits_for_no_other_request_and_for_no_viewer() -> None:
     """One request hangs, and more pages are open than the server gives a stream."""
     hangs, begun, estopped = threading.Event(), threading.Event(), threading.Event()
 
-    def ask(action: str, value: float) -> Answer:
+    def ask(action: str, value: float) -> Reply:
         del value
         if action == "estop":
             estopped.set()
         else:
             begun.set()
             hangs.wait(10)
-        return Answer(True)
+        return Reply(True)
 
     access = Desk(CONTROL).access
     assert access is not None
@@ -400,7 +399,7 @@ def test_the_e_stop_is_in_a_script_of_its_own_before_the_plots(heard: tuple[str,
 def test_requests_reach_the_run_through_the_recording_process(tmp_path: Path) -> None:
     """Two processes, as in every run: the page in one, the run in the other; the token is in no file of the run."""
     desk = Desk(CONTROL)
-    desk.take_targets(lambda angle: Answer(angle < 80, f"{angle:g} deg"), 20.0, 80.0)
+    desk.take_targets(lambda angle: Reply(angle < 80, f"{angle:g} deg"), 20.0, 80.0)
     views, meta, said = Views(page=True, port=0), RecordingMeta("mm"), list[str]()
     recorder = open_recorder_process(tmp_path / "run", {}, meta, 100.0, views, said.append, False, desk)
     try:
@@ -451,6 +450,6 @@ def test_a_run_of_the_command_line_is_led_from_the_page(tmp_path: Path) -> None:
     assert f"safe stop: {E_STOP}" in log["status"]
 
 
-def _silent(action: str, value: float = 0.0) -> Answer:
+def _silent(action: str, value: float = 0.0) -> Reply:
     threading.Event().wait(3)
-    return Answer(bool(action) and value < 0)
+    return Reply(bool(action) and value < 0)

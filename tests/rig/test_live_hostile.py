@@ -12,9 +12,8 @@ from urllib.parse import urlsplit
 
 import pytest
 
-from hystmpc.rig.live import server
-from hystmpc.rig.live.controls import MOST_BYTES, Controls
-from hystmpc.rig.live.desk import Answer, Desk
+from hystmpc.rig.live import page as live_page
+from hystmpc.rig.live.desk import MOST_BYTES, Controls, Desk, Reply
 from hystmpc.rig.live.page import LivePage
 
 from .test_live_control import CONTROL, Heard, post
@@ -65,9 +64,9 @@ def test_an_e_stop_is_heard_beside_any_number_of_other_connections(
     kind: str, served: Served, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """More than the page keeps; none of them is given up for the time that it takes."""
-    monkeypatch.setattr(server, "_ASKS_S", LONG_S)
-    monkeypatch.setattr(server, "_TAKES_S", LONG_S)
-    others = [served.connected(HOSTILE[kind]) for _ in range(server._MOST_CLIENTS + 50)]
+    monkeypatch.setattr(live_page, "_ASKS_S", LONG_S)
+    monkeypatch.setattr(live_page, "_TAKES_S", LONG_S)
+    others = [served.connected(HOSTILE[kind]) for _ in range(live_page._MOST_CLIENTS + 50)]
     try:
         for _ in range(3):
             assert post(served.page.address, "/estop") == (200, "done")
@@ -82,8 +81,8 @@ def test_the_page_keeps_far_fewer_connections_than_it_may_open_files(
 ) -> None:
     resource = pytest.importorskip("resource")
     monkeypatch.setattr(resource, "getrlimit", lambda which: (100, 100))
-    assert server._most_clients() == 25
-    monkeypatch.setattr(server, "_ASKS_S", LONG_S)
+    assert live_page._most_clients() == 25
+    monkeypatch.setattr(live_page, "_ASKS_S", LONG_S)
     others = [served.connected() for _ in range(60)]
     assert post(served.page.address, "/estop") == (200, "done")
     assert len(served.page._server.clients) <= 25
@@ -94,7 +93,7 @@ def test_the_page_keeps_far_fewer_connections_than_it_may_open_files(
 def test_a_request_that_drips_has_no_more_time_than_one_that_does_not_come(
     served: Served, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(server, "_ASKS_S", 0.2)
+    monkeypatch.setattr(live_page, "_ASKS_S", 0.2)
     sent = 0
     with served.connected() as client, suppress(OSError):
         while sent < 500:
@@ -108,7 +107,7 @@ def test_a_request_that_drips_has_no_more_time_than_one_that_does_not_come(
 def test_a_viewer_that_takes_nothing_fills_no_memory_and_is_given_up(
     served: Served, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(server, "_TAKES_S", 0.5)
+    monkeypatch.setattr(live_page, "_TAKES_S", 0.5)
     message = b"x" * 20_000
     with (
         served.connected(HOSTILE["never read the stream"]) as idle,
@@ -121,7 +120,7 @@ def test_a_viewer_that_takes_nothing_fills_no_memory_and_is_given_up(
             for stream in list(served.page._server.streams):
                 most = max(most, stream._transport.get_write_buffer_size())
         assert len(served.page._server.streams) == 1, "one reads, the other is given up"
-        assert most <= server._UNSENT + len(message)
+        assert most <= live_page._UNSENT + len(message)
         assert idle.fileno() >= 0
 
 
@@ -163,7 +162,7 @@ def test_a_request_that_two_readers_would_read_otherwise_is_refused(lines: str, 
 
 
 def test_a_head_is_kept_up_to_a_length(served: Served) -> None:
-    with served.connected(b"GET / HTTP/1.1\r\n" + b"X: y\r\n" * (server._LARGEST_HEAD // 6 + 1)) as client:
+    with served.connected(b"GET / HTTP/1.1\r\n" + b"X: y\r\n" * (live_page._LARGEST_HEAD // 6 + 1)) as client:
         assert b" 431 " in client.recv(100)
 
 
@@ -193,11 +192,11 @@ def test_a_body_of_the_greatest_length_is_read_whole_however_it_comes(served: Se
 def test_requests_that_wait_for_the_run_are_few_and_keep_no_e_stop_out(monkeypatch: pytest.MonkeyPatch) -> None:
     free, got = threading.Event(), list[str]()
 
-    def ask(action: str, value: float) -> Answer:
+    def ask(action: str, value: float) -> Reply:
         got.append(action)
         if action != "estop":
             free.wait(10)
-        return Answer(True)
+        return Reply(True)
 
     access = Desk(CONTROL).access
     assert access is not None
@@ -206,9 +205,9 @@ def test_requests_that_wait_for_the_run_are_few_and_keep_no_e_stop_out(monkeypat
     world = Served(page, Heard())
     asked = f"POST /stop HTTP/1.1\r\nHost: HOST\r\nAuthorization: Bearer {token}\r\n\r\n".encode()
     try:
-        waiting = [world.connected(asked) for _ in range(server._MOST_REQUESTS)]
+        waiting = [world.connected(asked) for _ in range(live_page._MOST_REQUESTS)]
         end = time.monotonic() + 5
-        while page._server.waiting < server._MOST_REQUESTS and time.monotonic() < end:
+        while page._server.waiting < live_page._MOST_REQUESTS and time.monotonic() < end:
             time.sleep(0.001)
         with world.connected(asked) as more:
             assert b" 503 " in more.recv(100)

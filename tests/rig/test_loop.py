@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from hystmpc.rig.experiment.phases import CommandMotion, Decision, Past, Phase, PhaseInput, PretensionCheck
 from hystmpc.rig.recording.sample import Sample
-from hystmpc.rig.safety.ramp import ramp_commands, way_commands
+from hystmpc.rig.safety.ramp import ramp_commands, waypoint_commands
 
 from .bench_parts import DT, LIMITS, NS, RAMPS, Rig, following, travel
 
@@ -131,7 +131,7 @@ def test_a_dead_or_implausible_sensor_stops_safely(bad: float | None) -> None:
 
 
 def test_a_frozen_sensor_is_found_while_the_command_moves_and_not_in_a_hold() -> None:
-    rest = CommandMotion("rest", lambda u: way_commands(u, [u], [4.0], RAMPS, DT))
+    rest = CommandMotion("rest", lambda u: waypoint_commands(u, [u], [4.0], RAMPS, DT))
     assert Rig(lambda k, u: 30.0).run([rest]).cause == ""
     rig = Rig(lambda k, u: 30.0 + (0.01 * math.sin(37.1 * k**2) if k < 60 else 0.0))
     outcome = rig.run([rest, travel(hold_s=5.0)])
@@ -254,7 +254,7 @@ def test_pretension_check_wants_an_angle_that_moves_with_the_command(gain: float
         return 40.0 + gain * command + 1e-6 * k
 
     rig = Rig(script)
-    way = way_commands(0.0, [1.0], [0.5], RAMPS, DT), ramp_commands(1.0, 0.0, 0.0, RAMPS, DT)
+    way = waypoint_commands(0.0, [1.0], [0.5], RAMPS, DT), ramp_commands(1.0, 0.0, 0.0, RAMPS, DT)
     check = PretensionCheck(lambda held: way, least_deg=5.0, most_deg=20.0)
     outcome = rig.run([check])
     assert outcome.cause.startswith(cause)

@@ -12,7 +12,7 @@ import pytest
 from ..conftest import ROOT
 
 PYTHON = ("trials", "models", "ctrl", "codegen", "sim", "rig", "gap", "testing", "bench")
-PYTHON += ("studies", "cli", "ros2", "examples")
+PYTHON += ("lab", "cli", "ros2", "examples")
 # Calls that may carry a command: of a transport or its wire, of a plant, of a socket.
 SENDS = {"write", "apply", "send", "sendto", "publish", "_send"}
 HOLDERS = re.compile(r"transport|wire|device|plant|inner|publisher|writer|_line$|^os$|^self$")
@@ -29,10 +29,10 @@ THE_GATE = {
 }
 # Wires that the loop writes to; nothing else calls them.
 BEHIND_IT = {
-    "rig/transports/guarded.py: self._device.write": 1,
+    "rig/transports/from_outside.py: self._device.write": 1,
     "rig/transports/simulated.py: self._plant.apply": 1,
-    "rig/transports/dds.py: self._wire.write": 2,  # a command; a greeting, which carries none
-    "rig/transports/dds.py: wire.write": 1,  # a goodbye
+    "rig/transports/topics.py: self._wire.write": 2,  # a command; a greeting, which carries none
+    "rig/transports/topics.py: wire.write": 1,  # a goodbye
     "rig/transports/dds_.py: self._writer.write": 2,
     "rig/transports/udp.py: self._send": 3,  # a command, a greeting, a goodbye
     "rig/transports/udp.py: self._wire.send": 1,
@@ -43,8 +43,8 @@ BEHIND_IT = {
 }
 # The device's own end of a wire: what it does with a command that has come, and what it says.
 THE_DEVICE = {
-    "rig/device/server.py: self._plant.apply": 1,
-    "rig/device/faulty_wire.py: self._wire.sendto": 1,
+    "rig/device.py: self._plant.apply": 1,
+    "rig/wire_faults.py: self._wire.sendto": 1,
     "rig/transports/udp.py: self._wire.sendto": 1,
     "rig/transports/dds_.py: self._wire.write": 1,
     "testing/line_device.py: os.write": 1,
@@ -53,17 +53,25 @@ THE_DEVICE = {
 NO_DEVICE = {
     "testing/loop.py: self.inner.write": 1,
     "testing/wire.py: c.transport.write": 3,
-    "rig/live/server.py: self._transport.write": 2,  # to a browser
-    "rig/live/server.py: self.send": 1,
-    "studies/faults/play.py: os.write": 1,
+    "rig/live/page.py: self._transport.write": 2,  # to a browser
+    "rig/live/page.py: self.send": 1,
+    "lab/faults/play.py: os.write": 1,
+    "lab/benchmarks/kill_recording.py: os.write": 1,  # to a pipe
+    "lab/benchmarks/random_moments.py: os.write": 2,  # to a pipe, to standard error
+    "lab/benchmarks/random_moments.py: wire.sendto": 1,  # datagrams that are passed on
 }
 # Here `apply` is that of a computed device: no wire is known to these files.
 COMPUTED = {
     "ctrl/loop.py",
     "sim/environment/gym_.py",
-    "studies/control/loop.py",
-    "studies/control/models.py",
-    "studies/identify/motions.py",
+    "lab/benchmarks/endurance.py",
+    "lab/benchmarks/faults.py",
+    "lab/benchmarks/lstm_presets.py",
+    "lab/benchmarks/make_library.py",
+    "lab/benchmarks/monitor.py",
+    "lab/control/loop.py",
+    "lab/control/models.py",
+    "lab/identify/motions.py",
     "testing/plant.py",
     "examples/exported_c/loop.py",
     "examples/mujoco_tendon/tendon.py",

@@ -18,7 +18,7 @@ from hystmpc.rig.recording.recorder_process import Views, open_recorder_process
 from hystmpc.rig.recording.recording import RecordingMeta
 from hystmpc.trials.csv_files import read_csv
 from hystmpc.trials.errors import ConfigError
-from hystmpc.trials.recording_order import by_manifest
+from hystmpc.trials.recording import by_manifest
 from hystmpc.trials.run_folder import RunFolder
 from hystmpc_lab.faults.cases import CASES, Kind, Link, write_device, write_run
 from hystmpc_lab.faults.judge import judge

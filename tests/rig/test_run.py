@@ -18,7 +18,7 @@ from hystmpc.rig.experiment.experiment import run_experiment
 from hystmpc.rig.experiment.phases import CommandMotion, Decision, Past, Phase, PhaseInput
 from hystmpc.rig.loop import RunOutcome
 from hystmpc.rig.run import BenchResult, first_contact, run_bench
-from hystmpc.rig.safety.ramp import way_commands
+from hystmpc.rig.safety.ramp import waypoint_commands
 from hystmpc.rig.safety.stop import StopFlag
 from hystmpc.rig.transports.simulated import SimulatedSettings
 from hystmpc.rig.transports.transport import Reading
@@ -72,7 +72,7 @@ def bench(
 
 def short(to: float = 0.3) -> CommandMotion:
     """A small motion."""
-    return CommandMotion("move", lambda held: way_commands(held, [to], [0.05], RAMPS, DT))
+    return CommandMotion("move", lambda held: waypoint_commands(held, [to], [0.05], RAMPS, DT))
 
 
 @pytest.mark.slow

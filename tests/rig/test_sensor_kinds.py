@@ -17,12 +17,11 @@ from hypothesis import strategies as st
 from hystmpc.bench.plants import make_plant
 from hystmpc.ctrl.loop import ImagingSettings
 from hystmpc.rig.config import RecordSettings, RunSettings
-from hystmpc.rig.device.config import DeviceSettings
-from hystmpc.rig.device.server import SimulatedDevice, open_link
+from hystmpc.rig.device import DeviceSettings, SimulatedDevice, open_link
 from hystmpc.rig.experiment.experiment import run_experiment
 from hystmpc.rig.experiment.phases import Past, PhaseInput, place_frames
 from hystmpc.rig.experiment.record import Recorded, record
-from hystmpc.rig.safety.intake import Intake, Seen, SeenFrame, SensorSettings
+from hystmpc.rig.safety.intake import Intake, Observation, ObservedFrame, SensorSettings
 from hystmpc.rig.safety.plausibility import MotionWatch, PlausibilitySettings
 from hystmpc.rig.safety.stop import StopFlag
 from hystmpc.rig.transports.simulated import SimulatedTransport
@@ -115,7 +114,10 @@ def test_motion_is_judged_with_the_command_of_the_moment_at_which_a_frame_was_ta
 ) -> None:
     """Frames 0.6 s late of a device that follows at once; taken for the present they look like a blocked tip."""
     watch = MotionWatch(PlausibilitySettings(travel=1.0, moves_deg=2.0, travel_s=0.05), 6.0, 120.0)
-    judge, seen = Intake(SensorSettings.parse(CAMERA | {"latency_s": latency_s}), NOW, watch), Seen(math.nan, (), "")
+    judge, seen = (
+        Intake(SensorSettings.parse(CAMERA | {"latency_s": latency_s}), NOW, watch),
+        Observation(math.nan, (), ""),
+    )
     for k in range(1, 100):
         t_ms = 40.0 * k
         shown = 30.0 + 20.0 * 1e-3 * max(t_ms - 600.0, 0.0)  # 20 deg/s
@@ -233,7 +235,7 @@ def test_a_frame_stands_in_the_sample_in_which_it_was_taken(taken: list[int], mi
     past, phase = Past([], []), Recorded("r", np.arange(14.0), 0.04, late=5)
     finished = False
     for now in range(20):
-        frames = tuple(SeenFrame(float(k), 0.04 * (now - k)) for k in arrivals.get(now, []))
+        frames = tuple(ObservedFrame(float(k), 0.04 * (now - k)) for k in arrivals.get(now, []))
         given_now = PhaseInput(math.nan, float(now), frames=frames)
         past.keep(given_now, 0.04)
         finished = phase.step(given_now).finished
@@ -241,7 +243,7 @@ def test_a_frame_stands_in_the_sample_in_which_it_was_taken(taken: list[int], mi
     assert finished
     assert {k + 1 for k, y in enumerate(phase.angles_deg) if math.isfinite(y)} == {k for k in taken if k > 0}
     early = [math.nan] * 3
-    place_frames(early, (SeenFrame(29.0, 4.0),), 0.04)
+    place_frames(early, (ObservedFrame(29.0, 4.0),), 0.04)
     assert early[0] == 29.0
 
 

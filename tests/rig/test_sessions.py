@@ -9,17 +9,16 @@ from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from itertools import pairwise
-from typing import Any
+from typing import Any, get_args
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hystmpc.rig.device.config import DeviceSettings
-from hystmpc.rig.device.server import SimulatedDevice
+from hystmpc.rig.device import DeviceSettings, SimulatedDevice
 from hystmpc.rig.transports.dds import DdsSettings
 from hystmpc.rig.transports.sessions import ANOTHER, NO_GREETING, OLD, Admission
-from hystmpc.rig.transports.transport import Conversion, Incoming, Outgoing
+from hystmpc.rig.transports.transport import Conversion, Incoming, Outgoing, Says
 from hystmpc.rig.transports.udp import UdpLink, UdpSettings, UdpTransport
 
 SAME = Conversion(1.0, 0.0, 1.0)
@@ -29,30 +28,30 @@ DT, RATE = 0.04, 10.0
 
 def test_a_session_is_pinned_by_its_greeting_and_freed_by_goodbye_or_silence() -> None:
     desk = Admission(0.5)
-    assert desk.command("a", 1, 1, 0) == NO_GREETING
-    assert desk.greeting("a", 1, 2, 0) == ""
-    assert desk.command("a", 1, 3, 0) == ""
-    assert desk.greeting("b", 2, 1, S // 4) == ANOTHER
-    assert desk.command("b", 2, 2, S // 4) == ANOTHER
-    assert desk.goodbye("b", 2, 3, S // 4) == ANOTHER
-    assert desk.command("a", 2, 4, S // 4) == ANOTHER  # right sender, wrong session
-    assert desk.command("b", 1, 4, S // 4) == ANOTHER  # right session, another sender
-    assert desk.command("a", 1, 3, S // 4) == OLD
-    assert desk.command("a", 1, 4, S // 4) == ""
-    assert desk.greeting("b", 2, 4, S) == ""  # three quarters of a second later
-    assert desk.command("a", 1, 5, S) == ANOTHER
-    assert desk.goodbye("b", 2, 5, S) != ""  # it has never commanded: the device is told nothing
+    assert desk.admit("command", "a", 1, 1, 0) == NO_GREETING
+    assert desk.admit("greeting", "a", 1, 2, 0) == ""
+    assert desk.admit("command", "a", 1, 3, 0) == ""
+    assert desk.admit("greeting", "b", 2, 1, S // 4) == ANOTHER
+    assert desk.admit("command", "b", 2, 2, S // 4) == ANOTHER
+    assert desk.admit("goodbye", "b", 2, 3, S // 4) == ANOTHER
+    assert desk.admit("command", "a", 2, 4, S // 4) == ANOTHER  # right sender, wrong session
+    assert desk.admit("command", "b", 1, 4, S // 4) == ANOTHER  # right session, another sender
+    assert desk.admit("command", "a", 1, 3, S // 4) == OLD
+    assert desk.admit("command", "a", 1, 4, S // 4) == ""
+    assert desk.admit("greeting", "b", 2, 4, S) == ""  # three quarters of a second later
+    assert desk.admit("command", "a", 1, 5, S) == ANOTHER
+    assert desk.admit("goodbye", "b", 2, 5, S) != ""  # it has never commanded: the device is told nothing
     assert desk.session is None
-    assert desk.greeting("a", 1, 6, S) == OLD  # a session that has ended
-    assert desk.greeting("c", 3, 1, S) == ""
-    assert desk.command("c", 3, 2, S) == ""
-    assert desk.goodbye("c", 3, 3, S) == ""
+    assert desk.admit("greeting", "a", 1, 6, S) == OLD  # a session that has ended
+    assert desk.admit("greeting", "c", 3, 1, S) == ""
+    assert desk.admit("command", "c", 3, 2, S) == ""
+    assert desk.admit("goodbye", "c", 3, 3, S) == ""
 
 
 @given(
     st.lists(
         st.tuples(
-            st.sampled_from(["greeting", "command", "goodbye"]),
+            st.sampled_from(get_args(Says)),
             st.integers(1, 3),
             st.integers(1, 3),
             st.integers(0, 60),
@@ -60,15 +59,15 @@ def test_a_session_is_pinned_by_its_greeting_and_freed_by_goodbye_or_silence() -
         max_size=40,
     )
 )
-def test_what_others_send_changes_nothing_for_the_pinned_session(messages: list[tuple[str, int, int, int]]) -> None:
+def test_what_others_send_changes_nothing_for_the_pinned_session(messages: list[tuple[Says, int, int, int]]) -> None:
     """Any messages of any other session and sender, in any order, while the pinned one is not silent."""
     desk = Admission(0.5)
-    assert desk.greeting("mine", 9, 1, 0) == ""
+    assert desk.admit("greeting", "mine", 9, 1, 0) == ""
     for k, (says, session, sender, sequence) in enumerate(messages):
         now = k * S // 100
-        assert getattr(desk, says)(f"other {sender}", session, sequence, now) == ANOTHER
-        assert getattr(desk, says)(f"other {sender}", 9, k + 2, now) == ANOTHER
-        assert desk.command("mine", 9, k + 2, now) == ""
+        assert desk.admit(says, f"other {sender}", session, sequence, now) == ANOTHER
+        assert desk.admit(says, f"other {sender}", 9, k + 2, now) == ANOTHER
+        assert desk.admit("command", "mine", 9, k + 2, now) == ""
 
 
 @dataclass
@@ -193,7 +192,7 @@ def test_a_goodbye_at_rest_ends_the_watch() -> None:
     drive = Drive().at(0.0)
     drive.samples(1, Incoming(says="goodbye"))
     drive.samples(40)
-    assert drive.device._bites == 0
+    assert drive.device._trips == 0
 
 
 @dataclass

@@ -17,8 +17,8 @@ import yaml
 
 from hystmpc.models.load import load_model
 from hystmpc.models.prediction.build import predictor_for
-from hystmpc.rig.transports.dds import GOODBYE, GREETING, listening
 from hystmpc.rig.transports.sessions import Admission
+from hystmpc.rig.transports.topics import GOODBYE, GREETING, listening
 
 from ..codegen.compiled import EXAMPLES
 from ..rig.bench_parts import FakeClock
@@ -62,10 +62,10 @@ class Device:
         come = "planner", message.session, message.sequence, self.clock.ns
         note = message.header.frame_id
         if note == GREETING:
-            self.admission.greeting(*come)
+            self.admission.admit("greeting", *come)
         elif note == GOODBYE:
-            assert self.admission.goodbye(*come) == ""
-        elif self.admission.command(*come) == "":
+            assert self.admission.admit("goodbye", *come) == ""
+        elif self.admission.admit("command", *come) == "":
             self.accept(message.data)
         self.notes.append(note)
 
@@ -216,7 +216,7 @@ def test_a_silence_before_the_first_contact_stops_nothing(world: World) -> None:
 
 
 def test_a_device_that_listens_to_another_gets_no_command(world: World) -> None:
-    world.device.admission.greeting("another", 1, 1, world.clock.ns + 10**12)
+    world.device.admission.admit("greeting", "another", 1, 1, world.clock.ns + 10**12)
     state = world.start().turns(20)
     assert world.device.sent == []
     assert set(world.device.notes) == {GREETING}

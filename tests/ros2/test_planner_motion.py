@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from hystmpc.models.load import load_model
 from hystmpc.models.prediction.build import predictor_for
 from hystmpc.rig.config import BenchSettings
-from hystmpc.rig.experiment.steering import Steering
+from hystmpc.rig.experiment.experiment import Steering
 from hystmpc.rig.transports.transport import Reading
 
 from ..codegen.compiled import EXAMPLES

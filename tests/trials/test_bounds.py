@@ -20,13 +20,13 @@ pytest.importorskip("mcap", reason="mcap (extra `logs`) is not installed")
 
 import h5py
 
-from hystmpc.trials import formats, mat_, mat_bounds, mcap_, npz_, rosbag1_, xlsx_
+from hystmpc.trials import formats, mat_, mcap_, npz_, rosbag_, xlsx_
 from hystmpc.trials.errors import LogError
 from hystmpc.trials.mat_ import open_mat
 from hystmpc.trials.mcap_ import open_mcap
 from hystmpc.trials.npz_ import open_npz
 from hystmpc.trials.read import read_log
-from hystmpc.trials.rosbag1_ import open_bag1
+from hystmpc.trials.rosbag_ import open_bag1
 from hystmpc.trials.tdms_ import open_tdms
 from hystmpc.trials.xlsx_ import open_xlsx
 
@@ -213,7 +213,7 @@ def test_cells_that_a_file_has_no_room_for_are_refused(
 
 @pytest.mark.filterwarnings("ignore:Duplicate variable name")
 def test_a_packed_file_that_fills_the_memory_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(mat_bounds, "MOST_BYTES", 1_000_000)
+    monkeypatch.setattr(mat_, "MOST_BYTES", 1_000_000)
     parts = [matrix(6, (10_000, 1), element(9, bytes(80_000))) for _ in range(12)]
     assert open_mat(version_5(tmp_path / "some.mat", *parts))
     refused(lambda: open_mat(version_5(tmp_path / "more.mat", *parts, *parts)), "unpacks to more than 1000000 bytes")
@@ -356,7 +356,7 @@ def test_a_bag_whose_chunks_fill_the_memory_is_refused(
 
     import lz4.frame
 
-    monkeypatch.setattr(rosbag1_, "MOST_BYTES", 1_000_000)
+    monkeypatch.setattr(rosbag_, "MOST_BYTES", 1_000_000)
     content = (bz2.compress if how == "bz2" else lz4.frame.compress)(bytes(5_000_000))
     fields = [b"op=\x05", b"compression=" + how.encode(), b"size=" + struct.pack("<I", 10)]
     head = b"".join(struct.pack("<I", len(field)) + field for field in fields)
@@ -385,5 +385,5 @@ def test_a_tdms_file_reads_no_index_beside_it_and_holds_what_it_says(tmp_path: P
 
 
 def test_the_bounds_are_those_of_the_page() -> None:
-    assert mat_bounds.MOST_BYTES == mcap_._MOST_BYTES == mat_.MOST_BYTES == formats.MOST_BYTES == 1 << 30
+    assert mcap_._MOST_BYTES == mat_.MOST_BYTES == formats.MOST_BYTES == 1 << 30
     assert xlsx_.MOST_BYTES == 1 << 28

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from hystmpc.trials.cells import convert
 from hystmpc.trials.csv_files import read_columns, read_csv
 from hystmpc.trials.errors import LogError
-from hystmpc.trials.merged import is_merged, merged
+from hystmpc.trials.signals import is_merged, merged
 from hystmpc.trials.tables import text_table
 
 
@@ -124,8 +124,9 @@ def test_a_column_is_found_by_any_preamble_that_has_as_many_cells(tmp_path: Path
     path = tmp_path / "log.csv"
     path.write_text("Rate,25,Hz\nMade by,J. Smith,room 3\ntime_s,command,angle_deg\nseconds,mm,deg\n0,1,2\n1,2,3\n")
     columns = read_columns(path)
-    assert columns.table.header_row == 3
-    assert columns.row(0) == 5
+    assert columns.cells is not None
+    assert columns.cells.table.header_row == 3
+    assert columns.where(0) == "row 5"
     assert columns.t.tolist() == [0.0, 1.0]
 
 
@@ -157,7 +158,8 @@ def test_merged_rates_keep_every_sample_of_the_angle(seed: int, fast: int, slow:
     lines = ["time_s,command,angle_deg", *(f"{s},{commands.get(s, '')},{angles.get(s, '')}" for s in both)]
     table = text_table(lines, "log.csv")
     assert is_merged(table.numbers["command"], table.numbers["angle_deg"])
-    found = merged(table.numbers["time_s"], table.numbers["command"], table.numbers["angle_deg"], {})
-    np.testing.assert_array_equal(found.t, t_y)
-    np.testing.assert_array_equal(found.angle, y)
-    np.testing.assert_array_equal(found.command, u[np.searchsorted(t_u, t_y, side="right") - 1])
+    angle = table.numbers["angle_deg"]
+    rows, t, command, _ = merged(table.numbers["time_s"], table.numbers["command"], angle, {})
+    np.testing.assert_array_equal(t, t_y)
+    np.testing.assert_array_equal(angle[rows], y)
+    np.testing.assert_array_equal(command, u[np.searchsorted(t_u, t_y, side="right") - 1])

@@ -8,10 +8,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import hystmpc
-from hystmpc.trials.command_noise import command_noise, quiet
+from hystmpc.trials.command_noise import command_noise, remove_command_noise
+from hystmpc.trials.read import at_rate
 from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Vec
-from hystmpc.trials.uniform import at_rate
 
 _SENT = ("holds", "steps", "ramps", "sine", "multisine", "chirp", "random levels")
 
@@ -53,7 +53,7 @@ def test_a_command_that_was_sent_is_left_as_it_is(seed: int, kind: str, rate: fl
     t: Vec = np.arange(int(random.integers(300, 2500)), dtype=np.float64) / rate
     command = 10 ** random.uniform(-2, 2) * np.round(_command(kind, t, random), int(random.integers(2, 7)))
     trial = Trial(t, command, _angle(command, 1 / rate, random))
-    assert quiet([trial])[0] is trial
+    assert remove_command_noise([trial])[0] is trial
     assert at_rate([trial], rate)[0] is trial
 
 
@@ -67,8 +67,8 @@ def test_noise_of_a_measured_command_is_found_and_leaves_no_travel(seed: int, le
     sigma = 5 * level
     measured = [u + sigma * np.repeat(random.standard_normal(1500), held) for u in commands]
     trials = [Trial(t, m, _angle(u, dt, random)) for u, m in zip(commands, measured, strict=True)]
-    found = quiet(trials)
-    assert quiet(found) == found
+    found = remove_command_noise(trials)
+    assert remove_command_noise(found) == found
     for trial, before, command in zip(found, trials, commands, strict=True):
         assert 0.6 * sigma < trial.command_noise < 1.6 * sigma
         assert np.array_equal(trial.angle, before.angle)
@@ -86,7 +86,7 @@ def test_a_command_whose_quick_part_moves_the_device_is_left_as_it_is() -> None:
     real = 3 * _command("holds", t, random) + 0.05 * random.standard_normal(t.size)
     trial = Trial(t, real, 12 * real + 0.02 * random.standard_normal(t.size))
     assert command_noise(trial) == 0.0
-    assert quiet([trial])[0] is trial
+    assert remove_command_noise([trial])[0] is trial
     assert command_noise(Trial(t, real, 12 * _command("holds", t, np.random.default_rng(3)))) > 0.0
 
 

@@ -159,7 +159,9 @@ def test_further_columns_may_be_empty_or_text(tmp_path: Path) -> None:
     trial = read_csv(path)
     assert list(trial.channels) == ["current"]
     np.testing.assert_array_equal(trial.channels["current"], [np.nan, 2.5])
-    assert read_columns(path).table.texts == {"source": ("mpc", "hold")}
+    cells = read_columns(path).cells
+    assert cells is not None
+    assert cells.table.texts == {"source": ("mpc", "hold")}
 
 
 def test_a_latin_1_header_is_read(tmp_path: Path) -> None:

@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from hystmpc.cli.options import check_figures, check_page
 from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.figure_data import COLUMNS, MOST_POINTS, draw_long, draw_part, rows_of, zoomed
-from hystmpc.trials.figure_folder import figures_to
+from hystmpc.trials.files import figures_to
 from hystmpc.trials.report import Folded, Heading, Plot, Report, figure_svg, new_figure
 
 T = np.arange(0.0, 400.0, 0.04)

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hystmpc.trials.parts import parts
+from hystmpc.trials.types import parts
 
 
 @given(seconds=st.lists(st.floats(0.0, 100.0), min_size=1, max_size=5), steps=st.integers(1, 9))

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hystmpc.trials.errors import ConfigError
-from hystmpc.trials.recording_order import MANIFEST, WALL_CLOCK, by_clock, by_manifest, write_manifest
+from hystmpc.trials.recording import MANIFEST, WALL_CLOCK, by_clock, by_manifest, write_manifest
 from hystmpc.trials.trial import Trial
 
 NAMES = ("b.csv", "c.csv", "a.csv")

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from hystmpc.trials.check import Severity, check
 from hystmpc.trials.csv_files import write_csv
 from hystmpc.trials.errors import ConfigError, LogError
-from hystmpc.trials.read import read_trials
+from hystmpc.trials.read import at_rate, read_trials
 from hystmpc.trials.trial import (
     MAX_GAP_S,
     Trial,
@@ -22,7 +22,6 @@ from hystmpc.trials.trial import (
     require_uniform,
     resample,
 )
-from hystmpc.trials.uniform import at_rate
 
 
 def jittered(count: int, seed: int, start: float = 3.0) -> Trial:

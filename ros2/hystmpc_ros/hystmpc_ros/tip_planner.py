@@ -19,9 +19,9 @@ from std_msgs.msg import Float64
 from std_srvs.srv import Trigger
 
 from hystmpc.rig.config import BenchSettings
-from hystmpc.rig.experiment.steering import Steering
+from hystmpc.rig.experiment.experiment import Steering
 from hystmpc.rig.realtime import Clock, MonotonicClock
-from hystmpc.rig.transports.dds import DdsSettings, TopicTransport, stamp
+from hystmpc.rig.transports.topics import TopicSettings, TopicTransport, stamp
 from hystmpc.rig.transports.transport import Conversion
 from hystmpc.trials.errors import ConfigError, HystmpcError
 
@@ -117,7 +117,7 @@ class TipPlanner(Node):
             raise ConfigError("got no parameter config, expected the file of a controller, such as tip.yaml")
         steering = Steering(given["config"])
         settings = bench(given, steering)
-        assert isinstance(settings.transport, DdsSettings)
+        assert isinstance(settings.transport, TopicSettings)
         wire = RosWire(self, settings.transport, clock.now_ns)
         transport = TopicTransport(wire, Conversion(1.0, 0.0, 1.0), clock.now_ns)
         self.planner = Planner(settings, steering, transport, clock)

@@ -13,7 +13,7 @@ from hystmpc_msgs.msg import Float64Stamped
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from std_msgs.msg import Float64, Header
 
-from hystmpc.rig.transports.dds import DdsSettings, TopicMessage, stamp
+from hystmpc.rig.transports.topics import TopicMessage, TopicSettings, stamp
 
 if TYPE_CHECKING:
     from rclpy.node import Node
@@ -29,7 +29,7 @@ class RosWire:
         now_ns: monotonic clock [ns].
     """
 
-    def __init__(self, node: Node, topics: DdsSettings, now_ns: Callable[[], int] = time.monotonic_ns) -> None:
+    def __init__(self, node: Node, topics: TopicSettings, now_ns: Callable[[], int] = time.monotonic_ns) -> None:
         self._stamped, qos = topics.message == "float64_stamped", profile(topics)
         kind: Any = Float64Stamped if self._stamped else Float64
         self._node, self._sequence, self._taken, self._now = node, 0, 0, now_ns
@@ -65,7 +65,7 @@ class RosWire:
         self._come.append(TopicMessage(message.data, self._taken, self._now()) if plain else TopicMessage.of(message))
 
 
-def profile(topics: DdsSettings) -> QoSProfile:
+def profile(topics: TopicSettings) -> QoSProfile:
     """Quality of service of both topics."""
     wanted = topics.qos
     reliable, kept = wanted.reliability == "reliable", wanted.durability == "transient_local"

@@ -1,4 +1,4 @@
-"""Faults of a simulated device's wire: of its readings, and of the datagrams that come and go."""
+"""Faults of a simulated device's wire: their settings, and what they make of readings and datagrams."""
 
 from __future__ import annotations
 
@@ -9,26 +9,88 @@ import time
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import Generic, TypeVar, final
+from typing import Generic, Literal, TypeVar, final
 
-from ..transports.transport import Datagrams, Outgoing, Peer
-from ..transports.udp import Datagram, Kind, decode
-from .config import FaultSettings
+from pydantic import Field, model_validator
+
+from hystmpc.trials.config import NotNegative, Settings
+
+from .transports.transport import Datagrams, Outgoing, Peer
+from .transports.udp import Datagram, Kind, decode
 
 M = TypeVar("M")
 
+
 _REMEMBERED = 50  # messages that may be replayed
-
 _NS = 1e9
-
 _STANDING = ("freeze", "blocked", "dislodged")  # faults in which the angle is that of the moment before
 
 _TAKEN = 64  # datagrams taken off the socket in one call
 
+Direction = Literal["readings", "commands"]
+FaultName = Literal[
+    "freeze",
+    "blocked",
+    "dislodged",
+    "nan",
+    "outlier",
+    "dropout",
+    "delay",
+    "jitter",
+    "reorder",
+    "duplicate",
+    "replay",
+    "stamp_jump",
+    "out_of_range",
+    "corrupt",
+]
+_SENSOR = ("freeze", "blocked", "dislodged", "nan", "outlier", "stamp_jump", "out_of_range")
+
+
+class FaultSettings(Settings):
+    """One fault of the readings, or of the commands on their way to the device.
+
+    Attributes:
+        fault: `dropout` sends nothing; `delay` sends `delay_s` late; `jitter` up to `delay_s` late; `reorder` holds a
+            message back behind the next; `duplicate` sends it twice; `replay` sends an old one again; `corrupt` spoils
+            one byte of a datagram. Of readings only: `freeze` repeats the last angle; `blocked` sends the last angle
+            plus noise, as of a tip that cannot move; `dislodged` the same shifted by `size_deg`, as of a sensor that
+            has come off; `nan`; `outlier` adds `size_deg` with a random sign; `stamp_jump` shifts the sender's clock by
+            `delay_s`, of either sign; `out_of_range` sends 10 000 deg.
+        of: which way the messages go that it hits.
+        start_s: when it begins, counted from the first command.
+        duration_s: how long it lasts.
+        share: of the messages that it hits.
+        size_deg: of an outlier, or of the shift of a dislodged sensor.
+        noise_deg: standard deviation of the angle of a blocked tip or a dislodged sensor.
+        delay_s: see `fault`.
+    """
+
+    fault: FaultName
+    of: Direction = "readings"
+    start_s: NotNegative = 0.0
+    duration_s: NotNegative = 1e9
+    share: float = Field(default=1.0, gt=0, le=1)
+    size_deg: NotNegative = 40.0
+    noise_deg: NotNegative = 0.05
+    delay_s: float = 0.2
+
+    @model_validator(mode="after")
+    def _possible(self) -> FaultSettings:
+        if self.of == "commands" and self.fault in _SENSOR:
+            known = "dropout, delay, jitter, reorder, duplicate, replay, corrupt"
+            raise ValueError(f"got fault {self.fault} of commands, available for them: {known}")
+        return self
+
+    @property
+    def of_datagrams(self) -> bool:
+        """Whether the fault acts on datagrams."""
+        return self.of == "commands" or self.fault == "corrupt"
+
 
 @final
 class FaultyLine(Generic[M]):
-    """Messages in, messages out: what is left of them, and when.
+    """Fault injection in a stream of messages: loss, delay, repetition, reordering, changed content.
 
     Args:
         spoil: a fault and a message to the message with another content.
@@ -60,7 +122,7 @@ class FaultyLine(Generic[M]):
             heapq.heappush(self._under_way, (due, self._count, copy))
 
     def due(self, t_s: float) -> list[M]:
-        """What arrives until `t_s` [s]."""
+        """Messages that arrive until `t_s` [s]."""
         arrived = []
         while self._under_way and self._under_way[0][0] <= t_s:
             arrived.append(heapq.heappop(self._under_way)[2])
@@ -90,11 +152,11 @@ class FaultyLine(Generic[M]):
 
 @final
 class FaultyReadings:
-    """Readings in, readings out: what is left of them, and when."""
+    """Fault injection in the readings of a device."""
 
     def __init__(self, faults: Sequence[FaultSettings], seed: int) -> None:
         self._random, self._last = random.Random(seed), math.nan
-        self._line = FaultyLine([f for f in faults if not f.of_datagrams], self._random, self._spoilt)
+        self._line = FaultyLine([f for f in faults if not f.of_datagrams], self._random, self._changed_content)
 
     def put(self, message: Outgoing, t_s: float) -> None:
         """Take a reading that is measured at `t_s` [s] after the first command."""
@@ -103,10 +165,10 @@ class FaultyReadings:
             self._last = message.angle
 
     def due(self, t_s: float) -> list[Outgoing]:
-        """What arrives until `t_s` [s]."""
+        """Messages that arrive until `t_s` [s]."""
         return self._line.due(t_s)
 
-    def _spoilt(self, fault: FaultSettings, message: Outgoing) -> Outgoing:
+    def _changed_content(self, fault: FaultSettings, message: Outgoing) -> Outgoing:
         if fault.fault == "stamp_jump":
             return replace(message, stamp_ns=max(0, message.stamp_ns + round(_NS * fault.delay_s)))
         if fault.fault in ("blocked", "dislodged"):
@@ -130,13 +192,13 @@ class FaultyDatagrams:
 
     def __init__(self, wire: Datagrams, faults: Sequence[FaultSettings], seed: int) -> None:
         self._wire, self._random, self._first_ns = wire, random.Random(seed), 0
-        mine = [f for f in faults if f.of_datagrams]
+        datagram_faults = [f for f in faults if f.of_datagrams]
         self._in: FaultyLine[tuple[bytes, Peer]] = FaultyLine(
-            [f for f in mine if f.of == "commands"],
+            [f for f in datagram_faults if f.of == "commands"],
             self._random,
-            lambda fault, one: (self._spoilt(fault, one[0]), one[1]),
+            lambda fault, one: (self._changed_content(fault, one[0]), one[1]),
         )
-        self._out = FaultyLine([f for f in mine if f.of == "readings"], self._random, self._spoilt)
+        self._out = FaultyLine([f for f in datagram_faults if f.of == "readings"], self._random, self._changed_content)
         self._arrived: deque[tuple[bytes, Peer]] = deque()
 
     def recvfrom(self, size: int) -> tuple[bytes, Peer]:
@@ -149,16 +211,16 @@ class FaultyDatagrams:
             except ConnectionError:  # the answer to a datagram that nobody took
                 continue
             self._begin(data)
-            self._in.put((data, peer), self._since_s())
-        self._arrived.extend(self._in.due(self._since_s()))
+            self._in.put((data, peer), self._elapsed_s())
+        self._arrived.extend(self._in.due(self._elapsed_s()))
         if not self._arrived:
             raise BlockingIOError
         return self._arrived.popleft()
 
     def sendto(self, data: bytes, peer: Peer) -> int:
         """Send a datagram, or what the faults leave of it."""
-        self._out.put(data, self._since_s())
-        for one in self._out.due(self._since_s()):
+        self._out.put(data, self._elapsed_s())
+        for one in self._out.due(self._elapsed_s()):
             self._wire.sendto(one, peer)
         return len(data)
 
@@ -174,11 +236,11 @@ class FaultyDatagrams:
         if not self._first_ns and isinstance(message := decode(data), Datagram) and message.kind is Kind.COMMAND:
             self._first_ns = time.monotonic_ns()
 
-    def _since_s(self) -> float:
+    def _elapsed_s(self) -> float:
         return 1e-9 * (time.monotonic_ns() - self._first_ns) if self._first_ns else -1.0
 
-    def _spoilt(self, fault: FaultSettings, data: bytes) -> bytes:
-        """One byte of it is another."""
+    def _changed_content(self, fault: FaultSettings, data: bytes) -> bytes:
+        """Change one byte at random."""
         del fault
         spoilt, place = bytearray(data), self._random.randrange(len(data))
         spoilt[place] ^= self._random.randrange(1, 256)

@@ -18,7 +18,7 @@ from pydantic import BaseModel, TypeAdapter
 from pydantic.fields import FieldInfo
 from pydantic_core import PydanticUndefined
 
-from .config import Settings
+from hystmpc.trials.config import Settings
 
 _SECTION = re.compile(r"^Attributes:\n((?:[ ]{4}.*\n?|\n(?=[ ]{4}))+)", re.MULTILINE)
 _ENTRY = re.compile(r"^ {4}(\w+(?:, \w+)*): (.*(?:\n {5,}.*)*)", re.MULTILINE)
@@ -90,13 +90,13 @@ def summary_of(kind: type[Settings]) -> str:
 
 def meanings_of(kind: type[Settings]) -> Mapping[str, str]:
     """Meaning of each key by name: the entries of `Attributes:` of the class, then of its bases."""
-    found: dict[str, str] = {}
+    meanings: dict[str, str] = {}
     for base in kind.__mro__:
         section = _SECTION.search(inspect.cleandoc(base.__dict__.get("__doc__") or "") + "\n")
         for entry in _ENTRY.finditer(section[1] if section else ""):
             for name in entry[1].split(", "):
-                found.setdefault(name, " ".join(entry[2].split()))
-    return found
+                meanings.setdefault(name, " ".join(entry[2].split()))
+    return meanings
 
 
 def blocks_in(annotation: Any) -> Iterator[type[Settings]]:
@@ -109,14 +109,14 @@ def blocks_in(annotation: Any) -> Iterator[type[Settings]]:
 
 def reachable(annotation: Any) -> tuple[type[Settings], ...]:
     """All blocks that can stand in a file, each once, outer ones first."""
-    found: dict[type[Settings], None] = {}
+    blocks: dict[type[Settings], None] = {}
     waiting = list(blocks_in(annotation))
     while waiting:
         block = waiting.pop(0)
-        if block not in found:
-            found[block] = None
+        if block not in blocks:
+            blocks[block] = None
             waiting = [*(b for field in block.model_fields.values() for b in blocks_in(field.annotation)), *waiting]
-    return tuple(found)
+    return tuple(blocks)
 
 
 def json_schema(annotation: Any, title: str) -> dict[str, Any]:
@@ -143,7 +143,7 @@ _TELLS = "says which block this is"
 
 def _key(name: str, field: FieldInfo, meaning: str) -> Key:
     unit = _BRACKETS.search(meaning)
-    told = get_origin(field.annotation) is Literal and len(get_args(field.annotation)) == 1
+    discriminates = get_origin(field.annotation) is Literal and len(get_args(field.annotation)) == 1
     numbers = bool({int, float} & set(_leaves(field.annotation)))
     return Key(
         name,
@@ -151,7 +151,7 @@ def _key(name: str, field: FieldInfo, meaning: str) -> Key:
         _default(field),
         unit[1] if unit else _unit_of(name) if numbers else "",
         ", ".join(dict.fromkeys(_bounds(field.metadata, field.annotation))),
-        meaning or (_TELLS + "." if told else ""),
+        meaning or (_TELLS + "." if discriminates else ""),
         tuple(dict.fromkeys(blocks_in(field.annotation))),
     )
 

@@ -23,7 +23,7 @@ def is_lvm(lines: Sequence[str]) -> bool:
 
 
 def lvm_table(lines: Sequence[str], source: str) -> Table:
-    """Columns of a measurement; `X_Value` is in seconds, and made of `X0` and `Delta_X` where it was not written.
+    """Columns of a measurement; `X_Value` is in seconds, computed from `X0` and `Delta_X` if it is empty.
 
     Raises:
         LogError: if a header is cut off, channels have times of their own, or there are no rows.
@@ -31,8 +31,8 @@ def lvm_table(lines: Sequence[str], source: str) -> Table:
     ends = [k for k, line in enumerate(lines) if line.startswith(_END)]
     if not ends:
         raise LogError(f"{source}: LabVIEW measurement without {_END}, expected a whole file")
-    told = next((line[len("Separator") :] for line in lines[: ends[0]] if line.startswith("Separator")), "\t")
-    separator = _SEPARATORS.get(told.strip(" \t,;").lower(), told[:1])
+    declared = next((line[len("Separator") :] for line in lines[: ends[0]] if line.startswith("Separator")), "\t")
+    separator = _SEPARATORS.get(declared.strip(" \t,;").lower(), declared[:1])
     keys = _keys(lines[: ends[0]], separator)
     comma = keys.get("decimal_separator", ["."])[0] == ","
     blocks = list(_blocks(lines, ends, separator))
