@@ -12,7 +12,6 @@ from hystmpc.trials.files import write_atomically
 from hystmpc.trials.run_folder import RunFolder
 from hystmpc.trials.types import Progress, parts
 
-from .closed_loop import run_closed_loop
 from .config import SimulationConfig, load_simulation
 from .report import study_report
 from .results import Result, StudyResult, log_columns, result_of
@@ -85,11 +84,9 @@ def _runs(study: Study, progress: Progress) -> Iterator[Result]:
         progress(done, total)
 
     for motion, name in pairs:
-        controller = study.controller(study.config.controllers[name])
-        run = run_closed_loop(
-            controller, study.plant, study.motions[motion], step, study.config.sensor, study.approach_s[motion]
-        )
-        if run.log.interrupted:
+        try:
+            run = study.run(study.config.controllers[name], motion, step)
+        except KeyboardInterrupt:
             return
         yield result_of(study.config, motion, name, run)
 
@@ -108,16 +105,9 @@ def _take_back(path: Path) -> None:
 
 def _write(folder: RunFolder, study: Study, result: Result) -> None:
     """The folder of one run; its settings are the study's, narrowed to it."""
-    config = study.config
-    alone = config.model_copy(
-        update={
-            "motions": {result.motion: config.motions[result.motion]},
-            "controllers": {result.controller: config.controllers[result.controller]},
-            "tuned": tuple(name for name in config.tuned if name == result.controller),
-        }
-    )
     path = folder.path / result.motion / result.controller
-    run = RunFolder.create(path, alone, seed=config.seed, models=study.files)
+    alone = study.config.narrowed(result.controller, result.motion)
+    run = RunFolder.create(path, alone, seed=study.config.seed, models=study.files)
     run.write_log(log_columns(result.run))
 
 

@@ -151,6 +151,16 @@ class SimulationConfig(Settings):
     tuned: tuple[FolderName, ...] = ()
     seed: NotNegativeInt = 0
 
+    def narrowed(self, controller: str, motion: str) -> Self:
+        """The study with one controller and one motion alone."""
+        return self.model_copy(
+            update={
+                "motions": {motion: self.motions[motion]},
+                "controllers": {controller: self.controllers[controller]},
+                "tuned": tuple(name for name in self.tuned if name == controller),
+            }
+        )
+
     @model_validator(mode="before")
     @classmethod
     def _controllers_are_told(cls, data: Any) -> Any:

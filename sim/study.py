@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,6 +12,7 @@ import numpy as np
 from hystmpc.ctrl.command import CommandLimits, ModelledLimitsSettings, limits_of_model, modelled_limits
 from hystmpc.ctrl.config import AnyControllerSettings
 from hystmpc.ctrl.guarded import GuardedController, build_controller, pair_for
+from hystmpc.ctrl.loop import LoopSample
 from hystmpc.ctrl.planner.reach import angles_at_rest, beyond_reach
 from hystmpc.models.contract.metadata import Range
 from hystmpc.models.load import model_path
@@ -21,6 +22,7 @@ from hystmpc.trajectories.drawn import approached
 from hystmpc.trials.errors import ConfigError, ControllerError
 from hystmpc.trials.types import Vec
 
+from .closed_loop import ClosedLoopRun, run_closed_loop
 from .config import SimulationConfig
 from .plants.computed import ComputedPlant
 from .plants.make import make_plant, plant_files
@@ -51,6 +53,23 @@ class Study:
             ControllerError: if the settings contradict each other or go beyond the limits.
         """
         return build_controller(settings, *pair_for(settings, self.model), self.limits)
+
+    def run(
+        self, settings: AnyControllerSettings, motion: str, on_sample: Callable[[LoopSample], None] | None = None
+    ) -> ClosedLoopRun:
+        """One controller along one motion.
+
+        Raises:
+            ControllerError: if the settings contradict each other or go beyond the limits.
+            KeyboardInterrupt: if the user ended it; half a run is no result.
+        """
+        reference, approach_s = self.motions[motion], self.approach_s[motion]
+        run = run_closed_loop(
+            self.controller(settings), self.plant, reference, on_sample, self.config.sensor, approach_s
+        )
+        if run.log.interrupted:
+            raise KeyboardInterrupt  # the loop itself ends quietly
+        return run
 
     def warnings(self) -> tuple[str, ...]:
         """What of the motions the model cannot be brought to, a sentence each."""

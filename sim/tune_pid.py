@@ -14,7 +14,6 @@ from hystmpc.ctrl.inverse_settings import InversePidControllerSettings
 from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.types import Progress, Vec
 
-from .closed_loop import run_closed_loop
 from .study import Study
 
 PidLike = PidControllerSettings | InversePidControllerSettings
@@ -146,12 +145,5 @@ def mean_square_of(study: Study, settings: AnyControllerSettings) -> float:
     Raises:
         KeyboardInterrupt: if the user ends a run.
     """
-    controller = study.controller(settings)
-    sensor, approach_s = study.config.sensor, study.approach_s
-    runs = [
-        run_closed_loop(controller, study.plant, motion, sensor=sensor, approach_s=approach_s[name])
-        for name, motion in study.motions.items()
-    ]
-    if any(run.log.interrupted for run in runs):
-        raise KeyboardInterrupt  # the loop ends quietly; the search must not go on with half a run
+    runs = [study.run(settings, motion) for motion in study.motions]
     return float(np.mean([np.mean(run.counted_deg**2) for run in runs]))

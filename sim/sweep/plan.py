@@ -111,7 +111,7 @@ class SweepPlan:
                 config = self._study(self._with(at_point, values, "draw"))
                 factors = self._factors({path: name for path, (name, _) in point.items()} | values)
                 for seed in settings.seeds or (config.seed,):
-                    for row in _rows(config.model_copy(update={"seed": seed}), factors, number, hashes):
+                    for row in _rows(config.model_copy(update={"seed": seed, "tuned": ()}), factors, number, hashes):
                         if row.id not in seen:
                             seen.add(row.id)
                             yield row
@@ -181,16 +181,8 @@ def _rows(config: SimulationConfig, factors: Mapping[str, Any], number: int, has
     files = hashes.of(config)
     for motion in config.motions:
         for controller in config.controllers:
-            alone = config.model_copy(
-                update={
-                    "motions": {motion: config.motions[motion]},
-                    "controllers": {controller: config.controllers[controller]},
-                    "tuned": (),
-                }
-            )
-            row = SweepRow(
-                "", controller, motion, factors, number, config.seed, canonical(alone.model_dump(mode="json")), files
-            )
+            text = canonical(config.narrowed(controller, motion).model_dump(mode="json"))
+            row = SweepRow("", controller, motion, factors, number, config.seed, text, files)
             yield replace(row, id=row_id(row))
 
 

@@ -12,7 +12,6 @@ from hystmpc.models.prediction.build import ControllerModel, controller_model
 from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.json_text import canonical
 
-from ..closed_loop import run_closed_loop
 from ..config import SimulationConfig
 from ..jobs.runner import attempt
 from ..results import TrackingMetrics, result_of
@@ -75,14 +74,9 @@ def run_settings(config: SimulationConfig) -> tuple[TrackingMetrics, int]:
         HystmpcError: what `prepare` raises.
     """
     study = prepare(config, shared_knowledge(config))
-    ((motion, trajectory),) = study.motions.items()
+    ((motion, _),) = study.motions.items()
     ((name, settings),) = study.config.controllers.items()
-    approach_s = study.approach_s[motion]
-    run = run_closed_loop(
-        study.controller(settings), study.plant, trajectory, sensor=study.config.sensor, approach_s=approach_s
-    )
-    if run.log.interrupted:
-        raise KeyboardInterrupt  # the loop ends quietly
+    run = study.run(settings, motion)
     return result_of(study.config, motion, name, run).metrics, len(run.true_deg)
 
 

@@ -14,7 +14,6 @@ from hystmpc.trajectories import PreviewTable
 from hystmpc.trials.brief import in_brief
 from hystmpc.trials.types import Progress, Vec
 
-from ..closed_loop import run_closed_loop
 from ..config import SimulationConfig
 from ..jobs.backend import Backend
 from ..jobs.runner import run_jobs
@@ -73,13 +72,8 @@ def plant_score(config: SimulationConfig) -> PlantScore:
     study = prepare(config, shared_knowledge(config))
     ((name, controller),) = study.config.controllers.items()
     squares, travel, need, beyond = [], 0.0, 0.0, 0
-    for motion, trajectory in study.motions.items():
-        approach_s = study.approach_s[motion]
-        run = run_closed_loop(
-            study.controller(controller), study.plant, trajectory, sensor=study.config.sensor, approach_s=approach_s
-        )
-        if run.log.interrupted:
-            raise KeyboardInterrupt  # the loop ends quietly
+    for motion in study.motions:
+        run = study.run(controller, motion)
         metrics = result_of(study.config, motion, name, run).metrics
         squares.append(metrics.rmse_deg**2)
         travel += metrics.command_travel
