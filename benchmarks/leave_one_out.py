@@ -28,7 +28,7 @@ from hystmpc.models.contract.load import load_onnx
 from hystmpc.models.evaluate import Errors, evaluate
 from hystmpc.models.kinds.catalogue import KINDS, kind_named
 from hystmpc.models.kinds.kind import FitRequest
-from hystmpc.models.kinds.networks import NETWORK_PRESETS
+from hystmpc.models.kinds.networks import NETWORK_TRAININGS
 from hystmpc.models.model import LoadedModel
 from hystmpc.models.train.networks import fit_network, network_bundle
 from hystmpc.models.train.settings import NetworkSettings
@@ -80,13 +80,13 @@ def network(settings: NetworkSettings) -> Fit:
 
 
 def of_kind(name: str, training: str, changes: Sequence[str], skip: bool) -> Fit:
-    """How a kind is identified, the first flexure skipped or not; presets of networks may be changed."""
+    """How a kind is identified, the first flexure skipped or not; trainings of networks may be changed."""
     kind = kind_named(name)
-    preset = training if training in kind.presets else kind.presets[0]
-    if name in NETWORK_PRESETS:
+    chosen = training if training in kind.trainings else kind.trainings[0]
+    if name in NETWORK_TRAININGS:
         weight = ["first_flexure_weight=0.0"] if skip else []
-        return network(overridden(NETWORK_PRESETS[name][preset], [*weight, *changes]))
-    asked = FitRequest(preset=preset, plays=10, skip_first_flexure=skip)
+        return network(overridden(NETWORK_TRAININGS[name][chosen], [*weight, *changes]))
+    asked = FitRequest(training=chosen, plays=10, skip_first_flexure=skip)
     return lambda trials: kind.fit(trials, asked).bundle
 
 
@@ -115,7 +115,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("logs", nargs="+", type=Path)
     parser.add_argument("--rate-hz", type=float, default=25.0)
-    parser.add_argument("--layout", default="auto", help="preset of the logs' columns")
+    parser.add_argument("--layout", default="auto", help="layout of the logs")
     parser.add_argument("--kinds", nargs="+", default=["backlash", "pi", "lstm"], choices=[k.name for k in KINDS])
     parser.add_argument("--training", default="best")
     parser.add_argument("--inverse", action="store_true", help="angle to command")

@@ -19,7 +19,7 @@ from hystmpc.models.contract.metadata import DeviceLimits, Range
 from hystmpc.models.identify.methods import identify
 from hystmpc.models.kinds.auto import AutoKind
 from hystmpc.models.kinds.kind import FitRequest
-from hystmpc.models.kinds.networks import NETWORK_PRESETS
+from hystmpc.models.kinds.networks import NETWORK_TRAININGS
 from hystmpc.models.load import library_file
 from hystmpc.models.simulator import load_simulator, save_simulator
 from hystmpc.models.train.networks import fit_network, network_bundle
@@ -54,11 +54,11 @@ def recorded(name: str, excitation: Trajectory, seed: int) -> Trial:
 
 
 def settings(updates: int) -> NetworkSettings:
-    """Those of the preset `stacked`; without a teacher, since these trials already hold and repeat."""
-    stacked = NETWORK_PRESETS["lstm"]["stacked"]
+    """Those of the training `stacked`; without a teacher, since these trials already hold and repeat."""
+    stacked = NETWORK_TRAININGS["lstm"]["stacked"]
     way = stacked.training
     if not isinstance(way, StreamTraining):
-        raise TypeError(f"preset stacked trains by {way.scheme}, expected streams")
+        raise TypeError(f"training stacked trains by {way.scheme}, expected streams")
     training = way.model_copy(update={"updates": updates, "teacher": None})
     return stacked.model_copy(update={"validation_trials": 3, "training": training})
 

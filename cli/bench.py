@@ -9,12 +9,13 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from hystmpc.tasks.outputs import BENCHMARK, check_output
 from hystmpc.trials.files import write_atomically
 from hystmpc.trials.run_folder import require_vacant
 
 from .bars import bar
 from .console import INTERRUPTED, errors, out, plain_console, table
-from .options import BENCHMARK, Force, check_output
+from .options import Force
 
 if TYPE_CHECKING:
     from rich.console import Console

@@ -27,7 +27,7 @@ FILES: Mapping[str, tuple[str, str]] = MappingProxyType(
         "commission": ("hystmpc.commissioning.config:CommissionSettings", "a device of `hystmpc commission`"),
         "investigate": ("hystmpc.investigation.config:InvestigateSettings", "a device of `hystmpc investigate`"),
         "device": ("hystmpc.rig.device.config:DeviceSettings", "a simulated device of `hystmpc device`"),
-        "layout": ("hystmpc.trials.layouts:LogMapping", "a layout of logs, of `--preset FILE.yaml`"),
+        "layout": ("hystmpc.trials.layouts:LogMapping", "a layout of logs, of `--layout FILE.yaml`"),
         "simulator": ("hystmpc.models.simulator:SimulatorFile", "a simulator that `hystmpc fit` writes"),
     }
 )

@@ -5,15 +5,19 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
 from hystmpc.trials.brief import in_brief
+from hystmpc.trials.errors import ModelError
 from hystmpc.trials.types import Vec
 
 from .contract.metadata import ModelMetadata, NoiseModel, Start
 from .rest import RestRule
+
+if TYPE_CHECKING:
+    from .simulator import Simulator
 
 
 class Model(Protocol):
@@ -80,6 +84,18 @@ class LoadedModel(ABC):
         self.state_size: int = metadata.state_size
         self._rule = metadata.rule(start)
         self._rest = RestRule(metadata, start)
+        self._simulator: Simulator | None = None
+
+    @property
+    def simulator(self) -> Simulator:
+        """The readable form of a model of operators.
+
+        Raises:
+            ModelError: if the model is a network or an exported file, which has none.
+        """
+        if self._simulator is None:
+            raise ModelError(f"{self.metadata.kind} of an exported model has no readable form, expected a simulator")
+        return self._simulator
 
     def __repr__(self) -> str:
         facts = self.metadata

@@ -15,8 +15,8 @@ from .errors import LogError, in_a_line
 from .findings import CheckReport as CheckReport
 from .findings import Finding as Finding
 from .findings import Severity as Severity
-from .layouts import ANGLE_UNIT_OF, CANONICAL, COMMAND_UNIT_OF, LogMapping, Preset, SignalSettings
-from .read import Layout, Log, is_table, read_raw, resolve
+from .layouts import ANGLE_UNIT_OF, CANONICAL, COMMAND_UNIT_OF, Layout, LogMapping, SignalSettings
+from .read import AnyLayout, Log, is_table, read_raw, resolve
 from .signal_findings import Written, encoding_findings, motion_findings, shift_said
 from .signals import Raw
 from .trial import Trial, even_time
@@ -29,36 +29,36 @@ _MODEL_HZ = 25.0  # at which `fit` runs where nothing else is asked for
 
 
 @in_a_line
-def check(log: Log, preset: Layout = "auto", sampled_hz: float | None = None) -> CheckReport:
+def check(log: Log, layout: AnyLayout = "auto", sampled_hz: float | None = None) -> CheckReport:
     """Look at time base, jitter, gaps, duplicates, values, units, sign, excitation, segments and first flexure.
 
     A file or frame is read leniently: what `read_trials` would refuse becomes a finding.
 
     Args:
         log: a file, a ROS 2 bag, a data frame or a trial.
-        preset: its layout, see `read_trials`.
+        layout: its layout, see `read_trials`.
         sampled_hz: rate [Hz] of a log that was sampled evenly, whose time stamps are not looked at.
 
     Raises:
         LogError: if it cannot be read, or lacks a column or signal.
-        ConfigError: on an unknown preset or a wrong mapping file.
+        ConfigError: on an unknown layout or a wrong mapping file.
     """
     if isinstance(log, Trial):
         log = log if sampled_hz is None else replace(log, t=even_time(len(log), sampled_hz))
         return _report(log, "", CANONICAL, "sample {}".format)
-    layout = resolve(preset)
+    layout = resolve(layout)
     if not is_table(log) or isinstance(layout, LogMapping):
         raw = read_raw(log, layout, sampled_hz)
         mapping = layout if isinstance(layout, LogMapping) and sampled_hz is None else None
-        return _report(raw, raw.preset, CANONICAL, "sample {}".format, raw.note, mapping)
+        return _report(raw, raw.layout, CANONICAL, "sample {}".format, raw.note, mapping)
     columns = read_columns(log, layout, sampled_hz)
-    return _report(columns, columns.preset.name, columns.preset, lambda k: f"row {columns.row(k)}", columns.note)
+    return _report(columns, columns.layout.name, columns.layout, lambda k: f"row {columns.row(k)}", columns.note)
 
 
 def _report(
     log: Trial | Raw | Columns,
     name: str,
-    layout: Preset,
+    layout: Layout,
     where: Callable[[int], str],
     note: str = "",
     mapping: LogMapping | None = None,

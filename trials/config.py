@@ -163,11 +163,11 @@ def load_settings(kind: type[S], path: Path | str, overrides: Iterable[str] = ()
     if not isinstance(data, dict):
         raise ConfigError(f"{path}: got {type(data).__name__}, expected a mapping of settings")
     for text in changes:
-        _override(data, text)
+        override(data, text)
     return kind.parse(data, place_in(path, changes))
 
 
-def _override(data: dict[str, Any], text: str) -> None:
+def override(data: dict[str, Any], text: str) -> None:
     """Set `a.b=3` in nested mappings, in place."""
     key, separator, value = text.partition("=")
     if not separator or not key:

@@ -1,4 +1,4 @@
-"""Trials from and to tables: delimited text, sheets and data frames, by the columns of a preset."""
+"""Trials from and to tables: delimited text, sheets and data frames, by the columns of a layout."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ from .layouts import (
     CANONICAL,
     COMMAND_UNIT_OF,
     COMMAND_UNITS,
+    LAYOUTS,
     MAPPING_HINT,
     OUTPUT_COLUMN,
-    PRESETS,
-    Preset,
+    Layout,
     UnitName,
     command_column,
-    detect_preset,
+    detect_layout,
     few,
-    get_preset,
+    layout_named,
     unit_of,
 )
 from .lvm_ import is_lvm, lvm_table
@@ -59,7 +59,7 @@ class Columns:
         t, command, angle: time [s], command and tip angle [deg], each (T,).
         channels: further columns under their readable names, each (T,).
         units: units of command and angle.
-        preset: the layout that was read.
+        layout: the layout that was read.
         table: the text behind it, to name rows in messages.
         names: columns of the log behind `t`, `command` and `angle`.
         rows: of the table, one a sample; None where every row is a sample.
@@ -71,7 +71,7 @@ class Columns:
     angle: Vec
     channels: Mapping[str, Vec]
     units: Units
-    preset: Preset
+    layout: Layout
     table: Table
     names: Mapping[str, str]
     rows: Index | None = None
@@ -91,21 +91,21 @@ class Columns:
         return self.table.locate(sample if self.rows is None else int(self.rows[sample]), self.names[signal])
 
 
-def read_columns(log: Path | str | Frame, preset: str | Preset = "auto", sampled_hz: float | None = None) -> Columns:
+def read_columns(log: Path | str | Frame, layout: str | Layout = "auto", sampled_hz: float | None = None) -> Columns:
     """Read a log without judging its values: empty cells are not-a-number, time may repeat.
 
     Columns of text are left out; `Columns.table.texts` holds them.
 
     Raises:
         LogError: if the file cannot be read as a table or lacks a column; names file, row and column.
-        ConfigError: on an unknown preset.
+        ConfigError: on an unknown layout.
     """
-    layout = None if preset == "auto" else get_preset(preset) if isinstance(preset, str) else preset
-    table, layout = _table_and_layout(log, layout)
+    asked = None if layout == "auto" else layout_named(layout) if isinstance(layout, str) else layout
+    table, layout = _table_and_layout(log, asked)
     path = table.source
     if gone := layout.missing(table.header):
         raise LogError(
-            f"{path}: missing columns for preset {layout.name}: {', '.join(gone)}; "
+            f"{path}: missing columns for layout {layout.name}: {', '.join(gone)}; "
             f"available: {few(table.header)}{_header_hint(table)}"
         )
     try:
@@ -136,7 +136,7 @@ def read_columns(log: Path | str | Frame, preset: str | Preset = "auto", sampled
     return Columns(t, u, angle, channels, units, layout, table, names, note=note)
 
 
-def read_csv(log: Path | str | Frame, preset: str | Preset = "auto", sampled_hz: float | None = None) -> Trial:
+def read_csv(log: Path | str | Frame, layout: str | Layout = "auto", sampled_hz: float | None = None) -> Trial:
     """Read one trial from a file or a data frame.
 
     Time, command and angle must be finite and time must increase; further columns may hold empty cells (read as
@@ -144,14 +144,14 @@ def read_csv(log: Path | str | Frame, preset: str | Preset = "auto", sampled_hz:
 
     Args:
         log: the file or frame.
-        preset: its layout: a name, a `Preset`, or `auto` to tell it from the header.
+        layout: its layout: a name, a `Layout`, or `auto` to tell it from the header.
         sampled_hz: rate [Hz] of a log that was sampled evenly, whose time stamps are not looked at.
 
     Raises:
         LogError: on anything else; one line with file, row, column, what was got and what was expected.
-        ConfigError: on an unknown preset.
+        ConfigError: on an unknown layout.
     """
-    columns = read_columns(log, preset, sampled_hz)
+    columns = read_columns(log, layout, sampled_hz)
     path = columns.source
     for name, values in (("t", columns.t), ("command", columns.command), ("angle", columns.angle)):
         bad = np.flatnonzero(~np.isfinite(values))
@@ -213,14 +213,14 @@ def open_table(log: Path | str | Frame, wanted: Iterable[str] = (), names: Seque
     return lvm_table(lines, str(log)) if is_lvm(lines) else text_table(lines, str(log), wanted, names)
 
 
-def _table_and_layout(log: Path | str | Frame, layout: Preset | None) -> tuple[Table, Preset]:
+def _table_and_layout(log: Path | str | Frame, layout: Layout | None) -> tuple[Table, Layout]:
     """The columns of a log, and their layout: the one given, or what the header tells."""
-    wanted = layout.known() if layout is not None else [name for preset in PRESETS for name in preset.known()]
+    wanted = layout.known() if layout is not None else [name for layout in LAYOUTS for name in layout.known()]
     table = open_table(log, wanted, layout.columns if layout is not None else ())
     header, clock = table.header, _clock(table, (layout or CANONICAL).spelled(table.header), (layout or CANONICAL).time)
     if layout is None:
         try:
-            layout = detect_preset([CANONICAL.time if name == clock else name for name in header])
+            layout = detect_layout([CANONICAL.time if name == clock else name for name in header])
         except LogError as error:
             where = table.source if isinstance(log, Frame) else f"{table.source}, row {table.header_row}"
             raise LogError(f"{where}: {error}{_header_hint(table)}") from None
@@ -247,7 +247,7 @@ def _require_units(table: Table, expected: Mapping[str, str]) -> None:
         if said and said != unit and said in {*get_args(UnitName), *_TIME_UNITS} and name not in table.times:
             raise LogError(
                 f"{table.source}, row {table.header_row + 1}: the unit below {name!r} is {said}, expected {unit}; "
-                "name it in a mapping file (--preset map.yaml) or correct the row"
+                "name it in a mapping file (--layout map.yaml) or correct the row"
             )
 
 

@@ -12,7 +12,7 @@ from .encodings import MODULI, Encoding, encodings
 from .errors import LogError
 from .findings import Finding, Severity
 from .first_flexure import Verdict, first_flexure
-from .layouts import Preset
+from .layouts import Layout
 from .segments import Motion, Segments, segment
 from .trial import Trial, parts_at_gaps, resample
 from .types import Vec
@@ -35,11 +35,11 @@ _MISTAKEN: dict[str, tuple[tuple[float, float, str], ...]] = {
 _COMMANDS, _ANGLES, _ANY = (-100.0, 100.0), (-200.0, 200.0), (-np.inf, np.inf)  # plausible values: mm or bar, deg
 
 
-def motion_findings(trial: Trial, preset: Preset) -> Iterator[Finding]:
+def motion_findings(trial: Trial, layout: Layout) -> Iterator[Finding]:
     """Findings on a trial whose values are finite and in order."""
     span = float(np.ptp(trial.command))
     bends = trial.units.angle == "deg" and trial.units.command in ("mm", "bar")
-    ranges = (preset.command_range or _COMMANDS, preset.angle_range or _ANGLES) if bends else (_ANY, _ANY)
+    ranges = (layout.command_range or _COMMANDS, layout.angle_range or _ANGLES) if bends else (_ANY, _ANY)
     yield _units("command", trial.command, trial.units.command, ranges[0], bends)
     yield _units("angle", trial.angle, trial.units.angle, ranges[1], bends)
     if span == 0:

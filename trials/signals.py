@@ -86,7 +86,7 @@ class Raw:
         channels: further signals, (T,) each.
         units: of command and angle.
         source: path of the log.
-        preset: name of the layout it was read with.
+        layout: name of the layout it was read with.
         note: what a user should know about the file; empty if nothing.
     """
 
@@ -96,7 +96,7 @@ class Raw:
     channels: Mapping[str, Vec]
     units: Units
     source: str
-    preset: str
+    layout: str
     note: str = ""
 
     def trial(self) -> Trial:
@@ -178,7 +178,7 @@ def canonical_mapping(names: Sequence[str], path: str, clock: str = "") -> LogMa
     command, angle = (next((name for name in known if name in ends), None) for known in (commands, outputs))
     if command is None or angle is None or ("time_s" not in ends and not clock):
         raise LogError(
-            f"{path}: holds no time_s, command, angle_deg; expected these, or a mapping file after --preset; "
+            f"{path}: holds no time_s, command, angle_deg; expected these, or a mapping file after --layout; "
             f"available: {few(names, 120)}"
         )
     keys = ends.get("time_s", clock), ends[command], ends[angle]

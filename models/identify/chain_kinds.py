@@ -168,7 +168,7 @@ class Extent:
 
 _DEAD_ZONE = 0.027
 _METHODS = {"best": "least_squares", "paper": "adam", "global": "global", "cmaes": "cmaes"}
-_WITHOUT_PAPER = {preset: method for preset, method in _METHODS.items() if preset != "paper"}
+_WITHOUT_PAPER = {name: method for name, method in _METHODS.items() if name != "paper"}
 
 
 @dataclass(frozen=True)
@@ -184,7 +184,7 @@ class ChainKind:
         fixed: parameters that are set.
         inverse: makes the inverse operator of a forward one; None where there is no inverse map.
         inverse_fixed: parameters of the inverse operator that are set.
-        methods: identification method (`methods.METHODS`) by preset, the default first.
+        methods: identification method (`methods.METHODS`) by training, the default first.
         plays: number of plays where the request leaves it open.
         rises: whether the angle has to rise with the command, whatever its unit.
         rings: whether it has a resonance; starts are then read off that, and a log may start in motion.

@@ -1,4 +1,4 @@
-"""The kinds of model that are networks, and their presets: as in S2 (Wu et al., RA-L 2024), as in S1 (Wu et al., RA-L
+"""The kinds of model that are networks, and their trainings: as in S2 (Wu et al., RA-L 2024), as in S1 (Wu et al., RA-L
 2021), and the best that we know.
 """
 
@@ -31,12 +31,12 @@ _S1_WINDOWS = WindowTraining(epochs=50, padding_samples=49)
 
 
 def _s2(
-    kind: str, network: NetworkForm, training: WindowTraining = _S2_WINDOWS, preset: str = "paper"
+    kind: str, network: NetworkForm, training: WindowTraining = _S2_WINDOWS, name: str = "paper"
 ) -> NetworkSettings:
     """S2 section III-D: windows of 50, Adam 1e-3, batch 16, at most 100 epochs, u/6 and theta/90, rest at 30 deg."""
     return NetworkSettings(
         kind=kind,
-        preset=preset,
+        name=name,
         network=network,
         scaling=ScalingSettings(),
         rest=RestSettings(),
@@ -53,12 +53,12 @@ def _s1(kind: str, network: NetworkForm, training: WindowTraining = _S1_WINDOWS)
     Optimiser, rate and batch stood in a table that is lost; those of S2 are taken.
     """
     return NetworkSettings(
-        kind=kind, preset="s1", network=network, warmup_samples=49, learning_rate=1e-3, training=training
+        kind=kind, name="s1", network=network, warmup_samples=49, learning_rate=1e-3, training=training
     )
 
 
 def _named(*settings: NetworkSettings) -> Mapping[str, NetworkSettings]:
-    return MappingProxyType({each.preset: each for each in settings})
+    return MappingProxyType({each.name: each for each in settings})
 
 
 _LSTM = RecurrentSettings()
@@ -75,11 +75,11 @@ _GATED_TRAINING = StreamTraining(
     teacher=TeacherSettings(model="play_kernel", runs=32, centred=True),
 )
 RESIDUAL = "residual"
-"""Preset of a network of what operators leave: there is no model of plays to learn from beside the trials."""
+"""Training of a network of what operators leave: there is no model of plays to learn from beside the trials."""
 
 _SINGLE = {"length": 1}  # a feed-forward network is scored on the last sample of its window
 
-NETWORK_PRESETS: Mapping[str, Mapping[str, NetworkSettings]] = MappingProxyType(
+NETWORK_TRAININGS: Mapping[str, Mapping[str, NetworkSettings]] = MappingProxyType(
     {
         "fnn": _named(
             NetworkSettings(
@@ -97,10 +97,10 @@ NETWORK_PRESETS: Mapping[str, Mapping[str, NetworkSettings]] = MappingProxyType(
         ),
         "lstm": _named(
             NetworkSettings(kind="lstm", network=GatedSettings(), learning_rate=0.01, training=_GATED_TRAINING),
-            NetworkSettings(kind="lstm", preset="stacked", network=_LSTM),
+            NetworkSettings(kind="lstm", name="stacked", network=_LSTM),
             NetworkSettings(
                 kind="lstm",
-                preset=RESIDUAL,
+                name=RESIDUAL,
                 network=GatedSettings(),
                 learning_rate=0.01,
                 training=_GATED_TRAINING.model_copy(update={"teacher": None}),
@@ -111,7 +111,7 @@ NETWORK_PRESETS: Mapping[str, Mapping[str, NetworkSettings]] = MappingProxyType(
         "gru": _named(
             NetworkSettings(kind="gru", network=_GRU, training=StreamTraining(updates=3000)),
             NetworkSettings(
-                kind="gru", preset=RESIDUAL, network=_GRU, training=StreamTraining(updates=1600, teacher=None)
+                kind="gru", name=RESIDUAL, network=_GRU, training=StreamTraining(updates=1600, teacher=None)
             ),
             _s2("gru", _GRU.model_copy(update=_PLAIN)),
             _s1("gru", _GRU.model_copy(update=_PLAIN)),
@@ -127,19 +127,19 @@ NETWORK_PRESETS: Mapping[str, Mapping[str, NetworkSettings]] = MappingProxyType(
         ),
     }
 )
-"""Settings by kind and preset; the first preset of a kind is its default."""
+"""Settings by kind and training; the first training of a kind is its default."""
 
 
 _WINDOW = 50  # S2's, over which its constancy term is taken
 
 
 def network_settings(kind: str, request: FitRequest) -> NetworkSettings:
-    """The preset's settings with what the request changes.
+    """The settings of a training with what the request changes.
 
     A feed-forward network, which the papers train on single samples, is trained on windows where the constancy term
     is asked for.
     """
-    chosen = NETWORK_PRESETS[kind][request.preset]
+    chosen = NETWORK_TRAININGS[kind][request.training]
     way = chosen.training.model_dump()
     if request.steps is not None:
         way["epochs" if isinstance(chosen.training, WindowTraining) else "updates"] = request.steps
@@ -154,11 +154,11 @@ def network_settings(kind: str, request: FitRequest) -> NetworkSettings:
         changes["validation_trials"] = 0
     elif request.hold_out is not None:
         changes["validation_trials"] = request.hold_out
-    return NetworkSettings.parse(dict(chosen) | changes, f"{kind}, preset {request.preset}")
+    return NetworkSettings.parse(dict(chosen) | changes, f"{kind}, training {request.training}")
 
 
 class NetworkKind(ModelKind):
-    """A kind that is a network, with presets of `NETWORK_PRESETS`; torch is loaded when one is trained."""
+    """A kind that is a network, with trainings of `NETWORK_TRAININGS`; torch is loaded when one is trained."""
 
     def fit(self, trials: Sequence[Trial], request: FitRequest, progress: FitProgress | None = None) -> Identified:
         from ..identify.estimation_noise import with_noise  # compiled code, which a list of kinds need not load
@@ -193,7 +193,7 @@ class FnnKind(NetworkKind):
 
     name = "fnn"
     title = "FNN"
-    presets = tuple(NETWORK_PRESETS["fnn"])
+    trainings = tuple(NETWORK_TRAININGS["fnn"])
     recurrent = False
 
 
@@ -203,7 +203,7 @@ class FnnHibKind(NetworkKind):
 
     name = "fnn_hib"
     title = "FNN-HIB"
-    presets = tuple(NETWORK_PRESETS["fnn_hib"])
+    trainings = tuple(NETWORK_TRAININGS["fnn_hib"])
 
 
 @final
@@ -212,8 +212,8 @@ class LstmKind(NetworkKind):
 
     name = "lstm"
     title = "LSTM"
-    presets = tuple(NETWORK_PRESETS["lstm"])
-    inverse_preset = "stacked"  # a gated state cannot jump across the loop, as the command does where the angle turns
+    trainings = tuple(NETWORK_TRAININGS["lstm"])
+    inverse_training = "stacked"  # a gated state cannot jump across the loop, as the command does where the angle turns
 
 
 @final
@@ -222,7 +222,7 @@ class GruKind(NetworkKind):
 
     name = "gru"
     title = "GRU"
-    presets = tuple(NETWORK_PRESETS["gru"])
+    trainings = tuple(NETWORK_TRAININGS["gru"])
 
 
 @final
@@ -231,7 +231,7 @@ class Hb1Kind(NetworkKind):
 
     name = "hb1"
     title = "HB1"
-    presets = tuple(NETWORK_PRESETS["hb1"])
+    trainings = tuple(NETWORK_TRAININGS["hb1"])
 
 
 @final
@@ -240,7 +240,7 @@ class Hb2Kind(NetworkKind):
 
     name = "hb2"
     title = "HB2"
-    presets = tuple(NETWORK_PRESETS["hb2"])
+    trainings = tuple(NETWORK_TRAININGS["hb2"])
 
 
 NETWORK_KINDS: tuple[NetworkKind, ...] = (FnnKind(), FnnHibKind(), LstmKind(), GruKind(), Hb1Kind(), Hb2Kind())

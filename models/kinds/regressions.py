@@ -32,14 +32,14 @@ class PlayKernelKind(ModelKind):
 
     name = "play_kernel"
     title = "play kernel"
-    presets = ("best", "rate_independent")
+    trainings = ("best", "rate_independent")
 
     def fit(self, trials: Sequence[Trial], request: FitRequest, progress: FitProgress | None = None) -> Identified:
         from ..identify.estimation_noise import with_noise
-        from ..play_kernel.fit import PLAY_KERNEL_PRESETS, fit_play_kernel, play_kernel_bundle
+        from ..play_kernel.fit import PLAY_KERNEL_TRAININGS, fit_play_kernel, play_kernel_bundle
 
         self.check(trials, request)
-        settings = PLAY_KERNEL_PRESETS[request.preset]
+        settings = PLAY_KERNEL_TRAININGS[request.training]
         history, show = recorded(progress)
         found = fit_play_kernel(trials, settings, request.skip_first_flexure, show)
         unit = trials[0].units.angle
@@ -52,14 +52,14 @@ class PlayKernelKind(ModelKind):
         return Identified(bundle, None, tuple(history), report, found.interrupted)
 
     def estimate(self, trials: Sequence[Trial], request: FitRequest) -> float | None:
-        from ..play_kernel.fit import PLAY_KERNEL_PRESETS, play_kernel_seconds
+        from ..play_kernel.fit import PLAY_KERNEL_TRAININGS, play_kernel_seconds
 
-        return play_kernel_seconds(trials, PLAY_KERNEL_PRESETS[request.preset])
+        return play_kernel_seconds(trials, PLAY_KERNEL_TRAININGS[request.training])
 
     def steps(self, request: FitRequest) -> int | None:
-        from ..play_kernel.fit import PLAY_KERNEL_PRESETS
+        from ..play_kernel.fit import PLAY_KERNEL_TRAININGS
 
-        settings = PLAY_KERNEL_PRESETS.get(request.preset)
+        settings = PLAY_KERNEL_TRAININGS.get(request.training)
         return None if settings is None else len(settings.lags_s) * len(settings.smoothness) + 1
 
 
@@ -72,14 +72,14 @@ class SvrKind(ModelKind):
 
     name = "svr"
     title = "SVR"
-    presets = ("best", "paper", "grid")
+    trainings = ("best", "paper", "grid")
 
     def fit(self, trials: Sequence[Trial], request: FitRequest, progress: FitProgress | None = None) -> Identified:
         from ..identify.estimation_noise import with_noise
-        from ..train.svr_ import SVR_PRESETS, fit_svr, svr_bundle
+        from ..train.svr_ import SVR_TRAININGS, fit_svr, svr_bundle
 
         self.check(trials, request)
-        settings = SVR_PRESETS[request.preset].model_copy(update={"seed": request.seed})
+        settings = SVR_TRAININGS[request.training].model_copy(update={"seed": request.seed})
         history, show = recorded(progress)
         found = fit_svr(trials, settings, request.skip_first_flexure, show)
         choice, unit = found.choice, trials[0].units.angle
@@ -94,9 +94,9 @@ class SvrKind(ModelKind):
         return Identified(bundle, None, tuple(history), report, found.interrupted)
 
     def steps(self, request: FitRequest) -> int | None:
-        from ..train.svr_ import SVR_PRESETS
+        from ..train.svr_ import SVR_TRAININGS
 
-        settings = SVR_PRESETS.get(request.preset)
+        settings = SVR_TRAININGS.get(request.training)
         if settings is None:
             return None
         compared = len(settings.c) * len(settings.gamma) * len(settings.epsilon)

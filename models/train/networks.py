@@ -93,7 +93,7 @@ def fit_network(
 
     Args:
         trials: uniformly sampled at one rate, in one pair of units, each from its start; swapped ones for an inverse.
-        settings: see `NetworkSettings` and `NETWORK_PRESETS`; an LSTM where left out.
+        settings: see `NetworkSettings` and `NETWORK_TRAININGS`; an LSTM where left out.
         progress: called at every look with the epochs or updates so far, of `settings.steps`, and the best validation
             error [deg]; KeyboardInterrupt ends the training and keeps the best so far.
         validation: trials that only judge, beside those held out of `trials`.
@@ -222,7 +222,7 @@ def network_bundle(fit: NetworkFit, trials: Sequence[Trial], limits: DeviceLimit
         (step.initial_rule(), _conditioned_rule(step, trained, rest, dt, warmup)),
         warmup,
         {
-            "preset": fit.settings.preset,
+            "preset": fit.settings.name,
             "settings": fit.settings.model_dump_json(),
             "best_step": fit.best_step,
             "validation_rmse_deg": fit.validation_rmse_deg,

@@ -78,7 +78,7 @@ def save_network(plant: Plant, kind: str, folder: Path, updates: int, seed: int,
         FitError: if training fails or torch is missing.
         ExportError: if the exported model differs from its reference.
     """
-    request = FitRequest(preset=_NETWORK_PRESET, seed=seed, steps=updates)
+    request = FitRequest(training=_NETWORK_PRESET, seed=seed, steps=updates)
     found = kind_named(kind).fit(recordings(plant, seed, quick), request)
     if found.interrupted:
         raise KeyboardInterrupt

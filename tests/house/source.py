@@ -22,6 +22,7 @@ TIERS = (
     ("commissioning",),
     ("investigation",),
     ("studies",),
+    ("tasks",),
     ("front",),
     ("cli",),
 )

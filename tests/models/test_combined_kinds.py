@@ -14,7 +14,7 @@ from hystmpc.models.kinds import networks
 from hystmpc.models.kinds.catalogue import KINDS, chosen_kind, kind_named
 from hystmpc.models.kinds.connected import DrivenKind, ResidualKind, behind
 from hystmpc.models.kinds.kind import FitRequest
-from hystmpc.models.kinds.networks import NETWORK_PRESETS
+from hystmpc.models.kinds.networks import NETWORK_TRAININGS
 from hystmpc.models.operators.dynamics import Delay, Lag
 from hystmpc.trials.errors import FitError
 from hystmpc.trials.trial import Trial
@@ -23,7 +23,7 @@ from .test_auto import motions, recorded
 
 
 def request(kind: str, **changes: object) -> FitRequest:
-    return replace(FitRequest(preset=kind_named(kind).presets[0]), **changes)  # type: ignore[arg-type]
+    return replace(FitRequest(training=kind_named(kind).trainings[0]), **changes)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("name", [kind.name for kind in KINDS if kind.readable])
@@ -53,7 +53,7 @@ def test_an_identified_drive_halves_the_error_of_a_rate_independent_kernel() -> 
     """Under a lag and a delay, on a motion that was left out; the file is one model."""
     trials = recorded(Delay(0.09, 8), Lag(0.15))
     plain, driven = kind_named("play_kernel"), DrivenKind(kind_named("play_kernel"))
-    asked = request("play_kernel", preset="rate_independent")
+    asked = request("play_kernel", training="rate_independent")
     errors = []
     for kind in (plain, driven):
         found = kind.fit(trials[:-1], asked)
@@ -71,11 +71,11 @@ def wavy(trials: list[Trial], amplitude_deg: float) -> list[Trial]:
 
 
 def small(patch: pytest.MonkeyPatch) -> None:
-    """A network of one layer of 16 in the place of the preset, which takes a minute."""
-    presets = NETWORK_PRESETS["gru"]
-    network = presets[networks.RESIDUAL].network.model_copy(update={"hidden": 16, "layers": 1})
-    tried = presets[networks.RESIDUAL].model_copy(update={"network": network})
-    patch.setattr(networks, "NETWORK_PRESETS", {**NETWORK_PRESETS, "gru": {**presets, networks.RESIDUAL: tried}})
+    """A network of one layer of 16 in the place of the training, which takes a minute."""
+    trainings = NETWORK_TRAININGS["gru"]
+    network = trainings[networks.RESIDUAL].network.model_copy(update={"hidden": 16, "layers": 1})
+    tried = trainings[networks.RESIDUAL].model_copy(update={"network": network})
+    patch.setattr(networks, "NETWORK_TRAININGS", {**NETWORK_TRAININGS, "gru": {**trainings, networks.RESIDUAL: tried}})
 
 
 @pytest.mark.slow

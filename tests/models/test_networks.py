@@ -1,4 +1,4 @@
-"""Networks and what they are made of: hybrids contain the operator itself, gradients are exact, presets the papers."""
+"""Networks and what they are made of: hybrids contain the operator itself, gradients exact, trainings the papers'."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import pytest
 from hystmpc.models.chain import Chain
 from hystmpc.models.kinds.catalogue import KINDS
 from hystmpc.models.kinds.kind import FitRequest
-from hystmpc.models.kinds.networks import NETWORK_PRESETS, network_settings
+from hystmpc.models.kinds.networks import NETWORK_TRAININGS, network_settings
 from hystmpc.models.networks.nodes import Scaling
 from hystmpc.models.networks.settings import DeviceFacts, FeedForwardSettings, HybridSettings, RecurrentSettings
 from hystmpc.models.operators.hysteresis import Backlash, InverseBacklash
@@ -134,7 +134,7 @@ def test_the_backlash_of_a_hybrid_is_the_one_behind_the_trials(inverted: bool) -
 
 def test_scaling_and_rest_follow_unit_and_direction() -> None:
     trials = four_trials()
-    paper = NETWORK_PRESETS["fnn_hib"]["paper"]
+    paper = NETWORK_TRAININGS["fnn_hib"]["paper"]
     pairs = [(trials, Scaling(0, 6, 0, 90), 0.0), ([t.swapped() for t in trials], Scaling(0, 90, 0, 6), 30 / 90)]
     for given, scaling, rest in pairs:
         assert scaling_of(given, paper.scaling) == scaling
@@ -148,16 +148,16 @@ def test_scaling_and_rest_follow_unit_and_direction() -> None:
 def test_windows_of_the_papers_begin_with_rest() -> None:
     trials = four_trials()
     for kind, before in (("lstm", 50), ("fnn", 50), ("fnn_hib", 50)):
-        paper = NETWORK_PRESETS[kind]["paper"]
+        paper = NETWORK_TRAININGS[kind]["paper"]
         ready = prepared(trials[:1], trials[1:], scaling_of(trials, paper.scaling), paper)
         assert ready.training[0].command.size == len(trials[0]) + before
         np.testing.assert_array_equal(ready.training[0].command[:before], 0.0)
         np.testing.assert_allclose(ready.training[0].angle[:before], 30 / 90)
 
 
-@pytest.mark.parametrize("kind", sorted(NETWORK_PRESETS))
-def test_presets_are_those_of_the_papers(kind: str) -> None:
-    paper, best = NETWORK_PRESETS[kind]["paper"], NETWORK_PRESETS[kind]["best"]
+@pytest.mark.parametrize("kind", sorted(NETWORK_TRAININGS))
+def test_trainings_are_those_of_the_papers(kind: str) -> None:
+    paper, best = NETWORK_TRAININGS[kind]["paper"], NETWORK_TRAININGS[kind]["best"]
     way = paper.training
     assert isinstance(way, WindowTraining)
     assert (way.length, way.batch, way.epochs, way.keep_after) == (50 if kind in RECURRENT else 1, 16, 100, 10)
@@ -167,15 +167,15 @@ def test_presets_are_those_of_the_papers(kind: str) -> None:
     else:
         assert (paper.network.hidden, paper.network.layers, paper.network.memory_samples) == (64, 2, 0)
     assert isinstance(best.training, StreamTraining)
-    for preset in NETWORK_PRESETS[kind].values():
-        assert preset.kind == kind
-        assert NetworkSettings.parse(preset.model_dump()) == preset
-    assert [k.presets for k in KINDS if k.name == kind] == [tuple(NETWORK_PRESETS[kind])]
+    for training in NETWORK_TRAININGS[kind].values():
+        assert training.kind == kind
+        assert NetworkSettings.parse(training.model_dump()) == training
+    assert [k.trainings for k in KINDS if k.name == kind] == [tuple(NETWORK_TRAININGS[kind])]
 
 
 def test_a_request_changes_what_it_names() -> None:
-    asked = FitRequest(preset="paper", seed=7, steps=3, hold_out=2, constancy_weight=1e-4, skip_first_flexure=True)
-    for kind in NETWORK_PRESETS:
+    asked = FitRequest(training="paper", seed=7, steps=3, hold_out=2, constancy_weight=1e-4, skip_first_flexure=True)
+    for kind in NETWORK_TRAININGS:
         settings = network_settings(kind, asked)
         assert (settings.seed, settings.steps, settings.validation_trials) == (7, 3, 2)
         assert settings.first_flexure_weight == 0.0
@@ -215,4 +215,4 @@ def test_constant_in_is_rewarded_for_constant_out() -> None:
 def test_a_hybrid_of_a_falling_angle_says_so() -> None:
     falling = [Trial(t.t, t.command, -t.angle, source=t.source) for t in four_trials()]
     with pytest.raises(FitError, match="the angle falls with the command"):
-        fit_network(falling, NETWORK_PRESETS["hb2"]["best"])
+        fit_network(falling, NETWORK_TRAININGS["hb2"]["best"])

@@ -16,7 +16,7 @@ from hystmpc.models.kinds import networks
 from hystmpc.models.kinds.catalogue import kind_named
 from hystmpc.models.kinds.connected import DrivenKind
 from hystmpc.models.kinds.kind import FitRequest, Identified, ModelKind
-from hystmpc.models.kinds.networks import NETWORK_PRESETS
+from hystmpc.models.kinds.networks import NETWORK_TRAININGS
 from hystmpc.models.networks.settings import FeedForwardSettings
 from hystmpc.models.operators.dynamics import Delay, Lag
 from hystmpc.models.train.settings import NetworkSettings, StreamTraining
@@ -40,10 +40,12 @@ def tiny(settings: NetworkSettings, **changes: object) -> NetworkSettings:
     return settings.model_copy(update={"network": network, "warmup_samples": 4, "training": STREAMS} | changes)
 
 
-def tiny_presets(patch: pytest.MonkeyPatch, **changes: object) -> None:
-    """Put tiny networks in the place of the presets `best`."""
-    small = {kind: {**presets, "best": tiny(presets["best"], **changes)} for kind, presets in NETWORK_PRESETS.items()}
-    patch.setattr(networks, "NETWORK_PRESETS", small)
+def tiny_trainings(patch: pytest.MonkeyPatch, **changes: object) -> None:
+    """Put tiny networks in the place of the trainings `best`."""
+    small = {
+        kind: {**trainings, "best": tiny(trainings["best"], **changes)} for kind, trainings in NETWORK_TRAININGS.items()
+    }
+    patch.setattr(networks, "NETWORK_TRAININGS", small)
 
 
 @dataclass(frozen=True)
@@ -82,9 +84,9 @@ def example(name: str, direction: str) -> Example:
     """Identify once, whichever test asks first."""
     kind, trials = kind_of(name), trials_of(direction)
     with pytest.MonkeyPatch.context() as patch:
-        tiny_presets(patch)
+        tiny_trainings(patch)
         steps = 3 if kind.readable else 30  # an operator's count for each of its starts
-        found = kind.fit(trials, replace(FitRequest(preset=kind.presets[0]), steps=steps))
+        found = kind.fit(trials, replace(FitRequest(training=kind.trainings[0]), steps=steps))
     path = Path(folder().name) / f"{name}_{direction}.onnx".replace(" ", "_")
     export_onnx(found.bundle, path)
     return Example(trials, found, path, load_onnx(path))
