@@ -6,7 +6,7 @@ VENV ?= .venv
 DEMO_VENV ?= .venv-demo
 ARGS ?=
 
-ROOMS := trials models trajectories ctrl codegen sim rig gap testing commissioning investigation studies tasks cli
+ROOMS := trials models trajectories ctrl codegen sim rig gap testing commissioning investigation tasks cli
 VERSION := $(shell $(PYTHON) -c 'import sys; print("%d.%d" % sys.version_info[:2])' 2>/dev/null)
 # Wheels only: a missing one is said in a line instead of in a compiler's output.
 INSTALL := -m pip install --quiet --disable-pip-version-check --only-binary :all: --constraint constraints.txt
@@ -26,7 +26,7 @@ demo: $(DEMO_VENV)/.installed ## simulated closed-loop comparison without torch;
 	$(DEMO_VENV)/bin/hystmpc demo $(ARGS)
 	@echo "To go on in this shell:          . $(DEMO_VENV)/bin/activate && hystmpc --help"
 	@echo "In an environment of your own:   pip install '.[train,tune,logs]'"
-	@echo "Extras: train (networks), tune, env (gymnasium), logs (MCAP, ROS bags, Excel, TDMS), rig (DDS), bench, dev"
+	@echo "Extras: train (networks), tune, env (gymnasium), logs (MCAP, ROS bags, Excel, TDMS), rig (DDS), dev; the studies: ./lab"
 
 test: $(VENV)/.installed ## the whole suite; ARGS="tests/ctrl -x" is handed to pytest
 	$(PYTEST) $(ARGS)
@@ -35,7 +35,7 @@ test-fast: $(VENV)/.installed ## the suite without its slow part, about 90 s on 
 	$(PYTEST) -m "not slow" $(ARGS)
 
 test-matrix: $(VENV)/.installed ## the fast tests with every Python found, with pinned and lowest versions; ARGS="--python 3.12 --set lowest"
-	$(VENV)/bin/python benchmarks/matrix.py $(ARGS)
+	$(VENV)/bin/python lab/benchmarks/matrix.py $(ARGS)
 
 lint: $(VENV)/.installed ## ruff: rules and formatting
 	$(VENV)/bin/ruff check .
@@ -48,7 +48,8 @@ format: $(VENV)/.installed ## sort the imports and lay out the code as `make lin
 types: $(VENV)/.installed ## mypy (strict) and pyright
 	@mkdir -p .typecheck/hystmpc
 	@for part in $(ROOMS) __init__.py py.typed; do ln -sfn ../../$$part .typecheck/hystmpc/$$part; done
-	cd .typecheck && "$(abspath $(VENV))/bin/mypy" --config-file ../pyproject.toml -p hystmpc
+	@ln -sfn ../lab .typecheck/hystmpc_lab
+	cd .typecheck && "$(abspath $(VENV))/bin/mypy" --config-file ../pyproject.toml -p hystmpc -p hystmpc_lab
 	$(VENV)/bin/pyright --pythonpath $(VENV)/bin/python
 
 docs: $(VENV)/.installed ## the site with API, commands and configuration keys: site/index.html opens without a network
@@ -56,18 +57,21 @@ docs: $(VENV)/.installed ## the site with API, commands and configuration keys: 
 	@echo "site/index.html"
 
 # The suite runs on an editable install, where a package or data file that pyproject.toml forgets is found all the same.
-wheel-test: $(VENV)/.installed ## build sdist and wheel, install the wheel alone in an empty venv, test it there
+wheel-test: $(VENV)/.installed ## build sdist and wheels, install that of hystmpc alone in an empty venv, test it there, add the laboratory
 	@set -e; folder=$$(mktemp -d); trap 'rm -rf "$$folder"' EXIT; \
 	$(VENV)/bin/python -m build --outdir "$$folder/dist" . > "$$folder/build.log" || { cat "$$folder/build.log"; exit 1; }; \
-	ls "$$folder/dist"; \
+	$(VENV)/bin/python -m build --wheel --outdir "$$folder/lab" lab > "$$folder/build.log" || { cat "$$folder/build.log"; exit 1; }; \
+	ls "$$folder/dist" "$$folder/lab"; \
 	$(VENV)/bin/python -m venv "$$folder/venv"; \
 	"$$folder/venv/bin/python" $(INSTALL) "$$folder"/dist/*.whl pytest; \
 	cp -r tests/wheel "$$folder/wheel"; \
 	cd "$$folder/wheel"; \
-	HYSTMPC_CHECKOUT="$(CURDIR)" HYSTMPC_WHEEL="$$(ls "$$folder"/dist/*.whl)" ../venv/bin/python -m pytest -q $(ARGS) .
+	HYSTMPC_CHECKOUT="$(CURDIR)" HYSTMPC_WHEEL="$$(ls "$$folder"/dist/*.whl)" ../venv/bin/python -m pytest -q $(ARGS) .; \
+	../venv/bin/python $(INSTALL) --no-deps "$$folder"/lab/*.whl; \
+	../venv/bin/hystmpc study --help | grep -q "Do all jobs of a study"
 
 dist: $(VENV)/.installed ## wheel and sdist of the last commit, built twice: the same bytes each time
-	$(VENV)/bin/python benchmarks/dist.py $(ARGS)
+	$(VENV)/bin/python lab/benchmarks/dist.py $(ARGS)
 
 bench: $(VENV)/.installed ## time the roll-outs and controllers on this machine
 	$(VENV)/bin/hystmpc bench $(ARGS)
@@ -81,10 +85,12 @@ distclean: clean ## also remove the venvs
 
 VENVS := $(VENV) $(DEMO_VENV)
 EXTRAS :=
-$(VENV)/.installed: EXTRAS := [train,tune,env,logs,rig,bench,docs,dev]
+LAB :=
+$(VENV)/.installed: EXTRAS := [train,tune,env,logs,rig,docs,dev]
+$(VENV)/.installed: LAB := --editable "./lab[bench]"
 # Editable, so that nothing is installed again after a change of code.
-$(VENVS:%=%/.installed): %/.installed: %/.python-$(VERSION) pyproject.toml constraints.txt
-	$*/bin/python $(INSTALL) --editable ".$(EXTRAS)"
+$(VENVS:%=%/.installed): %/.installed: %/.python-$(VERSION) pyproject.toml lab/pyproject.toml constraints.txt
+	$*/bin/python $(INSTALL) --editable ".$(EXTRAS)" $(LAB)
 	@touch $@
 
 $(VENVS:%=%/.python-$(VERSION)):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Mapping
 from difflib import get_close_matches
+from functools import cache
 from importlib import import_module
 from importlib.metadata import version
 from types import MappingProxyType, SimpleNamespace
@@ -14,6 +15,7 @@ import typer
 from typer.core import TyperGroup
 
 from hystmpc.trials.errors import HystmpcError
+from hystmpc.trials.from_outside import installed, object_named
 
 UNUSABLE = 2
 
@@ -38,14 +40,13 @@ VERBS: Mapping[str, str] = MappingProxyType(
         "schema": "Print the JSON schema of a configuration file, for editors.",
         "effects": "List the effects that can be put into any simulator.",
         "demo": "Track two motions with every controller on a simulated device.",
-        "study": "Do all jobs of a study and write its report.",
-        "data": "Make the papers' data sets on simulated devices.",
-        "gap": "Put the diagnosis to the test.",
-        "faults": "Break sensor, wire, processes and disk; judge what the device did.",
-        "bench": "Time the controllers and their peers on this machine.",
     }
 )
 """Every verb and its line in `hystmpc --help`. Its module and function, or group, have its name, with `_` for `-`."""
+
+GROUP = "hystmpc.verbs"
+"""Entry points by which installed packages add verbs. The value is MODULE:NAME of a mapping of the same form as `VERBS`
+from each verb to the MODULE:NAME of its function or group, and its line in `hystmpc --help`."""
 
 _PLAIN: Any = {"rich_markup_mode": None, "pretty_exceptions_enable": False}
 _HELP = {"help_option_names": ["-h", "--help"]}  # verbs inherit it
@@ -55,20 +56,42 @@ def _nothing() -> None:
     pass
 
 
+@cache
+def verbs_of_others() -> Mapping[str, tuple[str, str]]:
+    """Verbs of installed packages, see `GROUP`; a verb of hystmpc itself cannot be replaced.
+
+    Raises:
+        ConfigError: if a package's mapping cannot be imported.
+    """
+    verbs: dict[str, tuple[str, str]] = {}
+    for name in installed(GROUP).values():
+        verbs |= object_named(name, "verbs", GROUP, lambda kept: isinstance(kept, Mapping), "mapping of verbs")
+    return {name: verb for name, verb in verbs.items() if name not in VERBS}
+
+
+def _lines() -> dict[str, str]:
+    """Every verb and its line in `hystmpc --help`."""
+    return {**VERBS, **{name: line for name, (_, line) in verbs_of_others().items()}}
+
+
 class Verbs(TyperGroup):
     """Finds a verb by name and imports its module, and no other, when it is called."""
 
     def list_commands(self, ctx: Any) -> list[str]:
-        """Names in the order of `VERBS`."""
+        """Names in the order of `VERBS`, then those of installed packages."""
         del ctx
-        return list(VERBS)
+        return list(_lines())
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
         """The verb's command, None for an unknown one."""
-        if cmd_name not in VERBS:
+        if cmd_name in VERBS:
+            name = cmd_name.replace("-", "_")
+            module = import_module(f".{name}", __package__)
+        elif cmd_name in verbs_of_others():
+            place, _, name = verbs_of_others()[cmd_name][0].partition(":")
+            module = import_module(place)
+        else:
             return None
-        name = cmd_name.replace("-", "_")
-        module = import_module(f".{name}", __package__)
         verb = getattr(module, name)
         group = typer.Typer(add_completion=False, **_PLAIN)
         group.callback()(_nothing)  # a group, however many verbs it has
@@ -82,22 +105,22 @@ class Verbs(TyperGroup):
         """A line for each verb, without importing any of them."""
         del ctx
         with formatter.section("Commands"):
-            formatter.write_dl(list(VERBS.items()))
+            formatter.write_dl(list(_lines().items()))
 
     def shell_complete(self, ctx: Any, incomplete: str) -> list[Any]:
         """Verbs and options that begin with `incomplete`, without importing any verb."""
         verbs = [
             SimpleNamespace(type="plain", value=name, help=line)
-            for name, line in VERBS.items()
+            for name, line in _lines().items()
             if name.startswith(incomplete)
         ]
         return [*verbs, *super(TyperGroup, self).shell_complete(ctx, incomplete)]
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
         """The verb that was called; an unknown one is answered with the nearest."""
-        if args and args[0] not in VERBS and not args[0].startswith("-"):
-            near = get_close_matches(args[0], VERBS, n=1)
-            hint = f" Did you mean {near[0]!r}?" if near else ""
+        if args and args[0] not in VERBS and args[0] not in _lines() and not args[0].startswith("-"):
+            near = get_close_matches(args[0], _lines(), n=1)
+            hint = f" Did you mean {near[0]!r}?" if near else " Studies and benchmarks: pip install 'hystmpc[papers]'."
             ctx.fail(f"No such command {args[0]!r}.{hint}")
         return super().resolve_command(ctx, args)
 

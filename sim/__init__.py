@@ -14,8 +14,6 @@ from hystmpc.trials import lazily
 if TYPE_CHECKING:
     from .closed_loop import run_closed_loop
     from .config import SimulationConfig
-    from .devices.dataset import read_dataset, write_dataset
-    from .devices.paper_data import make_dataset
     from .devices.rod import RodParameters, simulate_rod
     from .environment.gym_ import Disturbance, EnvironmentState, HysteresisEnv
     from .plants.simulated import Effects, SimulatedPlant
@@ -28,11 +26,8 @@ __all__ = [
     "RodParameters",
     "SimulatedPlant",
     "SimulationConfig",
-    "make_dataset",
-    "read_dataset",
     "run_closed_loop",
     "simulate_rod",
-    "write_dataset",
 ]
 
 if not TYPE_CHECKING:  # the environment needs gymnasium, an extra
@@ -40,8 +35,6 @@ if not TYPE_CHECKING:  # the environment needs gymnasium, an extra
         __name__,
         ("hystmpc.sim.closed_loop", "run_closed_loop"),
         ("hystmpc.sim.config", "SimulationConfig"),
-        ("hystmpc.sim.devices.dataset", "read_dataset write_dataset"),
-        ("hystmpc.sim.devices.paper_data", "make_dataset"),
         ("hystmpc.sim.devices.rod", "RodParameters simulate_rod"),
         ("hystmpc.sim.environment.gym_", "Disturbance EnvironmentState HysteresisEnv"),
         ("hystmpc.sim.plants.simulated", "Effects SimulatedPlant"),

@@ -1,4 +1,4 @@
-"""Programs beside the package, as modules: `benchmarks/` is no package, and its files import one another."""
+"""Programs beside the package, as modules: `lab/benchmarks/` is no package, and its files import one another."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from types import ModuleType
 
 from .conftest import ROOT
 
-FOLDER = ROOT / "benchmarks"
+FOLDER = ROOT / "lab" / "benchmarks"
 
 
 def script(name: str) -> ModuleType:
-    """The module `benchmarks/NAME.py`; the same one for everybody."""
+    """The module `lab/benchmarks/NAME.py`; the same one for everybody."""
     if name in sys.modules:
         return sys.modules[name]
     specification = importlib.util.spec_from_file_location(name, FOLDER / f"{name}.py")

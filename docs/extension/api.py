@@ -12,15 +12,19 @@ from hystmpc.trials.config import Settings
 
 from .tables import anchor
 
-ROOMS = ("trials", "models", "trajectories", "ctrl", "sim", "rig", "codegen", "testing", "studies")
+MODULES = (
+    "hystmpc",
+    *(f"hystmpc.{room}" for room in ("trials", "models", "trajectories", "ctrl", "sim", "rig", "codegen", "testing")),
+    "hystmpc_lab",
+)
 
 _CODE = 4  # columns from which on a line is code
 _MARKUP = re.compile(r"\|[^|`]*\||(?<=\w)_(?=[\s.,;:)\]]|$)")
 
 
 def text() -> str:
-    """A section for the front door and for each room with public names."""
-    return "\n\n".join(part for name in ("hystmpc", *(f"hystmpc.{room}" for room in ROOMS)) for part in _module(name))
+    """A section for the front door, for each room with public names, and for the laboratory."""
+    return "\n\n".join(part for name in MODULES for part in _module(name))
 
 
 def _module(name: str) -> Iterator[str]:

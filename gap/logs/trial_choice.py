@@ -30,7 +30,7 @@ _DIGITS = 2  # of a distance: repeats by hand are never quite equal
 MOST_SAMPLES = 300_000
 """Samples of all trials together that are diagnosed; 20 trials of 600 s at 25 Hz."""
 
-# Measured with `benchmarks/diagnosis_time.py --trials 20 --seconds 600`: two effects, 69 s of a shared core.
+# Measured with `lab/benchmarks/diagnosis_time.py --trials 20 --seconds 600`: two effects, 69 s of a shared core.
 _SECONDS, _START_S = 0.22e-3, 5.0
 _BYTES, _START_BYTES = 0.6e3, 0.35e9
 _SOON_S = 30.0  # a shorter diagnosis is not announced

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from typing import Self
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -232,3 +232,34 @@ def nothing_found(looked_at: str, interrupted: bool) -> FitError:
     if interrupted:
         return FitInterruptedError("the fit was interrupted before its first look, there is nothing to keep")
     return FitError(f"no finite error in {looked_at}, expected at least one; check the units")
+
+
+Fit = Callable[[ChainTask, Any, FitProgress | None], ChainFit]
+
+
+@dataclass(frozen=True)
+class IdentificationMethod:
+    """One way to identify a chain.
+
+    Attributes:
+        name: as it is asked for.
+        settings: class of its settings, a frozen dataclass.
+        fit: from task, settings and progress to the result.
+        trainings: by kind of chain that has it, the training under which it has it.
+        summary: one line for help texts.
+        kinds: kinds of chain that it can identify; None for all.
+    """
+
+    name: str
+    settings: type[Any]
+    fit: Fit
+    trainings: Mapping[str, str]
+    summary: str
+    kinds: tuple[str, ...] | None = None
+
+    def settings_for(self, steps: int | None, seed: int, skip_first_flexure: bool) -> Any:
+        """Its settings with a greatest number of steps (free runs, epochs, iterations), None for the default."""
+        known = {f.name for f in fields(self.settings)}
+        count = next(name for name in ("evaluations", "epochs", "iterations") if name in known)
+        chosen = {"seed": seed, "skip_first_flexure": skip_first_flexure} | ({count: steps} if steps else {})
+        return self.settings(**{name: value for name, value in chosen.items() if name in known})

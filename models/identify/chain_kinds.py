@@ -1,4 +1,4 @@
-"""The one list of operator kinds: methods, starts and search boxes, read off the trials.
+"""The one list of operator kinds: starts and search boxes, read off the trials.
 
 To add a kind of model that is an operator: write the operator in `models/operators/` and its entry in `CHAIN_KINDS`.
 """
@@ -6,7 +6,7 @@ To add a kind of model that is an operator: write the operator in `models/operat
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 
 import numpy as np
@@ -167,8 +167,6 @@ class Extent:
 
 
 _DEAD_ZONE = 0.027
-_METHODS = {"best": "least_squares", "paper": "adam", "global": "global", "cmaes": "cmaes"}
-_WITHOUT_PAPER = {name: method for name, method in _METHODS.items() if name != "paper"}
 
 
 @dataclass(frozen=True)
@@ -184,7 +182,6 @@ class ChainKind:
         fixed: parameters that are set.
         inverse: makes the inverse operator of a forward one; None where there is no inverse map.
         inverse_fixed: parameters of the inverse operator that are set.
-        methods: identification method (`methods.METHODS`) by training, the default first.
         plays: number of plays where the request leaves it open.
         rises: whether the angle has to rise with the command, whatever its unit.
         rings: whether it has a resonance; starts are then read off that, and a log may start in motion.
@@ -199,7 +196,6 @@ class ChainKind:
     fixed: tuple[str, ...] = ()
     inverse: Callable[[Operator, Structure], Operator] | None = None
     inverse_fixed: tuple[str, ...] = ()
-    methods: Mapping[str, str] = field(default_factory=lambda: _METHODS)
     plays: int = 4
     rises: bool = True
     rings: bool = False
@@ -430,7 +426,6 @@ CHAIN_KINDS: Mapping[str, ChainKind] = MappingProxyType(
                 _backlash_box,
                 inverse=_inverse_backlash,
                 inverse_fixed=("dead_zone",),
-                methods={"best": "least_squares", "paper": "adam", "iterated": "iterated"} | _METHODS,
             ),
             ChainKind(
                 "pi",
@@ -447,7 +442,6 @@ CHAIN_KINDS: Mapping[str, ChainKind] = MappingProxyType(
                 _drdpi_box,
                 _drdpi_first,
                 inverse=_inverse_plays,
-                methods={"best": "least_squares", "paper": "global", "cmaes": "cmaes"},  # a search in place of S1's GA
                 plays=10,  # as S1 has them
             ),
             ChainKind("bouc_wen", "Bouc-Wen", _bouc_wen_starts, _bouc_wen_box, fixed=("delta", "steepness")),
@@ -456,7 +450,6 @@ CHAIN_KINDS: Mapping[str, ChainKind] = MappingProxyType(
                 "Maxwell slip",
                 lambda trials, e, s: _friction_starts(e, s),
                 _friction_box,
-                methods=_WITHOUT_PAPER,
                 rises=False,
             ),
             ChainKind(
@@ -464,7 +457,6 @@ CHAIN_KINDS: Mapping[str, ChainKind] = MappingProxyType(
                 "Maxwell slip, by speed",
                 lambda trials, e, s: _friction_starts(e, s, e.speed),
                 _friction_box,
-                methods=_WITHOUT_PAPER,
                 rises=False,
             ),
             ChainKind(
@@ -480,7 +472,6 @@ CHAIN_KINDS: Mapping[str, ChainKind] = MappingProxyType(
                 "state network",
                 lambda trials, e, s: state_network_starts(e.resonance),
                 lambda e, s: state_network_box(e.resonance),
-                methods={"best": "least_squares"},
                 rings=True,
                 restarts=0,
             ),

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields
-from functools import partial
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -12,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from hystmpc.trials.errors import FitError, did_you_mean
+from hystmpc.trials.from_outside import installed_objects
 from hystmpc.trials.segments import Motion, segment
 from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Vec
@@ -24,53 +23,21 @@ from ..model import FitProgress
 from ..operators.hysteresis import Backlash
 from ..simulator import ChainModel, Identification, Residual, Simulator
 from ..start import trial_start
-from .adam import AdamSettings, fit_by_adam
-from .chain_fit import ChainFit, ChainTask, in_log_units, told_in_log_units
-from .chain_kinds import Structure, backlash_starts, chain_task, prandtl_ishlinskii_starts
+from .chain_fit import ChainFit, IdentificationMethod, in_log_units, told_in_log_units
+from .chain_kinds import CHAIN_KINDS, Structure, backlash_starts, chain_task, prandtl_ishlinskii_starts
 from .estimation_noise import estimation_noise
-from .global_search import GlobalSettings, adapt, evolve, fit_globally
-from .iterated import IteratedSettings, fit_by_iteration
 from .least_squares import OperatorFitSettings, fit_by_least_squares, fit_chain, one_blas_thread
 from .runs import angle_range, check_trial_set, command_range, fastest_command, fingerprint
 
 HOLDS_SHARE = 0.2
 OPERATOR_KINDS = ("backlash", "pi")
 
-MethodSettings = OperatorFitSettings | AdamSettings | IteratedSettings | GlobalSettings
-Fit = Callable[[ChainTask, Any, FitProgress | None], ChainFit]
-
-
-@dataclass(frozen=True)
-class IdentificationMethod:
-    """One way to identify a chain.
-
-    Attributes:
-        name: as it is asked for.
-        settings: class of its settings, whose defaults are the papers' where they say so.
-        fit: from task, settings and progress to the result.
-        kinds: kinds of chain that it can identify; None for all.
-        summary: one line for help texts.
-    """
-
-    name: str
-    settings: type[MethodSettings]
-    fit: Fit
-    kinds: tuple[str, ...] | None
-    summary: str
-
-    def settings_for(self, steps: int | None, seed: int, skip_first_flexure: bool) -> MethodSettings:
-        """Its settings with a greatest number of steps (free runs, epochs, iterations), None for the default."""
-        known = {f.name for f in fields(self.settings)}
-        count = next(name for name in ("evaluations", "epochs", "iterations") if name in known)
-        chosen = {"seed": seed, "skip_first_flexure": skip_first_flexure} | ({count: steps} if steps else {})
-        return self.settings(**{name: value for name, value in chosen.items() if name in known})  # type: ignore[arg-type]
-
 
 def identify_chain(
     kind: str,
     trials: Sequence[Trial],
     method: str = "least_squares",
-    settings: MethodSettings | None = None,
+    settings: Any = None,
     plays: int = 4,
     progress: FitProgress | None = None,
     structure: Structure | None = None,
@@ -253,25 +220,25 @@ def _check_lines(chain: Chain, trained: Range) -> None:
                 )
 
 
-METHODS: Mapping[str, IdentificationMethod] = MappingProxyType({
-    method.name: method
-    for method in (
-        IdentificationMethod(
-            "least_squares", OperatorFitSettings, fit_by_least_squares, None,
-            "bounded least squares on free runs with exact sensitivities, from several starts",
-        ),
-        IdentificationMethod("adam", AdamSettings, fit_by_adam, None, "Adam on windows of 50 samples, as S2"),
-        IdentificationMethod(
-            "iterated", IteratedSettings, fit_by_iteration, ("backlash",), "iterated regression of the two lines, as S2"
-        ),
-        IdentificationMethod(
-            "global", GlobalSettings, partial(fit_globally, "global", evolve), None,
-            "differential evolution, in place of S1's GA",
-        ),
-        IdentificationMethod(
-            "cmaes", GlobalSettings, partial(fit_globally, "cmaes", adapt), None,
-            "covariance matrix adaptation (CMA-ES)",
-        ),
-    )
-})  # fmt: skip
-"""Identification methods by name."""
+GROUP = "hystmpc.methods"
+"""Entry points by which installed packages add a method; the value is MODULE:NAME of an `IdentificationMethod`."""
+
+LEAST_SQUARES = IdentificationMethod(
+    "least_squares",
+    OperatorFitSettings,
+    fit_by_least_squares,
+    dict.fromkeys(CHAIN_KINDS, "best"),
+    "bounded least squares on free runs with exact sensitivities, from several starts",
+)
+METHODS: Mapping[str, IdentificationMethod] = MappingProxyType(
+    {
+        LEAST_SQUARES.name: LEAST_SQUARES,
+        **installed_objects(GROUP, "identification method", IdentificationMethod, [LEAST_SQUARES.name]),
+    }
+)
+"""Identification methods by name, those of installed packages last."""
+
+
+def methods_by_training(kind: str) -> Mapping[str, IdentificationMethod]:
+    """The methods that can identify a kind of chain, by the training under which it has them, the default first."""
+    return {method.trainings[kind]: method for method in METHODS.values() if kind in method.trainings}

@@ -1,4 +1,4 @@
-"""The one list of model kinds: the command line, the studies and the tests read it."""
+"""The one list of model kinds: the command line, the laboratory and the tests read it."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from .auto import AutoKind
 from .kind import ModelKind
 from .networks import NETWORK_KINDS
 from .operator_kinds import OPERATOR_KINDS
-from .regressions import PlayKernelKind, SvrKind
+from .regressions import PlayKernelKind
 
 GROUP = "hystmpc.kinds"
 """Entry points by which installed packages add a kind of model; the value is MODULE:NAME of a `ModelKind`."""
 
-_OWN: tuple[ModelKind, ...] = (AutoKind(), *OPERATOR_KINDS, *NETWORK_KINDS, SvrKind(), PlayKernelKind())
+_OWN: tuple[ModelKind, ...] = (AutoKind(), *OPERATOR_KINDS, *NETWORK_KINDS, PlayKernelKind())
 _OTHERS = installed_objects(GROUP, "kind of model", ModelKind, [kind.name for kind in _OWN])  # type: ignore[type-abstract]
 KINDS: tuple[ModelKind, ...] = (*_OWN, *_OTHERS.values())
 """Kinds of model, those of installed packages last."""

@@ -11,7 +11,7 @@ from hystmpc.trials.trial import Trial
 from ..contract.metadata import DeviceLimits
 from ..identify.chain_kinds import CHAIN_KINDS, ChainKind, Structure
 from ..identify.least_squares import OperatorFitSettings
-from ..identify.methods import METHODS, identify_chain, simulator_of
+from ..identify.methods import identify_chain, methods_by_training, simulator_of
 from ..model import FitProgress
 from ..simulator import simulator_bundle
 from .kind import FitRequest, Identified, ModelKind
@@ -21,17 +21,16 @@ from .kind import FitRequest, Identified, ModelKind
 class OperatorKind(ModelKind):
     """A kind that is an operator; its inverse form is identified from swapped trials.
 
-    Its trainings are identification methods: bounded least squares (`best`), the papers' own (`paper`), Voros' iterated
-    regression (`iterated`), differential evolution (`global`) and CMA-ES (`cmaes`), as far as the entry has them.
+    Its trainings are identification methods: bounded least squares (`best`), and those of installed packages.
 
     Args:
-        entry: name, starts, boxes and methods.
+        entry: name, starts and boxes.
     """
 
     readable = True
 
     def __init__(self, entry: ChainKind) -> None:
-        self.name, self.title, self.trainings = entry.name, entry.title, tuple(entry.methods)
+        self.name, self.title, self.trainings = entry.name, entry.title, tuple(methods_by_training(entry.name))
         self.invertible, self.rings = entry.inverse is not None, entry.rings
         self._entry = entry
 
@@ -39,7 +38,7 @@ class OperatorKind(ModelKind):
         self.check(trials, request)
         inverted = bool(trials) and trials[0].inverted
         kind = f"inverse_{self.name}" if inverted else self.name
-        method = METHODS[self._entry.methods[request.training]]
+        method = methods_by_training(self.name)[request.training]
         settings = method.settings_for(request.steps, request.seed, request.skip_first_flexure)
         if isinstance(settings, OperatorFitSettings) and self._entry.restarts is not None:
             settings = replace(settings, restarts=self._entry.restarts)

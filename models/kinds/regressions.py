@@ -1,4 +1,4 @@
-"""The kinds of model that are regressions: play kernel and support vectors; each is loaded when it is fitted."""
+"""The kind of model that is a regression on plays; it is loaded when it is fitted."""
 
 from __future__ import annotations
 
@@ -61,43 +61,3 @@ class PlayKernelKind(ModelKind):
 
         settings = PLAY_KERNEL_TRAININGS.get(request.training)
         return None if settings is None else len(settings.lags_s) * len(settings.smoothness) + 1
-
-
-@final
-class SvrKind(ModelKind):
-    """Radial kernel on 50 past commands, S1 (RA-L 2021): `paper` with its values, `grid` with its search, or `best`.
-
-    See `SvrWeights` for the equations and `SvrSettings` for what is compared how.
-    """
-
-    name = "svr"
-    title = "SVR"
-    trainings = ("best", "paper", "grid")
-
-    def fit(self, trials: Sequence[Trial], request: FitRequest, progress: FitProgress | None = None) -> Identified:
-        from ..identify.estimation_noise import with_noise
-        from ..train.svr_ import SVR_TRAININGS, fit_svr, svr_bundle
-
-        self.check(trials, request)
-        settings = SVR_TRAININGS[request.training].model_copy(update={"seed": request.seed})
-        history, show = recorded(progress)
-        found = fit_svr(trials, settings, request.skip_first_flexure, show)
-        choice, unit = found.choice, trials[0].units.angle
-        report = (
-            f"C {choice.c:g}, gamma {choice.gamma:g}, epsilon {choice.epsilon:g}: {len(found.weights.supports)} "
-            f"support vectors of {found.samples} samples, {found.rmse:.4g} {unit} on these"
-        )
-        if found.judged:
-            report += f", {found.judged[choice]:.4g} {unit} on what was left out"
-        bundle = svr_bundle(found, trials, settings, request.limits)
-        bundle = with_noise(bundle, trials, len(found.weights.supports))
-        return Identified(bundle, None, tuple(history), report, found.interrupted)
-
-    def steps(self, request: FitRequest) -> int | None:
-        from ..train.svr_ import SVR_TRAININGS
-
-        settings = SVR_TRAININGS.get(request.training)
-        if settings is None:
-            return None
-        compared = len(settings.c) * len(settings.gamma) * len(settings.epsilon)
-        return 1 + (compared if compared > 1 else 0)

@@ -93,7 +93,7 @@ def fit_network(
 
     Args:
         trials: uniformly sampled at one rate, in one pair of units, each from its start; swapped ones for an inverse.
-        settings: see `NetworkSettings` and `NETWORK_TRAININGS`; an LSTM where left out.
+        settings: see `NetworkSettings` and `kinds.networks`; an LSTM where left out.
         progress: called at every look with the epochs or updates so far, of `settings.steps`, and the best validation
             error [deg]; KeyboardInterrupt ends the training and keeps the best so far.
         validation: trials that only judge, beside those held out of `trials`.

@@ -14,8 +14,8 @@ import pytest
 
 import hystmpc
 from hystmpc.commissioning import motions
-from hystmpc.studies.faults.play import end, start_device
 from hystmpc.trials.config import dump_yaml
+from hystmpc_lab.faults.play import end, start_device
 
 from ..cli.test_verbs import run
 from .small import BENCH, SCAN

@@ -29,7 +29,7 @@ def script(path: str) -> ModuleType:
 
 @pytest.mark.slow
 def test_faults_neither_raise_nor_leave_the_limits() -> None:
-    faults = script("benchmarks/faults.py")
+    faults = script("lab/benchmarks/faults.py")
     tallies = faults.run(300 * len(faults.CONTROLLERS), seed=3)
     for name, tally in tallies.items():
         assert (name, tally.exceptions, tally.violations) == (name, 0, 0), tally.first_exception
@@ -39,7 +39,7 @@ def test_faults_neither_raise_nor_leave_the_limits() -> None:
 
 @pytest.mark.slow
 def test_endurance_counts_what_it_says() -> None:
-    endure = script("benchmarks/endurance.py").endure
+    endure = script("lab/benchmarks/endurance.py").endure
     settings = {"model": "builtin:backlash", "controller": {"kind": "linearised_mpc"}}
     run = endure(settings, 1e-3, 60, False)
     assert (run.misses, run.steps, sum(run.sources.values())) == (0, 60, 60)
@@ -50,7 +50,7 @@ def test_endurance_counts_what_it_says() -> None:
 
 @pytest.mark.parametrize("u", [math.nan, math.inf, -0.1, 6.1, 3.9, 2.1])
 def test_commands_beyond_the_limits_are_counted(u: float) -> None:
-    violates = script("benchmarks/faults.py").violates
+    violates = script("lab/benchmarks/faults.py").violates
     limits = CommandLimits(0.0, 6.0, 20.0)
     assert violates(limits, u, 3.0, 0.04)
     assert not violates(limits, 3.0 + 20.0 * 0.04, 3.0, 0.04)

@@ -18,14 +18,14 @@ from hystmpc.gap.logs.check import check_trials
 from hystmpc.gap.logs.dependence import follows_command
 from hystmpc.gap.report.report_data import Evidence
 from hystmpc.models.simulator import Residual
-from hystmpc.studies.blind.cores import RATE_HZ, CapstanCore, DahlCore
-from hystmpc.studies.blind.device import BlindDevice
-from hystmpc.studies.blind.generators import GENERATORS, LABELS, UNKNOWN, Generator, Withheld
-from hystmpc.studies.blind.plan import RICH
 from hystmpc.trials.errors import GapError
 from hystmpc.trials.read import read_trials
 from hystmpc.trials.trial import Trial, resample
 from hystmpc.trials.types import Vec
+from hystmpc_lab.blind.cores import RATE_HZ, CapstanCore, DahlCore
+from hystmpc_lab.blind.device import BlindDevice
+from hystmpc_lab.blind.generators import GENERATORS, LABELS, UNKNOWN, Generator, Withheld
+from hystmpc_lab.blind.plan import RICH
 
 from ..models.zoo import BACKLASH
 from .engine_examples import simulator_of

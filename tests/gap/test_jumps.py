@@ -15,9 +15,9 @@ from hystmpc.gap.diagnose import conclude, find_causes
 from hystmpc.gap.logs.preparation import prepare
 from hystmpc.models.chain import Chain
 from hystmpc.models.identify.cross_validation import CrossValidation
-from hystmpc.studies.blind.cores import FINE_S, Scene
-from hystmpc.studies.blind.generators import lugre_tip
 from hystmpc.trials.trial import Trial
+from hystmpc_lab.blind.cores import FINE_S, Scene
+from hystmpc_lab.blind.generators import lugre_tip
 
 from ..models.zoo import BACKLASH
 from .engine_examples import DT, Vec, moves, simulator_of, sine, trials_of

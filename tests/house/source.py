@@ -21,12 +21,16 @@ TIERS = (
     ("gap", "testing"),
     ("commissioning",),
     ("investigation",),
-    ("studies",),
     ("tasks",),
     ("front",),
     ("cli",),
+    ("lab",),
 )
-ROOMS = tuple(room for tier in TIERS for room in tier if room != "front")
+LAB = "lab"
+"""Folder of a distribution of its own, the package `hystmpc_lab`, which knows every room and which no room knows."""
+ROOMS = tuple(room for tier in TIERS for room in tier if room not in ("front", LAB))
+SCRIPTS = ROOT / LAB / "benchmarks"
+"""Programs that are no modules."""
 
 Function = ast.FunctionDef | ast.AsyncFunctionDef
 
@@ -47,7 +51,8 @@ class Module:
     def name(self) -> str:
         """Dotted name, `hystmpc.models.train` for models/train/__init__.py."""
         parts = self.path.relative_to(self.root).with_suffix("").parts
-        return ".".join(("hystmpc", *(p for p in parts if p != "__init__")))
+        package, parts = ("hystmpc_lab", parts[1:]) if parts[0] == LAB else ("hystmpc", parts)
+        return ".".join((package, *(p for p in parts if p != "__init__")))
 
     @property
     def room(self) -> str:
@@ -77,14 +82,15 @@ class Module:
 
 
 def modules(root: Path = ROOT) -> tuple[Module, ...]:
-    """Every module of the front door and of every room."""
+    """Every module of the front door, of every room and of the laboratory."""
     return _parsed_once(root)
 
 
 @lru_cache
 def _parsed_once(root: Path) -> tuple[Module, ...]:
     front = sorted(root.glob("*.py"))
-    return tuple(Module(root, path) for path in (*front, *(f for r in ROOMS for f in sorted((root / r).rglob("*.py")))))
+    rooms = [path for room in (*ROOMS, LAB) for path in sorted((root / room).rglob("*.py"))]
+    return tuple(Module(root, path) for path in (*front, *rooms) if SCRIPTS not in path.parents)
 
 
 def functions(nodes: Iterable[ast.AST]) -> Iterator[Function]:

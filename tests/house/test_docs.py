@@ -6,13 +6,11 @@ import re
 from collections.abc import Iterator
 from pathlib import Path
 
-from .source import ROOMS, ROOT
+from .source import LAB, ROOMS, ROOT
 
 _ROOM = "|".join(ROOMS)
 # A path in back quotes or in a table: `gap/report/page.py`, `studies/blind/`.
-FILE = re.compile(
-    rf"(?<![\w/.-])(?:{_ROOM}|tests|benchmarks|examples|docs|ros2)/[\w/.-]*\w(?:\.(?:py|yaml|md)\b|/(?=`))"
-)
+FILE = re.compile(rf"(?<![\w/.-])(?:{_ROOM}|lab|tests|examples|docs|ros2)/[\w/.-]*\w(?:\.(?:py|yaml|md)\b|/(?=`))")
 MODULE = re.compile(rf"(?<![\w.])hystmpc(?:\.(?:{_ROOM}))(?:\.\w+)*")
 
 
@@ -20,7 +18,7 @@ def pages() -> tuple[Path, ...]:
     """README, docs, examples and the package's source; the changelog tells of the past."""
     front = [ROOT / name for name in ("README.md", "CONTRIBUTING.md", "SECURITY.md", "CODE_OF_CONDUCT.md")]
     prose = [*front, *sorted((ROOT / "docs").rglob("*.md")), *sorted((ROOT / "ros2").rglob("*.md"))]
-    code = [path for room in (*ROOMS, "benchmarks", "examples") for path in sorted((ROOT / room).rglob("*.py"))]
+    code = [path for room in (*ROOMS, LAB, "examples") for path in sorted((ROOT / room).rglob("*.py"))]
     return (*prose, *code)
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from .source import ROOMS, ROOT, TIERS, Module, modules
+from .source import LAB, ROOMS, ROOT, TIERS, Module, modules
 
 TIER = {room: number for number, tier in enumerate(TIERS) for room in tier}
 
@@ -20,20 +20,16 @@ def wrong_way(root: Path) -> Iterator[str]:
     for module in modules(root):
         for line, name in module.imports():
             package, _, rest = name.partition(".")
-            room = rest.partition(".")[0]
+            room = LAB if package == "hystmpc_lab" else rest.partition(".")[0]
             room = room if room in TIER else "front"  # what `import hystmpc` offers
-            if package == "hystmpc" and room != module.room and TIER[room] >= TIER[module.room]:
+            if package in ("hystmpc", "hystmpc_lab") and room != module.room and TIER[room] >= TIER[module.room]:
                 yield f"{module.where}:{line}: {module.room} imports {name}"
 
 
 def may_need_torch(module: Module) -> bool:
     """Training, the definitions of networks, and the benchmark's rival that runs on torch."""
-    wrapper = module.name.startswith("hystmpc.models.networks.") and module.name.endswith("_")
-    return (
-        wrapper
-        or module.name.startswith("hystmpc.models.train.")
-        or module.name == "hystmpc.studies.performance.pytorch_mppi_"
-    )
+    networks = module.name.startswith(("hystmpc.models.networks.", "hystmpc_lab.rivals.", "hystmpc_lab.performance."))
+    return (networks and module.name.endswith("_")) or module.name.startswith("hystmpc.models.train.")
 
 
 def test_imports_run_one_way() -> None:
@@ -50,6 +46,8 @@ def test_imports_run_one_way() -> None:
         ("gap/__init__.py", "from ..cli import main", 1),
         ("gap/a.py", "from hystmpc import fit", 1),
         ("__init__.py", "from hystmpc.cli import main", 1),
+        ("cli/a.py", "from hystmpc_lab import blind", 1),
+        ("lab/blind/a.py", "from hystmpc.gap import diagnose\nfrom hystmpc_lab.x import y", 0),
         ("__init__.py", "from hystmpc.tasks.fit import fit", 0),
         ("cli/a.py", "from hystmpc.tasks.fit import fit", 0),
         ("sim/a.py", "from hystmpc.ctrl import limits\nimport numpy", 0),
@@ -71,7 +69,7 @@ def test_a_room_imports_itself_relatively() -> None:
         if not module.where.endswith("_loops.py")
         for node in module.nodes
         if isinstance(node, ast.ImportFrom) and node.level == 0
-        if f"{node.module}.".startswith(f"hystmpc.{module.room}.")
+        if f"{node.module}.".startswith("hystmpc_lab." if module.room == LAB else f"hystmpc.{module.room}.")
     ]
     assert offenders == []
 
@@ -79,7 +77,7 @@ def test_a_room_imports_itself_relatively() -> None:
 @pytest.mark.slow
 def test_no_room_is_imported_as_a_top_level_package() -> None:
     """It would work in a checkout and fail for everybody who has installed a wheel."""
-    files = [path for folder in (*ROOMS, "tests", "examples", "benchmarks") for path in (ROOT / folder).rglob("*.py")]
+    files = [path for folder in (*ROOMS, LAB, "tests", "examples") for path in (ROOT / folder).rglob("*.py")]
     offenders = []
     for path in files:
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):

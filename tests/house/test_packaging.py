@@ -11,17 +11,31 @@ from pathlib import Path
 import pytest
 import yaml
 
-from .source import ROOMS, ROOT, modules
+from .source import LAB, ROOMS, ROOT, modules
 
 PYPROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
 FOLDERS = sorted({module.path.parent for module in modules()})
 FORMS = sorted((ROOT / ".github" / "ISSUE_TEMPLATE").glob("*.yml"))
 
 
-def test_packages_listed_are_the_folders_with_code() -> None:
-    found = {".".join(("hystmpc", *folder.relative_to(ROOT).parts)) for folder in FOLDERS}
-    listed = PYPROJECT["tool"]["setuptools"]["packages"]
-    assert sorted(listed) == sorted(found)
+@pytest.mark.parametrize("project", [ROOT, ROOT / LAB], ids=["hystmpc", "hystmpc-lab"])
+def test_packages_listed_are_the_folders_with_code(project: Path) -> None:
+    """Two distributions, which share no folder."""
+    settings = tomllib.loads((project / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["setuptools"]
+    (package,) = settings["package-dir"]
+    of_lab = {folder for folder in FOLDERS if folder == ROOT / LAB or ROOT / LAB in folder.parents}
+    folders = of_lab if project != ROOT else {*FOLDERS} - of_lab
+    assert sorted(settings["packages"]) == sorted(".".join((package, *f.relative_to(project).parts)) for f in folders)
+
+
+def test_the_laboratory_is_installed_with_the_product_for_development_only() -> None:
+    """The product asks for it in an extra alone; its verbs reach the program by an entry point."""
+    needed = PYPROJECT["project"]["dependencies"]
+    assert [line for line in needed if line.startswith("hystmpc")] == []
+    assert PYPROJECT["project"]["optional-dependencies"]["papers"] == ["hystmpc-lab"]
+    laboratory = tomllib.loads((ROOT / LAB / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    assert laboratory["requires-python"] == PYPROJECT["project"]["requires-python"]
+    assert laboratory["entry-points"]["hystmpc.verbs"] == {"lab": "hystmpc_lab.verbs:VERBS"}
 
 
 def test_every_package_is_initialised_and_typed() -> None:
@@ -32,16 +46,17 @@ def test_every_package_is_initialised_and_typed() -> None:
 def test_the_tools_look_at_every_room() -> None:
     tool = PYPROJECT["tool"]
     front = [path.name for path in ROOT.glob("*.py")]
-    assert set(tool["pyright"]["include"]) == {*ROOMS, *front}
-    assert set(tool["ruff"]["lint"]["flake8-tidy-imports"]["banned-api"]) == set(ROOMS)
+    assert set(tool["pyright"]["include"]) == {*ROOMS, LAB, *front}
+    assert set(tool["ruff"]["lint"]["flake8-tidy-imports"]["banned-api"]) == {*ROOMS, LAB}
     makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
     assert re.findall(r"^ROOMS := (.*)$", makefile, re.MULTILINE) == [" ".join(ROOMS)]
 
 
 def test_every_dependency_is_pinned() -> None:
-    project = PYPROJECT["project"]
-    wanted = sum(project["optional-dependencies"].values(), project["dependencies"])
-    names = {re.split(r"[\[<>=;~! ]", line)[0].lower() for line in wanted}
+    laboratory = tomllib.loads((ROOT / LAB / "pyproject.toml").read_text(encoding="utf-8"))
+    projects = PYPROJECT["project"], laboratory["project"]
+    wanted = [line for one in projects for line in sum(one["optional-dependencies"].values(), one["dependencies"])]
+    names = {re.split(r"[\[<>=;~! ]", line)[0].lower() for line in wanted} - {"hystmpc", "hystmpc-lab"}
     lines = (ROOT / "constraints.txt").read_text(encoding="utf-8").splitlines()
     pins = [line.partition("==") for line in lines if line and not line.startswith("#")]
     # Exact, no local version like +cpu; a beta where there is nothing else.

@@ -14,7 +14,6 @@ from hystmpc.models.kinds import networks
 from hystmpc.models.kinds.catalogue import KINDS, chosen_kind, kind_named
 from hystmpc.models.kinds.connected import DrivenKind, ResidualKind, behind
 from hystmpc.models.kinds.kind import FitRequest
-from hystmpc.models.kinds.networks import NETWORK_TRAININGS
 from hystmpc.models.operators.dynamics import Delay, Lag
 from hystmpc.trials.errors import FitError
 from hystmpc.trials.trial import Trial
@@ -72,10 +71,10 @@ def wavy(trials: list[Trial], amplitude_deg: float) -> list[Trial]:
 
 def small(patch: pytest.MonkeyPatch) -> None:
     """A network of one layer of 16 in the place of the training, which takes a minute."""
-    trainings = NETWORK_TRAININGS["gru"]
+    trainings = networks.GRU.settings
     network = trainings[networks.RESIDUAL].network.model_copy(update={"hidden": 16, "layers": 1})
     tried = trainings[networks.RESIDUAL].model_copy(update={"network": network})
-    patch.setattr(networks, "NETWORK_TRAININGS", {**NETWORK_TRAININGS, "gru": {**trainings, networks.RESIDUAL: tried}})
+    patch.setattr(networks.GRU, "settings", {**trainings, networks.RESIDUAL: tried})
 
 
 @pytest.mark.slow

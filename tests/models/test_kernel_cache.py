@@ -312,7 +312,7 @@ def test_a_function_that_reads_several_modules_has_one_digest_in_every_process()
     """Names of a function are a set, whose order Python draws anew at every start."""
     code = (
         "from hystmpc.models.kernels.numba_ import source_digest; "
-        "from hystmpc.studies.identify.kernels import bend; print(source_digest(bend))"
+        "from hystmpc_lab.identify.kernels import bend; print(source_digest(bend))"
     )
     digests = [
         subprocess.run(

@@ -4,24 +4,25 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from hystmpc.models.chain import Chain
 from hystmpc.models.decades import size_of
-from hystmpc.models.identify.adam import AdamSettings, WindowLoss, Windows, parameter_scales
 from hystmpc.models.identify.chain_fit import ConvergenceReport
 from hystmpc.models.identify.chain_kinds import CHAIN_KINDS, Structure, chain_task
 from hystmpc.models.identify.free_run import FreeRuns
-from hystmpc.models.identify.global_search import GlobalSettings
-from hystmpc.models.identify.iterated import IteratedSettings
 from hystmpc.models.identify.least_squares import OperatorFitSettings
-from hystmpc.models.identify.methods import METHODS, MethodSettings, identify_chain
+from hystmpc.models.identify.methods import METHODS, identify_chain
 from hystmpc.models.operators.hysteresis import BoucWen
 from hystmpc.trials.csv_files import read_csv
 from hystmpc.trials.errors import FitError
 from hystmpc.trials.trial import Trial, Units, resample
+from hystmpc_lab.rivals.adam import AdamSettings, WindowLoss, Windows, parameter_scales
+from hystmpc_lab.rivals.global_search import GlobalSettings
+from hystmpc_lab.rivals.iterated import IteratedSettings
 
 from .test_identification import trials
 from .zoo import BACKLASH, BOUC_WEN, CHAINS, DRDPI, DT, STATIC_PI
@@ -30,7 +31,7 @@ pytestmark = pytest.mark.slow
 
 BACKLASH_TRIALS = trials(CHAINS["backlash"])
 # Small budgets: what matters here is the direction, not the last digit.
-SHORT: dict[str, MethodSettings] = {
+SHORT: dict[str, Any] = {
     "least_squares": OperatorFitSettings(restarts=1),
     "adam": AdamSettings(epochs=100, rate=3e-3),
     "iterated": IteratedSettings(),
@@ -209,7 +210,7 @@ def test_dead_zone_and_steepness_are_set_not_identified() -> None:
             assert chain.values[position] == task.starts[0].values[position]
 
 
-def _hasty(method: str) -> MethodSettings:
+def _hasty(method: str) -> Any:
     hasty = {"adam": AdamSettings(epochs=2), "global": GlobalSettings(2, 10)}
     return hasty.get(method, OperatorFitSettings(evaluations=5, restarts=1))
 
@@ -242,7 +243,7 @@ def test_what_cannot_be_done_is_one_clear_line(arguments: dict[str, object], mes
     ("settings", "wrong"),
     [(AdamSettings, {"rate": 0.0}), (GlobalSettings, {"population": 2}), (IteratedSettings, {"iterations": 0})],
 )
-def test_settings_without_sense_are_refused(settings: type[MethodSettings], wrong: dict[str, float]) -> None:
+def test_settings_without_sense_are_refused(settings: type[Any], wrong: dict[str, float]) -> None:
     with pytest.raises(FitError, match="expected"):
         settings(**wrong)
 

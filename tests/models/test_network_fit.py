@@ -12,7 +12,7 @@ import pytest
 from hystmpc.models.contract.export import export_onnx
 from hystmpc.models.contract.load import load_onnx
 from hystmpc.models.evaluate import evaluate
-from hystmpc.models.kinds.networks import NETWORK_TRAININGS
+from hystmpc.models.kinds.networks import LSTM
 from hystmpc.models.networks.settings import DeviceFacts, GatedSettings, RecurrentSettings
 from hystmpc.models.train.networks import NetworkCheck, NetworkFit, fit_network, network_bundle
 from hystmpc.models.train.runs import TrainingRun, arrange, draw_windows, hold_out, pause, stretch
@@ -244,7 +244,7 @@ def test_teacher_stays_within_what_the_trials_showed() -> None:
 
 
 def test_trainings_are_the_papers_and_ours() -> None:
-    paper, best, other = (NETWORK_TRAININGS["lstm"][name] for name in ("paper", "best", "s1"))
+    paper, best, other = (LSTM.settings[name] for name in ("paper", "best", "s1"))
     assert isinstance(paper.training, WindowTraining)
     assert (paper.training.length, paper.training.batch, paper.steps) == (50, 16, 100)
     assert isinstance(paper.network, RecurrentSettings)

@@ -8,9 +8,8 @@ import pytest
 from hystmpc.models.chain import Chain
 from hystmpc.models.kinds.catalogue import KINDS
 from hystmpc.models.kinds.kind import FitRequest
-from hystmpc.models.kinds.networks import NETWORK_TRAININGS, network_settings
 from hystmpc.models.networks.nodes import Scaling
-from hystmpc.models.networks.settings import DeviceFacts, FeedForwardSettings, HybridSettings, RecurrentSettings
+from hystmpc.models.networks.settings import DeviceFacts, RecurrentSettings
 from hystmpc.models.operators.hysteresis import Backlash, InverseBacklash
 from hystmpc.models.operators.operator import Operator
 from hystmpc.models.simulator import ChainModel
@@ -19,13 +18,15 @@ from hystmpc.models.train.runs import fitted_backlash, prepared, rest_of, scaled
 from hystmpc.models.train.settings import NetworkSettings, StreamTraining, WindowTraining
 from hystmpc.trials.errors import ConfigError, FitError
 from hystmpc.trials.trial import Trial, Units
+from hystmpc_lab.rivals.forms import FeedForwardSettings, HybridSettings
 
 from .lstm_examples import DT, four_trials
+from .tiny_kinds import NETWORKS
 from .zoo import BACKLASH, simulator
 
 torch = pytest.importorskip("torch", reason="torch is an extra")
 
-from hystmpc.models.networks.hybrid_ import operator_step  # noqa: E402  (needs torch)
+from hystmpc_lab.rivals.hybrid_ import operator_step  # noqa: E402  (needs torch)
 
 FORWARD, INVERSE = Scaling(3.0, 3.0, 60.0, 30.0), Scaling(60.0, 30.0, 3.0, 3.0)
 OPERATORS: dict[str, tuple[Operator, Scaling]] = {
@@ -75,7 +76,7 @@ def test_a_hybrid_that_has_learned_nothing_is_the_operator(form: str, operator: 
 
 @every_operator
 def test_gradients_through_the_recursion_are_those_of_finite_differences(operator: Operator, scaling: Scaling) -> None:
-    from hystmpc.models.networks.hybrid_ import OperatorLayer
+    from hystmpc_lab.rivals.hybrid_ import OperatorLayer
 
     inside = scaled_operator(operator, scaling)
     layer, rng = OperatorLayer(operator_step(inside)), np.random.default_rng(1)
@@ -134,7 +135,7 @@ def test_the_backlash_of_a_hybrid_is_the_one_behind_the_trials(inverted: bool) -
 
 def test_scaling_and_rest_follow_unit_and_direction() -> None:
     trials = four_trials()
-    paper = NETWORK_TRAININGS["fnn_hib"]["paper"]
+    paper = NETWORKS["fnn_hib"].settings["paper"]
     pairs = [(trials, Scaling(0, 6, 0, 90), 0.0), ([t.swapped() for t in trials], Scaling(0, 90, 0, 6), 30 / 90)]
     for given, scaling, rest in pairs:
         assert scaling_of(given, paper.scaling) == scaling
@@ -148,16 +149,16 @@ def test_scaling_and_rest_follow_unit_and_direction() -> None:
 def test_windows_of_the_papers_begin_with_rest() -> None:
     trials = four_trials()
     for kind, before in (("lstm", 50), ("fnn", 50), ("fnn_hib", 50)):
-        paper = NETWORK_TRAININGS[kind]["paper"]
+        paper = NETWORKS[kind].settings["paper"]
         ready = prepared(trials[:1], trials[1:], scaling_of(trials, paper.scaling), paper)
         assert ready.training[0].command.size == len(trials[0]) + before
         np.testing.assert_array_equal(ready.training[0].command[:before], 0.0)
         np.testing.assert_allclose(ready.training[0].angle[:before], 30 / 90)
 
 
-@pytest.mark.parametrize("kind", sorted(NETWORK_TRAININGS))
+@pytest.mark.parametrize("kind", sorted(NETWORKS))
 def test_trainings_are_those_of_the_papers(kind: str) -> None:
-    paper, best = NETWORK_TRAININGS[kind]["paper"], NETWORK_TRAININGS[kind]["best"]
+    paper, best = NETWORKS[kind].settings["paper"], NETWORKS[kind].settings["best"]
     way = paper.training
     assert isinstance(way, WindowTraining)
     assert (way.length, way.batch, way.epochs, way.keep_after) == (50 if kind in RECURRENT else 1, 16, 100, 10)
@@ -167,16 +168,16 @@ def test_trainings_are_those_of_the_papers(kind: str) -> None:
     else:
         assert (paper.network.hidden, paper.network.layers, paper.network.memory_samples) == (64, 2, 0)
     assert isinstance(best.training, StreamTraining)
-    for training in NETWORK_TRAININGS[kind].values():
+    for training in NETWORKS[kind].settings.values():
         assert training.kind == kind
         assert NetworkSettings.parse(training.model_dump()) == training
-    assert [k.trainings for k in KINDS if k.name == kind] == [tuple(NETWORK_TRAININGS[kind])]
+    assert [k.trainings for k in KINDS if k.name == kind] == [tuple(NETWORKS[kind].settings)]
 
 
 def test_a_request_changes_what_it_names() -> None:
     asked = FitRequest(training="paper", seed=7, steps=3, hold_out=2, constancy_weight=1e-4, skip_first_flexure=True)
-    for kind in NETWORK_TRAININGS:
-        settings = network_settings(kind, asked)
+    for kind in NETWORKS:
+        settings = NETWORKS[kind].training(asked)
         assert (settings.seed, settings.steps, settings.validation_trials) == (7, 3, 2)
         assert settings.first_flexure_weight == 0.0
         assert (settings.training.constancy_weight, settings.training.length) == (1e-4, 50)
@@ -215,4 +216,4 @@ def test_constant_in_is_rewarded_for_constant_out() -> None:
 def test_a_hybrid_of_a_falling_angle_says_so() -> None:
     falling = [Trial(t.t, t.command, -t.angle, source=t.source) for t in four_trials()]
     with pytest.raises(FitError, match="the angle falls with the command"):
-        fit_network(falling, NETWORK_TRAININGS["hb2"]["best"])
+        fit_network(falling, NETWORKS["hb2"].settings["best"])

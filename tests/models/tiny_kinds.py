@@ -12,19 +12,19 @@ import pytest
 from hystmpc.models.chain import Chain
 from hystmpc.models.contract.export import export_onnx
 from hystmpc.models.contract.load import OnnxModel, load_onnx
-from hystmpc.models.kinds import networks
-from hystmpc.models.kinds.catalogue import kind_named
+from hystmpc.models.kinds.catalogue import KINDS, kind_named
 from hystmpc.models.kinds.connected import DrivenKind
 from hystmpc.models.kinds.kind import FitRequest, Identified, ModelKind
-from hystmpc.models.kinds.networks import NETWORK_TRAININGS
-from hystmpc.models.networks.settings import FeedForwardSettings
+from hystmpc.models.kinds.networks import NetworkKind
 from hystmpc.models.operators.dynamics import Delay, Lag
 from hystmpc.models.train.settings import NetworkSettings, StreamTraining
 from hystmpc.trials.trial import Trial
+from hystmpc_lab.rivals.forms import FeedForwardSettings
 
 from .lstm_examples import four_trials
 from .zoo import BACKLASH, DT, simulator
 
+NETWORKS = {kind.name: kind for kind in KINDS if isinstance(kind, NetworkKind)}
 FORWARD, INVERSE = "forward", "inverse"
 STREAMS = StreamTraining(length=25, streams=4, updates=30, rounds_between_checks=1, averaging=0.5, teacher=None)
 
@@ -42,10 +42,8 @@ def tiny(settings: NetworkSettings, **changes: object) -> NetworkSettings:
 
 def tiny_trainings(patch: pytest.MonkeyPatch, **changes: object) -> None:
     """Put tiny networks in the place of the trainings `best`."""
-    small = {
-        kind: {**trainings, "best": tiny(trainings["best"], **changes)} for kind, trainings in NETWORK_TRAININGS.items()
-    }
-    patch.setattr(networks, "NETWORK_TRAININGS", small)
+    for kind in NETWORKS.values():
+        patch.setattr(kind, "settings", {**kind.settings, "best": tiny(kind.settings["best"], **changes)})
 
 
 @dataclass(frozen=True)

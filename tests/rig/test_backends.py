@@ -25,12 +25,12 @@ from hystmpc.rig.compiled.controller import compiled_controller
 from hystmpc.rig.config import RecordSettings, RunSettings, load_run
 from hystmpc.rig.loop import RunOutcome
 from hystmpc.rig.recording.sample import Sample
-from hystmpc.studies.faults.cases import CASES as CAMPAIGN
-from hystmpc.studies.faults.cases import Link
-from hystmpc.studies.faults.judge import judge
-from hystmpc.studies.faults.play import play
 from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.run_folder import RunFolder
+from hystmpc_lab.faults.cases import CASES as CAMPAIGN
+from hystmpc_lab.faults.cases import Link
+from hystmpc_lab.faults.judge import judge
+from hystmpc_lab.faults.play import play
 
 from .bench_parts import DT, LIMITS, NS, Rig
 

@@ -30,10 +30,10 @@ from hystmpc.rig.recording.recording import RecordingMeta
 from hystmpc.rig.recording.sample import Sample
 from hystmpc.rig.safety.ramp import way_commands
 from hystmpc.rig.transports.simulated import SimulatedSettings
-from hystmpc.studies.faults.play import end, start
 from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.run_folder import RunFolder
 from hystmpc.trials.yaml_ import parse_yaml
+from hystmpc_lab.faults.play import end, start
 
 from .bench_parts import RAMPS
 from .recording_samples import sample

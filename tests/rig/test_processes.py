@@ -16,13 +16,13 @@ import pytest
 
 from hystmpc.rig.recording.recorder_process import Views, open_recorder_process
 from hystmpc.rig.recording.recording import RecordingMeta
-from hystmpc.studies.faults.cases import CASES, Kind, Link, write_device, write_run
-from hystmpc.studies.faults.judge import judge
-from hystmpc.studies.faults.play import PROGRAM, device_log, end, play, start, start_device
 from hystmpc.trials.csv_files import read_csv
 from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.recording_order import by_manifest
 from hystmpc.trials.run_folder import RunFolder
+from hystmpc_lab.faults.cases import CASES, Kind, Link, write_device, write_run
+from hystmpc_lab.faults.judge import judge
+from hystmpc_lab.faults.play import PROGRAM, device_log, end, play, start, start_device
 
 from ..cli.test_verbs import run as called
 from .test_dds import needs_dds

@@ -13,8 +13,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hystmpc.studies.faults.cases import OVERSHOOT
-from hystmpc.studies.faults.judge import rise
+from hystmpc_lab.faults.cases import OVERSHOOT
+from hystmpc_lab.faults.judge import rise
 
 from ..conftest import ROOT
 from ..scripts import script
@@ -26,7 +26,7 @@ MS = 1_000_000
 def test_each_kind_of_fault_at_two_random_moments(tmp_path: Path) -> None:
     """Real processes and sockets; whoever plays more asks for more: `--moments 200`."""
     out = tmp_path / "moments.json"
-    command = [sys.executable, "benchmarks/random_moments.py", "--moments", "2", "--lanes", "3", "--out", out]
+    command = [sys.executable, "lab/benchmarks/random_moments.py", "--moments", "2", "--lanes", "3", "--out", out]
     done = subprocess.run([*map(str, command)], cwd=ROOT, capture_output=True, text=True, check=False)
     found = json.loads(out.read_text())
     assert [m["fault"] for m in found] == [""] * 6

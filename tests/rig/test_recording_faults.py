@@ -130,7 +130,7 @@ def test_signals_to_all_of_a_terminal_cost_no_sample(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_kill_minus_nine_costs_nothing_that_was_flushed() -> None:
     """The campaign of the benchmark in its smallest honest version: each way of dying once."""
-    command = [sys.executable, "benchmarks/kill_recording.py", "--kills", "3", "--longest", "1.5", "--seed", "5"]
+    command = [sys.executable, "lab/benchmarks/kill_recording.py", "--kills", "3", "--longest", "1.5", "--seed", "5"]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
     assert "controller killed" in done.stdout

@@ -16,7 +16,7 @@ from hystmpc.rig.safety.stop import StopFlag
 
 from ..conftest import ROOT
 
-SCRIPTS = ROOT / "benchmarks"
+SCRIPTS = ROOT / "lab" / "benchmarks"
 
 
 def bare_loop() -> ModuleType:
@@ -45,7 +45,7 @@ def test_a_loop_that_is_busy_for_longer_than_a_period_is_late_every_time() -> No
 @pytest.mark.slow
 def test_a_soak_of_seconds(tmp_path: Path) -> None:
     """Whether a deadline was missed is the machine's affair; that the figures and the exit code agree is ours."""
-    command = [sys.executable, "benchmarks/soak.py", "--rate", "25", "--minutes", "0.05", "--transport", "udp"]
+    command = [sys.executable, "lab/benchmarks/soak.py", "--rate", "25", "--minutes", "0.05", "--transport", "udp"]
     command += ["--blocks", "1,2,4,8"]
     done = subprocess.run(
         [*command, "--json", str(tmp_path / "soak.json"), "--out", str(tmp_path / "runs")],

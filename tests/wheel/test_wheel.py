@@ -26,19 +26,14 @@ ROOMS = (
     "testing",
     "commissioning",
     "investigation",
-    "studies",
     "cli",
 )
 # These wrap packages of an extra, and may ask for it when they are imported.
 EXTRAS = {
     "torch",
-    "sklearn",
-    "skl2onnx",
-    "cma",
     "mcap",
     "h5py",
     "rosbags",
-    "pytorch_mppi",
     "distributed",
     "gymnasium",
     "optuna",

@@ -1,0 +1,38 @@
+"""The laboratory of hystmpc: the studies that prove what the product does, and the rivals of the papers.
+
+A distribution of its own, `hystmpc-lab`. Once it is installed, its verbs (`study`, `gap`, `faults`, `bench`, `data`)
+and its kinds of model stand beside those of hystmpc; hystmpc itself knows nothing of it.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from hystmpc.trials import lazily
+
+if TYPE_CHECKING:
+    from .datasets.dataset import read_dataset, write_dataset
+    from .datasets.paper_data import make_dataset
+    from .reconstruction.protocol import Protocol, record_scans
+    from .reconstruction.reconstruct import reconstruct
+    from .reconstruction.settings import ReconstructionSettings
+
+__all__ = [
+    "Protocol",
+    "ReconstructionSettings",
+    "make_dataset",
+    "read_dataset",
+    "reconstruct",
+    "record_scans",
+    "write_dataset",
+]
+
+if not TYPE_CHECKING:
+    __getattr__ = lazily(
+        __name__,
+        ("hystmpc_lab.datasets.dataset", "read_dataset write_dataset"),
+        ("hystmpc_lab.datasets.paper_data", "make_dataset"),
+        ("hystmpc_lab.reconstruction.protocol", "Protocol record_scans"),
+        ("hystmpc_lab.reconstruction.reconstruct", "reconstruct"),
+        ("hystmpc_lab.reconstruction.settings", "ReconstructionSettings"),
+    )

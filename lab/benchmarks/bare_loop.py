@@ -1,0 +1,97 @@
+"""The machine's own floor: a loop that does nothing but sleep until each period's end on the monotonic clock.
+
+    python lab/benchmarks/bare_loop.py [--rate 250] [--seconds 120] [--busy 0.001] [--priority 80] [--out WAKE_UPS.npy]
+
+Whatever wakes up late here is late without any work of ours: other processes, the hypervisor, the kernel. With `--busy`
+it spins for so long [s] in every period, and what counts is how late it is done: a machine that takes the core away
+shows only while there is something to take it from. Runs for so many seconds, or until SIGTERM; with a priority under
+SCHED_FIFO and with its memory locked. Exit code 1 if a period was missed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from array import array
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from hystmpc.rig.realtime import MonotonicClock, SchedulingSettings, scheduled
+from hystmpc.rig.safety.stop import StopFlag, stopping_on_signals
+from hystmpc.trials.types import Vec
+
+
+@dataclass(frozen=True)
+class Floor:
+    """What the sleeping loop saw.
+
+    Attributes:
+        wake_ups: how many.
+        late: of those, how many came later than a period after they were due.
+        p99_s, greatest_s: lateness [s]; NaN without any wake-up.
+    """
+
+    wake_ups: int
+    late: int
+    p99_s: float
+    greatest_s: float
+
+
+def sleep_on(rate_hz: float, seconds: float, flag: StopFlag, busy_s: float = 0.0) -> Vec:
+    """Wall clock [s] and lateness [s] of every wake-up (N, 2), or of the end of what it was busy with.
+
+    Periods that pass meanwhile are left out.
+    """
+    clock, period_ns, busy_ns = MonotonicClock(spin_s=0.0), round(1e9 / rate_hz), round(1e9 * busy_s)
+    seen = array("d")
+    start = deadline = clock.now_ns()
+    while not flag.cause and 1e-9 * (deadline - start) < seconds:
+        deadline += period_ns
+        clock.wait_until(deadline)
+        done = clock.now_ns() + busy_ns
+        while busy_ns and clock.now_ns() < done:
+            pass
+        late_ns = clock.now_ns() - deadline
+        seen.extend((time.time(), 1e-9 * late_ns))
+        deadline += late_ns // period_ns * period_ns
+    return np.array(seen).reshape(-1, 2)
+
+
+def floor(wake_ups: Vec, rate_hz: float) -> Floor:
+    """The figures of wake-ups (N, 2)."""
+    lateness = wake_ups[:, 1]
+    if not lateness.size:
+        return Floor(0, 0, float("nan"), float("nan"))
+    late = int(np.count_nonzero(lateness > 1 / rate_hz))
+    return Floor(lateness.size, late, float(np.quantile(lateness, 0.99)), float(lateness.max()))
+
+
+def main() -> int:
+    """Sleep, and print one line."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--rate", type=float, default=250.0, help="periods a second")
+    parser.add_argument("--seconds", type=float, default=120.0, help="how long")
+    parser.add_argument("--busy", type=float, default=0.0, help="spin for so long in every period [s]")
+    parser.add_argument("--priority", type=int, help="of SCHED_FIFO, 1 to 99")
+    parser.add_argument("--out", type=Path, help="write wall clock and lateness of every wake-up here (.npy)")
+    given = parser.parse_args()
+    flag, wanted = StopFlag(), SchedulingSettings(priority=given.priority, lock_memory=given.priority is not None)
+    with stopping_on_signals(flag), scheduled(wanted) as notes:
+        print("\n".join(notes), end="\n" if notes else "", file=sys.stderr)
+        print("ready", flush=True)
+        wake_ups = sleep_on(given.rate, given.seconds, flag, given.busy)
+    found = floor(wake_ups, given.rate)
+    print(
+        f"{found.wake_ups} wake-ups at {given.rate:g} Hz: {found.late} later than a period, "
+        f"p99 {1e3 * found.p99_s:.2f} ms, greatest {1e3 * found.greatest_s:.2f} ms late"
+    )
+    if given.out is not None:
+        np.save(given.out, wake_ups)
+    return int(found.late > 0)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,88 @@
+"""The exported C beside the Python controller: greatest difference of the commands, step times, memory.
+
+    python lab/benchmarks/exported_c.py [--steps 100000] [--case NAME] [--float32] [--repetitions 5]
+
+Both run a closed loop on a device of their own with noise, sensor faults and stops, as in `tests/codegen/`. The C is
+compiled as `realtime.backend: c` compiles it (`codegen.build`). It is called through ctypes, whose call is part of its
+time. These times are processor time.
+
+Then a C program takes the same steps again and times each one by the monotonic clock. Its commands have to be equal.
+It does so a few times. The least time of a step counts, so that what else the machine did does not. The caches stay
+warm between two steps, which they may not at the bench.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import tempfile
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
+
+from benchmarks.replay import Recorder, replay
+
+from hystmpc.codegen import ControllerExport, export_controller
+from hystmpc.codegen.build import FLAGS
+from hystmpc.trials.types import Mat
+from tests.codegen.compiled import EXAMPLES
+from tests.codegen.loops import Compared, compare
+from tests.codegen.networks import small_network
+from tests.codegen.test_commands import CASES, PLAIN, tip
+
+GRU: dict[str, dict[str, Any]] = {"gru": dict(PLAIN), "gru-that-learns": {}}
+
+
+@cache
+def _file() -> str:
+    """A GRU with two layers of 64, which stays until the end."""
+    return small_network("gru", 64, 2, Path(tempfile.mkdtemp()))
+
+
+def _gru(controller: dict[str, Any]) -> tuple[dict[str, Any], float]:
+    return tip(_file(), **controller), 0.0
+
+
+def _say(name: str, found: Compared, times: Mat, export: ControllerExport) -> None:
+    """Three lines of a case; `times`: time of every step in every repetition of the program [us]."""
+    steps, least = found.c.size, times.min(axis=0)
+    off = np.abs(found.python - found.c)
+    python_us, c_us, program_us = 1e6 * found.python_s / steps, 1e6 * found.c_s / steps, float(least.mean())
+    median, p99, p999 = np.quantile(least, [0.5, 0.99, 0.999])
+    print(
+        f"{name}: {steps} steps, difference up to {found.greatest:.2g} mm, "
+        f"99 % within {np.quantile(off, 0.99):.2g} mm, median {np.median(off):.2g} mm, "
+        f"{int(np.sum(off > 1e-6))} steps over 1e-6 mm; "
+        f"{export.memory_bytes} bytes, {export.remembered_bytes} remembered; {dict(found.sources)}\n"
+        f"    Python {python_us:.0f} us; C through ctypes {c_us:.1f} us, ratio {python_us / c_us:.1f}; "
+        f"in a C program {program_us:.1f} us, ratio {python_us / program_us:.1f}\n"
+        f"    C program, least of {len(times)} times [us]: median {median:.1f}, 99 % {p99:.1f}, 99.9 % {p999:.1f}, "
+        f"longest {least.max():.1f}; of all times the mean is {times.mean():.1f}, the longest {times.max():.1f}",
+        flush=True,
+    )
+
+
+def main() -> None:
+    """Three lines a case."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--steps", type=int, default=100_000)
+    parser.add_argument("--repetitions", type=int, default=5, help="of the steps in the C program")
+    parser.add_argument("--case", choices=[*CASES, *GRU], action="append")
+    parser.add_argument("--float32", action="store_true")
+    given = parser.parse_args()
+    for name in given.case or [*CASES, *GRU]:
+        settings, lag_s = CASES[name] if name in CASES else _gru(GRU[name])
+        export = export_controller(settings, single=given.float32, folder=EXAMPLES)
+        with tempfile.TemporaryDirectory() as folder:
+            c = Recorder(export, Path(folder), given.float32, FLAGS)
+            found = compare(settings, c, given.steps, lag_s)
+            times = replay(export, c.calls(), Path(folder), FLAGS, given.repetitions)
+        _say(name, found, times, export)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,39 @@
+"""Exported FMUs beside the Python simulator: greatest difference of the angle, for each simulator and version.
+
+    python lab/benchmarks/exported_fmu.py [--case NAME]
+
+fmpy simulates the FMU over a sinusoid and a point-to-point motion of S2, as in `tests/codegen/test_fmu.py`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import tempfile
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
+
+from tests.codegen.importer import VERSIONS, greatest_difference, written
+from tests.codegen.test_fmu import PLANTS, plant_of
+
+
+def main() -> None:
+    """One line a simulator, then the greatest of all."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--case", choices=list(PLANTS), action="append")
+    worst = dict.fromkeys(VERSIONS, 0.0)
+    for name in parser.parse_args().case or PLANTS:
+        plant, off = plant_of(name), {}
+        with tempfile.TemporaryDirectory() as folder:
+            for version in VERSIONS:
+                fmu = written(plant, Path(folder) / f"device{version[0]}.fmu", version)
+                off[version] = greatest_difference(fmu, plant)
+                worst[version] = max(worst[version], off[version])
+        chain = " + ".join(operator.name for operator in plant.simulator.chain.operators)
+        print(f"{name} ({chain}): {', '.join(f'FMI {v} {value:.2g} deg' for v, value in off.items())}", flush=True)
+    print(f"greatest: {', '.join(f'FMI {version} {value:.2g} deg' for version, value in worst.items())}")
+
+
+if __name__ == "__main__":
+    main()

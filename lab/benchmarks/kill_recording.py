@@ -1,0 +1,212 @@
+"""kill -9 during logging: every run folder must be readable, and hold all that had been flushed; prints a table.
+
+    python lab/benchmarks/kill_recording.py [--kills 100] [--seed 0] [--rate 250] [--longest 3]
+
+A process of its own records made-up samples at the given rate and says, after every flush, how many are on the disk.
+It is killed at a random time. What the folder then holds is compared with what was said, sample by sample. Three ways
+of dying take turns: a recording by a thread, killed with its process; a recording by a process, all killed at once;
+and the controller alone, whose recording then ends its files by itself.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import math
+import os
+import signal
+import sys
+import tempfile
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from hystmpc.rig.recording.recorder_process import RecorderProcess, open_recorder_process
+from hystmpc.rig.recording.recording import Recording, RecordingMeta, open_recording
+from hystmpc.rig.recording.sample import Sample
+from hystmpc.trials.errors import HystmpcError
+from hystmpc.trials.mcap_ import MAGIC
+from hystmpc.trials.read import read_log
+from hystmpc.trials.run_folder import RunFolder
+
+THREAD, PROCESS, CONTROLLER = "thread, process killed", "process, all killed", "process, controller killed"
+WAYS = (THREAD, PROCESS, CONTROLLER)
+_START_NS = 1_700_000_000_000_000_000
+_PATIENCE_S = 30.0
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """One kill: when, what had been promised, what was found, and what is wrong with it (empty if nothing)."""
+
+    way: str
+    at_s: float
+    promised: int
+    in_csv: int
+    in_mcap: int
+    fault: str
+
+
+def made_up(k: int, rate_hz: float) -> Sample:
+    """Sample k; the same for whoever asks."""
+    t = k / rate_hz
+    angle = 30 + 20 * math.sin(t)
+    command = 3 + 2 * math.sin(1.3 * t)
+    stages = (("estimate", 1e-4), ("plan", 5e-4), ("total", 7e-4))
+    wall_ns = _START_NS + round(1e9 * t)
+    text = f"solved, in {k % 7} steps"
+    return Sample(t, wall_ns, angle, angle - 0.3, command, "mpc", text, angle, stages, 1 / rate_hz, 0.0, False, (), k)
+
+
+def record(folder: Path, way: str, rate_hz: float) -> None:
+    """The process that is killed: record until then, and say what is on the disk."""
+    meta = RecordingMeta("mm", command_line=("kill_recording",))
+    sink: Recording | RecorderProcess
+    opening = open_recording if way == THREAD else open_recorder_process
+    sink = opening(folder, {"rate_hz": rate_hz}, meta, rate_hz)
+    said, start, k = -1, time.perf_counter(), 0
+    while True:
+        if sink.on_disk != said:
+            said = sink.on_disk
+            os.write(1, f"{said}\n".encode())
+        sink.put(made_up(k, rate_hz))
+        k += 1
+        time.sleep(max(start + k / rate_hz - time.perf_counter(), 0.0))
+
+
+def kill_once(folder: Path, way: str, rate_hz: float, at_s: float) -> Outcome:
+    """Start a recording, kill it `at_s` after it has begun, and look at what is left."""
+    said, child = _started(folder, way, rate_hz)
+    with os.fdopen(said) as lines:
+        try:
+            promised = int(lines.readline())  # the first line says that it has begun
+            time.sleep(at_s)
+        finally:
+            if way == CONTROLLER:
+                os.kill(child, signal.SIGKILL)
+            else:
+                os.killpg(child, signal.SIGKILL)
+            os.waitpid(child, 0)
+        for line in lines:
+            promised = int(line)
+    if way == CONTROLLER:
+        _await_end(folder / "log.mcap")
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(child, signal.SIGKILL)
+    return _judged(folder, way, rate_hz, at_s, promised)
+
+
+def _started(folder: Path, way: str, rate_hz: float) -> tuple[int, int]:
+    """A pipe from the recording process, and its number; forked, since to import everything anew takes longest."""
+    ours, theirs = os.pipe()
+    child = os.fork()
+    if child:
+        os.close(theirs)
+        return ours, child
+    try:
+        os.setsid()
+        os.dup2(theirs, 1)
+        record(folder, way, rate_hz)
+    finally:
+        os._exit(1)
+
+
+def _await_end(file: Path) -> None:
+    """The recording process goes on after its controller: wait until it has ended its MCAP file."""
+    end = time.monotonic() + _PATIENCE_S
+    while time.monotonic() < end:
+        content = file.read_bytes() if file.exists() else b""
+        if len(content) > len(MAGIC) and content.endswith(MAGIC):
+            return
+        time.sleep(0.05)
+
+
+def _judged(folder: Path, way: str, rate_hz: float, at_s: float, promised: int) -> Outcome:
+    faults, counts = [], []
+    try:
+        if RunFolder.open(folder).config() != {"rate_hz": rate_hz}:
+            faults.append("config.yaml differs")
+    except HystmpcError as error:
+        faults.append(str(error))
+    for name in ("log.csv", "log.mcap"):
+        count, fault = _samples(folder / name, rate_hz)
+        counts.append(count)
+        if count < promised:
+            faults.append(f"{name}: {count} samples, {promised} were on the disk ({fault})")
+        elif fault and promised:
+            faults.append(f"{name}: {fault}")
+    if way == CONTROLLER and not (folder / "log.mcap").read_bytes().endswith(MAGIC):
+        faults.append("the recording process did not end its file")
+    return Outcome(way, at_s, promised, counts[0], counts[1], "; ".join(faults))
+
+
+def _samples(file: Path, rate_hz: float) -> tuple[int, str]:
+    """How many samples a log holds, and what is wrong with them."""
+    try:
+        trial = read_log(file)
+    except HystmpcError as error:
+        return 0, str(error)
+    expected = [made_up(k, rate_hz) for k in range(len(trial))]
+    for name, values in (("t_s", trial.t), ("command", trial.command), ("measured_deg", trial.angle)):
+        if not np.array_equal(values, [getattr(sample, name) for sample in expected]):
+            return len(trial), f"{name} differs"
+    return len(trial), ""
+
+
+def summary(outcomes: list[Outcome], rate_hz: float) -> Table:
+    """The table: one row for each way of dying."""
+    grid = Table(title=f"kill -9 while recording at {rate_hz:g} Hz, flush every 0.5 s", title_justify="left")
+    for name in (
+        "recording by",
+        "kills",
+        "unreadable or lost",
+        "nothing flushed yet",
+        "killed at [s]",
+        "samples found",
+    ):
+        grid.add_column(name, justify="left" if name == "recording by" else "right")
+    for way in WAYS:
+        here = [outcome for outcome in outcomes if outcome.way == way]
+        if here:
+            times, found = [o.at_s for o in here], [min(o.in_csv, o.in_mcap) for o in here]
+            grid.add_row(
+                way,
+                str(len(here)),
+                str(sum(bool(o.fault) for o in here)),
+                str(sum(not o.promised for o in here)),
+                f"{min(times):.2f} to {max(times):.2f}",
+                f"{min(found)} to {max(found)}",
+            )
+    return grid
+
+
+def campaign(kills: int, seed: int, rate_hz: float, longest_s: float, folder: Path) -> list[Outcome]:
+    """Kill so many recordings at random times, the three ways in turn."""
+    times = np.random.default_rng(seed).uniform(0, longest_s, kills)
+    return [kill_once(folder / str(k), WAYS[k % 3], rate_hz, float(at_s)) for k, at_s in enumerate(times)]
+
+
+def main() -> int:
+    """Run the campaign; exit code 1 if a folder was unreadable or something that was flushed is lost."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--kills", type=int, default=100)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--rate", type=float, default=250.0, help="samples per second")
+    parser.add_argument("--longest", type=float, default=3.0, help="latest kill [s]")
+    options = parser.parse_args()
+    with tempfile.TemporaryDirectory() as folder:
+        outcomes = campaign(options.kills, options.seed, options.rate, options.longest, Path(folder))
+    console = Console(width=112)
+    console.print(summary(outcomes, options.rate))
+    for outcome in outcomes:
+        if outcome.fault:
+            console.print(f"{outcome.way}, killed at {outcome.at_s:.3f} s: {outcome.fault}", soft_wrap=True)
+    return int(any(outcome.fault for outcome in outcomes))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

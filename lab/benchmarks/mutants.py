@@ -1,0 +1,274 @@
+"""Mutation: every safety rule broken on purpose, one line at a time; the tests of its room have to notice. A table.
+
+    python lab/benchmarks/mutants.py [--jobs 2] [--only TEXT] [--timeout 300] [--out mutants.json]
+
+Each mutant of `mutants_*.py` is written into a copy of the checkout, its tests run there, fast ones first, and it is
+taken back. A mutant is killed when a test fails, or when the tests hang; it survives when they all pass. Text that is
+not found exactly once is an error, so that the list cannot rot. Before, the same tests run without any mutant: where
+they fail by themselves nothing is learned. Exit code 1 below 95 % killed, 2 where something does not apply.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Literal
+
+from rich.console import Console
+from rich.table import Table
+
+import mutants_belief  # isort: skip
+import mutants_codegen  # isort: skip
+import mutants_commissioning  # isort: skip
+import mutants_ctrl  # isort: skip
+import mutants_given  # isort: skip
+import mutants_loop  # isort: skip
+import mutants_rig  # isort: skip
+from mutant import Mutant  # isort: skip
+
+MUTANTS: tuple[Mutant, ...] = (
+    mutants_ctrl.MUTANTS
+    + mutants_rig.MUTANTS
+    + mutants_loop.MUTANTS
+    + mutants_commissioning.MUTANTS
+    + mutants_belief.MUTANTS
+    + mutants_codegen.MUTANTS
+    + mutants_given.MUTANTS
+)
+ROOT = Path(__file__).resolve().parents[2]
+LEAST_SHARE = 0.95
+_LEFT_OUT = (
+    ".git",
+    ".venv*",
+    ".typecheck",
+    ".hypothesis",
+    ".*_cache",
+    "runs",
+    "demo",
+    "bench",
+    "build",
+    "dist",
+    "*.egg-info",
+)
+_FAILED, _INTERRUPTED, _NO_TESTS = 1, 2, 5  # exit codes of pytest; an import that fails is an interruption
+_FIRST_FAILED = re.compile(r"^(?:FAILED|ERROR) (\S+)", re.MULTILINE)
+_WHERE = "import hystmpc.ctrl.limits, hystmpc.rig.safety.intake as i; print(hystmpc.ctrl.limits.__file__, i.__file__)"
+
+Verdict = Literal["killed", "survived", "error"]
+
+
+class NotApplicableError(Exception):
+    """A mutant whose old text does not occur exactly once, or a copy in which nothing can be learned."""
+
+
+@dataclass(frozen=True)
+class Result:
+    """What became of one mutant.
+
+    Attributes:
+        name, room: of the mutant.
+        verdict: `error` where nothing was learned.
+        by: the first test that failed, `timeout`, or what went wrong.
+        seconds: that it took [s].
+    """
+
+    name: str
+    room: str
+    verdict: Verdict
+    by: str
+    seconds: float
+
+
+def mutated(mutant: Mutant, text: str) -> str:
+    """The file's text with the wrong line.
+
+    Raises:
+        NotApplicableError: if the old text does not occur exactly once, or nothing would change.
+    """
+    count = text.count(mutant.old)
+    if count != 1 or mutant.old == mutant.new:
+        raise NotApplicableError(
+            f"{mutant.file}: got {count} times {mutant.old!r}, expected it once, and another text instead "
+            f"({mutant.name})"
+        )
+    return text.replace(mutant.old, mutant.new)
+
+
+class Copy:
+    """A copy of the checkout in a folder `hystmpc`, so that the package imported there is the copy.
+
+    The folder above stands first on the path: Python finds the package there before it asks the finder of the editable
+    install, which is the last one.
+
+    Raises:
+        NotApplicableError: if another checkout would be imported.
+    """
+
+    def __init__(self, folder: Path, timeout_s: float) -> None:
+        self.root, self.timeout_s = folder / "hystmpc", timeout_s
+        shutil.copytree(ROOT, self.root, ignore=shutil.ignore_patterns(*_LEFT_OUT), symlinks=True)
+        self._environment = {
+            **os.environ,
+            "PYTHONPATH": str(folder),
+            "PYTHONDONTWRITEBYTECODE": "1",
+            "OMP_NUM_THREADS": "1",
+            "HYSTMPC_DATA": os.environ.get("HYSTMPC_DATA", str(ROOT.parent / "shared" / "data")),
+        }
+        code, said = self._run(["-c", _WHERE])
+        if code or any(not Path(file).is_relative_to(self.root) for file in said.split()):
+            raise NotApplicableError(f"imported: {said.strip()}, expected files of {self.root}")
+
+    def judged(self, mutant: Mutant) -> Result:
+        """Apply a mutant, run its tests, take it back."""
+        began = time.monotonic()
+        try:
+            with self._applied(mutant):
+                verdict, by = self.tested(mutant.tests)
+        except (NotApplicableError, OSError) as error:
+            verdict, by = "error", str(error)
+        return Result(mutant.name, mutant.room, verdict, by, time.monotonic() - began)
+
+    def tested(self, tests: Sequence[str]) -> tuple[Verdict, str]:
+        """Whether some test fails, the fast ones first."""
+        passed = False
+        for marks in ("not slow", "slow"):
+            try:
+                code, said = self._run(["-m", "pytest", "-q", "-x", "-p", "no:cacheprovider", "-m", marks, *tests])
+            except subprocess.TimeoutExpired:
+                return "killed", f"timeout after {self.timeout_s:g} s"
+            if code in (_FAILED, _INTERRUPTED):
+                found = _FIRST_FAILED.search(said)
+                return "killed", found[1] if found else f"exit code {code}"
+            if code not in (0, _NO_TESTS):
+                return "error", f"pytest: exit code {code}: {' '.join(said.split())[-200:]}"
+            passed = passed or code == 0
+        return ("survived", "") if passed else ("error", "there are no such tests")
+
+    @contextmanager
+    def _applied(self, mutant: Mutant) -> Iterator[None]:
+        file = self.root / mutant.file
+        before = file.read_bytes()
+        file.write_text(mutated(mutant, before.decode("utf-8")), encoding="utf-8")
+        stale = list((file.parent / "__pycache__").glob(f"{file.stem}.*.pyc"))
+        for compiled in stale:  # it would pass for the new text where that has the old length
+            compiled.unlink()
+        try:
+            yield
+        finally:
+            file.write_bytes(before)
+
+    def _run(self, arguments: Sequence[str]) -> tuple[int, str]:
+        """Exit code and output of Python in the copy; what hangs is ended with all that it has started.
+
+        Raises:
+            TimeoutExpired: if it hangs.
+        """
+        process = subprocess.Popen(
+            [sys.executable, *arguments],
+            cwd=self.root,
+            env=self._environment,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            start_new_session=True,
+        )
+        try:
+            said, _ = process.communicate(timeout=self.timeout_s)
+        except subprocess.TimeoutExpired:
+            os.killpg(process.pid, signal.SIGKILL)
+            process.wait()
+            raise
+        return process.returncode, said
+
+
+def run(mutants: Sequence[Mutant], jobs: int, timeout_s: float, tell: Console) -> list[Result]:
+    """All mutants, in a copy of the checkout for each worker.
+
+    Raises:
+        NotApplicableError: if a copy is not the one imported, or a test fails without any mutant.
+    """
+    here = threading.local()
+    with tempfile.TemporaryDirectory(prefix="mutants-") as folder, ThreadPoolExecutor(jobs) as pool:
+        numbers = iter(range(jobs))
+
+        def copy() -> Copy:
+            if not hasattr(here, "copy"):
+                here.copy = Copy(Path(folder) / str(next(numbers)), timeout_s)
+            return here.copy
+
+        def sound(tests: tuple[str, ...]) -> None:
+            verdict, by = copy().tested(tests)
+            if verdict != "survived":
+                raise NotApplicableError(
+                    f"without any mutant: got {verdict} {by}, expected that {', '.join(tests)} pass"
+                )
+
+        def judged(mutant: Mutant) -> Result:
+            result = copy().judged(mutant)
+            line = f"{result.verdict:9s}{mutant.room}: {mutant.name} ({result.seconds:.0f} s) {result.by}"
+            tell.print(line, highlight=False, markup=False, soft_wrap=True)
+            return result
+
+        list(pool.map(sound, sorted({mutant.tests for mutant in mutants})))
+        return list(pool.map(judged, mutants))
+
+
+def table(results: Sequence[Result]) -> Table:
+    """One row a mutant, and the share of those killed."""
+    grid = Table(title=f"{len(results)} mutants, {share(results):.1%} killed", title_justify="left")
+    for name in ("room", "what is wrong", "verdict", "by", "s"):
+        grid.add_column(name, justify="right" if name == "s" else "left")
+    for r in results:
+        grid.add_row(r.room, r.name, r.verdict, r.by, f"{r.seconds:.0f}")
+    return grid
+
+
+def share(results: Sequence[Result]) -> float:
+    """The share of those killed; an error is not one."""
+    return sum(r.verdict == "killed" for r in results) / max(len(results), 1)
+
+
+def main() -> int:
+    """Judge the mutants; see the module for the exit codes."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--jobs", type=int, default=1, help="workers, each with a copy of its own")
+    parser.add_argument("--only", action="append", default=[], help="a part of a name or file; may be repeated")
+    parser.add_argument("--timeout", type=float, default=300.0, help="for the tests of one mutant [s]")
+    parser.add_argument("--out", type=Path, help="JSON file of the results")
+    options = parser.parse_args()
+    chosen = [m for m in MUTANTS if not options.only or any(t in m.name or t in m.file for t in options.only)]
+    console = Console(width=160)
+    if not chosen:
+        console.print(f"error: --only: got {', '.join(options.only)}, expected a part of a mutant's name or file")
+        return 2
+    signal.signal(signal.SIGTERM, lambda number, frame: sys.exit(128 + number))  # the copies go, whoever ends it
+    try:
+        results = run(chosen, options.jobs, options.timeout, console)
+    except NotApplicableError as error:
+        console.print(f"error: {error}", soft_wrap=True, markup=False)
+        return 2
+    console.print(table(results))
+    if options.out is not None:
+        found = {"killed_share": share(results), "mutants": [asdict(r) for r in results]}
+        options.out.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
+    if any(r.verdict == "error" for r in results):
+        return 2
+    return int(share(results) < LEAST_SHARE)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

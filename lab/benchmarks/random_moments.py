@@ -1,0 +1,256 @@
+"""kill -9, SIGSTOP and a stalled network at random moments of a run that moves: where does the device go? A table.
+
+    python lab/benchmarks/random_moments.py [--moments 200] [--lanes 4] [--seed 0] [--only kill] [--out moments.json]
+
+Each lane has one device process behind a relay, and plays one run after another against it; controllers, devices and
+relays are processes with real sockets, forked from one that has imported everything. At a random moment of the motion
+
+    kill     the controller is killed with -9,
+    pause    the controller stands still for 3 s (SIGSTOP, SIGCONT),
+    stall    the relay drops all datagrams, either way, for 1 s.
+
+Once the commands that were under way have come, the device must not move away from the safe command by more than the
+overshoot, and has to come back to it. The log has to hold every command that the device had got until a flush's time
+before, in order, and, where the controller lives, the stop. Exit code 1 where something of this is not so.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import ctypes
+import json
+import math
+import multiprocessing
+import os
+import selectors
+import signal
+import socket
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import NoReturn
+
+import numpy as np
+from rich.console import Console
+
+from hystmpc.cli.main import main as hystmpc
+from hystmpc.rig.commission.experiment import tracking_phase
+from hystmpc.rig.commission.review_page import review_run
+from hystmpc.rig.config import load_run
+from hystmpc_lab.faults.cases import SAFE, FaultCase, Link, watchdog_s, write_device, write_run
+from hystmpc_lab.faults.play import device_log
+
+from moments import KINDS, Moment, judged, table  # isort: skip
+
+PAUSE_S, STALL_S, MOTION_S = 3.0, 1.0, 3.0
+_PATIENCE_S = 60.0
+_PARENT_DEATH_SIGNAL = 1  # of prctl
+_CASE = FaultCase("random moments", "stops", settings={"reference": {"frequency_hz": 0.8, "cycles": 3}})
+_USED = (review_run,)  # imported before the forks, so that no run has to
+
+
+def dies_with_its_parent() -> None:
+    """Have the system end this process when the one that has started it is gone: no device may be left behind."""
+    ctypes.CDLL(None).prctl(_PARENT_DEATH_SIGNAL, signal.SIGKILL)
+
+
+def forked(work: Callable[[], object], output: int | None = None) -> int:
+    """A process of its own that does some work and ends; its number."""
+    child = os.fork()
+    if child:
+        return child
+    code = 1
+    try:
+        os.setsid()
+        dies_with_its_parent()
+        if output is not None:
+            os.dup2(output, 1)
+            os.dup2(output, 2)
+        work()
+        code = 0
+    except SystemExit as ended:
+        code = ended.code if isinstance(ended.code, int) else 1
+    except BaseException as error:  # noqa: BLE001 - the parent's code must not go on in this process
+        os.write(2, f"{type(error).__name__}: {error}\n".encode())
+    os._exit(code)
+
+
+def program(*arguments: object) -> Callable[[], None]:
+    """`hystmpc` with these arguments."""
+
+    def work() -> None:
+        sys.argv = ["hystmpc", *map(str, arguments)]
+        hystmpc()
+
+    return work
+
+
+def relay(wire: socket.socket, device: int, orders: int) -> NoReturn:
+    """Hand datagrams on, both ways, each controller by a socket of its own; drop them for a time when told to."""
+    waiting = selectors.DefaultSelector()
+    waiting.register(wire, selectors.EVENT_READ)
+    waiting.register(orders, selectors.EVENT_READ)
+    beyond: dict[tuple[str, int], socket.socket] = {}
+    blocked_ns = 0
+    while True:
+        for key, _ in waiting.select():
+            if key.fileobj == orders:
+                if not os.read(orders, 1):
+                    os._exit(0)
+                blocked_ns = time.monotonic_ns() + round(1e9 * STALL_S)
+                continue
+            with contextlib.suppress(ConnectionRefusedError):
+                data, peer = key.fileobj.recvfrom(2048)  # type: ignore[union-attr]  # the orders are dealt with above
+                if time.monotonic_ns() < blocked_ns:
+                    continue
+                if key.fileobj is not wire:
+                    wire.sendto(data, key.data)
+                    continue
+                if peer not in beyond:
+                    beyond[peer] = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+                    beyond[peer].connect(("127.0.0.1", device))
+                    waiting.register(beyond[peer], selectors.EVENT_READ, peer)
+                beyond[peer].send(data)
+
+
+@dataclass(frozen=True)
+class Lane:
+    """A device and its relay, in processes of their own.
+
+    Attributes:
+        folder: of `device.csv`.
+        port: of the relay.
+        orders: a byte written there stalls the network.
+    """
+
+    folder: Path
+    port: int
+    orders: int
+
+    @property
+    def size(self) -> int:
+        """Length of the device's log so far [bytes]."""
+        return (self.folder / "device.csv").stat().st_size
+
+    def rows(self, since: int) -> list[tuple[float, ...]]:
+        """The device's log from a length on."""
+        return device_log(self.folder, self.size - since)
+
+
+@contextlib.contextmanager
+def opened(folder: Path) -> Iterator[Lane]:
+    """A lane; its processes are ended with it."""
+    folder.mkdir(parents=True)
+    said, output = os.pipe()
+    device = forked(program("device", write_device(_CASE, folder)), output)
+    os.close(output)
+    children = [device]
+    try:
+        with os.fdopen(said) as lines, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as wire:
+            line = lines.readline()
+            wire.bind(("127.0.0.1", 0))
+            takes, orders = os.pipe()
+            children.append(forked(lambda: relay(wire, int(line.split("udp port ")[1].split(",")[0]), takes)))
+            os.close(takes)
+            yield Lane(folder, wire.getsockname()[1], orders)
+            os.close(orders)
+    finally:
+        for child in children:
+            os.kill(child, signal.SIGKILL)
+            os.waitpid(child, 0)
+
+
+def played(lane: Lane, kind: str, at_s: float, folder: Path) -> Moment:
+    """One run with one fault."""
+    folder.mkdir()
+    begin = lane.size
+    config = write_run(_CASE, folder, Link(port=lane.port))
+    with (folder / "said.txt").open("wb") as said:
+        controller = forked(program("run", config, "--out", folder / "run"), said.fileno())
+    try:
+        first_ns = _first_command(lane, begin)
+        time.sleep(max(0.0, at_s - 1e-9 * (time.monotonic_ns() - first_ns)))
+        fault_ns = time.monotonic_ns()
+        if kind == "kill":
+            os.kill(controller, signal.SIGKILL)
+        elif kind == "pause":
+            os.kill(controller, signal.SIGSTOP)
+            time.sleep(PAUSE_S)
+            os.kill(controller, signal.SIGCONT)
+        else:
+            os.write(lane.orders, b"x")
+        os.waitpid(controller, 0)
+    except BaseException:
+        os.kill(controller, signal.SIGKILL)
+        raise
+    _settle(lane)
+    return judged(kind, at_s, lane.rows(begin), fault_ns, folder / "run")
+
+
+def _first_command(lane: Lane, begin: int) -> int:
+    """Monotonic time at which the device got the run's first command [ns]."""
+    until = time.monotonic() + _PATIENCE_S
+    while time.monotonic() < until:
+        for row in lane.rows(begin):
+            if math.isfinite(row[2]):
+                return int(row[0])
+        time.sleep(0.005)
+    raise TimeoutError(f"{lane.folder}: no command within {_PATIENCE_S:g} s")
+
+
+def _settle(lane: Lane) -> None:
+    """Wait until the device holds the safe command for half a second, or ought to have come there."""
+    until = time.monotonic() + watchdog_s(_CASE) + 1.0
+    begin = lane.size
+    while time.monotonic() < until:
+        held = [row[3] for row in lane.rows(begin)][-12:]
+        if len(held) == 12 and all(u == SAFE for u in held):
+            return
+        time.sleep(0.05)
+
+
+def lane_of(folder: Path, work: Sequence[tuple[str, float]]) -> list[Moment]:
+    """All moments of one lane, one after another."""
+    with opened(folder / "device") as lane:
+        return [played(lane, kind, at_s, folder / f"{k:03d}") for k, (kind, at_s) in enumerate(work)]
+
+
+def campaign(kinds: Sequence[str], moments: int, lanes: int, seed: int, folder: Path) -> list[Moment]:
+    """So many moments of each kind, dealt out to the lanes."""
+    draws = np.random.default_rng(seed)
+    work = [(kind, float(draws.uniform(0.0, MOTION_S))) for _ in range(moments) for kind in kinds]
+    tracking_phase(load_run(write_run(_CASE, folder, Link())))  # compiled and imported once, for all that are forked
+    lanes = min(lanes, len(work))
+    with ProcessPoolExecutor(lanes, multiprocessing.get_context("fork"), dies_with_its_parent) as pool:
+        parts = pool.map(lane_of, [folder / str(k) for k in range(lanes)], [work[k::lanes] for k in range(lanes)])
+        return [moment for part in parts for moment in part]
+
+
+def main() -> int:
+    """Play them; exit code 1 where something is not as it has to be."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--moments", type=int, default=200, help="of each kind of fault")
+    parser.add_argument("--lanes", type=int, default=4, help="devices at a time")
+    parser.add_argument("--seed", type=int, default=0, help="of the moments")
+    parser.add_argument("--only", choices=KINDS, action="append", help="a kind of fault; may be repeated")
+    parser.add_argument("--out", type=Path, help="JSON file of all moments")
+    options = parser.parse_args()
+    with tempfile.TemporaryDirectory() as folder:
+        moments = campaign(options.only or KINDS, options.moments, options.lanes, options.seed, Path(folder))
+    console = Console(width=112)
+    console.print(table(moments))
+    for m in moments:
+        if m.fault:
+            console.print(f"{m.kind} at {m.at_s:.2f} s, {m.from_mm:.2f} mm: {m.fault}", soft_wrap=True, markup=False)
+    if options.out is not None:
+        options.out.write_text(json.dumps([asdict(m) for m in moments], indent=1) + "\n", encoding="utf-8")
+    return int(any(m.fault for m in moments))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

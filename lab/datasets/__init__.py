@@ -1,0 +1,1 @@
+"""The data sets of the papers, recorded on simulated devices."""

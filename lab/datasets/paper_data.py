@@ -1,0 +1,203 @@
+"""Data sets of the papers S1 and S2 recorded on the simulated devices; S2's motions on the rod too."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from hystmpc.sim.devices.device import Quantities, quantity, to_plain
+from hystmpc.sim.devices.muscle import MuscleRecorder
+from hystmpc.sim.devices.recorder import generator
+from hystmpc.sim.devices.rod import RodRecorder
+from hystmpc.sim.devices.tendon import TendonRecorder
+from hystmpc.trajectories.excitation import (
+    S1_ARBITRARY,
+    S1_TRAIN_HZ,
+    S2_FREQUENCIES_HZ,
+    S2_OFFSETS,
+    Offset,
+    Split,
+    s1_raised_baseline,
+    s1_test_a,
+    s1_test_b,
+    s1_test_c,
+    s1_zero_baseline,
+    s2_point_to_point,
+    s2_sinusoid,
+)
+from hystmpc.trajectories.trajectory import Trajectory
+from hystmpc.trials.errors import ConfigError, did_you_mean
+from hystmpc.trials.types import Progress
+
+from .dataset import Dataset
+
+DATASETS = ("s1", "s2", "rod")
+
+
+@dataclass(frozen=True)
+class S1Settings(Quantities):
+    """Choices that S1 leaves open, with our defaults.
+
+    13.4 s at the 250 Hz of the laser give 8 x 3350 = 26 800 training samples; S1 has 26 798.
+
+    Attributes:
+        group_s: duration of a training group and of test (a) [s].
+        chirp_s: duration of tests (b) and (c) [s].
+        tau_c_per_s: decay of test (c) [1/s]; S1 prints 0.05 and calls the signal ascending, which is -0.05.
+    """
+
+    recorder: MuscleRecorder = field(default_factory=MuscleRecorder)
+    group_s: float = quantity(13.4, "s", 0.1, 1000.0, "duration of a training group and of test (a)")
+    chirp_s: float = quantity(3.5, "s", 0.1, 20.0, "duration of tests (b) and (c)")
+    tau_c_per_s: float = quantity(-0.05, "1/s", -1.0, 1.0, "decay of test (c)")
+
+
+def s1_motions(settings: S1Settings, seed: int) -> Mapping[str, Mapping[str, Trajectory]]:
+    """Commands [bar] by split and by name of the trial; test (d) is a seeded ramp-hold stand-in, its shape is lost."""
+    training: dict[str, Trajectory] = {}
+    for kind, make in (("zero", s1_zero_baseline), ("raised", s1_raised_baseline)):
+        for frequency in S1_TRAIN_HZ:
+            name = f"train_{kind}_{f'{frequency:g}'.replace('.', 'p')}hz"
+            training[name] = make(frequency, duration_s=settings.group_s)
+    return {
+        "train": training,
+        "test_a": {"test_a": s1_test_a(settings.group_s)},
+        "test_b": {"test_b": s1_test_b(settings.chirp_s)},
+        "test_c": {"test_c": s1_test_c(settings.tau_c_per_s, settings.chirp_s)},
+        "test_d": {"test_d": S1_ARBITRARY(generator(seed, "s1/test_d", "motion"))},
+    }
+
+
+@dataclass(frozen=True)
+class S2Settings(Quantities):
+    """Choices that S2 leaves open, with our defaults; see docs/reference/devices.md.
+
+    Attributes:
+        train_hz, val_hz, test_hz: frequencies of the sinusoids [Hz], each with all three baselines.
+        train_moves, val_moves, test_moves: numbers of point-to-point trials.
+        check_offset: baseline of repeatability and frequency check.
+        repeats: trials of the repeatability check, at 0.5 Hz.
+        check_hz: frequencies of the frequency check [Hz].
+
+    Raises:
+        ConfigError: if a number is out of its bounds, or the baseline is unknown.
+    """
+
+    recorder: TendonRecorder = field(default_factory=TendonRecorder)
+    train_hz: tuple[float, ...] = S2_FREQUENCIES_HZ["train"]
+    val_hz: tuple[float, ...] = S2_FREQUENCIES_HZ["validation"]
+    test_hz: tuple[float, ...] = S2_FREQUENCIES_HZ["test"]
+    train_moves: int = quantity(15, "1", 1, 10_000, "point-to-point trials to train on")
+    val_moves: int = quantity(5, "1", 1, 10_000, "point-to-point trials to validate on")
+    test_moves: int = quantity(20, "1", 1, 10_000, "point-to-point trials to test on")
+    check_offset: Offset = "0BL"
+    repeats: int = quantity(5, "1", 1, 1000, "trials of the repeatability check")
+    check_hz: tuple[float, ...] = (0.1, 0.2, 0.3, 0.4, 0.5)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.check_offset not in S2_OFFSETS:
+            raise ConfigError(f"check_offset: got {self.check_offset!r}, {did_you_mean(self.check_offset, S2_OFFSETS)}")
+
+
+def s2_motions(settings: S2Settings, seed: int) -> Mapping[str, Mapping[str, Trajectory]]:
+    """Commands [mm] by split and by name of the trial.
+
+    Raises:
+        TrajectoryError: if a frequency is not positive.
+    """
+    return {
+        "sin/train": _sinusoids("train", settings.train_hz),
+        "sin/val": _sinusoids("val", settings.val_hz),
+        "sin/test": _sinusoids("test", settings.test_hz),
+        "p2p/train": _moves("train", settings.train_moves, "train", seed),
+        "p2p/val": _moves("val", settings.val_moves, "train", seed),  # drawn as training is
+        "p2p/test": _moves("test", settings.test_moves, "test", seed),
+        "repeatability": {
+            f"trial_{k + 1:02d}": s2_sinusoid(0.5, settings.check_offset) for k in range(settings.repeats)
+        },
+        "frequency": {_hz(f): s2_sinusoid(f, settings.check_offset) for f in settings.check_hz},
+    }
+
+
+def _sinusoids(split: str, frequencies: tuple[float, ...]) -> dict[str, Trajectory]:
+    offsets: tuple[Offset, ...] = ("0BL", "MidBL", "EndBL")
+    return {f"{split}_{_hz(f)}_{offset}": s2_sinusoid(f, offset) for f in frequencies for offset in offsets}
+
+
+def _moves(split: str, count: int, kind: Split, seed: int) -> dict[str, Trajectory]:
+    names = [f"{split}_{k + 1:02d}" for k in range(count)]
+    return {name: s2_point_to_point(generator(seed, f"s2/p2p/{name}", "motion"), kind) for name in names}
+
+
+def _hz(frequency: float) -> str:
+    return f"{frequency:g}hz".replace(".", "p")
+
+
+@dataclass(frozen=True)
+class RodSettings:
+    """Settings of the recordings on the rod.
+
+    Attributes:
+        motions: which motions of S2, and how many; its own recorder, that of the tendon catheter, is not used.
+    """
+
+    recorder: RodRecorder = field(default_factory=RodRecorder)
+    motions: S2Settings = field(default_factory=S2Settings)
+
+    def plain(self) -> dict[str, Any]:
+        """As plain data for the manifest."""
+        motions: Mapping[str, Any] = to_plain(self.motions)
+        kept = {name: value for name, value in motions.items() if name != "recorder"}
+        return {"recorder": to_plain(self.recorder), "motions": kept}
+
+
+Settings = S1Settings | S2Settings | RodSettings
+_SETTINGS: Mapping[str, type[Settings]] = {"s1": S1Settings, "s2": S2Settings, "rod": RodSettings}
+
+
+def make_dataset(
+    name: str, seed: int = 0, settings: Settings | None = None, progress: Progress | None = None
+) -> Dataset:
+    """Record a whole data set; equal arguments give equal trials.
+
+    Every trial has its own device (see `TendonVariation`, `MuscleVariation`, `RodVariation`) and its own noise, drawn
+    from `seed` and its name, so that a trial does not change when others are added.
+
+    Args:
+        name: `s1` (splits train, test_a to test_d) or `s2` (sin/..., p2p/... with train, val, test; repeatability;
+            frequency) or `rod` (the motions and splits of `s2`).
+        seed: zero or above.
+        settings: `S1Settings`, `S2Settings` or `RodSettings`; defaults where left out.
+
+    Raises:
+        ConfigError: on an unknown name, settings of the other set, or a negative seed.
+    """
+    if name not in DATASETS:
+        raise ConfigError(f"no data set {name!r}, {did_you_mean(name, DATASETS)}")
+    if seed < 0:
+        raise ConfigError(f"seed: got {seed}, expected 0 or above")
+    settings = settings or _SETTINGS[name]()
+    if type(settings) is not _SETTINGS[name]:
+        raise ConfigError(f"data set {name}: got {type(settings).__name__}, expected {_SETTINGS[name].__name__}")
+    motions = _motions(settings, seed)
+    total, done = sum(map(len, motions.values())), 0
+    splits = {}
+    for split, excitations in motions.items():
+        group = name if name == "s1" else f"{name}/{split.partition('/')[0]}"
+        trials = []
+        for trial, excitation in excitations.items():
+            trials.append(settings.recorder.record(excitation, seed, f"{group}/{trial}"))
+            done += 1
+            if progress:
+                progress(done, total)
+        splits[split] = tuple(trials)
+    plain = settings.plain() if isinstance(settings, RodSettings) else to_plain(settings)
+    return Dataset(name, seed, plain, splits)
+
+
+def _motions(settings: Settings, seed: int) -> Mapping[str, Mapping[str, Trajectory]]:
+    if isinstance(settings, S1Settings):
+        return s1_motions(settings, seed)
+    return s2_motions(settings.motions if isinstance(settings, RodSettings) else settings, seed)

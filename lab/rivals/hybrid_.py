@@ -1,0 +1,276 @@
+"""The two hybrids of S2 (RA-L 2024): an LSTM that steers a backlash, and an LSTM beside one."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from importlib import resources
+from typing import Any, ClassVar, final
+
+import casadi as ca
+import numpy as np
+import torch
+from onnx import TensorProto
+
+from hystmpc.models.contract.onnx_nodes import operator_nodes
+from hystmpc.models.kernels.numba_ import generated_module
+from hystmpc.models.kernels.program import dense, scalar_program
+from hystmpc.models.networks.network_ import Network, numbers
+from hystmpc.models.networks.nodes import GraphWriter
+from hystmpc.models.networks.recurrent_ import LstmNet
+from hystmpc.models.operators.operator import Operator
+from hystmpc.trials.types import Vec
+
+
+@dataclass(frozen=True)
+class OperatorStep:
+    """One sample of an operator of which only the last output is known at the start.
+
+    Attributes:
+        function: CasADi function (x (S,1), u, p (P,1)) -> (y, next x (S,1)).
+        offset, slope: initial state x = offset + slope y (S,), y the output that is seen.
+    """
+
+    function: Any
+    offset: Vec
+    slope: Vec
+
+    @property
+    def size(self) -> int:
+        """Entries S of the state."""
+        return self.offset.size
+
+
+def operator_step(operator: Operator, dt: float = 1.0) -> OperatorStep:
+    """The step of an operator of this structure; `dt` [s] matters to those that know a rate.
+
+    An operator whose state at rest follows from its output alone (a backlash) has just that state. One that has to
+    see its first input (the inverse backlash, which compares inputs) gets two further entries, the output that was
+    seen and whether a sample has been: its first sample finds it at rest at that input and that output.
+    """
+    size, count = len(operator.states), len(operator.parameters)
+    x, u, y, p = ca.SX.sym("x", size), ca.SX.sym("u"), ca.SX.sym("y"), ca.SX.sym("p", count)
+    rest = ca.densify(ca.SX(operator.at_rest(u, y, p)))
+    if not ca.depends_on(rest, ca.vertcat(u, p)):
+        following, output = operator.equation(x, u, p, dt)
+        at = [np.asarray(ca.Function("rest", [y], [rest])(v)).ravel() for v in (0.0, 1.0)]
+        return OperatorStep(dense("operator", [x, u, p], [output, following]), at[0], at[1] - at[0])
+    seen = ca.SX.sym("seen")
+    own = ca.vertcat(*(ca.if_else(seen > 0.5, x[i], rest[i]) for i in range(size)))
+    following, output = operator.equation(own, u, p, dt)
+    whole = ca.vertcat(x, y, seen)
+    function = dense("operator", [whole, u, p], [output, ca.vertcat(following, y, 1.0)])
+    return OperatorStep(function, np.zeros(size + 2), np.eye(size + 2)[size])
+
+
+_DECORATOR = '@njit(cache=True, error_model="numpy", inline="never")\n'
+
+
+@final
+class OperatorLayer:
+    """The recursion of an `OperatorStep` over a sequence, with parameters that may change from sample to sample.
+
+    A sequence in PyTorch's own operations costs a dozen of them a sample; the compiled one is free beside a network.
+    Derivatives are those of the active branch: step functions have none (S2 section III-C).
+    """
+
+    def __init__(self, step: OperatorStep) -> None:
+        self.step = step
+        self._kernels = _compile(step.function.serialize())
+        self._offset, self._slope = torch.tensor(step.offset), torch.tensor(step.slope)
+
+    def start(self, y: torch.Tensor) -> torch.Tensor:
+        """States (N, S) that show outputs y (N,)."""
+        return self._offset.to(y) + self._slope.to(y) * y[:, None]
+
+    def __call__(self, u: torch.Tensor, p: torch.Tensor, state: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Outputs (N, T) and last states (N, S) from inputs (N, T), parameters (N, T, P) and states (N, S)."""
+        y, following = _Recursion.apply(u, p, state, self._kernels)
+        return y, following
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> OperatorLayer:
+        return self  # it never changes, and a CasADi function cannot be copied
+
+
+@dataclass(frozen=True)
+class _Kernels:
+    """Compiled `run` and `pull_back` of `operator_loops`, with the numbers of their expressions."""
+
+    run: Callable[..., None]
+    pull_back: Callable[..., None]
+    forward_constants: Vec
+    partial_constants: Vec
+
+
+class _Recursion(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, u: Any, p: Any, state: Any, kernels: _Kernels) -> tuple[torch.Tensor, torch.Tensor]:
+        ctx.arrays = tuple(np.ascontiguousarray(part.detach().double().numpy()) for part in (u, p))
+        ctx.kernels = kernels
+        rows, samples = u.shape
+        ctx.states = np.empty((rows, samples + 1, state.shape[1]))
+        ctx.states[:, 0] = state.detach().numpy()
+        y = np.empty((rows, samples))
+        kernels.run(ctx.states, *ctx.arrays, y, kernels.forward_constants)
+        return torch.from_numpy(y).to(u.dtype), torch.from_numpy(ctx.states[:, -1].copy()).to(u.dtype)
+
+    @staticmethod
+    def backward(ctx: Any, *grad_outputs: Any) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, None]:
+        by_y, by_following = grad_outputs
+        by_u, by_p = (np.empty_like(part) for part in ctx.arrays)
+        by_state = np.array(by_following.double().numpy())
+        given = np.ascontiguousarray(by_y.double().numpy())
+        ctx.kernels.pull_back(ctx.states, *ctx.arrays, given, by_state, by_u, by_p, ctx.kernels.partial_constants)
+        first, second, third = (torch.from_numpy(part).to(by_y.dtype) for part in (by_u, by_p, by_state))
+        return first, second, third, None
+
+
+@lru_cache(maxsize=16)
+def _compile(serialized: str) -> _Kernels:
+    function = ca.Function.deserialize(serialized)
+    x, p = ca.SX.sym("x", function.numel_in(0)), ca.SX.sym("p", function.numel_in(2))
+    u = ca.SX.sym("u")
+    y, following = function(x, u, p)
+    by = ca.jacobian
+    slopes = [by(following, x), by(following, u), by(y, x), by(y, u), by(following, p), by(y, p)]
+    forward = scalar_program(dense("forward_step", [x, u, p], [y, following]), "forward_step")
+    partials = scalar_program(dense("partials", [x, u, p], slopes), "partials")
+    generated = "".join(_DECORATOR + program.source + "\n\n" for program in (forward, partials))
+    loops = resources.files("hystmpc_lab.rivals").joinpath("operator_loops.py").read_text(encoding="utf-8")
+    module = generated_module("import math\n\n\n" + generated + loops)
+    return _Kernels(module.run, module.pull_back, np.array(forward.constants), np.array(partials.constants))
+
+
+STEERED = 4  # m_lo, m_up, c_lo, c_up
+
+
+class Hybrid(Network):
+    """An LSTM and an operator; the state is [LSTM state, operator state].
+
+    Args:
+        lstm: with `outputs` outputs.
+        operator: `Backlash` or `InverseBacklash` in scaled units, fitted to the training trials.
+        head_gain: factor on the initial weights of the LSTM's head.
+
+    Attributes:
+        outputs: numbers that the LSTM has to give a sample.
+        steered: leading parameters of the operator that the LSTM gives; the others stay fixed.
+    """
+
+    outputs: ClassVar[int]
+    steered: ClassVar[int]
+
+    def __init__(self, lstm: LstmNet, operator: Operator, head_gain: float) -> None:
+        super().__init__()
+        self.lstm, self.layer = lstm, OperatorLayer(operator_step(operator))
+        self.fixed: torch.Tensor
+        self.register_buffer("fixed", torch.tensor(operator.values, dtype=torch.float32)[self.steered :])
+        with torch.no_grad():
+            self.lstm.head.weight.mul_(head_gain)
+        self.measured = self.layer.step.size
+        self.state_size = self.lstm.state_size + self.measured
+
+    def start(self, y: torch.Tensor) -> torch.Tensor:
+        return torch.cat([self.lstm.start(y), self.layer.start(y)], dim=1)
+
+    def begin(self, past: torch.Tensor, y: torch.Tensor) -> torch.Tensor:
+        del past
+        return self.start(y)
+
+    def parts(self, state: torch.Tensor) -> tuple[torch.Tensor, ...]:
+        """State of the LSTM and state of the operator."""
+        return state.tensor_split([self.lstm.state_size], dim=1)
+
+    def write_lstm(self, writer: GraphWriter, v: str, state: str) -> tuple[str, list[str]]:
+        """Nodes of the LSTM: its outputs and next state; the operator's state is named `held`."""
+        writer.split(state, [self.lstm.state_size, self.measured], ["memory", "held"])
+        return self.lstm.write(writer, v, "memory")
+
+    def write_operator(self, writer: GraphWriter, v: str, steered: Sequence[str] = ()) -> tuple[str, list[str]]:
+        """Nodes of the operator's step from the columns `held`: the output and the next state's columns."""
+        fixed = [writer.weight(f"fixed_{k}", [[value]]) for k, value in enumerate(numbers(self.fixed).tolist())]
+        size = self.layer.step.size
+        columns = writer.split("held", [1] * size, [f"held_{k}" for k in range(size)])
+        inputs = [columns, [v], [*steered, *fixed]]
+        program = operator_nodes(self.layer.step.function, inputs, "operator_", TensorProto.FLOAT)
+        for name, value in program.constants.items():
+            writer.weight(name, [[value]])
+        writer.nodes += program.nodes
+        (y,), following = program.outputs
+        return y, [_batched(writer, name, v) if name in program.constants else name for name in following]
+
+
+@final
+class SerialNet(Hybrid):
+    """HB1: an LSTM gives the four parameters of a backlash at every sample (S2 eq. (6)).
+
+        (m_lo, m_up, c_lo, c_up)_k = LSTM(v_1 ... v_k),  y_k = backlash(v_k, y_{k-1}; (m_lo, m_up, c_lo, c_up)_k)
+
+    The inverse map has the inverse backlash (S2 eq. (3)) in its place, with v_{k-1} and its own y_{k-1}. The bias of
+    the LSTM's head starts at the operator's parameters.
+    """
+
+    outputs = steered = STEERED
+
+    def __init__(self, lstm: LstmNet, operator: Operator, head_gain: float) -> None:
+        super().__init__(lstm, operator, head_gain)
+        with torch.no_grad():
+            self.lstm.head.bias.copy_(torch.tensor(operator.values, dtype=torch.float32)[:STEERED])
+
+    def forward(self, v: torch.Tensor, state: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        memory, held = self.parts(state)
+        steered, memory = self.lstm.outputs(v, memory)
+        y, held = self.layer(v, torch.cat([steered, self.fixed.expand(*v.shape, -1)], dim=2), held)
+        return y, torch.cat([memory, held], dim=1)
+
+    def shown(self, v: torch.Tensor, y: torch.Tensor) -> torch.Tensor:
+        del v
+        return y
+
+    def write(self, writer: GraphWriter, v: str, state: str) -> tuple[str, list[str]]:
+        steered, following = self.write_lstm(writer, v, state)
+        columns = writer.split(steered, [1] * STEERED, [f"parameter_{k}" for k in range(STEERED)])
+        y, held = self.write_operator(writer, v, columns)
+        return y, [*following, *held]
+
+
+@final
+class ParallelNet(Hybrid):
+    """HB2: a fixed backlash, fitted beforehand, and an LSTM that learns what it leaves (S2 eq. (7)).
+
+        y_k = backlash(v_k, b_{k-1}) + LSTM(v_1 ... v_k),  b_k the backlash's own output
+
+    The inverse map adds an inverse backlash and an LSTM.
+    """
+
+    outputs, steered = 1, 0
+
+    def __init__(self, lstm: LstmNet, operator: Operator, head_gain: float) -> None:
+        super().__init__(lstm, operator, head_gain)
+        with torch.no_grad():
+            self.lstm.head.bias.mul_(head_gain)
+
+    def forward(self, v: torch.Tensor, state: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        memory, held = self.parts(state)
+        rest, memory = self.lstm(v, memory)
+        main, held = self._backlash(v, held)
+        return main + rest, torch.cat([memory, held], dim=1)
+
+    def shown(self, v: torch.Tensor, y: torch.Tensor) -> torch.Tensor:
+        """The backlash's own output: it runs over whole trials, of which a window is a part."""
+        return self._backlash(v, self.layer.start(y[:, 0]))[0]
+
+    def write(self, writer: GraphWriter, v: str, state: str) -> tuple[str, list[str]]:
+        rest, following = self.write_lstm(writer, v, state)
+        main, held = self.write_operator(writer, v)
+        return writer.node("Add", [main, rest], "y_sum"), [*following, *held]
+
+    def _backlash(self, v: torch.Tensor, held: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        return self.layer(v, self.fixed.expand(*v.shape, -1), held)
+
+
+def _batched(writer: GraphWriter, constant: str, v: str) -> str:
+    """A constant as a column (N, 1), as many rows as `v`."""
+    zero = writer.weight("zero", [[0.0]])
+    return writer.node("Add", [writer.node("Mul", [v, zero], f"{constant}_rows"), constant], f"{constant}_column")

@@ -1,0 +1,127 @@
+"""The papers' models that only a study uses, as kinds of `hystmpc fit`: FNN, hybrids, support vectors.
+
+Sources: S2 (Wu et al., RA-L 2024) sections III-B and III-D, S1 (Wu et al., RA-L 2021) section II-C.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import final
+
+from hystmpc.models.kinds.kind import FitRequest, Identified, ModelKind
+from hystmpc.models.kinds.networks import (
+    PLAIN,
+    S1_WINDOWS,
+    S2_WINDOWS,
+    NetworkKind,
+    by_training,
+    s1_settings,
+    s2_settings,
+)
+from hystmpc.models.kinds.regressions import recorded
+from hystmpc.models.model import FitProgress
+from hystmpc.models.train.settings import NetworkSettings, StreamTraining
+from hystmpc.trials.trial import Trial
+
+from .forms import FeedForwardSettings, HybridSettings
+
+_HISTORY = 50
+_FNN = FeedForwardSettings()
+_HIB = FeedForwardSettings(history=_HISTORY)
+_HB1 = HybridSettings(form="serial")
+_HB2 = HybridSettings(form="parallel")
+_PLAIN_HEAD = PLAIN | {"head_gain": 1.0}
+_SERIAL = S2_WINDOWS.model_copy(update={"batch": 4})
+_SINGLE = {"length": 1}  # a feed-forward network is scored on the last sample of its window
+
+FNN = NetworkKind(
+    "fnn",
+    "FNN",
+    by_training(
+        NetworkSettings(
+            kind="fnn", network=_FNN, warmup_samples=0, training=StreamTraining(updates=1500, teacher=None)
+        ),
+        s2_settings("fnn", _FNN, S2_WINDOWS.model_copy(update=_SINGLE)),
+        s1_settings("fnn", _FNN, S1_WINDOWS.model_copy(update=_SINGLE)),
+    ),
+    recurrent=False,
+)
+"""Two ReLU layers of 64 over the present command alone, S2 section III-B; see `FeedForwardNet`."""
+
+FNN_HIB = NetworkKind(
+    "fnn_hib",
+    "FNN-HIB",
+    by_training(
+        NetworkSettings(
+            kind="fnn_hib", network=_HIB, warmup_samples=_HISTORY - 1, training=StreamTraining(updates=6000)
+        ),
+        s2_settings("fnn_hib", _HIB, S2_WINDOWS.model_copy(update=_SINGLE)),
+        s1_settings("fnn_hib", _HIB, S1_WINDOWS.model_copy(update=_SINGLE)),
+    ),
+)
+"""Two ReLU layers of 64 over the last 50 commands, S2 section III-B; see `FeedForwardNet`."""
+
+HB1 = NetworkKind(
+    "hb1",
+    "HB1",
+    by_training(
+        NetworkSettings(kind="hb1", network=_HB1, training=StreamTraining(updates=4000)),
+        s2_settings("hb1", _HB1.model_copy(update=_PLAIN_HEAD)),
+        s2_settings("hb1", _HB1.model_copy(update=_PLAIN_HEAD), _SERIAL, "paper-batch-4"),
+    ),
+)
+"""An LSTM that gives the four parameters of a backlash at every sample, S2 eq. (6); see `SerialNet`."""
+
+HB2 = NetworkKind(
+    "hb2",
+    "HB2",
+    by_training(
+        NetworkSettings(kind="hb2", network=_HB2, training=StreamTraining(updates=4000)),
+        s2_settings("hb2", _HB2.model_copy(update=_PLAIN_HEAD)),
+    ),
+)
+"""A backlash fitted beforehand and an LSTM that adds what it leaves, S2 eq. (7); see `ParallelNet`."""
+
+
+@final
+class SvrKind(ModelKind):
+    """Radial kernel on 50 past commands, S1 (RA-L 2021): `paper` with its values, `grid` with its search, or `best`.
+
+    See `SvrWeights` for the equations and `SvrSettings` for what is compared how.
+    """
+
+    name = "svr"
+    title = "SVR"
+    trainings = ("best", "paper", "grid")
+
+    def fit(self, trials: Sequence[Trial], request: FitRequest, progress: FitProgress | None = None) -> Identified:
+        from hystmpc.models.identify.estimation_noise import with_noise
+
+        from .svr_ import SVR_TRAININGS, fit_svr, svr_bundle
+
+        self.check(trials, request)
+        settings = SVR_TRAININGS[request.training].model_copy(update={"seed": request.seed})
+        history, show = recorded(progress)
+        found = fit_svr(trials, settings, request.skip_first_flexure, show)
+        choice, unit = found.choice, trials[0].units.angle
+        report = (
+            f"C {choice.c:g}, gamma {choice.gamma:g}, epsilon {choice.epsilon:g}: {len(found.weights.supports)} "
+            f"support vectors of {found.samples} samples, {found.rmse:.4g} {unit} on these"
+        )
+        if found.judged:
+            report += f", {found.judged[choice]:.4g} {unit} on what was left out"
+        bundle = svr_bundle(found, trials, settings, request.limits)
+        bundle = with_noise(bundle, trials, len(found.weights.supports))
+        return Identified(bundle, None, tuple(history), report, found.interrupted)
+
+    def steps(self, request: FitRequest) -> int | None:
+        from .svr_ import SVR_TRAININGS
+
+        settings = SVR_TRAININGS.get(request.training)
+        if settings is None:
+            return None
+        compared = len(settings.c) * len(settings.gamma) * len(settings.epsilon)
+        return 1 + (compared if compared > 1 else 0)
+
+
+SVR = SvrKind()

@@ -1,0 +1,48 @@
+"""Investigations of blind devices: their device plays what it is asked, their score counts exact names."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from hystmpc_lab.blind.investigated import (
+    ScoredInvestigation,
+    investigate_blind,
+    named_first,
+    named_right,
+    scored_investigations,
+    time_share,
+)
+from hystmpc_lab.blind.make import make_blind
+
+ONE = ScoredInvestigation("001", "lag", 4.0, "named", ("lag",), 50.0, 200.0)
+
+
+def test_only_the_cause_alone_is_right() -> None:
+    two, wrong, either = (
+        replace(ONE, said=("lag", "creep")),
+        replace(ONE, said=("creep",)),
+        replace(ONE, verdict="one_of"),
+    )
+    assert [one.right for one in (ONE, two, wrong, either)] == [True, False, False, False]
+    assert [one.first for one in (ONE, two, wrong, either)] == [True, True, False, True]
+    assert named_first((ONE, two, wrong, either)).value == 0.75
+    assert named_right((ONE, two, wrong, either)).value == 0.25
+    assert time_share((ONE, replace(ONE, device_s=100.0))) == pytest.approx(0.375)
+
+
+@pytest.mark.slow
+def test_a_device_is_investigated_and_scored(tmp_path: Path) -> None:
+    """One case: device time within the minutes, the result beside the sealed truth, nothing done twice."""
+    make_blind(tmp_path, 1806000, 1, "single")
+    assert investigate_blind(tmp_path, minutes=1.2, least=0.0) == 0
+    found = scored_investigations(tmp_path)
+    assert found
+    assert all(0 < one.device_s <= 72.0 < one.battery_s for one in found)
+    before = {path: path.stat().st_mtime_ns for path in (tmp_path / "investigations").rglob("investigation.json")}
+    assert investigate_blind(tmp_path, minutes=1.2, least=0.0) == 0
+    assert before == {
+        path: path.stat().st_mtime_ns for path in (tmp_path / "investigations").rglob("investigation.json")
+    }
