@@ -35,6 +35,30 @@ Test = Annotated[
     list[Path] | None,
     typer.Option("--test", metavar="LOG", help="Log or folder to score on, which the fit does not see; repeatable."),
 ]
+Plays = Annotated[int | None, typer.Option(min=1, max=50, help="Plays of a pi (4) or drdpi (10).")]
+Drive = Annotated[
+    str | None,
+    typer.Option(help="Drive before a network or kernel: auto, or a simulator (.yaml, builtin:NAME) that has it."),
+]
+Residual = Annotated[
+    str | None, typer.Option(help="With auto: network of what is left, lstm or gru; kept only if it helps.")
+]
+HoldOut = Annotated[
+    int | None, typer.Option(min=0, help="Whole trials by which a network is stopped early; else the training's.")
+]
+Validation = Annotated[
+    list[Path] | None,
+    typer.Option(metavar="LOG", help="Log or folder that only judges, in place of trials held out; repeatable."),
+]
+Constancy = Annotated[
+    float | None, typer.Option(min=0.0, help="Weight of a network's constant-in, constant-out term; S2 has 1e-4.")
+]
+CommandLimits = Annotated[
+    tuple[float, float] | None, typer.Option(help="Least and greatest command of the device; else those seen.")
+]
+CommandRate = Annotated[
+    float | None, typer.Option(min=0.0, help="Greatest command change per second; else the one seen.")
+]
 RateHz = Annotated[
     float | None, typer.Option(help=f"Rate to which the logs are resampled [Hz]; else {DEFAULT_RATE_HZ:g}.")
 ]
@@ -78,33 +102,17 @@ def fit(
     rate_hz: RateHz = None,
     skip_first_flexure: SkipFirstFlexure = False,
     direction: Annotated[Direction, typer.Option(help="Command to angle, or the inverse map.")] = Direction.FORWARD,
-    plays: Annotated[int | None, typer.Option(min=1, max=50, help="Plays of a pi (4) or drdpi (10).")] = None,
-    drive: Annotated[
-        str | None,
-        typer.Option(help="Drive before a network or kernel: auto, or a simulator (.yaml, builtin:NAME) that has it."),
-    ] = None,
-    residual: Annotated[
-        str | None, typer.Option(help="With auto: network of what is left, lstm or gru; kept only if it helps.")
-    ] = None,
+    plays: Plays = None,
+    drive: Drive = None,
+    residual: Residual = None,
     training: Annotated[str | None, typer.Option(help="Settings of the training: best, paper, ...")] = None,
     epochs: Annotated[int | None, typer.Option(min=1, help="Epochs (paper) or updates (best) of a network.")] = None,
-    hold_out: Annotated[
-        int | None, typer.Option(min=0, help="Whole trials by which a network is stopped early; else the training's.")
-    ] = None,
-    validation: Annotated[
-        list[Path] | None,
-        typer.Option(metavar="LOG", help="Log or folder that only judges, in place of trials held out; repeatable."),
-    ] = None,
-    constancy: Annotated[
-        float | None, typer.Option(min=0.0, help="Weight of a network's constant-in, constant-out term; S2 has 1e-4.")
-    ] = None,
+    hold_out: HoldOut = None,
+    validation: Validation = None,
+    constancy: Constancy = None,
     seed: Annotated[int, typer.Option(help="Seed of everything drawn at random.")] = 1,
-    command_limits: Annotated[
-        tuple[float, float] | None, typer.Option(help="Least and greatest command of the device; else those seen.")
-    ] = None,
-    command_rate: Annotated[
-        float | None, typer.Option(min=0.0, help="Greatest command change per second; else the one seen.")
-    ] = None,
+    command_limits: CommandLimits = None,
+    command_rate: CommandRate = None,
     test: Test = None,
     page: Page = None,
     figures: Figures = None,
@@ -140,12 +148,16 @@ def fit(
             say=say,
         )
     _print_model(made, limits)
+    _print_scores(made, path)
+    if page is not None:
+        out.print(f"report: {page}", soft_wrap=True)
+
+
+def _print_scores(made: Fit, path: Path) -> None:
     for which, evaluation in made.evaluations:
         print_errors(f"{path}: free run on the trials{which}", evaluation)
     for which, evaluation in made.evaluations:
         out.print(f"{error_sentence(evaluation.trials, which)}.", soft_wrap=True, highlight=False)
-    if page is not None:
-        out.print(f"report: {page}", soft_wrap=True)
 
 
 def _limits(command: tuple[float, float] | None, rate: float | None) -> DeviceLimits:

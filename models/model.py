@@ -5,19 +5,17 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
 from hystmpc.trials.brief import in_brief
-from hystmpc.trials.errors import ModelError
 from hystmpc.trials.types import Vec
 
 from .contract.metadata import ModelMetadata, NoiseModel, Start
 from .rest import RestRule
 
-if TYPE_CHECKING:
-    from .simulator import Simulator
+_SETTLING_S = 2.0  # many times the lag of any catheter drive
 
 
 class Model(Protocol):
@@ -84,18 +82,6 @@ class LoadedModel(ABC):
         self.state_size: int = metadata.state_size
         self._rule = metadata.rule(start)
         self._rest = RestRule(metadata, start)
-        self._simulator: Simulator | None = None
-
-    @property
-    def simulator(self) -> Simulator:
-        """The readable form of a model of operators.
-
-        Raises:
-            ModelError: if the model is a network or an exported file, which has none.
-        """
-        if self._simulator is None:
-            raise ModelError(f"{self.metadata.kind} of an exported model has no readable form, expected a simulator")
-        return self._simulator
 
     def __repr__(self) -> str:
         facts = self.metadata
@@ -242,3 +228,15 @@ class Inverse(ABC):
 
 FitProgress = Callable[[int, float], None]
 """What an identification calls as it goes on: steps done, and the least error so far in the unit of the output."""
+
+
+def static_gain(model: Predictor) -> float:
+    """Angle at rest at the highest command less that at the lowest, over the range of commands [deg per unit].
+
+    Dead bands and lags do not count.
+    """
+    low, high = model.command_range
+    samples = max(round(_SETTLING_S / model.dt), 1)
+    plans = np.array([np.full(samples, low), np.full(samples, high)])
+    ends = model.rollout(model.initial(0.0, low), plans)[:, -1]
+    return abs(float(ends[1] - ends[0])) / (high - low)

@@ -293,7 +293,7 @@ class ChainModel(LoadedModel, StepFunction):
 
     def __init__(self, simulator: Simulator, start: Start = "initial") -> None:
         super().__init__(simulator.metadata(), start)
-        self._simulator = simulator
+        self.simulator = simulator
         self._rest = RestRule(self.metadata, start, simulator.chain)
         self._kernels = compile_step(simulator.chain.transition)
         self._p, self._dt = simulator.chain.values, np.array([simulator.dt_s])

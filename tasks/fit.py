@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -165,39 +165,49 @@ def fit(
 
     chosen = chosen_kind(kind, None if drive is None else str(drive), residual)
     logs, tests, read = as_list(trials), as_list(test), _Reader(layout, rate_hz, sampled_hz)
-    files = files_read(logs, layout)
-    files += _unseen(tests, files)
+    files = [*(seen := files_read(logs, layout)), *_unseen(tests, seen)]
     if out is not None:
         check_output("--out", out, (MODEL, SIMULATOR)[: 1 + chosen.readable], files, force, of=chosen.name)
     check_page(report, figures, files, force)
     judges = read(as_list(validation)) if validation != () else []
     request = FitRequest(
-        training=training or chosen.usual_training(inverse),
-        seed=seed,
-        steps=steps,
-        hold_out=hold_out,
-        validation=tuple(trial.swapped() if inverse else trial for trial in judges),
-        constancy_weight=constancy_weight,
-        plays=plays,
-        skip_first_flexure=skip_first_flexure,
-        limits=_device_limits(limits),
+        training or chosen.usual_training(inverse),
+        seed,
+        steps,
+        hold_out,
+        tuple(trial.swapped() if inverse else trial for trial in judges),
+        constancy_weight,
+        plays,
+        skip_first_flexure,
+        _device_limits(limits),
     )
     chosen.check([], request)
     recorded, held = read(logs, say), read(tests, say) if tests else []
-    if say is not None:
-        _warn_of_limits([*recorded, *held], request.limits.command, say)
+    _warn_of_limits([*recorded, *held], request.limits.command, say)
     used = tuple(trial.swapped() if inverse else trial for trial in recorded)
     done = _identify(chosen, used, request, progress, say)
-    exported = None if out is None else _written(done, Path(out), progress)
-    made = Fit(kind, done, used, exported=exported)
+    made = Fit(kind, done, used, exported=None if out is None else _written(done, Path(out), progress))
     if out is None and report is None and not held:
         return made
-    model, sets = opened(out or made), {SEEN: recorded, UNSEEN: held}
-    scores = [(name, free_runs(model, part, skip_first_flexure, progress)) for name, part in sets.items() if part]
+    sets = {which: part for which, part in ((SEEN, recorded), (UNSEEN, held)) if part}
+    with figures_to(figures):
+        return _scored(made, out, sets, skip_first_flexure, report, progress)
+
+
+def _scored(
+    made: Fit,
+    out: Path | str | None,
+    sets: Mapping[str, list[Trial]],
+    skip: bool,
+    report: Path | str | None,
+    progress: Progress | None,
+) -> Fit:
+    """The fit with free runs over each set of trials, of the model as it is read back; and its page."""
+    model = opened(made if out is None else out)
+    scores = [(which, free_runs(model, trials, skip, progress)) for which, trials in sets.items()]
     made = replace(made, evaluations=tuple(scores))
     if report is not None:
-        with figures_to(figures):
-            _write_page(made, report, Path(out).name if out else kind, model)
+        _write_page(made, report, made.kind if out is None else Path(out).name, model)
     return made
 
 
@@ -242,11 +252,11 @@ def _device_limits(limits: CommandLimits | DeviceLimits | None) -> DeviceLimits:
     return DeviceLimits(Range(lower=limits.lower, upper=limits.upper), limits.rate)
 
 
-def _warn_of_limits(trials: Sequence[Trial], limits: Range | None, say: Say) -> None:
+def _warn_of_limits(trials: Sequence[Trial], limits: Range | None, say: Say | None) -> None:
     """Warn where the logs' commands go beyond the limits that the model is to have."""
     from hystmpc.models.evaluate import RANGE_SLACK
 
-    if limits is None:
+    if limits is None or say is None:
         return
     low, high = min(float(t.command.min()) for t in trials), max(float(t.command.max()) for t in trials)
     slack = RANGE_SLACK * (limits.upper - limits.lower)

@@ -6,7 +6,7 @@ import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from copy import deepcopy
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, TypeAlias
+from typing import TYPE_CHECKING, Any, Literal, Protocol, TypeAlias
 
 from hystmpc.trials.check import Severity, check
 from hystmpc.trials.clock_findings import gaps_said
@@ -21,10 +21,9 @@ from hystmpc.trials.trial import Trial, parts_at_gaps
 from hystmpc.trials.uniform import at_rate
 
 if TYPE_CHECKING:
+    from hystmpc.models.contract.load import OnnxModel
     from hystmpc.models.model import LoadedModel
-    from hystmpc.models.simulator import Simulator
-
-    from .fit import Fit
+    from hystmpc.models.simulator import ChainModel, Simulator
 
 Logs: TypeAlias = Log | Iterable[Log]
 Start = Literal["initial", "conditioned"]
@@ -34,11 +33,21 @@ Settings: TypeAlias = Path | str | Mapping[str, Any]
 Say: TypeAlias = Callable[[str], None]
 """Called with a note or a warning, one line."""
 
-Model: TypeAlias = "Fit | Simulator | LoadedModel | Path | str"
+
+class Fitted(Protocol):
+    """The result of an identification, see `Fit`."""
+
+    @property
+    def model(self) -> LoadedModel:
+        """The model, ready to run."""
+        ...
+
+
+Model: TypeAlias = "Fitted | Simulator | LoadedModel | Path | str"
 """A model: a fit, a simulator, an opened model, a model file, or `builtin:NAME`."""
 
 
-def load_model(path: Path | str, start: Start = "initial") -> LoadedModel:
+def load_model(path: Path | str, start: Start = "initial") -> ChainModel | OnnxModel:
     """Open a model file; `.simulator` of the result is the readable form of an operator-based model.
 
     Args:
@@ -57,12 +66,12 @@ def opened(model: Model, start: Start = "initial") -> LoadedModel:
     """The model of whatever stands for one, ready to run."""
     if isinstance(model, Path | str):
         return load_model(model, start)
+    from hystmpc.models.model import LoadedModel
     from hystmpc.models.simulator import ChainModel, Simulator
 
-    from .fit import Fit
-
-    if isinstance(model, Fit):
-        model = model.identified.simulator or model.model
+    if not isinstance(model, Simulator | LoadedModel):
+        runs = model.model
+        model = runs.simulator if isinstance(runs, ChainModel) else runs
     return ChainModel(model, start) if isinstance(model, Simulator) else model
 
 

@@ -54,6 +54,7 @@ def investigate(
     Raises:
         HystmpcError: if a setting is wrong, the folder holds something else, the device does not answer, or a motion
             was stopped safely; complete trials are kept.
+        ConfigError: if there is no folder.
     """
     from hystmpc.investigation.run import investigate_device, opened_device
     from hystmpc.rig.bench import reset_latch

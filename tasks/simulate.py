@@ -40,7 +40,8 @@ def simulate(
         progress: called with the steps done and their number.
 
     Raises:
-        HystmpcError: if a setting is wrong, a model cannot be used, or `out` is not empty.
+        HystmpcError: if a setting is wrong or a model cannot be used.
+        ConfigError: if `out` is not empty.
     """
     from hystmpc.sim.compare import compare
     from hystmpc.sim.config import SimulationConfig, load_simulation

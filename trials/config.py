@@ -168,7 +168,11 @@ def load_settings(kind: type[S], path: Path | str, overrides: Iterable[str] = ()
 
 
 def override(data: dict[str, Any], text: str) -> None:
-    """Set `a.b=3` in nested mappings, in place."""
+    """Set `a.b=3` in nested mappings, in place.
+
+    Raises:
+        ConfigError: on a malformed change, or a key of a value that is no mapping.
+    """
     key, separator, value = text.partition("=")
     if not separator or not key:
         raise ConfigError(f"--set {text}: expected KEY.KEY=VALUE")
