@@ -6,7 +6,7 @@ VENV ?= .venv
 DEMO_VENV ?= .venv-demo
 ARGS ?=
 
-ROOMS := trials models trajectories ctrl codegen sim rig gap testing bench cli
+ROOMS := trials models trajectories ctrl codegen sim rig gap testing bench tasks cli
 VERSION := $(shell $(PYTHON) -c 'import sys; print("%d.%d" % sys.version_info[:2])' 2>/dev/null)
 # Wheels only: a missing one is said in a line instead of in a compiler's output.
 INSTALL := -m pip install --quiet --disable-pip-version-check --only-binary :all: --constraint constraints.txt
@@ -47,7 +47,7 @@ format: $(VENV)/.installed ## sort the imports and lay out the code as `make lin
 
 types: $(VENV)/.installed ## mypy (strict) and pyright
 	@mkdir -p .typecheck/hystmpc
-	@for part in $(ROOMS) __init__.py api.py py.typed; do ln -sfn ../../$$part .typecheck/hystmpc/$$part; done
+	@for part in $(ROOMS) __init__.py py.typed; do ln -sfn ../../$$part .typecheck/hystmpc/$$part; done
 	@ln -sfn ../lab .typecheck/hystmpc_lab
 	cd .typecheck && "$(abspath $(VENV))/bin/mypy" --config-file ../pyproject.toml -p hystmpc -p hystmpc_lab
 	$(VENV)/bin/pyright --pythonpath $(VENV)/bin/python

@@ -150,7 +150,7 @@ def fit_model(subject: Subject, folder: Path, progress: Progress) -> FittedModel
     """
     kind, limits = chosen_kind(_KIND, None, None), subject.limits
     device = DeviceLimits(Range(lower=limits.lower, upper=limits.upper), limits.rate)
-    request = FitRequest(preset=kind.usual_preset(False), seed=subject.block.seed, limits=device)
+    request = FitRequest(training=kind.usual_training(False), seed=subject.block.seed, limits=device)
     trials = uniform_trials(subject)
     kind.check(trials, request)
     total = kind.steps(request) or 100

@@ -2,25 +2,27 @@
 
 from __future__ import annotations
 
+import math
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, TypeVar, final
+from typing import TYPE_CHECKING, final
 
+import typer
 from rich.progress import BarColumn, Progress, TaskID, TaskProgressColumn, TextColumn, TimeElapsedColumn
 
 from hystmpc.models.kernels.compiling import Compilation, about, sentence
+from hystmpc.trials.types import Progress as Told
 
-from .console import errors
+from .console import INTERRUPTED, errors
 from .time_left import EVEN, Pace, Steady, TimeLeft, clock_words
 
 if TYPE_CHECKING:
     from rich.console import Console
 
-T = TypeVar("T")
 FIRST_S, EVERY_S = 2.0, 10.0
 """A line is said of what takes longer than the first, then one in each of the second [s]."""
 
@@ -307,10 +309,23 @@ def bar(title: str, total: float | None = None, pace: Pace = EVEN) -> Iterator[B
         shown.close()
 
 
-def each(title: str, items: Sequence[T]) -> Iterator[T]:
-    """The items, behind a bar that counts those that are done."""
-    with bar(title, len(items)) as show:
-        for done, item in enumerate(items):
-            yield item
-            if len(items) > 1:
-                show(done + 1)
+@contextmanager
+def progress_of(title: str, pace: Pace = EVEN, kept: str = "") -> Iterator[Told]:
+    """What a task is given as `progress`, shown while the block runs.
+
+    Args:
+        title: what is done.
+        pace: share of the time by share of the steps.
+        kept: line on what Ctrl-C leaves behind; where empty Ctrl-C ends the block as any other exception.
+
+    Raises:
+        typer.Exit: with 130 if the user ended it and something is kept.
+    """
+    try:
+        with bar(title, pace=pace) as show:
+            yield lambda done, total, note="", /: show(done, note, total if math.isfinite(total) else None)
+    except KeyboardInterrupt:
+        if not kept:
+            raise
+        errors.print(kept, style="yellow", soft_wrap=True)
+        raise typer.Exit(INTERRUPTED) from None

@@ -18,6 +18,12 @@ def plain_console(**options: Any) -> Console:
 out = plain_console()
 errors = plain_console(stderr=True)
 
+
+def say(line: str) -> None:
+    """A note, a warning or an event on standard error; all but a note in yellow."""
+    errors.print(line, style=None if line.startswith("note:") else "yellow", soft_wrap=True, highlight=False)
+
+
 INTERRUPTED = 130
 """Exit status of a command that the user ended."""
 

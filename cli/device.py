@@ -11,8 +11,7 @@ from hystmpc.rig.device import DeviceSettings
 from hystmpc.rig.transports.transport import DeviceLink
 from hystmpc.trials.config import load_settings
 
-from .console import out
-from .device_runs import tell
+from .console import out, say
 
 
 def device(
@@ -37,7 +36,7 @@ def device(
             f"device ready: {where}, {settings.rate_hz:g} Hz, holds {held:g} {settings.command_unit}", soft_wrap=True
         )
 
-    served = serve(settings, plant, held, ready, seconds or float("inf"), tell)
+    served = serve(settings, plant, held, ready, seconds or float("inf"), say)
     rejected = ", ".join(f"{count} {cause}" for cause, count in served.rejected.items()) or "none"
     out.print(
         f"{served.samples} samples, {served.commands} commands, {served.beyond} of them beyond the limits; "

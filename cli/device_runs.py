@@ -18,18 +18,18 @@ from hystmpc.rig.loop import RunOutcome
 from hystmpc.rig.run import BenchResult, reset_latch
 from hystmpc.trials.run_folder import require_vacant
 
-from .console import errors, out, table
+from .console import errors, out, say, table
 
 if TYPE_CHECKING:
     from hystmpc.rig.live.desk import Desk, LiveSettings
     from hystmpc.rig.recording.recorder_process import RecorderProcess, Views
     from hystmpc.rig.recording.recording import RecordingMeta
+    from hystmpc.tasks.commission import DevicePlan
 
 STOPPED = 3
 ENDED_EARLY = 1
 
 Folder = Annotated[Path, typer.Option("--out", help="Run folder, new or empty.")]
-Overrides = Annotated[list[str] | None, typer.Option("--set", help="Change a setting: rate_hz=50.")]
 Reset = Annotated[bool, typer.Option("--reset", help="Release a latched stop first: you have looked at the device.")]
 InTerminal = Annotated[bool, typer.Option("--live", help="Show angle, command, timing and faults in the terminal.")]
 OnPage = Annotated[bool, typer.Option("--page", help="Show them on a local page.")]
@@ -60,19 +60,23 @@ def recording_in(
     from hystmpc.rig.recording.recorder_process import open_recorder_process
 
     def opened() -> RecorderProcess:
-        recorder = open_recorder_process(folder, settings, meta, settings.rate_hz, views, tell, report, desk)
+        recorder = open_recorder_process(folder, settings, meta, settings.rate_hz, views, say, report, desk)
         if recorder.page:
-            tell(f"live page: {recorder.page}")
+            say(f"live page: {recorder.page}")
         if not desk.started:
-            tell("nothing moves before Start is pressed on the page")
+            say("nothing moves before Start is pressed on the page")
         return recorder
 
     return opened
 
 
-def tell(text: str) -> None:
-    """One line to whoever stands beside the device."""
-    errors.print(text, style="yellow", soft_wrap=True, markup=False, highlight=False)
+def print_plan(plan: DevicePlan, part: str) -> None:
+    """Parts, motions, minutes and limits, before anything moves."""
+    rows = [(name, what, f"{minutes:.1f}") for name, what, minutes in plan.rows]
+    grid = table(plan.title, (part, "motions", "min"), rows, True)
+    grid.columns[1].justify = "left"
+    out.print(grid)
+    out.print(plan.limits, soft_wrap=True)
 
 
 def finish(settings: BenchSettings, result: BenchResult) -> None:
@@ -122,7 +126,7 @@ def end(result: BenchResult) -> None:
 
 
 @contextmanager
-def stages_kept(folder: Path) -> Iterator[None]:
+def stages_kept(folder: Path | None) -> Iterator[None]:
     """Say how a device that was moved stage by stage has stopped, as `run` says it, or why a stage was not completed.
 
     Raises:
@@ -135,7 +139,7 @@ def stages_kept(folder: Path) -> Iterator[None]:
         yield
     except DeviceStoppedError as stop:
         finish(stop.settings, stop.result)
-        tell(f"complete trials are kept in {folder}; look at the device, then the same command with --reset goes on")
+        say(f"complete trials are kept in {folder}; look at the device, then the same command with --reset goes on")
         end(stop.result)
         raise
     except EndedEarlyError as error:

@@ -3,23 +3,19 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from hystmpc.tasks.diagnose import diagnose as diagnose_logs
 from hystmpc.trials.errors import ConfigError
-from hystmpc.trials.files import figures_to, require_writable
-from hystmpc.trials.read import read_trials
-from hystmpc.trials.recording import require_recorded
-from hystmpc.trials.trial import Trial
-from hystmpc.trials.types import Progress
 
-from .bars import Bar, bar
-from .console import errors, out, table
-from .options import Figures, Layout, Sim, SkipFirstFlexure, check_figures, simulator_at, warn_of_units
+from .bars import bar, progress_of
+from .console import errors, out, say, table
+from .options import Figures, LayoutName, Sim, SkipFirstFlexure
 from .time_left import Pace
 
 if TYPE_CHECKING:
@@ -42,7 +38,7 @@ def diagnose(
     folder: Annotated[
         Path | None, typer.Option("--out", help="Folder to write: new, empty, or an older diagnosis.")
     ] = None,
-    preset: Layout = "auto",
+    layout: LayoutName = "auto",
     as_json: Annotated[bool, typer.Option("--json", help="Print diagnosis.json and nothing else.")] = False,
     seed: Annotated[int, typer.Option(min=0, help="Seed of everything drawn at random.")] = 1,
     without: Annotated[
@@ -68,19 +64,22 @@ def diagnose(
         _self_test(seed)
         return
     files, sim, folder = _complete(logs, sim, folder)
-    check_figures(figures)
-    with figures_to(figures):
-        diagnosis = _diagnosed(
+    with bar("diagnose", pace=_PACE) as show:
+        diagnosis = diagnose_logs(
             files,
             sim,
             folder,
-            preset,
+            layout=layout,
             seed=seed,
-            without=tuple(without or ()),
-            only=tuple(only) if only else None,
+            without=without or (),
+            only=only,
             ordered=ordered,
             skip_first_flexure=skip_first_flexure,
+            figures=figures,
+            progress=lambda done, total, note="", /: show(done, note, total=total + _REPORT),
+            say=say,
         )
+        show(100 + _REPORT, "writing the report", total=100 + _REPORT)
     if as_json:
         from hystmpc.gap.report.folder import diagnosis_json
 
@@ -88,36 +87,6 @@ def diagnose(
         return
     print_diagnosis(diagnosis)
     out.print(f"report: {folder / 'report.html'}", soft_wrap=True, highlight=False)
-
-
-def _diagnosed(files: Sequence[Path], sim: Path, folder: Path, preset: str, **chosen: Any) -> Diagnosis:
-    """Diagnose and write the folder; what is unusable is refused before the long part."""
-    from hystmpc.gap.report.folder import require_free
-
-    require_writable(folder)
-    require_free(folder)
-    simulator = simulator_at(sim)
-    trials = _recorded(files, preset)
-    from hystmpc.gap.whole import diagnose_trials  # compiles: kept out of the way of refusals
-    from hystmpc.models.load import model_path
-
-    with bar("diagnose", pace=_PACE) as show:
-
-        def told(done: float, total: float, note: str = "", /) -> None:
-            show(done, note, total=total + _REPORT)
-
-        done = diagnose_trials(
-            trials,
-            simulator,
-            out=folder,
-            called={"sim": str(sim), "preset": preset},
-            model=Path(model_path(str(sim))),
-            progress=told,
-            say=_say,
-            **chosen,
-        )
-        told(100 + _REPORT, 100, "writing the report")
-    return done.diagnosis
 
 
 def print_diagnosis(diagnosis: Diagnosis) -> None:
@@ -131,10 +100,10 @@ def print_diagnosis(diagnosis: Diagnosis) -> None:
         if line:
             out.print(line, highlight=False)
     if diagnosis.ranking:
-        found = {effect.name: effect for effect in diagnosis.effects}
+        named = {effect.name: effect for effect in diagnosis.effects}
         rows = []
         for name, probability in diagnosis.ranking[:6]:
-            effect = found.get(name)
+            effect = named.get(name)
             shares = ("", "", "")
             if effect is not None:
                 low, high = effect.closed_ci90
@@ -160,29 +129,12 @@ def _complete(logs: list[Path] | None, sim: Path | None, folder: Path | None) ->
     return logs, sim, folder
 
 
-def _recorded(files: Sequence[Path], layout: str) -> list[Trial]:
-    """Trials as recorded, all of them fit for a diagnosis."""
-    trials = read_trials(files, layout)
-    for trial in trials:
-        require_recorded(trial)
-    warn_of_units(trials)
-    return trials
-
-
-def _progress(show: Bar) -> Progress:
-    return lambda done, total, note="": show(done, note, total=total)
-
-
-def _say(line: str) -> None:
-    errors.print(line, style="yellow", soft_wrap=True, markup=False, highlight=False)
-
-
 def _self_test(seed: int) -> None:
     """Print what became of each known truth; exit code 1 where one was missed."""
     from hystmpc.gap.self_test import self_test
 
-    with bar("self-test") as show:
-        rows = [_fields(row) for row in self_test(seed, _progress(show))]
+    with progress_of("self-test") as progress:
+        rows = [_fields(row) for row in self_test(seed, progress)]
     columns = list(rows[0]) if rows else []
     out.print(table("self-test", columns, [[_text(value) for value in row.values()] for row in rows]))
     if any(row.get("passed") is False for row in rows):

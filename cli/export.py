@@ -8,12 +8,11 @@ from typing import Annotated
 import typer
 
 from hystmpc.models.contract.load import load_onnx
-from hystmpc.models.load import model_path
-from hystmpc.models.simulator import export_simulator, load_simulator
+from hystmpc.tasks.export import export as export_model
 
 from .bars import bar
 from .console import out
-from .options import MODEL, Force, check_output
+from .options import Force
 
 
 def export(
@@ -27,9 +26,8 @@ def export(
 
     It is held against its reference in onnxruntime and CasADi before it is written.
     """
-    check_output("--out", path, (MODEL,), [simulator], force)
     with bar("compare and export"):
-        gate = export_simulator(load_simulator(model_path(str(simulator))), path)
+        gate = export_model(simulator, path, force=force)
     out.print(
         f"{path}: {gate.steps} steps within {max(gate.runtime_deg, gate.casadi_deg):.2g} deg of the reference "
         f"(onnxruntime {gate.runtime_deg:.2g}, CasADi {gate.casadi_deg:.2g}), Jacobians within {gate.jacobian:.2g}; "

@@ -7,9 +7,11 @@ from typing import Annotated
 
 import typer
 
+from hystmpc.tasks.export import export_c as export_controller
+
 from .bars import bar
 from .console import out
-from .options import C_HEADER, C_SOURCE, Force, check_output
+from .options import Force
 
 
 def export_c(
@@ -22,20 +24,13 @@ def export_c(
 
     Its commands are those of the Python controller.
     """
-    from hystmpc.codegen import export_controller
-
-    header, source = folder / "hystmpc.h", folder / "hystmpc.c"
-    check_output("--out", header, (C_HEADER,), [settings], force)
-    check_output("--out", source, (C_SOURCE,), [settings], force)
     with bar("export"):
-        found = export_controller(settings, single=single)
-        found.write(folder)
-    scalar = "float" if single else "double"
-    inexact = f" (last digits vary: {', '.join(found.inexact)})" if found.inexact else ""
+        made = export_controller(settings, folder, single=single, force=force)
+    inexact = f" (last digits vary: {', '.join(made.inexact)})" if made.inexact else ""
     out.print(
-        f"{source}, {header}: a step every {found.sample_s:g} s, {found.reference_samples} samples of reference, "
-        f"{scalar}; {found.memory_bytes} bytes, of which {found.remembered_bytes} are remembered; "
-        f"calls {', '.join(found.functions)} of <math.h>{inexact}",
+        f"{folder / 'hystmpc.c'}, {folder / 'hystmpc.h'}: a step every {made.sample_s:g} s, {made.reference_samples} "
+        f"samples of reference, {'float' if single else 'double'}; {made.memory_bytes} bytes, of which "
+        f"{made.remembered_bytes} are remembered; calls {', '.join(made.functions)} of <math.h>{inexact}",
         soft_wrap=True,
         markup=False,
         highlight=False,

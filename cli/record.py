@@ -8,10 +8,11 @@ from typing import Annotated
 import typer
 
 from hystmpc.rig.config import load_record
+from hystmpc.tasks.inputs import allow_classes
 
-from .console import out
-from .device_runs import Folder, InTerminal, OnPage, Overrides, Reset, begin, end, finish, recording_in, tell, views_of
-from .options import AllowPython, heard
+from .console import out, say
+from .device_runs import Folder, InTerminal, OnPage, Reset, begin, end, finish, recording_in, views_of
+from .options import AllowPython, Overrides
 
 
 def record(
@@ -29,7 +30,7 @@ def record(
     from hystmpc.rig.live.desk import Desk
     from hystmpc.rig.recording.recording import RecordingMeta
 
-    heard(allow)
+    allow_classes(allow)
     settings = load_record(config, overrides or ())
     begin(settings, folder, reset)
     meta = RecordingMeta(settings.command_unit, stages=("execution",))
@@ -39,7 +40,7 @@ def record(
         recording_in(folder, settings, meta, views_of(settings.live, live, page), desk),
         plants_in(config.resolve().parent, settings.command_unit),
         folder,
-        note=tell,
+        note=say,
         desk=desk,
     )
     finish(settings, result.bench)

@@ -8,10 +8,11 @@ from typing import Annotated
 import typer
 
 from hystmpc.rig.config import load_run
+from hystmpc.tasks.inputs import allow_classes
 
-from .console import out
-from .device_runs import Folder, InTerminal, OnPage, Overrides, Reset, begin, end, finish, recording_in, tell, views_of
-from .options import AllowPython, heard
+from .console import out, say
+from .device_runs import Folder, InTerminal, OnPage, Reset, begin, end, finish, recording_in, views_of
+from .options import AllowPython, Overrides
 
 
 def run(
@@ -29,7 +30,7 @@ def run(
     from hystmpc.rig.live.desk import Desk
     from hystmpc.rig.recording.recording import RecordingMeta
 
-    heard(allow)
+    allow_classes(allow)
     settings = load_run(config, overrides or ())
     begin(settings, folder, reset)
     model = settings.controller.model
@@ -44,7 +45,7 @@ def run(
         recording_in(folder, settings, meta, views, desk, report=False),  # the review writes the one report there is
         plants_in(config.resolve().parent, settings.command_unit),
         folder=folder,
-        note=tell,
+        note=say,
         desk=desk,
     )
     finish(settings, result)
@@ -54,7 +55,7 @@ def run(
     try:
         review = review_run(folder)
     except OSError as error:  # a full disk must not hide how the run ended
-        tell(f"{report}: not written ({error.strerror}), `hystmpc report {folder}` makes it once there is room")
+        say(f"{report}: not written ({error.strerror}), `hystmpc report {folder}` makes it once there is room")
     else:
         for line in review.lines:
             out.print(f"review: {line}", soft_wrap=True, markup=False)

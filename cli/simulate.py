@@ -2,24 +2,21 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Callable, Container, Mapping, Sequence
+from collections.abc import Callable, Container, Mapping
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
-from hystmpc.sim.compare import compare
-from hystmpc.sim.config import load_simulation
 from hystmpc.sim.results import Result, StudyResult, approach_sentence, best_figures, conclusion
-from hystmpc.trials.config import read_yaml
+from hystmpc.tasks.simulate import reproduce, sweep
+from hystmpc.tasks.simulate import simulate as simulate_study
 from hystmpc.trials.errors import ConfigError
-from hystmpc.trials.run_folder import require_resumable, require_vacant
 from hystmpc.trials.types import Progress
 
-from .bars import bar
-from .console import INTERRUPTED, errors, out, table
-from .options import AllowPython, heard, processes
+from .bars import progress_of
+from .console import errors, out, table
+from .options import AllowPython, Cluster, Overrides
 
 DIFFERENT = 1
 
@@ -31,15 +28,13 @@ def simulate(
         Path | None, typer.Argument(metavar="[CONFIG]", help="A study: plant, model, motions, controllers (YAML).")
     ] = None,
     folder: Annotated[Path | None, typer.Option("--out", help="Run folder; new or empty, or a sweep to go on.")] = None,
-    overrides: Annotated[list[str] | None, typer.Option("--set", help="Change a setting: plant.lag_s=0.1.")] = None,
+    overrides: Overrides = None,
     controllers: Annotated[
         list[str] | None, typer.Option("--controller", help="Add a controller from a file: NAME=controller.yaml.")
     ] = None,
-    sweep: Annotated[Path | None, typer.Option(help="Many studies in one: grid, draws, seeds (YAML).")] = None,
+    many: Annotated[Path | None, typer.Option("--sweep", help="Many studies: grid, draws, seeds (YAML).")] = None,
     jobs: Annotated[int | None, typer.Option(help="Processes of a sweep; else one a core.")] = None,
-    cluster: Annotated[
-        str | None, typer.Option(help="Dask scheduler of a sweep, tcp://host:8786; `local`: processes of this machine.")
-    ] = None,
+    cluster: Cluster = None,
     row: Annotated[
         tuple[Path, str] | None, typer.Option(metavar="DIR ID", help="Make one row of a sweep again and compare.")
     ] = None,
@@ -49,15 +44,22 @@ def simulate(
 
     Ctrl-C keeps the finished runs.
     """
-    heard(allow)
-    _check(config, sweep, row, folder)
-    _check_use(sweep, config, {"--jobs": jobs, "--cluster": cluster}, {"--controller": controllers or None})
+    _check(config, many, row, folder)
+    _check_use(many, config, {"--jobs": jobs, "--cluster": cluster}, {"--controller": controllers or None})
+    changes = overrides or ()
     if row is not None:
-        _again(row[0], row[1], folder)
-    elif folder is not None and sweep is not None:
-        _sweep(sweep, overrides or [], folder, processes(jobs), cluster)
+        _reproduce(row[0], row[1], folder)
+    elif folder is not None and many is not None:
+        _sweep(many, folder, {"overrides": changes, "jobs": jobs, "cluster": cluster, "allow_python": allow})
     elif folder is not None and config is not None:
-        _study(config, [*map(_controller, controllers or []), *(overrides or [])], folder)
+        added = dict(map(_named, controllers or ()))
+        show_study(
+            "simulate",
+            folder,
+            lambda progress: simulate_study(
+                config, folder, overrides=changes, controllers=added, allow_python=allow, progress=progress
+            ),
+        )
 
 
 def _check(config: Path | None, sweep: Path | None, row: tuple[Path, str] | None, folder: Path | None) -> None:
@@ -86,26 +88,27 @@ def _check_use(
                 raise ConfigError(f"simulate: {name} does nothing here, expected it with {place} only")
 
 
-def _study(config: Path, overrides: Sequence[str], folder: Path) -> None:
-    """One study."""
-    study = load_simulation(config, overrides)
-    show_study("simulate", folder, lambda progress: compare(study, folder, progress))
+def _named(text: str) -> tuple[str, Path]:
+    """Name and file of `NAME=FILE`.
+
+    Raises:
+        ConfigError: if it is not of that form.
+    """
+    name, separator, file = text.partition("=")
+    if not separator or not name or "." in name:
+        raise ConfigError(f"--controller {text}: expected NAME=FILE, a name without dots")
+    return name, Path(file)
 
 
 def show_study(title: str, folder: Path, run: Callable[[Progress], StudyResult]) -> None:
-    """Do a study behind a bar and print what came of it; what Ctrl-C left of it is said too.
+    """Do a study behind a bar and print its result; what Ctrl-C left of it is said too.
 
     Raises:
         ConfigError: if the folder is not new or empty, or the study cannot be run.
         typer.Exit: with 130 if the user ended it before a run was finished.
     """
-    require_vacant(folder)
-    try:
-        with bar(title) as show:
-            result = run(lambda done, total, note="": show(done, note, total=total))
-    except KeyboardInterrupt:
-        errors.print("interrupted before a run was finished: nothing is kept", style="yellow")
-        raise typer.Exit(INTERRUPTED) from None
+    with progress_of(title, kept="interrupted before a run was finished: nothing is kept") as progress:
+        result = run(progress)
     print_study(result)
     wanted, done = len(result.config.motions) * len(result.config.controllers), len(result.results)
     if done < wanted:
@@ -113,38 +116,22 @@ def show_study(title: str, folder: Path, run: Callable[[Progress], StudyResult])
     out.print(f"report: {folder / 'report.html'}", soft_wrap=True)
 
 
-def _sweep(file: Path, overrides: Sequence[str], folder: Path, jobs: int, cluster: str | None) -> None:
+def _sweep(file: Path, folder: Path, options: Mapping[str, Any]) -> None:
     """Do what of a sweep is not done yet."""
-    from hystmpc.sim.jobs.runner import backend_for  # kept out of the way of the other verbs' start
-    from hystmpc.sim.sweep.run import run_sweep
-    from hystmpc.sim.sweep.settings import load_sweep
-
-    settings = load_sweep(file, overrides)
-    require_resumable(folder)
-    backend = backend_for(jobs, cluster, str(folder))
-    try:
-        with bar("sweep") as show:
-            found = run_sweep(
-                settings, folder, backend, lambda done, total, note="": show(done, note, total=total), source=file
-            )
-    except KeyboardInterrupt:
-        errors.print(f"interrupted: finished runs are kept in {folder}, the same command goes on", style="yellow")
-        raise typer.Exit(INTERRUPTED) from None
-    if found.failed:
-        errors.print(f"failed: {found.failed} runs, the first: {found.message}", style="red")
-    out.print(f"{found.rows} runs, {found.kept} of them from before, {found.failed} failed")
-    if found.others:
-        out.print(f"{found.others} more rows are of another form of this sweep: in the table, not in the report")
-    out.print(f"table: {found.table}")
-    out.print(f"report: {found.report}")
+    kept = f"interrupted: finished runs are kept in {folder}, the same command goes on"
+    with progress_of("sweep", kept=kept) as progress:
+        outcome = sweep(file, folder, **options, progress=progress)
+    if outcome.failed:
+        errors.print(f"failed: {outcome.failed} runs, the first: {outcome.message}", style="red")
+    out.print(f"{outcome.rows} runs, {outcome.kept} of them from before, {outcome.failed} failed")
+    if outcome.others:
+        out.print(f"{outcome.others} more rows are of another form of this sweep: in the table, not in the report")
+    out.print(f"table: {outcome.table}")
+    out.print(f"report: {outcome.report}")
 
 
-def _again(folder: Path, identity: str, target: Path | None) -> None:
+def _reproduce(folder: Path, identity: str, target: Path | None) -> None:
     """Make a row again; exit code 1 if a figure differs."""
-    from hystmpc.sim.sweep.run import reproduce
-
-    if target is not None:
-        require_vacant(target)
     figures = reproduce(folder, identity, target)
     rows = [[f.name, str(f.before), str(f.again), "yes" if f.equal else "NO"] for f in figures]
     out.print(table(f"row {identity}", ("figure", "table", "again", "equal"), rows))
@@ -153,21 +140,6 @@ def _again(folder: Path, identity: str, target: Path | None) -> None:
     if not all(figure.equal for figure in figures):
         errors.print("the run came out otherwise: another version, machine or library?", style="red")
         raise typer.Exit(DIFFERENT)
-
-
-def _controller(text: str) -> str:
-    """`NAME=FILE` as the override that puts the file's settings in.
-
-    Raises:
-        ConfigError: if it is not of that form, or the file holds no controller.
-    """
-    name, separator, file = text.partition("=")
-    if not separator or not name or "." in name:
-        raise ConfigError(f"--controller {text}: expected NAME=FILE, a name without dots")
-    data = read_yaml(file)
-    if not isinstance(data, dict) or "kind" not in data:
-        raise ConfigError(f"{file}: expected the settings of one controller, with the key 'kind'")
-    return f"controllers.{name}={json.dumps(data)}"
 
 
 def print_study(result: StudyResult) -> None:

@@ -7,11 +7,11 @@ from typing import Annotated
 
 import typer
 
-from hystmpc.trials.run_folder import require_resumable
+from hystmpc.tasks.tune import tune as search
 
-from .bars import bar
-from .console import INTERRUPTED, errors, out, table
-from .options import AllowPython, heard, processes
+from .bars import progress_of
+from .console import errors, out, table
+from .options import AllowPython, Cluster, Overrides
 
 _COLUMNS = ("settings", "objective", "mean error", "worst plant", "travel", "violations")
 
@@ -19,11 +19,9 @@ _COLUMNS = ("settings", "objective", "mean error", "worst plant", "travel", "vio
 def tune(
     config: Annotated[Path, typer.Argument(metavar="CONFIG", help="A tuning: study, ranges, plants (YAML).")],
     folder: Annotated[Path, typer.Option("--out", help="Run folder; an unfinished tuning in it goes on.")],
-    overrides: Annotated[list[str] | None, typer.Option("--set", help="Change a setting: trials=200.")] = None,
+    overrides: Overrides = None,
     jobs: Annotated[int | None, typer.Option(help="Processes, one thread each; else one a core.")] = None,
-    cluster: Annotated[
-        str | None, typer.Option(help="Dask scheduler, tcp://host:8786, with a shared --storage; `local`: as --jobs.")
-    ] = None,
+    cluster: Cluster = None,
     storage: Annotated[
         str | None, typer.Option(help="Where trials are kept, such as postgresql://host/db; several machines share it.")
     ] = None,
@@ -33,26 +31,21 @@ def tune(
 
     They are checked on plants not seen; writes controller.yaml and a report.
     """
-    from hystmpc.sim.jobs.runner import backend_for  # kept out of the way of the other verbs' start
-    from hystmpc.sim.tuning.run import run_tuning
-    from hystmpc.sim.tuning.settings import load_tuning
-
-    heard(allow)
-    workers = processes(jobs)
-    settings = load_tuning(config, overrides or [])
-    require_resumable(folder)
-    backend = backend_for(workers, cluster, str(folder))
-    try:
-        with bar("tune") as show:
-            found = run_tuning(
-                settings, folder, backend, storage, lambda done, total, note="": show(done, note, total=total)
-            )
-    except KeyboardInterrupt:
-        errors.print(f"interrupted: finished trials are kept in {folder}, the same command goes on", style="yellow")
-        raise typer.Exit(INTERRUPTED) from None
-    for failed in found.failed:
+    kept = f"interrupted: finished trials are kept in {folder}, the same command goes on"
+    with progress_of("tune", kept=kept) as progress:
+        tuning = search(
+            config,
+            folder,
+            overrides=overrides or (),
+            jobs=jobs,
+            cluster=cluster,
+            storage=storage,
+            allow_python=allow,
+            progress=progress,
+        )
+    for failed in tuning.failed:
         errors.print(f"failed: trial {failed.slot}: {failed.message}", style="red", highlight=False)
-    check = found.check
+    check = tuning.check
     rows = [[name, *(f"{value:.3f}" for value in figures), str(beyond)] for name, *figures, beyond in check.rows()]
     out.print(table(f"{len(check.given)} plants that the search has not seen [deg]", _COLUMNS, rows))
     low, high = check.interval()

@@ -4,18 +4,21 @@ from __future__ import annotations
 
 from importlib.resources import files
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from hystmpc.trials.errors import ModelError, did_you_mean
 
 from .contract.metadata import Start
-from .model import LoadedModel
 from .simulator import ChainModel, load_simulator
+
+if TYPE_CHECKING:
+    from .contract.load import OnnxModel
 
 BUILTIN = "builtin:"
 _ENDINGS = (".yaml", ".onnx")
 
 
-def load_model(path: Path | str, start: Start = "initial") -> LoadedModel:
+def load_model(path: Path | str, start: Start = "initial") -> ChainModel | OnnxModel:
     """Open a model by its ending.
 
     Args:

@@ -158,17 +158,17 @@ class KindContract(ModelContract):
         require(abs(facts.dt_s - self._trials[0].dt) < 1e-9, f"sample time {facts.dt_s} s, the trials' is another")
 
     def test_what_cannot_be_fitted_is_refused_in_one_line(self) -> None:
-        """No trials, trials of two rates, and an unknown preset raise `FitError`."""
+        """No trials, trials of two rates, and an unknown training raise `FitError`."""
         first = self._trials[0]
         slow = Trial(2 * first.t, first.command, first.angle, source="slow")
-        wrong = FitRequest(preset="no such preset")
+        wrong = FitRequest(training="no such training")
         for trials, request in (([], self.request), ([first, slow], self.request), (self._trials, wrong)):
             try:
                 self.kind.fit(trials, request)
             except FitError as error:
                 require("\n" not in str(error), f"the error has several lines: {error}")
             else:
-                require(False, f"{len(trials)} trials with the preset {request.preset!r} are taken")
+                require(False, f"{len(trials)} trials with the training {request.training!r} are taken")
 
     def _first(self) -> float:
         return float(self._trials[0].angle[0])

@@ -14,7 +14,7 @@ from .findings import CheckReport as CheckReport
 from .findings import Finding as Finding
 from .findings import Severity as Severity
 from .layouts import ANGLE_UNIT_OF, COMMAND_UNIT_OF, LogMapping, SignalSettings
-from .read import Layout, Log, read_unchecked, resolve
+from .read import AnyLayout, Log, read_unchecked, resolve
 from .signal_findings import Conversion, encoding_findings, motion_findings
 from .signals import UncheckedLog
 from .trial import Trial, even_time
@@ -27,28 +27,28 @@ _MODEL_HZ = 25.0  # at which `fit` runs where nothing else is asked for
 
 
 @in_a_line
-def check(log: Log, preset: Layout = "auto", sampled_hz: float | None = None) -> CheckReport:
+def check(log: Log, layout: AnyLayout = "auto", sampled_hz: float | None = None) -> CheckReport:
     """Check a log: time base, jitter, gaps, duplicates, values, units, sign, excitation, segments and first flexure.
 
     A file or frame is read leniently: what `read_trials` would refuse becomes a finding.
 
     Args:
         log: a file, a ROS 2 bag, a data frame or a trial.
-        preset: its layout, see `read_trials`.
+        layout: its layout, see `read_trials`.
         sampled_hz: rate [Hz] of a log that was sampled evenly, whose time stamps are not looked at.
 
     Raises:
         LogError: if it cannot be read, or lacks a column or signal.
-        ConfigError: on an unknown preset or a wrong mapping file.
+        ConfigError: on an unknown layout or a wrong mapping file.
     """
     if isinstance(log, Trial):
         t = log.t if sampled_hz is None else even_time(len(log), sampled_hz)
         return _report(UncheckedLog(t, log.command, log.angle, log.channels, log.units, log.source))
-    layout = resolve(preset)
+    layout = resolve(layout)
     return _report(read_unchecked(log, layout, sampled_hz), layout if sampled_hz is None else None)
 
 
-def _report(log: UncheckedLog, layout: Layout | None = None) -> CheckReport:
+def _report(log: UncheckedLog, layout: AnyLayout | None = None) -> CheckReport:
     """All findings; those on the motion are made on samples that are finite, in order of time, and repaired."""
     mapping = layout if isinstance(layout, LogMapping) else None
     findings = [Finding(Severity.NOTE, "file", log.note)] if log.note else []
@@ -67,7 +67,7 @@ def _report(log: UncheckedLog, layout: Layout | None = None) -> CheckReport:
         trial = Trial(t, command, angle, units=log.units, source=log.source)
         encoded, trial = encoding_findings(trial, _conversions(mapping), lambda k: log.where(int(rows[k, 3])))
         findings += [*encoded, *motion_findings(trial, log.ranges)]
-    return CheckReport(log.source, log.preset, tuple(findings))
+    return CheckReport(log.source, log.layout, tuple(findings))
 
 
 def _conversions(mapping: LogMapping | None) -> tuple[Conversion, Conversion]:

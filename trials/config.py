@@ -171,12 +171,16 @@ def load_settings(kind: type[S], path: Path | str, overrides: Iterable[str] = ()
     if not isinstance(data, dict):
         raise ConfigError(f"{path}: got {type(data).__name__}, expected a mapping of settings")
     for text in changes:
-        _override(data, text)
+        override(data, text)
     return kind.parse(data, place_in(path, changes))
 
 
-def _override(data: dict[str, Any], text: str) -> None:
-    """Set `a.b=3` in nested mappings, in place."""
+def override(data: dict[str, Any], text: str) -> None:
+    """Set `a.b=3` in nested mappings, in place.
+
+    Raises:
+        ConfigError: on a malformed change, or a key of a value that is no mapping.
+    """
     key, separator, value = text.partition("=")
     if not separator or not key:
         raise ConfigError(f"--set {text}: expected KEY.KEY=VALUE")

@@ -1,4 +1,4 @@
-"""Reading and writing of trials as tables: delimited text, sheets and data frames, by the columns of a preset."""
+"""Reading and writing of trials as tables: delimited text, sheets and data frames, by the columns of a layout."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ from .layouts import (
     CANONICAL,
     COMMAND_UNIT_OF,
     COMMAND_UNITS,
+    LAYOUTS,
     MAPPING_HINT,
     OUTPUT_COLUMN,
-    PRESETS,
-    Preset,
+    Layout,
     UnitName,
     command_column,
-    detect_preset,
+    detect_layout,
     few,
-    get_preset,
+    layout_named,
     unit_of,
 )
 from .lvm import is_lvm, lvm_table
@@ -50,7 +50,7 @@ def format_table(columns: Mapping[str, Sequence[str] | NDArray[np.generic]]) -> 
 
 
 def read_columns(
-    log: Path | str | Frame, preset: str | Preset = "auto", sampled_hz: float | None = None
+    log: Path | str | Frame, layout: str | Layout = "auto", sampled_hz: float | None = None
 ) -> UncheckedLog:
     """Read a log without any check of its values: empty cells are not-a-number, time may repeat.
 
@@ -58,14 +58,14 @@ def read_columns(
 
     Raises:
         LogError: if the file cannot be read as a table or lacks a column; names file, row and column.
-        ConfigError: on an unknown preset.
+        ConfigError: on an unknown layout.
     """
-    layout = None if preset == "auto" else get_preset(preset) if isinstance(preset, str) else preset
-    table, layout = _table_and_layout(log, layout)
+    wanted = None if layout == "auto" else layout_named(layout) if isinstance(layout, str) else layout
+    table, layout = _table_and_layout(log, wanted)
     path = table.source
     if gone := layout.missing(table.header):
         raise LogError(
-            f"{path}: missing columns for preset {layout.name}: {', '.join(gone)}; "
+            f"{path}: missing columns for layout {layout.name}: {', '.join(gone)}; "
             f"available: {few(table.header)}{_header_hint(table)}"
         )
     try:
@@ -95,7 +95,7 @@ def read_columns(
     return UncheckedLog(t, u, angle, channels, units, path, layout.name, note, ranges, cells)
 
 
-def read_csv(log: Path | str | Frame, preset: str | Preset = "auto", sampled_hz: float | None = None) -> Trial:
+def read_csv(log: Path | str | Frame, layout: str | Layout = "auto", sampled_hz: float | None = None) -> Trial:
     """Read one trial from a file or a data frame.
 
     Time, command and angle must be finite and time must increase; further columns may hold empty cells (read as
@@ -103,14 +103,14 @@ def read_csv(log: Path | str | Frame, preset: str | Preset = "auto", sampled_hz:
 
     Args:
         log: the file or frame.
-        preset: its layout: a name, a `Preset`, or `auto` to tell it from the header.
+        layout: its layout: a name, a `Layout`, or `auto` to tell it from the header.
         sampled_hz: rate [Hz] of a log that was sampled evenly, whose time stamps are not looked at.
 
     Raises:
         LogError: on anything else; one line with file, row, column, what was got and what was expected.
-        ConfigError: on an unknown preset.
+        ConfigError: on an unknown layout.
     """
-    return read_columns(log, preset, sampled_hz).trial()
+    return read_columns(log, layout, sampled_hz).trial()
 
 
 def write_csv(trial: Trial, path: Path | str) -> Path:
@@ -154,14 +154,14 @@ def open_table(log: Path | str | Frame, wanted: Iterable[str] = (), names: Seque
     return lvm_table(lines, str(log)) if is_lvm(lines) else text_table(lines, str(log), wanted, names)
 
 
-def _table_and_layout(log: Path | str | Frame, layout: Preset | None) -> tuple[Table, Preset]:
+def _table_and_layout(log: Path | str | Frame, layout: Layout | None) -> tuple[Table, Layout]:
     """Columns of a log, and their layout: the given one, otherwise the one that matches the header."""
-    wanted = layout.known() if layout is not None else [name for preset in PRESETS for name in preset.known()]
+    wanted = layout.known() if layout is not None else [name for layout in LAYOUTS for name in layout.known()]
     table = open_table(log, wanted, layout.columns if layout is not None else ())
     header, clock = table.header, _clock(table, (layout or CANONICAL).spelled(table.header), (layout or CANONICAL).time)
     if layout is None:
         try:
-            layout = detect_preset([CANONICAL.time if name == clock else name for name in header])
+            layout = detect_layout([CANONICAL.time if name == clock else name for name in header])
         except LogError as error:
             where = table.source if isinstance(log, Frame) else f"{table.source}, row {table.header_row}"
             raise LogError(f"{where}: {error}{_header_hint(table)}") from None
@@ -188,7 +188,7 @@ def _require_units(table: Table, expected: Mapping[str, str]) -> None:
         if said and said != unit and said in {*get_args(UnitName), *_TIME_UNITS} and name not in table.times:
             raise LogError(
                 f"{table.source}, row {table.header_row + 1}: the unit below {name!r} is {said}, expected {unit}; "
-                "name it in a mapping file (--preset map.yaml) or correct the row"
+                "name it in a mapping file (--layout map.yaml) or correct the row"
             )
 
 

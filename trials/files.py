@@ -82,9 +82,9 @@ _WANTED: ContextVar[Path | None] = ContextVar("figures", default=None)
 
 
 @contextmanager
-def figures_to(folder: Path | None) -> Iterator[None]:
+def figures_to(folder: Path | str | None) -> Iterator[None]:
     """Context in which every report also writes its figures into a folder; None writes none."""
-    token = _WANTED.set(folder)
+    token = _WANTED.set(None if folder is None else Path(folder))
     try:
         yield
     finally:

@@ -38,12 +38,12 @@ class CheckReport:
 
     Attributes:
         source: path of the log.
-        preset: layout it was read with, empty for a trial from memory.
+        layout: layout it was read with, empty for a trial from memory.
         findings: at least one per topic.
     """
 
     source: str
-    preset: str
+    layout: str
     findings: tuple[Finding, ...]
 
     def __repr__(self) -> str:
@@ -60,11 +60,11 @@ class CheckReport:
         return tuple(f for f in self.findings if f.topic == topic)
 
     def __str__(self) -> str:
-        head = f"{self.source} ({self.preset})" if self.preset else self.source
+        head = f"{self.source} ({self.layout})" if self.layout else self.source
         return "\n".join([head, *(f"{f.severity:8} {f.topic}: {f.message}" for f in self.findings)])
 
     def _repr_html_(self) -> str:
         from .report import Report, Table  # matplotlib takes longer to import than a log to check
 
         rows = [(str(f.severity), f.topic, f.message) for f in self.findings]
-        return Report(self.source, (Table(("", "topic", "finding"), rows),), self.preset).fragment()
+        return Report(self.source, (Table(("", "topic", "finding"), rows),), self.layout).fragment()

@@ -16,11 +16,11 @@ from .errors import ConfigError, LogError, did_you_mean
 
 
 @dataclass(frozen=True)
-class Preset:
+class Layout:
     """One layout of a delimited text log.
 
     Attributes:
-        name: what a user writes after `--preset`.
+        name: what a user writes after `--layout`.
         summary: one line for help texts.
         time: column of the time stamps [s].
         command: command columns and their units; of these a log holds exactly one, or the first, which wins.
@@ -49,7 +49,7 @@ class Preset:
         object.__setattr__(self, "command", MappingProxyType(dict(self.command)))
         object.__setattr__(self, "channels", MappingProxyType(dict(self.channels)))
         if self.columns and (gone := self.missing(self.columns)):
-            raise ConfigError(f"preset {self.name}: columns lack {', '.join(gone)}, got {', '.join(self.columns)}")
+            raise ConfigError(f"layout {self.name}: columns lack {', '.join(gone)}, got {', '.join(self.columns)}")
 
     @property
     def has_header(self) -> bool:
@@ -147,7 +147,7 @@ def _folded(name: str) -> str:
     return name.translate(_MICRO).casefold()
 
 
-CANONICAL = Preset(
+CANONICAL = Layout(
     name="canonical",
     summary="time_s, command (or command_mm, command_bar, ...), angle_deg (or angle_mm, ...), any further columns",
     time="time_s",
@@ -165,7 +165,7 @@ def command_column(unit: str) -> str:
     return "command" if unit == COMMAND_UNITS[0] else f"command_{unit}"
 
 
-TENDON_CATHETER = Preset(
+TENDON_CATHETER = Layout(
     name="tendon-catheter",
     summary="EM-tracked tendon catheter, 9 columns (one tendon) or 11 (two): Time, Tendon Disp., ..., Angle z",
     time="Time",
@@ -186,33 +186,33 @@ TENDON_CATHETER = Preset(
     angle_range=(-30.0, 200.0),
 )
 
-PRESETS: tuple[Preset, ...] = (CANONICAL, TENDON_CATHETER)
+LAYOUTS: tuple[Layout, ...] = (CANONICAL, TENDON_CATHETER)
 
 
-def get_preset(name: str) -> Preset:
-    """The preset of that name.
+def layout_named(name: str) -> Layout:
+    """The layout of that name.
 
     Raises:
         ConfigError: if there is none; names those available and the nearest.
     """
-    for preset in PRESETS:
-        if preset.name == name:
-            return preset
-    raise ConfigError(f"unknown preset {name!r}, {did_you_mean(name, ['auto', *(p.name for p in PRESETS)])}")
+    for layout in LAYOUTS:
+        if layout.name == name:
+            return layout
+    raise ConfigError(f"unknown layout {name!r}, {did_you_mean(name, ['auto', *(p.name for p in LAYOUTS)])}")
 
 
-def detect_preset(header: Sequence[str]) -> Preset:
-    """The first preset whose columns are all in `header`.
+def detect_layout(header: Sequence[str]) -> Layout:
+    """The first layout whose columns are all in `header`.
 
     Raises:
         LogError: if none fits; lists what each would need and what there is.
     """
-    for preset in PRESETS:
-        if preset.has_header and not preset.missing(preset.spelled(header)):
-            return preset
-    nearest = min((p for p in PRESETS if p.has_header), key=lambda p: len(p.missing(p.spelled(header))))
+    for layout in LAYOUTS:
+        if layout.has_header and not layout.missing(layout.spelled(header)):
+            return layout
+    nearest = min((p for p in LAYOUTS if p.has_header), key=lambda p: len(p.missing(p.spelled(header))))
     gone = ", ".join(nearest.missing(nearest.spelled(header)))
-    raise LogError(f"columns fit no preset: {nearest.name} misses {gone}; available: {few(header, 50)}")
+    raise LogError(f"columns fit no layout: {nearest.name} misses {gone}; available: {few(header, 50)}")
 
 
 def few(names: Iterable[str], longest: int = 60) -> str:
@@ -228,9 +228,9 @@ def few(names: Iterable[str], longest: int = 60) -> str:
 
 MAPPING_HINT = (
     "; or map the names: `{time: NAME, command: {signal: NAME, unit: mm}, angle: {signal: NAME, unit: deg}}` "
-    "in map.yaml, `--preset map.yaml`"
+    "in map.yaml, `--layout map.yaml`"
 )
-"""For the end of an error line on columns that no preset knows."""
+"""For the end of an error line on columns that no layout knows."""
 
 
 ANGLE_UNIT_OF = MappingProxyType({"rad": ("deg", math.degrees(1.0))})
@@ -338,9 +338,9 @@ class LogMapping(Settings):
         return (self.command, self.angle, *self.channels.values())
 
 
-def is_mapping_file(preset: str) -> bool:
-    """Whether the value of `--preset` is the name of a mapping file."""
-    return Path(preset).suffix.lower() in (".yaml", ".yml")
+def is_mapping_file(layout: str) -> bool:
+    """Whether the value of `--layout` is the name of a mapping file."""
+    return Path(layout).suffix.lower() in (".yaml", ".yml")
 
 
 def load_mapping(path: Path | str) -> LogMapping:

@@ -15,7 +15,7 @@ from .command_noise import remove_command_noise
 from .csv_files import open_table, read_columns
 from .errors import ConfigError, LogError, in_a_line
 from .formats import ENDINGS, format_of
-from .layouts import LogMapping, Preset, get_preset, is_mapping_file, load_mapping
+from .layouts import Layout, LogMapping, is_mapping_file, layout_named, load_mapping
 from .mat_ import open_mat
 from .mcap_ import open_mcap
 from .npz_ import open_npz
@@ -36,8 +36,8 @@ from .tdms_ import open_tdms
 from .trial import Trial, even_time, parts_at_gaps, positive_rate, require_uniform, resample
 from .types import Vec
 
-Layout = str | Preset | LogMapping
-"""A layout's name, a mapping file (`*.yaml`), a `Preset` (tables), a `LogMapping`, or `auto`."""
+AnyLayout = str | Layout | LogMapping
+"""A layout's name, a mapping file (`*.yaml`), a `Layout` (tables), a `LogMapping`, or `auto`."""
 
 Log = Path | str | Frame | Trial
 """One recorded trial: a file, the folder of a ROS 2 bag, a data frame, or the trial itself."""
@@ -57,7 +57,7 @@ OPENERS: dict[str, Callable[[Path], Source]] = {
 @in_a_line
 def read_trials(
     logs: Log | Iterable[Log],
-    preset: Layout = "auto",
+    layout: AnyLayout = "auto",
     *,
     rate_hz: float | None = None,
     sampled_hz: float | None = None,
@@ -67,15 +67,15 @@ def read_trials(
     Args:
         logs: one or several of: delimited text, Excel, LabVIEW, MATLAB, NumPy, MCAP, ROS bag, a folder of these, a data
             frame with the columns of the layout (such as `time_s`, `command`, `angle_deg`), a `Trial`.
-        preset: layout of all of them: `auto`, `canonical`, `tendon-catheter`, or a mapping file `*.yaml`.
+        layout: layout of all of them: `auto`, `canonical`, `tendon-catheter`, or a mapping file `*.yaml`.
         rate_hz: resample to this rate [Hz] and cut at gaps, see `at_rate`; None leaves the samples as they are.
         sampled_hz: rate [Hz] of logs that were sampled evenly, whose time stamps are not looked at.
 
     Raises:
         LogError: if nothing is found, or a log cannot be read or resampled; names file, row and what was expected.
-        ConfigError: on an unknown preset or a wrong mapping file.
+        ConfigError: on an unknown layout or a wrong mapping file.
     """
-    layout = resolve(preset)
+    layout = resolve(layout)
     several = [logs] if isinstance(logs, Path | str | Frame | Trial) else list(logs)
     trials = []
     for log in several or expand_logs([]):  # which refuses to do without any
@@ -96,16 +96,16 @@ def _with_unique_names(trials: list[Trial]) -> list[Trial]:
     return named
 
 
-def read_log(log: Log, preset: Layout = "auto", sampled_hz: float | None = None) -> Trial:
+def read_log(log: Log, layout: AnyLayout = "auto", sampled_hz: float | None = None) -> Trial:
     """Read one trial; see `read_trials`, which takes folders too.
 
     Raises:
         LogError: if the log cannot be used; one line with the file, what was got and what is available.
-        ConfigError: on an unknown preset or a wrong mapping file, or a preset of another format.
+        ConfigError: on an unknown layout or a wrong mapping file, or a layout of another format.
     """
     if isinstance(log, Trial):
         return log if sampled_hz is None else replace(log, t=even_time(len(log), sampled_hz))
-    return read_unchecked(log, preset, sampled_hz).trial()
+    return read_unchecked(log, layout, sampled_hz).trial()
 
 
 _OTHERS = ", ".join(f"*{ending}" for ending in ENDINGS)
@@ -140,24 +140,26 @@ def _logs_in(folder: Path) -> list[Path]:
 _NO_LOGS = (".", "~$")  # what macOS and Excel leave beside files
 
 
-def read_unchecked(log: Path | str | Frame, preset: Layout = "auto", sampled_hz: float | None = None) -> UncheckedLog:
+def read_unchecked(
+    log: Path | str | Frame, layout: AnyLayout = "auto", sampled_hz: float | None = None
+) -> UncheckedLog:
     """Read a log without any check of its values.
 
     Raises:
         LogError: if the log cannot be read, or lacks a signal.
-        ConfigError: on an unknown preset or a wrong mapping file, or a preset of another format.
+        ConfigError: on an unknown layout or a wrong mapping file, or a layout of another format.
     """
-    layout = resolve(preset)
+    layout = resolve(layout)
     if isinstance(layout, LogMapping):
         return _read_mapping(log, layout, sampled_hz)
     if _is_table(log):
         return read_columns(log, layout, sampled_hz)
     source = _open(log, ())
     if layout != "auto":
-        name = layout.name if isinstance(layout, Preset) else layout
+        name = layout.name if isinstance(layout, Layout) else layout
         if name != "canonical":
             raise ConfigError(
-                f"{source.path}: preset {name} is for delimited text, expected auto or a mapping file (*.yaml)"
+                f"{source.path}: layout {name} is for delimited text, expected auto or a mapping file (*.yaml)"
             )
     try:
         clock = source.clock if isinstance(source, ArrayLog) else ""
@@ -182,15 +184,15 @@ def _sampled(mapping: LogMapping, sampled_hz: float | None) -> LogMapping:
     return mapping if sampled_hz is None else mapping.model_copy(update={"rate_hz": positive_rate(sampled_hz)})
 
 
-def resolve(preset: Layout) -> Layout:
-    """Resolve `--preset`: read a mapping from its file, or check a name.
+def resolve(layout: AnyLayout) -> AnyLayout:
+    """Resolve `--layout`: read a mapping from its file, or check a name.
 
     Raises:
-        ConfigError: on an unknown preset or a wrong mapping file.
+        ConfigError: on an unknown layout or a wrong mapping file.
     """
-    if not isinstance(preset, str) or preset == "auto":
-        return preset
-    return load_mapping(preset) if is_mapping_file(preset) else get_preset(preset)
+    if not isinstance(layout, str) or layout == "auto":
+        return layout
+    return load_mapping(layout) if is_mapping_file(layout) else layout_named(layout)
 
 
 def _is_table(log: Path | str | Frame) -> bool:

@@ -166,12 +166,13 @@ class RunFolder:
         return read_csv(self.path / "log.csv", CANONICAL)
 
 
-def require_vacant(folder: Path) -> None:
+def require_vacant(folder: Path | str) -> None:
     """Refuse a folder that is not empty: a run never overwrites anything.
 
     Raises:
         ConfigError: if the path is a file, a folder that is not empty, or cannot be written.
     """
+    folder = Path(folder)
     require_writable(folder)
     if folder.is_dir():
         try:
@@ -186,13 +187,14 @@ def require_vacant(folder: Path) -> None:
         raise ConfigError(f"{folder}: is a file, expected a new or empty folder")
 
 
-def require_resumable(folder: Path) -> None:
+def require_resumable(folder: Path | str) -> None:
     """Refuse a folder that is neither empty nor a run that can be resumed.
 
     Raises:
         ConfigError: if the path is a file, a folder that holds something else, or cannot be written.
         LogError: if it is the folder of a run of another format.
     """
+    folder = Path(folder)
     if (folder / "meta.json").is_file():
         require_writable(folder)
         RunFolder.open(folder)

@@ -87,7 +87,7 @@ class UncheckedLog:
         channels: further signals, (T,) each.
         units: of command and angle.
         source: path of the log.
-        preset: name of the layout it was read with; empty for a trial from memory.
+        layout: name of the layout it was read with; empty for a trial from memory.
         note: what a user should know about the file; empty if nothing.
         ranges: plausible values of command and angle; None for any.
         cells: of a table, where its samples stand.
@@ -99,7 +99,7 @@ class UncheckedLog:
     channels: Mapping[str, Vec]
     units: Units
     source: str
-    preset: str = ""
+    layout: str = ""
     note: str = ""
     ranges: tuple[tuple[float, float] | None, tuple[float, float] | None] = (None, None)
     cells: Cells | None = None
@@ -228,7 +228,7 @@ def canonical_mapping(names: Sequence[str], path: str, clock: str = "") -> LogMa
     command, angle = (next((name for name in known if name in ends), None) for known in (commands, outputs))
     if command is None or angle is None or ("time_s" not in ends and not clock):
         raise LogError(
-            f"{path}: holds no time_s, command, angle_deg; expected these, or a mapping file after --preset; "
+            f"{path}: holds no time_s, command, angle_deg; expected these, or a mapping file after --layout; "
             f"available: {few(names, 120)}"
         )
     keys = ends.get("time_s", clock), ends[command], ends[angle]

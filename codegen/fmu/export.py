@@ -42,12 +42,14 @@ class FmuExport:
         files: content by path inside the FMU.
         platforms: for which there is a binary; none where no compiler was found.
         functions: of <math.h> that the step calls.
+        left_out: what the plant has and the FMU has not, such as the noise of its sensor.
     """
 
     described: Described
     files: Mapping[str, bytes]
     platforms: tuple[str, ...]
     functions: tuple[str, ...]
+    left_out: tuple[str, ...] = ()
 
     def write(self, path: Path | str) -> Path:
         """Write the FMU, whole or not at all."""

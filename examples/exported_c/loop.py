@@ -12,7 +12,6 @@ import sys
 from pathlib import Path
 
 import hystmpc
-from hystmpc.sim import SimulatedPlant
 
 REAL = ctypes.c_double  # c_float after --float32
 
@@ -59,7 +58,10 @@ class Controller:
 
 def main(library: Path) -> None:
     """Three targets, one after the other."""
-    controller, plant = Controller(library), SimulatedPlant(hystmpc.load_simulator("builtin:tendon-catheter"))
+    controller, plant = (
+        Controller(library),
+        hystmpc.SimulatedPlant(hystmpc.load_model("builtin:tendon-catheter").simulator),
+    )
     angle = plant.reset()
     controller.init(angle, 0.0)
     for target in (60.0, 45.0, 70.0):

@@ -10,7 +10,6 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import hystmpc
-from hystmpc.sim import SimulatedPlant
 
 plt.style.use("hystmpc.trials.report")
 
@@ -68,7 +67,7 @@ plt.show()
 # one. The same command now gives a tip angle in degrees. Two angles at 3 mm, one on the way up and one on the way down,
 # show how large the hysteresis is.
 
-device = SimulatedPlant(hystmpc.load_simulator("builtin:tendon-catheter"))
+device = hystmpc.SimulatedPlant(hystmpc.load_model("builtin:tendon-catheter").simulator)
 device.reset()
 angle_deg = np.array([device.apply(u) for u in command_mm])
 

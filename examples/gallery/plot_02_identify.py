@@ -11,7 +11,6 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import hystmpc
-from hystmpc.sim import Effects, SimulatedPlant
 
 plt.style.use("hystmpc.trials.report")
 
@@ -21,7 +20,8 @@ plt.style.use("hystmpc.trials.report")
 # The device has four plays, a lag of 0.08 s, and a sensor with a noise of 0.15 deg. We record four motions of 20 s. A
 # good set has slow and fast parts, large and small loops, and some holds.
 
-device = SimulatedPlant(hystmpc.load_simulator("builtin:tendon-catheter"), Effects(lag_s=0.08, noise_deg=0.15), seed=1)
+simulator = hystmpc.load_model("builtin:tendon-catheter").simulator
+device = hystmpc.SimulatedPlant(simulator, hystmpc.Effects(lag_s=0.08, noise_deg=0.15), seed=1)
 time_s = np.arange(0.0, 20.0, device.dt)
 
 
@@ -68,7 +68,7 @@ plt.show()
 # one lag for each direction.
 
 model = hystmpc.fit("auto", trials, limits=hystmpc.Limits(0.0, 6.0, 10.0))
-print(model.found.report)
+print(model.identified.report)
 found = dict(zip(model.simulator.chain.labels, model.simulator.chain.values, strict=True))
 print({label: f"{value:.3f} s" for label, value in found.items() if label.startswith("lag.tau")})
 

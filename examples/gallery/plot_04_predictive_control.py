@@ -13,8 +13,6 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import hystmpc
-from hystmpc.sim import Effects, SimulatedPlant, run_closed_loop
-from hystmpc.trajectories import TriangleScan
 
 plt.style.use("hystmpc.trials.report")
 
@@ -90,21 +88,21 @@ plt.show()
 # has no state that says which way the device turned last. Both controllers estimate an offset from the measurement.
 # Neither learns the error of its model here (``"adaptation": None``), so that the difference is the model's alone.
 
-simulator = hystmpc.load_simulator("builtin:auto")
+simulator = hystmpc.load_model("builtin:auto").simulator
 values = dict(zip(simulator.chain.labels, simulator.chain.values, strict=True))
 plays = [label for label in values if label.startswith("prandtl_ishlinskii.a") and label[-1] in "123456"]
 values["prandtl_ishlinskii.a0"] += sum(values[label] for label in plays)
 values.update(dict.fromkeys(plays, 0.0))
 memoryless = replace(simulator, chain=simulator.chain.with_values(list(values.values())))
 
-effects = Effects(lag_s=0.08, noise_deg=0.15, mismatch={ALPHA: 1.2})
-device = SimulatedPlant(hystmpc.load_simulator("builtin:tendon-catheter"), effects, seed=1)
-scan = TriangleScan(start_deg=29, centre_deg=56, amplitude_deg=16, frequency_hz=0.2, cycles=2.5)
+effects = hystmpc.Effects(lag_s=0.08, noise_deg=0.15, mismatch={ALPHA: 1.2})
+device = hystmpc.SimulatedPlant(hystmpc.load_model("builtin:tendon-catheter").simulator, effects, seed=1)
+scan = hystmpc.TriangleScan(start_deg=29, centre_deg=56, amplitude_deg=16, frequency_hz=0.2, cycles=2.5)
 figure, axes = plt.subplots(figsize=(7.0, 2.8))
 memory_rmse_deg = {}
 for label, model in (("with the state of the plays", simulator), ("without", memoryless)):
     controller = hystmpc.build_controller({"kind": "linearised_mpc", "adaptation": None}, model)
-    run = run_closed_loop(controller, device, scan)
+    run = hystmpc.run_closed_loop(controller, device, scan)
     memory_rmse_deg[label] = float(np.sqrt(np.mean(run.error_deg**2)))
     text = f"{label}: RMSE {memory_rmse_deg[label]:.2f} deg"
     axes.plot(run.log.time_s, run.error_deg, linewidth=0.9, label=text)

@@ -13,7 +13,6 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import hystmpc
-from hystmpc.sim import Effects, SimulatedPlant
 
 plt.style.use("hystmpc.trials.report")
 
@@ -34,8 +33,8 @@ class Bench:
     """
 
     def __init__(self, friction):
-        effects = Effects(lag_s=0.08, noise_deg=0.15, mismatch={"prandtl_ishlinskii.alpha": friction})
-        self.device = SimulatedPlant(hystmpc.load_simulator("builtin:tendon-catheter"), effects, seed=1)
+        effects = hystmpc.Effects(lag_s=0.08, noise_deg=0.15, mismatch={"prandtl_ishlinskii.alpha": friction})
+        self.device = hystmpc.SimulatedPlant(hystmpc.load_model("builtin:tendon-catheter").simulator, effects, seed=1)
         self.tip = hystmpc.TipController.from_config(SETTINGS)
         self.measured_deg, self.log = self.device.reset(), []
 

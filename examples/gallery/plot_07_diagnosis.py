@@ -13,7 +13,6 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import hystmpc
-from hystmpc.sim import Effects, SimulatedPlant
 
 plt.style.use("hystmpc.trials.report")
 
@@ -23,9 +22,9 @@ plt.style.use("hystmpc.trials.report")
 # The simulator is ``builtin:pi``. The device is the same, with 0.7 mm of slack and a sensor noise of 0.1 deg. A
 # diagnosis wants several trials, since it keeps some of them for the end and chooses nothing on them.
 
-simulator = hystmpc.load_simulator("builtin:pi")
+simulator = hystmpc.load_model("builtin:pi").simulator
 slack = {"effect": "slack", "parameters": {"slack": 0.7}}
-device = SimulatedPlant(simulator, Effects(noise_deg=0.1, effects=[slack]), seed=1)
+device = hystmpc.SimulatedPlant(simulator, hystmpc.Effects(noise_deg=0.1, effects=[slack]), seed=1)
 time_s = np.arange(0.0, 16.0, device.dt)
 
 
@@ -88,7 +87,7 @@ plt.show()
 # The folder of a diagnosis holds a report of all that was tried, and the corrected simulator. We run it over a motion
 # that no part of the diagnosis has seen.
 
-corrected = hystmpc.load_simulator(folder / "sim.fixed.yaml")
+corrected = hystmpc.load_model(folder / "sim.fixed.yaml").simulator
 random = np.random.default_rng(7)
 fresh_mm = np.interp(time_s, np.arange(0.0, 17.0, 1.0), [0.0, *random.uniform(0.0, 6.0, 16)])
 device.reset()

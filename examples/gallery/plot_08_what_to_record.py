@@ -14,7 +14,6 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import hystmpc
-from hystmpc.sim import Effects, SimulatedPlant
 
 plt.style.use("hystmpc.trials.report")
 
@@ -24,8 +23,8 @@ plt.style.use("hystmpc.trials.report")
 # The device has a lag of 0.12 s that the simulator lacks. All trials are slow sines.
 
 LIBRARY = ("lag", "delay")
-simulator = hystmpc.load_simulator("builtin:pi")
-device = SimulatedPlant(simulator, Effects(lag_s=0.12, noise_deg=0.2), seed=2)
+simulator = hystmpc.load_model("builtin:pi").simulator
+device = hystmpc.SimulatedPlant(simulator, hystmpc.Effects(lag_s=0.12, noise_deg=0.2), seed=2)
 
 
 def record(command_mm, name):

@@ -17,9 +17,6 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import hystmpc
-from hystmpc.models import Number, Operator, with_effect
-from hystmpc.sim import Effects, SimulatedPlant, run_closed_loop
-from hystmpc.trajectories import SinusoidScan
 
 plt.style.use("hystmpc.trials.report")
 
@@ -38,12 +35,12 @@ plt.style.use("hystmpc.trials.report")
 
 
 @dataclass(frozen=True)
-class EccentricPulley(Operator):
+class EccentricPulley(hystmpc.Operator):
     """A pulley that is not centred, behind an elastic belt."""
 
-    offset: Annotated[float, Number("cmd", 0.0, 10.0, 0.0, "departure of the travel, to either side")]
-    circumference: Annotated[float, Number("cmd", 1e-3, 1e3, 1.0, "travel of one turn of the pulley")]
-    tau_s: Annotated[float, Number("s", 1e-3, 1e3, 0.1, "time constant of the belt")]
+    offset: Annotated[float, hystmpc.Number("cmd", 0.0, 10.0, 0.0, "departure of the travel, to either side")]
+    circumference: Annotated[float, hystmpc.Number("cmd", 1e-3, 1e3, 1.0, "travel of one turn of the pulley")]
+    tau_s: Annotated[float, hystmpc.Number("s", 1e-3, 1e3, 0.1, "time constant of the belt")]
     name: ClassVar[str] = "eccentric_pulley"
     state_names: ClassVar[tuple[str, ...]] = ("v",)
 
@@ -62,14 +59,14 @@ class EccentricPulley(Operator):
 # ----------------
 # ``with_effect`` puts an operator on the command side or on the output side of a simulator's chain.
 
-plain = hystmpc.load_simulator("builtin:pi")
+plain = hystmpc.load_model("builtin:pi").simulator
 pulley = EccentricPulley(offset=0.2, circumference=2.0, tau_s=0.05)
-eccentric = replace(plain, chain=with_effect(plain.chain, pulley, "command"))
+eccentric = replace(plain, chain=hystmpc.with_effect(plain.chain, pulley, "command"))
 
 command_mm = 3.0 - 3.0 * np.cos(2.0 * np.pi * 0.05 * np.arange(0.0, 20.0, plain.dt_s))
 figure, axes = plt.subplots(figsize=(5.0, 3.2))
 for label, simulator in (("centred pulley", plain), ("eccentric pulley", eccentric)):
-    device = SimulatedPlant(simulator)
+    device = hystmpc.SimulatedPlant(simulator)
     device.reset()
     axes.plot(command_mm, [device.apply(u) for u in command_mm], linewidth=0.9, label=label)
 axes.set(xlabel="command [mm]", ylabel="tip angle [deg]", title="The effect shows as waves on the loop")
@@ -82,13 +79,13 @@ plt.show()
 # The controller takes the simulator as it is and has exact derivatives of the new equation. With a model that lacks the
 # effect it has to find the waves by feedback. (``"adaptation": None``: it learns nothing beyond an offset.)
 
-device = SimulatedPlant(eccentric, Effects(noise_deg=0.1), seed=1)
-scan = SinusoidScan(start_deg=29, centre_deg=56, amplitude_deg=20, frequency_hz=0.3, cycles=4)
+device = hystmpc.SimulatedPlant(eccentric, hystmpc.Effects(noise_deg=0.1), seed=1)
+scan = hystmpc.SinusoidScan(start_deg=29, centre_deg=56, amplitude_deg=20, frequency_hz=0.3, cycles=4)
 figure, axes = plt.subplots(figsize=(7.0, 2.8))
 rmse_deg = {}
 for label, model in (("without the effect", plain), ("with the effect", eccentric)):
     controller = hystmpc.build_controller({"kind": "linearised_mpc", "adaptation": None}, model)
-    run = run_closed_loop(controller, device, scan)
+    run = hystmpc.run_closed_loop(controller, device, scan)
     rmse_deg[label] = float(np.sqrt(np.mean(run.error_deg**2)))
     text = f"model {label}: RMSE {rmse_deg[label]:.2f} deg"
     axes.plot(run.log.time_s, run.error_deg, linewidth=0.9, label=text)

@@ -14,7 +14,6 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import hystmpc
-from hystmpc.sim import SimulatedPlant
 
 plt.style.use("hystmpc.trials.report")
 
@@ -96,7 +95,7 @@ def compare(name, samples):
     limits = hystmpc.Limits(facts.command_limits.lower, facts.command_limits.upper, facts.command_rate)
     problem = optimal_control_problem(step, limits, model.dt)
     tip = hystmpc.TipController.from_config({"model": name, "controller": SETTINGS})
-    device = SimulatedPlant(hystmpc.load_simulator("builtin:tendon-catheter"), seed=1)
+    device = hystmpc.SimulatedPlant(hystmpc.load_model("builtin:tendon-catheter").simulator, seed=1)
     rest = measured = device.reset()
     last, guess = device.rest_command, np.full(HORIZON, device.rest_command)
     state = np.asarray(step(model.at_rest(rest, last), last)[1]).ravel()  # the controller has held it for a sample

@@ -11,7 +11,6 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import hystmpc
-from hystmpc.sim import Effects, SimulatedPlant
 
 plt.style.use("hystmpc.trials.report")
 
@@ -21,7 +20,8 @@ plt.style.use("hystmpc.trials.report")
 # Trials are recorded as always. The fit swaps command and angle by itself. The inverse of a sum of plays (``pi``) is
 # a sum of plays again.
 
-device = SimulatedPlant(hystmpc.load_simulator("builtin:tendon-catheter"), Effects(noise_deg=0.05), seed=1)
+simulator = hystmpc.load_model("builtin:tendon-catheter").simulator
+device = hystmpc.SimulatedPlant(simulator, hystmpc.Effects(noise_deg=0.05), seed=1)
 time_s = np.arange(0.0, 20.0, device.dt)
 
 

@@ -14,8 +14,6 @@ import numpy as np
 from matplotlib.ticker import NullLocator
 
 import hystmpc
-from hystmpc.sim import Effects, SimulatedPlant, run_closed_loop
-from hystmpc.trajectories import SinusoidScan
 
 plt.style.use("hystmpc.trials.report")
 
@@ -25,7 +23,8 @@ plt.style.use("hystmpc.trials.report")
 # The device is a catheter with a lag of 0.08 s. The last model is the straight line that is left when a sum of plays
 # loses its plays.
 
-device = SimulatedPlant(hystmpc.load_simulator("builtin:tendon-catheter"), Effects(lag_s=0.08, noise_deg=0.1), seed=1)
+simulator = hystmpc.load_model("builtin:tendon-catheter").simulator
+device = hystmpc.SimulatedPlant(simulator, hystmpc.Effects(lag_s=0.08, noise_deg=0.1), seed=1)
 time_s = np.arange(0.0, 20.0, device.dt)
 
 
@@ -58,7 +57,7 @@ plt.show()
 # ------------------------------
 # Each model drives the same controller along the same scan, without and with learning.
 
-scan = SinusoidScan(start_deg=29, centre_deg=56, amplitude_deg=16, frequency_hz=0.3, cycles=4)
+scan = hystmpc.SinusoidScan(start_deg=29, centre_deg=56, amplitude_deg=16, frequency_hz=0.3, cycles=4)
 controllers = {
     "without learning": {"kind": "linearised_mpc", "adaptation": None},
     "with learning": {"kind": "linearised_mpc"},
@@ -66,7 +65,7 @@ controllers = {
 closed_deg = {name: {} for name in controllers}
 for name, model in models.items():
     for how, settings in controllers.items():
-        run = run_closed_loop(hystmpc.build_controller(settings, model), device, scan)
+        run = hystmpc.run_closed_loop(hystmpc.build_controller(settings, model), device, scan)
         closed_deg[how][name] = float(np.sqrt(np.mean(run.error_deg**2)))
 
 figure, axes = plt.subplots(figsize=(5.0, 3.4))

@@ -12,7 +12,6 @@ import mujoco
 import numpy as np
 
 import hystmpc
-from hystmpc.sim import SimulatedPlant
 
 SAMPLE_S = 0.01  # of the operator: every fifth step of MuJoCo
 
@@ -25,7 +24,7 @@ class HystereticTendon:
         plant: without noise; its sample time is a whole number of MuJoCo's steps.
     """
 
-    def __init__(self, model: mujoco.MjModel, actuator: int, plant: SimulatedPlant) -> None:
+    def __init__(self, model: mujoco.MjModel, actuator: int, plant: hystmpc.SimulatedPlant) -> None:
         self._actuator, self._plant = actuator, plant
         self._every = round(plant.dt / model.opt.timestep)
         self._steps = 0
@@ -43,8 +42,8 @@ def main() -> None:
     """Two slow triangles of 0 to 6 mm; prints the bend at 3 mm on the way up and on the way down."""
     model = mujoco.MjModel.from_xml_path(str(Path(__file__).with_name("catheter.xml")))
     data = mujoco.MjData(model)
-    simulator = hystmpc.load_simulator("builtin:tendon-catheter")
-    tendon = HystereticTendon(model, model.actuator("pull").id, SimulatedPlant(simulator, dt_s=SAMPLE_S))
+    simulator = hystmpc.load_model("builtin:tendon-catheter").simulator
+    tendon = HystereticTendon(model, model.actuator("pull").id, hystmpc.SimulatedPlant(simulator, dt_s=SAMPLE_S))
     period_s, asked, bent = 8.0, [], []
     times = np.arange(0.0, 2 * period_s, model.opt.timestep)
     travels = 6.0 - np.abs(6.0 - 12.0 * (times / period_s % 1.0))

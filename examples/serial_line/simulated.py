@@ -7,7 +7,6 @@ from collections.abc import Callable
 from drive import framed
 
 import hystmpc
-from hystmpc.sim import SimulatedPlant
 from hystmpc.testing import LineDevice
 
 RATE_HZ, TRAVEL_MM, FASTEST_MM_S, WATCHDOG_S, RETURN_MM_S = 25.0, 6.0, 10.0, 0.5, 2.0
@@ -29,7 +28,7 @@ def device() -> LineDevice:
 
 def serve(line: LineDevice, goes_on: Callable[[], bool] = lambda: True) -> None:
     """Move a tendon catheter as commanded, within the drive's limits; return to 0 after half a second of silence."""
-    plant = SimulatedPlant(hystmpc.load_simulator("builtin:tendon-catheter"), seed=1)
+    plant = hystmpc.SimulatedPlant(hystmpc.load_model("builtin:tendon-catheter").simulator, seed=1)
     angle, held, heard, silent_s, dt_s = plant.reset(), 0.0, 0, 0.0, 1.0 / RATE_HZ
     while goes_on():
         commands = line.heard()

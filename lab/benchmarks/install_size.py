@@ -27,7 +27,7 @@ IMPORTS = (
     "hystmpc.cli.main",
     "hystmpc.trials.read",
     "hystmpc.ctrl.planner.tip_controller",
-    "hystmpc.api",
+    "hystmpc.tasks.fit",
     "hystmpc.gap.diagnose",
 )
 _MODULE = re.compile(r"^import time:\s+(\d+) \|\s+\d+ \|\s+([\w.]+)$", re.MULTILINE)

@@ -80,13 +80,13 @@ def network(settings: NetworkSettings) -> Fit:
 
 
 def of_kind(name: str, training: str, changes: Sequence[str], skip: bool) -> Fit:
-    """How a kind is identified, the first flexure skipped or not; presets of networks may be changed."""
+    """How a kind is identified, the first flexure skipped or not; trainings of networks may be changed."""
     kind = kind_named(name)
-    preset = training if training in kind.presets else kind.presets[0]
+    chosen = training if training in kind.trainings else kind.trainings[0]
     if isinstance(kind, NetworkKind):
         weight = ["first_flexure_weight=0.0"] if skip else []
-        return network(overridden(kind.settings[preset], [*weight, *changes]))
-    asked = FitRequest(preset=preset, plays=10, skip_first_flexure=skip)
+        return network(overridden(kind.settings[chosen], [*weight, *changes]))
+    asked = FitRequest(training=chosen, plays=10, skip_first_flexure=skip)
     return lambda trials: kind.fit(trials, asked).bundle
 
 
@@ -115,7 +115,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("logs", nargs="+", type=Path)
     parser.add_argument("--rate-hz", type=float, default=25.0)
-    parser.add_argument("--layout", default="auto", help="preset of the logs' columns")
+    parser.add_argument("--layout", default="auto", help="layout of the logs")
     parser.add_argument("--kinds", nargs="+", default=["backlash", "pi", "lstm"], choices=[k.name for k in KINDS])
     parser.add_argument("--training", default="best")
     parser.add_argument("--inverse", action="store_true", help="angle to command")

@@ -54,11 +54,11 @@ def recorded(name: str, excitation: Trajectory, seed: int) -> Trial:
 
 
 def settings(updates: int) -> NetworkSettings:
-    """Those of the preset `stacked`; without a teacher, since these trials already hold and repeat."""
+    """Those of the training `stacked`; without a teacher, since these trials already hold and repeat."""
     stacked = LSTM.settings["stacked"]
     way = stacked.training
     if not isinstance(way, StreamTraining):
-        raise TypeError(f"preset stacked trains by {way.scheme}, expected streams")
+        raise TypeError(f"training stacked trains by {way.scheme}, expected streams")
     training = way.model_copy(update={"updates": updates, "teacher": None})
     return stacked.model_copy(update={"validation_trials": 3, "training": training})
 

@@ -159,7 +159,7 @@ def draw(p: RodParameters, trials: Sequence[Trial], own: Vec, folder: Path) -> N
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("logs", nargs="+", type=Path)
-    parser.add_argument("--layout", default="auto", help="preset of the logs' columns")
+    parser.add_argument("--layout", default="auto", help="layout of the logs")
     parser.add_argument("--rate-hz", type=float, default=25.0)
     parser.add_argument("--out", type=Path, help="folder for figure and parameters")
     parser.add_argument("--seed", type=int, default=0)

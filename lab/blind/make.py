@@ -226,7 +226,7 @@ def make_blind(
     logs: Sequence[Path] = (),
     jobs: int = 1,
     progress: Progress | None = None,
-    preset: str = "auto",
+    layout: str = "auto",
 ) -> Manifest:
     """Make and seal a blind check; equal arguments give equal files.
 
@@ -248,7 +248,7 @@ def make_blind(
         raise ConfigError("suite injection: got no logs, expected --logs with those of one real device")
     require_vacant(folder)
     count = len(wanted)
-    real = tuple(resample(trial, RATE_HZ) for trial in (read_trials(logs, preset) if logs else ()))
+    real = tuple(resample(trial, RATE_HZ) for trial in (read_trials(logs, layout) if logs else ()))
     order = np.random.default_rng([seed, 0]).permutation(count)
     todo = [
         _CaseJob(

@@ -24,7 +24,7 @@ from .plants import Plant
 RECORDING_DT_S = 0.04
 _SINUSOIDS_HZ = (0.1, 0.2, 0.4, 0.5)
 _MOVES, _QUICK_MOVES = 6, 2
-_NETWORK_PRESET = "best"
+_NETWORK_TRAINING = "best"
 
 
 def recordings(plant: Plant, seed: int, quick: bool = False) -> tuple[Trial, ...]:
@@ -78,7 +78,7 @@ def save_network(plant: Plant, kind: str, folder: Path, updates: int, seed: int,
         FitError: if training fails or torch is missing.
         ExportError: if the exported model differs from its reference.
     """
-    request = FitRequest(preset=_NETWORK_PRESET, seed=seed, steps=updates)
+    request = FitRequest(training=_NETWORK_TRAINING, seed=seed, steps=updates)
     trained = kind_named(kind).fit(recordings(plant, seed, quick), request)
     if trained.interrupted:
         raise KeyboardInterrupt

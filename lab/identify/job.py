@@ -127,7 +127,7 @@ def identified_as(kind: ModelKind, trials: Sequence[Trial], device: DrawnDevice,
     """
     command = Range(lower=device.limits.lower, upper=device.limits.upper)
     limits = DeviceLimits(command, device.rate_per_s)
-    identified = kind.fit(trials, FitRequest(preset=kind.presets[0], seed=seed, limits=limits))
+    identified = kind.fit(trials, FitRequest(training=kind.trainings[0], seed=seed, limits=limits))
     if identified.interrupted:
         raise KeyboardInterrupt
     return identified

@@ -29,13 +29,13 @@ class DeviceLogs(Settings):
 
     Attributes:
         logs: files, beside the file that names them; each is left out once.
-        preset: layout of the logs, or a mapping file beside that file.
+        layout: layout of the logs, or a mapping file beside that file.
         rate_hz: rate to which they are resampled [Hz].
         parts: equal parts that each log is cut into, for devices of which one log is all there is.
     """
 
     logs: Annotated[tuple[str, ...], Field(min_length=1)]
-    preset: str = "auto"
+    layout: str = "auto"
     rate_hz: Annotated[float, Field(gt=0)] = 25.0
     parts: Annotated[int, Field(ge=1, le=20)] = 1
 
@@ -52,11 +52,11 @@ def device_settings(file: Path, **changes: Any) -> dict[str, PaperSettings]:
     found = {}
     for name, own in content.items():
         device, beside = DeviceLogs.parse(own, f"{file}: {name}"), file.parent
-        layout = beside / device.preset
+        layout = beside / device.layout
         found[str(name)] = PaperSettings.for_study(
             "real",
             logs=[str(beside / log) for log in device.logs],
-            layout=str(layout) if layout.is_file() else device.preset,
+            layout=str(layout) if layout.is_file() else device.layout,
             rate_hz=device.rate_hz,
             parts=device.parts,
             **{"kinds": DEVICES_KINDS, "presets": ("best",)} | {k: v for k, v in changes.items() if v},

@@ -64,7 +64,7 @@ class TrainingJob:
     def request(self) -> FitRequest:
         """The job as a kind of model is asked; validation trials are added by the worker."""
         return FitRequest(
-            preset=self.preset,
+            training=self.preset,
             seed=self.seed,
             steps=self.steps,
             constancy_weight=self.constancy,
@@ -111,7 +111,7 @@ def preset_for(kind: str, asked: str, paper: str = "paper") -> str:
 
     `paper` is the name of the preset that this study's paper has trained with, taken where `paper` is asked for.
     """
-    presets = kind_named(kind).presets
+    presets = kind_named(kind).trainings
     wanted = paper if asked == "paper" and paper in presets else asked
     return wanted if wanted in presets else presets[0]
 
@@ -126,7 +126,7 @@ def steps_for(kind: str, preset: str, settings: PaperSettings) -> int | None:
 
     `epochs_scale` is for networks with a paper's preset; `quick` cuts everything that counts its steps.
     """
-    steps = kind_named(kind).steps(FitRequest(preset=preset))
+    steps = kind_named(kind).steps(FitRequest(training=preset))
     if steps is None:
         return None
     if settings.quick:

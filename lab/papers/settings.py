@@ -94,7 +94,7 @@ class PaperSettings(StudySettings):
         wrong = [name for name in self.kinds if name not in known] if asked else []
         if wrong:
             raise ConfigError(f"no kind of model {wrong[0]!r}, {did_you_mean(wrong[0], known)}")
-        presets = {preset for kind in KINDS for preset in kind.presets}
+        presets = {preset for kind in KINDS for preset in kind.trainings}
         for name, available in ((self.presets, presets), (self.stages, STAGES[self.study])):
             for text in name:
                 if text not in available:

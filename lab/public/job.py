@@ -31,7 +31,7 @@ def run_kind(job: PublicJob, settings: PublicSettings, folder: Path) -> dict[str
     """
     kind = kind_named(job.kind)
     case = next(case for case in data_set(settings).cases(settings) if case.name == job.case)
-    request = FitRequest(kind.usual_preset(False), settings.seed, settings.steps(job.kind))
+    request = FitRequest(kind.usual_training(False), settings.seed, settings.steps(job.kind))
     start = time.perf_counter()
     identified = kind.fit(case.training, request)
     seconds = time.perf_counter() - start

@@ -14,7 +14,7 @@ from hystmpc.models.kinds.networks import (
     S1_WINDOWS,
     S2_WINDOWS,
     NetworkKind,
-    by_preset,
+    by_training,
     s1_settings,
     s2_settings,
 )
@@ -37,7 +37,7 @@ _SINGLE = {"length": 1}  # a feed-forward network is scored on the last sample o
 FNN = NetworkKind(
     "fnn",
     "FNN",
-    by_preset(
+    by_training(
         NetworkSettings(
             kind="fnn", network=_FNN, warmup_samples=0, training=StreamTraining(updates=1500, teacher=None)
         ),
@@ -51,7 +51,7 @@ FNN = NetworkKind(
 FNN_HIB = NetworkKind(
     "fnn_hib",
     "FNN-HIB",
-    by_preset(
+    by_training(
         NetworkSettings(
             kind="fnn_hib", network=_HIB, warmup_samples=_HISTORY - 1, training=StreamTraining(updates=6000)
         ),
@@ -64,7 +64,7 @@ FNN_HIB = NetworkKind(
 HB1 = NetworkKind(
     "hb1",
     "HB1",
-    by_preset(
+    by_training(
         NetworkSettings(kind="hb1", network=_HB1, training=StreamTraining(updates=4000)),
         s2_settings("hb1", _HB1.model_copy(update=_PLAIN_HEAD)),
         s2_settings("hb1", _HB1.model_copy(update=_PLAIN_HEAD), _SERIAL, "paper-batch-4"),
@@ -75,7 +75,7 @@ HB1 = NetworkKind(
 HB2 = NetworkKind(
     "hb2",
     "HB2",
-    by_preset(
+    by_training(
         NetworkSettings(kind="hb2", network=_HB2, training=StreamTraining(updates=4000)),
         s2_settings("hb2", _HB2.model_copy(update=_PLAIN_HEAD)),
     ),
@@ -92,15 +92,15 @@ class SvrKind(ModelKind):
 
     name = "svr"
     title = "SVR"
-    presets = ("best", "paper", "grid")
+    trainings = ("best", "paper", "grid")
 
     def fit(self, trials: Sequence[Trial], request: FitRequest, progress: FitProgress | None = None) -> Identified:
         from hystmpc.models.identify.estimation_noise import with_noise
 
-        from .svr_ import SVR_PRESETS, fit_svr, svr_bundle
+        from .svr_ import SVR_TRAININGS, fit_svr, svr_bundle
 
         self.check(trials, request)
-        settings = SVR_PRESETS[request.preset].model_copy(update={"seed": request.seed})
+        settings = SVR_TRAININGS[request.training].model_copy(update={"seed": request.seed})
         history, show = recorded(progress)
         found = fit_svr(trials, settings, request.skip_first_flexure, show)
         choice, unit = found.choice, trials[0].units.angle
@@ -115,9 +115,9 @@ class SvrKind(ModelKind):
         return Identified(bundle, None, tuple(history), report, found.interrupted)
 
     def steps(self, request: FitRequest) -> int | None:
-        from .svr_ import SVR_PRESETS
+        from .svr_ import SVR_TRAININGS
 
-        settings = SVR_PRESETS.get(request.preset)
+        settings = SVR_TRAININGS.get(request.training)
         if settings is None:
             return None
         compared = len(settings.c) * len(settings.gamma) * len(settings.epsilon)

@@ -35,7 +35,7 @@ class SvrSettings(Settings):
     Commands and angles are scaled so that the trained ranges become -1 to 1; `epsilon` is in the unit of that angle.
 
     Attributes:
-        preset: name in reports.
+        name: of the training, in reports.
         lags: commands in a window.
         stride: samples between them; 50 commands every 5 samples are 10 s at 25 Hz, a period of the slowest motions.
         c, gamma, epsilon: values that are compared; one of each is no comparison.
@@ -48,7 +48,7 @@ class SvrSettings(Settings):
         seed: of the draws.
     """
 
-    preset: str = "best"
+    name: str = "best"
     lags: Annotated[int, Field(ge=2)] = 50
     stride: Count = 5
     c: tuple[Positive, ...] = Field(default=(1.0, 10.0, 100.0), min_length=1)
@@ -62,13 +62,13 @@ class SvrSettings(Settings):
     seed: int = 1
 
 
-SVR_PRESETS: Mapping[str, SvrSettings] = {
+SVR_TRAININGS: Mapping[str, SvrSettings] = {
     "best": SvrSettings(),
     # S1: the values found by its grid search
-    "paper": SvrSettings(preset="paper", stride=1, c=(10.0,), gamma=(0.1,), epsilon=(0.1,), samples=100_000),
+    "paper": SvrSettings(name="paper", stride=1, c=(10.0,), gamma=(0.1,), epsilon=(0.1,), samples=100_000),
     # S1: the grid search itself
     "grid": SvrSettings(
-        preset="grid",
+        name="grid",
         stride=1,
         c=(0.001, 0.01, 0.1, 1.0, 10.0),
         gamma=(0.001, 0.01, 0.1, 1.0),
@@ -188,7 +188,7 @@ def svr_bundle(fit: SvrFit, trials: Sequence[Trial], settings: SvrSettings, limi
         (rest, rest),
         past,
         {
-            "preset": settings.preset,
+            "preset": settings.name,
             "settings": settings.model_dump_json(),
             "c": fit.choice.c,
             "gamma": fit.choice.gamma,

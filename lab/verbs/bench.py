@@ -11,7 +11,8 @@ import typer
 
 from hystmpc.cli.bars import bar
 from hystmpc.cli.console import INTERRUPTED, errors, out, plain_console, table
-from hystmpc.cli.options import BENCHMARK, Force, check_output
+from hystmpc.cli.options import Force
+from hystmpc.tasks.outputs import BENCHMARK, check_output
 from hystmpc.trials.files import write_atomically
 from hystmpc.trials.run_folder import require_vacant
 

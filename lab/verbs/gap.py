@@ -12,7 +12,7 @@ import typer
 
 from hystmpc.cli.bars import bar
 from hystmpc.cli.console import INTERRUPTED, errors, out, table
-from hystmpc.cli.options import Layout, Logs
+from hystmpc.cli.options import LayoutName, Logs
 from hystmpc.models.simulator import load_simulator
 from hystmpc.trials.read import read_trials
 from hystmpc.trials.run_folder import require_vacant
@@ -51,7 +51,7 @@ def make(
     logs: Annotated[
         list[Path] | None, typer.Option(help="Real logs of one device or a folder of them, for injection; repeatable.")
     ] = None,
-    preset: Layout = "auto",
+    layout: LayoutName = "auto",
     jobs: Jobs = None,
 ) -> None:
     """Write cases without labels, and their answers in one sealed file."""
@@ -67,7 +67,7 @@ def make(
             logs or [],
             workers,
             lambda done, total, note="": show(done, total=total),
-            preset,
+            layout,
         )
     out.print(f"{len(manifest.cases)} cases in {folder / 'cases'}; answers sealed, sha256 {manifest.answers_sha256}")
 
@@ -181,14 +181,14 @@ def ablate(
     logs: Logs,
     sim: Annotated[Path, typer.Option("--sim", help="Simulator with effects, such as a diagnosis' sim.fixed.yaml.")],
     folder: Annotated[Path, typer.Option("--out", help="Folder to make; new or empty.")],
-    preset: Layout = "auto",
+    layout: LayoutName = "auto",
     seed: Annotated[int, typer.Option(min=0, help="Of the diagnoses.")] = 0,
 ) -> None:
     """Take each effect out of a simulator of real logs, and ask the diagnosis for its name."""
     from ..blind.ablation import ablate as ablate_all
 
     require_vacant(folder)
-    trials, simulator = read_trials(logs, preset), load_simulator(sim)
+    trials, simulator = read_trials(logs, layout), load_simulator(sim)
     with bar("ablate") as show:
         rows = ablate_all(trials, simulator, folder, seed, lambda done, total, note="": show(done, note, total=total))
     cells = []

@@ -58,7 +58,7 @@ def study(
     folder: Annotated[Path, typer.Option("--out", help="Run folder; an unfinished study in it goes on.")],
     dataset: Annotated[str | None, typer.Argument(help="Of `public`: boucwen, seals, rig.")] = None,
     logs: Annotated[list[Path] | None, typer.Option(help="Logs or folders of *.csv, for `real`; repeatable.")] = None,
-    layout: Annotated[str, typer.Option("--preset", help="Layout of the logs.")] = "auto",
+    layout: Annotated[str, typer.Option("--layout", help="Layout of the logs.")] = "auto",
     rate_hz: Annotated[float, typer.Option(min=0.1, help="Rate to which logs are resampled [Hz].")] = 25.0,
     jobs: Annotated[int | None, typer.Option(min=1, help="Processes, one thread each; else one a core.")] = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed of simulated data and training.")] = 1,

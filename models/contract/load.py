@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, final, get_args
+from typing import TYPE_CHECKING, Any, NoReturn, final, get_args
 
 import numpy as np
 import onnx
@@ -59,6 +59,15 @@ class OnnxModel(LoadedModel):
         self.source = source
         self.start: Start = start
         self._run = open_session(content, self.state_size, self.dtype, source).run
+
+    @property
+    def simulator(self) -> NoReturn:
+        """A chain of operators has a readable form, an exported graph has none.
+
+        Raises:
+            ModelError: always.
+        """
+        raise ModelError(f"{self.source}: an exported model has no readable form, expected a simulator file (.yaml)")
 
     def advance(self, state: Vec, u: Vec) -> tuple[Vec, Vec]:
         """Angles (N, 1) [deg] and next states (N, S) from states (N, S) and commands (N, 1).

@@ -179,7 +179,7 @@ class ModelMetadata(Settings):
         conditioned: start of a device that has done its initialisation flexure; what controllers start from.
         warmup_samples: samples of the first command, held and unscored, before the first output counts; at most 1e6.
         training_data_hash: fingerprint of the trials that the model was identified on.
-        training: free facts (preset, seed, validation error, logs).
+        training: free facts (name as `preset`, seed, validation error, logs).
         noise: what the model leaves unexplained of its trials; None where that was not found out.
         connections: operators that are connected with the model of kind `kind`, the outermost first.
         rest_command: at which the device rests before a motion; None for the lower end of its command.

@@ -245,7 +245,7 @@ class IdentificationMethod:
         name: as it is asked for.
         settings: class of its settings, a frozen dataclass.
         fit: from task, settings and progress to the result.
-        presets: by kind of chain that has it, the preset under which it has it.
+        trainings: by kind of chain that has it, the training under which it has it.
         summary: one line for help texts.
         kinds: kinds of chain that it can identify; None for all.
     """
@@ -253,7 +253,7 @@ class IdentificationMethod:
     name: str
     settings: type[Any]
     fit: Fit
-    presets: Mapping[str, str]
+    trainings: Mapping[str, str]
     summary: str
     kinds: tuple[str, ...] | None = None
 

@@ -239,6 +239,6 @@ METHODS: Mapping[str, IdentificationMethod] = MappingProxyType(
 """Identification methods by name, those of installed packages last."""
 
 
-def methods_by_preset(kind: str) -> Mapping[str, IdentificationMethod]:
-    """The methods that can identify a kind of chain, by the preset under which it has them, the default first."""
-    return {method.presets[kind]: method for method in METHODS.values() if kind in method.presets}
+def methods_by_training(kind: str) -> Mapping[str, IdentificationMethod]:
+    """The methods that can identify a kind of chain, by the training under which it has them, the default first."""
+    return {method.trainings[kind]: method for method in METHODS.values() if kind in method.trainings}

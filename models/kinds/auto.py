@@ -25,7 +25,7 @@ class AutoKind(ModelKind):
 
     name = "auto"
     title = "auto"
-    presets = ("best",)
+    trainings = ("best",)
     readable = True
     invertible = False
 

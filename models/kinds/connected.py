@@ -49,7 +49,7 @@ class DrivenKind(ModelKind):
         self.name, self.title = f"{kind.name} behind a drive", f"{kind.title} behind a drive"
         if device is not None and _parted(device)[0] is None:
             raise FitError("the simulator has no drive, expected a lag, servo, delay or top speed on its command")
-        self.presets, self.inverse_preset, self.recurrent = kind.presets, kind.inverse_preset, True
+        self.trainings, self.inverse_training, self.recurrent = kind.trainings, kind.inverse_training, True
         self.invertible = False
         self._kind, self._device, self._auto = kind, device, AutoKind()
 
@@ -57,7 +57,7 @@ class DrivenKind(ModelKind):
         self.check(trials, request)
         tell, device, parts = progress or _silent, self._device, None
         if device is None:
-            before = self._auto.fit(trials, replace(request, preset=self._auto.presets[0], validation=()), tell)
+            before = self._auto.fit(trials, replace(request, training=self._auto.trainings[0], validation=()), tell)
             device, parts = _identified(before), before.parts
         done = 0 if self._device else self._auto.steps(request)
 
@@ -99,13 +99,13 @@ class ResidualKind(ModelKind):
     """
 
     def __init__(self, network: str) -> None:
-        kinds = {kind.name: kind for kind in NETWORK_KINDS if RESIDUAL in kind.presets}
+        kinds = {kind.name: kind for kind in NETWORK_KINDS if RESIDUAL in kind.trainings}
         if network not in kinds:
             raise FitError(f"no network {network!r} of what operators leave, {did_you_mean(network, kinds)}")
         self._network: NetworkKind = kinds[network]
         self._auto = AutoKind()
         self.name, self.title = f"auto with {network}", f"auto + {self._network.title}"
-        self.presets, self.invertible = self._auto.presets, False
+        self.trainings, self.invertible = self._auto.trainings, False
 
     def fit(self, trials: Sequence[Trial], request: FitRequest, progress: FitProgress | None = None) -> Identified:
         self.check(trials, request)
@@ -116,7 +116,7 @@ class ResidualKind(ModelKind):
         if fit.interrupted or fit.parts is None:
             return fit
         first = self._auto.steps(request)
-        part = replace(request, preset=RESIDUAL, hold_out=0)
+        part = replace(request, training=RESIDUAL, hold_out=0)
         each = self._network.steps(part)
         try:
             before, after = self._judged(trials, fit.parts, part, lambda k, rmse: tell(first + k, rmse))
@@ -140,7 +140,7 @@ class ResidualKind(ModelKind):
         return Identified(bundle, None, history, report, rest.interrupted, fit.parts)
 
     def steps(self, request: FitRequest) -> int | None:
-        return self._auto.steps(request) + 2 * self._network.steps(replace(request, preset=RESIDUAL))
+        return self._auto.steps(request) + 2 * self._network.steps(replace(request, training=RESIDUAL))
 
     def _judged(
         self, trials: Sequence[Trial], parts: AutoFit, request: FitRequest, progress: FitProgress

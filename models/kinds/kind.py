@@ -24,18 +24,18 @@ class FitRequest:
     """What an identification is asked for; a kind ignores what it has no use for.
 
     Attributes:
-        preset: `best`, or `paper` for the papers' training settings; for operators the method, see each kind.
+        training: `best`, or `paper` for the papers' training settings; for operators the method, see each kind.
         seed: of everything drawn at random.
-        steps: greatest number of steps (epochs, updates, iterations); None for the preset's.
-        hold_out: whole trials held out of those given to stop early; None for the preset's.
+        steps: greatest number of steps (epochs, updates, iterations); None for the training's.
+        hold_out: whole trials held out of those given to stop early; None for the training's.
         validation: trials that only judge, in place of held-out ones.
-        constancy_weight: beta of the constant-in, constant-out term, S2 (RA-L 2024) eq. (12); None for the preset's.
+        constancy_weight: beta of the constant-in, constant-out term, S2 (RA-L 2024) eq. (12); None for the training's.
         plays: number of plays of a Prandtl-Ishlinskii model; None for the kind's own.
         skip_first_flexure: score each trial from the first reversal of its command on.
         limits: what the device may be sent.
     """
 
-    preset: str = "best"
+    training: str = "best"
     seed: int = 1
     steps: int | None = None
     hold_out: int | None = None
@@ -75,8 +75,8 @@ class ModelKind(ABC):
     Attributes:
         name: on the command line and in reports.
         title: in tables.
-        presets: names that `FitRequest.preset` may have, the default first.
-        inverse_preset: the default for inverse maps, where it is another one.
+        trainings: names that `FitRequest.training` may have, the default first.
+        inverse_training: the default for inverse maps, where it is another one.
         readable: whether the result also has a readable form, a simulator in YAML.
         invertible: whether inverse maps can be identified.
         recurrent: whether its angle depends on more than the present command.
@@ -85,16 +85,16 @@ class ModelKind(ABC):
 
     name: str
     title: str
-    presets: tuple[str, ...] = ("best", "paper")
-    inverse_preset: str = ""
+    trainings: tuple[str, ...] = ("best", "paper")
+    inverse_training: str = ""
     readable: bool = False
     invertible: bool = True
     recurrent: bool = True
     rings: bool = False
 
-    def usual_preset(self, inverted: bool) -> str:
-        """The preset that is taken where none is named."""
-        return (inverted and self.inverse_preset) or self.presets[0]
+    def usual_training(self, inverted: bool) -> str:
+        """The training that is taken where none is named."""
+        return (inverted and self.inverse_training) or self.trainings[0]
 
     @abstractmethod
     def fit(self, trials: Sequence[Trial], request: FitRequest, progress: FitProgress | None = None) -> Identified:
@@ -103,7 +103,7 @@ class ModelKind(ABC):
         `progress` gets the steps so far and the best error; KeyboardInterrupt keeps the best so far.
 
         Raises:
-            FitError: on unusable trials, an unknown preset, a diverging fit, or a missing extra.
+            FitError: on unusable trials, an unknown training, a diverging fit, or a missing extra.
         """
 
     @abstractmethod
@@ -123,9 +123,11 @@ class ModelKind(ABC):
         """Refuse what this kind cannot do, before any work.
 
         Raises:
-            FitError: on an unknown preset, or an inverse map of a kind that has none.
+            FitError: on an unknown training, or an inverse map of a kind that has none.
         """
-        if request.preset not in self.presets:
-            raise FitError(f"{self.name}: no preset {request.preset!r}, {did_you_mean(request.preset, self.presets)}")
+        if request.training not in self.trainings:
+            raise FitError(
+                f"{self.name}: no training {request.training!r}, {did_you_mean(request.training, self.trainings)}"
+            )
         if trials and trials[0].inverted and not self.invertible:
             raise FitError(f"{self.name} has no inverse map; its inverse can be searched, or another kind identified")

@@ -1,4 +1,4 @@
-"""The kinds of model that are networks, and their presets: as in S2 (Wu et al., RA-L 2024), as in S1 (Wu et al., RA-L
+"""The kinds of model that are networks, and their trainings: as in S2 (Wu et al., RA-L 2024), as in S1 (Wu et al., RA-L
 2021), and the best that we know.
 """
 
@@ -29,12 +29,12 @@ S1_WINDOWS = WindowTraining(epochs=50, padding_samples=49)
 
 
 def s2_settings(
-    kind: str, network: NetworkForm, training: WindowTraining = S2_WINDOWS, preset: str = "paper"
+    kind: str, network: NetworkForm, training: WindowTraining = S2_WINDOWS, name: str = "paper"
 ) -> NetworkSettings:
     """S2 section III-D: windows of 50, Adam 1e-3, batch 16, at most 100 epochs, u/6 and theta/90, rest at 30 deg."""
     return NetworkSettings(
         kind=kind,
-        preset=preset,
+        name=name,
         network=network,
         scaling=ScalingSettings(),
         rest=RestSettings(),
@@ -51,13 +51,13 @@ def s1_settings(kind: str, network: NetworkForm, training: WindowTraining = S1_W
     Optimiser, rate and batch stood in a table that is lost; those of S2 are taken.
     """
     return NetworkSettings(
-        kind=kind, preset="s1", network=network, warmup_samples=49, learning_rate=1e-3, training=training
+        kind=kind, name="s1", network=network, warmup_samples=49, learning_rate=1e-3, training=training
     )
 
 
-def by_preset(*settings: NetworkSettings) -> Mapping[str, NetworkSettings]:
-    """Settings by the name of their preset, in this order."""
-    return MappingProxyType({each.preset: each for each in settings})
+def by_training(*settings: NetworkSettings) -> Mapping[str, NetworkSettings]:
+    """Settings by the name, in this order."""
+    return MappingProxyType({each.name: each for each in settings})
 
 
 _LSTM = RecurrentSettings()
@@ -69,18 +69,18 @@ _GATED_TRAINING = StreamTraining(
     teacher=TeacherSettings(model="play_kernel", runs=32, centred=True),
 )
 RESIDUAL = "residual"
-"""Preset of a network of what operators leave: there is no model of plays to learn from beside the trials."""
+"""Training of a network of what operators leave: there is no model of plays to learn from beside the trials."""
 
 _WINDOW = 50  # S2's, over which its constancy term is taken
 
 
 @final
 class NetworkKind(ModelKind):
-    """A kind that is a network, with presets of its training; torch is loaded when one is trained.
+    """A kind that is a network, with trainings of its training; torch is loaded when one is trained.
 
     Args:
-        name, title, recurrent, inverse_preset: see `ModelKind`.
-        settings: of the training by preset, the default first.
+        name, title, recurrent, inverse_training: see `ModelKind`.
+        settings: by training, the default first.
     """
 
     def __init__(
@@ -89,18 +89,18 @@ class NetworkKind(ModelKind):
         title: str,
         settings: Mapping[str, NetworkSettings],
         recurrent: bool = True,
-        inverse_preset: str = "",
+        inverse_training: str = "",
     ) -> None:
-        self.name, self.title, self.presets, self.settings = name, title, tuple(settings), settings
-        self.recurrent, self.inverse_preset = recurrent, inverse_preset
+        self.name, self.title, self.trainings, self.settings = name, title, tuple(settings), settings
+        self.recurrent, self.inverse_training = recurrent, inverse_training
 
     def training(self, request: FitRequest) -> NetworkSettings:
-        """The preset's settings with what the request changes.
+        """The settings of a training with what the request changes.
 
         A feed-forward network, which the papers train on single samples, is trained on windows where the constancy
         term is asked for.
         """
-        chosen = self.settings[request.preset]
+        chosen = self.settings[request.training]
         way = chosen.training.model_dump()
         if request.steps is not None:
             way["epochs" if isinstance(chosen.training, WindowTraining) else "updates"] = request.steps
@@ -115,7 +115,7 @@ class NetworkKind(ModelKind):
             changes["validation_trials"] = 0
         elif request.hold_out is not None:
             changes["validation_trials"] = request.hold_out
-        return NetworkSettings.parse(dict(chosen) | changes, f"{self.name}, preset {request.preset}")
+        return NetworkSettings.parse(dict(chosen) | changes, f"{self.name}, training {request.training}")
 
     def fit(self, trials: Sequence[Trial], request: FitRequest, progress: FitProgress | None = None) -> Identified:
         from ..identify.estimation_noise import with_noise  # compiled code, which a list of kinds need not load
@@ -147,12 +147,12 @@ class NetworkKind(ModelKind):
 LSTM = NetworkKind(
     "lstm",
     "LSTM",
-    by_preset(
+    by_training(
         NetworkSettings(kind="lstm", network=GatedSettings(), learning_rate=0.01, training=_GATED_TRAINING),
-        NetworkSettings(kind="lstm", preset="stacked", network=_LSTM),
+        NetworkSettings(kind="lstm", name="stacked", network=_LSTM),
         NetworkSettings(
             kind="lstm",
-            preset=RESIDUAL,
+            name=RESIDUAL,
             network=GatedSettings(),
             learning_rate=0.01,
             training=_GATED_TRAINING.model_copy(update={"teacher": None}),
@@ -160,16 +160,16 @@ LSTM = NetworkKind(
         s2_settings("lstm", _LSTM.model_copy(update=PLAIN)),
         s1_settings("lstm", _LSTM.model_copy(update=PLAIN)),
     ),
-    inverse_preset="stacked",  # a gated state cannot jump across the loop, as the command does where the angle turns
+    inverse_training="stacked",  # a gated state cannot jump across the loop, as the command does where the angle turns
 )
 """Cells over plays of the command, see `GatedLstmNet`; the papers' two layers of 64, see `LstmWeights`."""
 
 GRU = NetworkKind(
     "gru",
     "GRU",
-    by_preset(
+    by_training(
         NetworkSettings(kind="gru", network=_GRU, training=StreamTraining(updates=3000)),
-        NetworkSettings(kind="gru", preset=RESIDUAL, network=_GRU, training=StreamTraining(updates=1600, teacher=None)),
+        NetworkSettings(kind="gru", name=RESIDUAL, network=_GRU, training=StreamTraining(updates=1600, teacher=None)),
         s2_settings("gru", _GRU.model_copy(update=PLAIN)),
         s1_settings("gru", _GRU.model_copy(update=PLAIN)),
     ),

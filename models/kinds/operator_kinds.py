@@ -11,7 +11,7 @@ from hystmpc.trials.trial import Trial
 from ..contract.metadata import DeviceLimits
 from ..identify.chain_kinds import CHAIN_KINDS, ChainKind, Structure
 from ..identify.least_squares import OperatorFitSettings
-from ..identify.methods import identify_chain, methods_by_preset, simulator_of
+from ..identify.methods import identify_chain, methods_by_training, simulator_of
 from ..model import FitProgress
 from ..simulator import simulator_bundle
 from .kind import FitRequest, Identified, ModelKind
@@ -21,7 +21,7 @@ from .kind import FitRequest, Identified, ModelKind
 class OperatorKind(ModelKind):
     """A kind that is an operator; its inverse form is identified from swapped trials.
 
-    Its presets are identification methods: bounded least squares (`best`), and those of installed packages.
+    Its trainings are identification methods: bounded least squares (`best`), and those of installed packages.
 
     Args:
         entry: name, starts and boxes.
@@ -30,7 +30,7 @@ class OperatorKind(ModelKind):
     readable = True
 
     def __init__(self, entry: ChainKind) -> None:
-        self.name, self.title, self.presets = entry.name, entry.title, tuple(methods_by_preset(entry.name))
+        self.name, self.title, self.trainings = entry.name, entry.title, tuple(methods_by_training(entry.name))
         self.invertible, self.rings = entry.inverse is not None, entry.rings
         self._entry = entry
 
@@ -38,7 +38,7 @@ class OperatorKind(ModelKind):
         self.check(trials, request)
         inverted = bool(trials) and trials[0].inverted
         kind = f"inverse_{self.name}" if inverted else self.name
-        method = methods_by_preset(self.name)[request.preset]
+        method = methods_by_training(self.name)[request.training]
         settings = method.settings_for(request.steps, request.seed, request.skip_first_flexure)
         if isinstance(settings, OperatorFitSettings) and self._entry.restarts is not None:
             settings = replace(settings, restarts=self._entry.restarts)
@@ -46,7 +46,7 @@ class OperatorKind(ModelKind):
         chain, fit = identify_chain(kind, trials, method.name, settings, progress=progress, structure=structure)
         # The limits of the request are those of the device's command, which an inverse map gives and does not take.
         limits = DeviceLimits() if inverted else request.limits
-        words = f"{method.name}, preset {request.preset}"
+        words = f"{method.name}, training {request.training}"
         simulator = simulator_of(chain, trials, limits, words, request.seed, request.skip_first_flexure)
         history = tuple((k + 1, loss**0.5) for k, loss in enumerate(fit.report.losses))
         report = f"{fit.report.line()}; {fit.rmse_deg:.4g} {trials[0].units.angle} free run"

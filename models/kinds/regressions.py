@@ -32,14 +32,14 @@ class PlayKernelKind(ModelKind):
 
     name = "play_kernel"
     title = "play kernel"
-    presets = ("best", "rate_independent")
+    trainings = ("best", "rate_independent")
 
     def fit(self, trials: Sequence[Trial], request: FitRequest, progress: FitProgress | None = None) -> Identified:
         from ..identify.estimation_noise import with_noise
-        from ..play_kernel.fit import PLAY_KERNEL_PRESETS, fit_play_kernel, play_kernel_bundle
+        from ..play_kernel.fit import PLAY_KERNEL_TRAININGS, fit_play_kernel, play_kernel_bundle
 
         self.check(trials, request)
-        settings = PLAY_KERNEL_PRESETS[request.preset]
+        settings = PLAY_KERNEL_TRAININGS[request.training]
         history, show = recorded(progress)
         fit = fit_play_kernel(trials, settings, request.skip_first_flexure, show)
         unit = trials[0].units.angle
@@ -50,12 +50,12 @@ class PlayKernelKind(ModelKind):
         return Identified(bundle, None, tuple(history), report, fit.interrupted)
 
     def estimate(self, trials: Sequence[Trial], request: FitRequest) -> float | None:
-        from ..play_kernel.fit import PLAY_KERNEL_PRESETS, play_kernel_seconds
+        from ..play_kernel.fit import PLAY_KERNEL_TRAININGS, play_kernel_seconds
 
-        return play_kernel_seconds(trials, PLAY_KERNEL_PRESETS[request.preset])
+        return play_kernel_seconds(trials, PLAY_KERNEL_TRAININGS[request.training])
 
     def steps(self, request: FitRequest) -> int | None:
-        from ..play_kernel.fit import PLAY_KERNEL_PRESETS
+        from ..play_kernel.fit import PLAY_KERNEL_TRAININGS
 
-        settings = PLAY_KERNEL_PRESETS.get(request.preset)
+        settings = PLAY_KERNEL_TRAININGS.get(request.training)
         return None if settings is None else len(settings.lags_s) * len(settings.smoothness) + 1

@@ -71,6 +71,9 @@ class Operator(ABC):
     default_sizes: ClassVar[Mapping[str, int]] = {}  # of those that a specification may leave out
     size_limits: ClassVar[Mapping[str, tuple[int, int]]] = {}  # where other than 1 to 1000
 
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({self.name})"
+
     def __post_init__(self) -> None:
         check_values(self)
 

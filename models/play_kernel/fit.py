@@ -37,7 +37,7 @@ class PlayKernelSettings(Settings):
     Commands are counted in units of the trained command range, angles in units of the trained angle range.
 
     Attributes:
-        preset: name in reports.
+        name: of the training, in reports.
         plays: number n of plays with a positive radius.
         reach: greatest radius; the radii of a forward model are spread evenly up to it.
         inverse_reach, inverse_finest: greatest and least radius of an inverse map, spread evenly in their logarithm: a
@@ -52,7 +52,7 @@ class PlayKernelSettings(Settings):
         folds: greatest number of groups of trials in the comparison, each left out once.
     """
 
-    preset: str = "best"
+    name: str = "best"
     plays: Count = 12
     reach: Annotated[float, Field(gt=0, le=1)] = 0.45
     inverse_reach: Annotated[float, Field(gt=0, le=1)] = 0.45
@@ -65,9 +65,9 @@ class PlayKernelSettings(Settings):
     folds: Annotated[int, Field(ge=2)] = 6
 
 
-PLAY_KERNEL_PRESETS: Mapping[str, PlayKernelSettings] = {
+PLAY_KERNEL_TRAININGS: Mapping[str, PlayKernelSettings] = {
     "best": PlayKernelSettings(),
-    "rate_independent": PlayKernelSettings(preset="rate_independent", lags_s=(0.0,)),
+    "rate_independent": PlayKernelSettings(name="rate_independent", lags_s=(0.0,)),
 }
 _JITTER = 1e-10
 _SOON = 500_000  # samples: a fit of fewer takes seconds and is not announced
@@ -194,7 +194,7 @@ def play_kernel_bundle(
         (fixed_rule(fresh).model_copy(update=moved), fixed_rule(_flexed(step, fresh, trials, warmup))),
         warmup,
         {
-            "preset": settings.preset,
+            "preset": settings.name,
             "settings": settings.model_dump_json(),
             "lag_s": fit.choice.lag_s,
             "smoothness": fit.choice.smoothness,

@@ -222,7 +222,7 @@ def network_bundle(fit: NetworkFit, trials: Sequence[Trial], limits: DeviceLimit
         (step.initial_rule(), _conditioned_rule(step, trained, rest, dt, warmup)),
         warmup,
         {
-            "preset": fit.settings.preset,
+            "preset": fit.settings.name,
             "settings": fit.settings.model_dump_json(),
             "best_step": fit.best_step,
             "validation_rmse_deg": fit.validation_rmse_deg,

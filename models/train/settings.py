@@ -140,7 +140,7 @@ class NetworkSettings(Settings):
 
     Attributes:
         kind: name in model files and reports.
-        preset: name for reports.
+        name: of the training, for reports.
         network: what it is made of.
         scaling: None maps the ranges of the trials to [-1, 1], as S1 does.
         rest: None takes the first sample of each trial, and the least input of all for the start of a buffer.
@@ -156,7 +156,7 @@ class NetworkSettings(Settings):
     """
 
     kind: str = "lstm"
-    preset: str = "best"
+    name: str = "best"
     network: NetworkForm = RecurrentSettings()
     scaling: ScalingSettings | None = None
     rest: RestSettings | None = None

@@ -17,6 +17,7 @@ from hystmpc.models.operators.measurement import Sensor
 from hystmpc.models.operators.operator import Operator
 from hystmpc.models.prediction.compiled import CompiledPredictor
 from hystmpc.models.simulator import Simulator
+from hystmpc.trials.brief import in_brief
 from hystmpc.trials.errors import ConfigError, ModelError, did_you_mean
 from hystmpc.trials.types import Vec
 
@@ -157,6 +158,9 @@ class SimulatedPlant(ComputedPlant):
         self.command_limits = simulator.command_limits
         own = tuple(o for o in simulator.chain.after if isinstance(o, Sensor))
         super().__init__(dt_s, rest_of(simulator, commands), simulator.command_unit, effects.sensing(own), seed)
+
+    def __repr__(self) -> str:
+        return in_brief(self, repr(self.simulator))
 
     @property
     def rest(self) -> tuple[float, Vec]:

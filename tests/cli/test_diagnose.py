@@ -61,7 +61,7 @@ def inputs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
         (["{log}", "--sim", "{sim}", "--out", "{taken}"], "holds no diagnosis"),
         (["{log}", "--sim", "{sim}", "--out", "{log}"], "is a file"),
         (["{log}", "{planned}", "--sim", "{sim}", "--out", "out"], "is a motion proposed by a diagnosis"),
-        (["{log}", "--sim", "{sim}", "--out", "out", "--preset", "tendon"], "tendon-catheter"),
+        (["{log}", "--sim", "{sim}", "--out", "out", "--layout", "tendon"], "tendon-catheter"),
         (
             ["{log}", "{milliseconds}", "--sim", "{sim}", "--out", "out"],
             "time_s runs from 0 to 9960, sampling rate 0.025 Hz, expected 1 Hz to 20 kHz: is it in milliseconds?",
@@ -107,7 +107,7 @@ def test_one_function_makes_the_whole_diagnosis() -> None:
     own = {name: text for name, text in sources.items() if not name.startswith(("tests/", ".", "build/"))}
     callers = {n for n, text in own.items() if any(re.search(rf"(?<!def ){re.escape(s)}", text) for s in steps)}
     assert callers == {"gap/whole.py"}
-    whole = {"api.py", "cli/diagnose.py", "bench/identify.py", "bench/rounds.py"}
+    whole = {"tasks/diagnose.py", "commissioning/identify.py", "investigation/judge.py"}
     assert whole <= {name for name, text in own.items() if "diagnose_trials(" in text}
 
 
@@ -174,6 +174,6 @@ def test_help_names_the_options(capsys: pytest.CaptureFixture[str], monkeypatch:
     monkeypatch.setenv("COLUMNS", "200")
     code, out, _ = run(capsys, "diagnose", "--help")
     assert code == 0
-    options = ("--sim", "--out", "--preset", "--json", "--seed", "--without", "--only", "--ordered", "--self-test")
+    options = ("--sim", "--out", "--layout", "--json", "--seed", "--without", "--only", "--ordered", "--self-test")
     for option in (*options, "--skip-first-flexure"):
         assert option in out

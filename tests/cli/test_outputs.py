@@ -18,8 +18,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from hystmpc.cli.options import EVALUATION, MODEL, SIMULATOR, Output, check_output
 from hystmpc.models.simulator import export_simulator, save_simulator
+from hystmpc.tasks.outputs import EVALUATION, MODEL, SIMULATOR, Output, check_output
 from hystmpc.trials.csv_files import write_csv
 from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.files import require_writable
@@ -94,7 +94,7 @@ EVALUATE = ["evaluate", "sim.yaml", "trial.csv", "--json"]
         ([*EVALUATE, "trial.csv.json", "--force"], "is not an evaluation"),
         ([*FIT, "bench.yaml", "--force"], "is not a simulator file"),
         ([*FIT, "trial.csv.yaml", "--force"], "is not a simulator file"),
-        ([*FIT, "mapping.yaml", "--preset", "mapping.yaml", "--force"], "is read by the same command"),
+        ([*FIT, "mapping.yaml", "--layout", "mapping.yaml", "--force"], "is read by the same command"),
         (["bench", "--quick", "--json", "evaluation.json", "--force"], "is not a benchmark's result"),
         # not a place for a file
         ([*EXPORT, "taken"], "expected a file ending in .onnx"),

@@ -153,7 +153,7 @@ NO_LOG = "missing.csv"
         (["fit", "backlash", "{log}", "--out", "sim.txt"], "expected a file ending in .onnx or .yaml"),
         (["fit", "lstm", "{log}", "--out", "net.yaml"], "expected a file ending in .onnx"),
         (["fit", "lstm", "{log}", "--training", "papers", "--out", "net.onnx"], "did you mean 'paper'"),
-        (["fit", "backlash", "{log}", "--preset", "tendon", "--out", "sim.yaml"], "tendon-catheter"),
+        (["fit", "backlash", "{log}", "--layout", "tendon", "--out", "sim.yaml"], "tendon-catheter"),
         (["fit", "backlash", "{log}", "--rate-hz", "5000", "--out", "sim.yaml"], "too slow for 5000 Hz"),
         (["fit", "backlash", "{log}", "--command-limits", "6", "0", "--out", "sim.yaml"], "--command-limits"),
         (["fit", "backlash", "{log}", "--test", "{log}", "--out", "sim.yaml"], "is one of the logs of the fit"),

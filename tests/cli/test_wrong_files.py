@@ -82,7 +82,7 @@ EVERY_VERB = [
     (["run", "{}", "--out", "new"], WRONG_YAML),
     (["record", "{}", "--out", "new"], WRONG_YAML),
     (["device", "{}"], WRONG_YAML),
-    (["evaluate", "sim.yaml", "trial.csv", "--preset", "{}"], WRONG_YAML),
+    (["evaluate", "sim.yaml", "trial.csv", "--layout", "{}"], WRONG_YAML),
     (["report", "{}"], WRONG_FOLDERS),
     (["simulate", "--row", "{}", "405c"], WRONG_FOLDERS),
     (["gap", "blind", "run", "{}"], WRONG_FOLDERS),

@@ -55,7 +55,7 @@ def turns(plan: Vec, least: float = MOVE) -> int:
 
 
 def known_of(core: PrandtlIshlinskii, lag_s: float) -> ControllerModel:
-    own = hystmpc.load_simulator("builtin:pi")
+    own = hystmpc.load_model("builtin:pi").simulator
     model = ChainModel(replace(own, chain=replace(own.chain, core=core)), "conditioned")
     return controller_model(model, actuator_lag_s=lag_s)
 
@@ -129,7 +129,7 @@ def test_a_held_command_of_a_late_inverse_shows_its_angle(core: PrandtlIshlinski
 
 @pytest.mark.slow  # an export, and kernels of its own
 def test_an_exported_model_is_inverted_as_its_simulator(tmp_path: Path) -> None:
-    hystmpc.export(hystmpc.load_simulator("builtin:pi"), tmp_path / "pi.onnx")
+    hystmpc.export(hystmpc.load_model("builtin:pi").simulator, tmp_path / "pi.onnx")
     for file, late in (("builtin:pi", True), (str(tmp_path / "pi.onnx"), True), ("builtin:backlash", False)):
         model = load_model(file if ":" in file else Path(file), "conditioned")
         inverse = controller_model(model).feedforward[1]

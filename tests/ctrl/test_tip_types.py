@@ -187,7 +187,7 @@ WRONG: list[Any] = [None, 3, [], [1], {"a": 1}, {1: 2}, object(), b"x", math.nan
 FACE: dict[str, Callable[[Any, Path], Any]] = {
     "from_config": lambda x, out: TipController.from_config(x),
     "load_model": lambda x, out: hystmpc.load_model(x),
-    "load_simulator": lambda x, out: hystmpc.load_simulator(x),
+    "simulator of a file": lambda x, out: hystmpc.load_model(x).simulator,
     "read_trials": lambda x, out: hystmpc.read_trials(x),
     "check": lambda x, out: hystmpc.check(x),
     "fit kind": lambda x, out: hystmpc.fit(x, []),

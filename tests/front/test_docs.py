@@ -14,8 +14,6 @@ import numpy as np
 import pytest
 
 import hystmpc
-from hystmpc.sim import SimulatedPlant
-from hystmpc.trials import write_csv
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
@@ -64,7 +62,7 @@ class Device:
     """What a page calls `device`: a simulated one behind two calls."""
 
     def __init__(self) -> None:
-        self._plant = SimulatedPlant(hystmpc.load_simulator("builtin:tendon-catheter"), seed=1)
+        self._plant = hystmpc.SimulatedPlant(hystmpc.load_model("builtin:tendon-catheter").simulator, seed=1)
         self._angle = self._plant.reset()
 
     def measure(self) -> float:
@@ -77,14 +75,14 @@ class Device:
 @pytest.fixture
 def names(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
     """A folder with logs, models and the examples, and what pages take as given."""
-    simulator = hystmpc.load_simulator("builtin:tendon-catheter")
-    plant = SimulatedPlant(simulator, seed=1)
+    simulator = hystmpc.load_model("builtin:tendon-catheter").simulator
+    plant = hystmpc.SimulatedPlant(simulator, seed=1)
     for k, hz in enumerate((0.2, 0.3, 0.25)):
         t = np.arange(0, 20, 0.04)
         u = 3 - 2.5 * np.cos(2 * np.pi * hz * t) * np.exp(-0.02 * t)
         plant.reset()
         angle = np.array([plant.apply(command) for command in u])
-        write_csv(hystmpc.Trial(t, u, angle), tmp_path / "logs" / f"{k}.csv")
+        hystmpc.write_csv(hystmpc.Trial(t, u, angle), tmp_path / "logs" / f"{k}.csv")
     shutil.copytree(ROOT / "examples", tmp_path / "examples")
     shutil.copy(next((ROOT / "models" / "library").glob("lstm*.onnx")), tmp_path / "lstm.onnx")
     monkeypatch.chdir(tmp_path)

@@ -43,7 +43,7 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
         "trial": trials[0],
         "check": hystmpc.check(trials[0]),
         "model": model,
-        "simulator": hystmpc.load_simulator("builtin:pi"),
+        "simulator": hystmpc.load_model("builtin:pi").simulator,
         "evaluation": evaluation,
         "one run": evaluation[0],
         "mean": evaluation.mean,

@@ -21,6 +21,7 @@ TIERS = (
     ("sim", "rig"),
     ("gap", "testing"),
     ("bench",),
+    ("tasks",),
     ("front",),
     ("cli",),
     ("lab",),

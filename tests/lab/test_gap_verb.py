@@ -27,7 +27,7 @@ def log(tmp_path: Path) -> str:
     ("arguments", "message"),
     [
         (["make", "--out", "new", "--seed", "1", "--suite", "injection"], "got no logs"),
-        (["make", "--out", "new", "--seed", "1", "--logs", "{log}", "--preset", "bench"], "unknown preset 'bench'"),
+        (["make", "--out", "new", "--seed", "1", "--logs", "{log}", "--layout", "bench"], "unknown layout 'bench'"),
         (["ablate", "{log}", "--sim", "{core}", "--out", "new"], "the simulator is a core without effects"),
         (["ablate", "{log}", "--sim", "{core}", "--out", "{taken}"], "is not empty"),
         (["ablate", "absent.csv", "--sim", "{core}", "--out", "new"], "absent.csv: no such file"),

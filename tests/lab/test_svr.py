@@ -16,7 +16,7 @@ from hystmpc.trials.errors import FitError, ModelError
 from hystmpc.trials.trial import Trial
 from hystmpc_lab.rivals.kinds import SvrKind
 from hystmpc_lab.rivals.svr import SvrStep, SvrWeights, svr_step_graph
-from hystmpc_lab.rivals.svr_ import SVR_PRESETS, SvrSettings, fit_svr
+from hystmpc_lab.rivals.svr_ import SVR_TRAININGS, SvrSettings, fit_svr
 
 from ..models.lstm_examples import four_trials
 
@@ -108,7 +108,7 @@ def test_a_hold_longer_than_the_window_holds_exactly() -> None:
 def model(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> OnnxModel:
     trials = [t.swapped() for t in four_trials()] if request.param == "inverse" else four_trials()
     path = tmp_path_factory.mktemp("svr") / "model.onnx"
-    report = export_onnx(SvrKind().fit(trials, FitRequest(preset="paper")).bundle, path)
+    report = export_onnx(SvrKind().fit(trials, FitRequest(training="paper")).bundle, path)
     assert report.kinks == 0
     assert report.casadi_deg < 1e-9
     assert report.runtime_deg < 1e-4
@@ -136,8 +136,8 @@ def test_trials_with_rest_before_them_give_windows_of_rest() -> None:
     assert ours.advance(state, u)[0] == pytest.approx(theirs.advance(state, u)[0], abs=1.5)
 
 
-def test_the_paper_presets_are_the_papers() -> None:
-    paper, grid = SVR_PRESETS["paper"], SVR_PRESETS["grid"]
+def test_the_paper_trainings_are_the_papers() -> None:
+    paper, grid = SVR_TRAININGS["paper"], SVR_TRAININGS["grid"]
     assert (paper.lags, paper.stride, paper.c, paper.gamma, paper.epsilon) == (50, 1, (10.0,), (0.1,), (0.1,))
     assert grid.c == (0.001, 0.01, 0.1, 1.0, 10.0)
     assert grid.gamma == (0.001, 0.01, 0.1, 1.0)

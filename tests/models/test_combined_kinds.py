@@ -22,7 +22,7 @@ from .test_auto import motions, recorded
 
 
 def request(kind: str, **changes: object) -> FitRequest:
-    return replace(FitRequest(preset=kind_named(kind).presets[0]), **changes)  # type: ignore[arg-type]
+    return replace(FitRequest(training=kind_named(kind).trainings[0]), **changes)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("name", [kind.name for kind in KINDS if kind.readable])
@@ -52,7 +52,7 @@ def test_an_identified_drive_halves_the_error_of_a_rate_independent_kernel() -> 
     """Under a lag and a delay, on a motion that was left out; the file is one model."""
     trials = recorded(Delay(0.09, 8), Lag(0.15))
     plain, driven = kind_named("play_kernel"), DrivenKind(kind_named("play_kernel"))
-    asked = request("play_kernel", preset="rate_independent")
+    asked = request("play_kernel", training="rate_independent")
     errors = []
     for kind in (plain, driven):
         found = kind.fit(trials[:-1], asked)
@@ -70,11 +70,11 @@ def wavy(trials: list[Trial], amplitude_deg: float) -> list[Trial]:
 
 
 def small(patch: pytest.MonkeyPatch) -> None:
-    """A network of one layer of 16 in the place of the preset, which takes a minute."""
-    presets = networks.GRU.settings
-    network = presets[networks.RESIDUAL].network.model_copy(update={"hidden": 16, "layers": 1})
-    tried = presets[networks.RESIDUAL].model_copy(update={"network": network})
-    patch.setattr(networks.GRU, "settings", {**presets, networks.RESIDUAL: tried})
+    """A network of one layer of 16 in the place of the training, which takes a minute."""
+    trainings = networks.GRU.settings
+    network = trainings[networks.RESIDUAL].network.model_copy(update={"hidden": 16, "layers": 1})
+    tried = trainings[networks.RESIDUAL].model_copy(update={"network": network})
+    patch.setattr(networks.GRU, "settings", {**trainings, networks.RESIDUAL: tried})
 
 
 @pytest.mark.slow

@@ -48,7 +48,7 @@ def recorded(command: float = 1.0, angle: float = 1.0) -> list[Trial]:
 
 def found(kind: ModelKind, trials: Sequence[Trial]) -> Identified:
     """A short fit."""
-    return kind.fit(trials, FitRequest(kind.presets[0], steps=8, hold_out=0))
+    return kind.fit(trials, FitRequest(kind.trainings[0], steps=8, hold_out=0))
 
 
 @pytest.mark.parametrize(

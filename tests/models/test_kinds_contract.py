@@ -21,7 +21,7 @@ from hystmpc.trials.trial import Trial
 
 from .casadi_predictor import CasadiPredictor
 from .lstm_examples import DT, four_trials
-from .tiny_kinds import BEHIND, FORWARD, INVERSE, Example, example, kind_of, tiny_presets, trials_of
+from .tiny_kinds import BEHIND, FORWARD, INVERSE, Example, example, kind_of, tiny_trainings, trials_of
 
 pytest.importorskip("torch", reason="torch is an extra")
 pytestmark = pytest.mark.slow
@@ -170,15 +170,15 @@ def test_unusable_trials_are_one_line_errors(kind: ModelKind) -> None:
     short = trials[0].select(0, 40)
     for unusable, text in (([], "no trials"), ([*trials, short], "40 samples"), ([*trials, rest], "constant")):
         with pytest.raises(FitError, match=text) as caught:
-            kind.fit(unusable, FitRequest(preset=kind.presets[0]))
+            kind.fit(unusable, FitRequest(training=kind.trainings[0]))
         assert "\n" not in str(caught.value)
     with pytest.raises(FitError, match=r"sampled every 0\.08 s"):
-        kind.fit([*trials, slow], FitRequest(preset=kind.presets[0]))
-    with pytest.raises(FitError, match="no preset 'wrong'"):
-        kind.fit(trials, FitRequest(preset="wrong"))
+        kind.fit([*trials, slow], FitRequest(training=kind.trainings[0]))
+    with pytest.raises(FitError, match="no training 'wrong'"):
+        kind.fit(trials, FitRequest(training="wrong"))
     if not kind.invertible:
         with pytest.raises(FitError, match="inverse"):
-            kind.fit(trials_of(INVERSE), FitRequest(preset=kind.presets[0]))
+            kind.fit(trials_of(INVERSE), FitRequest(training=kind.trainings[0]))
 
 
 def test_not_a_number_never_becomes_a_trial() -> None:
@@ -208,15 +208,15 @@ def test_commands_beyond_the_identified_range_are_counted(case: tuple[str, str])
 @pytest.mark.parametrize("direction", [FORWARD, INVERSE])
 @pytest.mark.parametrize("name", ["fnn", "fnn_hib", "lstm", "gru", "hb1", "hb2"])
 def test_a_diverging_training_is_an_error(name: str, direction: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    tiny_presets(monkeypatch, learning_rate=1e30)
+    tiny_trainings(monkeypatch, learning_rate=1e30)
     with pytest.raises(FitError, match=r"^training diverged: [^\n]*learning_rate$"):
         kind_named(name).fit(trials_of(direction), FitRequest())
 
 
 @every_kind
 def test_an_estimate_is_a_time_or_nothing(kind: ModelKind, monkeypatch: pytest.MonkeyPatch) -> None:
-    tiny_presets(monkeypatch)
-    request = FitRequest(preset=kind.presets[0])
+    tiny_trainings(monkeypatch)
+    request = FitRequest(training=kind.trainings[0])
     seconds = kind.estimate(four_trials(), request)
     if seconds is not None:
         assert 0 < seconds < 600

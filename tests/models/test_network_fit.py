@@ -243,7 +243,7 @@ def test_teacher_stays_within_what_the_trials_showed() -> None:
     assert teacher.rmse_deg < 1.0
 
 
-def test_presets_are_the_papers_and_ours() -> None:
+def test_trainings_are_the_papers_and_ours() -> None:
     paper, best, other = (LSTM.settings[name] for name in ("paper", "best", "s1"))
     assert isinstance(paper.training, WindowTraining)
     assert (paper.training.length, paper.training.batch, paper.steps) == (50, 16, 100)

@@ -1,4 +1,4 @@
-"""Networks and what they are made of: hybrids contain the operator itself, gradients are exact, presets the papers."""
+"""Networks and what they are made of: hybrids contain the operator itself, gradients exact, trainings the papers'."""
 
 from __future__ import annotations
 
@@ -157,7 +157,7 @@ def test_windows_of_the_papers_begin_with_rest() -> None:
 
 
 @pytest.mark.parametrize("kind", sorted(NETWORKS))
-def test_presets_are_those_of_the_papers(kind: str) -> None:
+def test_trainings_are_those_of_the_papers(kind: str) -> None:
     paper, best = NETWORKS[kind].settings["paper"], NETWORKS[kind].settings["best"]
     way = paper.training
     assert isinstance(way, WindowTraining)
@@ -168,14 +168,14 @@ def test_presets_are_those_of_the_papers(kind: str) -> None:
     else:
         assert (paper.network.hidden, paper.network.layers, paper.network.memory_samples) == (64, 2, 0)
     assert isinstance(best.training, StreamTraining)
-    for preset in NETWORKS[kind].settings.values():
-        assert preset.kind == kind
-        assert NetworkSettings.parse(preset.model_dump()) == preset
-    assert [k.presets for k in KINDS if k.name == kind] == [tuple(NETWORKS[kind].settings)]
+    for training in NETWORKS[kind].settings.values():
+        assert training.kind == kind
+        assert NetworkSettings.parse(training.model_dump()) == training
+    assert [k.trainings for k in KINDS if k.name == kind] == [tuple(NETWORKS[kind].settings)]
 
 
 def test_a_request_changes_what_it_names() -> None:
-    asked = FitRequest(preset="paper", seed=7, steps=3, hold_out=2, constancy_weight=1e-4, skip_first_flexure=True)
+    asked = FitRequest(training="paper", seed=7, steps=3, hold_out=2, constancy_weight=1e-4, skip_first_flexure=True)
     for kind in NETWORKS:
         settings = NETWORKS[kind].training(asked)
         assert (settings.seed, settings.steps, settings.validation_trials) == (7, 3, 2)

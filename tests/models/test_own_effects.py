@@ -67,13 +67,13 @@ def test_without_it_the_library_is_as_it_was(monkeypatch: pytest.MonkeyPatch) ->
 
 
 def test_a_simulator_file_holds_it(added: Effect, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    plain = hystmpc.load_simulator("builtin:backlash")
+    plain = hystmpc.load_model("builtin:backlash").simulator
     kink = effect_operator(added.name, {"rise": 0.3, "at": 2.0})
     file = replace(plain, chain=replace(plain.chain, before=(kink,))).save(tmp_path / "kinked.yaml")
-    assert hystmpc.load_simulator(file).chain.before == (kink,)
+    assert hystmpc.load_model(file).simulator.chain.before == (kink,)
     monkeypatch.setattr(own, "_added", {})
     with pytest.raises(ModelError, match="no operator 'test_kink'"):
-        hystmpc.load_simulator(file)
+        hystmpc.load_model(file)
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hystmpc.cli.options import trials_at
 from hystmpc.models.contract.export import ExportBundle, export_onnx
 from hystmpc.models.contract.load import OnnxModel, load_onnx
 from hystmpc.models.contract.metadata import DeviceLimits, ModelMetadata
@@ -26,6 +25,7 @@ from hystmpc.models.play_kernel.predictor import PlayKernelPredictor
 from hystmpc.models.play_kernel.weights import PlayKernelStep, PlayKernelWeights
 from hystmpc.models.prediction.build import controller_model, predictor_for
 from hystmpc.models.simulator import ChainModel
+from hystmpc.tasks.inputs import trials_at
 from hystmpc.trials.errors import FitError, ModelError
 from hystmpc.trials.trial import Trial
 
@@ -257,6 +257,6 @@ def test_on_real_logs_it_is_far_better_than_a_backlash(real_logs: list[Path]) ->
 
 def test_predictor_of_a_forward_model_only(tmp_path: Path) -> None:
     swapped = [t.swapped() for t in four_trials()[:2]]
-    export_onnx(PlayKernelKind().fit(swapped, FitRequest(preset="rate_independent")).bundle, tmp_path / "m.onnx")
+    export_onnx(PlayKernelKind().fit(swapped, FitRequest(training="rate_independent")).bundle, tmp_path / "m.onnx")
     with pytest.raises(ModelError, match="expected a forward model"):
         predictor_for(load_onnx(tmp_path / "m.onnx"))

@@ -74,7 +74,7 @@ def test_the_error_is_that_of_the_model_that_is_returned() -> None:
 
 def test_only_a_long_fit_is_announced(monkeypatch: pytest.MonkeyPatch) -> None:
     trials = [long_trial(k, 1_200) for k in range(2)]
-    request = FitRequest(preset="best")
+    request = FitRequest(training="best")
     assert PlayKernelKind().estimate(trials, request) is None
     monkeypatch.setattr(fit, "_SOON", 2_000)
     seconds = PlayKernelKind().estimate(trials, request)

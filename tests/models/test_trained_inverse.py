@@ -57,12 +57,12 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
     """The plant, its play-kernel model, the trained inverse map, a line in its place, and a map of bar."""
     folder = tmp_path_factory.mktemp("inverse")
     save_simulator(simulator(Chain(BACKLASH)), folder / "plant.yaml")
-    export_onnx(PlayKernelKind().fit(recorded(), FitRequest(preset="rate_independent")).bundle, folder / "model.onnx")
-    found = PlayKernelKind().fit([t.swapped() for t in recorded()], FitRequest(preset="rate_independent"))
+    export_onnx(PlayKernelKind().fit(recorded(), FitRequest(training="rate_independent")).bundle, folder / "model.onnx")
+    found = PlayKernelKind().fit([t.swapped() for t in recorded()], FitRequest(training="rate_independent"))
     export_onnx(found.bundle, folder / "map.onnx")
     bar = PlayKernelKind().fit(
         [Trial(t.t, t.angle, t.command, units=type(t.units)("deg", "bar"), source=t.source) for t in recorded()],
-        FitRequest(preset="rate_independent"),
+        FitRequest(training="rate_independent"),
     )
     export_onnx(bar.bundle, folder / "bar.onnx")
     save_simulator(memoryless(), folder / "line.yaml")
@@ -185,7 +185,7 @@ def test_a_file_that_is_no_inverse_of_the_model_is_refused(files: dict[str, str]
 
 def test_another_sample_time_is_refused(files: dict[str, str], tmp_path: Path) -> None:
     slow = [Trial(2 * t.t, t.command, t.angle, source=t.source).swapped() for t in recorded()[:2]]
-    export_onnx(PlayKernelKind().fit(slow, FitRequest(preset="rate_independent")).bundle, tmp_path / "slow.onnx")
+    export_onnx(PlayKernelKind().fit(slow, FitRequest(training="rate_independent")).bundle, tmp_path / "slow.onnx")
     with pytest.raises(ModelError, match=r"every 0\.08 s, expected every 0\.04 s as the model"):
         prepare(study({**files, "slow": str(tmp_path / "slow.onnx")}, "slow"))
 

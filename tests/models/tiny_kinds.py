@@ -40,8 +40,8 @@ def tiny(settings: NetworkSettings, **changes: object) -> NetworkSettings:
     return settings.model_copy(update={"network": network, "warmup_samples": 4, "training": STREAMS} | changes)
 
 
-def tiny_presets(patch: pytest.MonkeyPatch, **changes: object) -> None:
-    """Put tiny networks in the place of the presets `best`."""
+def tiny_trainings(patch: pytest.MonkeyPatch, **changes: object) -> None:
+    """Put tiny networks in the place of the trainings `best`."""
     for kind in NETWORKS.values():
         patch.setattr(kind, "settings", {**kind.settings, "best": tiny(kind.settings["best"], **changes)})
 
@@ -82,9 +82,9 @@ def example(name: str, direction: str) -> Example:
     """Identify once, whichever test asks first."""
     kind, trials = kind_of(name), trials_of(direction)
     with pytest.MonkeyPatch.context() as patch:
-        tiny_presets(patch)
+        tiny_trainings(patch)
         steps = 3 if kind.readable else 30  # an operator's count for each of its starts
-        found = kind.fit(trials, replace(FitRequest(preset=kind.presets[0]), steps=steps))
+        found = kind.fit(trials, replace(FitRequest(training=kind.trainings[0]), steps=steps))
     path = Path(folder().name) / f"{name}_{direction}.onnx".replace(" ", "_")
     export_onnx(found.bundle, path)
     return Example(trials, found, path, load_onnx(path))

@@ -17,7 +17,7 @@ from hystmpc.trials.check import check
 from hystmpc.trials.errors import LONGEST, HystmpcError, LogError
 from hystmpc.trials.formats import ENDINGS
 from hystmpc.trials.layouts import CANONICAL, LogMapping
-from hystmpc.trials.read import Layout, read_log
+from hystmpc.trials.read import AnyLayout, read_log
 
 from .test_ways import drawn
 from .written_ways import WAYS
@@ -26,11 +26,11 @@ from .written_ways import WAYS
 pytestmark = pytest.mark.filterwarnings("ignore::RuntimeWarning")
 
 MAPPED = LogMapping.parse({"time": "t", "command": "u", "angle": "[2]"})
-LAYOUTS: tuple[Layout, ...] = ("auto", "tendon-catheter", MAPPED)
+LAYOUTS: tuple[AnyLayout, ...] = ("auto", "tendon-catheter", MAPPED)
 KEEP = settings(deadline=None, max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
 
 
-def answered(path: Path, layout: Layout = "auto") -> str:
+def answered(path: Path, layout: AnyLayout = "auto") -> str:
     """The refusal, empty where the file is read; anything else that is raised is a failure."""
     refusal = ""
     for read in (read_log, check):
@@ -60,7 +60,7 @@ STARTS = st.sampled_from(
 
 @KEEP
 @given(start=STARTS, content=st.binary(max_size=300), end=ENDS, layout=st.sampled_from(LAYOUTS))
-def test_any_bytes_are_answered(start: bytes, content: bytes, end: str, layout: Layout, tmp_path: Path) -> None:
+def test_any_bytes_are_answered(start: bytes, content: bytes, end: str, layout: AnyLayout, tmp_path: Path) -> None:
     path = tmp_path / f"log{end}"
     path.write_bytes(start + content)
     answered(path, layout)
@@ -84,7 +84,9 @@ CELLS = st.one_of(
     header=st.booleans(),
     layout=st.sampled_from(LAYOUTS),
 )
-def test_any_cells_are_answered(rows: list[list[str]], sign: str, header: bool, layout: Layout, tmp_path: Path) -> None:
+def test_any_cells_are_answered(
+    rows: list[list[str]], sign: str, header: bool, layout: AnyLayout, tmp_path: Path
+) -> None:
     path = tmp_path / "log.csv"
     above = [sign.join(("time_s", "command", "angle_deg"))] if header else []
     text = "\n".join([*above, *(sign.join(row) for row in rows)])

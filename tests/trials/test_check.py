@@ -53,7 +53,7 @@ def test_a_clean_trial_has_nothing_but_good_news() -> None:
 def test_file_and_memory_get_the_same_findings(tmp_path: Path) -> None:
     path = write_csv(clean(), tmp_path / "log.csv")
     assert check(path).findings == check(clean()).findings
-    assert (check(path).preset, check(path).source) == ("canonical", str(path))
+    assert (check(path).layout, check(path).source) == ("canonical", str(path))
 
 
 def _set(index: int, column: int, text: str) -> Callable[[list[str]], None]:

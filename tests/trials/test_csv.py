@@ -1,4 +1,4 @@
-"""Reading and writing logs: every preset, exact round trips, and errors that name file, row and column."""
+"""Reading and writing logs: every layout, exact round trips, and errors that name file, row and column."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from hypothesis.extra.numpy import arrays
 
 from hystmpc.trials.csv_files import read_columns, read_csv, write_csv
 from hystmpc.trials.errors import ConfigError, LogError
-from hystmpc.trials.layouts import COMMAND_UNIT_OF, COMMAND_UNITS, PRESETS, Preset, detect_preset, get_preset
+from hystmpc.trials.layouts import COMMAND_UNIT_OF, COMMAND_UNITS, LAYOUTS, Layout, detect_layout, layout_named
 from hystmpc.trials.read import read_trials
 from hystmpc.trials.trial import Trial, Units
 
@@ -20,38 +20,38 @@ NINE = "Time,Tendon Disp.,Motor Curr.,Pos x,Pos y,Pos z,Angle x,Angle y,Angle z"
 ELEVEN = "Time, Tendon1 Disp., Tendon2 Disp., Motor1 Curr., Motor2 Curr., " + NINE[NINE.index("Pos x") :]
 GOOD = "time_s,command,angle_deg\n0,0,30\n0.1,1,31\n0.2,2,33\n"
 
-HEADERLESS = Preset(
+HEADERLESS = Layout(
     name="bench", summary="no header", time="t", command={"p": "bar"}, angle="theta",
     columns=("t", "theta", "p", "temperature"),
 )  # fmt: skip
-LAYOUTS = [(preset, command) for preset in PRESETS for command in preset.command] + [(HEADERLESS, "p")]
+CASES = [(layout, command) for layout in LAYOUTS for command in layout.command] + [(HEADERLESS, "p")]
 
 
-@pytest.mark.parametrize(("preset", "command"), LAYOUTS, ids=lambda value: getattr(value, "name", value))
-def test_every_layout_reads_its_own_columns(preset: Preset, command: str, tmp_path: Path) -> None:
-    header = preset.columns or (preset.time, command, preset.angle, *preset.channels, "unlisted")
+@pytest.mark.parametrize(("layout", "command"), CASES, ids=lambda value: getattr(value, "name", value))
+def test_every_layout_reads_its_own_columns(layout: Layout, command: str, tmp_path: Path) -> None:
+    header = layout.columns or (layout.time, command, layout.angle, *layout.channels, "unlisted")
     block = np.arange(3.0 * len(header)).reshape(3, -1)
-    rows = [header] if preset.has_header else []
+    rows = [header] if layout.has_header else []
     rows += [tuple(map(str, row)) for row in block.tolist()]
     path = tmp_path / "log.csv"
     path.write_text("\n".join(";".join(row) for row in rows))
 
-    trial = read_csv(path, preset)
+    trial = read_csv(path, layout)
 
-    np.testing.assert_array_equal(trial.t, block[:, header.index(preset.time)])
-    unit, factor = COMMAND_UNIT_OF.get(preset.command[command], (preset.command[command], 1.0))
+    np.testing.assert_array_equal(trial.t, block[:, header.index(layout.time)])
+    unit, factor = COMMAND_UNIT_OF.get(layout.command[command], (layout.command[command], 1.0))
     np.testing.assert_array_equal(trial.command, factor * block[:, header.index(command)])
-    np.testing.assert_array_equal(trial.angle, block[:, header.index(preset.angle)])
+    np.testing.assert_array_equal(trial.angle, block[:, header.index(layout.angle)])
     assert trial.units == Units(command=unit)
-    others = [name for name in header if name not in (preset.time, command, preset.angle)]
-    assert list(trial.channels) == [preset.channels.get(name, name) for name in others]
+    others = [name for name in header if name not in (layout.time, command, layout.angle)]
+    assert list(trial.channels) == [layout.channels.get(name, name) for name in others]
 
 
-@pytest.mark.parametrize("preset", PRESETS, ids=lambda p: p.name)
-def test_every_preset_is_found_by_name_and_by_header(preset: Preset) -> None:
-    assert get_preset(preset.name) is preset
-    for command in preset.command:
-        assert detect_preset([preset.time, command, preset.angle]) is preset
+@pytest.mark.parametrize("layout", LAYOUTS, ids=lambda p: p.name)
+def test_every_layout_is_found_by_name_and_by_header(layout: Layout) -> None:
+    assert layout_named(layout.name) is layout
+    for command in layout.command:
+        assert detect_layout([layout.time, command, layout.angle]) is layout
 
 
 @pytest.mark.parametrize("header", [NINE, ELEVEN])
@@ -65,7 +65,7 @@ def test_tendon_catheter_layouts_are_detected(header: str, tmp_path: Path) -> No
     assert len(trial.channels) == width - 3
 
 
-def test_unknown_preset_names_the_nearest(tmp_path: Path) -> None:
+def test_unknown_layout_names_the_nearest(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"'tendon-cathter', available: auto, .*did you mean 'tendon-catheter'"):
         read_csv(tmp_path / "absent.csv", "tendon-cathter")
 
@@ -133,17 +133,17 @@ def test_a_log_that_cannot_be_used_is_named_with_its_fault(data: bytes, parts: l
         assert part in text
 
 
-@pytest.mark.parametrize("preset", PRESETS, ids=lambda p: p.name)
-def test_missing_columns_are_listed_with_those_available(preset: Preset, tmp_path: Path) -> None:
+@pytest.mark.parametrize("layout", LAYOUTS, ids=lambda p: p.name)
+def test_missing_columns_are_listed_with_those_available(layout: Layout, tmp_path: Path) -> None:
     path = tmp_path / "log.csv"
-    path.write_text(f"{preset.time},pressure\n0,1\n1,2\n")
-    for chosen in (preset.name, "auto"):
+    path.write_text(f"{layout.time},pressure\n0,1\n1,2\n")
+    for chosen in (layout.name, "auto"):
         with pytest.raises(LogError) as caught:
             read_csv(path, chosen)
         text = str(caught.value)
-        assert preset.angle in text
-        assert next(iter(preset.command)) in text
-        assert f"available: {preset.time}, pressure" in text
+        assert layout.angle in text
+        assert next(iter(layout.command)) in text
+        assert f"available: {layout.time}, pressure" in text
 
 
 def test_missing_file_and_folder_are_told_apart(tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from hystmpc.cli.options import check_figures, check_page
+from hystmpc.tasks.outputs import check_figures, check_page
 from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.figure_data import COLUMNS, MOST_POINTS, draw_long, draw_part, rows_of, zoomed
 from hystmpc.trials.files import figures_to

@@ -124,11 +124,11 @@ def test_errors_name_file_topic_and_what_there_is(change: dict[str, str], parts:
 
 def test_without_a_mapping_only_our_own_names_are_known(tmp_path: Path) -> None:
     path = write_json(tmp_path / "a.mcap", ONE_TOPIC)
-    with pytest.raises(LogError, match=r"expected these, or a mapping file after --preset; available: /bench\.u\.mm"):
+    with pytest.raises(LogError, match=r"expected these, or a mapping file after --layout; available: /bench\.u\.mm"):
         read_log(path)
-    with pytest.raises(ConfigError, match="preset tendon-catheter is for delimited text"):
+    with pytest.raises(ConfigError, match="layout tendon-catheter is for delimited text"):
         read_log(path, "tendon-catheter")
-    with pytest.raises(ConfigError, match="unknown preset 'tendon'"):
+    with pytest.raises(ConfigError, match="unknown layout 'tendon'"):
         read_log(path, "tendon")
 
 
@@ -148,13 +148,13 @@ angle: {signal: "/bench.tip[0]", unit: rad}
 """
 
 
-def test_a_mapping_file_is_what_a_preset_may_be(tmp_path: Path) -> None:
+def test_a_mapping_file_is_what_a_layout_may_be(tmp_path: Path) -> None:
     path = write_json(tmp_path / "a.mcap", ONE_TOPIC)
     layout = tmp_path / "bench.yaml"
     layout.write_text(MAPPING_FILE)
     assert columns(read_trials([tmp_path], str(layout))[0]) == columns(read_log(path, BENCH))
     report = check(path, str(layout))
-    assert report.preset == "mapping"
+    assert report.layout == "mapping"
     assert report.of("values")[0].severity is Severity.OK
     layout.write_text(MAPPING_FILE.replace("unit: rad", "unit: grad"))
     with pytest.raises(ConfigError, match=r"bench\.yaml, line 2: angle\.unit: .*'deg', 'rad', .*, got 'grad'"):
@@ -186,7 +186,7 @@ def test_columns_without_a_header_row_are_counted(sign: str, tmp_path: Path) -> 
     assert trial.t.tolist() == [0, 0.02, 0.04]
     assert trial.command.tolist() == [1.5, 2.5, 3.5]
     assert trial.angle.tolist() == [-5, -3, 21]
-    assert check(path, layout).preset == "mapping"
+    assert check(path, layout).layout == "mapping"
     with pytest.raises(LogError, match=r"a\.dat: no signal '\[5\]'; available: \[0\], \[1\], \[2\]"):
         read_log(path, layout.model_copy(update={"command": layout.command.model_copy(update={"signal": "[5]"})}))
     path.write_text(path.read_text() + "4.5" + sign + "x" + sign + "1\n")

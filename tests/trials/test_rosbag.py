@@ -77,7 +77,7 @@ def test_a_bag_is_one_log_and_a_folder_of_bags_many(bag: Path) -> None:
 
 def test_a_bag_without_a_mapping_lists_what_it_holds(bag: Path) -> None:
     with pytest.raises(
-        LogError, match=r"mapping file after --preset; available: /cmd\.data, /tip/angle\.header"
+        LogError, match=r"mapping file after --layout; available: /cmd\.data, /tip/angle\.header"
     ) as caught:
         read_log(bag)
     assert "/joints.position[1]" in open_bag(bag).names()

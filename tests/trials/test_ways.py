@@ -15,7 +15,7 @@ pytest.importorskip("rosbags", reason="rosbags (extra `logs`) is not installed")
 from hystmpc.trials.check import Severity, check
 from hystmpc.trials.errors import LogError
 from hystmpc.trials.layouts import LogMapping
-from hystmpc.trials.read import Layout, read_log, read_trials
+from hystmpc.trials.read import AnyLayout, read_log, read_trials
 
 from .written_ways import MAPPED, WAYS
 
@@ -30,7 +30,7 @@ def drawn(seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return t, u, y
 
 
-def assert_same(path: Path, layout: Layout, signals: tuple[np.ndarray, ...]) -> None:
+def assert_same(path: Path, layout: AnyLayout, signals: tuple[np.ndarray, ...]) -> None:
     trial = read_log(path, layout)
     for found, written in zip((trial.t, trial.command, trial.angle), signals, strict=True):
         np.testing.assert_allclose(found, written, rtol=1e-12, atol=1e-9)

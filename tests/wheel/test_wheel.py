@@ -62,7 +62,7 @@ def test_wheel_holds_the_rooms_and_nothing_else() -> None:
         for path in rooms
         if path.is_file() and "__pycache__" not in path.parts
     }
-    assert wheel_files() == expected | {"hystmpc/__init__.py", "hystmpc/api.py", "hystmpc/py.typed"}
+    assert wheel_files() == expected | {"hystmpc/__init__.py", "hystmpc/py.typed"}
 
 
 def test_extras_are_absent() -> None:

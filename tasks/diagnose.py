@@ -1,0 +1,86 @@
+"""Diagnosis of the gap between a simulator and its device."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from hystmpc.trials.files import figures_to, require_writable
+from hystmpc.trials.read import AnyLayout
+from hystmpc.trials.types import Progress
+
+from .inputs import Logs, Model, Say, as_list, chain_or_model, recorded_trials, warn_of_units
+from .outputs import check_figures
+
+if TYPE_CHECKING:
+    from hystmpc.gap.diagnosis import Diagnosis
+
+
+def diagnose(
+    trials: Logs,
+    simulator: Model,
+    out: Path | str | None = None,
+    *,
+    layout: AnyLayout = "auto",
+    seed: int = 1,
+    without: Sequence[str] = (),
+    only: Sequence[str] | None = None,
+    ordered: bool = False,
+    skip_first_flexure: bool = False,
+    figures: Path | str | None = None,
+    progress: Progress | None = None,
+    say: Say | None = None,
+) -> Diagnosis:
+    """Say where a simulator departs from its device, which effects cause it, and how far they close the gap.
+
+    Args:
+        trials: logs, data frames or trials of one device.
+        simulator: a fit, simulator, opened model or file.
+        out: folder for report, corrected simulator and next motion; nothing is written where left out.
+        layout: of the logs.
+        seed: of every resampling.
+        without: effects left out of the library.
+        only: the library itself, where it is not to be all effects.
+        ordered: whether the trials stand in the order of recording. If not, time stamps or a manifest may tell it; else
+            it is unknown, and the result does not depend on the order given.
+        skip_first_flexure: count each trial only from the command's first reversal on.
+        figures: new folder for the figures of the report.
+        progress: called with steps done, steps in all and what is done.
+        say: called with each note and warning.
+
+    Raises:
+        LogError: if a log cannot be used, or is a motion that a diagnosis has proposed.
+        GapError: if the trials cannot be compared with the simulator, or an effect is unknown.
+        ModelError: if the simulator cannot be opened or is an inverse map.
+        ConfigError: if `out` holds anything but an older diagnosis, or a folder cannot be written.
+    """
+    from hystmpc.gap.report.folder import require_free
+    from hystmpc.models.load import model_path
+
+    check_figures(figures)
+    if out is not None:
+        require_writable(out)
+        require_free(out)
+    chain = chain_or_model(simulator)
+    recorded = recorded_trials(as_list(trials), layout)
+    if say is not None:
+        warn_of_units(recorded, say)
+    from hystmpc.gap.whole import diagnose_trials  # compiles: kept out of the way of refusals
+
+    with figures_to(figures):
+        done = diagnose_trials(
+            recorded,
+            chain,
+            out=out,
+            called={"sim": str(simulator), "layout": str(layout)},
+            model=Path(model_path(str(simulator))) if isinstance(simulator, Path | str) else None,
+            seed=seed,
+            without=tuple(without),
+            only=None if only is None else tuple(only),
+            ordered=ordered,
+            skip_first_flexure=skip_first_flexure,
+            progress=progress,
+            say=say,
+        )
+    return done.diagnosis

@@ -1,0 +1,163 @@
+"""Evaluation of a model: its free run over the commands of recorded trials against the measured angle."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from json import dumps
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from hystmpc.trials.brief import in_brief
+from hystmpc.trials.errors import in_a_line
+from hystmpc.trials.files import figures_to, write_atomically
+from hystmpc.trials.read import AnyLayout
+from hystmpc.trials.types import Progress
+
+from .inputs import Logs, Model, Say, as_list, files_read, opened, trials_at
+from .outputs import EVALUATION, check_output, check_page
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from hystmpc.models.contract.metadata import ModelMetadata
+    from hystmpc.models.evaluate import Errors, TrialEvaluation
+    from hystmpc.models.model import LoadedModel
+    from hystmpc.trials.report import Report
+    from hystmpc.trials.trial import Trial
+
+
+@dataclass(frozen=True, eq=False)
+class Evaluation:
+    """Free runs of a model over trials: from the command alone, against the measured angle.
+
+    Attributes:
+        trials: the runs, each with `trial`, the model's angle `theta` (T,) and `errors`.
+        subtitle: of the page; the number of trials where empty.
+    """
+
+    trials: tuple[TrialEvaluation, ...]
+    subtitle: str = ""
+
+    @property
+    def mean(self) -> Errors:
+        """Mean of each error over the trials."""
+        from hystmpc.models.evaluate import mean_errors
+
+        return mean_errors(self.trials)
+
+    def __repr__(self) -> str:
+        if not self.trials:
+            return in_brief(self, "no trials")
+        worst = max(self.trials, key=lambda run: run.errors.rmse_deg)
+        unit, mean = worst.trial.units.angle, self.mean.rmse_deg
+        name = Path(worst.trial.source).name
+        text = f"{len(self)} trials: RMSE {mean:.4g} {unit} in the mean, {worst.errors.rmse_deg:.4g} {unit} in {name}"
+        return in_brief(self, text)
+
+    def __len__(self) -> int:
+        return len(self.trials)
+
+    def __iter__(self) -> Iterator[TrialEvaluation]:
+        return iter(self.trials)
+
+    def __getitem__(self, k: int) -> TrialEvaluation:
+        return self.trials[k]
+
+    def plot(self) -> Figure:
+        """Measurement, model and error over time, of the three trials with the greatest error."""
+        from hystmpc.models.evaluation_report import free_run_figure
+
+        return free_run_figure(self.trials)
+
+    @in_a_line
+    def report(self, path: Path | str) -> Path:
+        """Write one page with tables and figures, which opens offline."""
+        return self._page().save(path)
+
+    def _page(self) -> Report:
+        from hystmpc.models.evaluation_report import evaluation_report
+
+        return evaluation_report("Free run", self.subtitle or f"{len(self)} trials", [("", self.trials)])
+
+    def _repr_html_(self) -> str:
+        return self._page().fragment()
+
+
+def evaluate(
+    model: Model,
+    trials: Logs,
+    *,
+    layout: AnyLayout = "auto",
+    sampled_hz: float | None = None,
+    skip_first_flexure: bool = False,
+    json: Path | str | None = None,
+    report: Path | str | None = None,
+    figures: Path | str | None = None,
+    force: bool = False,
+    progress: Progress | None = None,
+    say: Say | None = None,
+) -> Evaluation:
+    """Run a model freely over the commands of trials and compare its angle with the measured one.
+
+    Args:
+        model: a fit, simulator, opened model or file.
+        trials: logs, data frames or trials, resampled to the model's rate; an inverse map runs over them swapped.
+        layout: of the logs.
+        sampled_hz: rate [Hz] of logs that were sampled evenly, whose time stamps are not looked at.
+        skip_first_flexure: count each trial only from the command's first reversal on.
+        json: file for the errors, hystmpc-evaluation/1.
+        report, figures: file for a page, .html, and new folder for its figures.
+        force: replace older files of the same kind.
+        progress: called with trials done and their number.
+        say: called with each note and warning.
+
+    Raises:
+        LogError: if a log cannot be used.
+        ModelError: if the model cannot be opened, its units differ, or its angle is not finite.
+        ConfigError: if a file or folder may not be written.
+    """
+    logs, file = as_list(trials), Path(model) if isinstance(model, Path | str) else None
+    inputs = [*([] if file is None else [file]), *files_read(logs, layout)]
+    if json is not None:
+        check_output("--json", json, (EVALUATION,), inputs, force)
+    check_page(report, figures, inputs, force)
+    runs = opened(model)
+    recorded = trials_at(logs, layout, 1 / runs.metadata.dt_s, sampled_hz, say)
+    evaluation = free_runs(runs, recorded, skip_first_flexure, progress, "" if file is None else str(model))
+    if say is not None:
+        warn_outside(evaluation, runs.metadata, say)
+    if json is not None:
+        from hystmpc.models.evaluate import evaluation_json
+
+        write_atomically(json, dumps(evaluation_json(evaluation.trials), indent=2) + "\n")
+    if report is not None:
+        with figures_to(figures):
+            evaluation.report(report)
+    return evaluation
+
+
+def free_runs(
+    model: LoadedModel, trials: list[Trial], skip: bool, progress: Progress | None = None, subtitle: str = ""
+) -> Evaluation:
+    """Free runs over trials at the model's rate."""
+    from hystmpc.models.evaluate import evaluate as free_run
+
+    runs = []
+    for trial in trials:
+        runs.append(free_run(model, trial, skip))
+        if progress is not None:
+            progress(len(runs), len(trials), "free runs")
+    return Evaluation(tuple(runs), subtitle)
+
+
+def warn_outside(evaluation: Evaluation, facts: ModelMetadata, say: Say) -> None:
+    """Warn where commands leave the range that the model was identified on."""
+    beyond = [run for run in evaluation if run.outside > 0]
+    if beyond:
+        worst, trained = max(beyond, key=lambda run: run.outside), facts.trained_command
+        say(
+            f"{len(beyond)} of {len(evaluation)} trials leave the identified range of {trained.lower:.4g} to "
+            f"{trained.upper:.4g} {facts.command_unit}, where the model guesses: {100 * worst.outside:.1f} % of the "
+            f"samples of {Path(worst.trial.source).name}"
+        )

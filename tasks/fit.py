@@ -1,0 +1,350 @@
+"""Identification of a model from recorded trials."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from hystmpc.trials.brief import in_brief
+from hystmpc.trials.errors import ConfigError, FitError, in_a_line
+from hystmpc.trials.files import figures_to
+from hystmpc.trials.read import AnyLayout, Log
+from hystmpc.trials.trial import SlowLogError, Trial, Units
+from hystmpc.trials.types import Progress
+
+from .evaluate import Evaluation, evaluate, free_runs
+from .inputs import Logs, Say, as_list, files_read, opened, trials_at
+from .outputs import MODEL, SIMULATOR, check_output, check_page
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from hystmpc.ctrl.command import CommandLimits
+    from hystmpc.models.contract.equivalence import EquivalenceReport
+    from hystmpc.models.contract.metadata import DeviceLimits, Range
+    from hystmpc.models.identify.auto import AutoFit
+    from hystmpc.models.identify.uncertainty import ParameterRow
+    from hystmpc.models.kinds.kind import FitRequest, Identified, ModelKind
+    from hystmpc.models.model import LoadedModel
+    from hystmpc.models.simulator import Simulator
+
+DEFAULT_RATE_HZ = 25.0
+SEEN, UNSEEN = " that it was identified from", " that the fit did not see"
+_PARTS = ("part", "form", "without it", "with it")
+_NUMBERS = ("parameter", "value", "interval", "unit")
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """A model identified from trials.
+
+    Attributes:
+        kind: of model, such as `pi` or `lstm`.
+        identified: what the identification returned: bundle for the export, history of the error, report.
+        trials: that it was identified from, as recorded or swapped, uniformly sampled.
+        evaluations: free runs over the trials of the fit and over those that it did not see, each with the words that
+            name them; empty where neither a file nor trials for the test were asked for.
+        exported: comparison of the exported model with its reference; None where none was written.
+    """
+
+    kind: str
+    identified: Identified = field(repr=False)
+    trials: tuple[Trial, ...] = field(repr=False)
+    evaluations: tuple[tuple[str, Evaluation], ...] = field(default=(), repr=False)
+    exported: EquivalenceReport | None = field(default=None, repr=False)
+
+    def __repr__(self) -> str:
+        return in_brief(self, f"{self.kind} from {len(self.trials)} trials: {self.identified.report}")
+
+    @cached_property
+    def model(self) -> LoadedModel:
+        """The model, as `load_model` opens it from a file."""
+        return _model_of(self.kind, self.identified)
+
+    @property
+    def simulator(self) -> Simulator:
+        """The readable form of an operator.
+
+        Raises:
+            FitError: if the model is a network, which has none.
+        """
+        if self.identified.simulator is None:
+            raise FitError(f"{self.kind} has no readable form, expected an operator such as backlash or pi")
+        return self.identified.simulator
+
+    @in_a_line
+    def save(self, path: Path | str, *, force: bool = False) -> Path:
+        """Write the model: `.yaml` for the readable form of an operator, `.onnx` for any.
+
+        Raises:
+            FitError: if a network is to be written as YAML.
+            ConfigError: if the path has another ending, cannot be written, or is taken; see `force` of `fit`.
+            ExportError: if the exported model differs from its reference; nothing is written then.
+        """
+        if Path(path).suffix.lower() in SIMULATOR.endings:
+            self.simulator  # noqa: B018 - refuses a network
+        check_output("--out", path, (MODEL, SIMULATOR), (), force)
+        _written(self.identified, Path(path))
+        return Path(path)
+
+    def plot(self) -> Figure:
+        """Free run of the model on the trials that it was identified from."""
+        return evaluate(self, self.trials).plot()
+
+    def _repr_html_(self) -> str:
+        return f"<p>{self.kind}: {self.identified.report}</p>{evaluate(self, self.trials)._repr_html_()}"
+
+
+def fit(
+    kind: str,
+    trials: Logs,
+    out: Path | str | None = None,
+    *,
+    layout: AnyLayout = "auto",
+    sampled_hz: float | None = None,
+    rate_hz: float | None = None,
+    skip_first_flexure: bool = False,
+    inverse: bool = False,
+    plays: int | None = None,
+    drive: Path | str | None = None,
+    residual: str | None = None,
+    training: str | None = None,
+    steps: int | None = None,
+    hold_out: int | None = None,
+    validation: Logs = (),
+    constancy_weight: float | None = None,
+    seed: int = 1,
+    limits: CommandLimits | DeviceLimits | None = None,
+    test: Logs = (),
+    report: Path | str | None = None,
+    figures: Path | str | None = None,
+    force: bool = False,
+    progress: Progress | None = None,
+    say: Say | None = None,
+) -> Fit:
+    """Identify a model from recorded trials; Ctrl-C keeps the best so far.
+
+    Args:
+        kind: `auto` for the whole device, or `backlash`, `pi`, `drdpi`, `bouc_wen`, `oscillator`,
+            `state_network`, `play_kernel`, `svr`, `fnn`, `fnn_hib`, `lstm`, `gru`, `hb1` or `hb2`.
+        trials: logs, data frames or trials, see `read_trials`.
+        out: file to write, `.onnx`, or `.yaml` for an operator; it is scored as it is read back.
+        layout: of the logs.
+        sampled_hz: rate [Hz] of logs that were sampled evenly, whose time stamps are not looked at.
+        rate_hz: rate at which the model runs, and to which the trials are resampled [Hz]; 25 where left out.
+        skip_first_flexure: count each trial only from the command's first reversal on.
+        inverse: identify the map from angle to command.
+        plays: number of plays of a Prandtl-Ishlinskii model.
+        drive: what a network or a regression stands behind: `auto` to identify it, or a simulator that has it.
+        residual: with `auto`, network of what its operators leave, `lstm` or `gru`; kept only if it helps held out.
+        training: settings of the training, `best` or `paper`; the kind's own where left out.
+        steps: greatest number of epochs, updates or iterations.
+        hold_out: whole trials by which a network is stopped early.
+        validation: trials that only judge, in place of held-out ones.
+        constancy_weight: of a network's constant-in, constant-out term.
+        seed: of everything drawn at random.
+        limits: what the device may be sent; what the trials show where left out, also of a part that is None.
+        test: trials to score on, which the fit does not see.
+        report, figures: file for a page, .html, and new folder for its figures.
+        force: replace older files of the same kind.
+        progress: called with steps done, their number (infinite where it is not known) and the error so far.
+        say: called with each note and warning.
+
+    Raises:
+        LogError: if a log cannot be used.
+        FitError: on an unknown kind or training, unusable trials, a diverging fit, or a missing extra.
+        ConfigError: if a file may not be written, or a log of the test is one of the fit.
+        ExportError: if the exported model differs from its reference; nothing is written then.
+    """
+    from hystmpc.models.kinds.catalogue import chosen_kind
+    from hystmpc.models.kinds.kind import FitRequest
+
+    chosen = chosen_kind(kind, None if drive is None else str(drive), residual)
+    logs, tests, read = as_list(trials), as_list(test), _Reader(layout, rate_hz, sampled_hz)
+    files = [*(seen := files_read(logs, layout)), *_unseen(tests, seen)]
+    if out is not None:
+        check_output("--out", out, (MODEL, SIMULATOR)[: 1 + chosen.readable], files, force, of=chosen.name)
+    check_page(report, figures, files, force)
+    judges = read(as_list(validation)) if validation != () else []
+    request = FitRequest(
+        training or chosen.usual_training(inverse),
+        seed,
+        steps,
+        hold_out,
+        tuple(trial.swapped() if inverse else trial for trial in judges),
+        constancy_weight,
+        plays,
+        skip_first_flexure,
+        _device_limits(limits),
+    )
+    chosen.check([], request)
+    recorded, held = read(logs, say), read(tests, say) if tests else []
+    _warn_of_limits([*recorded, *held], request.limits.command, say)
+    used = tuple(trial.swapped() if inverse else trial for trial in recorded)
+    done = _identify(chosen, used, request, progress, say)
+    made = Fit(kind, done, used, exported=None if out is None else _written(done, Path(out), progress))
+    if out is None and report is None and not held:
+        return made
+    sets = {which: part for which, part in ((SEEN, recorded), (UNSEEN, held)) if part}
+    with figures_to(figures):
+        return _scored(made, out, sets, skip_first_flexure, report, progress)
+
+
+def _scored(
+    made: Fit,
+    out: Path | str | None,
+    sets: Mapping[str, list[Trial]],
+    skip: bool,
+    report: Path | str | None,
+    progress: Progress | None,
+) -> Fit:
+    """The fit with free runs over each set of trials, of the model as it is read back; and its page."""
+    model = opened(made if out is None else out)
+    scores = [(which, free_runs(model, trials, skip, progress)) for which, trials in sets.items()]
+    made = replace(made, evaluations=tuple(scores))
+    if report is not None:
+        _write_page(made, report, made.kind if out is None else Path(out).name, model)
+    return made
+
+
+@dataclass(frozen=True)
+class _Reader:
+    """Logs at the rate of the fit; the refusal of one that is too slow for the default rate names a rate for it."""
+
+    layout: AnyLayout
+    rate_hz: float | None
+    sampled_hz: float | None
+
+    def __call__(self, logs: Sequence[Log], say: Say | None = None) -> list[Trial]:
+        rate_hz = DEFAULT_RATE_HZ if self.rate_hz is None else self.rate_hz
+        try:
+            return trials_at(logs, self.layout, rate_hz, self.sampled_hz, say)
+        except SlowLogError as error:
+            if self.rate_hz is not None:
+                raise
+            default = f"the default of {DEFAULT_RATE_HZ:g} Hz"
+            raise SlowLogError(error.source, error.log_hz, default, f"; add `--rate-hz {error.log_hz:.4g}`") from None
+
+
+def _unseen(test: Sequence[Log], seen: Sequence[Path]) -> list[Path]:
+    """The files of the test.
+
+    Raises:
+        ConfigError: on one that the fit sees.
+    """
+    logs = files_read([log for log in test if isinstance(log, Path | str)], "auto")[:-1] if test else []
+    known = {log.resolve() for log in seen}
+    for log in logs:
+        if log.resolve() in known:
+            raise ConfigError(f"--test {log}: is one of the logs of the fit, expected logs that it does not see")
+    return logs
+
+
+def _device_limits(limits: CommandLimits | DeviceLimits | None) -> DeviceLimits:
+    from hystmpc.models.contract.metadata import DeviceLimits, Range
+
+    if limits is None or isinstance(limits, DeviceLimits):
+        return limits or DeviceLimits()
+    return DeviceLimits(Range(lower=limits.lower, upper=limits.upper), limits.rate)
+
+
+def _warn_of_limits(trials: Sequence[Trial], limits: Range | None, say: Say | None) -> None:
+    """Warn where the logs' commands go beyond the limits that the model is to have."""
+    from hystmpc.models.evaluate import RANGE_SLACK
+
+    if limits is None or say is None:
+        return
+    low, high = min(float(t.command.min()) for t in trials), max(float(t.command.max()) for t in trials)
+    slack = RANGE_SLACK * (limits.upper - limits.lower)
+    if low < limits.lower - slack or high > limits.upper + slack:
+        say(
+            f"warning: the logs' commands go from {low:.4g} to {high:.4g} {trials[0].units.command}, beyond "
+            f"--command-limits {limits.lower:g} {limits.upper:g}: the device took more than controllers of this model "
+            f"will send"
+        )
+
+
+def _identify(
+    kind: ModelKind, trials: Sequence[Trial], request: FitRequest, progress: Progress | None, say: Say | None
+) -> Identified:
+    from hystmpc.models.kernels.compiling import about
+    from hystmpc.models.kinds.worth import identified
+
+    kind.check(trials, request)
+    if say is not None and (seconds := kind.estimate(trials, request)) is not None:
+        say(f"note: {kind.name}, training {request.training}: about {about(seconds)} on this machine")
+    unit, total = trials[0].units.angle, kind.steps(request) or math.inf
+
+    def tell(done: int, rmse: float) -> None:
+        if progress is not None:
+            progress(done, total, f"best {rmse:.4g} {unit}")
+
+    if progress is not None:
+        progress(0, total, "first look")
+    done = identified(kind, trials, request, tell)
+    if done.interrupted and say is not None:
+        say("interrupted: the best so far is kept")
+    return done
+
+
+def _model_of(kind: str, done: Identified) -> LoadedModel:
+    if done.simulator is not None:
+        from hystmpc.models.simulator import ChainModel
+
+        return ChainModel(done.simulator)
+    from hystmpc.models.contract.export import model_bytes
+    from hystmpc.models.contract.load import OnnxModel
+
+    return OnnxModel(model_bytes(done.bundle), kind)
+
+
+def _written(done: Identified, path: Path, progress: Progress | None = None) -> EquivalenceReport | None:
+    """Write the readable form or the exported model; returns the comparison of the latter with its reference."""
+    if done.simulator is not None and path.suffix.lower() in SIMULATOR.endings:
+        done.simulator.save(path)
+        return None
+    from hystmpc.models.contract.export import export_onnx
+
+    if progress is not None:
+        progress(1, 1, "compare and export")
+    return export_onnx(done.bundle, path)
+
+
+def _write_page(made: Fit, path: Path | str, name: str, model: LoadedModel) -> None:
+    from hystmpc.models.evaluation_report import evaluation_report  # matplotlib takes a second to import
+    from hystmpc.trials.report import Paragraph, Piece, Table
+
+    parts, facts = made.identified.parts, model.metadata
+    more: list[Piece] = [Paragraph(made.identified.report)]
+    if parts is not None:
+        units = Units(facts.command_unit, facts.angle_unit)
+        more += [Table(columns, rows, title) for title, columns, rows in part_tables(parts, units)]
+        more += [Paragraph(line) for line in parts.advice]
+    sets = [(which, evaluation.trials) for which, evaluation in reversed(made.evaluations)]
+    evaluation_report(f"Fit of {name}", facts.kind, sets, more).save(path)
+
+
+def part_tables(parts: AutoFit, units: Units) -> Iterator[tuple[str, Sequence[str], Sequence[Sequence[str]]]]:
+    """Title, columns and rows: the error without and with each part of the device, and the identified numbers."""
+    if parts.rows:
+        rows = [(r.part, r.form, _error(r.without_deg), _error(r.with_deg)) for r in parts.rows]
+        yield f"what each part buys, RMSE on trials left out, in {units.angle}", _PARTS, rows
+    numbers = [(f"{r.owner} {r.name}", f"{r.value:.4g}", _interval(r), units.named(r.unit)) for r in parts.parameters]
+    if numbers:
+        yield "identified numbers, with intervals of 90 %", _NUMBERS, numbers
+
+
+def _interval(row: ParameterRow) -> str:
+    """The interval, one-sided of a number at the end of what was searched."""
+    low, high = row.ci90
+    if row.at_bound and math.isinf(high):
+        return f"{low:.4g} or more"
+    return f"{high:.4g} or less" if row.at_bound else f"{low:.4g} to {high:.4g}"
+
+
+def _error(value: float) -> str:
+    return f"{value:.4g}" if math.isfinite(value) else "-"

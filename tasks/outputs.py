@@ -1,0 +1,159 @@
+"""Outputs of the tasks: what may be written where, refused before any work is done."""
+
+from __future__ import annotations
+
+import json
+import os
+import zipfile
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from hystmpc.models.contract.checks import parse_model
+from hystmpc.models.contract.metadata import PREFIX
+from hystmpc.trials.config import read_yaml
+from hystmpc.trials.errors import ConfigError, HystmpcError
+from hystmpc.trials.files import require_writable
+from hystmpc.trials.run_folder import require_vacant
+
+
+@dataclass(frozen=True)
+class Output:
+    """A kind of file that a verb writes.
+
+    Attributes:
+        what: its name, with an article, for messages.
+        endings: of its file names, in lower case.
+        format_of: says the format of such a file; empty, or an error of reading, for any other file.
+        formats: with which that has to begin.
+    """
+
+    what: str
+    endings: tuple[str, ...]
+    format_of: Callable[[Path], str]
+    formats: tuple[str, ...]
+
+    def is_one(self, path: Path) -> bool:
+        """Whether a file is of this kind, of whatever version."""
+        try:
+            return self.format_of(path).startswith(self.formats)
+        except (OSError, ValueError, LookupError, RecursionError, HystmpcError, zipfile.BadZipFile):
+            return False
+
+
+def _of_model(path: Path) -> str:
+    entries = parse_model(path.read_bytes(), str(path)).metadata_props
+    return next((str(entry.value) for entry in entries if entry.key == f"{PREFIX}format"), "").strip('"')
+
+
+def _of_yaml(path: Path) -> str:
+    return _format(read_yaml(path))
+
+
+def _of_json(path: Path) -> str:
+    return _format(json.loads(path.read_text(encoding="utf-8")))
+
+
+def _of_page(path: Path) -> str:
+    with path.open(encoding="utf-8") as file:
+        return "hystmpc" if '<meta name="generator" content="hystmpc">' in file.read(1000) else ""
+
+
+def _of_c(path: Path) -> str:
+    with path.open(encoding="utf-8") as file:
+        return "hystmpc" if "Written by hystmpc" in file.read(1000) else ""
+
+
+def _of_fmu(path: Path) -> str:
+    with zipfile.ZipFile(path) as archive:
+        description = archive.read("modelDescription.xml").decode("utf-8")
+    return "hystmpc" if 'generationTool="hystmpc' in description else ""
+
+
+def _format(data: Any) -> str:
+    return str(data.get("format", "")) if isinstance(data, dict) else ""
+
+
+MODEL = Output("an ONNX model of hystmpc", (".onnx",), _of_model, ("hystmpc-model/",))
+SIMULATOR = Output("a simulator file", (".yaml", ".yml"), _of_yaml, ("hystmpc-simulator/",))
+EVALUATION = Output("an evaluation", (".json",), _of_json, ("hystmpc-evaluation/", "hystmpc-inverse-evaluation/"))
+BENCHMARK = Output("a benchmark's result", (".json",), _of_json, ("hystmpc-bench/",))
+C_SOURCE = Output("an exported controller", (".c",), _of_c, ("hystmpc",))
+C_HEADER = Output("an exported controller", (".h",), _of_c, ("hystmpc",))
+FMU = Output("an FMU of hystmpc", (".fmu",), _of_fmu, ("hystmpc",))
+REPORT = Output("a report of hystmpc", (".html",), _of_page, ("hystmpc",))
+
+
+def check_figures(figures: Path | str | None) -> None:
+    """Refuse a folder of `--figures` before any work is done.
+
+    Raises:
+        ConfigError: if it is not new or empty, or cannot be written.
+    """
+    if figures is not None:
+        require_vacant(figures)
+
+
+def check_page(page: Path | str | None, figures: Path | str | None, inputs: Iterable[Path], force: bool) -> None:
+    """`check_output` for `--report`, where it is given; and `--figures` of it.
+
+    Raises:
+        ConfigError: if the page or its figures may not be written.
+    """
+    if page is not None:
+        check_output("--report", page, (REPORT,), inputs, force)
+    elif figures is not None:
+        raise ConfigError(f"--figures {figures}: is of the page of --report, which is not given")
+    check_figures(figures)
+
+
+def check_output(
+    option: str,
+    path: Path | str,
+    kinds: Sequence[Output],
+    inputs: Iterable[Path] = (),
+    force: bool = False,
+    of: str = "",
+) -> None:
+    """Refuse a file that a verb may not write: nothing is overwritten but, with `--force`, a file of the same kind.
+
+    Args:
+        option: that names the file, for messages.
+        path: the file.
+        kinds: that the verb can write there; its ending chooses.
+        inputs: files that the same call reads, which it may not replace.
+        force: whether an older file may be replaced.
+        of: what is written, for the message on a wrong ending.
+
+    Raises:
+        ConfigError: if the ending is none of the kinds, the path is a folder or an input or cannot be written, or
+            something lies there that may not be replaced.
+    """
+    path = Path(path)
+    where = f"{option} {path}"
+    kind = next((kind for kind in kinds if path.suffix.lower() in kind.endings), None)
+    if kind is None:
+        endings = " or ".join(ending for kind in kinds for ending in kind.endings)
+        raise ConfigError(f"{where}: expected a file ending in {endings}{f' for {of}' if of else ''}")
+    try:
+        require_writable(path)
+    except ConfigError as error:
+        raise ConfigError(f"{option} {error}") from None
+    if path.is_dir():
+        raise ConfigError(f"{where}: is a folder, expected a file")
+    for other in inputs:
+        if _same(path, other):
+            raise ConfigError(f"{where}: is read by the same command ({other}), expected another file")
+    if os.path.lexists(path):
+        if not force:
+            raise ConfigError(f"{where}: exists, expected a new file; --force replaces it if it is {kind.what}")
+        if not kind.is_one(path):
+            raise ConfigError(f"{where}: exists and is not {kind.what}, which is all that --force replaces")
+
+
+def _same(path: Path, other: Path) -> bool:
+    try:
+        return path.samefile(other)
+    except (OSError, ValueError):  # one of them is not there
+        return False
