@@ -71,7 +71,7 @@ COMPUTED = {
     "lab/benchmarks/monitor.py",
     "lab/control/loop.py",
     "lab/control/models.py",
-    "lab/identify/motions.py",
+    "lab/devices/motions.py",
     "testing/plant.py",
     "examples/exported_c/loop.py",
     "examples/mujoco_tendon/tendon.py",
