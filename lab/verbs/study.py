@@ -97,11 +97,7 @@ def study(
     given |= {"stages": _names(stages), "rates_hz": _rates(loop_rates), "plants": _names(plants)}
     given |= {"controllers": _names(controllers), "motions": _names(motions), "devices": devices, "kind": kind}
     given |= {"drive": drive, "diagnose": diagnose, "dataset": dataset, "data": data, "test": test}
-    for option, value in given.items():
-        if option not in _OPTIONS[name] and value not in (None, (), []):
-            unused = option.removesuffix("_hz").replace("_", "-")
-            raise ConfigError(f"study {name.value}: got --{unused}, which it has no use for")
-    changes = {option: given[option] for option in _OPTIONS[name]} | {"seed": seed, "quick": quick}
+    changes = _used(name, given) | {"seed": seed, "quick": quick}
     if name == Name.KINDS:
         _over_devices(changes, folder, workers)
         return
@@ -119,6 +115,19 @@ def study(
         _show(chosen.summary(outcome), chosen.digits)
     done = len(outcome.results) - len(outcome.failed)
     out.print(f"{done} jobs done, {len(outcome.failed)} failed; report: {folder / 'report.html'}")
+
+
+def _used(name: Name, given: Mapping[str, Any]) -> dict[str, Any]:
+    """The options of a study.
+
+    Raises:
+        ConfigError: on one that it has no use for.
+    """
+    for option, value in given.items():
+        if option not in _OPTIONS[name] and value not in (None, (), []):
+            unused = option.removesuffix("_hz").replace("_", "-")
+            raise ConfigError(f"study {name.value}: got --{unused}, which it has no use for")
+    return {option: given[option] for option in _OPTIONS[name]}
 
 
 def _listed(name: str) -> Study[Any, Any, Any]:
