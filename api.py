@@ -361,7 +361,7 @@ def diagnose(
         ModelError: if the simulator cannot be opened or is an inverse map.
         ConfigError: if `out` holds anything but an older diagnosis.
     """
-    from hystmpc.gap.whole import diagnose_trials
+    from hystmpc.gap.diagnose import diagnose_trials
     from hystmpc.models.load import model_path
     from hystmpc.models.simulator import ChainModel
 

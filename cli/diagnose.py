@@ -99,7 +99,7 @@ def _diagnosed(files: Sequence[Path], sim: Path, folder: Path, preset: str, **ch
     require_free(folder)
     simulator = simulator_at(sim)
     trials = _recorded(files, preset)
-    from hystmpc.gap.whole import diagnose_trials  # compiles: kept out of the way of refusals
+    from hystmpc.gap.diagnose import diagnose_trials  # compiles: kept out of the way of refusals
     from hystmpc.models.load import model_path
 
     with bar("diagnose", pace=_PACE) as show:

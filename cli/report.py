@@ -77,7 +77,7 @@ def _fall(run: Path, before: list[Path], diagnosis: Path | None) -> tuple[Piece,
     """Print how far the error fell; returns it for the page."""
     if not before and diagnosis is None:
         return ()
-    from hystmpc.gap.tracking.fall import fall_lines, fall_pieces, tracking_falls
+    from hystmpc.gap.tracking.measured import fall_lines, fall_pieces, tracking_falls
 
     falls = tracking_falls(run, before, diagnosis)
     for line in fall_lines(falls):

@@ -10,9 +10,9 @@ import numpy as np
 
 from hystmpc.ctrl.limits import CommandLimits
 from hystmpc.ctrl.planner.reach import angles_at_rest
+from hystmpc.gap.diagnose import diagnose_trials
 from hystmpc.gap.diagnosis import Diagnosis
 from hystmpc.gap.report.words import closed_sentence, headline, tracking_sentence
-from hystmpc.gap.whole import diagnose_trials
 from hystmpc.models.contract.metadata import DeviceLimits, Range
 from hystmpc.models.kinds.catalogue import chosen_kind
 from hystmpc.models.kinds.kind import FitRequest

@@ -9,9 +9,15 @@ import numpy as np
 
 from hystmpc.ctrl.limits import CommandLimits
 from hystmpc.gap.logs.preparation import nominal_noise_deg
-from hystmpc.gap.next.motion_design import Noise, OpenHypothesis, Option, expected_probability, option_on
-from hystmpc.gap.next.motion_family import MotionFamily
-from hystmpc.gap.next.motion_search import information_bits
+from hystmpc.gap.next.motion_design import (
+    Noise,
+    OpenHypothesis,
+    Option,
+    expected_probability,
+    information_bits,
+    option_on,
+)
+from hystmpc.gap.next.motions import MotionFamily
 from hystmpc.gap.next.open_hypotheses import NOTHING, free_run
 from hystmpc.models.contract.metadata import Range
 from hystmpc.models.effects.catalogue import candidates

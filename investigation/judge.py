@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import Literal
 
 from hystmpc.commissioning.stages import Figure
+from hystmpc.gap.diagnose import diagnose_trials
 from hystmpc.gap.diagnosis import Diagnosis, Verdict
 from hystmpc.gap.next.open_hypotheses import question
 from hystmpc.gap.report.words import closed_sentence, headline, tracking_sentence
-from hystmpc.gap.whole import diagnose_trials
 from hystmpc.models.simulator import load_simulator
 from hystmpc.trials.read import read_trials
 from hystmpc.trials.types import Progress

@@ -12,10 +12,15 @@ import numpy as np
 from hystmpc.commissioning.motions import away_seconds, prepare_seconds
 from hystmpc.commissioning.stages import Figure
 from hystmpc.gap.logs.trial_choice import MOST_HZ
-from hystmpc.gap.next.motion_design import MotionProposal, Option, write_motion
-from hystmpc.gap.next.motion_family import MotionFamily
-from hystmpc.gap.next.motion_menu import menu
-from hystmpc.gap.next.motion_search import SearchSettings, information_bits, search_motion
+from hystmpc.gap.next.motion_design import (
+    MotionProposal,
+    Option,
+    SearchSettings,
+    information_bits,
+    search_motion,
+    write_motion,
+)
+from hystmpc.gap.next.motions import MotionFamily, menu
 from hystmpc.gap.next.open_hypotheses import Question
 from hystmpc.models.simulator import Simulator
 from hystmpc.rig.config import BenchSettings

@@ -20,9 +20,8 @@ from ..diagnosis import Stability, Verdict
 from ..logs.preparation import PreparedTrials
 from .ambiguity import ambiguity_of
 from .attribution import Attribution, Conclusion, DiagnosisSettings, drift_test
-from .closed_share import Shares
-from .gap_closed import needless
-from .lack_of_fit import structure_left
+from .gap_closed import Shares, needless
+from .remaining_structure import structure_left
 from .retuning import width_grown
 from .verdict import FinalFacts, Ruling, VerdictFacts, decide_verdict
 

@@ -17,7 +17,7 @@ from hystmpc.trials.types import Mat, Vec
 
 from ..diagnosis import Detectable, DetectableSizes
 from .preparation import PreparedTrials
-from .recording_order import NEEDS_ORDER
+from .trial_choice import NEEDS_ORDER
 
 _SIZES = np.geomspace(0.02, 20.0, 10)
 """Sizes that are tried, as shares of the size from which a fit starts."""

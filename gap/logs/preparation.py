@@ -29,12 +29,10 @@ from hystmpc.trials.trial import Trial, Units, parts_at_gaps, resample
 from hystmpc.trials.types import Vec
 
 from ..diagnosis import Order
-from .as_given import evaluated_mse, evaluation_notes, own_starts, with_own_rate
+from .as_given import common_rest, evaluated_mse, evaluation_notes, own_starts, with_own_rate
 from .check import Checked, check_trials
-from .recording_order import in_recording_order
-from .rest_angles import common_rest
 from .sensor import SensorSigns, repaired, sensor_signs, white_noise
-from .trial_choice import split_runs
+from .trial_choice import in_recording_order, split_runs
 
 _LEAST_S, _LEAST_TURNS = 15.0, 3
 _COARSER = 1.5  # times the step that the readings had at identification

@@ -19,13 +19,12 @@ from hystmpc.models.identify.problem import Problem
 from hystmpc.models.simulator import Simulator
 from hystmpc.trials.types import Vec
 
-from ..decide.attribution import Attribution, usable_effects
-from ..decide.findings import Findings
-from ..logs.identifiability import confusability
+from ..decide.attribution import Attribution, Findings, usable_effects
+from ..logs.excitation import confusability
 from ..logs.preparation import PreparedTrials
-from ..logs.recording_order import NEEDS_ORDER
+from ..logs.trial_choice import NEEDS_ORDER
 from .motion_design import MotionProposal, Noise, OpenHypothesis, Simulate, propose
-from .motion_menu import menu
+from .motions import menu
 
 _STEP = 0.3  # of the unknowns' typical changes
 

@@ -9,8 +9,7 @@ from pathlib import Path
 from hystmpc.trials.report import Folded, Heading, Paragraph, Piece, Plot, Points, Report, Table
 
 from ..next.motion_design import MOTION_FILE
-from .effect_figures import MOST_ROWS, closed_figure, effects_figure, next_figure
-from .figure_style import LABEL, shown, worst_first
+from .figures import LABEL, MOST_ROWS, closed_figure, effects_figure, next_figure, shown, worst_first
 from .first_page import how_sure, what_next, why
 from .report_data import Evidence
 from .residual_figures import (

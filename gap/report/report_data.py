@@ -17,10 +17,9 @@ from hystmpc.models.simulator import Simulator
 from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Vec
 
-from ..decide.findings import Findings
+from ..decide.attribution import Findings
 from ..diagnosis import Diagnosis
-from ..logs.excitation import Excitation
-from ..logs.identifiability import Confusable, confusability
+from ..logs.excitation import Confusable, Excitation, confusability
 from ..next.motion_design import MotionProposal
 from ..residual.localise import Localisation
 

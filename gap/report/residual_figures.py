@@ -17,8 +17,8 @@ from hystmpc.trials.report import MEASURED, REFERENCE, new_figure
 from hystmpc.trials.types import Vec
 
 from ..diagnosis import Place
-from ..residual.spectrum import SpectralLine
-from .figure_style import COLOUR, COMMANDED, HEAT, INTERVAL, LABEL, LOOK, QUIET, REAL, measured_label, short, thin
+from ..residual.localise import SpectralLine
+from .figures import COLOUR, COMMANDED, HEAT, INTERVAL, LABEL, LOOK, QUIET, REAL, measured_label, short, thin
 from .report_data import Stage, TrialEvidence
 from .words import in_words
 

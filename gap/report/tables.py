@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from hystmpc.trials.report import KeyValues, Paragraph, Piece, Table
 
 from ..diagnosis import DetectableSizes, TrackingGap
-from .figure_style import LABEL
+from .figures import LABEL
 from .report_data import STAGES, CandidateRow, Evidence, TrialEvidence
 from .words import DETECTABLE_COLUMNS, baseline_units, detectable_rows, in_words, percent
 

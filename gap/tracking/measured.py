@@ -1,23 +1,35 @@
-"""Closed-loop runs read back for a comparison: the samples along the reference, and their error without the noise."""
+"""Closed-loop tracking error measured in runs, and its fall from one run to another on the same reference."""
 
 from __future__ import annotations
 
+import json
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from hystmpc.ctrl.law import LawSettings
+from hystmpc.ctrl.mpc_settings import LinearisedMpcSettings, SamplingMpcSettings
 from hystmpc.models.load import load_model, model_path
+from hystmpc.models.simulator import Simulator, load_simulator
 from hystmpc.rig.config import RunSettings
 from hystmpc.sim.results import load_results
-from hystmpc.trajectories.trajectory import Trajectory, steps
-from hystmpc.trials.errors import LogError, ModelError
+from hystmpc.trajectories.drawn import CountedMotion, approached
+from hystmpc.trajectories.trajectory import Trajectory, sample, steps
+from hystmpc.trials.errors import ConfigError, HystmpcError, LogError, ModelError
 from hystmpc.trials.from_outside import only_reads
+from hystmpc.trials.report import ACCENTS, MODEL, REFERENCE, Heading, Paragraph, Piece, Plot, Table, new_figure
 from hystmpc.trials.run_folder import Column, RunFolder
 from hystmpc.trials.types import Vec
+
+from ..diagnosis import FORMATS, TrackingGap
+from ..report.folder import DIAGNOSIS_FILE, GIVEN_FILE
+from ..report.report_data import FIXED_FILE
+from .expected import NEAR, UnexplainedPlant, expected_tracking
 
 _BENCH = {"transport", "sensor", "reference"}  # settings that only an experiment has
 _LEAST = 10  # samples that can be compared
@@ -132,3 +144,211 @@ def _noise_deg(model: str) -> float | None:
 
 def _numbers(log: Mapping[str, Column], name: str) -> Vec:
     return np.asarray(log[name], dtype=np.float64)
+
+
+_SAME_DEG = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class TrackingFall:
+    """One run beside an earlier one on the same reference.
+
+    Attributes:
+        after: the run that is reported.
+        before: the earlier run; None where none was given.
+        expected: on this very reference; None without a diagnosis.
+    """
+
+    after: MeasuredRun
+    before: MeasuredRun | None
+    expected: TrackingGap | None
+
+    @property
+    def share(self) -> float:
+        """Measured fall as a share of the error before; not-a-number without an earlier run."""
+        return math.nan if self.before is None else _share(self.before.rmse_deg, self.after.rmse_deg)
+
+    @property
+    def agrees(self) -> bool:
+        """Whether the measured share is within `NEAR` of the expected one."""
+        if self.expected is None or self.expected.why_not or self.before is None:
+            return False
+        expected = self.expected.fall_share
+        return abs(self.share - expected) <= NEAR * abs(expected)
+
+
+def tracking_falls(run: Path, before: Sequence[Path], diagnosis: Path | None = None) -> tuple[TrackingFall, ...]:
+    """The run against every earlier one, and against what a diagnosis lets expect on its reference.
+
+    Args:
+        run: folder of `run` or `simulate`.
+        before: folders of the same kind, on the same reference.
+        diagnosis: folder of `diagnose`; its simulators are run in closed loop on the run's own reference.
+
+    Raises:
+        LogError: if a folder holds no run or diagnosis, or references differ.
+        HystmpcError: of any kind, if the closed loop cannot be simulated.
+    """
+    after = measured_runs(run)
+    earlier = [_matching(run, after, folder) for folder in before]
+    pair = None if diagnosis is None else _simulators(diagnosis)
+    falls = []
+    for k, own in enumerate(after):
+        olds = [old for olds in earlier if (old := olds[k]) is not None]
+        expected = None if pair is None or (before and not olds) else _expected(own, *pair)
+        falls += [TrackingFall(own, old, expected) for old in olds]
+        if not before:
+            falls.append(TrackingFall(own, None, expected))
+    return tuple(falls)
+
+
+def fall_lines(falls: Iterable[TrackingFall]) -> list[str]:
+    """The fall in words, a line each for what was measured and what was expected."""
+    lines = []
+    for fall in falls:
+        lines.append(_measured_line(fall))
+        if fall.expected is not None:
+            lines.append(_expected_line(fall, fall.expected))
+    return lines
+
+
+def fall_pieces(falls: Sequence[TrackingFall]) -> tuple[Piece, ...]:
+    """The same for a page: a table, the lines, and a figure for each pair of runs."""
+    rows: list[tuple[Any, ...]] = []
+    for fall in falls:
+        name = fall.after.name or "tracking error"
+        if fall.before is not None:
+            rows.append(
+                (name, f"measured, {fall.before.folder.name}", *_row(fall.before.rmse_deg, fall.after.rmse_deg))
+            )
+        if fall.expected is not None and not fall.expected.why_not:
+            rows.append((name, "expected", *_row(fall.expected.before_deg, fall.expected.after_deg)))
+    columns = ("of", "", "before [deg]", "after [deg]", "fall [%]")
+    pieces: list[Piece] = [Heading("Fall of the tracking error"), *map(Paragraph, fall_lines(falls))]
+    pieces.append(Table(columns, rows, "RMS along the reference, without the way to its start."))
+    pieces += [
+        Plot(_figure(fall.before, fall.after), f"{fall.after.name or 'Angle'}: before and after.")
+        for fall in falls
+        if fall.before is not None
+    ]
+    return tuple(pieces)
+
+
+def _matching(run: Path, after: Sequence[MeasuredRun], folder: Path) -> list[MeasuredRun | None]:
+    """The earlier run of each of a folder's runs; None where that folder has none of its name."""
+    found = {old.name: old for old in measured_runs(folder)}
+    matched = [found.get(own.name) for own in after]
+    if not any(matched):
+        names = ", ".join(found) or "nothing"
+        raise LogError(f"--before {folder}: got {names}, expected runs of the names in {run}")
+    for own, old in zip(after, matched, strict=True):
+        if old is not None:
+            _require_same(own, old)
+    return matched
+
+
+def _require_same(own: MeasuredRun, old: MeasuredRun) -> None:
+    rate = 1.0 / own.dt_s
+    (_, wanted), (_, other) = sample(own.reference, rate), sample(old.reference, rate)
+    where = f"--before {old.folder}"
+    if wanted.size != other.size:
+        got, expected = old.reference.duration_s, own.reference.duration_s
+        raise LogError(f"{where}: a reference of {got:.4g} s, expected that of {own.folder}, {expected:.4g} s")
+    apart = float(np.max(np.abs(wanted - other)))
+    if apart > _SAME_DEG:
+        raise LogError(f"{where}: a reference up to {apart:.3g} deg beside that of {own.folder}, expected the same one")
+
+
+def _simulators(folder: Path) -> tuple[Simulator, Simulator]:
+    """Nominal and corrected simulator of a diagnosis."""
+    try:
+        found = json.loads((folder / DIAGNOSIS_FILE).read_text(encoding="utf-8")).get("format")
+    except (OSError, ValueError, AttributeError):
+        found = None
+    if found not in FORMATS:
+        raise LogError(f"--diagnosis {folder}: got no {DIAGNOSIS_FILE}, expected a folder of `diagnose`")
+    for name in (GIVEN_FILE, FIXED_FILE):
+        if not (folder / name).is_file():
+            raise LogError(
+                f"--diagnosis {folder}: got no {name}, expected one; a network, angles that follow no command and "
+                "older diagnoses have none"
+            )
+    return load_simulator(folder / GIVEN_FILE), load_simulator(folder / FIXED_FILE)
+
+
+def _expected(own: MeasuredRun, nominal: Simulator, corrected: Simulator) -> TrackingGap:
+    """The expected errors on the run's own reference, with the controller that it had."""
+    if not isinstance(own.settings, LinearisedMpcSettings | SamplingMpcSettings):
+        return TrackingGap(why_not=f"{own.name or own.folder}: its controller does not predict with a model")
+    nominal, corrected = nominal.at_sample_time(own.dt_s), corrected.at_sample_time(own.dt_s)
+    settings: LawSettings = own.settings
+    motion = CountedMotion(own.name or "reference", own.reference, 0.0)
+    if own.led:
+        rest = UnexplainedPlant(corrected, 1).true_angle
+        motion = approached(motion.name, rest, float(own.reference(0.0)), own.reference)
+    try:
+        return expected_tracking(nominal, corrected, (motion,), settings=settings)[0]
+    except ConfigError:
+        raise
+    except HystmpcError as error:
+        return TrackingGap(why_not=f"the closed loop could not be simulated ({error})")
+
+
+def _share(before: float, after: float) -> float:
+    return (before - after) / before if before > 0 else 0.0
+
+
+def _row(before: float, after: float) -> tuple[float, float, float]:
+    return before, after, 100 * _share(before, after)
+
+
+def _measured_line(fall: TrackingFall) -> str:
+    name, after = (f"{fall.after.name}: " if fall.after.name else ""), fall.after
+    if fall.before is None:
+        return f"{name}the tracking error is {after.rmse_deg:.3g} deg RMS {_noise_words(after)}"
+    before = fall.before
+    change = "fell" if fall.share >= 0 else "rose"
+    text = (
+        f"{name}the tracking error {change} from {before.rmse_deg:.3g} deg RMS ({before.folder.name}) to "
+        f"{after.rmse_deg:.3g} deg, by {100 * abs(fall.share):.0f} % {_noise_words(before, after)}"
+    )
+    return text if before.settings == after.settings else f"{text}; the two runs differ in the controller's settings"
+
+
+def _expected_line(fall: TrackingFall, expected: TrackingGap) -> str:
+    if expected.why_not:
+        return f"no fall can be expected: {expected.why_not}"
+    share = _share(expected.before_deg, expected.after_deg)
+    text = (
+        f"expected on this reference: from {expected.before_deg:.3g} deg RMS to {expected.after_deg:.3g} deg, "
+        f"by {100 * share:.0f} %"
+    )
+    if fall.before is None:
+        return text
+    verdict = "is" if fall.agrees else "is not"
+    return f"{text}; the measured fall {verdict} within {100 * NEAR:.0f} % of it"
+
+
+def _noise_words(*runs: MeasuredRun) -> str:
+    """What became of the noise in the measured angle."""
+    if all(run.noise_deg is None for run in runs):
+        return "(with the sensor's noise: no model file knows it)"
+    if any(run.noise_deg is None for run in runs):
+        return "(one of them with the sensor's noise: its model file does not know it)"
+    if not any(run.noise_deg for run in runs):
+        return "(true angle)"
+    sizes = " and ".join(dict.fromkeys(f"{run.noise_deg:.2g}" for run in runs))
+    return f"(noise of the sensor subtracted: {sizes} deg)"
+
+
+def _figure(before: MeasuredRun, after: MeasuredRun) -> Figure:
+    with new_figure(7.0, 4.0) as figure:
+        angle, error = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
+        angle.plot(after.t, after.reference_deg, color=REFERENCE, linewidth=2.4, alpha=0.45, label="reference")
+        for run, colour, label in ((before, ACCENTS[2], "before"), (after, MODEL, "after")):
+            angle.plot(run.t, run.angle_deg, color=colour, linewidth=1.0, label=label)
+            error.plot(run.t, run.angle_deg - run.reference_deg, color=colour, linewidth=1.0)
+        angle.set_ylabel("tip angle [deg]")
+        error.set(xlabel="time [s]", ylabel="error [deg]")
+        figure.legend(*angle.get_legend_handles_labels(), loc="outside upper center", ncols=3)
+    return figure

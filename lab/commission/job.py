@@ -27,9 +27,8 @@ from hystmpc.ctrl.law import LawSettings
 from hystmpc.ctrl.limits import CommandLimits
 from hystmpc.ctrl.loop import Controller
 from hystmpc.ctrl.mpc_settings import LinearisedMpcSettings
-from hystmpc.gap.tracking.diagnosed import covered_motions
-from hystmpc.gap.tracking.expected import USUAL
-from hystmpc.gap.whole import diagnose_trials
+from hystmpc.gap.diagnose import diagnose_trials
+from hystmpc.gap.tracking.expected import USUAL, covered_motions
 from hystmpc.models.kinds.catalogue import kind_named
 from hystmpc.models.simulator import ChainModel, load_simulator
 from hystmpc.sim.closed_loop import ClosedLoopRun, run_closed_loop

@@ -20,10 +20,9 @@ from hystmpc.gap.diagnosis import (
     Stability,
     Verdict,
 )
-from hystmpc.gap.logs.excitation import excitation_of
-from hystmpc.gap.logs.identifiability import confusability
+from hystmpc.gap.logs.excitation import confusability, excitation_of
 from hystmpc.gap.next.motion_design import MotionProposal, Noise, propose
-from hystmpc.gap.next.motion_menu import menu
+from hystmpc.gap.next.motions import menu
 from hystmpc.gap.report.report_data import CandidateRow, Evidence, Role, TrialEvidence
 from hystmpc.gap.residual.localise import localise
 from hystmpc.models.identify.uncertainty import ParameterRow

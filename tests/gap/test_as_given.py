@@ -10,11 +10,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from hystmpc.gap.diagnose import diagnose_trials
 from hystmpc.gap.logs.as_given import at_own_rate, evaluated_mse
 from hystmpc.gap.logs.preparation import PreparedTrials, prepare
 from hystmpc.gap.logs.trial_choice import choose_trials
 from hystmpc.gap.next.open_hypotheses import free_run
-from hystmpc.gap.whole import diagnose_trials
 from hystmpc.models.chain import Chain
 from hystmpc.models.contract.metadata import Range
 from hystmpc.models.evaluate import evaluate

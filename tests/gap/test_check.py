@@ -10,8 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hystmpc.gap.logs.check import Checked, check_trials
-from hystmpc.gap.logs.excitation import excitation_of
-from hystmpc.gap.logs.identifiability import confusability
+from hystmpc.gap.logs.excitation import confusability, excitation_of
 from hystmpc.gap.logs.motion_type import command_segments, motion_type
 from hystmpc.gap.logs.noise_floor import find_repeats
 from hystmpc.trials.errors import GapError

@@ -19,7 +19,7 @@ from hystmpc.gap.decide.verdict import Ruling, VerdictCase, reason_for
 from hystmpc.gap.diagnosis import FLIPS, Diagnosis, FoundEffect, Gap, Stability, TrackingGap
 from hystmpc.gap.logs.preparation import PreparedTrials, prepare
 from hystmpc.gap.report.report_data import Evidence
-from hystmpc.gap.tracking.diagnosed import with_tracking
+from hystmpc.gap.tracking.expected import with_tracking
 from hystmpc.models.chain import Chain
 from hystmpc.models.contract.metadata import NoiseModel
 from hystmpc.models.effects.catalogue import diagnosable

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hystmpc.gap.decide.findings import closed_again
+from hystmpc.gap.decide.attribution import closed_again
 from hystmpc.gap.diagnose import conclude, find_causes
 from hystmpc.gap.diagnosis import Diagnosis
 from hystmpc.gap.report.folder import diagnosis_json

@@ -22,7 +22,7 @@ from hystmpc.gap.next.motion_design import (
     separations,
     write_motion,
 )
-from hystmpc.gap.next.motion_menu import TEMPLATES, MenuMotion, menu
+from hystmpc.gap.next.motions import TEMPLATES, MenuMotion, menu
 from hystmpc.gap.next.open_hypotheses import open_explanations
 from hystmpc.trajectories.trajectory import read_sampled
 from hystmpc.trials.csv_files import read_csv

@@ -12,8 +12,7 @@ import numpy as np
 import pytest
 
 from hystmpc.gap.diagnosis import Verdict
-from hystmpc.gap.report.effect_figures import MOST_ROWS, closed_figure, rmse_interval
-from hystmpc.gap.report.figure_style import short, shown
+from hystmpc.gap.report.figures import MOST_ROWS, closed_figure, rmse_interval, short, shown
 from hystmpc.gap.report.folder import diagnosis_json, require_free, save_diagnosis
 from hystmpc.gap.report.page import MOST_HEAT, diagnosis_report, write_report
 from hystmpc.gap.report.report_data import Evidence

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hystmpc.gap.decide.closed_share import Shares, closed_interval, closed_share
+from hystmpc.gap.decide.gap_closed import Shares, closed_interval, closed_share
 from hystmpc.models.identify.runs import Blocks, blocks_of
 from hystmpc.models.identify.uncertainty import Interval
 

@@ -21,10 +21,15 @@ from hystmpc.gap.report.folder import diagnosis_json
 from hystmpc.gap.report.page import diagnosis_report
 from hystmpc.gap.report.report_data import Evidence
 from hystmpc.gap.report.words import tracking_sentence
-from hystmpc.gap.tracking.diagnosed import covered_motions, with_tracking
-from hystmpc.gap.tracking.expected import ROUGHNESS, UnexplainedPlant, expected_tracking, walked
-from hystmpc.gap.tracking.fall import fall_lines, fall_pieces, tracking_falls
-from hystmpc.gap.tracking.measured import MeasuredRun, measured_runs
+from hystmpc.gap.tracking.expected import (
+    ROUGHNESS,
+    UnexplainedPlant,
+    covered_motions,
+    expected_tracking,
+    walked,
+    with_tracking,
+)
+from hystmpc.gap.tracking.measured import MeasuredRun, fall_lines, fall_pieces, measured_runs, tracking_falls
 from hystmpc.models.chain import Chain
 from hystmpc.models.contract.metadata import NoiseModel
 from hystmpc.models.operators.hysteresis import Backlash

@@ -9,9 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hystmpc.gap.next.motion_design import Noise, OpenHypothesis
-from hystmpc.gap.next.motion_menu import TEMPLATES
-from hystmpc.gap.next.motion_search import SearchSettings
+from hystmpc.gap.next.motion_design import Noise, OpenHypothesis, SearchSettings
+from hystmpc.gap.next.motions import TEMPLATES
 from hystmpc.gap.next.open_hypotheses import Question
 from hystmpc.investigation import plan
 from hystmpc.investigation import run as whole

@@ -1,4 +1,4 @@
-"""Figures of the gap closed, of the effects, and of the motion to record next."""
+"""Style of the figures, and figures of the closed gap, of the effects and of the next motion."""
 
 from __future__ import annotations
 
@@ -12,14 +12,58 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from hystmpc.models.identify.uncertainty import Interval
-from hystmpc.trials.report import ACCENTS, MEASURED, MODEL, PALETTE, REFERENCE, new_figure
+from hystmpc.trials.report import ACCENTS, COMMAND, DASHES, MEASURED, MODEL, PALETTE, REFERENCE, new_figure
 from hystmpc.trials.types import Vec
 
 from ..diagnosis import Diagnosis, Gap
 from ..next.motion_design import MotionProposal
-from .figure_style import COLOUR, COMMANDED, INTERVAL, LABEL, MARKER, QUIET, measured_label, short, shown, thin
 from .report_data import CandidateRow, Evidence, Stage, TrialEvidence
 from .words import in_words
+
+LABEL: dict[Stage, str] = {"nominal": "as given", "retuned": "retuned", "with_effects": "with effects"}
+COLOUR: dict[Stage, str] = {"nominal": "#a6a6a6", "retuned": ACCENTS[2], "with_effects": MODEL}
+_DASH: dict[Stage, Any] = {"nominal": DASHES[0], "retuned": DASHES[2], "with_effects": DASHES[1]}
+LOOK: dict[Stage, Any] = {
+    stage: {"color": COLOUR[stage], "linestyle": dash, "label": LABEL[stage]} for stage, dash in _DASH.items()
+}
+MARKER: dict[Stage, str] = {"nominal": "s", "retuned": "o", "with_effects": "D"}
+REAL: Any = {"color": MEASURED, "linewidth": 2.6, "alpha": 0.5, "label": "real"}
+COMMANDED: Any = {"color": COMMAND, "linewidth": 0.9}
+INTERVAL: Any = {"color": REFERENCE, "linewidth": 1.1, "capsize": 2.5, "capthick": 1.1, "fmt": "none"}
+QUIET: Any = {"color": REFERENCE, "linewidth": 0.6}
+HEAT = "magma_r"  # even steps of lightness: also read in grey and by colour-blind readers
+_POINTS = 3000
+
+
+def measured_label(unit: str) -> str:
+    """Label of an axis of the measured and simulated output."""
+    return "tip angle [deg]" if unit == "deg" else f"output [{unit}]"
+
+
+def worst_first(trials: Sequence[TrialEvidence]) -> list[TrialEvidence]:
+    """Trials by their retuned RMSE, greatest first."""
+    return sorted(trials, key=lambda trial: -trial.rmse("retuned"))
+
+
+def shown(trials: Sequence[TrialEvidence], most: int) -> list[TrialEvidence]:
+    """At most so many trials, final ones before others and worse before better, in recording order."""
+    ranked = sorted(worst_first(trials), key=lambda trial: trial.role != "final")[:most]
+    return [trial for trial in trials if any(trial is other for other in ranked)]
+
+
+def short(name: str, most: int = 26) -> str:
+    """A file's name that fits beside a figure; its middle gives way."""
+    if len(name) <= most:
+        return name
+    head = (most - 1) // 2
+    return f"{name[:head]}…{name[head + 1 - most :]}"
+
+
+def thin(*signals: Vec) -> tuple[Vec, ...]:
+    """Signals of one length with no more samples than a figure can show."""
+    step = max(1, -(-signals[0].size // _POINTS))
+    return tuple(signal[::step] for signal in signals)
+
 
 _BLOCK_S, _LEAST_BLOCKS = 2.0, 4
 _DRAWS = 400
