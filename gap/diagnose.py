@@ -26,13 +26,11 @@ from .decide.attribution import DiagnosisSettings, Findings, attribute, confirm,
 from .decide.remaining_structure import SHIFT, UNITS, Configuration, configuration_of
 from .decide.retuning import moved_numbers, retuned_with
 from .decide.stability import stability_of
-from .decide.verdict import reason_for
 from .diagnosis import DetectableSizes, Diagnosis, FoundEffect, Untestable
 from .logs.detectable import sizes_shown
 from .logs.preparation import PreparedTrials, prepare
 from .logs.trial_choice import NEEDS_ORDER
 from .next.open_hypotheses import next_step, unseparated
-from .report.report_data import Evidence
 from .residual.localise import Localisation, localise
 from .residual.memory import explainable_share
 
@@ -208,6 +206,8 @@ def _localisation(prepared: PreparedTrials, seed: int) -> Localisation | None:
 
 def _diagnosis(findings: Findings, parameters: Sequence[ParameterRow]) -> Diagnosis:
     """The result, from the findings of all steps."""
+    from .report.words import reason_for
+
     prepared, attribution, conclusion = findings.prepared, findings.attribution, findings.conclusion
     ruling, jumps, hypothesis = conclusion.ruling, attribution.jumps, attribution.retuned
     grouped = configuration_of(conclusion.chosen, prepared.everything)

@@ -12,26 +12,24 @@ import numpy as np
 from hystmpc.models.effects.catalogue import candidates
 from hystmpc.models.effects.effect import Candidate, Scale
 from hystmpc.models.identify.cross_validation import CrossValidation, Hypothesis
-from hystmpc.models.identify.runs import Run, blocks_of
+from hystmpc.models.identify.runs import Run
 from hystmpc.models.identify.selection import OWN_TO_TRIALS, Selection, SelectionSettings, select
 from hystmpc.models.model import LoadedModel
 from hystmpc.models.simulator import Simulator
-from hystmpc.trials.trial import Trial
 
 from ..diagnosis import DetectableSizes, Stability
-from ..logs.noise_floor import Floor, find_floor
-from ..logs.preparation import PreparedTrials, prepare
+from ..logs.noise_floor import Floor
+from ..logs.preparation import PreparedTrials
 from ..logs.sensor import white_noise
 from ..logs.trial_choice import NEEDS_ORDER
 from ..residual.localise import Localisation
 from .ambiguity import ambiguity_of, drift_is_significant, inclusion_shares
-from .gap_closed import FinalErrors, GapClosed, less_sawtooth, measure, measured_blocks
+from .gap_closed import GapClosed, measure, measured_blocks
 from .jumps import Jumps, find_jumps
 from .remaining_structure import structure_left
 from .retuning import Retuning, anew_share, retuning_of, width_grown
-from .verdict import FinalFacts, Ruling, VerdictFacts, VerdictSettings, decide_verdict
+from .verdict import FinalFacts, Ruling, VerdictFacts, VerdictSettings, decide_verdict, residual_ratio
 
-_LEAST_MSE = 1e-9
 _PREDICTABLE = 0.5  # of the retuned error: largest part of it that jumps may add to the floor of the selection
 
 
@@ -196,7 +194,7 @@ def confirm(prepared: PreparedTrials, attribution: Attribution, settings: Verdic
     repeatable = floor_of(prepared, retuned)
     final = FinalFacts(
         closed.gap.closed_share,
-        _residual_ratio(closed, prepared.form_mse, floor),
+        residual_ratio(closed.gap.with_effects_rmse_deg**2, prepared.form_mse, floor.noise_deg**2),
         unproven=provisional.explained and bool(attribution.facts.effects) and not chosen.effects,
         at_floor=_at(closed, repeatable.noise_deg, settings),
         moved=closed.moved,
@@ -219,10 +217,8 @@ def never_worse(prepared: PreparedTrials, attribution: Attribution) -> Attributi
     As a cause is dropped that does not lower that error: numbers that fit the development trials alone are no better.
     """
     problem = attribution.retuned.problem
-    start = problem.start(prepared.baseline.nominal, [])
-    given = Hypothesis(
-        problem, start, blocks_of([problem.error(start, r)[0] for r in prepared.development], prepared.development).mse
-    )
+    given = Hypothesis(problem, problem.as_given, math.nan)
+    given = replace(given, mse=attribution.validation.fitted_errors(given).mse)
     worse = measured_blocks(prepared, given).mse < measured_blocks(prepared, attribution.retuned).mse
     return replace(attribution, retuned=given) if worse else attribution
 
@@ -258,11 +254,9 @@ def _without(
     kept, validation = chosen.effects - {dropped}, attribution.validation
     if not kept:
         return facts, attribution.retuned
-    less = validation.polished(validation.without(chosen, {dropped}))
-    judged = attribution.selection.tried.get(kept) or validation.judge(less)
-    ambiguity = tuple(names for names in facts.ambiguity if names[0] in kept)
-    facts = replace(facts, effects=kept, chosen_mse=judged.mse, ambiguity=ambiguity, width_grown=width_grown(less))
-    return facts, less
+    reduced = validation.polished(validation.without(chosen, {dropped}))
+    judged = attribution.selection.tried.get(kept) or validation.judge(reduced)
+    return facts.with_only(kept, judged.mse, width_grown(reduced)), reduced
 
 
 def _sensor_matters(prepared: PreparedTrials, selection: Selection, settings: VerdictSettings) -> bool:
@@ -298,22 +292,12 @@ def floor_of(prepared: PreparedTrials, hypothesis: Hypothesis) -> Floor:
 
     It is never less than the rounding of the readings, which leaves no noise where the angle rests.
     """
-    checked, problem = prepared.checked, hypothesis.problem
+    problem = hypothesis.problem
     residuals = prepared.residuals(hypothesis)
     if problem.terms.names:
         residuals = [-problem.held_out_error(hypothesis.q, run) for run in prepared.everything]
-    found, rounding = (
-        find_floor(checked.trials, residuals, checked.dt, checked.excitation.repeats),
-        prepared.rounding_deg,
-    )
-    return replace(found, rmse_deg=max(found.rmse_deg, rounding), noise_deg=max(found.noise_deg, rounding))
-
-
-def _residual_ratio(closed: GapClosed, form_mse: float, floor: Floor) -> float:
-    """RMSE with all causes over noise and model-form error; 1 where the model-form error is unknown."""
-    if form_mse <= 0:
-        return 1.0
-    return closed.gap.with_effects_rmse_deg / math.sqrt(max(form_mse, floor.noise_deg**2, _LEAST_MSE))
+    floor, least = prepared.floor(residuals), prepared.rounding_deg
+    return replace(floor, rmse_deg=max(floor.rmse_deg, least), noise_deg=max(floor.noise_deg, least))
 
 
 @dataclass(frozen=True, eq=False)
@@ -343,28 +327,3 @@ class Findings:
     left_out: tuple[str, ...]
     seed: int
     seconds: Mapping[str, float]
-
-
-def closed_again(findings: Findings, trials: Sequence[Trial]) -> float:
-    """Share of the gap that the corrected simulator closes on trials of a later session, over the floor found before.
-
-    The 90 % interval of the closed share refers to this quantity: the corrected simulator on more such trials, not a
-    perfect model. As in `measure`, what jumps leave by their nature counts as closed.
-
-    Args:
-        findings: of a diagnosis.
-        trials: a whole session of the device, ordered as the first one was.
-
-    Raises:
-        GapError: on unusable trials.
-    """
-    fresh = prepare(trials, findings.simulator, ordered=findings.prepared.order == "known")
-    fresh = replace(fresh, final=fresh.everything)
-    attribution, conclusion = findings.attribution, findings.conclusion
-    sensor = "sensor" in conclusion.closed.causes
-    jumps = attribution.jumps if "stick_slip" in conclusion.closed.causes.keys() - conclusion.chosen.effects else None
-    jumps_mse = jumps.mse if jumps else 0.0
-    shown = attribution.validation, attribution.retuned, conclusion.chosen, conclusion.floor
-    errors = FinalErrors(fresh, *shown, sensor, findings.seed, jumps_mse)
-    after = less_sawtooth(errors.after, jumps_mse)
-    return errors.shares.closed(after.mse)

@@ -309,8 +309,7 @@ class FinalErrors:
     def gap(self) -> Gap:
         """Sizes of the gap."""
         problem = self._retuned.problem
-        nominal = Hypothesis(problem, problem.start(self._prepared.baseline.nominal, []), np.nan)
-        shares = self.shares
+        nominal, shares = Hypothesis(problem, problem.as_given, np.nan), self.shares
         closed = shares.closed(self.after.mse)
         return Gap(
             nominal_rmse_deg=float(np.sqrt(measured_blocks(self._prepared, nominal).mse)),

@@ -16,7 +16,6 @@ from hystmpc.models.operators.curved_plays import CurvedPlays
 from hystmpc.trials.errors import FitError
 
 from ..diagnosis import Moved
-from ..logs.noise_floor import find_floor
 from ..logs.preparation import PreparedTrials
 from ..logs.sensor import white_noise
 from ..residual.memory import friction_share
@@ -89,10 +88,9 @@ def retuning_of(prepared: PreparedTrials, retuned: Hypothesis, left_out_mse: flo
     before, after = (baseline.loop_height(z) for z in (baseline.nominal, retuned.problem.retuned(retuned.q)))
     grown = min(max(1.0, after / before), _MOST_GROWN) if before > 0 else 1.0
     still = min(noise**2, _MOST_NOISE * form)
-    start = retuned.problem.start(baseline.nominal, [])
-    nominal = np.concatenate([retuned.problem.error(start, run)[0] for run in prepared.development])
-    checked = prepared.checked
-    floor = find_floor(checked.trials, residuals, checked.dt, checked.excitation.repeats)
+    problem = retuned.problem
+    nominal = np.concatenate([problem.error(problem.as_given, run)[0] for run in prepared.development])
+    floor = prepared.floor(residuals)
     differ = floor.rmse_deg**2 if floor.kind == "repeats" else 0.0
     kept = after > _LEAST_LEFT * before
     return Retuning(

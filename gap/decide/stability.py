@@ -23,7 +23,7 @@ from .attribution import Attribution, Conclusion, DiagnosisSettings, drift_test
 from .gap_closed import Shares, needless
 from .remaining_structure import structure_left
 from .retuning import width_grown
-from .verdict import FinalFacts, Ruling, VerdictFacts, decide_verdict
+from .verdict import FinalFacts, Ruling, VerdictFacts, decide_verdict, residual_ratio
 
 RESAMPLES = 40
 _LEAST_SPLITS = 8  # with fewer, blocks of the errors are drawn as well
@@ -191,20 +191,15 @@ class _Again:
         final: Mapping[Names, Blocks],
     ) -> Ruling:
         shares, settings = self._shares(kept, final), self._settings.verdict
-        ratio = 1.0
-        if self._form_mse > 0:
-            ratio = math.sqrt(final[kept].mse / max(self._form_mse, self._floor.noise_deg**2, 1e-9))
         closed = FinalFacts(
             shares.closed(final[kept].mse),
-            ratio,
+            residual_ratio(final[kept].mse, self._form_mse, self._floor.noise_deg**2),
             unproven=bool(chosen.effects) and not kept,
             at_floor=shares.before.mse < settings.at_floor * self._floor.noise_deg**2,
             moved=self._moved,
         )
         if kept and kept != facts.effects:
-            ambiguity = tuple(names for names in facts.ambiguity if names[0] in kept)
-            grown, mse = width_grown(tried[kept].hypothesis), tried[kept].mse
-            facts = replace(facts, effects=kept, chosen_mse=mse, ambiguity=ambiguity, width_grown=grown)
+            facts = facts.with_only(kept, tried[kept].mse, width_grown(tried[kept].hypothesis))
         return decide_verdict(replace(facts, final=closed), settings)
 
 

@@ -79,8 +79,7 @@ def detectable_sizes(baseline: Baseline, runs: Sequence[Run], needed_mse: float)
         sizes in the units of the runs, called `cmd` and `deg`.
     """
     problem = Problem(baseline)
-    at = problem.start(baseline.nominal, [])
-    nominal, slopes = zip(*(problem.linearised(at, run) for run in runs), strict=True)
+    nominal, slopes = zip(*(problem.linearised(problem.as_given, run) for run in runs), strict=True)
     known = np.linalg.qr(np.concatenate(slopes))[0]
     angles = np.concatenate(nominal)
     low, high = np.quantile(angles, (0.01, 0.99))

@@ -31,6 +31,7 @@ from hystmpc.trials.types import Vec
 from ..diagnosis import Order
 from .as_given import common_rest, evaluated_mse, evaluation_notes, own_starts, with_own_rate
 from .check import Checked, check_trials
+from .noise_floor import Floor, find_floor
 from .sensor import SensorSigns, repaired, sensor_signs, white_noise
 from .trial_choice import in_recording_order, split_runs
 
@@ -88,6 +89,10 @@ class PreparedTrials:
     def residuals(self, hypothesis: Hypothesis) -> list[Vec]:
         """Measured less simulated angle of every run (T,) each [deg]."""
         return [run.angle - hypothesis.problem.angles(hypothesis.q, run) for run in self.everything]
+
+    def floor(self, residuals: Sequence[Vec]) -> Floor:
+        """Noise floor of residuals (T,) of every run [deg]."""
+        return find_floor(self.checked.trials, residuals, self.checked.dt, self.checked.excitation.repeats)
 
     def scored(self, residuals: Sequence[Vec]) -> list[Vec]:
         """Residuals (T,) of every run with zeros where it does not count [deg]."""
@@ -180,10 +185,8 @@ def _baseline_and_runs(
         baseline, corrections = _network_baseline(simulator, repaired_trials, command, decades)
         runs = runs_of(repaired_trials, corrections, before)
     if signs.spikes or signs.drops:
-        problem = Problem(baseline)
-        start = problem.start(baseline.nominal, [])
-        pairs = zip(runs, trials, strict=True)
-        runs = tuple(replace(r, angle=repaired(t, signs, problem.angles(start, r)).angle) for r, t in pairs)
+        problem, pairs = Problem(baseline), zip(runs, trials, strict=True)
+        runs = tuple(replace(r, angle=repaired(t, signs, problem.angles(problem.as_given, r)).angle) for r, t in pairs)
     return baseline, runs
 
 
@@ -195,8 +198,7 @@ def _begun(baseline: Baseline, runs: Sequence[Run], simulator: Simulator, decade
         Range(lower=y.lower / decades.angle, upper=y.upper / decades.angle),
     )
     problem = Problem(baseline)
-    start = problem.start(baseline.nominal, [])
-    return tuple(problem.begun(start, run, box) for run in runs)
+    return tuple(problem.begun(problem.as_given, run, box) for run in runs)
 
 
 def _evaluation_notes(
@@ -210,10 +212,8 @@ def _evaluation_notes(
 
 def _given_errors(baseline: Baseline, runs: Sequence[Run], measured: Sequence[Trial], decades: Decades) -> list[Vec]:
     """Errors of the simulator as given against the angles as measured (C,) each, in the unit of the log."""
-    problem = Problem(baseline)
-    start = problem.start(baseline.nominal, [])
-    pairs = zip(runs, measured, strict=True)
-    return [decades.angle * (problem.angles(start, run) - trial.angle)[run.counts] for run, trial in pairs]
+    problem, pairs = Problem(baseline), zip(runs, measured, strict=True)
+    return [decades.angle * (problem.angles(problem.as_given, run) - trial.angle)[run.counts] for run, trial in pairs]
 
 
 def _from_first_reversal(run: Run, trial: Trial) -> Run:
@@ -285,8 +285,8 @@ def _network_baseline(
     copies = [replace(trial, angle=y) for trial, y in zip(trials, angles, strict=True)]
     baseline = ScaledBaseline(_plays(copies, command), command)
     problem = Problem(baseline)
-    start = problem.start(baseline.nominal, [])
-    return baseline, [y - problem.angles(start, run) for y, run in zip(angles, runs_of(trials), strict=True)]
+    pairs = zip(angles, runs_of(trials), strict=True)
+    return baseline, [y - problem.angles(problem.as_given, run) for y, run in pairs]
 
 
 def _plays(copies: Sequence[Trial], command: Range) -> Chain:
@@ -298,9 +298,7 @@ def _plays(copies: Sequence[Trial], command: Range) -> Chain:
         values = [0.0 if p.name == "beta" else v for p, v in zip(start.parameters, start.values, strict=True)]
         baseline = FreeCoreBaseline(start.with_values(values), command)
         problem = Problem(baseline)
-        found.append(
-            (problem, fit_problem(problem, runs, problem.start(baseline.nominal, []), _EVALUATIONS, _TOLERANCE))
-        )
+        found.append((problem, fit_problem(problem, runs, problem.as_given, _EVALUATIONS, _TOLERANCE)))
     problem, best = min(found, key=lambda pair: pair[1].mse)
     return problem.fitted_chain(best.q)
 

@@ -239,7 +239,6 @@ def _trials(findings: Findings, floor_deg: float) -> tuple[TrialEvidence, ...]:
     prepared, conclusion = findings.prepared, findings.conclusion
     retuned, chosen = findings.attribution.retuned, conclusion.chosen
     final = {run.name: int(np.flatnonzero(run.counts)[0]) for run in prepared.final}
-    nominal_q = retuned.problem.start(prepared.baseline.nominal, [])
     made, unit = [], prepared.decades.angle
     motions, starts = prepared.checked.excitation.motions, [int(np.argmax(run.counts)) for run in prepared.counted]
     for trial, run, motion, start in zip(prepared.checked.trials, prepared.everything, motions, starts, strict=True):
@@ -249,7 +248,7 @@ def _trials(findings: Findings, floor_deg: float) -> tuple[TrialEvidence, ...]:
                 trial=trial,
                 role=role,
                 motion=motion,
-                nominal=unit * retuned.problem.angles(nominal_q, run),
+                nominal=unit * retuned.problem.angles(retuned.problem.as_given, run),
                 retuned=unit * retuned.problem.angles(retuned.q, run),
                 with_effects=unit * (run.angle + chosen.problem.held_out_error(chosen.q, run)),
                 floor_deg=floor_deg,

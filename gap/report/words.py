@@ -1,4 +1,4 @@
-"""Sentences of the report: headline, gap closed, next motion."""
+"""Words of a diagnosis: headline, reason of the verdict, and a sentence for each of its results."""
 
 from __future__ import annotations
 
@@ -8,7 +8,8 @@ from collections.abc import Sequence
 from hystmpc.models.identify.uncertainty import BASELINE_UNITS, Interval
 from hystmpc.trials.trial import Units
 
-from ..diagnosis import FLIPS, Detectable, DetectableSizes, Diagnosis, FoundEffect, Gap, TrackingGap
+from ..decide.verdict import Ruling
+from ..diagnosis import FLIPS, Detectable, DetectableSizes, Diagnosis, FoundEffect, Gap, Moved, TrackingGap
 from ..next.motion_design import MotionProposal
 
 _UNREPEATABLE = "what is left differs between repeats of a motion, and no effect of the library explains that"
@@ -34,6 +35,55 @@ def headline(diagnosis: Diagnosis) -> str:
     if stability is None or not stability.flips:
         return said
     return f"{said}. This verdict flips: it comes out in {percent(stability.share)} of the resampled splits"
+
+
+def reason_for(
+    ruling: Ruling,
+    effects: Sequence[FoundEffect],
+    gap: Gap,
+    too_little: str,
+    unrelated: str,
+    moved: Sequence[Moved] = (),
+    unit: str = "deg",
+) -> str:
+    """The verdict in one sentence, with its numbers; `too_little` and `unrelated` say why trials are unusable."""
+    sizes = f"retuned {gap.retuned_rmse_deg:#.3g} {unit}, floor {gap.floor_rmse_deg:#.3g} {unit}"
+    names = ", ".join(effect.words for effect in effects)
+    closed = f"{percent(gap.closed_share)} of the structural gap closed on trials kept for the end"
+    sets = "; ".join(listed([in_words(name) for name in names], "or") for names in ruling.ambiguity)
+    unexplained = "a structural gap that no effect of the library explains"
+    if gap.unrepeatable:
+        differ = f"repeats of a motion differ by {gap.repeats_rmse_deg:#.3g} {unit}"
+        unexplained = (
+            f"{differ}, and retuning leaves no more: what is left does not depend on the command alone, and no effect "
+            "of the library explains it"
+        )
+    return {
+        "named": f"{names}: {closed}, {percent(gap.unexplained_share)} unexplained ({sizes})",
+        "one_of": f"one of {sets}: these trials cannot tell them apart; {closed} ({sizes})",
+        "unknown": f"{unrelated or unexplained} ({sizes})",
+        "retuned": f"{_retuned_words(ruling, gap, moved, unit)} ({sizes})",
+        "none": f"no structural gap: retuning leaves no more than noise and the simulator's own form error ({sizes})",
+        "too_little": f"too little: {too_little} ({sizes})",
+    }[ruling.verdict]
+
+
+def _retuned_words(ruling: Ruling, gap: Gap, moved: Sequence[Moved], unit: str) -> str:
+    """What moved, and by how much the error falls with it."""
+    numbers = ", ".join(_moved_words(row) for row in moved) or "numbers of the core, none of them for sure"
+    fall = f"the RMSE falls from {gap.nominal_rmse_deg:#.3g} to {gap.retuned_rmse_deg:#.3g} {unit}"
+    said = f"numbers of the same structure have moved, nothing is missing in it: {numbers}; {fall}"
+    if ruling.case == "moved":
+        return said
+    return f"{said}; the rest is the form error of this simulator with the friction as it is now: identify it anew"
+
+
+def _moved_words(row: Moved) -> str:
+    """A number before and after, as `gain 10.2 to 11.4 deg/mm (90 % interval 11.3 to 11.5)`."""
+    low, high = row.ci90
+    unit = "" if row.unit == "1" else f" {row.unit}"
+    name = in_words(row.name)
+    return f"{name} {row.given:.3g} to {row.value:.3g}{unit} (90 % interval {low:.3g} to {high:.3g})"
 
 
 def _causes(diagnosis: Diagnosis) -> list[str]:

@@ -15,10 +15,11 @@ from hystmpc.gap.decide.ambiguity import agreeing, probability, ranking
 from hystmpc.gap.decide.attribution import Attribution, floor_of, never_worse
 from hystmpc.gap.decide.gap_closed import measured_blocks
 from hystmpc.gap.decide.verdict import VERDICTS as CASES
-from hystmpc.gap.decide.verdict import Ruling, VerdictCase, reason_for
+from hystmpc.gap.decide.verdict import Ruling
 from hystmpc.gap.diagnosis import FLIPS, Diagnosis, FoundEffect, Gap, Stability, TrackingGap
 from hystmpc.gap.logs.preparation import PreparedTrials, prepare
 from hystmpc.gap.report.report_data import Evidence
+from hystmpc.gap.report.words import reason_for
 from hystmpc.gap.tracking.expected import with_tracking
 from hystmpc.models.chain import Chain
 from hystmpc.models.contract.metadata import NoiseModel
@@ -38,7 +39,7 @@ SHARE, SIZE = st.floats(0.0, 1.0), st.floats(1e-4, 50.0)
 @st.composite
 def diagnoses(draw: st.DrawFn) -> Evidence:
     """Evidence whose parts are what the steps of a diagnosis make of drawn facts: shares, inclusions, sizes, splits."""
-    case: VerdictCase = draw(st.sampled_from([*CASES]))
+    case: str = draw(st.sampled_from([*CASES]))
     verdict, stable = CASES[case], draw(SHARE)
     count = draw(st.integers(1, 4)) if verdict in ("named", "one_of") else 0
     names = draw(st.lists(st.sampled_from(LIBRARY), min_size=count, max_size=count, unique=True))

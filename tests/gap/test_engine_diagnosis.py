@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hystmpc.gap.decide.attribution import closed_again
 from hystmpc.gap.diagnose import conclude, find_causes
 from hystmpc.gap.diagnosis import Diagnosis
 from hystmpc.gap.report.folder import diagnosis_json
@@ -24,6 +23,7 @@ from hystmpc.models.operators.slow_changes import Creep
 from hystmpc.models.simulator import Simulator
 from hystmpc.trials.errors import GapError
 from hystmpc.trials.trial import Trial
+from hystmpc_lab.blind.later_session import closed_in_later_session
 
 from ..models.zoo import BACKLASH
 from .consistency import contradictions
@@ -242,7 +242,7 @@ def test_what_is_not_finite_is_null() -> None:
 
 def test_another_session_of_the_device_is_closed_as_far_and_that_of_another_device_is_not() -> None:
     findings = find_causes(recorded(CREEP), SIMULATOR, seed=3)
-    assert closed_again(findings, recorded(CREEP, seed=8)) == pytest.approx(
+    assert closed_in_later_session(findings, recorded(CREEP, seed=8)) == pytest.approx(
         findings.conclusion.closed.gap.closed_share, abs=0.1
     )
-    assert closed_again(findings, recorded(seed=8)) < 0.0
+    assert closed_in_later_session(findings, recorded(seed=8)) < 0.0

@@ -10,11 +10,18 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hystmpc.gap.decide.gap_closed import ClosedByCause, GapClosed, needless
-from hystmpc.gap.decide.verdict import VerdictSettings, decide_verdict, reason_for
+from hystmpc.gap.decide.verdict import VerdictSettings, decide_verdict
 from hystmpc.gap.diagnose import conclude, find_causes
 from hystmpc.gap.diagnosis import Diagnosis, Gap, Stability
 from hystmpc.gap.report.tables import NOT_DETERMINED, parameters_table
-from hystmpc.gap.report.words import ceiling_sentence, floor_words, headline, parameter_words, stability_sentence
+from hystmpc.gap.report.words import (
+    ceiling_sentence,
+    floor_words,
+    headline,
+    parameter_words,
+    reason_for,
+    stability_sentence,
+)
 from hystmpc.models.chain import Chain
 from hystmpc.models.operators.hysteresis import Backlash
 from hystmpc.trials.trial import Trial

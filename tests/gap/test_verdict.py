@@ -16,9 +16,9 @@ from hystmpc.gap.decide.verdict import (
     VerdictFacts,
     VerdictSettings,
     decide_verdict,
-    reason_for,
 )
 from hystmpc.gap.diagnosis import Gap
+from hystmpc.gap.report.words import reason_for
 
 SETTINGS = VerdictSettings()
 EXPLAINED = VerdictFacts(
