@@ -19,7 +19,7 @@ from hystmpc.models.model import LoadedModel
 from hystmpc.models.simulator import Simulator
 from hystmpc.trials.errors import GapError, did_you_mean
 from hystmpc.trials.trial import Trial
-from hystmpc.trials.types import Progress
+from hystmpc.trials.types import Progress, no_progress
 
 from .decide.ambiguity import agreeing, probability, ranking
 from .decide.attribution import DiagnosisSettings, Findings, attribute, confirm, never_worse
@@ -82,7 +82,7 @@ def find_causes(
         ModelError: if the simulator is an inverse map.
     """
     left_out = _left_out(without, only)
-    progress = progress or _no_progress
+    progress = progress or no_progress
     clock = _Clock()
     progress(0, _STEPS, "checking the trials")
     prepared = prepare(trials, simulator, seed, ordered, skip_first_flexure)
@@ -133,7 +133,7 @@ def conclude(findings: Findings, progress: Progress | None = None) -> tuple[Diag
     findings = replace(findings, seconds={**findings.seconds, **clock.seconds})
     shown = tuple(_in_log(row, prepared) for row in rows)
     evidence = report_data(findings, diagnosis, proposal, shown)
-    (progress or _no_progress)(_CONCLUDED, _STEPS, diagnosis.verdict)
+    (progress or no_progress)(_CONCLUDED, _STEPS, diagnosis.verdict)
     return diagnosis, evidence
 
 
@@ -152,10 +152,6 @@ def what_logs_would_show(
         ModelError: if the simulator is an inverse map.
     """
     return sizes_shown(prepare(trials, simulator, ordered=False), settings.verdict.no_gap)
-
-
-def _no_progress(done: float, total: float, note: str = "", /) -> None:
-    """No progress is shown."""
 
 
 def _selection_progress(progress: Progress) -> Callable[[float, str], None]:
@@ -429,7 +425,6 @@ def diagnose_trials(
             "ordered": ordered,
             "skip_first_flexure": skip_first_flexure,
         }
-        if progress is not None:
-            progress(100, 100, "writing the report")
+        (progress or no_progress)(100, 100, "writing the report")
         save_diagnosis(evidence, out, settings, models=() if model is None else (model,))
     return Diagnosed(findings, evidence)

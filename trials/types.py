@@ -24,3 +24,7 @@ class Progress(Protocol):
     """What a long computation calls as it goes on: steps done, steps in all, and what is being done."""
 
     def __call__(self, done: float, total: float, note: str = "", /) -> None: ...
+
+
+def no_progress(done: float, total: float, note: str = "", /) -> None:
+    """A `Progress` that shows nothing."""

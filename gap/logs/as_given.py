@@ -44,7 +44,7 @@ def with_own_rate(
         return tuple(runs)
     found = []
     for run, trial in zip(runs, recorded, strict=True):
-        fast = at_own_rate(trial, own_dt_s)
+        fast = resampled_or_none(trial, 1 / own_dt_s)
         if fast is None:
             return tuple(runs)
         there = trial.t[0] + run.dt_s * np.arange(run.command.size)
@@ -62,16 +62,16 @@ def own_starts(recorded: Sequence[Trial], own_dt_s: float, dt_s: float) -> tuple
     """
     found = []
     for trial in recorded:
-        own = at_own_rate(trial, own_dt_s) or at_own_rate(trial, dt_s) or trial
+        own = resampled_or_none(trial, 1 / own_dt_s) or resampled_or_none(trial, 1 / dt_s) or trial
         start = trial_start(own.command, own.angle, own.dt)
         found.append(replace(start, lead=round(start.lead * own.dt / dt_s)))
     return tuple(found)
 
 
-def at_own_rate(trial: Trial, own_dt_s: float) -> Trial | None:
-    """A trial at the simulator's sample time [s], as `evaluate` takes it; None where the log is too slow for it."""
+def resampled_or_none(trial: Trial, rate_hz: float) -> Trial | None:
+    """A trial at a simulator's rate, as `evaluate` takes it; None where the log is too slow for it."""
     with suppress(LogError):
-        return resample(trial, 1 / own_dt_s)
+        return resample(trial, rate_hz)
     return None
 
 
@@ -84,7 +84,7 @@ def evaluated_mse(simulator: Simulator, recorded: Sequence[Trial], skip_first_fl
     run = staged.rollouts(simulator.dt_s, simulator.chain.values)
     box, squares, samples = search_box(facts.trained_command, facts.trained_angle), 0.0, 0
     for trial in recorded:
-        if (own := at_own_rate(trial, simulator.dt_s)) is None:
+        if (own := resampled_or_none(trial, 1 / simulator.dt_s)) is None:
             return None
         start = trial_start(own.command, own.angle, own.dt)
         start = found_start(start, own.command, own.angle, own.dt, box, run)

@@ -14,6 +14,7 @@ from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Mat, Vec
 
 from .motion_type import past_features
+from .sensor import autocorrelation
 
 _DRAWS = 199  # of the null: the lowest level of significance is 1 in 200
 _LEVEL = 0.01
@@ -123,10 +124,7 @@ def _lag(command: Vec) -> int:
     """Samples after which the mean square change of a command reaches its variance, at most an eighth of it."""
     most = max(command.size // _LEAST_BLOCKS, 1)
     u = command - command.mean()
-    size = 2 ** math.ceil(math.log2(2 * u.size))
-    together = np.fft.irfft(np.abs(np.fft.rfft(u, size)) ** 2, size)[1 : most + 1] / np.arange(
-        u.size - 1, u.size - 1 - most, -1
-    )
+    together = autocorrelation(u, most + 1)[1:] / np.arange(u.size - 1, u.size - 1 - most, -1)
     reached = np.flatnonzero(2 * (float(np.mean(u**2)) - together) >= float(np.mean(u**2)))
     return int(reached[0]) + 1 if reached.size else most
 

@@ -84,9 +84,13 @@ def detectable_sizes(baseline: Baseline, runs: Sequence[Run], needed_mse: float)
     angles = np.concatenate(nominal)
     low, high = np.quantile(angles, (0.01, 0.99))
     scale = _scale(runs, float(low), float(high))
+    kept = 1.0 - 1.0 / len(runs)  # of shifts between trials the common one is an offset
+    shift = math.sqrt(needed_mse / kept) if kept else math.inf
     found = {
-        "trial_shift": _own(len(runs), needed_mse),
-        "periodic_disturbance": _wave(needed_mse),
+        "trial_shift": Detectable("trial_shift", "offset", "deg", shift, 1.0 - kept),
+        "periodic_disturbance": Detectable(
+            "periodic_disturbance", "amplitude", "deg", math.sqrt(2.0 * needed_mse), hidden=0.0
+        ),
     }
     for candidate in _first_forms(candidates(scale, ())):
         found[candidate.effect] = _least(candidate, baseline, runs, angles, known, needed_mse)
@@ -105,16 +109,6 @@ def _first_forms(forms: Sequence[Candidate]) -> Iterator[Candidate]:
         if form.effect not in seen and form.free:
             seen.add(form.effect)
             yield form
-
-
-def _own(trials: int, needed_mse: float) -> Detectable:
-    """Of shifts between trials the common one is an offset."""
-    kept = 1.0 - 1.0 / trials
-    return Detectable("trial_shift", "offset", "deg", math.sqrt(needed_mse / kept) if kept else math.inf, 1.0 - kept)
-
-
-def _wave(needed_mse: float) -> Detectable:
-    return Detectable("periodic_disturbance", "amplitude", "deg", math.sqrt(2.0 * needed_mse), 0.0)
 
 
 def _least(

@@ -193,19 +193,25 @@ def memory_features(trial: Trial, loop_width: float, clock_s: float) -> dict[str
     v = np.gradient(u, dt) / span
     bounded = v / (np.abs(v) + _TYPICAL_SPEED)  # a step must not dominate the fit
     direction, held = _last_direction(parts), parts.labels == Motion.HOLD
-    turned = np.zeros(u.size, dtype=np.bool_)
-    turned[parts.reversals] = True
-    travelled = np.cumsum(np.abs(np.diff(u, prepend=u[0])))
-    since = travelled - travelled[np.arange(u.size) - _samples_since(turned)]
+    samples, travel, total = since_reversal(u, parts)
     t = np.arange(u.size, dtype=np.float64) * dt
     columns = (
         [bounded, np.abs(bounded), np.sign(v) * (np.abs(v) > 1e-3), bounded**2],
-        _decaying(_samples_since(turned), dt, direction),
+        _decaying(samples, dt, direction),
         _decaying(_samples_since(~held), dt, direction * held),
-        [*(direction * np.exp(-since / (k * width)) for k in (0.5, 1.0, 2.0)), travelled / span / 10.0],
+        [*(direction * np.exp(-travel / (k * width)) for k in (0.5, 1.0, 2.0)), total / span / 10.0],
         [t / 60.0, (clock_s + t) / 60.0],
     )
     return {name: np.column_stack(own) for name, own in zip(MEMORIES, columns, strict=True)}
+
+
+def since_reversal(command: Vec, parts: Segments) -> tuple[Index, Vec, Vec]:
+    """Samples and travel [cmd] since the last reversal, or since the start, and travel since the start (T,) each."""
+    turned = np.zeros(command.size, dtype=np.bool_)
+    turned[parts.reversals] = True
+    samples = _samples_since(turned)
+    travelled = np.cumsum(np.abs(np.diff(command, prepend=command[0])))
+    return samples, travelled - travelled[np.arange(command.size) - samples], travelled
 
 
 def _past(u: Vec, dt: float) -> Mat:

@@ -25,11 +25,11 @@ from hystmpc.models.start import motion_line, search_box
 from hystmpc.trials.command_noise import quiet
 from hystmpc.trials.errors import GapError, LogError
 from hystmpc.trials.segments import first_flexure_end, segment
-from hystmpc.trials.trial import Trial, Units, parts_at_gaps, resample
+from hystmpc.trials.trial import Trial, Units, parts_at_gaps
 from hystmpc.trials.types import Vec
 
 from ..diagnosis import Order
-from .as_given import common_rest, evaluated_mse, evaluation_notes, own_starts, with_own_rate
+from .as_given import common_rest, evaluated_mse, evaluation_notes, own_starts, resampled_or_none, with_own_rate
 from .check import Checked, check_trials
 from .noise_floor import Floor, find_floor
 from .sensor import SensorSigns, repaired, sensor_signs, white_noise
@@ -331,7 +331,11 @@ def _has_seen(identification: Identification, trials: Sequence[Trial], dt_s: flo
     known = {r.fingerprint for r in identification.residuals if r.fingerprint}
     # A file's sample time is rounded: 0.03333333333 s stand for 30 Hz, but 0.03 s for 1 / 0.03 Hz.
     parts = quiet([part for trial in trials for part in _parts(trial)])
-    for taken in (trials, parts, *(_at(parts, rate) for rate in {1 / dt_s, round(1 / dt_s, 4)})):
+    for taken in (
+        trials,
+        parts,
+        *([t for part in parts if (t := resampled_or_none(part, rate))] for rate in {1 / dt_s, round(1 / dt_s, 4)}),
+    ):
         if identification.training_data_hash == fingerprint(taken):
             return True
         if any(fingerprint([trial]) in known for trial in taken):
@@ -344,15 +348,6 @@ def _parts(trial: Trial) -> tuple[Trial, ...]:
     with suppress(LogError):
         return parts_at_gaps(trial)
     return ()
-
-
-def _at(trials: Sequence[Trial], rate_hz: float) -> list[Trial]:
-    """The trials resampled to that rate; those that cannot be are left out."""
-    taken = []
-    for trial in trials:
-        with suppress(LogError):
-            taken.append(resample(trial, rate_hz))
-    return taken
 
 
 def nominal_noise_deg(identification: Identification, step_deg: float = 0.0) -> float | None:

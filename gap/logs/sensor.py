@@ -201,6 +201,12 @@ def stretches(mask: Mask) -> list[tuple[int, int]]:
     return list(zip(np.flatnonzero(edges == 1).tolist(), np.flatnonzero(edges == -1).tolist(), strict=True))
 
 
+def autocorrelation(signal: Vec, lags: int) -> Vec:
+    """Sum over the samples of signal_k signal_{k + n} for n = 0 ... lags - 1 (N,), by FFT without wrapping around."""
+    size = 2 ** math.ceil(math.log2(2 * max(signal.size, lags)))
+    return np.asarray(np.fft.irfft(np.abs(np.fft.rfft(signal, size)) ** 2, size)[:lags])
+
+
 def white_noise(signals: Sequence[Vec]) -> float:
     """Standard deviation of the white part of signals, each (T,), in their unit; 0 where none is long enough.
 

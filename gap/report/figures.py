@@ -78,6 +78,12 @@ _DASHES = ("-", (0, (4, 1.5)), (0, (1, 1)), (0, (6, 1, 1, 1)), (0, (3, 1, 1, 1, 
 _COLOURS = (PALETTE[0], PALETTE[1], PALETTE[3], PALETTE[5], PALETTE[4])
 
 
+def draw_interval(axes: Axes, row: float, value: float, interval: Interval, **style: Any) -> None:
+    """Draw the interval of a value along its row."""
+    reach = [[max(value - interval[0], 0.0)], [max(interval[1] - value, 0.0)]]
+    axes.errorbar(value, row, xerr=reach, **{**INTERVAL, **style})
+
+
 def closed_figure(evidence: Evidence) -> Figure:
     """RMSE of every final trial and of all together, with 90 % intervals, against the floor [deg]."""
     trials = shown(evidence.final, MOST_ROWS)
@@ -106,8 +112,7 @@ def _points(axes: Axes, stage: Stage, values: list[float], intervals: list[Inter
     rows = np.arange(len(values)) + _OFFSET[stage]
     for row, value, interval in zip(rows, values, intervals, strict=True):
         if interval is not None and np.isfinite(value):
-            reach = [[max(value - interval[0], 0.0)], [max(interval[1] - value, 0.0)]]
-            axes.errorbar(value, row, xerr=reach, zorder=2, **{**INTERVAL, "color": COLOUR[stage]})
+            draw_interval(axes, row, value, interval, zorder=2, color=COLOUR[stage])
     style: Any = {"color": COLOUR[stage], "marker": MARKER[stage], "linestyle": "none", "markersize": 5.5}
     axes.plot(values, rows, label=LABEL[stage], zorder=3, **style)
 
@@ -220,9 +225,7 @@ def _shares(axes: Axes, diagnosis: Diagnosis, names: Sequence[str]) -> None:
             continue
         colour, hatch = _look(diagnosis, name)
         axes.barh(k, effect.closed_share, height=0.62, color=colour, hatch=hatch, edgecolor="white", linewidth=0.0)
-        low, high = effect.closed_ci90
-        reach = [[max(effect.closed_share - low, 0.0)], [max(high - effect.closed_share, 0.0)]]
-        axes.errorbar(effect.closed_share, k, xerr=reach, **INTERVAL)
+        draw_interval(axes, k, effect.closed_share, effect.closed_ci90)
     ends = [end for effect in chosen.values() for end in effect.closed_ci90 if np.isfinite(end)]
     axes.set_xlim(min(0.0, *ends, 0.0) * 1.05, max(1.0, *ends, 0.0) * 1.02)
     axes.axvline(0.0, **QUIET)

@@ -41,11 +41,19 @@ def require_free(folder: Path | str) -> None:
         return
     try:
         RunFolder.open(path)
-        found = json.loads((path / DIAGNOSIS_FILE).read_text(encoding="utf-8")).get("format")
-    except (LogError, OSError, ValueError, AttributeError):
-        found = None
-    if found not in FORMATS:
+        free = holds_diagnosis(path)
+    except LogError:
+        free = False
+    if not free:
         raise ConfigError(f"{path}: is not empty and holds no diagnosis, expected a new, empty or diagnosis folder")
+
+
+def holds_diagnosis(folder: Path) -> bool:
+    """Whether a folder has the `diagnosis.json` of a diagnosis."""
+    try:
+        return json.loads((folder / DIAGNOSIS_FILE).read_text(encoding="utf-8")).get("format") in FORMATS
+    except (OSError, ValueError, AttributeError):
+        return False
 
 
 def save_diagnosis(

@@ -18,7 +18,7 @@ from hystmpc.trials.types import Vec
 
 from ..diagnosis import Place
 from ..residual.localise import SpectralLine
-from .figures import COLOUR, COMMANDED, HEAT, INTERVAL, LABEL, LOOK, QUIET, REAL, measured_label, short, thin
+from .figures import COLOUR, COMMANDED, HEAT, LABEL, LOOK, QUIET, REAL, draw_interval, measured_label, short, thin
 from .report_data import Stage, TrialEvidence
 from .words import in_words
 
@@ -165,9 +165,7 @@ def share_figure(places: Mapping[str, Place]) -> Figure:
         axes: Axes = figure.subplots()
         for k, (_, place) in enumerate(ordered):
             axes.barh(k, place.share, height=0.6, color=_BAR, label="share of the residual's energy" if not k else None)
-            low, high = place.ci90
-            reach = [[max(place.share - low, 0.0)], [max(high - place.share, 0.0)]]
-            axes.errorbar(place.share, k, xerr=reach, label="90 % interval" if not k else None, **INTERVAL)
+            draw_interval(axes, k, place.share, place.ci90, label="90 % interval" if not k else None)
             if place.density > 0:
                 time = place.share / place.density
                 label = "share of time" if not k else None

@@ -18,8 +18,9 @@ from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Index, Mask, Vec
 
 from ..diagnosis import Place
-from ..logs.motion_type import command_segments
+from ..logs.motion_type import command_segments, since_reversal
 from ..logs.noise_floor import require_residuals
+from ..logs.sensor import autocorrelation
 from .memory import locked_part, memory_gains
 
 _SEGMENT_S = 8.0  # of the averaged spectra; resolves 0.25 Hz with a Hann window
@@ -248,16 +249,11 @@ def place_labels(trial: Trial) -> Index:
         LogError: if the sampling is not uniform.
     """
     parts = command_segments(trial)
-    k = np.arange(len(trial))
     labels = np.where(parts.labels == Motion.UNLOADING, PLACES.index("unloading"), PLACES.index("loading"))
     if parts.reversals.size:
         width = _AFTER * float(np.ptp(trial.command))
-        turned = np.zeros(len(trial), dtype=np.bool_)
-        turned[parts.reversals] = True
-        last = np.maximum.accumulate(np.where(turned, k, -1))
-        travelled = np.cumsum(np.abs(np.diff(trial.command, prepend=trial.command[0])))
-        near = (last >= 0) & (travelled - travelled[np.maximum(last, 0)] < width) & (k > last)
-        labels[near] = PLACES.index("after_reversal")
+        samples, travel, _ = since_reversal(trial.command, parts)
+        labels[(samples > 0) & (travel < width)] = PLACES.index("after_reversal")
         labels[: int(parts.reversals[0]) + 1] = PLACES.index("first_flexure")
     else:
         labels[:] = PLACES.index("first_flexure")
@@ -281,11 +277,7 @@ def _blocks(residuals: Sequence[Vec], dt: float) -> Index:
 def _correlation_s(residuals: Sequence[Vec], dt: float) -> float:
     """Lag at which the correlation of the residuals, about each one's mean, falls to 1/e [s]."""
     longest = max(e.size for e in residuals)
-    size = 2 ** math.ceil(math.log2(2 * longest))
-    total = np.zeros(longest)
-    for e in residuals:
-        shape = np.abs(np.fft.rfft(e - e.mean(), size)) ** 2
-        total += np.fft.irfft(shape, size)[:longest]
+    total = np.sum([autocorrelation(e - e.mean(), longest) for e in residuals], axis=0)
     below = np.flatnonzero(total < total[0] / math.e)
     return float(below[0]) * dt if below.size else longest * dt
 

@@ -22,7 +22,7 @@ from hystmpc.sim.plants.computed import ComputedPlant, Sensing
 from hystmpc.sim.plants.simulated import conditioned, rest_of
 from hystmpc.trajectories.drawn import CountedMotion, drawn_motions
 from hystmpc.trials.errors import GapError, HystmpcError
-from hystmpc.trials.types import Progress, Vec
+from hystmpc.trials.types import Progress, Vec, no_progress
 
 from ..diagnosis import FLIPS, Diagnosis, MotionTracking, TrackingGap
 from ..report.report_data import Evidence, TrackingCurve, TrialEvidence
@@ -203,8 +203,8 @@ def with_tracking(evidence: Evidence, progress: Progress | None = None) -> Evide
     Args:
         progress: called as the step begins and as it ends.
     """
-    told = progress or _untold
-    told(98, 100, "closed loop before and after")
+    report = progress or no_progress
+    report(98, 100, "closed loop before and after")
     curves: tuple[TrackingCurve, ...] = ()
     why_not = _why_not(evidence)
     found = TrackingGap(why_not=why_not)
@@ -217,12 +217,8 @@ def with_tracking(evidence: Evidence, progress: Progress | None = None) -> Evide
             )
         except HystmpcError as error:
             found = TrackingGap(why_not=f"the closed loop could not be simulated ({error})")
-    told(100, 100, evidence.diagnosis.verdict)
+    report(100, 100, evidence.diagnosis.verdict)
     return replace(evidence, diagnosis=replace(evidence.diagnosis, tracking=found), curves=curves)
-
-
-def _untold(done: float, total: float, note: str = "", /) -> None:
-    """No progress is shown."""
 
 
 def covered_motions(trials: Sequence[TrialEvidence], fixed: Simulator, seed: int) -> tuple[CountedMotion, ...]:

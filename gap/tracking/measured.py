@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -26,8 +25,8 @@ from hystmpc.trials.report import ACCENTS, MODEL, REFERENCE, Heading, Paragraph,
 from hystmpc.trials.run_folder import Column, RunFolder
 from hystmpc.trials.types import Vec
 
-from ..diagnosis import FORMATS, TrackingGap
-from ..report.folder import DIAGNOSIS_FILE, GIVEN_FILE
+from ..diagnosis import TrackingGap
+from ..report.folder import DIAGNOSIS_FILE, GIVEN_FILE, holds_diagnosis
 from ..report.report_data import FIXED_FILE
 from .expected import NEAR, UnexplainedPlant, expected_tracking
 
@@ -261,11 +260,7 @@ def _require_same(own: MeasuredRun, old: MeasuredRun) -> None:
 
 def _simulators(folder: Path) -> tuple[Simulator, Simulator]:
     """Nominal and corrected simulator of a diagnosis."""
-    try:
-        found = json.loads((folder / DIAGNOSIS_FILE).read_text(encoding="utf-8")).get("format")
-    except (OSError, ValueError, AttributeError):
-        found = None
-    if found not in FORMATS:
+    if not holds_diagnosis(folder):
         raise LogError(f"--diagnosis {folder}: got no {DIAGNOSIS_FILE}, expected a folder of `diagnose`")
     for name in (GIVEN_FILE, FIXED_FILE):
         if not (folder / name).is_file():
