@@ -266,8 +266,8 @@ def _explainable_share(findings: Findings) -> float | None:
 def _parameters(findings: Findings) -> tuple[ParameterRow, ...]:
     """Every number of the corrected simulator, in working units."""
     prepared, conclusion = findings.prepared, findings.conclusion
-    own = {name: cause.parameters for name, cause in conclusion.closed.causes.items()}
-    return parameter_rows(conclusion.chosen, prepared.development, own)
+    values = {name: cause.parameters for name, cause in conclusion.closed.causes.items()}
+    return parameter_rows(conclusion.chosen, prepared.development, values)
 
 
 def _in_log(row: ParameterRow, prepared: PreparedTrials) -> ParameterRow:
@@ -287,14 +287,14 @@ def _probabilities(findings: Findings, grouped: Configuration | None) -> dict[st
     """Probability of each effect found; that shifts fall into groups makes them less of an imitation."""
     causes, missing = findings.conclusion.closed.causes, set(findings.left_out)
     ambiguous = {name for names in findings.conclusion.ruling.ambiguity for name in names}
-    gone = {untestable.name for untestable in _untestable(findings)}
-    ambiguous |= {name for name in causes if gone & set(EFFECTS[name].also_taken_for)}
-    found = {}
+    untestable_names = {untestable.name for untestable in _untestable(findings)}
+    ambiguous |= {name for name in causes if untestable_names & set(EFFECTS[name].also_taken_for)}
+    probabilities = {}
     for name, cause in causes.items():
         untried = bool(confounders(name) & missing)
         chance = probability(_called(name, grouped), cause.share, name in ambiguous, _stable(findings), untried)
-        found[name] = agreeing(chance, findings.attribution.inclusion.get(name, 1.0))
-    return found
+        probabilities[name] = agreeing(chance, findings.attribution.inclusion.get(name, 1.0))
+    return probabilities
 
 
 def _left_open(findings: Findings) -> float:
@@ -328,7 +328,7 @@ def _effects(
         name: dict(UNITS) if grouped and name == SHIFT else {r.name: r.unit for r in parameters if r.owner == name}
         for name in closed.causes
     }
-    found = (
+    effects = (
         FoundEffect(
             name=_called(name, grouped),
             probability=probabilities[name],
@@ -346,7 +346,7 @@ def _effects(
         )
         for name, cause in sorted(closed.causes.items(), key=lambda item: (-probabilities[item[0]], -item[1].share))
     )
-    return tuple(decades.log_sizes(effect) for effect in found)
+    return tuple(decades.log_sizes(effect) for effect in effects)
 
 
 @dataclass(frozen=True, eq=False)

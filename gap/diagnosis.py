@@ -326,17 +326,17 @@ class Diagnosis:
     @property
     def kept_as_given(self) -> bool:
         """Whether retuning was not taken, since it did not lower the error of the final trials."""
-        return bool(self.retuned) and all(given == found for given, found in self.retuned.values())
+        return bool(self.retuned) and all(given == retuned for given, retuned in self.retuned.values())
 
     def as_json(self) -> dict[str, Any]:
         """The fixed form `hystmpc-diagnosis/2`: plain dicts, lists, numbers and strings."""
-        found, stability = _plain(asdict(self)), self.stability
-        found |= {
+        fields, stability = _plain(asdict(self)), self.stability
+        fields |= {
             "stability": None if stability is None else stability.share,
             "resamples": 0 if stability is None else stability.resamples,
             "otherwise": [] if stability is None else _plain(stability.otherwise),
         }
-        return {"format": FORMAT, **found}
+        return {"format": FORMAT, **fields}
 
     def __str__(self) -> str:
         lines = [f"{self.verdict}: {self.reason}"]

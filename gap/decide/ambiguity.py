@@ -42,7 +42,7 @@ def ambiguity_of(
         settings: thresholds.
         drift_shows: see `drift_is_significant`.
     """
-    chosen, found = selection.chosen, []
+    chosen, sets = selection.chosen, []
     names = chosen.hypothesis.effects
     for effect in sorted(names):
         rest = names - {effect}
@@ -59,8 +59,8 @@ def ambiguity_of(
                     continue
             others.append(other)
         if others:
-            found.append((effect, *others))
-    return tuple(found)
+            sets.append((effect, *others))
+    return tuple(sets)
 
 
 def _told_apart(chosen: HeldOutErrors, other: HeldOutErrors, settings: VerdictSettings) -> bool:
@@ -191,7 +191,7 @@ def ranking(
     even = left / max(len(rivals), 1)
     rows = []
     for name in library:
-        beside = 0.5 * left * min(inclusion.get(name, 0.0), 1.0)
-        other = min(even, rivals[name]) if name in rivals else min(beside, most)
+        minor = 0.5 * left * min(inclusion.get(name, 0.0), 1.0)
+        other = min(even, rivals[name]) if name in rivals else min(minor, most)
         rows.append((name, chosen.get(name, other)))
     return tuple(sorted(rows, key=lambda row: (-row[1], row[0] not in chosen)))

@@ -113,8 +113,8 @@ def attribute(
     floor_mse = max(noise_mse, prepared.form_mse)
     if jumping:
         floor_mse = max(floor_mse, min(jumps.mse, _PREDICTABLE * retuned.mse))
-    gone = (*left_out, "stick_slip") if jumps.absent else left_out
-    library = usable_effects(prepared, prepared.baseline.effects, gone, prepared.development)
+    excluded = (*left_out, "stick_slip") if jumps.absent else left_out
+    library = usable_effects(prepared, prepared.baseline.effects, excluded, prepared.development)
     without = left_out
     if prepared.checked.unrelated:  # nothing to explain: only the baseline is evaluated
         library, without = (), (*left_out, *OWN_TO_TRIALS)

@@ -70,15 +70,15 @@ class Shares:
         without = {name: blocks(names - {name}) for name in sorted(names)}
         falls = sum(max(b.mse - after.mse, 0.0) for b in without.values())
         together = max(self.closed(after.mse), 0.0)
-        found = {}
+        shares = {}
         for name, before in without.items():
             fall = before.mse - after.mse
             share = together * fall / falls if falls > 0 else 0.0
             one = self.closed(self.before.mse - fall)
             scale = share / one if one else 0.0
             low, high = closed_interval(self.before, before, after, self.floor_mse, self.seed)
-            found[name] = share, self._widened(share, (scale * low, scale * high))
-        return found
+            shares[name] = share, self._widened(share, (scale * low, scale * high))
+        return shares
 
     def _widened(self, middle: float, ends: Interval) -> Interval:
         """An interval with the differences between trials added."""
@@ -225,8 +225,8 @@ def measure(
     parameters, shares = _parameters(chosen, prepared), final_errors.shares
     causes = {}
     for name, (share, ci90) in shares.of_causes(chosen.effects, final_errors.blocks).items():
-        less = final_errors.blocks(chosen.effects - {name})
-        causes[name] = ClosedByCause(share, ci90, float(np.sqrt(less.mse)), parameters[name])
+        without = final_errors.blocks(chosen.effects - {name})
+        causes[name] = ClosedByCause(share, ci90, float(np.sqrt(without.mse)), parameters[name])
     if sensor:
         faulty = measured_blocks(prepared, chosen)
         share = shares.closed(shares.before.mse - faulty.mse + final_errors.after.mse)
@@ -343,20 +343,20 @@ def measured_blocks(prepared: PreparedTrials, hypothesis: Hypothesis) -> Blocks:
 def _parameters(chosen: Hypothesis, prepared: PreparedTrials) -> dict[str, Mapping[str, float]]:
     """Identified values by cause and name; of what each trial has of its own, statistics over the trials."""
     problem = chosen.problem
-    found: dict[str, Mapping[str, float]] = dict(problem.identified(chosen.q))
+    parameters: dict[str, Mapping[str, float]] = dict(problem.identified(chosen.q))
     if problem.terms.frequency_hz:
         sizes = [problem.terms.amplitude(run, *problem.linearised(chosen.q, run)) for run in prepared.everything]
-        found["periodic_disturbance"] = {
+        parameters["periodic_disturbance"] = {
             "amplitude_deg": float(np.median(sizes)),
             "frequency_hz": problem.terms.frequency_hz,
         }
     if problem.terms.shift:
         offsets = [problem.terms.offset(run, *problem.linearised(chosen.q, run)) for run in prepared.everything]
-        found["trial_shift"] = {
+        parameters["trial_shift"] = {
             "offset_spread_deg": float(np.std(offsets)),
             "largest_offset_deg": float(max(offsets, key=abs)),
         }
-    return found
+    return parameters
 
 
 def _sensor_parameters(prepared: PreparedTrials) -> Mapping[str, float]:

@@ -104,8 +104,8 @@ def find_jumps(runs: Sequence[Run], retuned: Hypothesis, signs: SensorSigns) -> 
 
 def _pattern(runs: Sequence[Run], simulated: Sequence[Vec], least: float, uneven: float) -> Jumps:
     """What the windows show in which the speed is that uneven at most."""
-    found = [_windows(run, theta, least, uneven) for run, theta in zip(runs, simulated, strict=True)]
-    share, moved, ahead, speed = (np.concatenate(parts) for parts in zip(*found, strict=True))
+    windows = [_windows(run, theta, least, uneven) for run, theta in zip(runs, simulated, strict=True)]
+    share, moved, ahead, speed = (np.concatenate(parts) for parts in zip(*windows, strict=True))
     if not share.size:
         return Jumps(0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     jumped, whole = share > _JUMPED, float(np.abs(moved).sum())

@@ -74,7 +74,7 @@ class _Shifts:
 
     def left_out(self, groups: Sequence[Sequence[int]]) -> float:
         """Sum of squared errors of all trials, each with the shift of the others of its group."""
-        return sum(self.left(r, self.shared([k for k in own if k != r])) for own in groups for r in own)
+        return sum(self.left(r, self.shared([k for k in group if k != r])) for group in groups for r in group)
 
 
 def configuration_of(hypothesis: Hypothesis, runs: Sequence[Run]) -> Configuration | None:
@@ -97,12 +97,12 @@ def configuration_of(hypothesis: Hypothesis, runs: Sequence[Run]) -> Configurati
         return None
     shifts = _shifts(hypothesis, runs)
     everyone = list(range(len(runs)))
-    own = [shifts.shared([k]) for k in everyone]
-    alone = sum(shifts.left(k, shift) for k, shift in enumerate(own))
+    single = [shifts.shared([k]) for k in everyone]
+    alone = sum(shifts.left(k, shift) for k, shift in enumerate(single))
     together = shifts.left_out([everyone])
     if together <= alone:
         return None
-    tree = linkage(np.array(own) * shifts.spread, "ward")
+    tree = linkage(np.array(single) * shifts.spread, "ward")
     for count, least in _EXPLAINED.items():
         labels = fcluster(tree, count, "maxclust")
         groups = sorted(([k for k in everyone if labels[k] == g] for g in set(labels)), key=lambda g: (-len(g), g))
@@ -110,10 +110,10 @@ def configuration_of(hypothesis: Hypothesis, runs: Sequence[Run]) -> Configurati
             continue
         explained = (together - shifts.left_out(groups)) / (together - alone)
         if explained >= least:
-            found = np.array([shifts.shared(g) for g in groups])
-            names = tuple(UNITS)[: found.shape[1]]
-            found[:, 2:] *= shifts.spread[2:]
-            sizes = dict(zip(names, np.ptp(found, axis=0).tolist(), strict=True))
+            shared = np.array([shifts.shared(g) for g in groups])
+            names = tuple(UNITS)[: shared.shape[1]]
+            shared[:, 2:] *= shifts.spread[2:]
+            sizes = dict(zip(names, np.ptp(shared, axis=0).tolist(), strict=True))
             return Configuration(tuple(tuple(runs[k].name for k in g) for g in groups), sizes, float(explained))
     return None
 

@@ -156,11 +156,11 @@ def moved_numbers(
     given = dict(baseline.quantities(baseline.nominal))
     rows = [(row, given[row.name]) for row in quantities if row.owner == "baseline"]
     rows += [(row, float(row.neutral or 0.0)) for row in core_rows(retuned, prepared.development)]
-    found = []
+    moved = []
     for row, before in rows:
         sure = not row.flat and np.isfinite(row.ci90).all() and not row.ci90[0] <= before <= row.ci90[1]
         if sure and abs(row.value - before) > _LEAST_MOVE * max(abs(before), abs(row.value)):
             shown = row.times(decades.in_log(row.unit))
             was, unit = decades.log_value(before, row.unit), units.named(row.unit) or "1"
-            found.append(Moved(row.name, unit, was, shown.value, shown.ci90))
-    return tuple(found)
+            moved.append(Moved(row.name, unit, was, shown.value, shown.ci90))
+    return tuple(moved)

@@ -68,24 +68,24 @@ def stability_of(
     """
     if prepared.too_little or prepared.checked.unrelated:
         return None
-    again = _Again(prepared, attribution, conclusion, settings, seed)
+    resampled = _Again(prepared, attribution, conclusion, settings, seed)
     count = len(prepared.development), len(prepared.final)
-    told = Counter(again.verdict(split) for split in _splits(*count, prepared.order == "known", seed))
-    own = conclusion.ruling.verdict, conclusion.chosen.effects
+    verdicts = Counter(resampled.verdict(split) for split in _splits(*count, prepared.order == "known", seed))
+    reference = conclusion.ruling.verdict, conclusion.chosen.effects
     rivals = [set(names) for names in conclusion.ruling.ambiguity]
-    same = sum(times for made, times in told.items() if _agree(made, own, rivals))
-    others = Counter({_label(*made): 0 for made in told})
-    for made, times in told.items():
-        others[_label(*made)] += 0 if _agree(made, own, rivals) else times
-    total = sum(told.values())
+    same = sum(times for verdict, times in verdicts.items() if _agree(verdict, reference, rivals))
+    others = Counter({_label(*verdict): 0 for verdict in verdicts})
+    for verdict, times in verdicts.items():
+        others[_label(*verdict)] += 0 if _agree(verdict, reference, rivals) else times
+    total = sum(verdicts.values())
     return Stability(same / total, total, tuple((text, n / total) for text, n in others.most_common(3) if n))
 
 
-def _agree(made: tuple[Verdict, Names], own: tuple[Verdict, Names], rivals: Sequence[set[str]]) -> bool:
+def _agree(verdict: tuple[Verdict, Names], reference: tuple[Verdict, Names], rivals: Sequence[set[str]]) -> bool:
     """Whether verdict and names are the same; of a set that cannot be told apart any member counts."""
-    if made[0] != own[0] or len(made[1]) != len(own[1]):
+    if verdict[0] != reference[0] or len(verdict[1]) != len(reference[1]):
         return False
-    left, right = made[1] - own[1], own[1] - made[1]
+    left, right = verdict[1] - reference[1], reference[1] - verdict[1]
     return all(any(a in names and b in names for names in rivals for b in right) for a in left)
 
 
@@ -207,14 +207,14 @@ def _everywhere(judged: HeldOutErrors, final: Sequence[Run]) -> HeldOutErrors:
     """Errors on the development runs by the fits of the folds, then on the final runs by the fit to all of these."""
     hypothesis = judged.hypothesis
     errors = tuple(hypothesis.problem.held_out_error(hypothesis.q, run) for run in final)
-    found = blocks_of(errors, final)
+    blocks = blocks_of(errors, final)
     return replace(
         judged,
-        energy=np.concatenate([judged.energy, found.energy]),
-        samples=np.concatenate([judged.samples, found.samples]),
-        run=np.concatenate([judged.run, found.run + len(judged.errors)]),
+        energy=np.concatenate([judged.energy, blocks.energy]),
+        samples=np.concatenate([judged.samples, blocks.samples]),
+        run=np.concatenate([judged.run, blocks.run + len(judged.errors)]),
         errors=(*judged.errors, *errors),
-        parts=judged.parts and judged.parts.with_trials(found.energy),
+        parts=judged.parts and judged.parts.with_trials(blocks.energy),
     )
 
 
@@ -223,7 +223,7 @@ def _part(judged: HeldOutErrors, runs: Sequence[int], seed: int | None) -> HeldO
     places = [np.flatnonzero(judged.run == k) for k in runs]
     if seed is not None:
         random = np.random.default_rng(seed)
-        places = [own[random.integers(0, own.size, own.size)] for own in places]
+        places = [blocks[random.integers(0, blocks.size, blocks.size)] for blocks in places]
     at: Index = np.concatenate(places)
     return replace(
         judged,

@@ -288,8 +288,8 @@ def _retuned_case(case: str, facts: VerdictFacts, settings: VerdictSettings) -> 
     verdict, moved = VERDICTS[case], min(facts.retuning.moved, facts.final.moved if facts.final else math.inf)
     if verdict == "none":
         return "moved" if moved >= settings.moved else case
-    beside = facts.sensor or facts.jumps  # not of the core
-    replaced = verdict == "unknown" or (verdict in ("named", "one_of") and not beside)
+    outside_core = facts.sensor or facts.jumps
+    replaced = verdict == "unknown" or (verdict in ("named", "one_of") and not outside_core)
     lowered = moved >= settings.lowered and facts.retuning.unrepeatable < settings.unrepeatable
     return "reshaped" if replaced and lowered and _reshaped(verdict, facts, settings) else case
 

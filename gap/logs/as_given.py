@@ -25,7 +25,7 @@ _ROUNDED = 1e-3  # of a sample time, which files round
 
 
 def with_own_rate(
-    runs: Sequence[Run], recorded: Sequence[Trial], chain: Chain, own: Chain, own_dt_s: float
+    runs: Sequence[Run], recorded: Sequence[Trial], chain: Chain, chain_at_own_rate: Chain, own_dt_s: float
 ) -> tuple[Run, ...]:
     """Runs whose correction makes the simulator as given what it is at its own sample time.
 
@@ -42,15 +42,15 @@ def with_own_rate(
     """
     if own_dt_s >= runs[0].dt_s * (1 - _ROUNDED):
         return tuple(runs)
-    found = []
+    corrected = []
     for run, trial in zip(runs, recorded, strict=True):
         fast = resampled_or_none(trial, 1 / own_dt_s)
         if fast is None:
             return tuple(runs)
         there = trial.t[0] + run.dt_s * np.arange(run.command.size)
-        angles = np.interp(there, fast.t, _angles(own, run, fast.command, own_dt_s))
-        found.append(replace(run, correction=angles - _angles(chain, run, run.command, run.dt_s)))
-    return tuple(found)
+        angles = np.interp(there, fast.t, _angles(chain_at_own_rate, run, fast.command, own_dt_s))
+        corrected.append(replace(run, correction=angles - _angles(chain, run, run.command, run.dt_s)))
+    return tuple(corrected)
 
 
 def own_starts(recorded: Sequence[Trial], own_dt_s: float, dt_s: float) -> tuple[TrialStart, ...]:
@@ -60,12 +60,12 @@ def own_starts(recorded: Sequence[Trial], own_dt_s: float, dt_s: float) -> tuple
         recorded: the trials as recorded, in the units of the runs.
         own_dt_s, dt_s: sample time of the simulator, and of the diagnosis [s].
     """
-    found = []
+    starts = []
     for trial in recorded:
-        own = resampled_or_none(trial, 1 / own_dt_s) or resampled_or_none(trial, 1 / dt_s) or trial
-        start = trial_start(own.command, own.angle, own.dt)
-        found.append(replace(start, lead=round(start.lead * own.dt / dt_s)))
-    return tuple(found)
+        resampled = resampled_or_none(trial, 1 / own_dt_s) or resampled_or_none(trial, 1 / dt_s) or trial
+        start = trial_start(resampled.command, resampled.angle, resampled.dt)
+        starts.append(replace(start, lead=round(start.lead * resampled.dt / dt_s)))
+    return tuple(starts)
 
 
 def resampled_or_none(trial: Trial, rate_hz: float) -> Trial | None:
@@ -84,12 +84,12 @@ def evaluated_mse(simulator: Simulator, recorded: Sequence[Trial], skip_first_fl
     run = staged.rollouts(simulator.dt_s, simulator.chain.values)
     box, squares, samples = search_box(facts.trained_command, facts.trained_angle), 0.0, 0
     for trial in recorded:
-        if (own := resampled_or_none(trial, 1 / simulator.dt_s)) is None:
+        if (resampled := resampled_or_none(trial, 1 / simulator.dt_s)) is None:
             return None
-        start = trial_start(own.command, own.angle, own.dt)
-        start = found_start(start, own.command, own.angle, own.dt, box, run)
-        error = _from(run, start, own.command) - own.angle
-        error = error[max(start.lead, first_flexure_end(own) if skip_first_flexure else 0) :]
+        start = trial_start(resampled.command, resampled.angle, resampled.dt)
+        start = found_start(start, resampled.command, resampled.angle, resampled.dt, box, run)
+        error = _from(run, start, resampled.command) - resampled.angle
+        error = error[max(start.lead, first_flexure_end(resampled) if skip_first_flexure else 0) :]
         squares, samples = squares + float(error @ error), samples + error.size
     return squares / samples
 

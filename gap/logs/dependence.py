@@ -74,12 +74,12 @@ def follows_command(trials: Sequence[Trial], seed: int = 0) -> tuple[bool, ...]:
     if majority and _depends(share, chance):
         usual = float(np.median([float(r[0]) for r, small in zip(correlations, unseen, strict=True) if not small]))
         follows = [
-            small or own or float(r[0]) > usual - _SCATTER * float(r[1:].std())
-            for r, own, small in zip(correlations, sure, unseen, strict=True)
+            small or significant or float(r[0]) > usual - _SCATTER * float(r[1:].std())
+            for r, significant, small in zip(correlations, sure, unseen, strict=True)
         ]
     else:
-        own_parts = [part for part, kept in zip(parts, sure, strict=True) if kept]
-        enough = len(own_parts) >= max(len(trials) / 2, 2) and _depends(*_tested(own_parts)[:2])
+        sure_parts = [part for part, kept in zip(parts, sure, strict=True) if kept]
+        enough = len(sure_parts) >= max(len(trials) / 2, 2) and _depends(*_tested(sure_parts)[:2])
         follows = sure if enough else [False] * len(trials)
     return tuple(follows)
 
@@ -88,10 +88,10 @@ def _depends(share: float, chance: float) -> bool:
     return share > _SURELY or share > max(chance, 0.0)
 
 
-def _beyond(found: Vec) -> bool:
+def _beyond(correlations: Vec) -> bool:
     """Whether the correlation of a trial (1 + D,) is large, or beyond its null."""
-    own = float(found[0])
-    return own > math.sqrt(_SURELY) or own > float(np.quantile(found[1:], 1 - _LEVEL, method="higher"))
+    recorded = float(correlations[0])
+    return recorded > math.sqrt(_SURELY) or recorded > float(np.quantile(correlations[1:], 1 - _LEVEL, method="higher"))
 
 
 def _unseen(parts: Sequence[_Part], expected: Sequence[Mat]) -> list[bool]:
@@ -102,7 +102,7 @@ def _unseen(parts: Sequence[_Part], expected: Sequence[Mat]) -> list[bool]:
 
 def _parts(trials: Sequence[Trial], seed: int) -> list[_Part]:
     random = np.random.default_rng(seed)
-    found = []
+    parts = []
     for trial, features in zip(trials, past_features(trials), strict=True):
         lag = _lag(trial.command)
         width = max(lag // _PER_LAG, 1)
@@ -111,13 +111,15 @@ def _parts(trials: Sequence[Trial], seed: int) -> list[_Part]:
         length = max(min(2 * steps, len(y) // _LEAST_BLOCKS), 1)
         shown = [y[:, 0], *(y[_reordered(len(y), length, random), 0] for _ in range(_DRAWS))]
         edges = np.linspace(0, len(y), _PARTS + 1 if len(trials) == 1 else 2).astype(np.intp).tolist()
-        found += [_part(x[a:b], [own[a:b] for own in shown], width) for a, b in itertools.pairwise(edges)]
-    return found
+        parts += [_part(x[a:b], [order[a:b] for order in shown], width) for a, b in itertools.pairwise(edges)]
+    return parts
 
 
 def _part(x: Mat, shown: Sequence[Vec], width: int) -> _Part:
-    products = np.stack([own @ x for own in shown], axis=1)
-    return _Part(width * x.T @ x, width * products, width * np.array([own @ own for own in shown]), width * len(x))
+    products = np.stack([changes @ x for changes in shown], axis=1)
+    return _Part(
+        width * x.T @ x, width * products, width * np.array([changes @ changes for changes in shown]), width * len(x)
+    )
 
 
 def _lag(command: Vec) -> int:
@@ -154,9 +156,10 @@ def _tested(parts: Sequence[_Part]) -> tuple[float, float, list[Mat]]:
         for part in parts:
             rest = gram - part.gram
             damping = ridge * float(np.trace(rest)) / len(rest) + 1e-12
-            own = np.linalg.solve(rest + damping * np.eye(len(rest)), products - part.products)
-            left += part.energy - 2 * np.sum(own * part.products, axis=0) + np.sum(own * (part.gram @ own), axis=0)
-            weights.append(own)
+            coefficients = np.linalg.solve(rest + damping * np.eye(len(rest)), products - part.products)
+            product, square = coefficients * part.products, coefficients * (part.gram @ coefficients)
+            left += part.energy - 2 * np.sum(product, axis=0) + np.sum(square, axis=0)
+            weights.append(coefficients)
         share = 1 - left / energy
         if share[0] > best[0]:
             kept = weights

@@ -45,7 +45,7 @@ def sizes_shown(prepared: PreparedTrials, no_gap: float, without: Collection[str
     needed_mse, units = (no_gap - 1.0) * prepared.form_mse, prepared.checked.trials[0].units
     if needed_mse <= 0:
         return DetectableSizes(math.nan, why_not=_NO_FORM)
-    found = detectable_sizes(prepared.baseline, prepared.everything, needed_mse)
+    detectable = detectable_sizes(prepared.baseline, prepared.everything, needed_mse)
     unordered = () if prepared.order == "known" else tuple(NEEDS_ORDER)
     kept = tuple(
         replace(
@@ -54,7 +54,7 @@ def sizes_shown(prepared: PreparedTrials, no_gap: float, without: Collection[str
             unit=units.named(one.unit) or "1",
             untestable=one.effect in unordered,
         )
-        for one in found
+        for one in detectable
         if one.effect not in without
     )
     return prepared.decades.log_sizes(DetectableSizes(math.sqrt(needed_mse), kept, unit=units.angle))
@@ -86,15 +86,15 @@ def detectable_sizes(baseline: Baseline, runs: Sequence[Run], needed_mse: float)
     scale = _scale(runs, float(low), float(high))
     kept = 1.0 - 1.0 / len(runs)  # of shifts between trials the common one is an offset
     shift = math.sqrt(needed_mse / kept) if kept else math.inf
-    found = {
+    sizes = {
         "trial_shift": Detectable("trial_shift", "offset", "deg", shift, 1.0 - kept),
         "periodic_disturbance": Detectable(
             "periodic_disturbance", "amplitude", "deg", math.sqrt(2.0 * needed_mse), hidden=0.0
         ),
     }
     for candidate in _first_forms(candidates(scale, ())):
-        found[candidate.effect] = _least(candidate, baseline, runs, angles, known, needed_mse)
-    return tuple(found[name] for name in diagnosable() if name in found)
+        sizes[candidate.effect] = _least(candidate, baseline, runs, angles, known, needed_mse)
+    return tuple(sizes[name] for name in diagnosable() if name in sizes)
 
 
 def _scale(runs: Sequence[Run], low: float, high: float) -> Scale:

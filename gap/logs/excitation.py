@@ -106,7 +106,7 @@ def excitation_of(trials: Sequence[Trial], ordered: bool = True) -> Excitation:
     moves = [moves_of(trial, part) for trial, part in zip(trials, parts, strict=True)]
     low = min(float(trial.command.min()) for trial in trials)
     span = max(float(trial.command.max()) for trial in trials) - low
-    every = [move for own in moves for move in own]
+    all_moves = [move for trial_moves in moves for move in trial_moves]
     bottom = [trial.command <= low + _LOW * span for trial in trials]
     holds = [stop - start for part in parts for start, stop in part.holds]
     return Excitation(
@@ -115,13 +115,13 @@ def excitation_of(trials: Sequence[Trial], ordered: bool = True) -> Excitation:
         repeats=find_repeats(trials),
         longest_hold_s=max(holds, default=0) * dt,
         fastest=_fastest(trials, span),
-        ramp_speeds=_ramp_speeds(every, dt, _RAMP_HEIGHT * span),
-        steps=sum(move.samples * dt <= STEP_S and move.height >= _STEP_HEIGHT * span for move in every),
-        fast_small=sum(move.samples * dt < _FAST_S and 0.01 < move.height / span < _FAST_HEIGHT for move in every),
+        ramp_speeds=_ramp_speeds(all_moves, dt, _RAMP_HEIGHT * span),
+        steps=sum(move.samples * dt <= STEP_S and move.height >= _STEP_HEIGHT * span for move in all_moves),
+        fast_small=sum(move.samples * dt < _FAST_S and 0.01 < move.height / span < _FAST_HEIGHT for move in all_moves),
         low_s=sum(int(np.count_nonzero(inside)) for inside in bottom) * dt,
         low_visits=sum(int(np.count_nonzero(np.diff(b.astype(np.int8), prepend=0) == 1)) for b in bottom),
         top_levels=_top_levels(trials, parts, low, span),
-        opening_repeated=all(_opening_repeated(own, span) for own in _openings(moves, ordered)),
+        opening_repeated=all(_opening_repeated(trial_moves, span) for trial_moves in _openings(moves, ordered)),
     )
 
 
@@ -164,7 +164,7 @@ def _opening_repeated(moves: Sequence[Sequence[Move]], span: float) -> bool:
     if not moves or not moves[0]:
         return False
     opening = moves[0][0]
-    later = [move for own in moves for move in own][1:]
+    later = [move for trial_moves in moves for move in trial_moves][1:]
     return any(
         abs(move.first - opening.first) <= _OPENING_LEVEL * span
         and abs(move.last - opening.last) <= _OPENING_LEVEL * span
@@ -181,7 +181,7 @@ class Confusable:
         effects: their public names; two names of one class where `one_class`.
         separable: whether these motions can tell them apart.
         separated_by: the motion that can.
-        found: the part of it that these motions have.
+        present: the part of it that these motions have.
         alike_in_sine, alike_in_hold: share of one effect's gap that the other reproduces on a single 0.2 Hz sine, and
             on a ramp with a hold of 8 s (study on a Prandtl-Ishlinskii model with three plays, 50 Hz).
         one_class: equal in command and angle for every motion, by algebra.
@@ -190,7 +190,7 @@ class Confusable:
     effects: tuple[str, ...]
     separable: bool
     separated_by: str
-    found: str
+    present: str
     alike_in_sine: float
     alike_in_hold: float
     one_class: bool = False
@@ -229,7 +229,7 @@ def confusability(excitation: Excitation) -> tuple[Confusable, ...]:
     opening = "comes" if e.opening_repeated else "does not come"
     low = f"{e.low_s:.3g} s in {e.low_visits} visits to the lowest tenth of the command"
     signals = "command and angle only"
-    found: tuple[tuple[bool | None, str], ...] = (  # in the order of `_PAIRS`; None: one class whatever the motion
+    judged: tuple[tuple[bool | None, str], ...] = (  # in the order of `_PAIRS`; None: one class whatever the motion
         (e.has_fast, f"{e.steps} fast steps, {e.fast_small} small moves faster than 1.5 Hz"),
         (None, signals),
         (e.has_holds, hold),
@@ -242,5 +242,5 @@ def confusability(excitation: Excitation) -> tuple[Confusable, ...]:
     )
     return tuple(
         Confusable(effects, bool(separable), motion, text, in_sine, in_hold, one_class=separable is None)
-        for (effects, motion, in_sine, in_hold), (separable, text) in zip(_PAIRS, found, strict=True)
+        for (effects, motion, in_sine, in_hold), (separable, text) in zip(_PAIRS, judged, strict=True)
     )

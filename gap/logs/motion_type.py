@@ -202,7 +202,7 @@ def memory_features(trial: Trial, loop_width: float, clock_s: float) -> dict[str
         [*(direction * np.exp(-travel / (k * width)) for k in (0.5, 1.0, 2.0)), total / span / 10.0],
         [t / 60.0, (clock_s + t) / 60.0],
     )
-    return {name: np.column_stack(own) for name, own in zip(MEMORIES, columns, strict=True)}
+    return {name: np.column_stack(group) for name, group in zip(MEMORIES, columns, strict=True)}
 
 
 def since_reversal(command: Vec, parts: Segments) -> tuple[Index, Vec, Vec]:

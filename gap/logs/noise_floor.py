@@ -138,14 +138,14 @@ def find_repeats(trials: Sequence[Trial], tolerance: float = TOLERANCE) -> tuple
     noise = white_noise([trial.command for trial in trials])
     band = max(tolerance * span, 4 * 2**0.5 * noise)
     marks = [_marks(trial) for trial in trials]
-    found: list[Repeat] = []
+    repeats: list[Repeat] = []
     for a, first in enumerate(trials):
         for b in range(a, len(trials)):
             for shift in _shifts(first, trials[b], marks[a], marks[b], band, a == b):
                 repeat = _stretch((a, b), (first, trials[b]), shift, band, _LEAST_SPAN * span)
-                if repeat and not any(_same(repeat, other) for other in found):
-                    found.append(repeat)
-    return tuple(found)
+                if repeat and not any(_same(repeat, other) for other in repeats):
+                    repeats.append(repeat)
+    return tuple(repeats)
 
 
 def _marks(trial: Trial) -> Index:

@@ -176,11 +176,11 @@ def _baseline_and_runs(
     )
     before = [b.scaled(1 / decades.command) for b in checked.before]
     if isinstance(simulator, Simulator):
-        own, chain = (decades.chain(s.chain) for s in (simulator, simulator.at_sample_time(checked.dt)))
+        chain_at_own_rate, chain = (decades.chain(s.chain) for s in (simulator, simulator.at_sample_time(checked.dt)))
         baseline = baseline_of(chain, command)
         starts = own_starts([repaired(trial, signs) for trial in given], simulator.dt_s, checked.dt)
         runs = _begun(baseline, runs_of(repaired_trials, None, before, starts), simulator, decades)
-        runs = with_own_rate(runs, given, chain, own, simulator.dt_s)
+        runs = with_own_rate(runs, given, chain, chain_at_own_rate, simulator.dt_s)
     else:
         baseline, corrections = _network_baseline(simulator, repaired_trials, command, decades)
         runs = runs_of(repaired_trials, corrections, before)
@@ -239,9 +239,9 @@ def _require_size(simulator: Simulator, decades: Decades) -> None:
     units, chain = Units(simulator.command_unit, simulator.angle_unit), decades.chain(simulator.chain)
     for name, parameter, value in zip(chain.labels, chain.parameters, chain.values, strict=True):
         if not parameter.lower <= value <= parameter.upper:
-            found, low, high = (decades.log_value(v, parameter.unit) for v in (value, parameter.lower, parameter.upper))
+            size, low, high = (decades.log_value(v, parameter.unit) for v in (value, parameter.lower, parameter.upper))
             raise GapError(
-                f"simulator: {name} is {found:.4g} {units.named(parameter.unit)}, expected {low:g} to {high:g} from "
+                f"simulator: {name} is {size:.4g} {units.named(parameter.unit)}, expected {low:g} to {high:g} from "
                 "the ranges that it was identified in"
             )
 
@@ -250,12 +250,12 @@ def _identification(simulator: Simulator | LoadedModel, decades: Decades) -> Ide
     """What the simulator's file says of its identification, residuals in working units."""
     if not isinstance(simulator, Simulator):
         return Identification(method="network")
-    own = simulator.identification
+    identification = simulator.identification
     residuals = tuple(
         r.model_copy(update={"rmse_deg": r.rmse_deg / decades.angle, "bias_deg": r.bias_deg / decades.angle})
-        for r in own.residuals
+        for r in identification.residuals
     )
-    return own.model_copy(update={"residuals": residuals})
+    return identification.model_copy(update={"residuals": residuals})
 
 
 def shortage(trials: Sequence[Trial]) -> str:
@@ -293,13 +293,13 @@ def _plays(copies: Sequence[Trial], command: Range) -> Chain:
     """Rate-independent plays fitted to a network's own free runs."""
     from hystmpc.models.identify.chain_kinds import prandtl_ishlinskii_starts
 
-    runs, found = runs_of(copies), []
+    runs, fits = runs_of(copies), []
     for start in prandtl_ishlinskii_starts(copies, _PLAYS):
         values = [0.0 if p.name == "beta" else v for p, v in zip(start.parameters, start.values, strict=True)]
         baseline = FreeCoreBaseline(start.with_values(values), command)
         problem = Problem(baseline)
-        found.append((problem, fit_problem(problem, runs, problem.as_given, _EVALUATIONS, _TOLERANCE)))
-    problem, best = min(found, key=lambda pair: pair[1].mse)
+        fits.append((problem, fit_problem(problem, runs, problem.as_given, _EVALUATIONS, _TOLERANCE)))
+    problem, best = min(fits, key=lambda pair: pair[1].mse)
     return problem.fitted_chain(best.q)
 
 
@@ -322,8 +322,8 @@ def model_form_mse(
         return 0.0
     held = ["holds" if motion in ("holds", "steps", "point_to_point", "ramps") else "continuous" for motion in motions]
     everything = [r.rmse_deg**2 for r in stored]
-    own = [[r.rmse_deg**2 for r in stored if r.motion == kind] or everything for kind in held]
-    return float(np.mean([np.mean(values) for values in own]))
+    by_motion = [[r.rmse_deg**2 for r in stored if r.motion == kind] or everything for kind in held]
+    return float(np.mean([np.mean(values) for values in by_motion]))
 
 
 def _has_seen(identification: Identification, trials: Sequence[Trial], dt_s: float) -> bool:

@@ -48,16 +48,16 @@ def in_recording_order(trials: Sequence[Trial], ordered: bool) -> tuple[list[Tri
     """
     if len(trials) < 2:
         return list(trials), "known"
-    found = by_clock(trials) or by_manifest([trial.source for trial in trials])
-    if ordered and found is not None and found != sorted(found):
-        k = next(k for k, place in enumerate(found) if k != place)
-        first, given = (Path(trials[j].source).name for j in (found[k], k))
+    places = by_clock(trials) or by_manifest([trial.source for trial in trials])
+    if ordered and places is not None and places != sorted(places):
+        k = next(k for k, place in enumerate(places) if k != place)
+        first, given = (Path(trials[j].source).name for j in (places[k], k))
         raise GapError(
             f"--ordered: got {given} as trial {k + 1}, expected {first}, which was recorded before it by time stamps "
             "or manifest; give the files in that order, or leave --ordered out"
         )
-    if found is not None:
-        return [trials[k] for k in found], "known"
+    if places is not None:
+        return [trials[k] for k in places], "known"
     return (list(trials), "known") if ordered else (sorted(trials, key=_content), "unknown")
 
 
@@ -194,11 +194,11 @@ def _parts(trial: Trial) -> tuple[Trial, ...]:
 
 
 def _common_rate(trials: Sequence[Trial], facts: ModelMetadata, fixed: bool) -> float:
-    own = 1.0 / facts.dt_s
+    simulator_hz = 1.0 / facts.dt_s
     if fixed:
-        return own
+        return simulator_hz
     slowest = min(MOST_HZ, *(1.0 / trial.dt for trial in trials))
-    return own if LEAST_HZ <= own <= min(_NEAR_RATE * slowest, MOST_HZ) else slowest
+    return simulator_hz if LEAST_HZ <= simulator_hz <= min(_NEAR_RATE * slowest, MOST_HZ) else slowest
 
 
 def affordable(
@@ -254,24 +254,24 @@ def _left_out(what: str, used: Index, recorded: Index, dt: float, most: int, see
 
 def _order(trials: Sequence[Trial], motions: Sequence[MotionType], seed: int, ordered: bool) -> tuple[list[int], int]:
     """Numbers of all trials, those that are needed most first, and how many are needed."""
-    found = characters([trial.command for trial in trials], trials[0].dt)
+    features = characters([trial.command for trial in trials], trials[0].dt)
     kinds = [np.flatnonzero(np.array(motions) == kind) for kind in dict.fromkeys(motions)]
     needed = dict.fromkeys([0, len(trials) - 1] if ordered else [])
-    for own in kinds:
-        pair = _most_alike(found[own])
-        if pair or not set(own.tolist()) & set(needed):
-            needed |= dict.fromkeys(own[list(pair or (0,))].tolist())
+    for members in kinds:
+        pair = _most_alike(features[members])
+        if pair or not set(members.tolist()) & set(needed):
+            needed |= dict.fromkeys(members[list(pair or (0,))].tolist())
     random = np.random.default_rng(seed)
-    queues = [random.permutation([k for k in own.tolist() if k not in needed]).tolist() for own in kinds]
+    queues = [random.permutation([k for k in members.tolist() if k not in needed]).tolist() for members in kinds]
     rest = [queue[turn] for turn in range(max(map(len, queues))) for queue in queues if turn < len(queue)]
     return [*needed, *rest], len(needed)
 
 
-def _most_alike(found: Vec) -> tuple[int, int] | None:
+def _most_alike(features: Vec) -> tuple[int, int] | None:
     """Numbers of the two motions that are most alike; None where no motion repeats another."""
-    if len(found) < 2:
+    if len(features) < 2:
         return None
-    distance, other = (np.asarray(part) for part in KDTree(found).query(found, k=2))
+    distance, other = (np.asarray(part) for part in KDTree(features).query(features, k=2))
     first = int(np.argmin(distance[:, 1]))
     second = int(other[first, int(other[first, 1] != first)])  # of equal ones a motion may come after its repeat
     return (first, second) if distance[first, 1] < _REPEAT else None
@@ -314,8 +314,8 @@ def split_runs(
     count = max(round(FINAL_SHARE * len(runs)), 1)
     chosen: list[int] = []
     left = list(range(len(runs)))
-    found = characters([run.command for run in runs], runs[0].dt_s)
-    apart = np.linalg.norm(found[:, None] - found[None], axis=-1)
+    features = characters([run.command for run in runs], runs[0].dt_s)
+    apart = np.linalg.norm(features[:, None] - features[None], axis=-1)
     while len(chosen) < count:
         # Of the most frequent motion left, the trial most like another.
         often = max(

@@ -217,10 +217,10 @@ def _directions(candidate: OpenHypothesis, angle: Vec, command: Vec, dt: float) 
     shifted = np.maximum(command - _SHIFT * span, low)
     scaled = low + (1 - _SCALE) * (command - low)
     changed = [candidate.simulate(shifted, dt), candidate.simulate(scaled, dt)]
-    own = [simulate(command, dt) for simulate in candidate.retunings]
+    retuned = [simulate(command, dt) for simulate in candidate.retunings]
     if not candidate.retunings:
-        own = [np.concatenate((angle[:1], angle[:-1]))]
-    return np.array([np.ones_like(angle), angle, *(np.asarray(other) - angle for other in (*changed, *own))])
+        retuned = [np.concatenate((angle[:1], angle[:-1]))]
+    return np.array([np.ones_like(angle), angle, *(np.asarray(other) - angle for other in (*changed, *retuned))])
 
 
 def _left(targets: Vec, basis: Vec, noise: Noise) -> Vec:
@@ -284,8 +284,8 @@ class SearchedMotion:
     @property
     def gain(self) -> float:
         """Information per second over that of the menu's best; infinite where that tells nothing."""
-        own, other = self.bits / self.seconds, self.menu_bits / self.menu_seconds if self.menu else 0.0
-        return own / other if other > 0 else math.inf
+        rate, menu_rate = self.bits / self.seconds, self.menu_bits / self.menu_seconds if self.menu else 0.0
+        return rate / menu_rate if menu_rate > 0 else math.inf
 
 
 def information_bits(probability: float, count: int) -> float:

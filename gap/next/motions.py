@@ -216,8 +216,8 @@ def _reach(template: MotionTemplate, limits: CommandLimits) -> float:
     rate, whole = RATE_SHARE * limits.rate, limits.upper - limits.lower
     if _duration_s(template, whole, rate) <= template.longest_s:
         return whole
-    found = root_scalar(lambda reach: _duration_s(template, reach, rate) - template.longest_s, bracket=(0.0, whole))
-    return float(found.root)
+    solution = root_scalar(lambda reach: _duration_s(template, reach, rate) - template.longest_s, bracket=(0.0, whole))
+    return float(solution.root)
 
 
 def _duration_s(template: MotionTemplate, reach: float, rate: float) -> float:

@@ -99,8 +99,8 @@ def _rivals(findings: Findings) -> dict[str, Hypothesis]:
     others = sorted((confounders(name) - chosen.effects) - set(findings.left_out))[:_MOST]
     rest = chosen.effects - {name}
     fitted = {name: chosen} | {other: _with(findings, rest, other) for other in others}
-    found = {other: hypothesis for other, hypothesis in fitted.items() if hypothesis is not None}
-    return found if len(found) >= 2 else {NOTHING: attribution.retuned, name: chosen}
+    rivals = {other: hypothesis for other, hypothesis in fitted.items() if hypothesis is not None}
+    return rivals if len(rivals) >= 2 else {NOTHING: attribution.retuned, name: chosen}
 
 
 def open_explanations(findings: Findings) -> dict[str, Hypothesis]:
@@ -129,11 +129,11 @@ def unseparated(findings: Findings) -> tuple[str, ...]:
     chosen = findings.conclusion.chosen.effects
     if findings.conclusion.ruling.verdict != "named":
         return ()
-    gone = {*findings.left_out, *(NEEDS_ORDER if findings.prepared.order == "unknown" else ())}
+    excluded = {*findings.left_out, *(NEEDS_ORDER if findings.prepared.order == "unknown" else ())}
     for row in confusability(findings.prepared.checked.excitation):
         named = [name for name in row.effects if name in chosen]
         if named and not row.separable and not row.one_class:
-            others = [n for n in row.effects if n not in chosen and n not in gone]
+            others = [n for n in row.effects if n not in chosen and n not in excluded]
             if others:
                 return (named[0], *others)
     return ()

@@ -81,8 +81,8 @@ def _intervals(diagnosis: Diagnosis) -> str:
 
 
 def _values(diagnosis: Diagnosis) -> str:
-    found = [f"{in_words(effect.name)}: {parameter_words(effect)}" for effect in diagnosis.effects if effect.parameters]
-    return f"The identified values are, of {'; of '.join(found)}.".replace(" [1]", "") if found else ""
+    values = [f"{in_words(e.name)}: {parameter_words(e)}" for e in diagnosis.effects if e.parameters]
+    return f"The identified values are, of {'; of '.join(values)}.".replace(" [1]", "") if values else ""
 
 
 def _densest(diagnosis: Diagnosis) -> str:
@@ -129,10 +129,10 @@ def _with_effects(evidence: Evidence, fixed: Simulator) -> str:
     """What to do with a corrected simulator that holds all of the effects, some of them or none."""
     diagnosis, chain = evidence.diagnosis, fixed.chain
     built_in = {effect_of(operator.name) for operator in (*chain.before, *chain.after)}
-    found = [effect.name for effect in diagnosis.effects]
-    left_out = [n for n in found if n in _NEVER_HELD or (n in _BY_SIGNS and n not in built_in)]
+    names = [effect.name for effect in diagnosis.effects]
+    left_out = [n for n in names if n in _NEVER_HELD or (n in _BY_SIGNS and n not in built_in)]
     held, lacking = (
-        listed([in_words(name) for name in found if (name in left_out) == out], "and") for out in (False, True)
+        listed([in_words(name) for name in names if (name in left_out) == out], "and") for out in (False, True)
     )
     if not held:
         return f"The file {FIXED_FILE} is retuned only: it does not hold {lacking}." if lacking else ""
@@ -155,8 +155,8 @@ def _recording(motion: NextMotion) -> list[str]:
 def _probability(diagnosis: Diagnosis) -> str:
     """Probabilities of the effects found and of those they may stand for; else of the most likely one."""
     chance = chances(diagnosis)
-    found = [effect.name for effect in diagnosis.effects]
-    shown = list(dict.fromkeys([*found, *(name for names in diagnosis.ambiguity for name in names)]))
+    effects = [effect.name for effect in diagnosis.effects]
+    shown = list(dict.fromkeys([*effects, *(name for names in diagnosis.ambiguity for name in names)]))
     if not shown:
         if not diagnosis.ranking or diagnosis.verdict != "unknown":
             return ""

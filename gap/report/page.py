@@ -105,12 +105,12 @@ def _sizes(evidence: Evidence) -> Iterator[Piece]:
 
 
 def _closed_loop(evidence: Evidence) -> Iterator[Piece]:
-    found = evidence.diagnosis.tracking
-    if found is None:
+    tracking = evidence.diagnosis.tracking
+    if tracking is None:
         return
     yield Paragraph(tracking_sentence(evidence.diagnosis))
-    if found.motions:
-        yield tracking_table(found)
+    if tracking.motions:
+        yield tracking_table(tracking)
     if evidence.curves:
         yield Plot(
             tracking_figure(evidence.curves),
@@ -166,18 +166,19 @@ def _where(evidence: Evidence) -> Iterator[Piece]:
 
 
 def _memory_and_spectrum(evidence: Evidence) -> Iterator[Piece]:
-    found = evidence.localisation
-    lines = () if found is None else found.spectrum.lines
+    localisation = evidence.localisation
+    lines = () if localisation is None else localisation.spectrum.lines
     caption = f"Residual over frequency, {evidence.measured_on}; at the noise nothing is left to explain."
-    if found is not None:
-        caption += f" Linear in the command: {percent(found.spectrum.coherent)} of the retuned residual's energy."
+    if localisation is not None:
+        coherent = percent(localisation.spectrum.coherent)
+        caption += f" Linear in the command: {coherent} of the retuned residual's energy."
     if lines:
         at = ", ".join(f"{line.hz:.2f} Hz ({percent(line.share)} of the energy)" for line in lines)
         caption += f" Lines that the command does not have: {at}."
     yield Plot(spectrum_figure(evidence.final, evidence.stages[1:], evidence.noise_deg, lines), caption)
-    if found is not None and found.memory:
+    if localisation is not None and localisation.memory:
         text = "What each memory of the command predicts of the residual. It proposes a cause and decides nothing."
-        yield Plot(memory_figure(found.memory), text)
+        yield Plot(memory_figure(localisation.memory), text)
 
 
 def _next(evidence: Evidence) -> Iterator[Piece]:
@@ -208,10 +209,10 @@ def _numbers(evidence: Evidence) -> Iterator[Piece]:
 
 
 def _detectable(evidence: Evidence) -> Iterator[Piece]:
-    if (found := evidence.diagnosis.detectable) is not None:
-        yield Paragraph(detectable_sentence(found))
-        if found.effects:
-            yield detectable_table(found)
+    if (sizes := evidence.diagnosis.detectable) is not None:
+        yield Paragraph(detectable_sentence(sizes))
+        if sizes.effects:
+            yield detectable_table(sizes)
 
 
 def _cannot_show(evidence: Evidence) -> Iterator[Piece]:
@@ -242,10 +243,10 @@ _SECTIONS: tuple[tuple[str, Callable[[Evidence], Iterator[Piece]]], ...] = (
 
 
 def _versions() -> dict[str, str]:
-    found = {}
+    versions = {}
     for package in ("hystmpc", "numpy", "scipy"):
         try:
-            found[package] = version(package)
+            versions[package] = version(package)
         except PackageNotFoundError:
             continue
-    return found
+    return versions

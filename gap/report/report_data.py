@@ -231,7 +231,7 @@ def _network_effects(findings: Findings) -> Mapping[str, str]:
 
 def _sentence(row: Confusable) -> str:
     names = " and ".join(name.replace("_", " ") for name in row.effects)
-    return f"{names[:1].upper()}{names[1:]} cannot be told apart ({row.found}); {row.separated_by} would do it."
+    return f"{names[:1].upper()}{names[1:]} cannot be told apart ({row.present}); {row.separated_by} would do it."
 
 
 def _trials(findings: Findings, floor_deg: float) -> tuple[TrialEvidence, ...]:

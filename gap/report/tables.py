@@ -50,13 +50,13 @@ def candidates_table(evidence: Evidence) -> Table:
     )
 
 
-def tracking_table(found: TrackingGap) -> Table:
+def tracking_table(tracking: TrackingGap) -> Table:
     """Expected closed-loop errors of every motion and over all of them."""
-    rows = [(in_words(m.name), m.before_deg, m.after_deg, m.before_deg - m.after_deg) for m in found.motions]
-    rows.append(("all motions", found.before_deg, found.after_deg, found.fall_deg))
+    rows = [(in_words(m.name), m.before_deg, m.after_deg, m.before_deg - m.after_deg) for m in tracking.motions]
+    rows.append(("all motions", tracking.before_deg, tracking.after_deg, tracking.fall_deg))
     caption = (
         "RMS of the true angle less the reference. Over seeds of the noise: "
-        f"before {_interval(found.before_range_deg)}, after {_interval(found.after_range_deg)} deg."
+        f"before {_interval(tracking.before_range_deg)}, after {_interval(tracking.after_range_deg)} deg."
     )
     return Table(("motion", "before [deg]", "after [deg]", "fall [deg]"), rows, caption)
 
@@ -76,7 +76,7 @@ def confusable_table(evidence: Evidence) -> Table:
             ", ".join(in_words(name) for name in row.effects),
             "one class" if row.one_class else "yes" if row.separable else "no",
             "nothing: equal by algebra" if row.one_class else row.separated_by,
-            row.found,
+            row.present,
             percent(row.alike_in_sine),
             percent(row.alike_in_hold),
         )
@@ -90,9 +90,9 @@ def confusable_table(evidence: Evidence) -> Table:
     return Table(columns, rows, caption)
 
 
-def detectable_table(found: DetectableSizes) -> Table:
+def detectable_table(sizes: DetectableSizes) -> Table:
     """The least size of each effect that these logs would show."""
-    return Table(DETECTABLE_COLUMNS, detectable_rows(found), "These logs would show each effect from this size on.")
+    return Table(DETECTABLE_COLUMNS, detectable_rows(sizes), "These logs would show each effect from this size on.")
 
 
 def parameters_table(evidence: Evidence) -> Table:
@@ -115,8 +115,8 @@ def retuned_table(evidence: Evidence) -> Table:
     """Baseline quantities before and after the refit."""
     units = baseline_units(evidence.diagnosis)
     rows = [
-        (in_words(name), units[name], given, found, "" if given == 0 else f"{100 * (found / given - 1):+.1f} %")
-        for name, (given, found) in evidence.diagnosis.retuned.items()
+        (in_words(name), units[name], given, retuned, "" if given == 0 else f"{100 * (retuned / given - 1):+.1f} %")
+        for name, (given, retuned) in evidence.diagnosis.retuned.items()
     ]
     caption = "Retuning of the simulator, without effects: not an effect."
     return Table(("quantity", "unit", "as given", "retuned", "change"), rows, caption)
@@ -124,25 +124,25 @@ def retuned_table(evidence: Evidence) -> Table:
 
 def check_pieces(evidence: Evidence) -> Iterator[Piece]:
     """What the commands of the logs do, and the notes."""
-    found, unit = evidence.excitation, evidence.command_unit
-    if found is not None:
-        speeds = ", ".join(f"{speed:.3g}" for speed in found.ramp_speeds)
+    excitation, unit = evidence.excitation, evidence.command_unit
+    if excitation is not None:
+        speeds = ", ".join(f"{speed:.3g}" for speed in excitation.ramp_speeds)
         rows = {
-            "motions": ", ".join(dict.fromkeys(in_words(motion) for motion in found.motions)),
-            "pairs of repeats": len(found.repeats),
-            "opening motion repeated": "yes" if found.opening_repeated else "no",
-            "longest hold": f"{found.longest_hold_s:.1f} s",
-            "fastest command": f"{found.fastest:.3g} {unit}/s",
+            "motions": ", ".join(dict.fromkeys(in_words(motion) for motion in excitation.motions)),
+            "pairs of repeats": len(excitation.repeats),
+            "opening motion repeated": "yes" if excitation.opening_repeated else "no",
+            "longest hold": f"{excitation.longest_hold_s:.1f} s",
+            "fastest command": f"{excitation.fastest:.3g} {unit}/s",
             "constant speeds": f"{speeds} {unit}/s" if speeds else "none",
-            "fast steps": found.steps,
-            "small moves above 1.5 Hz": found.fast_small,
-            "time near the lowest command": f"{found.low_s:.1f} s in {found.low_visits} visits",
-            "levels of turning near the top": found.top_levels,
+            "fast steps": excitation.steps,
+            "small moves above 1.5 Hz": excitation.fast_small,
+            "time near the lowest command": f"{excitation.low_s:.1f} s in {excitation.low_visits} visits",
+            "levels of turning near the top": excitation.top_levels,
         }
         yield KeyValues(rows)
     for note in evidence.diagnosis.notes:
         yield Paragraph(note)
-    if found is None and not evidence.diagnosis.notes:
+    if excitation is None and not evidence.diagnosis.notes:
         yield Paragraph("The checks found nothing to remark.")
 
 

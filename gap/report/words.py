@@ -89,16 +89,16 @@ def _moved_words(row: Moved) -> str:
 def _causes(diagnosis: Diagnosis) -> list[str]:
     """Effects found, the most probable first, each with those that it may stand for, as `lag or delay`."""
     sets = {name: words for names, words in zip(diagnosis.ambiguity, choices(diagnosis), strict=True) for name in names}
-    led = sorted(diagnosis.effects, key=lambda effect: -effect.probability)
-    found = dict.fromkeys(sets.get(effect.name, effect.words) for effect in led)
-    return list(found) or choices(diagnosis)
+    effects = sorted(diagnosis.effects, key=lambda effect: -effect.probability)
+    causes = dict.fromkeys(sets.get(effect.name, effect.words) for effect in effects)
+    return list(causes) or choices(diagnosis)
 
 
 def choices(diagnosis: Diagnosis) -> list[str]:
     """Every set of effects that these trials cannot tell apart, the most probable first, as `lag or delay`."""
     chance = chances(diagnosis)
-    led = (sorted(names, key=lambda name: -chance.get(name, 0.0)) for names in diagnosis.ambiguity)
-    return [listed([in_words(name) for name in names], "or") for names in led]
+    sets = (sorted(names, key=lambda name: -chance.get(name, 0.0)) for names in diagnosis.ambiguity)
+    return [listed([in_words(name) for name in names], "or") for names in sets]
 
 
 def chances(diagnosis: Diagnosis) -> dict[str, float]:
@@ -133,12 +133,12 @@ def closed_sentence(diagnosis: Diagnosis) -> str:
 
 def stability_sentence(diagnosis: Diagnosis) -> str:
     """How often the verdict comes out again; empty where the trials allow no choice."""
-    found = diagnosis.stability
-    if found is None:
+    stability = diagnosis.stability
+    if stability is None:
         return ""
-    same = round(found.share * found.resamples)
-    text = f"The same verdict and names come out in {same} of {found.resamples} resampled splits of these trials"
-    others = [f"{_plain(result)} in {percent(share)}" for result, share in found.otherwise]
+    same = round(stability.share * stability.resamples)
+    text = f"The same verdict and names come out in {same} of {stability.resamples} resampled splits of these trials"
+    others = [f"{_plain(result)} in {percent(share)}" for result, share in stability.otherwise]
     return f"{text}; else {listed(others, 'and')}." if others else f"{text}."
 
 
@@ -187,28 +187,28 @@ def _unit(effect: FoundEffect, name: str) -> str:
 
 def tracking_sentence(diagnosis: Diagnosis) -> str:
     """The closed-loop tracking error now and with the corrected simulator; empty where it was not asked for."""
-    found = diagnosis.tracking
-    if found is None:
+    tracking = diagnosis.tracking
+    if tracking is None:
         return ""
-    if found.why_not or diagnosis.relies_on_its_split:
-        return f"How far the closed-loop tracking error falls cannot be said: {found.why_not or FLIPS}."
-    before, after = (_size_of(v, ends, diagnosis.unit) for v, ends in _errors(found))
+    if tracking.why_not or diagnosis.relies_on_its_split:
+        return f"How far the closed-loop tracking error falls cannot be said: {tracking.why_not or FLIPS}."
+    before, after = (_size_of(v, ends, diagnosis.unit) for v, ends in _errors(tracking))
     floor = diagnosis.gap.floor_rmse_deg
-    if not found.changes(floor):
+    if not tracking.changes(floor):
         return (
             f"No fall of the closed-loop tracking error is expected: {before} RMS with the simulator as given, {after} "
             f"with the corrected one; the floor is {_size(floor, diagnosis.unit)}."
         )
-    change = "fall" if found.fall_deg > 0 else "rise"
+    change = "fall" if tracking.fall_deg > 0 else "rise"
     return (
-        f"The closed-loop tracking error is expected to {change} by {percent(abs(found.fall_share))}, "
+        f"The closed-loop tracking error is expected to {change} by {percent(abs(tracking.fall_share))}, "
         f"from {before} RMS to {after}, where the predictive controller, without learning, gets the corrected "
         "simulator as its model."
     )
 
 
-def _errors(found: TrackingGap) -> tuple[tuple[float, Interval], tuple[float, Interval]]:
-    return (found.before_deg, found.before_range_deg), (found.after_deg, found.after_range_deg)
+def _errors(tracking: TrackingGap) -> tuple[tuple[float, Interval], tuple[float, Interval]]:
+    return (tracking.before_deg, tracking.before_range_deg), (tracking.after_deg, tracking.after_range_deg)
 
 
 def _size_of(value: float, ends: Interval, unit: str) -> str:
@@ -246,9 +246,9 @@ def retuning_sentence(diagnosis: Diagnosis) -> str:
     """Quantities of the simulator that retuning moves by more than they are shown with; empty where there are none."""
     units = baseline_units(diagnosis)
     each = [
-        f"{in_words(name)} from {given:.3g} to {found:.3g} {units.get(name, '')}"
-        for name, (given, found) in diagnosis.retuned.items()
-        if f"{given:.3g}" != f"{found:.3g}"
+        f"{in_words(name)} from {given:.3g} to {retuned:.3g} {units.get(name, '')}"
+        for name, (given, retuned) in diagnosis.retuned.items()
+        if f"{given:.3g}" != f"{retuned:.3g}"
     ]
     return f"Retuning moves {listed(each, 'and')}." if each else ""
 
@@ -260,7 +260,7 @@ def mis_set_sentence(diagnosis: Diagnosis) -> str:
     return retuning_sentence(diagnosis) if mis_set and diagnosis.verdict in ("named", "one_of", "unknown") else ""
 
 
-def detectable_rows(found: DetectableSizes) -> list[tuple[str, ...]]:
+def detectable_rows(sizes: DetectableSizes) -> list[tuple[str, ...]]:
     """A row for each effect, in the order of `DETECTABLE_COLUMNS`."""
     return [
         (
@@ -269,7 +269,7 @@ def detectable_rows(found: DetectableSizes) -> list[tuple[str, ...]]:
             percent(one.hidden) if math.isfinite(one.hidden) else "",
             _detectable_remark(one),
         )
-        for one in found.effects
+        for one in sizes.effects
     ]
 
 
@@ -285,14 +285,14 @@ def _detectable_remark(one: Detectable) -> str:
     return "jumps need more" if one.effect == "stick_slip" else ""
 
 
-def detectable_sentence(found: DetectableSizes) -> str:
+def detectable_sentence(sizes: DetectableSizes) -> str:
     """What the least sizes mean, or why there are none."""
-    return found.why_not or (
-        f"An effect has to leave {_size(found.needed_rmse_deg, found.unit)} RMS after retuning: less passes for the "
+    return sizes.why_not or (
+        f"An effect has to leave {_size(sizes.needed_rmse_deg, sizes.unit)} RMS after retuning: less passes for the "
         "simulator's own model-form error. Each size is that of one effect alone in a free run over these commands; "
         "no measured angle was looked at, but for the first of each trial. Hidden: share of the effect's energy that "
         "retuning takes up. Stick-slip is seen by its jumps, which needs about 2.5 times its size."
-        + (_ORDER_HIDES if any(one.untestable for one in found.effects) else "")
+        + (_ORDER_HIDES if any(one.untestable for one in sizes.effects) else "")
     )
 
 

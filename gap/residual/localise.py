@@ -84,11 +84,11 @@ class _Periodograms:
 def spectrum_of(trials: Sequence[Trial], residuals: Sequence[Vec]) -> Spectrum:
     """Spectrum of residuals (T,) [deg] of uniform trials at one rate."""
     locked = locked_part(trials, residuals)
-    found = [_periodograms(*each) for each in zip(trials, residuals, locked, strict=True) if each[1].size >= 32]
-    total = sum(float(s.power.sum()) for s in found)
+    spectra = [_periodograms(*each) for each in zip(trials, residuals, locked, strict=True) if each[1].size >= 32]
+    total = sum(float(s.power.sum()) for s in spectra)
     if total <= 0:
         return Spectrum(0.0, ())
-    return Spectrum(_coherent(trials, residuals), _lines(found, total))
+    return Spectrum(_coherent(trials, residuals), _lines(spectra, total))
 
 
 def _periodograms(trial: Trial, e: Vec, locked: Vec) -> _Periodograms:
@@ -164,12 +164,12 @@ def _commanded(s: _Periodograms, grid: Vec) -> Mask:
     """Frequencies of the command's own lines, and of harmonics of its fundamental."""
     peaks = (s.command > _COMMANDED * float(s.command.max())) & (_ratio(s.command, s.bin_hz) > _PEAK)
     peaks |= np.roll(peaks, 1) | np.roll(peaks, -1)
-    found = np.interp(grid, s.hz, peaks.astype(np.float64)) > 0
+    commanded = np.interp(grid, s.hz, peaks.astype(np.float64)) > 0
     if s.fundamental > _SPARSE * s.bin_hz:
         order = np.rint(grid / s.fundamental)
         near = np.abs(grid - order * s.fundamental) <= _WIDE * s.bin_hz
-        found |= near & (order <= _HIGHEST_HARMONIC)
-    return found
+        commanded |= near & (order <= _HIGHEST_HARMONIC)
+    return commanded
 
 
 def _above(s: _Periodograms, hz: float) -> float:

@@ -86,7 +86,7 @@ def expected_tracking(
         for m, motion in enumerate(motions)
     )
     before, after = np.sqrt(squares.mean(axis=1)).T
-    found = TrackingGap(
+    gap = TrackingGap(
         before_deg=math.sqrt(float(squares[..., 0].mean())),
         after_deg=math.sqrt(float(squares[..., 1].mean())),
         before_range_deg=(float(before.min()), float(before.max())),
@@ -94,9 +94,9 @@ def expected_tracking(
         motions=each,
     )
     alone = np.sqrt(_squares(laws, UnexplainedPlant(corrected, seeds[0], explained=True), motions)[0].mean(axis=0))
-    if why_not := _undetermined(found, TrackingGap(*alone.tolist()), floor_deg):
+    if why_not := _undetermined(gap, TrackingGap(*alone.tolist()), floor_deg):
         return TrackingGap(why_not=why_not), ()
-    return found, tuple(_curve(motion, pair, plant.dt) for motion, pair in zip(motions, runs, strict=True))
+    return gap, tuple(_curve(motion, pair, plant.dt) for motion, pair in zip(motions, runs, strict=True))
 
 
 def _squares(
@@ -113,11 +113,11 @@ def _squares(
     return np.array(squares), runs
 
 
-def _undetermined(found: TrackingGap, alone: TrackingGap, floor_deg: float) -> str:
+def _undetermined(gap: TrackingGap, alone: TrackingGap, floor_deg: float) -> str:
     """Why a fall cannot be said, given the one on the corrected simulator alone; empty where it can."""
-    if not found.changes(floor_deg) or abs(alone.fall_share - found.fall_share) <= NEAR * abs(found.fall_share):
+    if not gap.changes(floor_deg) or abs(alone.fall_share - gap.fall_share) <= NEAR * abs(gap.fall_share):
         return ""
-    low, high = sorted((found.fall_share, alone.fall_share))
+    low, high = sorted((gap.fall_share, alone.fall_share))
     return (
         f"what the corrected simulator leaves unexplained decides the fall of the error: {100 * low:.0f} % to "
         f"{100 * high:.0f} %, expected within {100 * NEAR:.0f} % of each other"
@@ -207,18 +207,18 @@ def with_tracking(evidence: Evidence, progress: Progress | None = None) -> Evide
     report(98, 100, "closed loop before and after")
     curves: tuple[TrackingCurve, ...] = ()
     why_not = _why_not(evidence)
-    found = TrackingGap(why_not=why_not)
+    gap = TrackingGap(why_not=why_not)
     if not why_not and evidence.nominal is not None and evidence.fixed is not None:
         seeds = SEEDS if evidence.nominal.dt_s > _FAST_DT_S else SEEDS[:1]
         try:
             motions = covered_motions(evidence.trials, evidence.fixed, evidence.seed)
-            found, curves = expected_tracking(
+            gap, curves = expected_tracking(
                 evidence.nominal, evidence.fixed, motions, seeds=seeds, floor_deg=evidence.diagnosis.gap.floor_rmse_deg
             )
         except HystmpcError as error:
-            found = TrackingGap(why_not=f"the closed loop could not be simulated ({error})")
+            gap = TrackingGap(why_not=f"the closed loop could not be simulated ({error})")
     report(100, 100, evidence.diagnosis.verdict)
-    return replace(evidence, diagnosis=replace(evidence.diagnosis, tracking=found), curves=curves)
+    return replace(evidence, diagnosis=replace(evidence.diagnosis, tracking=gap), curves=curves)
 
 
 def covered_motions(trials: Sequence[TrialEvidence], fixed: Simulator, seed: int) -> tuple[CountedMotion, ...]:

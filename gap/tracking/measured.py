@@ -102,8 +102,8 @@ def measured_runs(folder: Path) -> tuple[MeasuredRun, ...]:
 def _at_bench(run: RunFolder) -> MeasuredRun:
     settings = RunSettings.parse(run.config(), str(run.path / "config.yaml"))
     log, reference, dt_s = run.log(), settings.reference.build(), settings.dt_s
-    if gone := [name for name in ("angle_deg", "reference_deg", "sequence") if name not in log]:
-        raise LogError(f"{run.path}: the log lacks {', '.join(gone)}, expected the log of a run at a bench")
+    if missing := [name for name in ("angle_deg", "reference_deg", "sequence") if name not in log]:
+        raise LogError(f"{run.path}: the log lacks {', '.join(missing)}, expected the log of a run at a bench")
     sequence = _numbers(log, "sequence").astype(np.int64)
     follows = np.flatnonzero(np.diff(sequence) == 1)  # rows whose end is the next row's beginning
     wanted, angle = _numbers(log, "reference_deg")[follows], _numbers(log, "angle_deg")[follows + 1]
@@ -192,12 +192,12 @@ def tracking_falls(run: Path, before: Sequence[Path], diagnosis: Path | None = N
     earlier = [_matching(run, after, folder) for folder in before]
     pair = None if diagnosis is None else _simulators(diagnosis)
     falls = []
-    for k, own in enumerate(after):
-        olds = [old for olds in earlier if (old := olds[k]) is not None]
-        expected = None if pair is None or (before and not olds) else _expected(own, *pair)
-        falls += [TrackingFall(own, old, expected) for old in olds]
+    for k, run_after in enumerate(after):
+        earlier_runs = [earlier_run for earlier_runs in earlier if (earlier_run := earlier_runs[k]) is not None]
+        expected = None if pair is None or (before and not earlier_runs) else _expected(run_after, *pair)
+        falls += [TrackingFall(run_after, earlier_run, expected) for earlier_run in earlier_runs]
         if not before:
-            falls.append(TrackingFall(own, None, expected))
+            falls.append(TrackingFall(run_after, None, expected))
     return tuple(falls)
 
 
@@ -235,27 +235,28 @@ def fall_pieces(falls: Sequence[TrackingFall]) -> tuple[Piece, ...]:
 
 def _matching(run: Path, after: Sequence[MeasuredRun], folder: Path) -> list[MeasuredRun | None]:
     """The earlier run of each of a folder's runs; None where that folder has none of its name."""
-    found = {old.name: old for old in measured_runs(folder)}
-    matched = [found.get(own.name) for own in after]
+    by_name = {earlier.name: earlier for earlier in measured_runs(folder)}
+    matched = [by_name.get(run_after.name) for run_after in after]
     if not any(matched):
-        names = ", ".join(found) or "nothing"
+        names = ", ".join(by_name) or "nothing"
         raise LogError(f"--before {folder}: got {names}, expected runs of the names in {run}")
-    for own, old in zip(after, matched, strict=True):
-        if old is not None:
-            _require_same(own, old)
+    for run_after, earlier in zip(after, matched, strict=True):
+        if earlier is not None:
+            _require_same(run_after, earlier)
     return matched
 
 
-def _require_same(own: MeasuredRun, old: MeasuredRun) -> None:
-    rate = 1.0 / own.dt_s
-    (_, wanted), (_, other) = sample(own.reference, rate), sample(old.reference, rate)
-    where = f"--before {old.folder}"
+def _require_same(after: MeasuredRun, before: MeasuredRun) -> None:
+    rate = 1.0 / after.dt_s
+    (_, wanted), (_, other) = sample(after.reference, rate), sample(before.reference, rate)
+    where = f"--before {before.folder}"
     if wanted.size != other.size:
-        got, expected = old.reference.duration_s, own.reference.duration_s
-        raise LogError(f"{where}: a reference of {got:.4g} s, expected that of {own.folder}, {expected:.4g} s")
+        got, expected = before.reference.duration_s, after.reference.duration_s
+        raise LogError(f"{where}: a reference of {got:.4g} s, expected that of {after.folder}, {expected:.4g} s")
     apart = float(np.max(np.abs(wanted - other)))
     if apart > _SAME_DEG:
-        raise LogError(f"{where}: a reference up to {apart:.3g} deg beside that of {own.folder}, expected the same one")
+        distance = f"a reference up to {apart:.3g} deg beside that of {after.folder}"
+        raise LogError(f"{where}: {distance}, expected the same one")
 
 
 def _simulators(folder: Path) -> tuple[Simulator, Simulator]:
@@ -271,16 +272,16 @@ def _simulators(folder: Path) -> tuple[Simulator, Simulator]:
     return load_simulator(folder / GIVEN_FILE), load_simulator(folder / FIXED_FILE)
 
 
-def _expected(own: MeasuredRun, nominal: Simulator, corrected: Simulator) -> TrackingGap:
+def _expected(run: MeasuredRun, nominal: Simulator, corrected: Simulator) -> TrackingGap:
     """The expected errors on the run's own reference, with the controller that it had."""
-    if not isinstance(own.settings, LinearisedMpcSettings | SamplingMpcSettings):
-        return TrackingGap(why_not=f"{own.name or own.folder}: its controller does not predict with a model")
-    nominal, corrected = nominal.at_sample_time(own.dt_s), corrected.at_sample_time(own.dt_s)
-    settings: LawSettings = own.settings
-    motion = CountedMotion(own.name or "reference", own.reference, 0.0)
-    if own.led:
+    if not isinstance(run.settings, LinearisedMpcSettings | SamplingMpcSettings):
+        return TrackingGap(why_not=f"{run.name or run.folder}: its controller does not predict with a model")
+    nominal, corrected = nominal.at_sample_time(run.dt_s), corrected.at_sample_time(run.dt_s)
+    settings: LawSettings = run.settings
+    motion = CountedMotion(run.name or "reference", run.reference, 0.0)
+    if run.led:
         rest = UnexplainedPlant(corrected, 1).true_angle
-        motion = approached(motion.name, rest, float(own.reference(0.0)), own.reference)
+        motion = approached(motion.name, rest, float(run.reference(0.0)), run.reference)
     try:
         return expected_tracking(nominal, corrected, (motion,), settings=settings)[0]
     except ConfigError:
