@@ -48,11 +48,11 @@ def check(logs: Logs, preset: Layout = "auto", sampled_hz: SampledHz = None, sim
 
 def _print_detectable(trials: Sequence[Trial], simulator: Simulator | OnnxModel) -> None:
     """What all logs together would show of the gap between this simulator and its device."""
-    from hystmpc.gap.diagnose import what_logs_would_show  # compiles
+    from hystmpc.gap.diagnose import detectable_in_logs  # compiles
     from hystmpc.gap.report.words import DETECTABLE_COLUMNS, detectable_rows, detectable_sentence
 
     with bar("what the logs would show"):
-        found = what_logs_would_show(trials, simulator)
+        found = detectable_in_logs(trials, simulator)
     out.print(detectable_sentence(found), highlight=False)
     if found.effects:
         out.print(table("These logs would show", DETECTABLE_COLUMNS, detectable_rows(found)))

@@ -21,13 +21,13 @@ from hystmpc.trials.errors import GapError, did_you_mean
 from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Progress, no_progress
 
-from .decide.ambiguity import agreeing, probability, ranking
-from .decide.attribution import DiagnosisSettings, Findings, attribute, confirm, never_worse
+from .decide.ambiguity import limited_by_inclusion, probability, ranking
+from .decide.attribution import DiagnosisSettings, Findings, as_given_if_better, attribute, confirm
 from .decide.remaining_structure import SHIFT, UNITS, Configuration, configuration_of
 from .decide.retuning import moved_numbers, retuned_with
 from .decide.stability import stability_of
-from .diagnosis import DetectableSizes, Diagnosis, FoundEffect, Untestable
-from .logs.detectable import sizes_shown
+from .diagnosis import DetectableSizes, Diagnosis, IdentifiedEffect, Untestable
+from .logs.detectable import smallest_detectable
 from .logs.preparation import PreparedTrials, prepare
 from .logs.trial_choice import NEEDS_ORDER
 from .next.open_hypotheses import next_step, unseparated
@@ -35,7 +35,7 @@ from .residual.localise import Localisation, localise
 from .residual.memory import explainable_share
 
 if TYPE_CHECKING:
-    from .report.report_data import Evidence
+    from .report.report_data import ReportData
 
 
 DEFAULT_SETTINGS = DiagnosisSettings()
@@ -89,14 +89,14 @@ def find_causes(
     if say:
         for line in filter(None, (*prepared.checked.left_out, prepared.checked.workload.estimate)):
             say(line)
-    detectable = sizes_shown(prepared, settings.verdict.no_gap, left_out)
+    detectable = smallest_detectable(prepared, settings.verdict.no_gap, left_out)
     validation = CrossValidation(prepared.baseline, prepared.development)
     prepared, validation, retuned = retuned_with(prepared, validation)
     clock.lap("check and retune")
     attribution = attribute(prepared, validation, retuned, left_out, settings, seed, _selection_progress(progress))
     clock.lap("which")
     progress(88, _STEPS, "measuring the gap on the final trials")
-    attribution = never_worse(prepared, attribution)
+    attribution = as_given_if_better(prepared, attribution)
     conclusion = confirm(prepared, attribution, settings.verdict, seed)
     clock.lap("how far")
     stability = stability_of(prepared, attribution, conclusion, settings, seed)
@@ -119,7 +119,7 @@ def find_causes(
 
 
 @one_blas_thread
-def conclude(findings: Findings, progress: Progress | None = None) -> tuple[Diagnosis, Evidence]:
+def conclude(findings: Findings, progress: Progress | None = None) -> tuple[Diagnosis, ReportData]:
     """The next motion, the diagnosis, and all that its report shows."""
     from .report.report_data import report_data
 
@@ -137,7 +137,7 @@ def conclude(findings: Findings, progress: Progress | None = None) -> tuple[Diag
     return diagnosis, evidence
 
 
-def what_logs_would_show(
+def detectable_in_logs(
     trials: Sequence[Trial], simulator: Simulator | LoadedModel, settings: DiagnosisSettings = DEFAULT_SETTINGS
 ) -> DetectableSizes:
     """The least size of each effect at which a diagnosis of these trials would see a gap, from their commands alone.
@@ -151,7 +151,7 @@ def what_logs_would_show(
         GapError: on unusable trials (`check_trials`).
         ModelError: if the simulator is an inverse map.
     """
-    return sizes_shown(prepare(trials, simulator, ordered=False), settings.verdict.no_gap)
+    return smallest_detectable(prepare(trials, simulator, ordered=False), settings.verdict.no_gap)
 
 
 def _selection_progress(progress: Progress) -> Callable[[float, str], None]:
@@ -205,11 +205,11 @@ def _diagnosis(findings: Findings, parameters: Sequence[ParameterRow]) -> Diagno
     from .report.words import reason_for
 
     prepared, attribution, conclusion = findings.prepared, findings.attribution, findings.conclusion
-    ruling, jumps, hypothesis = conclusion.ruling, attribution.jumps, attribution.retuned
+    decision, jumps, hypothesis = conclusion.decision, attribution.jumps, attribution.retuned
     grouped = configuration_of(conclusion.chosen, prepared.everything)
     probabilities = _probabilities(findings, grouped)
     effects = _effects(findings, probabilities, parameters, grouped)
-    sets = sorted(ruling.ambiguity, key=lambda names: -probabilities.get(names[0], 0.0))
+    sets = sorted(decision.ambiguity, key=lambda names: -probabilities.get(names[0], 0.0))
     ambiguity = tuple(tuple(_called(name, grouped) for name in names) for names in sets)
     decades, units = prepared.decades, prepared.checked.trials[0].units
     nominal, retuned = (
@@ -217,14 +217,14 @@ def _diagnosis(findings: Findings, parameters: Sequence[ParameterRow]) -> Diagno
         for z in (prepared.baseline.nominal, hypothesis.problem.retuned(hypothesis.q))
     )
     library = [name for name in diagnosable() if name not in findings.left_out]
-    moved = moved_numbers(prepared, hypothesis, parameters) if ruling.verdict == "retuned" else ()
+    moved = moved_numbers(prepared, hypothesis, parameters) if decision.verdict == "retuned" else ()
     sizes, checked = decades.log_sizes(conclusion.closed.gap), prepared.checked
-    rivals = ruling.ambiguity or (unseparated(findings),)
+    rivals = decision.ambiguity or (unseparated(findings),)
     ranked = ranking(probabilities, attribution.inclusion, rivals, library, _left_open(findings))
     return Diagnosis(
-        verdict=ruling.verdict,
+        verdict=decision.verdict,
         reason=reason_for(
-            replace(ruling, ambiguity=ambiguity),
+            replace(decision, ambiguity=ambiguity),
             effects,
             sizes,
             prepared.too_little,
@@ -257,7 +257,7 @@ def _explainable_share(findings: Findings) -> float | None:
     errors = prepared.scored(prepared.residuals(findings.attribution.retuned))
     mse = float(np.mean(np.concatenate(errors) ** 2))
     structural = mse - conclusion.closed.gap.floor_rmse_deg**2
-    if structural <= 0 or conclusion.ruling.case == "moved" or conclusion.ruling.verdict == "none":
+    if structural <= 0 or conclusion.decision.case == "moved" or conclusion.decision.verdict == "none":
         return None
     explained = explainable_share(prepared.checked.trials, errors, findings.seed) * mse
     return float(np.clip(explained / structural, 0.0, 1.0))
@@ -286,14 +286,14 @@ def _untestable(findings: Findings) -> tuple[Untestable, ...]:
 def _probabilities(findings: Findings, grouped: Configuration | None) -> dict[str, float]:
     """Probability of each effect found; that shifts fall into groups makes them less of an imitation."""
     causes, missing = findings.conclusion.closed.causes, set(findings.left_out)
-    ambiguous = {name for names in findings.conclusion.ruling.ambiguity for name in names}
+    ambiguous = {name for names in findings.conclusion.decision.ambiguity for name in names}
     untestable_names = {untestable.name for untestable in _untestable(findings)}
     ambiguous |= {name for name in causes if untestable_names & set(EFFECTS[name].also_taken_for)}
     probabilities = {}
     for name, cause in causes.items():
         untried = bool(confounders(name) & missing)
         chance = probability(_called(name, grouped), cause.share, name in ambiguous, _stable(findings), untried)
-        probabilities[name] = agreeing(chance, findings.attribution.inclusion.get(name, 1.0))
+        probabilities[name] = limited_by_inclusion(chance, findings.attribution.inclusion.get(name, 1.0))
     return probabilities
 
 
@@ -302,7 +302,7 @@ def _left_open(findings: Findings) -> float:
 
     Where nothing is missing in the simulator, it is the chance that the verdict is another one.
     """
-    if findings.conclusion.ruling.verdict not in ("none", "retuned"):
+    if findings.conclusion.decision.verdict not in ("none", "retuned"):
         return 1.0
     return 1 - _SURE_OF_NONE * _stable(findings)
 
@@ -321,7 +321,7 @@ def _effects(
     probabilities: Mapping[str, float],
     parameters: Sequence[ParameterRow],
     grouped: Configuration | None,
-) -> tuple[FoundEffect, ...]:
+) -> tuple[IdentifiedEffect, ...]:
     """Effects found, the most probable first."""
     closed, decades, log = findings.conclusion.closed, findings.prepared.decades, findings.prepared.checked.trials[0]
     units = {
@@ -329,7 +329,7 @@ def _effects(
         for name in closed.causes
     }
     effects = (
-        FoundEffect(
+        IdentifiedEffect(
             name=_called(name, grouped),
             probability=probabilities[name],
             inclusion=findings.attribution.inclusion.get(name, 1.0),
@@ -359,7 +359,7 @@ class Diagnosed:
     """
 
     findings: Findings
-    evidence: Evidence
+    evidence: ReportData
 
     @property
     def diagnosis(self) -> Diagnosis:

@@ -31,7 +31,7 @@ _NO_FALL, _HIDDEN = 0.05, 0.3  # of the error: less is no fall; the same where t
 
 
 @dataclass(frozen=True)
-class FoundEffect:
+class IdentifiedEffect:
     """One effect that the diagnosis added to the simulator.
 
     Attributes:
@@ -102,7 +102,7 @@ class Gap:
 
 
 @dataclass(frozen=True)
-class Place:
+class ResidualShare:
     """Share of the retuned gap in one part of the motion.
 
     Attributes:
@@ -117,7 +117,7 @@ class Place:
 
 
 @dataclass(frozen=True)
-class Moved:
+class RetunedParameter:
     """A number of the simulator's core that retuning has moved.
 
     Attributes:
@@ -296,12 +296,12 @@ class Diagnosis:
 
     verdict: Verdict
     reason: str
-    effects: tuple[FoundEffect, ...]
+    effects: tuple[IdentifiedEffect, ...]
     ambiguity: tuple[tuple[str, ...], ...]
     ranking: tuple[tuple[str, float], ...]
     gap: Gap
     retuned: Mapping[str, tuple[float, float]]
-    where: Mapping[str, Place]
+    where: Mapping[str, ResidualShare]
     notes: tuple[str, ...] = ()
     next_motion: NextMotion | None = None
     tracking: TrackingGap | None = None
@@ -309,7 +309,7 @@ class Diagnosis:
     untestable: tuple[Untestable, ...] = ()
     stability: Stability | None = None
     explainable_share: float | None = None
-    moved: tuple[Moved, ...] = ()
+    moved: tuple[RetunedParameter, ...] = ()
     groups: tuple[tuple[str, ...], ...] = ()
     detectable: DetectableSizes | None = None
     unit: str = "deg"

@@ -10,9 +10,9 @@ import numpy as np
 from hystmpc.ctrl.limits import CommandLimits
 from hystmpc.gap.logs.preparation import nominal_noise_deg
 from hystmpc.gap.next.motion_design import (
+    EvaluatedMotion,
     Noise,
     OpenHypothesis,
-    Option,
     expected_probability,
     information_bits,
     option_on,
@@ -44,7 +44,7 @@ class FirstMotions:
         probability: expected one of the right name, chance being one over their number.
     """
 
-    options: Mapping[str, Option]
+    options: Mapping[str, EvaluatedMotion]
     numbers: Mapping[str, Vec]
     explanations: tuple[str, ...]
     probability: float
@@ -54,7 +54,7 @@ def first_motions(
     simulator: Simulator,
     family: MotionFamily,
     count: int,
-    allowed: Callable[[Option], bool],
+    allowed: Callable[[EvaluatedMotion], bool],
     overhead_s: float,
 ) -> FirstMotions:
     """Motions of the family's starts that tell most per second which effect the simulator might lack.
@@ -92,7 +92,7 @@ def further_motion(
     family: MotionFamily,
     recorded: Collection[str],
     number: int,
-    allowed: Callable[[Option], bool],
+    allowed: Callable[[EvaluatedMotion], bool],
     overhead_s: float,
 ) -> FirstMotions | None:
     """The start of the family that adds most per second to those recorded; None where none is left or allowed.
@@ -117,8 +117,8 @@ def further_motion(
 
 
 def _options(
-    simulator: Simulator, family: MotionFamily, allowed: Callable[[Option], bool]
-) -> tuple[tuple[str, ...], dict[str, tuple[Option, Vec]]]:
+    simulator: Simulator, family: MotionFamily, allowed: Callable[[EvaluatedMotion], bool]
+) -> tuple[tuple[str, ...], dict[str, tuple[EvaluatedMotion, Vec]]]:
     """Names of the explanations, and by its name each start of the family that is allowed, with its numbers."""
     everything, noise = explanations(simulator, family.limits, family.dt), prior_noise(simulator)
     found = [_fastest(family, name, everything, noise, allowed) for name in family.starts]
@@ -131,8 +131,8 @@ def _fastest(
     name: str,
     everything: Sequence[OpenHypothesis],
     noise: Noise,
-    allowed: Callable[[Option], bool],
-) -> tuple[Option, Vec] | None:
+    allowed: Callable[[EvaluatedMotion], bool],
+) -> tuple[EvaluatedMotion, Vec] | None:
     """A motion of the family's starts as fast as it is allowed, with its numbers; None where it is not."""
     for factor in _SLOWER:
         numbers = family.slower(family.starts[name], factor)
@@ -143,16 +143,16 @@ def _fastest(
 
 
 def _greedy(
-    options: Sequence[Option], known: Sequence[Option], names: int, count: int, overhead_s: float
-) -> list[Option]:
+    options: Sequence[EvaluatedMotion], known: Sequence[EvaluatedMotion], names: int, count: int, overhead_s: float
+) -> list[EvaluatedMotion]:
     """At most `count` options, each the one that adds most per second to those before it and those known."""
-    chosen: list[Option] = []
+    chosen: list[EvaluatedMotion] = []
     squares = sum((option.distances**2 for option in known), np.zeros((names, names)))
     bits = information_bits(expected_probability(np.sqrt(squares)), names)
     for _ in range(min(count, len(options))):
         left = [option for option in options if option not in chosen]
 
-        def gain(option: Option, squares: np.ndarray = squares, bits: float = bits) -> float:
+        def gain(option: EvaluatedMotion, squares: np.ndarray = squares, bits: float = bits) -> float:
             more = information_bits(expected_probability(np.sqrt(squares + option.distances**2)), names) - bits
             return more / (option.motion.duration_s + overhead_s)
 

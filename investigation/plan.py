@@ -13,15 +13,15 @@ from hystmpc.commissioning.motions import away_seconds, prepare_seconds
 from hystmpc.commissioning.stages import Figure
 from hystmpc.gap.logs.trial_choice import MOST_HZ
 from hystmpc.gap.next.motion_design import (
+    EvaluatedMotion,
     MotionProposal,
-    Option,
     SearchSettings,
     information_bits,
     search_motion,
     write_motion,
 )
 from hystmpc.gap.next.motions import MotionFamily, menu
-from hystmpc.gap.next.open_hypotheses import Question
+from hystmpc.gap.next.open_hypotheses import DiscriminationTask
 from hystmpc.models.simulator import Simulator
 from hystmpc.rig.config import BenchSettings
 from hystmpc.rig.safety.plausibility import MotionWatch
@@ -135,7 +135,7 @@ def _first_longest_s(settings: InvestigateSettings, left_s: float) -> float:
 
 
 def plan_next(
-    settings: InvestigateSettings, question: Question, left_s: float, number: int, longer: int, folder: Path
+    settings: InvestigateSettings, question: DiscriminationTask, left_s: float, number: int, longer: int, folder: Path
 ) -> Plan | None:
     """Design the motion that is worth most and write it; None where no motion tells enough.
 
@@ -180,7 +180,7 @@ def plan_more(
     left_s: float,
     number: int,
     recorded: Collection[str],
-    question: Question | None,
+    question: DiscriminationTask | None,
     folder: Path,
 ) -> Plan | None:
     """A motion of a kind that was not recorded yet, twice as long as the first ones.
@@ -201,7 +201,7 @@ def plan_more(
     around = run_seconds(settings, 0)
     judged, hypotheses = allowed(settings), question.hypotheses if question else ()
 
-    def fits(option: Option) -> bool:
+    def fits(option: EvaluatedMotion) -> bool:
         motion = option.motion
         angles = np.array([fitted.simulate(motion.command, motion.dt) for fitted in hypotheses])
         return judged(replace(option, angles=angles) if hypotheses else option)
@@ -222,7 +222,7 @@ def plan_more(
     )
 
 
-def allowed(settings: InvestigateSettings) -> Callable[[Option], bool]:
+def allowed(settings: InvestigateSettings) -> Callable[[EvaluatedMotion], bool]:
     """Whether a motion keeps the tip within its limits, and would not be taken for that of a blocked tip.
 
     Judged by the angles of all explanations; the bench's own watch on motion is asked with 0.7 of its travel. The
@@ -236,7 +236,7 @@ def allowed(settings: InvestigateSettings) -> Callable[[Option], bool]:
     watch = settings.plausibility
     careful = watch.model_copy(update={"travel": _CAREFUL * watch.travel_of(span, onward=True)})
 
-    def judged(option: Option) -> bool:
+    def judged(option: EvaluatedMotion) -> bool:
         expected = np.median(option.angles, axis=0)
         if expected.min() < low or expected.max() > high:
             return False
@@ -267,7 +267,7 @@ def _family(settings: InvestigateSettings, longest_s: float) -> MotionFamily:
 
 
 def _written(
-    folder: Path, name: str, option: Option, numbers: Vec, settings: InvestigateSettings, longest_s: float
+    folder: Path, name: str, option: EvaluatedMotion, numbers: Vec, settings: InvestigateSettings, longest_s: float
 ) -> Vec:
     """Write a motion at the rate of the bench, with the angle and the separation that are expected; its commands."""
     family = MotionFamily(settings.limits.build(), settings.dt_s, settings.safe_command, longest_s)

@@ -154,7 +154,7 @@ def _imitates(name: str) -> bool:
     return name in EFFECTS and EFFECTS[name].generic
 
 
-def agreeing(chance: float, inclusion: float) -> float:
+def limited_by_inclusion(chance: float, inclusion: float) -> float:
     """A probability that agrees with the share of the resamples in whose best explanation the effect is.
 
         P <= (1 + inclusion) / 2

@@ -18,7 +18,7 @@ from hystmpc.models.model import LoadedModel
 from hystmpc.models.simulator import Simulator
 
 from ..diagnosis import DetectableSizes, Stability
-from ..logs.noise_floor import Floor
+from ..logs.noise_floor import NoiseFloor
 from ..logs.preparation import PreparedTrials
 from ..logs.sensor import white_noise
 from ..logs.trial_choice import NEEDS_ORDER
@@ -27,8 +27,8 @@ from .ambiguity import ambiguity_of, drift_is_significant, inclusion_shares
 from .gap_closed import GapClosed, measure, measured_blocks
 from .jumps import Jumps, find_jumps
 from .remaining_structure import structure_left
-from .retuning import Retuning, anew_share, retuning_of, width_grown
-from .verdict import FinalFacts, Ruling, VerdictFacts, VerdictSettings, decide_verdict, residual_ratio
+from .retuning import Retuning, reidentified_share, retuning_of, width_grown
+from .verdict import FinalFacts, VerdictDecision, VerdictFacts, VerdictSettings, decide_verdict, residual_ratio
 
 _PREDICTABLE = 0.5  # of the retuned error: largest part of it that jumps may add to the floor of the selection
 
@@ -79,10 +79,10 @@ class Conclusion:
         closed: sizes of the gap and what each cause closes.
     """
 
-    ruling: Ruling
+    decision: VerdictDecision
     facts: VerdictFacts
     chosen: Hypothesis
-    floor: Floor
+    floor: NoiseFloor
     closed: GapClosed
 
 
@@ -122,7 +122,7 @@ def attribute(
     baseline, grown = selection.baseline, width_grown(selection.chosen.hypothesis)
     retuning = Retuning() if unusable else retuning_of(prepared, retuned, baseline.mse)
     if not unusable and grown >= settings.verdict.width_grown:
-        retuning = replace(retuning, anew_share=anew_share(prepared, validation, baseline, floor_mse))
+        retuning = replace(retuning, reidentified_share=reidentified_share(prepared, validation, baseline, floor_mse))
     return Attribution(
         validation=validation,
         retuned=retuned,
@@ -199,19 +199,19 @@ def confirm(prepared: PreparedTrials, attribution: Attribution, settings: Verdic
         at_floor=_at(closed, repeatable.noise_deg, settings),
         moved=closed.moved,
     )
-    ruling = decide_verdict(replace(facts, final=final), settings)
-    if (chosen.effects and not ruling.explained) or (ruling.sensor and not facts.sensor):
-        facts = replace(facts, sensor=facts.sensor or ruling.sensor)
+    decision = decide_verdict(replace(facts, final=final), settings)
+    if (chosen.effects and not decision.explained) or (decision.sensor and not facts.sensor):
+        facts = replace(facts, sensor=facts.sensor or decision.sensor)
         facts, chosen, floor, closed = _proven(prepared, attribution, facts, retuned, seed)
-        ruling = decide_verdict(replace(facts, final=final), settings)
-    if ruling.verdict == "unknown" and repeatable.kind == "repeats" and _at(closed, repeatable.rmse_deg, settings):
+        decision = decide_verdict(replace(facts, final=final), settings)
+    if decision.verdict == "unknown" and repeatable.kind == "repeats" and _at(closed, repeatable.rmse_deg, settings):
         # What differs between repeats is the gap, not its floor.
-        floor = Floor(repeatable.noise_deg, "noise", repeatable.noise_deg)
-        closed = measure(prepared, attribution.validation, retuned, retuned, floor, ruling.sensor, None, seed)
-    return Conclusion(ruling, facts, chosen, floor, closed.with_repeats(repeatable))
+        floor = NoiseFloor(repeatable.noise_deg, "noise", repeatable.noise_deg)
+        closed = measure(prepared, attribution.validation, retuned, retuned, floor, decision.sensor, None, seed)
+    return Conclusion(decision, facts, chosen, floor, closed.with_repeats(repeatable))
 
 
-def never_worse(prepared: PreparedTrials, attribution: Attribution) -> Attribution:
+def as_given_if_better(prepared: PreparedTrials, attribution: Attribution) -> Attribution:
     """The attribution, with the simulator as given where retuning raises the error of the final trials.
 
     As a cause is dropped that does not lower that error: numbers that fit the development trials alone are no better.
@@ -225,7 +225,7 @@ def never_worse(prepared: PreparedTrials, attribution: Attribution) -> Attributi
 
 def _proven(
     prepared: PreparedTrials, attribution: Attribution, facts: VerdictFacts, chosen: Hypothesis, seed: int
-) -> tuple[VerdictFacts, Hypothesis, Floor, GapClosed]:
+) -> tuple[VerdictFacts, Hypothesis, NoiseFloor, GapClosed]:
     """Facts, corrected simulator, floor and sizes, less the causes that do not surely lower the error."""
     while True:
         floor, jumps = floor_of(prepared, chosen), attribution.jumps if facts.jumps else None
@@ -287,7 +287,7 @@ def _is_gap(prepared: PreparedTrials, mse: float, settings: VerdictSettings) -> 
     return 0 < (settings.no_gap - 1) * prepared.form_mse <= mse
 
 
-def floor_of(prepared: PreparedTrials, hypothesis: Hypothesis) -> Floor:
+def floor_of(prepared: PreparedTrials, hypothesis: Hypothesis) -> NoiseFloor:
     """What stays with any simulator; what each trial has of its own by a cause is explained, and no part of it.
 
     It is never less than the rounding of the readings, which leaves no noise where the angle rests.

@@ -15,7 +15,7 @@ from hystmpc.models.identify.uncertainty import Interval
 from hystmpc.trials.types import Vec
 
 from ..diagnosis import Gap
-from ..logs.noise_floor import Floor
+from ..logs.noise_floor import NoiseFloor
 from ..logs.preparation import PreparedTrials
 from .jumps import Jumps
 
@@ -25,7 +25,7 @@ _LEAST_GAP = 0.1  # of the whole gap, in a resample
 
 
 @dataclass(frozen=True, eq=False)
-class Shares:
+class ClosedShares:
     """What stages of a correction close of the structural gap on some trials.
 
     Attributes:
@@ -176,20 +176,20 @@ class GapClosed:
         weakest = min(least, key=lambda name: least[name], default="")
         if weakest and (least[weakest] <= 0 or self.gap.closed_ci90[0] <= 0):
             return weakest
-        return needless({name: cause.share for name, cause in self.causes.items()}, replaceable)
+        return negligible_cause({name: cause.share for name, cause in self.causes.items()}, replaceable)
 
     @property
     def moved(self) -> float:
         """Error of the simulator as given over that of the retuned one, mean squares."""
         return (self.gap.nominal_rmse_deg / max(self.gap.retuned_rmse_deg, _LEAST_DEG)) ** 2
 
-    def with_repeats(self, floor: Floor) -> GapClosed:
+    def with_repeats(self, floor: NoiseFloor) -> GapClosed:
         """The same with what repeats of a motion differ by."""
         rmse = floor.rmse_deg if floor.kind == "repeats" else math.nan
         return replace(self, gap=replace(self.gap, repeats_rmse_deg=rmse))
 
 
-def needless(shares: Mapping[str, float], replaceable: Container[str]) -> str:
+def negligible_cause(shares: Mapping[str, float], replaceable: Container[str]) -> str:
     """The cause that closes the least beside others, too little to be named as another could replace it; else empty."""
     small = [name for name in shares if name in replaceable and shares[name] < _LEAST_SHARE]
     return min(small, key=lambda name: shares[name]) if small and len(shares) > 1 else ""
@@ -200,7 +200,7 @@ def measure(
     validation: CrossValidation,
     retuned: Hypothesis,
     chosen: Hypothesis,
-    floor: Floor,
+    floor: NoiseFloor,
     sensor: bool,
     jumps: Jumps | None,
     seed: int,
@@ -233,7 +233,7 @@ def measure(
         ci90, rmse = shares.interval(faulty, final_errors.after), float(np.sqrt(faulty.mse))
         causes["sensor"] = ClosedByCause(share, ci90, rmse, _sensor_parameters(prepared))
     if jumps is not None and "stick_slip" not in chosen.effects:
-        left = less_sawtooth(final_errors.after, jumps.mse)
+        left = without_sawtooth(final_errors.after, jumps.mse)
         share = shares.closed(left.mse) - shares.closed(final_errors.after.mse)
         if share >= _LEAST_SHARE:
             ci90, rmse = shares.interval(final_errors.after, left), float(np.sqrt(final_errors.after.mse))
@@ -242,7 +242,7 @@ def measure(
     return GapClosed(final_errors.gap(), causes, shares.spread)
 
 
-def less_sawtooth(blocks: Blocks, mse: float) -> Blocks:
+def without_sawtooth(blocks: Blocks, mse: float) -> Blocks:
     """Errors less the energy of jumps, block by block and to nothing at most."""
     return replace(blocks, energy=np.maximum(blocks.energy - mse * blocks.samples, 0.0))
 
@@ -262,7 +262,7 @@ class FinalErrors:
         validation: CrossValidation,
         retuned: Hypothesis,
         chosen: Hypothesis,
-        floor: Floor,
+        floor: NoiseFloor,
         sensor: bool,
         seed: int,
         jumps_mse: float = 0.0,
@@ -272,13 +272,13 @@ class FinalErrors:
         corrected = final_blocks(chosen, prepared.final)
         self._parts = {frozenset(chosen.effects): corrected}
         before = measured_blocks(prepared, retuned)
-        self.after = self.less_sensor_noise(corrected) if sensor else measured_blocks(prepared, chosen)
+        self.after = self.without_sensor_noise(corrected) if sensor else measured_blocks(prepared, chosen)
         excess = jumps_mse + (prepared.excess_mse if sensor else 0.0)  # repeats differ by them
         lowest = max(floor.rmse_deg**2 - excess, _LEAST_FLOOR * floor.rmse_deg**2)
         floor_mse = min(lowest, self.after.mse, before.mse)
-        self.shares = Shares(before, floor_mse, self._between_trials(floor_mse), seed)
+        self.shares = ClosedShares(before, floor_mse, self._between_trials(floor_mse), seed)
 
-    def less_sensor_noise(self, blocks: Blocks) -> Blocks:
+    def without_sensor_noise(self, blocks: Blocks) -> Blocks:
         """Errors less the energy of the noise that a sensor in the simulator would add."""
         energy = blocks.energy - self._prepared.excess_mse * blocks.samples
         return replace(blocks, energy=energy if energy.sum() > 0 else np.zeros_like(energy))

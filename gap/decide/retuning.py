@@ -15,7 +15,7 @@ from hystmpc.models.identify.uncertainty import ParameterRow, core_rows
 from hystmpc.models.operators.curved_plays import CurvedPlays
 from hystmpc.trials.errors import FitError
 
-from ..diagnosis import Moved
+from ..diagnosis import RetunedParameter
 from ..logs.preparation import PreparedTrials
 from ..logs.sensor import white_noise
 from ..residual.memory import friction_share
@@ -38,14 +38,14 @@ class Retuning:
         grown_form_mse: model-form error that is to be expected of the retuned simulator [deg^2]; zero where the
             simulator's own is unknown.
         friction_share: of the retuned error above the noise, that plays of other weights and widths explain.
-        anew_share: of the retuned error above the floor, that a core identified anew explains (`anew_share`).
+        reidentified_share: of the retuned error above the floor, that a core identified anew explains.
         unrepeatable: share of the retuned error in which repeats of one motion differ; zero without repeats.
     """
 
     moved: float = 1.0
     grown_form_mse: float = 0.0
     friction_share: float = 0.0
-    anew_share: float = 0.0
+    reidentified_share: float = 0.0
     unrepeatable: float = 0.0
 
 
@@ -111,7 +111,7 @@ def width_grown(hypothesis: Hypothesis) -> float:
     return after / before if before > 0 else 1.0
 
 
-def anew_share(
+def reidentified_share(
     prepared: PreparedTrials, validation: CrossValidation, retuned: HeldOutErrors, floor_mse: float
 ) -> float:
     """Share of the retuned error above the floor that a core identified anew explains held out, 0 to 1.
@@ -139,7 +139,7 @@ def anew_share(
 
 def moved_numbers(
     prepared: PreparedTrials, retuned: Hypothesis, quantities: Iterable[ParameterRow]
-) -> tuple[Moved, ...]:
+) -> tuple[RetunedParameter, ...]:
     """Numbers of the simulator that retuning has surely moved: their 90 % interval lies off the given value.
 
     Gain, offset and width come first, then weights and widths of the core's plays.
@@ -162,5 +162,5 @@ def moved_numbers(
         if sure and abs(row.value - before) > _LEAST_MOVE * max(abs(before), abs(row.value)):
             shown = row.times(decades.in_log(row.unit))
             was, unit = decades.log_value(before, row.unit), units.named(row.unit) or "1"
-            moved.append(Moved(row.name, unit, was, shown.value, shown.ci90))
+            moved.append(RetunedParameter(row.name, unit, was, shown.value, shown.ci90))
     return tuple(moved)

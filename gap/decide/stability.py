@@ -20,10 +20,10 @@ from ..diagnosis import Stability, Verdict
 from ..logs.preparation import PreparedTrials
 from .ambiguity import ambiguity_of
 from .attribution import Attribution, Conclusion, DiagnosisSettings, drift_test
-from .gap_closed import Shares, needless
+from .gap_closed import ClosedShares, negligible_cause
 from .remaining_structure import structure_left
 from .retuning import width_grown
-from .verdict import FinalFacts, Ruling, VerdictFacts, decide_verdict, residual_ratio
+from .verdict import FinalFacts, VerdictDecision, VerdictFacts, decide_verdict, residual_ratio
 
 RESAMPLES = 40
 _LEAST_SPLITS = 8  # with fewer, blocks of the errors are drawn as well
@@ -32,7 +32,7 @@ Names = frozenset[str]
 
 
 @dataclass(frozen=True, eq=False)
-class _Split:
+class _TrialSplit:
     """Runs to choose on and runs to confirm on; blocks are drawn with replacement where `seed` is given."""
 
     development: tuple[int, ...]
@@ -68,11 +68,11 @@ def stability_of(
     """
     if prepared.too_little or prepared.checked.unrelated:
         return None
-    resampled = _Again(prepared, attribution, conclusion, settings, seed)
+    resampled = _ResampledVerdict(prepared, attribution, conclusion, settings, seed)
     count = len(prepared.development), len(prepared.final)
     verdicts = Counter(resampled.verdict(split) for split in _splits(*count, prepared.order == "known", seed))
-    reference = conclusion.ruling.verdict, conclusion.chosen.effects
-    rivals = [set(names) for names in conclusion.ruling.ambiguity]
+    reference = conclusion.decision.verdict, conclusion.chosen.effects
+    rivals = [set(names) for names in conclusion.decision.ambiguity]
     same = sum(times for verdict, times in verdicts.items() if _agree(verdict, reference, rivals))
     others = Counter({_label(*verdict): 0 for verdict in verdicts})
     for verdict, times in verdicts.items():
@@ -93,7 +93,7 @@ def _label(verdict: Verdict, names: Names) -> str:
     return f"{verdict}: {', '.join(sorted(names))}" if names else verdict
 
 
-def _splits(development: int, final: int, ordered: bool, seed: int) -> Iterator[_Split]:
+def _splits(development: int, final: int, ordered: bool, seed: int) -> Iterator[_TrialSplit]:
     """Splits of the runs that differ; a first trial whose order is known stays among those to choose on."""
     runs = range(development + final)
     free = runs[1:] if ordered and development > final else runs
@@ -109,10 +109,10 @@ def _splits(development: int, final: int, ordered: bool, seed: int) -> Iterator[
     repeats = 1 if count >= _LEAST_SPLITS else math.ceil(RESAMPLES / 2 / count)
     for k, part in enumerate(itertools.product(chosen, range(repeats))):
         rest = tuple(run for run in runs if run not in part[0])
-        yield _Split(rest, tuple(sorted(part[0])), None if repeats == 1 else seed + k)
+        yield _TrialSplit(rest, tuple(sorted(part[0])), None if repeats == 1 else seed + k)
 
 
-class _Again:
+class _ResampledVerdict:
     """The verdict on other splits."""
 
     def __init__(
@@ -137,7 +137,7 @@ class _Again:
             )
         )
 
-    def verdict(self, split: _Split) -> tuple[Verdict, Names]:
+    def verdict(self, split: _TrialSplit) -> tuple[Verdict, Names]:
         """Verdict and names of the effects on that split."""
         tried = {names: _part(judged, split.development, split.seed) for names, judged in self._tried.items()}
         final: dict[Names, Blocks] = {n: _part(judged, split.final, split.seed) for n, judged in self._tried.items()}
@@ -155,8 +155,8 @@ class _Again:
         )
         explained = decide_verdict(facts, settings).explained
         kept = self._proven(facts, final) if explained else frozenset()
-        ruling = self._ruling(facts, kept, selection.chosen.hypothesis, tried, final)
-        return ruling.verdict, kept if ruling.explained else frozenset()
+        decision = self._decision(facts, kept, selection.chosen.hypothesis, tried, final)
+        return decision.verdict, kept if decision.explained else frozenset()
 
     def _proven(self, facts: VerdictFacts, final: Mapping[Names, Blocks]) -> Names:
         """Causes left once those are dropped that do not surely lower the error of the final runs."""
@@ -168,7 +168,7 @@ class _Again:
             if all(names - {name} in final for name in names):
                 closed = shares.of_causes(names, final.__getitem__)
                 least = {name: min(ci90[0], together[0]) for name, (_, ci90) in closed.items()}
-                small = needless({name: share for name, (share, _) in closed.items()}, replaceable)
+                small = negligible_cause({name: share for name, (share, _) in closed.items()}, replaceable)
             weakest = min(sorted(least), key=lambda name: least[name])
             weakest = weakest if least[weakest] <= 0 else small
             if not weakest:
@@ -178,18 +178,18 @@ class _Again:
                 return frozenset()
         return names
 
-    def _shares(self, names: Names, final: Mapping[Names, Blocks]) -> Shares:
+    def _shares(self, names: Names, final: Mapping[Names, Blocks]) -> ClosedShares:
         before, after = final[frozenset()], final[names]
-        return Shares(before, min(self._floor.rmse_deg**2, before.mse, after.mse), self._spread, self._seed)
+        return ClosedShares(before, min(self._floor.rmse_deg**2, before.mse, after.mse), self._spread, self._seed)
 
-    def _ruling(
+    def _decision(
         self,
         facts: VerdictFacts,
         kept: Names,
         chosen: Hypothesis,
         tried: Mapping[Names, HeldOutErrors],
         final: Mapping[Names, Blocks],
-    ) -> Ruling:
+    ) -> VerdictDecision:
         shares, settings = self._shares(kept, final), self._settings.verdict
         closed = FinalFacts(
             shares.closed(final[kept].mse),

@@ -190,7 +190,7 @@ def residual_ratio(mse: float, form_mse: float, noise_mse: float) -> float:
 
 
 @dataclass(frozen=True)
-class Ruling:
+class VerdictDecision:
     """The verdict and what follows from it.
 
     Attributes:
@@ -219,7 +219,7 @@ class Ruling:
         return self.verdict in ("unknown", "too_little") or self.case == "sensor_beside_unknown"
 
 
-def decide_verdict(facts: VerdictFacts, settings: VerdictSettings) -> Ruling:
+def decide_verdict(facts: VerdictFacts, settings: VerdictSettings) -> VerdictDecision:
     """The verdict: the first row that applies.
 
     | case                  | applies if                                                                  | verdict    |
@@ -280,7 +280,7 @@ def decide_verdict(facts: VerdictFacts, settings: VerdictSettings) -> Ruling:
     if usable and facts.new_step and VERDICTS[case] == "none":
         case = "sensor_alone"
     sensor = usable and (facts.sensor or case == "sensor_alone") and VERDICTS[case] not in ("none", "retuned")
-    return Ruling(case, facts.ambiguity if case == "ambiguous" else (), sensor)
+    return VerdictDecision(case, facts.ambiguity if case == "ambiguous" else (), sensor)
 
 
 def _retuned_case(case: str, facts: VerdictFacts, settings: VerdictSettings) -> str:
@@ -309,7 +309,7 @@ def _reshaped(verdict: Verdict, facts: VerdictFacts, settings: VerdictSettings) 
     higher = facts.least_retuned_mse < settings.no_gap * retuning.grown_form_mse
     spread = retuning.friction_share >= settings.friction
     better = bool(facts.effects) and retuning.friction_share >= facts.closed
-    wider = facts.width_grown >= settings.width_grown and retuning.anew_share >= settings.anew
+    wider = facts.width_grown >= settings.width_grown and retuning.reidentified_share >= settings.anew
     return (vague and (higher or spread)) or (better and spread) or wider
 
 

@@ -24,8 +24,8 @@ _SAME = 0.1  # of the error: two that differ by less, or by no more energy than 
 _ROUNDED = 1e-3  # of a sample time, which files round
 
 
-def with_own_rate(
-    runs: Sequence[Run], recorded: Sequence[Trial], chain: Chain, chain_at_own_rate: Chain, own_dt_s: float
+def corrected_to_simulator_rate(
+    runs: Sequence[Run], recorded: Sequence[Trial], chain: Chain, simulator_chain: Chain, simulator_dt_s: float
 ) -> tuple[Run, ...]:
     """Runs whose correction makes the simulator as given what it is at its own sample time.
 
@@ -38,31 +38,31 @@ def with_own_rate(
         runs: at the sample time of the diagnosis.
         recorded: the trials as recorded, in the units of the runs.
         chain, own: the simulator's at that sample time, and at its own.
-        own_dt_s: its own sample time [s].
+        simulator_dt_s: its own sample time [s].
     """
-    if own_dt_s >= runs[0].dt_s * (1 - _ROUNDED):
+    if simulator_dt_s >= runs[0].dt_s * (1 - _ROUNDED):
         return tuple(runs)
     corrected = []
     for run, trial in zip(runs, recorded, strict=True):
-        fast = resampled_or_none(trial, 1 / own_dt_s)
+        fast = resampled_or_none(trial, 1 / simulator_dt_s)
         if fast is None:
             return tuple(runs)
         there = trial.t[0] + run.dt_s * np.arange(run.command.size)
-        angles = np.interp(there, fast.t, _angles(chain_at_own_rate, run, fast.command, own_dt_s))
+        angles = np.interp(there, fast.t, _angles(simulator_chain, run, fast.command, simulator_dt_s))
         corrected.append(replace(run, correction=angles - _angles(chain, run, run.command, run.dt_s)))
     return tuple(corrected)
 
 
-def own_starts(recorded: Sequence[Trial], own_dt_s: float, dt_s: float) -> tuple[TrialStart, ...]:
+def starts_at_simulator_rate(recorded: Sequence[Trial], simulator_dt_s: float, dt_s: float) -> tuple[TrialStart, ...]:
     """How trials begin at the simulator's own sample time, as `evaluate` takes them, for runs at that of a diagnosis.
 
     Args:
         recorded: the trials as recorded, in the units of the runs.
-        own_dt_s, dt_s: sample time of the simulator, and of the diagnosis [s].
+        simulator_dt_s, dt_s: sample time of the simulator, and of the diagnosis [s].
     """
     starts = []
     for trial in recorded:
-        resampled = resampled_or_none(trial, 1 / own_dt_s) or resampled_or_none(trial, 1 / dt_s) or trial
+        resampled = resampled_or_none(trial, 1 / simulator_dt_s) or resampled_or_none(trial, 1 / dt_s) or trial
         start = trial_start(resampled.command, resampled.angle, resampled.dt)
         starts.append(replace(start, lead=round(start.lead * resampled.dt / dt_s)))
     return tuple(starts)

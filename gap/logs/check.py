@@ -42,7 +42,7 @@ _AT_EXTREME, _TRAVEL = 0.02, 0.05  # of the samples; of the command's range
 
 
 @dataclass(frozen=True, eq=False)
-class Checked(ChosenTrials):
+class CheckedTrials(ChosenTrials):
     """Trials that can be diagnosed.
 
     Attributes:
@@ -60,7 +60,7 @@ class Checked(ChosenTrials):
 
 def check_trials(
     trials: Sequence[Trial], simulator: Simulator | ModelMetadata, seed: int = 0, ordered: bool = True
-) -> Checked:
+) -> CheckedTrials:
     """Compare units, sign and scale with the simulator's, and bring the trials to one rate.
 
     The rate is the simulator's own, at which `evaluate` runs it, where it lies between 10 and 50 Hz and no trial's
@@ -101,7 +101,9 @@ def check_trials(
     excitation = excitation_of(chosen.trials, ordered)
     notes = (*left_out, *_gap_notes(trials), *(n for trial in chosen.given for n in _log_notes(trial)))
     notes = (*notes, *_set_notes(excitation))
-    return Checked(**vars(chosen), excitation=excitation, notes=notes, left_out=tuple(left_out), unrelated=unrelated)
+    return CheckedTrials(
+        **vars(chosen), excitation=excitation, notes=notes, left_out=tuple(left_out), unrelated=unrelated
+    )
 
 
 def _left_out(trial: Trial) -> str:

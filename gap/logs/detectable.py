@@ -30,7 +30,7 @@ _NO_FORM = (
 )
 
 
-def sizes_shown(prepared: PreparedTrials, no_gap: float, without: Collection[str] = ()) -> DetectableSizes:
+def smallest_detectable(prepared: PreparedTrials, no_gap: float, without: Collection[str] = ()) -> DetectableSizes:
     """The least size at which each effect would end the verdict that there is no gap.
 
         needed_mse = (no_gap - 1) model-form error

@@ -11,7 +11,7 @@ from hystmpc.trials.segments import Segments
 from hystmpc.trials.trial import Trial
 
 from .motion_type import STEP_S, MotionType, Move, command_segments, motion_type, moves_of
-from .noise_floor import Repeat, find_repeats
+from .noise_floor import RepeatedMotion, find_repeats
 
 LONG_HOLD_S = 30.0
 _SPEED_RATIO = 1.6  # speeds nearer than that are one speed
@@ -44,7 +44,7 @@ class Excitation:
 
     motions: tuple[MotionType, ...]
     trials: int
-    repeats: tuple[Repeat, ...]
+    repeats: tuple[RepeatedMotion, ...]
     longest_hold_s: float
     fastest: float
     ramp_speeds: tuple[float, ...]
@@ -174,7 +174,7 @@ def _opening_repeated(moves: Sequence[Sequence[Move]], span: float) -> bool:
 
 
 @dataclass(frozen=True)
-class Confusable:
+class ConfusableEffects:
     """Effects with similar responses to some motions.
 
     Attributes:
@@ -217,10 +217,10 @@ _PAIRS: tuple[tuple[tuple[str, ...], str, float, float], ...] = (
     ),
     (("contact", "nonlinear_gain"), "the end approached from three amplitudes and more", 0.71, 0.8),
 )
-"""Effects, the motion that separates them, and the shares `alike_in_sine` and `alike_in_hold` of `Confusable`."""
+"""Effects, the motion that separates them, and `alike_in_sine` and `alike_in_hold` of `ConfusableEffects`."""
 
 
-def confusability(excitation: Excitation) -> tuple[Confusable, ...]:
+def confusability(excitation: Excitation) -> tuple[ConfusableEffects, ...]:
     """The table of confusable effects, judged for these motions."""
     e, longest = excitation, excitation.longest_hold_s
     hold = f"longest hold {longest:.3g} s" if longest else "no hold"
@@ -241,6 +241,6 @@ def confusability(excitation: Excitation) -> tuple[Confusable, ...]:
         (e.top_levels >= 3, f"{e.top_levels} distinct upper turning points"),
     )
     return tuple(
-        Confusable(effects, bool(separable), motion, text, in_sine, in_hold, one_class=separable is None)
+        ConfusableEffects(effects, bool(separable), motion, text, in_sine, in_hold, one_class=separable is None)
         for (effects, motion, in_sine, in_hold), (separable, text) in zip(_PAIRS, judged, strict=True)
     )

@@ -29,9 +29,16 @@ from hystmpc.trials.trial import Trial, Units, parts_at_gaps
 from hystmpc.trials.types import Vec
 
 from ..diagnosis import Order
-from .as_given import common_rest, evaluated_mse, evaluation_notes, own_starts, resampled_or_none, with_own_rate
-from .check import Checked, check_trials
-from .noise_floor import Floor, find_floor
+from .as_given import (
+    common_rest,
+    corrected_to_simulator_rate,
+    evaluated_mse,
+    evaluation_notes,
+    resampled_or_none,
+    starts_at_simulator_rate,
+)
+from .check import CheckedTrials, check_trials
+from .noise_floor import NoiseFloor, find_floor
 from .sensor import SensorSigns, repaired, sensor_signs, white_noise
 from .trial_choice import in_recording_order, split_runs
 
@@ -67,7 +74,7 @@ class PreparedTrials:
 
     decades: Decades
     given: tuple[Trial, ...]
-    checked: Checked
+    checked: CheckedTrials
     signs: SensorSigns
     baseline: Baseline
     development: tuple[Run, ...]
@@ -90,7 +97,7 @@ class PreparedTrials:
         """Measured less simulated angle of every run (T,) each [deg]."""
         return [run.angle - hypothesis.problem.angles(hypothesis.q, run) for run in self.everything]
 
-    def floor(self, residuals: Sequence[Vec]) -> Floor:
+    def floor(self, residuals: Sequence[Vec]) -> NoiseFloor:
         """Noise floor of residuals (T,) of every run [deg]."""
         return find_floor(self.checked.trials, residuals, self.checked.dt, self.checked.excitation.repeats)
 
@@ -165,7 +172,7 @@ def prepare(
 
 
 def _baseline_and_runs(
-    simulator: Simulator | LoadedModel, checked: Checked, signs: SensorSigns, decades: Decades
+    simulator: Simulator | LoadedModel, checked: CheckedTrials, signs: SensorSigns, decades: Decades
 ) -> tuple[Baseline, tuple[Run, ...]]:
     """The nominal simulator at the sample time of the trials, and these as runs, faults of the sensor repaired."""
     trials, given = decades.trials(checked.trials), decades.trials(checked.given)
@@ -176,11 +183,11 @@ def _baseline_and_runs(
     )
     before = [b.scaled(1 / decades.command) for b in checked.before]
     if isinstance(simulator, Simulator):
-        chain_at_own_rate, chain = (decades.chain(s.chain) for s in (simulator, simulator.at_sample_time(checked.dt)))
+        simulator_chain, chain = (decades.chain(s.chain) for s in (simulator, simulator.at_sample_time(checked.dt)))
         baseline = baseline_of(chain, command)
-        starts = own_starts([repaired(trial, signs) for trial in given], simulator.dt_s, checked.dt)
+        starts = starts_at_simulator_rate([repaired(trial, signs) for trial in given], simulator.dt_s, checked.dt)
         runs = _begun(baseline, runs_of(repaired_trials, None, before, starts), simulator, decades)
-        runs = with_own_rate(runs, given, chain, chain_at_own_rate, simulator.dt_s)
+        runs = corrected_to_simulator_rate(runs, given, chain, simulator_chain, simulator.dt_s)
     else:
         baseline, corrections = _network_baseline(simulator, repaired_trials, command, decades)
         runs = runs_of(repaired_trials, corrections, before)
@@ -202,7 +209,7 @@ def _begun(baseline: Baseline, runs: Sequence[Run], simulator: Simulator, decade
 
 
 def _evaluation_notes(
-    simulator: Simulator, errors: Sequence[Vec], checked: Checked, skip_first_flexure: bool
+    simulator: Simulator, errors: Sequence[Vec], checked: CheckedTrials, skip_first_flexure: bool
 ) -> tuple[str, ...]:
     """A sentence where `evaluate` gives another error than these (C,) each, in the unit of the log."""
     sizes = float(np.mean(np.concatenate(errors) ** 2)), white_noise(errors) ** 2

@@ -254,7 +254,7 @@ def _left_out(what: str, used: Index, recorded: Index, dt: float, most: int, see
 
 def _order(trials: Sequence[Trial], motions: Sequence[MotionType], seed: int, ordered: bool) -> tuple[list[int], int]:
     """Numbers of all trials, those that are needed most first, and how many are needed."""
-    features = characters([trial.command for trial in trials], trials[0].dt)
+    features = motion_features([trial.command for trial in trials], trials[0].dt)
     kinds = [np.flatnonzero(np.array(motions) == kind) for kind in dict.fromkeys(motions)]
     needed = dict.fromkeys([0, len(trials) - 1] if ordered else [])
     for members in kinds:
@@ -314,7 +314,7 @@ def split_runs(
     count = max(round(FINAL_SHARE * len(runs)), 1)
     chosen: list[int] = []
     left = list(range(len(runs)))
-    features = characters([run.command for run in runs], runs[0].dt_s)
+    features = motion_features([run.command for run in runs], runs[0].dt_s)
     apart = np.linalg.norm(features[:, None] - features[None], axis=-1)
     while len(chosen) < count:
         # Of the most frequent motion left, the trial most like another.
@@ -342,7 +342,7 @@ def _cut(runs: Sequence[Run]) -> tuple[tuple[Run, ...], tuple[Run, ...]]:
     return tuple(development), tuple(final)
 
 
-def characters(commands: Sequence[Vec], dt_s: float) -> Vec:
+def motion_features(commands: Sequence[Vec], dt_s: float) -> Vec:
     """Levels, speeds, rests and length of K commands (K, 10); near to each other where one repeats another.
 
     Args:

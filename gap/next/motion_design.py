@@ -21,7 +21,7 @@ from hystmpc.trials.recording import SEPARATION_COLUMN
 from hystmpc.trials.types import Vec
 
 from ..diagnosis import NextMotion
-from .motions import SIZE, MenuMotion, MotionFamily
+from .motions import SIZE, MotionFamily, SampledMotion
 
 Simulate = Callable[[Vec, float], Vec]
 
@@ -84,7 +84,7 @@ class Noise:
 
 
 @dataclass(frozen=True, eq=False)
-class Option:
+class EvaluatedMotion:
     """One motion of the menu and its expected result.
 
     Attributes:
@@ -95,7 +95,7 @@ class Option:
         distances: of candidate i from candidate j retuned to it, in units of the noise, (K, K).
     """
 
-    motion: MenuMotion
+    motion: SampledMotion
     probability: float
     angles: Vec
     separation: Vec
@@ -113,8 +113,8 @@ class MotionProposal:
     """
 
     names: tuple[str, ...]
-    chosen: Option
-    options: tuple[Option, ...] = field(repr=False)
+    chosen: EvaluatedMotion
+    options: tuple[EvaluatedMotion, ...] = field(repr=False)
 
     def summary(self, file: str = MOTION_FILE) -> NextMotion:
         """The proposal as a diagnosis states it."""
@@ -122,7 +122,7 @@ class MotionProposal:
         return NextMotion(file, self.names, self.chosen.probability, motion.duration_s)
 
 
-def propose(candidates: Sequence[OpenHypothesis], motions: Sequence[MenuMotion], noise: Noise) -> MotionProposal:
+def propose(candidates: Sequence[OpenHypothesis], motions: Sequence[SampledMotion], noise: Noise) -> MotionProposal:
     """Choose the motion that most probably names the right candidate; at about equal probability the shortest.
 
     With candidate i true and j retuned to it, the part r_ij that is left favours i with probability
@@ -188,7 +188,7 @@ def write_motion(path: Path | str, proposal: MotionProposal, command_unit: str =
     return write_atomically(path, format_table(columns))
 
 
-def option_on(candidates: Sequence[OpenHypothesis], motion: MenuMotion, noise: Noise) -> Option | None:
+def option_on(candidates: Sequence[OpenHypothesis], motion: SampledMotion, noise: Noise) -> EvaluatedMotion | None:
     """Expected result of one motion; None where a simulator does not give finite angles on it."""
     angles, directions = separations(candidates, motion.command, motion.dt)
     if not all(np.isfinite(part).all() for part in (angles, *directions)):
@@ -200,7 +200,7 @@ def option_on(candidates: Sequence[OpenHypothesis], motion: MenuMotion, noise: N
         left = _left(angles[others] - angles[j], basis, noise)
         distances[others, j] = _distance(left, noise)
         separation = np.maximum(separation, np.abs(left).max(axis=0))
-    return Option(motion, expected_probability(distances), angles, separation, distances)
+    return EvaluatedMotion(motion, expected_probability(distances), angles, separation, distances)
 
 
 def _distance(left: Vec, noise: Noise) -> Vec:
@@ -255,7 +255,7 @@ class SearchSettings:
     overhead_s: float = 0.0
     least_s: float = _LEAST_S
     generations: int = _GENERATIONS
-    allowed: Callable[[Option], bool] = lambda option: True
+    allowed: Callable[[EvaluatedMotion], bool] = lambda option: True
 
 
 @dataclass(frozen=True, eq=False)
@@ -272,11 +272,11 @@ class SearchedMotion:
         looked_at: motions that were simulated.
     """
 
-    chosen: Option
+    chosen: EvaluatedMotion
     numbers: Vec = field(repr=False)
     bits: float
     seconds: float
-    menu: Option | None = field(repr=False)
+    menu: EvaluatedMotion | None = field(repr=False)
     menu_bits: float
     menu_seconds: float
     looked_at: int
@@ -298,7 +298,7 @@ def search_motion(
     family: MotionFamily,
     noise: Noise,
     settings: SearchSettings = SearchSettings(),
-    menu: Sequence[MenuMotion] = (),
+    menu: Sequence[SampledMotion] = (),
 ) -> SearchedMotion | None:
     """The motion with the most expected information per second that tells open explanations apart.
 
@@ -316,10 +316,10 @@ def search_motion(
         The motion; None where no motion can be simulated that is allowed.
     """
     count = len(open_ones)
-    best: list[tuple[float, Option, Vec]] = []
+    best: list[tuple[float, EvaluatedMotion, Vec]] = []
     looked = [0]
 
-    def value_of(motion: MenuMotion) -> tuple[float, Option | None]:
+    def value_of(motion: SampledMotion) -> tuple[float, EvaluatedMotion | None]:
         looked[0] += 1
         option = option_on(open_ones, motion, noise)
         if option is None or not settings.allowed(option):
@@ -351,7 +351,7 @@ def search_motion(
     )
 
 
-def _rate(option: Option, count: int, settings: SearchSettings) -> float:
+def _rate(option: EvaluatedMotion, count: int, settings: SearchSettings) -> float:
     """Expected information per second of device time."""
     return information_bits(option.probability, count) / (option.motion.duration_s + settings.overhead_s)
 

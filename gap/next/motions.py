@@ -23,7 +23,7 @@ _EDGE_S = 1.0
 
 
 @dataclass(frozen=True)
-class Leg:
+class RampAndHold:
     """A ramp to a command and a hold there.
 
     Attributes:
@@ -59,7 +59,7 @@ class SineBurst:
 
 
 @dataclass(frozen=True, eq=False)
-class MenuMotion:
+class SampledMotion:
     """One motion of the menu, sampled.
 
     Attributes:
@@ -90,20 +90,22 @@ class MotionTemplate:
     """A motion before limits are known: parts in shares of the reach and of the rate.
 
     Attributes:
-        name, purpose: see `MenuMotion`.
+        name, purpose: see `SampledMotion`.
         parts: in order.
         longest_s: duration that the reach is cut to [s].
     """
 
     name: str
     purpose: str
-    parts: tuple[Leg | SineBurst, ...]
+    parts: tuple[RampAndHold | SineBurst, ...]
     longest_s: float = LONGEST_S
 
 
-def _strokes(peaks: Sequence[float], hold_s: float, speed: float = 0.5, stroke_s: float = 0.0) -> tuple[Leg, ...]:
+def _strokes(
+    peaks: Sequence[float], hold_s: float, speed: float = 0.5, stroke_s: float = 0.0
+) -> tuple[RampAndHold, ...]:
     """To each peak and back to the lowest command."""
-    return tuple(Leg(target, hold_s, speed, stroke_s) for peak in peaks for target in (peak, 0.0))
+    return tuple(RampAndHold(target, hold_s, speed, stroke_s) for peak in peaks for target in (peak, 0.0))
 
 
 TEMPLATES = (
@@ -120,16 +122,16 @@ TEMPLATES = (
     MotionTemplate(
         "long_holds",
         "45 s at one command, back, and the same move again: creep comes to rest and repeats, drift goes on",
-        (Leg(0.8, 45.0), Leg(0.0, 10.0), Leg(0.8, 12.0), Leg(0.0, 3.0)),
+        (RampAndHold(0.8, 45.0), RampAndHold(0.0, 10.0), RampAndHold(0.8, 12.0), RampAndHold(0.0, 3.0)),
     ),
     MotionTemplate(
         "fast_steps_small_sines",
         "steps at full speed, then small sines of 2 to 4 Hz: lag rounds and damps, delay only moves in time, "
         "rate dependence widens the loop",
         (
-            *(Leg(target, 1.5, 1.0) for target in (0.5, 0.25, 0.75, 0.4, 0.6, 0.5)),
+            *(RampAndHold(target, 1.5, 1.0) for target in (0.5, 0.25, 0.75, 0.4, 0.6, 0.5)),
             *(SineBurst((hz,), 0.08, 5.0) for hz in (2.0, 3.0, 4.0)),
-            Leg(0.0, 2.0),
+            RampAndHold(0.0, 2.0),
         ),
     ),
     MotionTemplate(
@@ -140,12 +142,12 @@ TEMPLATES = (
     MotionTemplate(
         "top_from_amplitudes",
         "the top reached from several commands: a stop or saturation acts at one angle whatever the way there",
-        tuple(Leg(target, 1.0) for start in (0.75, 0.5, 0.25, 0.0) for target in (1.0, start)),
+        tuple(RampAndHold(target, 1.0) for start in (0.75, 0.5, 0.25, 0.0) for target in (1.0, start)),
     ),
     MotionTemplate(
         "small_multi_sine",
         "small sines of four frequencies at once, away from both ends: dynamics apart from hysteresis",
-        (Leg(0.5, 2.0), SineBurst((0.4, 0.9, 1.7, 2.9), 0.1, 24.0), Leg(0.0, 2.0)),
+        (RampAndHold(0.5, 2.0), SineBurst((0.4, 0.9, 1.7, 2.9), 0.1, 24.0), RampAndHold(0.0, 2.0)),
     ),
     MotionTemplate(
         "slow_strokes",
@@ -161,7 +163,7 @@ TEMPLATES = (
         "fast_strokes",
         "strokes at full speed that stop and turn: a lag goes on, friction that grows with speed lets go",
         tuple(
-            Leg(target, 0.0 if target == 0.2 else 1.5, 1.0)
+            RampAndHold(target, 0.0 if target == 0.2 else 1.5, 1.0)
             for peak in (0.4, 0.8, 0.6, 1.0)
             for target in (peak, 0.2, 0.7 * peak, 0.0)
         ),
@@ -175,7 +177,7 @@ TEMPLATES = (
 )
 
 
-def menu(limits: CommandLimits, dt: float) -> tuple[MenuMotion, ...]:
+def menu(limits: CommandLimits, dt: float) -> tuple[SampledMotion, ...]:
     """Every motion of the menu on one device.
 
     All lie within the limits and change by at most 0.9 of the rate limit. The reach of a motion shrinks where it would
@@ -193,11 +195,11 @@ def menu(limits: CommandLimits, dt: float) -> tuple[MenuMotion, ...]:
     return tuple(_motion(template, limits, dt) for template in TEMPLATES)
 
 
-def _motion(template: MotionTemplate, limits: CommandLimits, dt: float) -> MenuMotion:
+def _motion(template: MotionTemplate, limits: CommandLimits, dt: float) -> SampledMotion:
     rate, reach = RATE_SHARE * limits.rate, _reach(template, limits)
     pieces, at, start = [(np.array([0.0, REST_S]), np.zeros(2))], 0.0, REST_S
     for part in template.parts:
-        if isinstance(part, Leg):
+        if isinstance(part, RampAndHold):
             way = part.way_s(at, reach, rate)
             piece = np.array([0.0, way, way + part.hold_s]), reach * np.array([at, part.target, part.target])
             at = part.target
@@ -208,7 +210,7 @@ def _motion(template: MotionTemplate, limits: CommandLimits, dt: float) -> MenuM
     knots, values = (np.concatenate(rows) for rows in zip(*pieces, strict=True))
     t: Vec = np.arange(int(np.floor((start + REST_S) / dt)) + 1, dtype=np.float64) * dt
     command = limits.lower + np.interp(t, knots, values)
-    return MenuMotion(template.name, template.purpose, t, np.clip(command, limits.lower, limits.upper))
+    return SampledMotion(template.name, template.purpose, t, np.clip(command, limits.lower, limits.upper))
 
 
 def _reach(template: MotionTemplate, limits: CommandLimits) -> float:
@@ -224,7 +226,7 @@ def _duration_s(template: MotionTemplate, reach: float, rate: float) -> float:
     """Duration at a reach [s]."""
     at, seconds = 0.0, 2 * REST_S
     for part in template.parts:
-        if isinstance(part, Leg):
+        if isinstance(part, RampAndHold):
             seconds, at = seconds + part.way_s(at, reach, rate) + part.hold_s, part.target
         else:
             seconds += part.duration_s
@@ -296,7 +298,7 @@ class MotionFamily:
         low, high = self.limits.lower, self.limits.upper
         return (low, high) if self.safe - low <= high - self.safe else (high, low)
 
-    def motion(self, x: Vec, name: str, purpose: str = "") -> MenuMotion:
+    def motion(self, x: Vec, name: str, purpose: str = "") -> SampledMotion:
         """The motion of numbers x (22,)."""
         numbers = np.clip(np.asarray(x, dtype=np.float64), 0.0, 1.0)
         legs, burst = numbers[: 3 * LEGS].reshape(LEGS, 3), numbers[3 * LEGS :]
@@ -326,7 +328,7 @@ class MotionFamily:
         t = np.arange(samples, dtype=np.float64) * self.dt
         asked = np.clip(np.interp(t, knots, values), self.limits.lower, self.limits.upper)
         command = np.append(asked, self.safe)
-        return MenuMotion(name, purpose, self.dt * np.arange(samples + 1, dtype=np.float64), command)
+        return SampledMotion(name, purpose, self.dt * np.arange(samples + 1, dtype=np.float64), command)
 
     @cached_property
     def starts(self) -> dict[str, Vec]:
@@ -342,9 +344,9 @@ class MotionFamily:
     def _numbers_of(self, template: MotionTemplate) -> Vec:
         bursts = [part for part in template.parts if isinstance(part, SineBurst)]
         at = template.parts.index(bursts[0]) if bursts else len(template.parts)
-        before = [part for part in template.parts[:at] if isinstance(part, Leg)]
-        after = [part for part in template.parts[at:] if isinstance(part, Leg)][:_BURST_AFTER]
-        rest = Leg(0.0, _HOLD_S[0], 1.0)
+        before = [part for part in template.parts[:at] if isinstance(part, RampAndHold)]
+        after = [part for part in template.parts[at:] if isinstance(part, RampAndHold)][:_BURST_AFTER]
+        rest = RampAndHold(0.0, _HOLD_S[0], 1.0)
         if bursts:
             before = ([rest] * _BURST_AFTER + before)[-_BURST_AFTER:]
         legs = [*before, *after][:LEGS]

@@ -54,7 +54,7 @@ def next_step(findings: Findings) -> MotionProposal | None:
 
 
 @dataclass(frozen=True, eq=False)
-class Question:
+class DiscriminationTask:
     """Explanations between which a further motion is to decide.
 
     Attributes:
@@ -68,7 +68,7 @@ class Question:
     confirms: bool = False
 
 
-def question(findings: Findings) -> Question | None:
+def question(findings: Findings) -> DiscriminationTask | None:
     """What is open after these trials; where nothing is, what would put the verdict to the test.
 
     A named effect is tested against those that it is taken for, each fitted in its place; no gap is tested against a
@@ -83,10 +83,10 @@ def question(findings: Findings) -> Question | None:
     return replace(_question(tested, findings), confirms=True) if len(tested) >= 2 else None
 
 
-def _question(fitted: Mapping[str, Hypothesis], findings: Findings) -> Question:
+def _question(fitted: Mapping[str, Hypothesis], findings: Findings) -> DiscriminationTask:
     prepared = findings.prepared
     made = tuple(open_hypothesis(name, hypothesis, prepared) for name, hypothesis in fitted.items())
-    return Question(made, _noise(findings))
+    return DiscriminationTask(made, _noise(findings))
 
 
 def _rivals(findings: Findings) -> dict[str, Hypothesis]:
@@ -105,13 +105,13 @@ def _rivals(findings: Findings) -> dict[str, Hypothesis]:
 
 def open_explanations(findings: Findings) -> dict[str, Hypothesis]:
     """Open hypotheses by the effect that tells each from the others."""
-    ruling, attribution = findings.conclusion.ruling, findings.attribution
-    if ruling.effects_unknown:
+    decision, attribution = findings.conclusion.decision, findings.attribution
+    if decision.effects_unknown:
         return _families(findings)
-    if not ruling.ambiguity and not unseparated(findings):
+    if not decision.ambiguity and not unseparated(findings):
         return {}
     made: dict[str, Hypothesis | None] = {}
-    for effect, *others in ruling.ambiguity or (unseparated(findings),):
+    for effect, *others in decision.ambiguity or (unseparated(findings),):
         rest = findings.conclusion.chosen.effects - {effect}
         base = _tried(attribution, rest)
         # The effects chosen of further sets are in the first hypothesis.
@@ -127,7 +127,7 @@ def unseparated(findings: Findings) -> tuple[str, ...]:
     They stay open beside it: the equations of a device are not the library's, so that the angles do not decide alone.
     """
     chosen = findings.conclusion.chosen.effects
-    if findings.conclusion.ruling.verdict != "named":
+    if findings.conclusion.decision.verdict != "named":
         return ()
     excluded = {*findings.left_out, *(NEEDS_ORDER if findings.prepared.order == "unknown" else ())}
     for row in confusability(findings.prepared.checked.excitation):
@@ -188,7 +188,7 @@ def _noise(findings: Findings) -> Noise:
     """White noise of the sensor, and the error of the best explanation beyond it."""
     conclusion, decades = findings.conclusion, findings.prepared.decades
     rmse = max(conclusion.floor.noise_deg, _LEAST_NOISE_DEG)
-    if conclusion.ruling.effects_unknown:
+    if conclusion.decision.effects_unknown:
         return decades.log_sizes(Noise(rmse))
     form = float(np.sqrt(max(conclusion.chosen.mse - rmse**2, 0.0)))
     return decades.log_sizes(Noise(rmse, white=1.0, form_deg=form))

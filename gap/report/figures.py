@@ -17,7 +17,7 @@ from hystmpc.trials.types import Vec
 
 from ..diagnosis import Diagnosis, Gap
 from ..next.motion_design import MotionProposal
-from .report_data import CandidateRow, Evidence, Stage, TrialEvidence
+from .report_data import CandidateRow, ReportData, Stage, TrialRuns
 from .words import in_words
 
 LABEL: dict[Stage, str] = {"nominal": "as given", "retuned": "retuned", "with_effects": "with effects"}
@@ -40,12 +40,12 @@ def measured_label(unit: str) -> str:
     return "tip angle [deg]" if unit == "deg" else f"output [{unit}]"
 
 
-def worst_first(trials: Sequence[TrialEvidence]) -> list[TrialEvidence]:
+def worst_first(trials: Sequence[TrialRuns]) -> list[TrialRuns]:
     """Trials by their retuned RMSE, greatest first."""
     return sorted(trials, key=lambda trial: -trial.rmse("retuned"))
 
 
-def shown(trials: Sequence[TrialEvidence], most: int) -> list[TrialEvidence]:
+def shown(trials: Sequence[TrialRuns], most: int) -> list[TrialRuns]:
     """At most so many trials, final ones before others and worse before better, in recording order."""
     ranked = sorted(worst_first(trials), key=lambda trial: trial.role != "final")[:most]
     return [trial for trial in trials if any(trial is other for other in ranked)]
@@ -84,7 +84,7 @@ def draw_interval(axes: Axes, row: float, value: float, interval: Interval, **st
     axes.errorbar(value, row, xerr=reach, **{**INTERVAL, **style})
 
 
-def closed_figure(evidence: Evidence) -> Figure:
+def closed_figure(evidence: ReportData) -> Figure:
     """RMSE of every final trial and of all together, with 90 % intervals, against the floor [deg]."""
     trials = shown(evidence.final, MOST_ROWS)
     gap, rows = evidence.diagnosis.gap, len(trials) + 1
@@ -92,7 +92,7 @@ def closed_figure(evidence: Evidence) -> Figure:
         axes: Axes = figure.subplots()
         for stage in evidence.stages:
             values = [_pooled(gap, stage), *(trial.rmse(stage) for trial in trials)]
-            groups: list[Sequence[TrialEvidence]] = [evidence.final, *([trial] for trial in trials)]
+            groups: list[Sequence[TrialRuns]] = [evidence.final, *([trial] for trial in trials)]
             _points(axes, stage, values, [rmse_interval(group, stage) for group in groups])
         floors = [gap.floor_rmse_deg, *(trial.floor_deg for trial in trials)]
         axes.plot(floors, np.arange(rows), "|", color=REFERENCE, markersize=17, markeredgewidth=1.6, label="floor")
@@ -121,7 +121,7 @@ def _pooled(gap: Gap, stage: Stage) -> float:
     return float(getattr(gap, f"{stage}_rmse_deg"))
 
 
-def rmse_interval(trials: Sequence[TrialEvidence], stage: Stage) -> Interval | None:
+def rmse_interval(trials: Sequence[TrialRuns], stage: Stage) -> Interval | None:
     """90 % block-bootstrap interval of the RMSE over some trials [deg]; None for less than four blocks of 2 s.
 
     Drawn with one seed, so that a report is the same each time.
@@ -135,7 +135,7 @@ def rmse_interval(trials: Sequence[TrialEvidence], stage: Stage) -> Interval | N
     return float(low), float(high)
 
 
-def _blocks(trials: Sequence[TrialEvidence], stage: Stage) -> tuple[Vec, Vec]:
+def _blocks(trials: Sequence[TrialRuns], stage: Stage) -> tuple[Vec, Vec]:
     """Sum of squares [deg^2] and number of samples of every block."""
     sums, counts = list[float](), list[float]()
     for trial in trials:
@@ -147,7 +147,7 @@ def _blocks(trials: Sequence[TrialEvidence], stage: Stage) -> tuple[Vec, Vec]:
     return np.array(sums), np.array(counts)
 
 
-def effects_figure(evidence: Evidence) -> Figure:
+def effects_figure(evidence: ReportData) -> Figure:
     """Candidates by probability; those chosen, and those that these trials cannot tell apart, stand out."""
     diagnosis, rows = evidence.diagnosis, {row.name: row for row in evidence.candidates}
     names = _names(diagnosis)

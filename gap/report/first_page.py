@@ -8,10 +8,9 @@ from hystmpc.models.effects.catalogue import effect_of
 from hystmpc.models.identify.corrected_simulator import EFFECTS_FILE
 from hystmpc.models.simulator import Simulator
 
-from ..diagnosis import Diagnosis, NextMotion, Place
-from .report_data import FIXED_FILE, Evidence
+from ..diagnosis import Diagnosis, NextMotion, ResidualShare
+from .report_data import FIXED_FILE, ReportData
 from .words import (
-    chances,
     closed_sentence,
     floor_words,
     in_words,
@@ -19,6 +18,7 @@ from .words import (
     mis_set_sentence,
     parameter_words,
     percent,
+    probabilities,
     retuning_sentence,
     stability_sentence,
     tracking_sentence,
@@ -30,7 +30,7 @@ _LIKELY = 0.5  # probability, and share of the resamples, from which an effect c
 _DENSE, _MOST = 1.5, 0.3  # density and share of the error, above which a place is worth a sentence
 
 
-def why(diagnosis: Diagnosis) -> tuple[str, ...]:
+def verdict_facts(diagnosis: Diagnosis) -> tuple[str, ...]:
     """Facts behind the verdict, each with its number."""
     if diagnosis.verdict in ("named", "one_of"):
         said = (closed_sentence(diagnosis), _values(diagnosis), mis_set_sentence(diagnosis))
@@ -41,7 +41,7 @@ def why(diagnosis: Diagnosis) -> tuple[str, ...]:
     return tuple(filter(None, said))
 
 
-def what_next(evidence: Evidence) -> tuple[str, ...]:
+def next_actions(evidence: ReportData) -> tuple[str, ...]:
     """What to do with the corrected simulator, what that brings, and what to record."""
     diagnosis, motion = evidence.diagnosis, evidence.diagnosis.next_motion
     said = [_corrected(evidence)]
@@ -57,7 +57,7 @@ def what_next(evidence: Evidence) -> tuple[str, ...]:
     return tuple(filter(None, said))
 
 
-def how_sure(diagnosis: Diagnosis) -> tuple[str, ...]:
+def certainty(diagnosis: Diagnosis) -> tuple[str, ...]:
     """Probability, stability over splits, interval, floor, and what could not be tested."""
     untested = ""
     if diagnosis.untestable:
@@ -87,7 +87,7 @@ def _values(diagnosis: Diagnosis) -> str:
 
 def _densest(diagnosis: Diagnosis) -> str:
     """The part of the motion where the error is densest, if that stands out."""
-    places: list[tuple[str, Place]] = [
+    places: list[tuple[str, ResidualShare]] = [
         (name, place) for name, place in diagnosis.where.items() if place.density > _DENSE and place.share > _MOST
     ]
     if not places:
@@ -97,12 +97,12 @@ def _densest(diagnosis: Diagnosis) -> str:
     return f"The error is densest in the part called {in_words(name)}: {share} of it in {time} of the time."
 
 
-def _unrelated(evidence: Evidence) -> bool:
+def _unrelated(evidence: ReportData) -> bool:
     """Whether no angle follows its command: no simulator is corrected then."""
     return evidence.nominal is not None and evidence.fixed is None
 
 
-def _corrected(evidence: Evidence) -> str:
+def _corrected(evidence: ReportData) -> str:
     """What to do with the file of the correction."""
     diagnosis = evidence.diagnosis
     if _unrelated(evidence):
@@ -125,7 +125,7 @@ def _corrected(evidence: Evidence) -> str:
     return f"Keep the simulator as given: retuning does not lower the RMSE on the {evidence.measured_on}."
 
 
-def _with_effects(evidence: Evidence, fixed: Simulator) -> str:
+def _with_effects(evidence: ReportData, fixed: Simulator) -> str:
     """What to do with a corrected simulator that holds all of the effects, some of them or none."""
     diagnosis, chain = evidence.diagnosis, fixed.chain
     built_in = {effect_of(operator.name) for operator in (*chain.before, *chain.after)}
@@ -154,7 +154,7 @@ def _recording(motion: NextMotion) -> list[str]:
 
 def _probability(diagnosis: Diagnosis) -> str:
     """Probabilities of the effects found and of those they may stand for; else of the most likely one."""
-    chance = chances(diagnosis)
+    chance = probabilities(diagnosis)
     effects = [effect.name for effect in diagnosis.effects]
     shown = list(dict.fromkeys([*effects, *(name for names in diagnosis.ambiguity for name in names)]))
     if not shown:

@@ -21,7 +21,7 @@ from hystmpc.trials.run_folder import RunFolder
 
 from ..diagnosis import FORMATS, Diagnosis
 from ..next.motion_design import MOTION_FILE, write_motion
-from .report_data import FIXED_FILE, STAGES, Evidence
+from .report_data import FIXED_FILE, STAGES, ReportData
 
 DIAGNOSIS_FILE, GIVEN_FILE = "diagnosis.json", "sim.given.yaml"
 _SOMETIMES = (FIXED_FILE, GIVEN_FILE, MOTION_FILE, "log.mcap")
@@ -57,7 +57,7 @@ def holds_diagnosis(folder: Path) -> bool:
 
 
 def save_diagnosis(
-    evidence: Evidence,
+    evidence: ReportData,
     folder: Path | str,
     settings: Mapping[str, Any],
     *,
@@ -98,7 +98,7 @@ def diagnosis_json(diagnosis: Diagnosis) -> str:
     return json.dumps(_plain(diagnosis.as_json()), indent=2, allow_nan=False) + "\n"
 
 
-def _write(evidence: Evidence, run: RunFolder) -> None:
+def _write(evidence: ReportData, run: RunFolder) -> None:
     write_atomically(run.path / DIAGNOSIS_FILE, diagnosis_json(evidence.diagnosis))
     run.write_log(_log(evidence))
     for simulator, name in ((evidence.fixed, FIXED_FILE), (evidence.nominal, GIVEN_FILE)):
@@ -113,7 +113,7 @@ def _write(evidence: Evidence, run: RunFolder) -> None:
     write_report(evidence, run.path)
 
 
-def _log(evidence: Evidence) -> dict[str, Any]:
+def _log(evidence: ReportData) -> dict[str, Any]:
     """All trials one after the other, with what the simulators made of them."""
     starts, at = [], 0.0
     for trial in evidence.trials:

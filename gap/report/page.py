@@ -10,8 +10,8 @@ from hystmpc.trials.report import Folded, Heading, Paragraph, Piece, Plot, Point
 
 from ..next.motion_design import MOTION_FILE
 from .figures import LABEL, MOST_ROWS, closed_figure, effects_figure, next_figure, shown, worst_first
-from .first_page import how_sure, what_next, why
-from .report_data import Evidence
+from .first_page import certainty, next_actions, verdict_facts
+from .report_data import ReportData
 from .residual_figures import (
     before_after_figure,
     bins_figure,
@@ -36,8 +36,8 @@ from .tables import (
 )
 from .tracking_figure import tracking_figure
 from .words import (
+    ambiguous_sets,
     ceiling_sentence,
-    choices,
     closed_sentence,
     detectable_sentence,
     floor_words,
@@ -53,12 +53,12 @@ from .words import (
 MOST_HEAT, MOST_LOOPS, MOST_TIMES = 6, 6, 3
 
 
-def write_report(evidence: Evidence, folder: Path | str) -> Path:
+def write_report(evidence: ReportData, folder: Path | str) -> Path:
     """Write `report.html` into a folder: one page, whole or not at all, that opens offline."""
     return diagnosis_report(evidence).save(Path(folder) / "report.html")
 
 
-def diagnosis_report(evidence: Evidence) -> Report:
+def diagnosis_report(evidence: ReportData) -> Report:
     """The page of a diagnosis, whatever its verdict: what to know and to do, then everything else, folded."""
     folded = (Folded(heading, tuple(made(evidence))) for heading, made in _SECTIONS)
     pieces = (*_first_page(evidence), *(section for section in folded if section.pieces))
@@ -66,13 +66,13 @@ def diagnosis_report(evidence: Evidence) -> Report:
     return Report("Sim-to-real gap", pieces, subtitle)
 
 
-def _first_page(evidence: Evidence) -> Iterator[Piece]:
+def _first_page(evidence: ReportData) -> Iterator[Piece]:
     diagnosis = evidence.diagnosis
     yield Heading(headline(diagnosis))
     blocks = {
-        "Why": why(diagnosis),
-        "What to do next": what_next(evidence),
-        "How sure it is": how_sure(diagnosis),
+        "Why": verdict_facts(diagnosis),
+        "What to do next": next_actions(evidence),
+        "How sure it is": certainty(diagnosis),
     }
     for heading, sentences in blocks.items():
         if sentences:
@@ -89,7 +89,7 @@ def _first_page(evidence: Evidence) -> Iterator[Piece]:
     )
 
 
-def _sizes(evidence: Evidence) -> Iterator[Piece]:
+def _sizes(evidence: ReportData) -> Iterator[Piece]:
     diagnosis = evidence.diagnosis
     yield Paragraph(diagnosis.reason)
     for sentence in (closed_sentence(diagnosis), stability_sentence(diagnosis), *order_sentences(diagnosis)):
@@ -104,7 +104,7 @@ def _sizes(evidence: Evidence) -> Iterator[Piece]:
     )
 
 
-def _closed_loop(evidence: Evidence) -> Iterator[Piece]:
+def _closed_loop(evidence: ReportData) -> Iterator[Piece]:
     tracking = evidence.diagnosis.tracking
     if tracking is None:
         return
@@ -120,7 +120,7 @@ def _closed_loop(evidence: Evidence) -> Iterator[Piece]:
         )
 
 
-def _which(evidence: Evidence) -> Iterator[Piece]:
+def _which(evidence: ReportData) -> Iterator[Piece]:
     diagnosis = evidence.diagnosis
     if diagnosis.ranking or diagnosis.effects:
         yield Plot(
@@ -131,7 +131,7 @@ def _which(evidence: Evidence) -> Iterator[Piece]:
         )
     else:
         yield Paragraph("No effect was weighed.")
-    for letter, words in zip("ABCDEFGHIJ", choices(diagnosis), strict=False):
+    for letter, words in zip("ABCDEFGHIJ", ambiguous_sets(diagnosis), strict=False):
         yield Paragraph(
             f"Set {letter}: {words}. With these trials each explains the gap as well as the others within its "
             "uncertainty; the data do not say which."
@@ -140,7 +140,7 @@ def _which(evidence: Evidence) -> Iterator[Piece]:
         yield effects_table(evidence)
 
 
-def _where(evidence: Evidence) -> Iterator[Piece]:
+def _where(evidence: ReportData) -> Iterator[Piece]:
     unit, final, after = evidence.command_unit, evidence.final, evidence.stages[1:]
     heat = shown(evidence.trials, MOST_HEAT)
     rest = len(evidence.trials) - len(heat)
@@ -165,7 +165,7 @@ def _where(evidence: Evidence) -> Iterator[Piece]:
         yield Paragraph(ceiling)
 
 
-def _memory_and_spectrum(evidence: Evidence) -> Iterator[Piece]:
+def _memory_and_spectrum(evidence: ReportData) -> Iterator[Piece]:
     localisation = evidence.localisation
     lines = () if localisation is None else localisation.spectrum.lines
     caption = f"Residual over frequency, {evidence.measured_on}; at the noise nothing is left to explain."
@@ -181,7 +181,7 @@ def _memory_and_spectrum(evidence: Evidence) -> Iterator[Piece]:
         yield Plot(memory_figure(localisation.memory), text)
 
 
-def _next(evidence: Evidence) -> Iterator[Piece]:
+def _next(evidence: ReportData) -> Iterator[Piece]:
     proposal = evidence.proposal
     if proposal is None:
         return
@@ -198,7 +198,7 @@ def _next(evidence: Evidence) -> Iterator[Piece]:
     yield Table(("motion", "duration [s]", "expected probability", "what it shows"), rows, "The whole menu.")
 
 
-def _numbers(evidence: Evidence) -> Iterator[Piece]:
+def _numbers(evidence: ReportData) -> Iterator[Piece]:
     yield trials_table(evidence)
     if evidence.diagnosis.retuned:
         yield retuned_table(evidence)
@@ -208,14 +208,14 @@ def _numbers(evidence: Evidence) -> Iterator[Piece]:
         yield candidates_table(evidence)
 
 
-def _detectable(evidence: Evidence) -> Iterator[Piece]:
+def _detectable(evidence: ReportData) -> Iterator[Piece]:
     if (sizes := evidence.diagnosis.detectable) is not None:
         yield Paragraph(detectable_sentence(sizes))
         if sizes.effects:
             yield detectable_table(sizes)
 
 
-def _cannot_show(evidence: Evidence) -> Iterator[Piece]:
+def _cannot_show(evidence: ReportData) -> Iterator[Piece]:
     if evidence.confusable:
         yield confusable_table(evidence)
     for sentence in evidence.cannot_show:
@@ -224,11 +224,11 @@ def _cannot_show(evidence: Evidence) -> Iterator[Piece]:
         yield Paragraph("Nothing was found that these motions leave hidden.")
 
 
-def _made(evidence: Evidence) -> Iterator[Piece]:
+def _made(evidence: ReportData) -> Iterator[Piece]:
     yield made_by(evidence, _versions())
 
 
-_SECTIONS: tuple[tuple[str, Callable[[Evidence], Iterator[Piece]]], ...] = (
+_SECTIONS: tuple[tuple[str, Callable[[ReportData], Iterator[Piece]]], ...] = (
     ("How large the gap is: error of every final trial, and the floor", _sizes),
     ("What the controller gains: tracking error before and after", _closed_loop),
     ("Which effect: probability, gain and closed share of each", _which),

@@ -16,10 +16,10 @@ from hystmpc.trials.figure_data import draw_long, draw_part
 from hystmpc.trials.report import MEASURED, REFERENCE, new_figure
 from hystmpc.trials.types import Vec
 
-from ..diagnosis import Place
+from ..diagnosis import ResidualShare
 from ..residual.localise import SpectralLine
 from .figures import COLOUR, COMMANDED, HEAT, LABEL, LOOK, QUIET, REAL, draw_interval, measured_label, short, thin
-from .report_data import Stage, TrialEvidence
+from .report_data import Stage, TrialRuns
 from .words import in_words
 
 _BINS, _SEGMENT_S = 12, 16.0
@@ -35,7 +35,7 @@ _BAR = COLOUR["retuned"]
 _STAIRS: Any = {"linewidth": 1.5, "baseline": None}
 
 
-def heat_figure(trials: Sequence[TrialEvidence], unit: str, stages: Sequence[Stage]) -> Figure:
+def heat_figure(trials: Sequence[TrialRuns], unit: str, stages: Sequence[Stage]) -> Figure:
     """Command over time, and below it |simulated - measured| as colour, one strip for each simulator.
 
     One scale of colour and one of time for all trials, so that strips can be compared.
@@ -55,14 +55,14 @@ def heat_figure(trials: Sequence[TrialEvidence], unit: str, stages: Sequence[Sta
     return figure
 
 
-def _command(axes: Axes, trial: TrialEvidence, unit: str) -> None:
+def _command(axes: Axes, trial: TrialRuns, unit: str) -> None:
     t, command = thin(trial.trial.t - trial.trial.t[0], trial.trial.command)
     axes.plot(t, command, **COMMANDED)
     axes.set_ylabel(unit)
     axes.set_title(f"{short(trial.name, 50)} ({trial.role})", fontsize=8.5)
 
 
-def _strip(axes: Axes, trial: TrialEvidence, stages: Sequence[Stage], top: float) -> None:
+def _strip(axes: Axes, trial: TrialRuns, stages: Sequence[Stage], top: float) -> None:
     """One row a simulator; samples that do not count stay white."""
     rows = np.array([_columns(trial, stage) for stage in stages])
     extent = (0.0, trial.trial.duration_s, len(stages) - 0.5, -0.5)
@@ -74,7 +74,7 @@ def _strip(axes: Axes, trial: TrialEvidence, stages: Sequence[Stage], top: float
         axes.axhline(k - 0.5, color="white", linewidth=1.2)
 
 
-def _columns(trial: TrialEvidence, stage: Stage) -> np.ndarray:
+def _columns(trial: TrialRuns, stage: Stage) -> np.ndarray:
     """Greatest |residual| in each of some equal parts of the trial [deg]."""
     size = np.full(len(trial.trial), np.nan)
     size[trial.start :] = np.abs(trial.residual(stage))
@@ -82,7 +82,7 @@ def _columns(trial: TrialEvidence, stage: Stage) -> np.ndarray:
     return np.array([np.nanmax(part) if np.isfinite(part).any() else np.nan for part in parts])
 
 
-def loop_figure(trials: Sequence[TrialEvidence], unit: str, stages: Sequence[Stage]) -> Figure:
+def loop_figure(trials: Sequence[TrialRuns], unit: str, stages: Sequence[Stage]) -> Figure:
     """Loops of angle over command: real and of each simulator."""
     across = min(_PER_LINE, len(trials))
     lines = -(-len(trials) // across)
@@ -104,7 +104,7 @@ def loop_figure(trials: Sequence[TrialEvidence], unit: str, stages: Sequence[Sta
     return figure
 
 
-def time_figure(trials: Sequence[TrialEvidence], stages: Sequence[Stage]) -> Figure:
+def time_figure(trials: Sequence[TrialRuns], stages: Sequence[Stage]) -> Figure:
     """Angle over time: real and of each simulator, and what the simulators leave of it."""
     with new_figure(7.0, 0.7 + 2.6 * len(trials)) as figure:
         rows = figure.subplots(2 * len(trials), 1, height_ratios=(5, 3) * len(trials))
@@ -125,7 +125,7 @@ def time_figure(trials: Sequence[TrialEvidence], stages: Sequence[Stage]) -> Fig
     return figure
 
 
-def before_after_figure(trial: TrialEvidence, after: Stage) -> Figure:
+def before_after_figure(trial: TrialRuns, after: Stage) -> Figure:
     """Angle over time, measured and simulated before and after the correction, and the error of both; of a long trial
     the part around the largest error is seen at first."""
     t = trial.trial.t - trial.trial.t[0]
@@ -145,7 +145,7 @@ def before_after_figure(trial: TrialEvidence, after: Stage) -> Figure:
     return figure
 
 
-def _densest_start(trial: TrialEvidence) -> int:
+def _densest_start(trial: TrialRuns) -> int:
     """First sample of the window with the largest error as given, among the samples that count."""
     size = round(_WINDOW_S / trial.trial.dt)
     energy = np.cumsum(np.r_[0.0, trial.residual("nominal") ** 2])
@@ -154,11 +154,11 @@ def _densest_start(trial: TrialEvidence) -> int:
     return trial.start + int(np.argmax(energy[size:] - energy[:-size]))
 
 
-def _runs(trial: TrialEvidence, stages: Sequence[Stage]) -> list[NDArray[np.float64]]:
+def _runs(trial: TrialRuns, stages: Sequence[Stage]) -> list[NDArray[np.float64]]:
     return [getattr(trial, stage) for stage in stages]
 
 
-def share_figure(places: Mapping[str, Place]) -> Figure:
+def share_figure(places: Mapping[str, ResidualShare]) -> Figure:
     """Share of the retuned residual's energy in each part of the motion, beside the share of time spent there."""
     ordered = sorted(places.items(), key=lambda item: -item[1].share)
     with new_figure(7.0, 0.95 + 0.3 * len(ordered)) as figure:
@@ -180,7 +180,7 @@ def share_figure(places: Mapping[str, Place]) -> Figure:
     return figure
 
 
-def bins_figure(trials: Sequence[TrialEvidence], stages: Sequence[Stage]) -> Figure | None:
+def bins_figure(trials: Sequence[TrialRuns], stages: Sequence[Stage]) -> Figure | None:
     """RMSE over command, angle and speed, of each simulator; None where nothing moves."""
     groups = binned(trials, stages)
     if not groups:
@@ -221,7 +221,7 @@ class Binned:
     time: Vec
 
 
-def binned(trials: Sequence[TrialEvidence], stages: Sequence[Stage]) -> list[Binned]:
+def binned(trials: Sequence[TrialRuns], stages: Sequence[Stage]) -> list[Binned]:
     """RMSE by command, angle and speed of the command over all samples that count; constant quantities are left out."""
     unit, angle = trials[0].trial.units.command, trials[0].trial.units.angle
     values = {
@@ -253,7 +253,7 @@ def _binned(quantity: str, unit: str, values: Vec, squares: dict[Stage, Vec]) ->
 
 
 def spectrum_figure(
-    trials: Sequence[TrialEvidence], stages: Sequence[Stage], noise_deg: float, lines: Sequence[SpectralLine] = ()
+    trials: Sequence[TrialRuns], stages: Sequence[Stage], noise_deg: float, lines: Sequence[SpectralLine] = ()
 ) -> Figure:
     """Residual over frequency against white noise of that deviation; lines that are not the command's are marked."""
     with new_figure(7.0, 2.8) as figure:
@@ -275,7 +275,7 @@ def spectrum_figure(
     return figure
 
 
-def amplitude_density(trials: Sequence[TrialEvidence], stage: Stage) -> tuple[Vec, Vec]:
+def amplitude_density(trials: Sequence[TrialRuns], stage: Stage) -> tuple[Vec, Vec]:
     """Frequencies [Hz] and amplitude density of the residuals [deg/sqrt(Hz)], mean power over trials (Welch, 16 s)."""
     dt = float(np.median([trial.trial.dt for trial in trials]))
     shortest = min(trial.residual(stage).size for trial in trials)

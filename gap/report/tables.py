@@ -9,14 +9,14 @@ from hystmpc.trials.report import KeyValues, Paragraph, Piece, Table
 
 from ..diagnosis import DetectableSizes, TrackingGap
 from .figures import LABEL
-from .report_data import STAGES, CandidateRow, Evidence, TrialEvidence
+from .report_data import STAGES, CandidateRow, ReportData, TrialRuns
 from .words import DETECTABLE_COLUMNS, baseline_units, detectable_rows, in_words, percent
 
 NOT_DETERMINED = "not determined"
 _SIDES = {"command": "command side", "output": "output side", "sensor": "sensor", "trial": "trial to trial"}
 
 
-def effects_table(evidence: Evidence) -> Table:
+def effects_table(evidence: ReportData) -> Table:
     """The chosen effects with what each closes."""
     rows = [
         (
@@ -39,7 +39,7 @@ def effects_table(evidence: Evidence) -> Table:
     return Table(columns, rows, caption)
 
 
-def candidates_table(evidence: Evidence) -> Table:
+def candidates_table(evidence: ReportData) -> Table:
     """Every effect of the library, added alone."""
     sizes = (f"{size} [{evidence.unit}]" for size in ("RMSE", "gain", "standard error"))
     columns = ("effect", "acts on", *sizes, "probability", "")
@@ -61,7 +61,7 @@ def tracking_table(tracking: TrackingGap) -> Table:
     return Table(("motion", "before [deg]", "after [deg]", "fall [deg]"), rows, caption)
 
 
-def trials_table(evidence: Evidence) -> Table:
+def trials_table(evidence: ReportData) -> Table:
     """RMSE of every trial; final ones first."""
     rows = sorted(evidence.trials, key=lambda trial: trial.role != "final")
     sizes = (f"{size} [{evidence.unit}]" for size in (*(LABEL[stage] for stage in STAGES), "floor"))
@@ -69,7 +69,7 @@ def trials_table(evidence: Evidence) -> Table:
     return Table(columns, [_trial(row) for row in rows], "RMSE of simulated less measured angle.")
 
 
-def confusable_table(evidence: Evidence) -> Table:
+def confusable_table(evidence: ReportData) -> Table:
     """What these motions can hardly tell apart; what they cannot comes first."""
     rows = [
         (
@@ -95,7 +95,7 @@ def detectable_table(sizes: DetectableSizes) -> Table:
     return Table(DETECTABLE_COLUMNS, detectable_rows(sizes), "These logs would show each effect from this size on.")
 
 
-def parameters_table(evidence: Evidence) -> Table:
+def parameters_table(evidence: ReportData) -> Table:
     """Identified values and whether the logs determine them."""
     rows = []
     for row in evidence.parameters:
@@ -111,7 +111,7 @@ def parameters_table(evidence: Evidence) -> Table:
     return Table(columns, rows, caption)
 
 
-def retuned_table(evidence: Evidence) -> Table:
+def retuned_table(evidence: ReportData) -> Table:
     """Baseline quantities before and after the refit."""
     units = baseline_units(evidence.diagnosis)
     rows = [
@@ -122,7 +122,7 @@ def retuned_table(evidence: Evidence) -> Table:
     return Table(("quantity", "unit", "as given", "retuned", "change"), rows, caption)
 
 
-def check_pieces(evidence: Evidence) -> Iterator[Piece]:
+def check_pieces(evidence: ReportData) -> Iterator[Piece]:
     """What the commands of the logs do, and the notes."""
     excitation, unit = evidence.excitation, evidence.command_unit
     if excitation is not None:
@@ -146,7 +146,7 @@ def check_pieces(evidence: Evidence) -> Iterator[Piece]:
         yield Paragraph("The checks found nothing to remark.")
 
 
-def made_by(evidence: Evidence, versions: dict[str, str]) -> KeyValues:
+def made_by(evidence: ReportData, versions: dict[str, str]) -> KeyValues:
     """How the diagnosis was made: simulator, seed, time, versions."""
     roles = [trial.role for trial in evidence.trials]
     split = ", ".join(f"{roles.count(role)} {role}" for role in dict.fromkeys(roles))
@@ -163,7 +163,7 @@ def _candidate(row: CandidateRow) -> tuple[object, ...]:
     return in_words(row.name), _SIDES[row.side], *numbers, "chosen" if row.chosen else ""
 
 
-def _trial(row: TrialEvidence) -> tuple[object, ...]:
+def _trial(row: TrialRuns) -> tuple[object, ...]:
     sizes = [row.rmse(stage) for stage in STAGES]
     return row.name, in_words(row.motion), row.role, round(row.trial.duration_s, 1), *sizes, row.floor_deg
 

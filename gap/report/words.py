@@ -8,8 +8,17 @@ from collections.abc import Sequence
 from hystmpc.models.identify.uncertainty import BASELINE_UNITS, Interval
 from hystmpc.trials.trial import Units
 
-from ..decide.verdict import Ruling
-from ..diagnosis import FLIPS, Detectable, DetectableSizes, Diagnosis, FoundEffect, Gap, Moved, TrackingGap
+from ..decide.verdict import VerdictDecision
+from ..diagnosis import (
+    FLIPS,
+    Detectable,
+    DetectableSizes,
+    Diagnosis,
+    Gap,
+    IdentifiedEffect,
+    RetunedParameter,
+    TrackingGap,
+)
 from ..next.motion_design import MotionProposal
 
 _UNREPEATABLE = "what is left differs between repeats of a motion, and no effect of the library explains that"
@@ -38,19 +47,19 @@ def headline(diagnosis: Diagnosis) -> str:
 
 
 def reason_for(
-    ruling: Ruling,
-    effects: Sequence[FoundEffect],
+    decision: VerdictDecision,
+    effects: Sequence[IdentifiedEffect],
     gap: Gap,
     too_little: str,
     unrelated: str,
-    moved: Sequence[Moved] = (),
+    moved: Sequence[RetunedParameter] = (),
     unit: str = "deg",
 ) -> str:
     """The verdict in one sentence, with its numbers; `too_little` and `unrelated` say why trials are unusable."""
     sizes = f"retuned {gap.retuned_rmse_deg:#.3g} {unit}, floor {gap.floor_rmse_deg:#.3g} {unit}"
     names = ", ".join(effect.words for effect in effects)
     closed = f"{percent(gap.closed_share)} of the structural gap closed on trials kept for the end"
-    sets = "; ".join(listed([in_words(name) for name in names], "or") for names in ruling.ambiguity)
+    sets = "; ".join(listed([in_words(name) for name in names], "or") for names in decision.ambiguity)
     unexplained = "a structural gap that no effect of the library explains"
     if gap.unrepeatable:
         differ = f"repeats of a motion differ by {gap.repeats_rmse_deg:#.3g} {unit}"
@@ -62,23 +71,23 @@ def reason_for(
         "named": f"{names}: {closed}, {percent(gap.unexplained_share)} unexplained ({sizes})",
         "one_of": f"one of {sets}: these trials cannot tell them apart; {closed} ({sizes})",
         "unknown": f"{unrelated or unexplained} ({sizes})",
-        "retuned": f"{_retuned_words(ruling, gap, moved, unit)} ({sizes})",
+        "retuned": f"{_retuned_words(decision, gap, moved, unit)} ({sizes})",
         "none": f"no structural gap: retuning leaves no more than noise and the simulator's own form error ({sizes})",
         "too_little": f"too little: {too_little} ({sizes})",
-    }[ruling.verdict]
+    }[decision.verdict]
 
 
-def _retuned_words(ruling: Ruling, gap: Gap, moved: Sequence[Moved], unit: str) -> str:
+def _retuned_words(decision: VerdictDecision, gap: Gap, moved: Sequence[RetunedParameter], unit: str) -> str:
     """What moved, and by how much the error falls with it."""
     numbers = ", ".join(_moved_words(row) for row in moved) or "numbers of the core, none of them for sure"
     fall = f"the RMSE falls from {gap.nominal_rmse_deg:#.3g} to {gap.retuned_rmse_deg:#.3g} {unit}"
     said = f"numbers of the same structure have moved, nothing is missing in it: {numbers}; {fall}"
-    if ruling.case == "moved":
+    if decision.case == "moved":
         return said
     return f"{said}; the rest is the form error of this simulator with the friction as it is now: identify it anew"
 
 
-def _moved_words(row: Moved) -> str:
+def _moved_words(row: RetunedParameter) -> str:
     """A number before and after, as `gain 10.2 to 11.4 deg/mm (90 % interval 11.3 to 11.5)`."""
     low, high = row.ci90
     unit = "" if row.unit == "1" else f" {row.unit}"
@@ -88,20 +97,24 @@ def _moved_words(row: Moved) -> str:
 
 def _causes(diagnosis: Diagnosis) -> list[str]:
     """Effects found, the most probable first, each with those that it may stand for, as `lag or delay`."""
-    sets = {name: words for names, words in zip(diagnosis.ambiguity, choices(diagnosis), strict=True) for name in names}
+    sets = {
+        name: words
+        for names, words in zip(diagnosis.ambiguity, ambiguous_sets(diagnosis), strict=True)
+        for name in names
+    }
     effects = sorted(diagnosis.effects, key=lambda effect: -effect.probability)
     causes = dict.fromkeys(sets.get(effect.name, effect.words) for effect in effects)
-    return list(causes) or choices(diagnosis)
+    return list(causes) or ambiguous_sets(diagnosis)
 
 
-def choices(diagnosis: Diagnosis) -> list[str]:
+def ambiguous_sets(diagnosis: Diagnosis) -> list[str]:
     """Every set of effects that these trials cannot tell apart, the most probable first, as `lag or delay`."""
-    chance = chances(diagnosis)
+    chance = probabilities(diagnosis)
     sets = (sorted(names, key=lambda name: -chance.get(name, 0.0)) for names in diagnosis.ambiguity)
     return [listed([in_words(name) for name in names], "or") for names in sets]
 
 
-def chances(diagnosis: Diagnosis) -> dict[str, float]:
+def probabilities(diagnosis: Diagnosis) -> dict[str, float]:
     """Probability of every effect by name."""
     return dict(diagnosis.ranking) | {effect.name: effect.probability for effect in diagnosis.effects}
 
@@ -173,7 +186,7 @@ def order_sentences(diagnosis: Diagnosis) -> list[str]:
     return [first, *(untestable.why for untestable in diagnosis.untestable)]
 
 
-def parameter_words(effect: FoundEffect) -> str:
+def parameter_words(effect: IdentifiedEffect) -> str:
     """Identified values with their units; none where the logs do not determine it."""
     return ", ".join(
         f"{name} not determined" if name in effect.undetermined else f"{name} {value:.3g} {_unit(effect, name)}"
@@ -181,7 +194,7 @@ def parameter_words(effect: FoundEffect) -> str:
     )
 
 
-def _unit(effect: FoundEffect, name: str) -> str:
+def _unit(effect: IdentifiedEffect, name: str) -> str:
     return f"[{effect.units.get(name, '1')}]"
 
 

@@ -17,7 +17,7 @@ from hystmpc.trials.segments import Motion
 from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Index, Mask, Vec
 
-from ..diagnosis import Place
+from ..diagnosis import ResidualShare
 from ..logs.motion_type import command_segments, since_reversal
 from ..logs.noise_floor import require_residuals
 from ..logs.sensor import autocorrelation
@@ -182,7 +182,7 @@ def _above(s: _Periodograms, hz: float) -> float:
     return max(float(s.unlocked[inside].sum()) - level * int(inside.sum()), 0.0)
 
 
-PLACES = ("loading", "unloading", "after_reversal", "hold", "first_flexure")
+MOTION_PARTS = ("loading", "unloading", "after_reversal", "hold", "first_flexure")
 """Parts of a motion, exclusive; precedence: hold, first_flexure, after_reversal, direction."""
 
 _AFTER = 0.1  # way after a reversal that counts as after it, as a share of the command's range in the trial
@@ -200,7 +200,7 @@ class Localisation:
         memory: share that each kind of memory explains held out, by name; below zero if none.
     """
 
-    places: Mapping[str, Place]
+    places: Mapping[str, ResidualShare]
     spectrum: Spectrum
     memory: Mapping[str, float]
 
@@ -230,7 +230,7 @@ def localise(
     power = np.concatenate([e**2 for e in residuals])
     if power.sum() <= 0:
         raise GapError(f"all {power.size} residuals are zero, expected something to localise")
-    labels = np.concatenate([place_labels(trial) for trial in trials])
+    labels = np.concatenate([motion_part_labels(trial) for trial in trials])
     return Localisation(
         places=_places(power, labels, _blocks(residuals, trials[0].dt), seed),
         spectrum=spectrum_of(trials, residuals),
@@ -238,8 +238,8 @@ def localise(
     )
 
 
-def place_labels(trial: Trial) -> Index:
-    """Number in `PLACES` of every sample (T,) of a uniform trial.
+def motion_part_labels(trial: Trial) -> Index:
+    """Number in `MOTION_PARTS` of every sample (T,) of a uniform trial.
 
     `hold`: the command rests. `first_flexure`: it moves, and has not turned yet in this trial. `after_reversal`: it
     moves, and has travelled less than a tenth of its range since it turned. Else `loading` or `unloading`. The parts
@@ -249,15 +249,15 @@ def place_labels(trial: Trial) -> Index:
         LogError: if the sampling is not uniform.
     """
     parts = command_segments(trial)
-    labels = np.where(parts.labels == Motion.UNLOADING, PLACES.index("unloading"), PLACES.index("loading"))
+    labels = np.where(parts.labels == Motion.UNLOADING, MOTION_PARTS.index("unloading"), MOTION_PARTS.index("loading"))
     if parts.reversals.size:
         width = _AFTER * float(np.ptp(trial.command))
         samples, travel, _ = since_reversal(trial.command, parts)
-        labels[(samples > 0) & (travel < width)] = PLACES.index("after_reversal")
-        labels[: int(parts.reversals[0]) + 1] = PLACES.index("first_flexure")
+        labels[(samples > 0) & (travel < width)] = MOTION_PARTS.index("after_reversal")
+        labels[: int(parts.reversals[0]) + 1] = MOTION_PARTS.index("first_flexure")
     else:
-        labels[:] = PLACES.index("first_flexure")
-    labels[parts.labels == Motion.HOLD] = PLACES.index("hold")
+        labels[:] = MOTION_PARTS.index("first_flexure")
+    labels[parts.labels == Motion.HOLD] = MOTION_PARTS.index("hold")
     return labels.astype(np.intp)
 
 
@@ -282,8 +282,8 @@ def _correlation_s(residuals: Sequence[Vec], dt: float) -> float:
     return float(below[0]) * dt if below.size else longest * dt
 
 
-def _places(power: Vec, labels: Index, blocks: Index, seed: int) -> dict[str, Place]:
-    energy = np.zeros((int(blocks[-1]) + 1, len(PLACES)))
+def _places(power: Vec, labels: Index, blocks: Index, seed: int) -> dict[str, ResidualShare]:
+    energy = np.zeros((int(blocks[-1]) + 1, len(MOTION_PARTS)))
     spent = np.zeros_like(energy)
     np.add.at(energy, (blocks, labels), power)
     np.add.at(spent, (blocks, labels), 1.0)
@@ -297,7 +297,7 @@ def _places(power: Vec, labels: Index, blocks: Index, seed: int) -> dict[str, Pl
     totals = np.maximum(drawn.sum(axis=1, keepdims=True), np.finfo(np.float64).tiny)
     low, high = np.quantile(drawn / totals, [0.05, 0.95], axis=0).tolist()
     return {
-        name: Place(float(share[k]), float(share[k] / time[k]), (low[k], high[k]))
-        for k, name in enumerate(PLACES)
+        name: ResidualShare(float(share[k]), float(share[k] / time[k]), (low[k], high[k]))
+        for k, name in enumerate(MOTION_PARTS)
         if time[k] > 0
     }

@@ -25,7 +25,7 @@ from hystmpc.trials.errors import GapError, HystmpcError
 from hystmpc.trials.types import Progress, Vec, no_progress
 
 from ..diagnosis import FLIPS, Diagnosis, MotionTracking, TrackingGap
-from ..report.report_data import Evidence, TrackingCurve, TrialEvidence
+from ..report.report_data import ReportData, TrackingCurve, TrialRuns
 
 SEEDS = (1, 2)
 """Of the noise; the interval of an error is between its least and its greatest value over them."""
@@ -169,11 +169,11 @@ class UnexplainedPlant(ComputedPlant):
         inner, disturbance, before = state
         angle, after = self._model.advance(inner, u)
         if self._noise is not None:
-            disturbance = walked(disturbance, abs(u - before), self.dt, self._noise, random.standard_normal())
+            disturbance = next_disturbance(disturbance, abs(u - before), self.dt, self._noise, random.standard_normal())
         return angle + disturbance, (after, disturbance, u)
 
 
-def walked(disturbance: float, travel: float, dt_s: float, noise: NoiseModel, drawn: float) -> float:
+def next_disturbance(disturbance: float, travel: float, dt_s: float, noise: NoiseModel, drawn: float) -> float:
     """The disturbance one sample later."""
     drift, motion = noise.drift_sigma_deg_per_sqrt_s, noise.motion_sigma_deg_per_sqrt_unit
     q = ROUGHNESS**2 * (drift**2 * dt_s + motion**2 * travel)
@@ -194,7 +194,7 @@ _FASTEST, _SPEED_SHARE = 0.99, 0.5  # quantile of the simulated speed, and how m
 _FAST_DT_S = 0.019  # below it a second seed would take too long
 
 
-def with_tracking(evidence: Evidence, progress: Progress | None = None) -> Evidence:
+def with_tracking(evidence: ReportData, progress: Progress | None = None) -> ReportData:
     """The evidence, and its diagnosis, with the expected fall of the closed-loop tracking error.
 
     References are drawn from the seed of the diagnosis. They stay within the angles that the trials covered, as the
@@ -221,7 +221,7 @@ def with_tracking(evidence: Evidence, progress: Progress | None = None) -> Evide
     return replace(evidence, diagnosis=replace(evidence.diagnosis, tracking=gap), curves=curves)
 
 
-def covered_motions(trials: Sequence[TrialEvidence], fixed: Simulator, seed: int) -> tuple[CountedMotion, ...]:
+def covered_motions(trials: Sequence[TrialRuns], fixed: Simulator, seed: int) -> tuple[CountedMotion, ...]:
     """Point to point with holds and a scan, within the angles and half of the speed that the trials covered.
 
     Raises:
@@ -236,7 +236,7 @@ def covered_motions(trials: Sequence[TrialEvidence], fixed: Simulator, seed: int
     return drawn_motions(random, rest, (float(low), float(high)), speed, SCANS_HZ, moves=_MOVES)
 
 
-def _why_not(evidence: Evidence) -> str:
+def _why_not(evidence: ReportData) -> str:
     """Why no fall can be said, in one sentence; empty where it can."""
     diagnosis: Diagnosis = evidence.diagnosis
     if evidence.unit != "deg":

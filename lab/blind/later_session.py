@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from hystmpc.gap.decide.attribution import Findings
-from hystmpc.gap.decide.gap_closed import FinalErrors, less_sawtooth
+from hystmpc.gap.decide.gap_closed import FinalErrors, without_sawtooth
 from hystmpc.gap.logs.preparation import prepare
 from hystmpc.trials.trial import Trial
 
@@ -31,4 +31,4 @@ def closed_in_later_session(findings: Findings, trials: Sequence[Trial]) -> floa
     jumps_mse = jumps.mse if jumps and "stick_slip" in causes - conclusion.chosen.effects else 0.0
     fitted = attribution.validation, attribution.retuned, conclusion.chosen, conclusion.floor
     errors = FinalErrors(later, *fitted, "sensor" in causes, findings.seed, jumps_mse)
-    return errors.shares.closed(less_sawtooth(errors.after, jumps_mse).mse)
+    return errors.shares.closed(without_sawtooth(errors.after, jumps_mse).mse)

@@ -14,7 +14,7 @@ import pytest
 from hystmpc.gap.diagnose import conclude, find_causes
 from hystmpc.gap.diagnosis import Diagnosis
 from hystmpc.gap.report.folder import diagnosis_json
-from hystmpc.gap.report.report_data import Evidence
+from hystmpc.gap.report.report_data import ReportData
 from hystmpc.models.chain import Chain
 from hystmpc.models.effects.catalogue import diagnosable
 from hystmpc.models.operators.dynamics import Lag
@@ -55,7 +55,7 @@ def recorded(*before: Operator, motions: tuple[Any, ...] = HOLDS, seed: int = 0)
     return trials_of(Chain(BACKLASH, before), list(motions), seed=seed)
 
 
-def diagnosed(trials: list[Trial], simulator: Simulator, **chosen: Any) -> tuple[Diagnosis, Evidence]:
+def diagnosed(trials: list[Trial], simulator: Simulator, **chosen: Any) -> tuple[Diagnosis, ReportData]:
     """A diagnosis that does not contradict itself."""
     diagnosis, evidence = conclude(find_causes(trials, simulator, **chosen))
     assert contradictions(evidence) == []
@@ -63,7 +63,7 @@ def diagnosed(trials: list[Trial], simulator: Simulator, **chosen: Any) -> tuple
 
 
 @functools.cache
-def creeping() -> tuple[Diagnosis, Evidence]:
+def creeping() -> tuple[Diagnosis, ReportData]:
     """The diagnosis of a device that creeps."""
     return diagnosed(recorded(CREEP), SIMULATOR, seed=3)
 
