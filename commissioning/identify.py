@@ -191,7 +191,7 @@ def diagnose_model(subject: Subject, model: Path, folder: Path, progress: Progre
         seed=seed,
         progress=progress,
     )
-    diagnosis, corrected = done.diagnosis, done.evidence.fixed if certified(done.diagnosis) else None
+    diagnosis, corrected = done.diagnosis, done.data.fixed if certified(done.diagnosis) else None
     if corrected is not None:
         save_simulator(corrected, folder / FIXED_FILE)
     motion = diagnosis.next_motion

@@ -61,8 +61,7 @@ def find_causes(
     ordered: bool = True,
     skip_first_flexure: bool = False,
 ) -> Findings:
-    """All steps up to the verdict: where a simulator departs from its device, which effects cause it, how far they
-    close the gap.
+    """Find the causes of the gap: check, retune, attribute, confirm on the final trials, and localise.
 
     Args:
         trials: of one device.
@@ -120,7 +119,7 @@ def find_causes(
 
 @one_blas_thread
 def conclude(findings: Findings, progress: Progress | None = None) -> tuple[Diagnosis, ReportData]:
-    """The next motion, the diagnosis, and all that its report shows."""
+    """Conclude a diagnosis: its result with the next motion, and the data of its report."""
     from .report.report_data import report_data
 
     clock = _Clock()
@@ -132,15 +131,15 @@ def conclude(findings: Findings, progress: Progress | None = None) -> tuple[Diag
     clock.lap("what next")
     findings = replace(findings, seconds={**findings.seconds, **clock.seconds})
     shown = tuple(_in_log(row, prepared) for row in rows)
-    evidence = report_data(findings, diagnosis, proposal, shown)
+    data = report_data(findings, diagnosis, proposal, shown)
     (progress or no_progress)(_CONCLUDED, _STEPS, diagnosis.verdict)
-    return diagnosis, evidence
+    return diagnosis, data
 
 
 def detectable_in_logs(
     trials: Sequence[Trial], simulator: Simulator | LoadedModel, settings: DiagnosisSettings = DEFAULT_SETTINGS
 ) -> DetectableSizes:
-    """The least size of each effect at which a diagnosis of these trials would see a gap, from their commands alone.
+    """Smallest detectable size of each effect on these trials, from their commands alone.
 
     Args:
         trials: of one device, in any order.
@@ -191,7 +190,7 @@ def _left_out(without: Sequence[str], only: Sequence[str] | None) -> tuple[str, 
 
 
 def _localisation(prepared: PreparedTrials, seed: int) -> Localisation | None:
-    """Where the error lies that retuning to all trials leaves: nothing is decided by it, so that none is held out."""
+    """Localisation of the residual of a simulator retuned to all trials; it decides nothing, so none is held out."""
     retuned = CrossValidation(prepared.baseline, prepared.counted).retuned()
     errors = prepared.scored(prepared.residuals(retuned))
     if not any(np.any(error) for error in errors):
@@ -277,14 +276,14 @@ def _in_log(row: ParameterRow, prepared: PreparedTrials) -> ParameterRow:
 
 
 def _untestable(findings: Findings) -> tuple[Untestable, ...]:
-    """What needs the order of recording, where that is unknown; not what the library goes without anyway."""
+    """Effects that need the unknown order of recording, without those left out of the library."""
     if findings.prepared.order == "known":
         return ()
     return tuple(Untestable(name, why) for name, why in NEEDS_ORDER.items() if name not in findings.left_out)
 
 
 def _probabilities(findings: Findings, grouped: Configuration | None) -> dict[str, float]:
-    """Probability of each effect found; that shifts fall into groups makes them less of an imitation."""
+    """Probability of each identified effect; grouped shifts are less likely to imitate another effect."""
     causes, missing = findings.conclusion.closed.causes, set(findings.left_out)
     ambiguous = {name for names in findings.conclusion.decision.ambiguity for name in names}
     untestable_names = {untestable.name for untestable in _untestable(findings)}
@@ -298,7 +297,7 @@ def _probabilities(findings: Findings, grouped: Configuration | None) -> dict[st
 
 
 def _left_open(findings: Findings) -> float:
-    """Probability that an effect is there of which the verdict does not speak.
+    """Probability left for effects that the verdict does not name.
 
     Where nothing is missing in the simulator, it is the chance that the verdict is another one.
     """
@@ -312,7 +311,7 @@ def _stable(findings: Findings) -> float:
 
 
 def _called(name: str, grouped: Configuration | None) -> str:
-    """What an effect is called: shifts of whole groups of trials have a name of their own."""
+    """Public name of an effect; shifts of whole groups of trials are a configuration change."""
     return grouped.name(name) if grouped else name
 
 
@@ -350,21 +349,21 @@ def _effects(
 
 
 @dataclass(frozen=True, eq=False)
-class Diagnosed:
-    """A diagnosis with all that it rests on.
+class DiagnosisResult:
+    """Result of a diagnosis with the results of its steps.
 
     Attributes:
         findings: result of every step.
-        evidence: what its report shows.
+        data: what its report shows.
     """
 
     findings: Findings
-    evidence: ReportData
+    data: ReportData
 
     @property
     def diagnosis(self) -> Diagnosis:
         """The result."""
-        return self.evidence.diagnosis
+        return self.data.diagnosis
 
 
 def diagnose_trials(
@@ -381,8 +380,8 @@ def diagnose_trials(
     skip_first_flexure: bool = False,
     progress: Progress | None = None,
     say: Callable[[str], None] | None = None,
-) -> Diagnosed:
-    """Diagnose trials as `hystmpc diagnose` does: the one way from logs to a verdict, a tracking gap and a folder.
+) -> DiagnosisResult:
+    """Diagnose trials as `hystmpc diagnose` does: verdict, expected tracking error, and the folder of results.
 
     Args:
         trials: as recorded, of one device.
@@ -412,9 +411,9 @@ def diagnose_trials(
         ordered=ordered,
         skip_first_flexure=skip_first_flexure,
     )
-    evidence = with_tracking(conclude(findings, progress)[1], progress)
+    data = with_tracking(conclude(findings, progress)[1], progress)
     if model is not None:
-        evidence = replace(evidence, simulator=model.name)
+        data = replace(data, simulator=model.name)
     if out is not None:
         settings: dict[str, Any] = {
             "logs": [trial.source for trial in trials],
@@ -426,5 +425,5 @@ def diagnose_trials(
             "skip_first_flexure": skip_first_flexure,
         }
         (progress or no_progress)(100, 100, "writing the report")
-        save_diagnosis(evidence, out, settings, models=() if model is None else (model,))
-    return Diagnosed(findings, evidence)
+        save_diagnosis(data, out, settings, models=() if model is None else (model,))
+    return DiagnosisResult(findings, data)

@@ -32,7 +32,7 @@ _NO_FALL, _HIDDEN = 0.05, 0.3  # of the error: less is no fall; the same where t
 
 @dataclass(frozen=True)
 class IdentifiedEffect:
-    """One effect that the diagnosis added to the simulator.
+    """Effect that the diagnosis added to the simulator.
 
     Attributes:
         name: its public name.
@@ -118,7 +118,7 @@ class ResidualShare:
 
 @dataclass(frozen=True)
 class RetunedParameter:
-    """A number of the simulator's core that retuning has moved.
+    """Parameter of the hysteresis core that retuning has changed.
 
     Attributes:
         name: `gain`, `offset`, `backlash_width`, or as the core calls it.
@@ -144,7 +144,7 @@ class Untestable:
 
 @dataclass(frozen=True)
 class Detectable:
-    """The least size of one effect that would count as a gap.
+    """Smallest detectable size of one effect.
 
     Attributes:
         effect: its public name.
@@ -165,7 +165,7 @@ class Detectable:
 
 @dataclass(frozen=True)
 class DetectableSizes:
-    """What some logs would show, from their commands alone.
+    """Smallest detectable size of every effect, from the commands of the logs alone.
 
     Attributes:
         needed_rmse_deg: RMSE that an effect has to leave after retuning to count as a gap [deg].
@@ -182,7 +182,7 @@ class DetectableSizes:
 
 @dataclass(frozen=True)
 class Stability:
-    """How often the verdict comes out again on other splits of the trials.
+    """Stability of the verdict over resampled splits of the trials.
 
     Attributes:
         share: of the resamples with the same verdict and the same set of names.
@@ -229,7 +229,7 @@ class MotionTracking:
 
 @dataclass(frozen=True)
 class TrackingGap:
-    """How far the closed-loop tracking error is expected to fall with the corrected simulator as the model.
+    """Expected fall of the closed-loop tracking error with the corrected simulator as the model.
 
     All errors are RMS, true angle less reference, simulated on the corrected simulator with its noise.
 
@@ -267,7 +267,7 @@ class TrackingGap:
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """Where the gap lies, which effects cause it, how far it shrinks, and what to record next.
+    """Result of a diagnosis: location and causes of the gap, closed share, and the next motion.
 
     Attributes:
         verdict: named | one_of (see `ambiguity`) | retuned (see `moved`) | unknown | none | too_little.

@@ -36,7 +36,7 @@ _SHIFT_SEED = 77  # of the phases and shifts of each trial
 
 @dataclass(frozen=True)
 class SelfTestRow:
-    """One known truth and what became of it.
+    """Result of one case of the self-test.
 
     Attributes:
         name: of the case.
@@ -58,7 +58,7 @@ class SelfTestRow:
 
 @dataclass(frozen=True)
 class _Case:
-    """A device.
+    """Device of the self-test with known effects.
 
     Attributes:
         truth: effects that are put in.

@@ -32,7 +32,7 @@ _DRAWS = 300
 def ambiguity_of(
     selection: Selection, settings: VerdictSettings, drift_shows: Callable[[Hypothesis], bool]
 ) -> tuple[tuple[str, ...], ...]:
-    """For each chosen effect the others that could replace it; sets of fewer than two are left out.
+    """Sets of effects that explain the development trials equally well, the chosen effect first.
 
     A drift and shifts between trials are told apart by the drift within the trials, or by shifts that follow the clock
     as scatter does not.
@@ -64,7 +64,7 @@ def ambiguity_of(
 
 
 def _told_apart(chosen: HeldOutErrors, other: HeldOutErrors, settings: VerdictSettings) -> bool:
-    """Whether held-out trials lie nearer to the chosen explanation than to another, by more than chance.
+    """Whether held-out trials are significantly closer to the chosen prediction than to the other one.
 
     With the predictions a and b of the two and the measurement y,
 
@@ -82,7 +82,7 @@ def _told_apart(chosen: HeldOutErrors, other: HeldOutErrors, settings: VerdictSe
 
 
 def _no_scatter(share: float, trials: int, settings: VerdictSettings) -> bool:
-    """Whether a line through the shifts of so many trials explains a share that independent ones rarely reach.
+    """Whether the shifts of the trials follow a line over time more closely than independent shifts do by chance.
 
     The share r^2 of independent normal shifts has the distribution Beta(1/2, (N - 2)/2).
     """
@@ -113,7 +113,7 @@ def drift_is_significant(validation: CrossValidation, hypothesis: Hypothesis, er
 
 
 def inclusion_shares(selection: Selection, floor_mse: float, settings: VerdictSettings, seed: int) -> dict[str, float]:
-    """Share of block resamples in whose best explanation each effect is; every further cause has a price."""
+    """Inclusion frequency of each effect: share of block resamples whose best penalised hypothesis contains it."""
     rng = np.random.default_rng(seed)
     tried = list(selection.tried.values())
     energy = np.stack([judged.energy for judged in tried], axis=1)
@@ -155,7 +155,7 @@ def _imitates(name: str) -> bool:
 
 
 def limited_by_inclusion(chance: float, inclusion: float) -> float:
-    """A probability that agrees with the share of the resamples in whose best explanation the effect is.
+    """Probability of an effect, bounded by its inclusion in the resamples.
 
         P <= (1 + inclusion) / 2
 
@@ -171,7 +171,7 @@ def ranking(
     library: Sequence[str],
     left_open: float = 1.0,
 ) -> tuple[tuple[str, float], ...]:
-    """Every effect of the library with its probability, most likely first; a chosen one leads those equal to it.
+    """Effects of the library by probability, highest first; of equal ones the chosen effect comes first.
 
     Effects that could replace a chosen one, or that these motions do not tell from it, share the probability that it
     leaves; the others have half of that times their inclusion. None of them explains the trials better than what was

@@ -69,10 +69,10 @@ class Attribution:
 
 @dataclass(frozen=True, eq=False)
 class Conclusion:
-    """The ruling, and the sizes on the final trials that belong to it.
+    """Verdict, and the errors on the final trials that belong to it.
 
     Attributes:
-        ruling: verdict and its case.
+        decision: verdict and its case.
         facts: what it depends on, less the causes that did not surely lower the error of the final trials.
         chosen: the corrected simulator; the retuned one where no effect is the explanation.
         floor: from repeats or noise, with the corrected simulator.
@@ -153,7 +153,7 @@ def attribute(
 def usable_effects(
     prepared: PreparedTrials, in_core: Iterable[str], left_out: Sequence[str], runs: Sequence[Run]
 ) -> tuple[Candidate, ...]:
-    """Effects that these trials can test: where the order of recording is unknown, none that needs it.
+    """Candidate effects that these trials can test; without a known order of recording, none that depends on it.
 
     Args:
         prepared: trials.
@@ -168,12 +168,12 @@ def usable_effects(
 
 
 def drift_test(validation: CrossValidation, settings: VerdictSettings) -> Callable[[Hypothesis], bool]:
-    """Whether the drift of a hypothesis shows within trials; each hypothesis is fitted once."""
+    """Test for a significant drift within trials; each hypothesis is fitted once."""
     return functools.cache(lambda h: drift_is_significant(validation, h, settings.significant_drift))
 
 
 def confirm(prepared: PreparedTrials, attribution: Attribution, settings: VerdictSettings, seed: int) -> Conclusion:
-    """Evaluate the final trials with the causes selected, and decide; without them, where they are not confirmed.
+    """Evaluate the final trials with the selected causes and decide the verdict; drop causes that they do not confirm.
 
     A cause whose interval of the closed share reaches zero on the final trials is dropped; all of them are where the
     interval of what they close together does.
@@ -212,7 +212,7 @@ def confirm(prepared: PreparedTrials, attribution: Attribution, settings: Verdic
 
 
 def as_given_if_better(prepared: PreparedTrials, attribution: Attribution) -> Attribution:
-    """The attribution, with the simulator as given where retuning raises the error of the final trials.
+    """Replace the retuned simulator by the one as given where retuning raises the error of the final trials.
 
     As a cause is dropped that does not lower that error: numbers that fit the development trials alone are no better.
     """
@@ -226,7 +226,7 @@ def as_given_if_better(prepared: PreparedTrials, attribution: Attribution) -> At
 def _proven(
     prepared: PreparedTrials, attribution: Attribution, facts: VerdictFacts, chosen: Hypothesis, seed: int
 ) -> tuple[VerdictFacts, Hypothesis, NoiseFloor, GapClosed]:
-    """Facts, corrected simulator, floor and sizes, less the causes that do not surely lower the error."""
+    """Drop causes that do not significantly lower the final error; facts, simulator, floor and errors without them."""
     while True:
         floor, jumps = floor_of(prepared, chosen), attribution.jumps if facts.jumps else None
         closed = measure(
@@ -246,7 +246,7 @@ def _at(closed: GapClosed, floor_deg: float, settings: VerdictSettings) -> bool:
 def _without(
     attribution: Attribution, facts: VerdictFacts, chosen: Hypothesis, dropped: str
 ) -> tuple[VerdictFacts, Hypothesis]:
-    """Facts and corrected simulator less one cause."""
+    """Remove one cause from the facts and from the corrected simulator."""
     if dropped not in chosen.effects:
         if dropped == "sensor":
             return replace(facts, sensor=False, new_step=False), chosen
@@ -260,7 +260,7 @@ def _without(
 
 
 def _sensor_matters(prepared: PreparedTrials, selection: Selection, settings: VerdictSettings) -> bool:
-    """Whether the sensor's faults are a good part of the error that the chosen causes leave, or surely a gap alone.
+    """Whether sensor faults make up a large part of the remaining error, or exceed the model-form error by themselves.
 
     White noise may be a disturbance that is faster than the log. Steps, outliers and held values are read off it.
     Steps that the sensor had at identification are no fault of it.
@@ -272,23 +272,23 @@ def _sensor_matters(prepared: PreparedTrials, selection: Selection, settings: Ve
 
 
 def _step_matters(prepared: PreparedTrials, mse: float, settings: VerdictSettings) -> bool:
-    """Whether the readings have steps that they did not have, whose error does not vanish beside all of it."""
+    """Whether the readings have a new quantisation step whose error is a relevant share of the retuned error."""
     return prepared.new_step and prepared.signs.quantisation_deg**2 / 12.0 >= settings.step_share * mse
 
 
 def _mended_mse(prepared: PreparedTrials) -> float:
-    """Mean square of what the repair of outliers and held values changed [deg^2]."""
+    """Mean square change of the angle by the repair of outliers and held values [deg^2]."""
     mended = np.concatenate([raw - run.angle for raw, run in zip(prepared.raw, prepared.everything, strict=True)])
     return float(np.mean(mended**2))
 
 
 def _is_gap(prepared: PreparedTrials, mse: float, settings: VerdictSettings) -> bool:
-    """Whether an error that is added to the model-form error alone makes a gap."""
+    """Whether the model-form error plus this error counts as a gap."""
     return 0 < (settings.no_gap - 1) * prepared.form_mse <= mse
 
 
 def floor_of(prepared: PreparedTrials, hypothesis: Hypothesis) -> NoiseFloor:
-    """What stays with any simulator; what each trial has of its own by a cause is explained, and no part of it.
+    """Noise floor of the residual; shifts and phases of single trials that a cause explains are taken off first.
 
     It is never less than the rounding of the readings, which leaves no noise where the angle rests.
     """
@@ -309,9 +309,9 @@ class Findings:
         prepared: trials and the baseline.
         detectable: the least size at which the trials would show each effect, from their commands alone.
         attribution: causes selected on the development trials.
-        conclusion: ruling, corrected simulator and sizes on the final trials.
+        conclusion: verdict, corrected simulator and sizes on the final trials.
         localisation: of the retuned residual; None where there is none.
-        stability: of the ruling over resampled splits; None where the trials allow no choice.
+        stability: of the verdict over resampled splits; None where the trials allow no choice.
         left_out: effects that the library went without.
         seed: of everything drawn at random.
         seconds: duration of each step [s].

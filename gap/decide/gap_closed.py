@@ -26,7 +26,7 @@ _LEAST_GAP = 0.1  # of the whole gap, in a resample
 
 @dataclass(frozen=True, eq=False)
 class ClosedShares:
-    """What stages of a correction close of the structural gap on some trials.
+    """Shares of the structural gap closed by the stages of a correction, on given trials.
 
     Attributes:
         before: errors of the retuned simulator.
@@ -52,7 +52,7 @@ class ClosedShares:
     def of_causes(
         self, names: frozenset[str], blocks: Callable[[frozenset[str]], Blocks]
     ) -> dict[str, tuple[float, Interval]]:
-        """What each cause closes, and its 90 % interval.
+        """Closed share of each cause, and its 90 % interval.
 
         A cause is weighed by the error that comes back without it, the others fitted anew:
 
@@ -81,7 +81,7 @@ class ClosedShares:
         return shares
 
     def _widened(self, middle: float, ends: Interval) -> Interval:
-        """An interval with the differences between trials added."""
+        """Interval widened by the scatter between trials."""
         further = self.spread * max(abs(middle), _LEAST_SIZE)
         return middle - float(np.hypot(middle - ends[0], further)), middle + float(np.hypot(ends[1] - middle, further))
 
@@ -129,7 +129,7 @@ _LEAST_SHARE = 0.05  # of the structural gap, for jumps and for what another eff
 
 @dataclass(frozen=True)
 class ClosedByCause:
-    """What one cause closes.
+    """Share of the gap closed by one cause.
 
     Attributes:
         share: of the structural gap, by what comes back without this cause.
@@ -146,7 +146,7 @@ class ClosedByCause:
 
 @dataclass(frozen=True, eq=False)
 class GapClosed:
-    """Sizes on the final trials.
+    """Errors on the final trials, and the share of the gap closed by each cause.
 
     Attributes:
         gap: RMSE of the nominal, retuned and corrected simulator, floor, and share closed.
@@ -184,13 +184,13 @@ class GapClosed:
         return (self.gap.nominal_rmse_deg / max(self.gap.retuned_rmse_deg, _LEAST_DEG)) ** 2
 
     def with_repeats(self, floor: NoiseFloor) -> GapClosed:
-        """The same with what repeats of a motion differ by."""
+        """The same sizes with the RMS difference of repeated motions."""
         rmse = floor.rmse_deg if floor.kind == "repeats" else math.nan
         return replace(self, gap=replace(self.gap, repeats_rmse_deg=rmse))
 
 
 def negligible_cause(shares: Mapping[str, float], replaceable: Container[str]) -> str:
-    """The cause that closes the least beside others, too little to be named as another could replace it; else empty."""
+    """Name of the replaceable cause with the smallest closed share, if that is below 5 %; empty where there is none."""
     small = [name for name in shares if name in replaceable and shares[name] < _LEAST_SHARE]
     return min(small, key=lambda name: shares[name]) if small and len(shares) > 1 else ""
 
@@ -205,7 +205,7 @@ def measure(
     jumps: Jumps | None,
     seed: int,
 ) -> GapClosed:
-    """Evaluate the final trials.
+    """Measure the gap on the final trials with and without the causes.
 
     Noise of a faulty sensor and jumps of a tip that sticks cannot be predicted by a free run. A simulator that has them
     leaves their energy, so that it counts as closed: that of the noise, and in each block up to that of a sawtooth of
@@ -243,7 +243,7 @@ def measure(
 
 
 def without_sawtooth(blocks: Blocks, mse: float) -> Blocks:
-    """Errors less the energy of jumps, block by block and to nothing at most."""
+    """Errors with the energy of the jumps subtracted, block by block, not below zero."""
     return replace(blocks, energy=np.maximum(blocks.energy - mse * blocks.samples, 0.0))
 
 

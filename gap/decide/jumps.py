@@ -24,7 +24,7 @@ _ENOUGH = 100  # windows
 
 @dataclass(frozen=True)
 class Jumps:
-    """Motion of the tip while the simulator moves steadily.
+    """Statistics of the tip motion while the simulated motion is steady.
 
     In each window, as short as noise and resolution allow, the measured motion is a multiple g of the simulated one. A
     tip that sticks and slips does not move in many windows, moves several times too far in others, and never moves back
@@ -103,7 +103,7 @@ def find_jumps(runs: Sequence[Run], retuned: Hypothesis, signs: SensorSigns) -> 
 
 
 def _pattern(runs: Sequence[Run], simulated: Sequence[Vec], least: float, uneven: float) -> Jumps:
-    """What the windows show in which the speed is that uneven at most."""
+    """Statistics of the windows in which the simulated speed varies by at most `uneven` of its mean."""
     windows = [_windows(run, theta, least, uneven) for run, theta in zip(runs, simulated, strict=True)]
     share, moved, ahead, speed = (np.concatenate(parts) for parts in zip(*windows, strict=True))
     if not share.size:

@@ -41,7 +41,7 @@ class Configuration:
     explained: float
 
     def name(self, effect: str) -> str:
-        """What an effect is called with these groups."""
+        """Name of an effect, given these groups."""
         return NAME if effect == SHIFT else effect
 
 
@@ -73,7 +73,7 @@ class _Shifts:
         return float(self.energy[run] - 2 * shift @ self.product[run] + shift @ self.square[run] @ shift)
 
     def left_out(self, groups: Sequence[Sequence[int]]) -> float:
-        """Sum of squared errors of all trials, each with the shift of the others of its group."""
+        """Leave-one-out sum of squared errors, each trial with the shift of the other trials of its group."""
         return sum(self.left(r, self.shared([k for k in group if k != r])) for group in groups for r in group)
 
 
@@ -148,7 +148,7 @@ _SLOW_S = 3.0
 def structure_left(
     selection: Selection, runs: Sequence[Run], everything: Sequence[Run], floor_mse: float, settings: VerdictSettings
 ) -> bool:
-    """Whether the only effect selected leaves structure that it would not leave if it were the cause.
+    """Lack of fit: whether the only selected effect leaves structure that contradicts it.
 
     A curved gain leaves no other curve of the angle (`remaining_curvature`). Shifts between trials leave no slow change
     within them (`slow_mse`). Widths of single trials belong to groups of trials: else they follow the speed of the

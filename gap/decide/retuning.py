@@ -30,7 +30,7 @@ _MOST_GROWN = 4.0  # height of a loop over the given one: more is no friction of
 
 @dataclass(frozen=True)
 class Retuning:
-    """What retuning did.
+    """Effect of retuning on the error of the simulator.
 
     Attributes:
         moved: error of the simulator as given over that of the retuned one on development trials that the fit did not
@@ -52,7 +52,7 @@ class Retuning:
 def retuned_with(
     prepared: PreparedTrials, validation: CrossValidation
 ) -> tuple[PreparedTrials, CrossValidation, Hypothesis]:
-    """The retuned simulator, and trials and validation with the freedom that it has.
+    """Retune the simulator, and free the widths of curved plays where that lowers the held-out error.
 
     The half-widths of curved plays are free where the error asks for it: it is 1.5 times the model-form error, and
     they explain half of what is above that, by more than two standard errors on trials left out.
@@ -69,7 +69,7 @@ def retuned_with(
 
 
 def retuning_of(prepared: PreparedTrials, retuned: Hypothesis, left_out_mse: float) -> Retuning:
-    """What retuning did.
+    """Measure the effect of retuning on the error.
 
     The form error of a simulator of friction grows with the height h of its loop, gain times width: the noise n does
     not.
@@ -102,7 +102,7 @@ def retuning_of(prepared: PreparedTrials, retuned: Hypothesis, left_out_mse: flo
 
 
 def width_grown(hypothesis: Hypothesis) -> float:
-    """Width of the loop along the command in a hypothesis, its effects set aside, over that of the simulator as given.
+    """Ratio of the loop width of a hypothesis, without its effects, to that of the simulator as given.
 
     Effects take their part of the width: what is left is what the friction of the core has become.
     """
@@ -140,7 +140,7 @@ def reidentified_share(
 def moved_numbers(
     prepared: PreparedTrials, retuned: Hypothesis, quantities: Iterable[ParameterRow]
 ) -> tuple[RetunedParameter, ...]:
-    """Numbers of the simulator that retuning has surely moved: their 90 % interval lies off the given value.
+    """Parameters that retuning has significantly changed: the 90 % interval excludes the given value.
 
     Gain, offset and width come first, then weights and widths of the core's plays.
 

@@ -33,7 +33,7 @@ Names = frozenset[str]
 
 @dataclass(frozen=True, eq=False)
 class _TrialSplit:
-    """Runs to choose on and runs to confirm on; blocks are drawn with replacement where `seed` is given."""
+    """Development and final runs of one resample; blocks are drawn with replacement where `seed` is given."""
 
     development: tuple[int, ...]
     final: tuple[int, ...]
@@ -47,7 +47,7 @@ def stability_of(
     settings: DiagnosisSettings,
     seed: int,
 ) -> Stability | None:
-    """Share of resampled splits in which the same rules give the same verdict and the same set of names.
+    """Stability: share of resampled splits of the trials with the same verdict and the same effects.
 
     Each resample takes other trials as final ones. Every hypothesis that the selection tried has errors on all trials
     by fits that did not see them: those of its fold on a development trial, those of the fit to all development trials
@@ -82,7 +82,7 @@ def stability_of(
 
 
 def _agree(verdict: tuple[Verdict, Names], reference: tuple[Verdict, Names], rivals: Sequence[set[str]]) -> bool:
-    """Whether verdict and names are the same; of a set that cannot be told apart any member counts."""
+    """Whether verdict and effects are the same; members of one ambiguous set count as the same effect."""
     if verdict[0] != reference[0] or len(verdict[1]) != len(reference[1]):
         return False
     left, right = verdict[1] - reference[1], reference[1] - verdict[1]
@@ -113,7 +113,7 @@ def _splits(development: int, final: int, ordered: bool, seed: int) -> Iterator[
 
 
 class _ResampledVerdict:
-    """The verdict on other splits."""
+    """Verdicts on resampled splits, by the errors of the hypotheses that were fitted once."""
 
     def __init__(
         self,

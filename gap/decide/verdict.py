@@ -1,4 +1,4 @@
-"""The verdict of a diagnosis: one decision table over the facts that the other steps retuning."""
+"""The verdict of a diagnosis: one decision table over the facts of the earlier steps."""
 
 from __future__ import annotations
 
@@ -126,7 +126,7 @@ class FinalFacts:
 
 @dataclass(frozen=True)
 class VerdictFacts:
-    """All that the verdict depends on.
+    """Errors and findings on which the verdict depends.
 
     Attributes:
         effects: names of the effects selected on the development trials.
@@ -191,7 +191,7 @@ def residual_ratio(mse: float, form_mse: float, noise_mse: float) -> float:
 
 @dataclass(frozen=True)
 class VerdictDecision:
-    """The verdict and what follows from it.
+    """Verdict of the decision table, and what follows from it.
 
     Attributes:
         case: row of the table in `decide_verdict`.
@@ -220,7 +220,7 @@ class VerdictDecision:
 
 
 def decide_verdict(facts: VerdictFacts, settings: VerdictSettings) -> VerdictDecision:
-    """The verdict: the first row that applies.
+    """Decide the verdict by the first row of the table that applies.
 
     | case                  | applies if                                                                  | verdict    |
     |-----------------------|-----------------------------------------------------------------------------|------------|
@@ -284,7 +284,7 @@ def decide_verdict(facts: VerdictFacts, settings: VerdictSettings) -> VerdictDec
 
 
 def _retuned_case(case: str, facts: VerdictFacts, settings: VerdictSettings) -> str:
-    """The case, or that of retuning where the error fell by it and what it leaves is form error."""
+    """`moved` or `reshaped` where retuning lowered the error and leaves model-form error; else the given case."""
     verdict, moved = VERDICTS[case], min(facts.retuning.moved, facts.final.moved if facts.final else math.inf)
     if verdict == "none":
         return "moved" if moved >= settings.moved else case
@@ -295,7 +295,7 @@ def _retuned_case(case: str, facts: VerdictFacts, settings: VerdictSettings) -> 
 
 
 def _reshaped(verdict: Verdict, facts: VerdictFacts, settings: VerdictSettings) -> bool:
-    """Whether a core of the same structure explains what retuning leaves; any one row is enough.
+    """Whether a hysteresis core of the same structure explains the error that retuning leaves: one row is enough.
 
     | the error is                                                | in place of                                      |
     |-------------------------------------------------------------|--------------------------------------------------|

@@ -27,7 +27,7 @@ _ROUNDED = 1e-3  # of a sample time, which files round
 def corrected_to_simulator_rate(
     runs: Sequence[Run], recorded: Sequence[Trial], chain: Chain, simulator_chain: Chain, simulator_dt_s: float
 ) -> tuple[Run, ...]:
-    """Runs whose correction makes the simulator as given what it is at its own sample time.
+    """Add a correction to the runs: the difference between the simulator's angles at its own sample time and at theirs.
 
     An operator is exact at any sample time for some inputs only, such as a lag for one in steps. Where the simulator
     is faster than its diagnosis, the difference of its angles at the two sample times is added to all free runs: exact
@@ -102,7 +102,7 @@ def evaluation_notes(
     recorded: Sequence[Trial],
     dt_s: float,
 ) -> tuple[str, ...]:
-    """A sentence where `evaluate` gives another error of the simulator as given; none where the two agree.
+    """Note that `evaluate` finds another error of the simulator as given; none where the two agree.
 
     Args:
         simulator: as given.
@@ -157,7 +157,7 @@ _BEYOND_FORM = 2.0  # times the model-form error (RMS): less does not matter
 
 
 def common_rest(runs: tuple[Run, ...], form_mse: float) -> tuple[Run, ...]:
-    """The runs with one angle at rest where a friction cannot be why their angles at rest differ.
+    """Give all runs one rest angle where friction cannot explain the scatter of their rest angles.
 
     A friction keeps an angle until a motion changes it. A trial that comes back to the command at which it rested shows
     how much its motion did. Where the angles at rest of the trials differ by three times the most that any of these

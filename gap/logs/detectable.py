@@ -1,4 +1,4 @@
-"""The least size at which these commands would show an effect, from the commands and the simulator alone."""
+"""Smallest detectable size of each effect, from the commands and the simulator alone."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _NO_FORM = (
 
 
 def smallest_detectable(prepared: PreparedTrials, no_gap: float, without: Collection[str] = ()) -> DetectableSizes:
-    """The least size at which each effect would end the verdict that there is no gap.
+    """Smallest size of each effect that a diagnosis of these trials counts as a gap.
 
         needed_mse = (no_gap - 1) model-form error
 
@@ -61,7 +61,7 @@ def smallest_detectable(prepared: PreparedTrials, no_gap: float, without: Collec
 
 
 def detectable_sizes(baseline: Baseline, runs: Sequence[Run], needed_mse: float) -> tuple[Detectable, ...]:
-    """For every effect the size at which the part of it that retuning cannot take up reaches a mean square.
+    """Size of every effect at which its part orthogonal to retuning reaches a mean square error.
 
         d(s) = theta(with the effect at size s) - theta(nominal),   left(s) = d - J (J^T J)^-1 J^T d
         mean left(s)^2 = needed_mse
@@ -119,7 +119,7 @@ def _least(
     known: Mat,
     needed_mse: float,
 ) -> Detectable:
-    """Sizes are tried from the least on; between the two about the bar the mean square is a power of the size."""
+    """Smallest detectable size of one effect, by log-log interpolation between sizes on a grid."""
     effect, names = EFFECTS[candidate.effect], [freedom.name for freedom in candidate.free]
     place = next(k for k, name in enumerate(names) if name in effect.neutral)
     freedom, neutral = candidate.free[place], effect.neutral[names[place]]

@@ -32,7 +32,7 @@ NEEDS_ORDER: Mapping[str, str] = {
 
 
 def in_recording_order(trials: Sequence[Trial], ordered: bool) -> tuple[list[Trial], Order]:
-    """The trials in the order of recording, or in an order by content.
+    """Sort the trials by the order of recording, or by their content where that order is unknown.
 
     Time stamps count first, then the caller's word, then a manifest. A single trial has its order. Where nothing tells
     the order, trials are sorted by the range of their commands, their length and their content, so that every later
@@ -62,7 +62,7 @@ def in_recording_order(trials: Sequence[Trial], ordered: bool) -> tuple[list[Tri
 
 
 def _content(trial: Trial) -> tuple[float, float, str, str]:
-    """Motions that are alike stand side by side, and so go to different folds."""
+    """Sort key that puts similar motions side by side, so that they go to different folds."""
     return float(np.ptp(trial.command)), trial.duration_s, fingerprint([trial]), trial.source
 
 
@@ -84,7 +84,7 @@ _BYTES, _START_BYTES = 0.6e3, 0.35e9
 _SOON_S = 30.0  # a shorter diagnosis is not announced
 _MOST_TRIALS = 200  # repeats are searched in all pairs of trials
 _LEAST_UNCUT_TRIALS = 12  # trials are cut before fewer than these are used
-_REPEAT = 0.005  # distance of `characters`: the same motion again
+_REPEAT = 0.005  # distance of `motion_features`: the same motion again
 
 MOST_HZ = 50.0
 """Greatest rate of a diagnosis: tip motions end at a few Hz, and time grows with the rate."""

@@ -55,7 +55,7 @@ def next_step(findings: Findings) -> MotionProposal | None:
 
 @dataclass(frozen=True, eq=False)
 class DiscriminationTask:
-    """Explanations between which a further motion is to decide.
+    """Model discrimination task: the hypotheses that a further motion has to separate.
 
     Attributes:
         hypotheses: the explanations, two or more.
@@ -69,7 +69,7 @@ class DiscriminationTask:
 
 
 def question(findings: Findings) -> DiscriminationTask | None:
-    """What is open after these trials; where nothing is, what would put the verdict to the test.
+    """The hypotheses that stay open after these trials; where none is, those that would test the verdict.
 
     A named effect is tested against those that it is taken for, each fitted in its place; no gap is tested against a
     single effect of each family. None where no angle follows its command.

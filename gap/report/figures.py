@@ -84,23 +84,23 @@ def draw_interval(axes: Axes, row: float, value: float, interval: Interval, **st
     axes.errorbar(value, row, xerr=reach, **{**INTERVAL, **style})
 
 
-def closed_figure(evidence: ReportData) -> Figure:
+def closed_figure(data: ReportData) -> Figure:
     """RMSE of every final trial and of all together, with 90 % intervals, against the floor [deg]."""
-    trials = shown(evidence.final, MOST_ROWS)
-    gap, rows = evidence.diagnosis.gap, len(trials) + 1
+    trials = shown(data.final, MOST_ROWS)
+    gap, rows = data.diagnosis.gap, len(trials) + 1
     with new_figure(7.0, 1.1 + 0.42 * rows) as figure:
         axes: Axes = figure.subplots()
-        for stage in evidence.stages:
+        for stage in data.stages:
             values = [_pooled(gap, stage), *(trial.rmse(stage) for trial in trials)]
-            groups: list[Sequence[TrialRuns]] = [evidence.final, *([trial] for trial in trials)]
+            groups: list[Sequence[TrialRuns]] = [data.final, *([trial] for trial in trials)]
             _points(axes, stage, values, [rmse_interval(group, stage) for group in groups])
         floors = [gap.floor_rmse_deg, *(trial.floor_deg for trial in trials)]
         axes.plot(floors, np.arange(rows), "|", color=REFERENCE, markersize=17, markeredgewidth=1.6, label="floor")
-        names = [f"all {evidence.measured_on}", *(short(trial.name) for trial in trials)]
+        names = [f"all {data.measured_on}", *(short(trial.name) for trial in trials)]
         axes.set_yticks(range(rows), names)
         axes.get_yticklabels()[0].set_fontweight("bold")
         axes.axhline(0.5, color=REFERENCE, linewidth=0.6)
-        axes.set(ylim=(rows - 0.5, -0.5), xlabel=f"RMSE of simulated less measured angle [{evidence.unit}]")
+        axes.set(ylim=(rows - 0.5, -0.5), xlabel=f"RMSE of simulated less measured angle [{data.unit}]")
         axes.set_xlim(left=0.0)
         axes.grid(visible=False, axis="y")
         figure.legend(*axes.get_legend_handles_labels(), loc="outside upper center", ncols=4)
@@ -147,14 +147,14 @@ def _blocks(trials: Sequence[TrialRuns], stage: Stage) -> tuple[Vec, Vec]:
     return np.array(sums), np.array(counts)
 
 
-def effects_figure(evidence: ReportData) -> Figure:
+def effects_figure(data: ReportData) -> Figure:
     """Candidates by probability; those chosen, and those that these trials cannot tell apart, stand out."""
-    diagnosis, rows = evidence.diagnosis, {row.name: row for row in evidence.candidates}
+    diagnosis, rows = data.diagnosis, {row.name: row for row in data.candidates}
     names = _names(diagnosis)
     with new_figure(7.0, 1.0 + 0.29 * len(names)) as figure:
         chance, gain, closed = figure.subplots(1, 3, sharey=True, width_ratios=(3, 3, 3))
         _probabilities(chance, diagnosis, names)
-        _gains(gain, [rows.get(name) for name in names], evidence.unit)
+        _gains(gain, [rows.get(name) for name in names], data.unit)
         _shares(closed, diagnosis, names)
         chance.set_yticks(range(len(names)), [_label(diagnosis, name) for name in names])
         chance.set_ylim(len(names) - 0.4, -0.6)

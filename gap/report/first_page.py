@@ -41,10 +41,10 @@ def verdict_facts(diagnosis: Diagnosis) -> tuple[str, ...]:
     return tuple(filter(None, said))
 
 
-def next_actions(evidence: ReportData) -> tuple[str, ...]:
+def next_actions(data: ReportData) -> tuple[str, ...]:
     """What to do with the corrected simulator, what that brings, and what to record."""
-    diagnosis, motion = evidence.diagnosis, evidence.diagnosis.next_motion
-    said = [_corrected(evidence)]
+    diagnosis, motion = data.diagnosis, data.diagnosis.next_motion
+    said = [_corrected(data)]
     tracking = diagnosis.tracking
     if tracking is not None and not tracking.why_not and not diagnosis.relies_on_its_split:
         said.append(tracking_sentence(diagnosis))
@@ -52,7 +52,7 @@ def next_actions(evidence: ReportData) -> tuple[str, ...]:
         said += _recording(motion)
     elif diagnosis.verdict == "too_little":
         said.append("Record more motion of this device and diagnose all logs together.")
-    elif diagnosis.verdict in ("one_of", "unknown") and not _unrelated(evidence):
+    elif diagnosis.verdict in ("one_of", "unknown") and not _unrelated(data):
         said.append("No motion of the safe menu is expected to settle what is open.")
     return tuple(filter(None, said))
 
@@ -97,23 +97,23 @@ def _densest(diagnosis: Diagnosis) -> str:
     return f"The error is densest in the part called {in_words(name)}: {share} of it in {time} of the time."
 
 
-def _unrelated(evidence: ReportData) -> bool:
+def _unrelated(data: ReportData) -> bool:
     """Whether no angle follows its command: no simulator is corrected then."""
-    return evidence.nominal is not None and evidence.fixed is None
+    return data.nominal is not None and data.fixed is None
 
 
-def _corrected(evidence: ReportData) -> str:
+def _corrected(data: ReportData) -> str:
     """What to do with the file of the correction."""
-    diagnosis = evidence.diagnosis
-    if _unrelated(evidence):
+    diagnosis = data.diagnosis
+    if _unrelated(data):
         return "Look for a wrong file or column, a loose sensor, or a tendon or line that is broken."
     names = listed([in_words(effect.name) for effect in diagnosis.effects], "and")
     if diagnosis.relies_on_its_split:
         return f"Do not rely on {names}: the verdict flips. Record more trials and diagnose all logs together."
-    if evidence.fixed is None:
-        return f"Use {EFFECTS_FILE} beside the network." if EFFECTS_FILE in evidence.files else ""
+    if data.fixed is None:
+        return f"Use {EFFECTS_FILE} beside the network." if EFFECTS_FILE in data.files else ""
     if diagnosis.verdict in ("named", "one_of"):
-        return _with_effects(evidence, evidence.fixed)
+        return _with_effects(data, data.fixed)
     if diagnosis.verdict == "unknown":
         return f"Do not take {FIXED_FILE} for a cure: it is retuned, and the cause is not in it."
     if diagnosis.verdict == "too_little":
@@ -121,13 +121,13 @@ def _corrected(evidence: ReportData) -> str:
     given, retuned = diagnosis.gap.nominal_rmse_deg, diagnosis.gap.retuned_rmse_deg
     if retuned < given:
         fall = f"from {given:.3g} to {retuned:.3g} {diagnosis.unit}"
-        return f"Use {FIXED_FILE}: its retuned numbers lower the RMSE on the {evidence.measured_on} {fall}."
-    return f"Keep the simulator as given: retuning does not lower the RMSE on the {evidence.measured_on}."
+        return f"Use {FIXED_FILE}: its retuned numbers lower the RMSE on the {data.measured_on} {fall}."
+    return f"Keep the simulator as given: retuning does not lower the RMSE on the {data.measured_on}."
 
 
-def _with_effects(evidence: ReportData, fixed: Simulator) -> str:
+def _with_effects(data: ReportData, fixed: Simulator) -> str:
     """What to do with a corrected simulator that holds all of the effects, some of them or none."""
-    diagnosis, chain = evidence.diagnosis, fixed.chain
+    diagnosis, chain = data.diagnosis, fixed.chain
     built_in = {effect_of(operator.name) for operator in (*chain.before, *chain.after)}
     names = [effect.name for effect in diagnosis.effects]
     left_out = [n for n in names if n in _NEVER_HELD or (n in _BY_SIGNS and n not in built_in)]

@@ -53,78 +53,78 @@ from .words import (
 MOST_HEAT, MOST_LOOPS, MOST_TIMES = 6, 6, 3
 
 
-def write_report(evidence: ReportData, folder: Path | str) -> Path:
+def write_report(data: ReportData, folder: Path | str) -> Path:
     """Write `report.html` into a folder: one page, whole or not at all, that opens offline."""
-    return diagnosis_report(evidence).save(Path(folder) / "report.html")
+    return diagnosis_report(data).save(Path(folder) / "report.html")
 
 
-def diagnosis_report(evidence: ReportData) -> Report:
+def diagnosis_report(data: ReportData) -> Report:
     """The page of a diagnosis, whatever its verdict: what to know and to do, then everything else, folded."""
-    folded = (Folded(heading, tuple(made(evidence))) for heading, made in _SECTIONS)
-    pieces = (*_first_page(evidence), *(section for section in folded if section.pieces))
-    subtitle = f"simulator {evidence.simulator}, {len(evidence.trials)} logs"
+    folded = (Folded(heading, tuple(made(data))) for heading, made in _SECTIONS)
+    pieces = (*_first_page(data), *(section for section in folded if section.pieces))
+    subtitle = f"simulator {data.simulator}, {len(data.trials)} logs"
     return Report("Sim-to-real gap", pieces, subtitle)
 
 
-def _first_page(evidence: ReportData) -> Iterator[Piece]:
-    diagnosis = evidence.diagnosis
+def _first_page(data: ReportData) -> Iterator[Piece]:
+    diagnosis = data.diagnosis
     yield Heading(headline(diagnosis))
     blocks = {
         "Why": verdict_facts(diagnosis),
-        "What to do next": next_actions(evidence),
+        "What to do next": next_actions(data),
         "How sure it is": certainty(diagnosis),
     }
     for heading, sentences in blocks.items():
         if sentences:
             yield Heading(heading, 3)
             yield Points(sentences)
-    worst, after = worst_first(evidence.final)[0], evidence.stages[-1]
+    worst, after = worst_first(data.final)[0], data.stages[-1]
     yield Heading("Measured angle and simulated angle, before and after the correction", 3)
     yield Plot(
         before_after_figure(worst, after),
-        f"{worst.name}, the one of the {evidence.measured_on} with the largest error. Its RMSE is "
-        f"{worst.rmse('nominal'):.3g} {evidence.unit} {LABEL['nominal']} and {worst.rmse(after):.3g} {evidence.unit} "
+        f"{worst.name}, the one of the {data.measured_on} with the largest error. Its RMSE is "
+        f"{worst.rmse('nominal'):.3g} {data.unit} {LABEL['nominal']} and {worst.rmse(after):.3g} {data.unit} "
         f"{LABEL[after]}.",
         zoom=True,
     )
 
 
-def _sizes(evidence: ReportData) -> Iterator[Piece]:
-    diagnosis = evidence.diagnosis
+def _sizes(data: ReportData) -> Iterator[Piece]:
+    diagnosis = data.diagnosis
     yield Paragraph(diagnosis.reason)
     for sentence in (closed_sentence(diagnosis), stability_sentence(diagnosis), *order_sentences(diagnosis)):
         if sentence:
             yield Paragraph(sentence)
-    left_out = len(evidence.final) - MOST_ROWS
+    left_out = len(data.final) - MOST_ROWS
     yield Plot(
-        closed_figure(evidence),
-        f"RMSE on the {evidence.measured_on}, with 90 % intervals over blocks of 2 s. "
+        closed_figure(data),
+        f"RMSE on the {data.measured_on}, with 90 % intervals over blocks of 2 s. "
         + floor_words(diagnosis.gap, diagnosis.unit)
-        + (f" {left_out} further {evidence.measured_on} are in the table below." if left_out > 0 else ""),
+        + (f" {left_out} further {data.measured_on} are in the table below." if left_out > 0 else ""),
     )
 
 
-def _closed_loop(evidence: ReportData) -> Iterator[Piece]:
-    tracking = evidence.diagnosis.tracking
+def _closed_loop(data: ReportData) -> Iterator[Piece]:
+    tracking = data.diagnosis.tracking
     if tracking is None:
         return
-    yield Paragraph(tracking_sentence(evidence.diagnosis))
+    yield Paragraph(tracking_sentence(data.diagnosis))
     if tracking.motions:
         yield tracking_table(tracking)
-    if evidence.curves:
+    if data.curves:
         yield Plot(
-            tracking_figure(evidence.curves),
+            tracking_figure(data.curves),
             "Simulated on the corrected simulator with the noise of its file. Before: the controller's model is "
             "the simulator as given. After: it is the corrected one. Grey: the approach, which does not count.",
             zoom=True,
         )
 
 
-def _which(evidence: ReportData) -> Iterator[Piece]:
-    diagnosis = evidence.diagnosis
+def _which(data: ReportData) -> Iterator[Piece]:
+    diagnosis = data.diagnosis
     if diagnosis.ranking or diagnosis.effects:
         yield Plot(
-            effects_figure(evidence),
+            effects_figure(data),
             "Left: calibrated probability. Middle: held-out gain of each effect alone, with two standard errors. "
             "Right: share of the structural gap that each chosen effect closes on the final trials, with its 90 % "
             "interval; letters mark sets that these trials cannot tell apart.",
@@ -137,57 +137,57 @@ def _which(evidence: ReportData) -> Iterator[Piece]:
             "uncertainty; the data do not say which."
         )
     if diagnosis.effects:
-        yield effects_table(evidence)
+        yield effects_table(data)
 
 
-def _where(evidence: ReportData) -> Iterator[Piece]:
-    unit, final, after = evidence.command_unit, evidence.final, evidence.stages[1:]
-    heat = shown(evidence.trials, MOST_HEAT)
-    rest = len(evidence.trials) - len(heat)
+def _where(data: ReportData) -> Iterator[Piece]:
+    unit, final, after = data.command_unit, data.final, data.stages[1:]
+    heat = shown(data.trials, MOST_HEAT)
+    rest = len(data.trials) - len(heat)
     more = f" Drawn are the final trials and the worst others; {rest} more are in the table below." if rest else ""
     yield Plot(heat_figure(heat, unit, after), f"Above: command. Below: size of the residual along the motion.{more}")
-    if evidence.diagnosis.where:
+    if data.diagnosis.where:
         yield Plot(
-            share_figure(evidence.diagnosis.where),
+            share_figure(data.diagnosis.where),
             "Share of the retuned residual's energy in each part of the motion. Where the bar passes the share of time "
             "the gap is dense. The parts exclude each other; after reversal: within one loop width of the last turn.",
         )
-    of = evidence.measured_on
-    what = "Tip angle" if evidence.unit == "deg" else "Output"
+    of = data.measured_on
+    what = "Tip angle" if data.unit == "deg" else "Output"
     yield Plot(loop_figure(shown(final, MOST_LOOPS), unit, after), f"{what} over command, real and simulated: {of}.")
     worst = worst_first(final)[:MOST_TIMES]
     yield Plot(time_figure(worst, after), f"{what} and residual over time: the {of} with the largest gap.", zoom=True)
     bins = bins_figure(final, after)
     if bins is not None:
         yield Plot(bins, "RMSE by command, angle and speed of the command; grey: share of time, of the whole height.")
-    yield from _memory_and_spectrum(evidence)
-    if ceiling := ceiling_sentence(evidence.diagnosis):
+    yield from _memory_and_spectrum(data)
+    if ceiling := ceiling_sentence(data.diagnosis):
         yield Paragraph(ceiling)
 
 
-def _memory_and_spectrum(evidence: ReportData) -> Iterator[Piece]:
-    localisation = evidence.localisation
+def _memory_and_spectrum(data: ReportData) -> Iterator[Piece]:
+    localisation = data.localisation
     lines = () if localisation is None else localisation.spectrum.lines
-    caption = f"Residual over frequency, {evidence.measured_on}; at the noise nothing is left to explain."
+    caption = f"Residual over frequency, {data.measured_on}; at the noise nothing is left to explain."
     if localisation is not None:
         coherent = percent(localisation.spectrum.coherent)
         caption += f" Linear in the command: {coherent} of the retuned residual's energy."
     if lines:
         at = ", ".join(f"{line.hz:.2f} Hz ({percent(line.share)} of the energy)" for line in lines)
         caption += f" Lines that the command does not have: {at}."
-    yield Plot(spectrum_figure(evidence.final, evidence.stages[1:], evidence.noise_deg, lines), caption)
+    yield Plot(spectrum_figure(data.final, data.stages[1:], data.noise_deg, lines), caption)
     if localisation is not None and localisation.memory:
         text = "What each memory of the command predicts of the residual. It proposes a cause and decides nothing."
         yield Plot(memory_figure(localisation.memory), text)
 
 
-def _next(evidence: ReportData) -> Iterator[Piece]:
-    proposal = evidence.proposal
+def _next(data: ReportData) -> Iterator[Piece]:
+    proposal = data.proposal
     if proposal is None:
         return
     yield Paragraph(next_sentence(proposal))
     yield Plot(
-        next_figure(proposal, evidence.command_unit, evidence.unit),
+        next_figure(proposal, data.command_unit, data.unit),
         f"{MOTION_FILE}: command within limits and rate limit, from rest to rest at the lowest command. Middle: what "
         "each candidate expects. Below: what stays apart when each is retuned to the other.",
     )
@@ -198,34 +198,34 @@ def _next(evidence: ReportData) -> Iterator[Piece]:
     yield Table(("motion", "duration [s]", "expected probability", "what it shows"), rows, "The whole menu.")
 
 
-def _numbers(evidence: ReportData) -> Iterator[Piece]:
-    yield trials_table(evidence)
-    if evidence.diagnosis.retuned:
-        yield retuned_table(evidence)
-    if evidence.parameters:
-        yield parameters_table(evidence)
-    if evidence.candidates:
-        yield candidates_table(evidence)
+def _numbers(data: ReportData) -> Iterator[Piece]:
+    yield trials_table(data)
+    if data.diagnosis.retuned:
+        yield retuned_table(data)
+    if data.parameters:
+        yield parameters_table(data)
+    if data.candidates:
+        yield candidates_table(data)
 
 
-def _detectable(evidence: ReportData) -> Iterator[Piece]:
-    if (sizes := evidence.diagnosis.detectable) is not None:
+def _detectable(data: ReportData) -> Iterator[Piece]:
+    if (sizes := data.diagnosis.detectable) is not None:
         yield Paragraph(detectable_sentence(sizes))
         if sizes.effects:
             yield detectable_table(sizes)
 
 
-def _cannot_show(evidence: ReportData) -> Iterator[Piece]:
-    if evidence.confusable:
-        yield confusable_table(evidence)
-    for sentence in evidence.cannot_show:
+def _cannot_show(data: ReportData) -> Iterator[Piece]:
+    if data.confusable:
+        yield confusable_table(data)
+    for sentence in data.cannot_show:
         yield Paragraph(sentence)
-    if not evidence.confusable and not evidence.cannot_show:
+    if not data.confusable and not data.cannot_show:
         yield Paragraph("Nothing was found that these motions leave hidden.")
 
 
-def _made(evidence: ReportData) -> Iterator[Piece]:
-    yield made_by(evidence, _versions())
+def _made(data: ReportData) -> Iterator[Piece]:
+    yield made_by(data, _versions())
 
 
 _SECTIONS: tuple[tuple[str, Callable[[ReportData], Iterator[Piece]]], ...] = (

@@ -1,4 +1,4 @@
-"""Data of the report: everything that it shows, put together from the findings."""
+"""Data of the report, collected from the findings of a diagnosis."""
 
 from __future__ import annotations
 
@@ -112,7 +112,7 @@ class TrackingCurve:
 
 @dataclass(frozen=True, eq=False)
 class ReportData:
-    """Everything that the report shows.
+    """Data of the report.
 
     Attributes:
         diagnosis: the result.
@@ -181,7 +181,7 @@ class ReportData:
 def report_data(
     findings: Findings, diagnosis: Diagnosis, proposal: MotionProposal | None, parameters: tuple[ParameterRow, ...]
 ) -> ReportData:
-    """Everything that the report shows."""
+    """Collect the data of the report from the findings."""
     prepared, simulator = findings.prepared, findings.simulator
     rows = confusability(prepared.checked.excitation)
     return ReportData(

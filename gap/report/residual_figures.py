@@ -105,7 +105,7 @@ def loop_figure(trials: Sequence[TrialRuns], unit: str, stages: Sequence[Stage])
 
 
 def time_figure(trials: Sequence[TrialRuns], stages: Sequence[Stage]) -> Figure:
-    """Angle over time: real and of each simulator, and what the simulators leave of it."""
+    """Measured and simulated angles, and residuals, over time."""
     with new_figure(7.0, 0.7 + 2.6 * len(trials)) as figure:
         rows = figure.subplots(2 * len(trials), 1, height_ratios=(5, 3) * len(trials))
         for angle, left, trial in zip(rows[::2], rows[1::2], trials, strict=True):
@@ -287,7 +287,7 @@ def amplitude_density(trials: Sequence[TrialRuns], stage: Stage) -> tuple[Vec, V
 
 
 def memory_figure(gains: Mapping[str, float]) -> Figure:
-    """What of the residual each memory of the command predicts on trials left out."""
+    """Share of the residual energy that each memory of the command predicts on held-out trials."""
     ordered = sorted(gains.items(), key=lambda item: -item[1])
     with new_figure(7.0, 0.7 + 0.25 * len(ordered)) as figure:
         axes: Axes = figure.subplots()

@@ -16,8 +16,8 @@ NOT_DETERMINED = "not determined"
 _SIDES = {"command": "command side", "output": "output side", "sensor": "sensor", "trial": "trial to trial"}
 
 
-def effects_table(evidence: ReportData) -> Table:
-    """The chosen effects with what each closes."""
+def effects_table(data: ReportData) -> Table:
+    """Chosen effects with the closed share of each."""
     rows = [
         (
             in_words(effect.name),
@@ -28,9 +28,9 @@ def effects_table(evidence: ReportData) -> Table:
             effect.rmse_before_deg,
             effect.rmse_after_deg,
         )
-        for effect in evidence.diagnosis.effects
+        for effect in data.diagnosis.effects
     ]
-    sizes = f"without [{evidence.unit}]", f"with [{evidence.unit}]"
+    sizes = f"without [{data.unit}]", f"with [{data.unit}]"
     columns = ("effect", "probability", "inclusion", "closed share", "90 % interval", *sizes)
     caption = (
         "Inclusion: share of resamples of the data in which the effect was chosen. Without, with: RMSE on the final "
@@ -39,13 +39,13 @@ def effects_table(evidence: ReportData) -> Table:
     return Table(columns, rows, caption)
 
 
-def candidates_table(evidence: ReportData) -> Table:
+def candidates_table(data: ReportData) -> Table:
     """Every effect of the library, added alone."""
-    sizes = (f"{size} [{evidence.unit}]" for size in ("RMSE", "gain", "standard error"))
+    sizes = (f"{size} [{data.unit}]" for size in ("RMSE", "gain", "standard error"))
     columns = ("effect", "acts on", *sizes, "probability", "")
     return Table(
         columns,
-        [_candidate(row) for row in evidence.candidates],
+        [_candidate(row) for row in data.candidates],
         "Each effect alone with the baseline refitted, on the trials to select by; gain: retuned RMSE less this one.",
     )
 
@@ -61,16 +61,16 @@ def tracking_table(tracking: TrackingGap) -> Table:
     return Table(("motion", "before [deg]", "after [deg]", "fall [deg]"), rows, caption)
 
 
-def trials_table(evidence: ReportData) -> Table:
+def trials_table(data: ReportData) -> Table:
     """RMSE of every trial; final ones first."""
-    rows = sorted(evidence.trials, key=lambda trial: trial.role != "final")
-    sizes = (f"{size} [{evidence.unit}]" for size in (*(LABEL[stage] for stage in STAGES), "floor"))
+    rows = sorted(data.trials, key=lambda trial: trial.role != "final")
+    sizes = (f"{size} [{data.unit}]" for size in (*(LABEL[stage] for stage in STAGES), "floor"))
     columns = ("trial", "motion", "used to", "s", *sizes)
     return Table(columns, [_trial(row) for row in rows], "RMSE of simulated less measured angle.")
 
 
-def confusable_table(evidence: ReportData) -> Table:
-    """What these motions can hardly tell apart; what they cannot comes first."""
+def confusable_table(data: ReportData) -> Table:
+    """Effects that these motions can confuse; inseparable ones first."""
     rows = [
         (
             ", ".join(in_words(name) for name in row.effects),
@@ -80,7 +80,7 @@ def confusable_table(evidence: ReportData) -> Table:
             percent(row.alike_in_sine),
             percent(row.alike_in_hold),
         )
-        for row in sorted(evidence.confusable, key=lambda row: row.separable)
+        for row in sorted(data.confusable, key=lambda row: row.separable)
     ]
     columns = ("effects", "told apart by these logs", "by", "found in these logs", "alike in a sine", "ramp and hold")
     caption = (
@@ -95,10 +95,10 @@ def detectable_table(sizes: DetectableSizes) -> Table:
     return Table(DETECTABLE_COLUMNS, detectable_rows(sizes), "These logs would show each effect from this size on.")
 
 
-def parameters_table(evidence: ReportData) -> Table:
+def parameters_table(data: ReportData) -> Table:
     """Identified values and whether the logs determine them."""
     rows = []
-    for row in evidence.parameters:
+    for row in data.parameters:
         neutral = "" if row.neutral is None else row.neutral
         value = NOT_DETERMINED if row.flat else row.value
         remark = "at a bound" if row.at_bound else ""
@@ -111,20 +111,20 @@ def parameters_table(evidence: ReportData) -> Table:
     return Table(columns, rows, caption)
 
 
-def retuned_table(evidence: ReportData) -> Table:
+def retuned_table(data: ReportData) -> Table:
     """Baseline quantities before and after the refit."""
-    units = baseline_units(evidence.diagnosis)
+    units = baseline_units(data.diagnosis)
     rows = [
         (in_words(name), units[name], given, retuned, "" if given == 0 else f"{100 * (retuned / given - 1):+.1f} %")
-        for name, (given, retuned) in evidence.diagnosis.retuned.items()
+        for name, (given, retuned) in data.diagnosis.retuned.items()
     ]
     caption = "Retuning of the simulator, without effects: not an effect."
     return Table(("quantity", "unit", "as given", "retuned", "change"), rows, caption)
 
 
-def check_pieces(evidence: ReportData) -> Iterator[Piece]:
-    """What the commands of the logs do, and the notes."""
-    excitation, unit = evidence.excitation, evidence.command_unit
+def check_pieces(data: ReportData) -> Iterator[Piece]:
+    """Excitation by the commands, and the notes of the checks."""
+    excitation, unit = data.excitation, data.command_unit
     if excitation is not None:
         speeds = ", ".join(f"{speed:.3g}" for speed in excitation.ramp_speeds)
         rows = {
@@ -140,21 +140,21 @@ def check_pieces(evidence: ReportData) -> Iterator[Piece]:
             "levels of turning near the top": excitation.top_levels,
         }
         yield KeyValues(rows)
-    for note in evidence.diagnosis.notes:
+    for note in data.diagnosis.notes:
         yield Paragraph(note)
-    if excitation is None and not evidence.diagnosis.notes:
+    if excitation is None and not data.diagnosis.notes:
         yield Paragraph("The checks found nothing to remark.")
 
 
-def made_by(evidence: ReportData, versions: dict[str, str]) -> KeyValues:
+def made_by(data: ReportData, versions: dict[str, str]) -> KeyValues:
     """How the diagnosis was made: simulator, seed, time, versions."""
-    roles = [trial.role for trial in evidence.trials]
+    roles = [trial.role for trial in data.trials]
     split = ", ".join(f"{roles.count(role)} {role}" for role in dict.fromkeys(roles))
-    rows: dict[str, object] = {"simulator": evidence.simulator, "trials": f"{len(roles)} ({split})"}
-    rows["seed"] = evidence.seed
-    if evidence.seconds:
-        parts = ", ".join(f"{in_words(name)} {seconds:.1f}" for name, seconds in evidence.seconds.items())
-        rows["time [s]"] = f"{sum(evidence.seconds.values()):.1f} ({parts})"
+    rows: dict[str, object] = {"simulator": data.simulator, "trials": f"{len(roles)} ({split})"}
+    rows["seed"] = data.seed
+    if data.seconds:
+        parts = ", ".join(f"{in_words(name)} {seconds:.1f}" for name, seconds in data.seconds.items())
+        rows["time [s]"] = f"{sum(data.seconds.values()):.1f} ({parts})"
     return KeyValues(rows | dict(versions))
 
 

@@ -78,7 +78,7 @@ def reason_for(
 
 
 def _retuned_words(decision: VerdictDecision, gap: Gap, moved: Sequence[RetunedParameter], unit: str) -> str:
-    """What moved, and by how much the error falls with it."""
+    """Changed parameters, and the fall of the RMSE by retuning."""
     numbers = ", ".join(_moved_words(row) for row in moved) or "numbers of the core, none of them for sure"
     fall = f"the RMSE falls from {gap.nominal_rmse_deg:#.3g} to {gap.retuned_rmse_deg:#.3g} {unit}"
     said = f"numbers of the same structure have moved, nothing is missing in it: {numbers}; {fall}"
@@ -96,7 +96,7 @@ def _moved_words(row: RetunedParameter) -> str:
 
 
 def _causes(diagnosis: Diagnosis) -> list[str]:
-    """Effects found, the most probable first, each with those that it may stand for, as `lag or delay`."""
+    """Identified effects by probability, each with those that it may be confused with, as `lag or delay`."""
     sets = {
         name: words
         for names, words in zip(diagnosis.ambiguity, ambiguous_sets(diagnosis), strict=True)
@@ -162,7 +162,7 @@ def _plain(result: str) -> str:
 
 
 def ceiling_sentence(diagnosis: Diagnosis) -> str:
-    """What a flexible model reaches, and whether that bounds the effects; empty where it was not estimated."""
+    """Share that a flexible model explains, as a bound for the effects; empty where it was not estimated."""
     share, closed = diagnosis.explainable_share, diagnosis.gap.closed_share
     if share is None:
         return ""
@@ -176,7 +176,7 @@ def ceiling_sentence(diagnosis: Diagnosis) -> str:
 
 
 def order_sentences(diagnosis: Diagnosis) -> list[str]:
-    """What follows from an unknown order of recording; none where it is known."""
+    """Consequences of an unknown order of recording; none where it is known."""
     if diagnosis.order == "known":
         return []
     first = (
@@ -230,7 +230,7 @@ def _size_of(value: float, ends: Interval, unit: str) -> str:
 
 
 def floor_words(gap: Gap, unit: str = "deg") -> str:
-    """What the floor comes from and what follows for the shares."""
+    """Origin of the noise floor, and what follows for the shares."""
     if gap.floor_kind == "repeats":
         return "The floor comes from repeats of a motion: what differs between them no simulator can follow."
     if gap.unrepeatable:
@@ -267,7 +267,7 @@ def retuning_sentence(diagnosis: Diagnosis) -> str:
 
 
 def mis_set_sentence(diagnosis: Diagnosis) -> str:
-    """The same where these numbers were a good half of the mean square error as given, beside the verdict's cause."""
+    """Retuned quantities where they made up half of the mean square error and the verdict names another cause."""
     gap = diagnosis.gap
     mis_set = gap.nominal_rmse_deg**2 > _MIS_SET * gap.retuned_rmse_deg**2
     return retuning_sentence(diagnosis) if mis_set and diagnosis.verdict in ("named", "one_of", "unknown") else ""
@@ -320,7 +320,7 @@ def next_sentence(proposal: MotionProposal) -> str:
 
 
 def listed(words: Sequence[str], joint: str) -> str:
-    """Words with commas, and a word before the last."""
+    """Enumeration with commas and a conjunction before the last word."""
     if len(words) < 2:
         return "".join(words)
     return f"{', '.join(words[:-1])} {joint} {words[-1]}"

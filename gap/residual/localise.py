@@ -173,7 +173,7 @@ def _commanded(s: _Periodograms, grid: Vec) -> Mask:
 
 
 def _above(s: _Periodograms, hz: float) -> float:
-    """Energy of a line over its surroundings, whose level is the geometric mean of that on either side."""
+    """Energy of a spectral line above the local level, the geometric mean of both sides."""
     off = s.hz - hz
     inside, reach = np.abs(off) <= _WIDE * s.bin_hz, 4 * _WIDE * s.bin_hz
     sides = [s.unlocked[side & (np.abs(off) <= reach) & ~inside] for side in (off < 0, off > 0)]

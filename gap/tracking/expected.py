@@ -114,7 +114,7 @@ def _squares(
 
 
 def _undetermined(gap: TrackingGap, alone: TrackingGap, floor_deg: float) -> str:
-    """Why a fall cannot be said, given the one on the corrected simulator alone; empty where it can."""
+    """Why the fall of the error is undetermined, given the fall without disturbance; empty where it is determined."""
     if not gap.changes(floor_deg) or abs(alone.fall_share - gap.fall_share) <= NEAR * abs(gap.fall_share):
         return ""
     low, high = sorted((gap.fall_share, alone.fall_share))
@@ -137,7 +137,7 @@ def _controller(simulator: Simulator, settings: LawSettings, limits: CommandLimi
 
 @final
 class UnexplainedPlant(ComputedPlant):
-    """A simulator as the device that it says it is, with the noise that its file says it leaves.
+    """Simulated plant: a simulator with the sensor noise and the unexplained disturbance of its file.
 
         theta_k = model_k + d_k,   d_{k+1} = sqrt(1 - q_k / m^2) d_k + sqrt(q_k) w_k,
         q_k = c^2 (drift^2 dt + motion^2 |u_{k+1} - u_k|),   y_k = theta_k + sensor v_k
@@ -194,8 +194,8 @@ _FASTEST, _SPEED_SHARE = 0.99, 0.5  # quantile of the simulated speed, and how m
 _FAST_DT_S = 0.019  # below it a second seed would take too long
 
 
-def with_tracking(evidence: ReportData, progress: Progress | None = None) -> ReportData:
-    """The evidence, and its diagnosis, with the expected fall of the closed-loop tracking error.
+def with_tracking(data: ReportData, progress: Progress | None = None) -> ReportData:
+    """Add the expected fall of the closed-loop tracking error to the report data and its diagnosis.
 
     References are drawn from the seed of the diagnosis. They stay within the angles that the trials covered, as the
     simulator with its effects has them, and within half of the greatest speed there.
@@ -206,23 +206,23 @@ def with_tracking(evidence: ReportData, progress: Progress | None = None) -> Rep
     report = progress or no_progress
     report(98, 100, "closed loop before and after")
     curves: tuple[TrackingCurve, ...] = ()
-    why_not = _why_not(evidence)
+    why_not = _why_not(data)
     gap = TrackingGap(why_not=why_not)
-    if not why_not and evidence.nominal is not None and evidence.fixed is not None:
-        seeds = SEEDS if evidence.nominal.dt_s > _FAST_DT_S else SEEDS[:1]
+    if not why_not and data.nominal is not None and data.fixed is not None:
+        seeds = SEEDS if data.nominal.dt_s > _FAST_DT_S else SEEDS[:1]
         try:
-            motions = covered_motions(evidence.trials, evidence.fixed, evidence.seed)
+            motions = covered_motions(data.trials, data.fixed, data.seed)
             gap, curves = expected_tracking(
-                evidence.nominal, evidence.fixed, motions, seeds=seeds, floor_deg=evidence.diagnosis.gap.floor_rmse_deg
+                data.nominal, data.fixed, motions, seeds=seeds, floor_deg=data.diagnosis.gap.floor_rmse_deg
             )
         except HystmpcError as error:
             gap = TrackingGap(why_not=f"the closed loop could not be simulated ({error})")
-    report(100, 100, evidence.diagnosis.verdict)
-    return replace(evidence, diagnosis=replace(evidence.diagnosis, tracking=gap), curves=curves)
+    report(100, 100, data.diagnosis.verdict)
+    return replace(data, diagnosis=replace(data.diagnosis, tracking=gap), curves=curves)
 
 
 def covered_motions(trials: Sequence[TrialRuns], fixed: Simulator, seed: int) -> tuple[CountedMotion, ...]:
-    """Point to point with holds and a scan, within the angles and half of the speed that the trials covered.
+    """Reference motions within the angles and half of the speed that the trials covered.
 
     Raises:
         TrajectoryError: if the angle hardly moved in the trials.
@@ -236,16 +236,16 @@ def covered_motions(trials: Sequence[TrialRuns], fixed: Simulator, seed: int) ->
     return drawn_motions(random, rest, (float(low), float(high)), speed, SCANS_HZ, moves=_MOVES)
 
 
-def _why_not(evidence: ReportData) -> str:
-    """Why no fall can be said, in one sentence; empty where it can."""
-    diagnosis: Diagnosis = evidence.diagnosis
-    if evidence.unit != "deg":
-        return f"the controllers follow angles in deg, and the output of this device is in {evidence.unit}"
-    if evidence.nominal is None:
+def _why_not(data: ReportData) -> str:
+    """Why no fall of the error can be predicted, in one sentence; empty where it can."""
+    diagnosis: Diagnosis = data.diagnosis
+    if data.unit != "deg":
+        return f"the controllers follow angles in deg, and the output of this device is in {data.unit}"
+    if data.nominal is None:
         return "the simulator is a network, of which a diagnosis makes no corrected simulator"
     if diagnosis.verdict == "too_little":
         return "these logs do not allow a diagnosis"
-    if diagnosis.verdict == "unknown" or evidence.fixed is None:
+    if diagnosis.verdict == "unknown" or data.fixed is None:
         return "the gap has a cause that is not known, so that no simulator stands for the device"
     if diagnosis.relies_on_its_split:
         return FLIPS

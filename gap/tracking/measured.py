@@ -150,7 +150,7 @@ _SAME_DEG = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class TrackingFall:
-    """One run beside an earlier one on the same reference.
+    """Fall of the tracking error from an earlier run to a run on the same reference.
 
     Attributes:
         after: the run that is reported.
@@ -177,7 +177,7 @@ class TrackingFall:
 
 
 def tracking_falls(run: Path, before: Sequence[Path], diagnosis: Path | None = None) -> tuple[TrackingFall, ...]:
-    """The run against every earlier one, and against what a diagnosis lets expect on its reference.
+    """Fall of the tracking error from every earlier run, and the fall that a diagnosis predicts on the same reference.
 
     Args:
         run: folder of `run` or `simulate`.
@@ -202,7 +202,7 @@ def tracking_falls(run: Path, before: Sequence[Path], diagnosis: Path | None = N
 
 
 def fall_lines(falls: Iterable[TrackingFall]) -> list[str]:
-    """The fall in words, a line each for what was measured and what was expected."""
+    """Sentences on the measured and the expected fall, a line each."""
     lines = []
     for fall in falls:
         lines.append(_measured_line(fall))
@@ -326,7 +326,7 @@ def _expected_line(fall: TrackingFall, expected: TrackingGap) -> str:
 
 
 def _noise_words(*runs: MeasuredRun) -> str:
-    """What became of the noise in the measured angle."""
+    """How the sensor noise in the measured angle was treated."""
     if all(run.noise_deg is None for run in runs):
         return "(with the sensor's noise: no model file knows it)"
     if any(run.noise_deg is None for run in runs):

@@ -314,13 +314,13 @@ def _tracking_gap(bench: StudyBench) -> tuple[str, dict[str, float]]:
     device = bench.device
     trials = recordings(DrawnPlant(device, device.seed + _DIAGNOSED), bench.settings.quick)
     nominal = load_simulator(bench.tip().parent / "rival.yaml")
-    evidence = diagnose_trials(trials, nominal, seed=bench.settings.seed).evidence
-    said, fixed = evidence.diagnosis.tracking, evidence.fixed
+    data = diagnose_trials(trials, nominal, seed=bench.settings.seed).data
+    said, fixed = data.diagnosis.tracking, data.fixed
     if said is None or said.why_not or fixed is None:
         return f"not said: {said.why_not if said else ''}", {"gap.said": 0.0}
-    motions = covered_motions(evidence.trials, fixed, evidence.seed)
+    motions = covered_motions(data.trials, fixed, data.seed)
     figures = {"gap.said": 1.0, "gap.said_before_deg": said.before_deg, "gap.said_after_deg": said.after_deg}
-    figures["gap.floor_deg"] = evidence.diagnosis.gap.floor_rmse_deg
+    figures["gap.floor_deg"] = data.diagnosis.gap.floor_rmse_deg
     for name, simulator in (("before", nominal), ("after", fixed)):
         known = known_model(ChainModel(simulator, "conditioned"), None, 0.0)
         controller = build_controller(USUAL, *known.predictive, limits_of_model(nominal.metadata()))

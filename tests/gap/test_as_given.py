@@ -275,7 +275,7 @@ def test_a_whole_diagnosis_skips_the_first_flexure() -> None:
     done = diagnose_trials(spoilt, given_one, skip_first_flexure=True)
     assert done.diagnosis.verdict == "none"
     assert done.diagnosis.gap.nominal_rmse_deg < 0.1
-    assert done.evidence.fixed is not None
-    assert done.evidence.fixed.identification.skip_first_flexure
-    assert all(trial.start > 0 and trial.rmse("nominal") < 0.1 for trial in done.evidence.trials)
-    assert contradictions(done.evidence) == []
+    assert done.data.fixed is not None
+    assert done.data.fixed.identification.skip_first_flexure
+    assert all(trial.start > 0 and trial.rmse("nominal") < 0.1 for trial in done.data.trials)
+    assert contradictions(done.data) == []
