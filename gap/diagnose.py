@@ -23,7 +23,7 @@ from hystmpc.trials.types import Progress, no_progress
 
 from .decide.ambiguity import limited_by_inclusion, probability, ranking
 from .decide.attribution import DiagnosisSettings, Findings, as_given_if_better, attribute, confirm
-from .decide.remaining_structure import SHIFT, UNITS, Configuration, configuration_of
+from .decide.remaining_structure import NAME, SHIFT, UNITS, Configuration, configuration_of
 from .decide.retuning import moved_numbers, retuned_with
 from .decide.stability import stability_of
 from .diagnosis import DetectableSizes, Diagnosis, IdentifiedEffect, Untestable
@@ -312,7 +312,7 @@ def _stable(findings: Findings) -> float:
 
 def _called(name: str, grouped: Configuration | None) -> str:
     """Public name of an effect; shifts of whole groups of trials are a configuration change."""
-    return grouped.name(name) if grouped else name
+    return NAME if grouped and name == SHIFT else name
 
 
 def _effects(

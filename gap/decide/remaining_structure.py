@@ -40,10 +40,6 @@ class Configuration:
     sizes: dict[str, float]
     explained: float
 
-    def name(self, effect: str) -> str:
-        """Name of an effect, given these groups."""
-        return NAME if effect == SHIFT else effect
-
 
 @final
 @dataclass(frozen=True, eq=False)

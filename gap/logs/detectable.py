@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -92,7 +92,11 @@ def detectable_sizes(baseline: Baseline, runs: Sequence[Run], needed_mse: float)
             "periodic_disturbance", "amplitude", "deg", math.sqrt(2.0 * needed_mse), hidden=0.0
         ),
     }
-    for candidate in _first_forms(candidates(scale, ())):
+    first_forms: dict[str, Candidate] = {}
+    for candidate in candidates(scale, ()):
+        if candidate.free:
+            first_forms.setdefault(candidate.effect, candidate)
+    for candidate in first_forms.values():
         sizes[candidate.effect] = _least(candidate, baseline, runs, angles, known, needed_mse)
     return tuple(sizes[name] for name in diagnosable() if name in sizes)
 
@@ -101,14 +105,6 @@ def _scale(runs: Sequence[Run], low: float, high: float) -> Scale:
     command = np.concatenate([run.command for run in runs])
     durations = [run.command.size * run.dt_s for run in runs]
     return Scale(float(command.min()), float(command.max()), low, high, max(durations), sum(durations), runs[0].dt_s)
-
-
-def _first_forms(forms: Sequence[Candidate]) -> Iterator[Candidate]:
-    seen = set()
-    for form in forms:
-        if form.effect not in seen and form.free:
-            seen.add(form.effect)
-            yield form
 
 
 def _least(

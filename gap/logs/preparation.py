@@ -128,9 +128,8 @@ def prepare(
         ModelError: if the simulator is an inverse map.
     """
     trials, order = in_recording_order(trials, ordered)
-    known = order == "known"
-    checked = check_trials(trials, simulator if isinstance(simulator, Simulator) else simulator.metadata, seed, known)
-    facts = simulator.metadata() if isinstance(simulator, Simulator) else simulator.metadata
+    known, facts = order == "known", simulator.metadata() if isinstance(simulator, Simulator) else simulator.metadata
+    checked = check_trials(trials, simulator if isinstance(simulator, Simulator) else facts, seed, known)
     decades = Decades.of_ranges(facts.trained_command, facts.trained_angle)
     if isinstance(simulator, Simulator):
         _require_size(simulator, decades)
@@ -140,7 +139,7 @@ def prepare(
     in_working_units = decades.trials(checked.trials)
     baseline, runs = _baseline_and_runs(simulator, checked, signs, decades)
     motions = checked.excitation.motions
-    form_mse = model_form_mse(identification, trials, motions, _sample_time(simulator))
+    form_mse = model_form_mse(identification, trials, motions, facts.dt_s)
     runs = counted = common_rest(runs, form_mse)
     begun = [f"{motion_line(Path(run.name).name, run.start, run.dt_s)}." for run in runs if run.lead]
     checked = replace(checked, notes=(*checked.notes, *begun))
@@ -274,10 +273,6 @@ def shortage(trials: Sequence[Trial]) -> str:
     if turns < _LEAST_TURNS:
         return f"the command turns {turns} times in all, expected {_LEAST_TURNS} or more"
     return ""
-
-
-def _sample_time(simulator: Simulator | LoadedModel) -> float:
-    return simulator.dt_s if isinstance(simulator, Simulator) else simulator.metadata.dt_s
 
 
 def _network_baseline(

@@ -15,7 +15,7 @@ from hystmpc.models.identify.uncertainty import Interval
 from hystmpc.trials.report import ACCENTS, COMMAND, DASHES, MEASURED, MODEL, PALETTE, REFERENCE, new_figure
 from hystmpc.trials.types import Vec
 
-from ..diagnosis import Diagnosis, Gap
+from ..diagnosis import Diagnosis
 from ..next.motion_design import MotionProposal
 from .report_data import CandidateRow, ReportData, Stage, TrialRuns
 from .words import in_words
@@ -91,7 +91,7 @@ def closed_figure(data: ReportData) -> Figure:
     with new_figure(7.0, 1.1 + 0.42 * rows) as figure:
         axes: Axes = figure.subplots()
         for stage in data.stages:
-            values = [_pooled(gap, stage), *(trial.rmse(stage) for trial in trials)]
+            values = [getattr(gap, f"{stage}_rmse_deg"), *(trial.rmse(stage) for trial in trials)]
             groups: list[Sequence[TrialRuns]] = [data.final, *([trial] for trial in trials)]
             _points(axes, stage, values, [rmse_interval(group, stage) for group in groups])
         floors = [gap.floor_rmse_deg, *(trial.floor_deg for trial in trials)]
@@ -115,10 +115,6 @@ def _points(axes: Axes, stage: Stage, values: list[float], intervals: list[Inter
             draw_interval(axes, row, value, interval, zorder=2, color=COLOUR[stage])
     style: Any = {"color": COLOUR[stage], "marker": MARKER[stage], "linestyle": "none", "markersize": 5.5}
     axes.plot(values, rows, label=LABEL[stage], zorder=3, **style)
-
-
-def _pooled(gap: Gap, stage: Stage) -> float:
-    return float(getattr(gap, f"{stage}_rmse_deg"))
 
 
 def rmse_interval(trials: Sequence[TrialRuns], stage: Stage) -> Interval | None:

@@ -17,7 +17,6 @@ from ..diagnosis import (
     Gap,
     IdentifiedEffect,
     RetunedParameter,
-    TrackingGap,
 )
 from ..next.motion_design import MotionProposal
 
@@ -189,13 +188,11 @@ def order_sentences(diagnosis: Diagnosis) -> list[str]:
 def parameter_words(effect: IdentifiedEffect) -> str:
     """Identified values with their units; none where the logs do not determine it."""
     return ", ".join(
-        f"{name} not determined" if name in effect.undetermined else f"{name} {value:.3g} {_unit(effect, name)}"
+        f"{name} not determined"
+        if name in effect.undetermined
+        else f"{name} {value:.3g} [{effect.units.get(name, '1')}]"
         for name, value in effect.parameters.items()
     )
-
-
-def _unit(effect: IdentifiedEffect, name: str) -> str:
-    return f"[{effect.units.get(name, '1')}]"
 
 
 def tracking_sentence(diagnosis: Diagnosis) -> str:
@@ -205,7 +202,8 @@ def tracking_sentence(diagnosis: Diagnosis) -> str:
         return ""
     if tracking.why_not or diagnosis.relies_on_its_split:
         return f"How far the closed-loop tracking error falls cannot be said: {tracking.why_not or FLIPS}."
-    before, after = (_size_of(v, ends, diagnosis.unit) for v, ends in _errors(tracking))
+    before = _size_of(tracking.before_deg, tracking.before_range_deg, diagnosis.unit)
+    after = _size_of(tracking.after_deg, tracking.after_range_deg, diagnosis.unit)
     floor = diagnosis.gap.floor_rmse_deg
     if not tracking.changes(floor):
         return (
@@ -218,10 +216,6 @@ def tracking_sentence(diagnosis: Diagnosis) -> str:
         f"from {before} RMS to {after}, where the predictive controller, without learning, gets the corrected "
         "simulator as its model."
     )
-
-
-def _errors(tracking: TrackingGap) -> tuple[tuple[float, Interval], tuple[float, Interval]]:
-    return (tracking.before_deg, tracking.before_range_deg), (tracking.after_deg, tracking.after_range_deg)
 
 
 def _size_of(value: float, ends: Interval, unit: str) -> str:
