@@ -130,7 +130,7 @@ def conclude(findings: Findings, progress: Progress | None = None) -> tuple[Diag
     diagnosis = replace(diagnosis, next_motion=proposal.summary() if proposal else None)
     clock.lap("what next")
     findings = replace(findings, seconds={**findings.seconds, **clock.seconds})
-    shown = tuple(_in_log(row, prepared) for row in rows)
+    shown = tuple(_in_log_units(row, prepared) for row in rows)
     data = report_data(findings, diagnosis, proposal, shown)
     (progress or no_progress)(_CONCLUDED, _STEPS, diagnosis.verdict)
     return diagnosis, data
@@ -209,7 +209,7 @@ def _diagnosis(findings: Findings, parameters: Sequence[ParameterRow]) -> Diagno
     probabilities = _probabilities(findings, grouped)
     effects = _effects(findings, probabilities, parameters, grouped)
     sets = sorted(decision.ambiguity, key=lambda names: -probabilities.get(names[0], 0.0))
-    ambiguity = tuple(tuple(_called(name, grouped) for name in names) for names in sets)
+    ambiguity = tuple(tuple(_public_name(name, grouped) for name in names) for names in sets)
     decades, units = prepared.decades, prepared.checked.trials[0].units
     nominal, retuned = (
         {name: decades.log_value(v, BASELINE_UNITS[name]) for name, v in prepared.baseline.quantities(z).items()}
@@ -219,7 +219,7 @@ def _diagnosis(findings: Findings, parameters: Sequence[ParameterRow]) -> Diagno
     moved = moved_numbers(prepared, hypothesis, parameters) if decision.verdict == "retuned" else ()
     sizes, checked = decades.log_sizes(conclusion.closed.gap), prepared.checked
     rivals = decision.ambiguity or (unseparated(findings),)
-    ranked = ranking(probabilities, attribution.inclusion, rivals, library, _left_open(findings))
+    ranked = ranking(probabilities, attribution.inclusion, rivals, library, _unnamed_probability(findings))
     return Diagnosis(
         verdict=decision.verdict,
         reason=reason_for(
@@ -233,7 +233,7 @@ def _diagnosis(findings: Findings, parameters: Sequence[ParameterRow]) -> Diagno
         ),
         effects=effects,
         ambiguity=ambiguity,
-        ranking=tuple((_called(name, grouped), probability) for name, probability in ranked),
+        ranking=tuple((_public_name(name, grouped), probability) for name, probability in ranked),
         gap=sizes,
         retuned={name: (nominal[name], retuned[name]) for name in nominal},
         where=dict(findings.localisation.places) if findings.localisation else {},
@@ -269,7 +269,7 @@ def _parameters(findings: Findings) -> tuple[ParameterRow, ...]:
     return parameter_rows(conclusion.chosen, prepared.development, values)
 
 
-def _in_log(row: ParameterRow, prepared: PreparedTrials) -> ParameterRow:
+def _in_log_units(row: ParameterRow, prepared: PreparedTrials) -> ParameterRow:
     """A number in the units of the log, which have their own names."""
     units = prepared.checked.trials[0].units
     return replace(row.times(prepared.decades.in_log(row.unit)), unit=units.named(row.unit) or "1")
@@ -291,26 +291,28 @@ def _probabilities(findings: Findings, grouped: Configuration | None) -> dict[st
     probabilities = {}
     for name, cause in causes.items():
         untried = bool(confounders(name) & missing)
-        chance = probability(_called(name, grouped), cause.share, name in ambiguous, _stable(findings), untried)
+        chance = probability(
+            _public_name(name, grouped), cause.share, name in ambiguous, _stability_share(findings), untried
+        )
         probabilities[name] = limited_by_inclusion(chance, findings.attribution.inclusion.get(name, 1.0))
     return probabilities
 
 
-def _left_open(findings: Findings) -> float:
+def _unnamed_probability(findings: Findings) -> float:
     """Probability left for effects that the verdict does not name.
 
     Where nothing is missing in the simulator, it is the chance that the verdict is another one.
     """
     if findings.conclusion.decision.verdict not in ("none", "retuned"):
         return 1.0
-    return 1 - _SURE_OF_NONE * _stable(findings)
+    return 1 - _SURE_OF_NONE * _stability_share(findings)
 
 
-def _stable(findings: Findings) -> float:
+def _stability_share(findings: Findings) -> float:
     return findings.stability.share if findings.stability else _STABILITY_UNKNOWN
 
 
-def _called(name: str, grouped: Configuration | None) -> str:
+def _public_name(name: str, grouped: Configuration | None) -> str:
     """Public name of an effect; shifts of whole groups of trials are a configuration change."""
     return NAME if grouped and name == SHIFT else name
 
@@ -329,7 +331,7 @@ def _effects(
     }
     effects = (
         IdentifiedEffect(
-            name=_called(name, grouped),
+            name=_public_name(name, grouped),
             probability=probabilities[name],
             inclusion=findings.attribution.inclusion.get(name, 1.0),
             closed_share=cause.share,

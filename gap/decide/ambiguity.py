@@ -49,13 +49,13 @@ def ambiguity_of(
         others = []
         for tried, judged in selection.tried.items():
             exchanged = len(tried) == len(names) and rest < tried and tried != names
-            if not exchanged or _told_apart(chosen, judged, settings):
+            if not exchanged or _distinguishable(chosen, judged, settings):
                 continue
             (other,) = tried - rest
             if (effect, other) == ("drift", "trial_shift"):
                 neither = selection.tried.get(rest)
                 share = line_share(neither, judged, chosen) if neither else 0.0
-                if _no_scatter(share, len(chosen.errors), settings) or drift_shows(chosen.hypothesis):
+                if _follows_line(share, len(chosen.errors), settings) or drift_shows(chosen.hypothesis):
                     continue
             others.append(other)
         if others:
@@ -63,7 +63,7 @@ def ambiguity_of(
     return tuple(sets)
 
 
-def _told_apart(chosen: HeldOutErrors, other: HeldOutErrors, settings: VerdictSettings) -> bool:
+def _distinguishable(chosen: HeldOutErrors, other: HeldOutErrors, settings: VerdictSettings) -> bool:
     """Whether held-out trials are significantly closer to the chosen prediction than to the other one.
 
     With the predictions a and b of the two and the measurement y,
@@ -81,7 +81,7 @@ def _told_apart(chosen: HeldOutErrors, other: HeldOutErrors, settings: VerdictSe
     return fall > settings.nearer * mean_square_difference(chosen, other) and fall > settings.nearer_errors * error
 
 
-def _no_scatter(share: float, trials: int, settings: VerdictSettings) -> bool:
+def _follows_line(share: float, trials: int, settings: VerdictSettings) -> bool:
     """Whether the shifts of the trials follow a line over time more closely than independent shifts do by chance.
 
     The share r^2 of independent normal shifts has the distribution Beta(1/2, (N - 2)/2).
@@ -145,11 +145,11 @@ def probability(name: str, share: float, ambiguous: bool, stability: float, untr
         untried: whether the library lacks an effect with which it can be confounded.
     """
     sure = min(max(share, 0.0), 1.0) * stability**2
-    logit = _BIAS + _AMBIGUOUS * ambiguous + _SURE * sure + _GENERIC * _imitates(name) * (1 - sure)
+    logit = _BIAS + _AMBIGUOUS * ambiguous + _SURE * sure + _GENERIC * _is_generic(name) * (1 - sure)
     return 1 / (1 + math.exp(-logit - _UNTRIED * untried))
 
 
-def _imitates(name: str) -> bool:
+def _is_generic(name: str) -> bool:
     """Whether an effect can imitate almost any other, and causes that the library lacks: its name is less certain."""
     return name in EFFECTS and EFFECTS[name].generic
 

@@ -139,7 +139,7 @@ def attribute(
             structure_left=structure_left(selection, validation.runs, prepared.everything, floor_mse, settings.verdict),
             ambiguity=ambiguity_of(selection, settings.verdict, drift_test(validation, settings.verdict)),
             sensor="sensor" not in without and _sensor_matters(prepared, selection, settings.verdict),
-            sensor_gap=_is_gap(prepared, prepared.excess_mse + _mended_mse(prepared), settings.verdict),
+            sensor_gap=_is_gap(prepared, prepared.excess_mse + _repair_mse(prepared), settings.verdict),
             new_step="sensor" not in without and _step_matters(prepared, baseline.mse, settings.verdict),
             jumps=jumping,
             too_little=bool(prepared.too_little),
@@ -190,21 +190,25 @@ def confirm(prepared: PreparedTrials, attribution: Attribution, settings: Verdic
     if provisional.explained:
         chosen = attribution.validation.polished(attribution.selection.chosen.hypothesis)
     facts = replace(facts, sensor=provisional.sensor)
-    facts, chosen, floor, closed = _proven(prepared, attribution, facts, chosen, seed)
+    facts, chosen, floor, closed = _confirmed_causes(prepared, attribution, facts, chosen, seed)
     repeatable = floor_of(prepared, retuned)
     final = FinalFacts(
         closed.gap.closed_share,
         residual_ratio(closed.gap.with_effects_rmse_deg**2, prepared.form_mse, floor.noise_deg**2),
         unproven=provisional.explained and bool(attribution.facts.effects) and not chosen.effects,
-        at_floor=_at(closed, repeatable.noise_deg, settings),
+        at_floor=_at_floor(closed, repeatable.noise_deg, settings),
         moved=closed.moved,
     )
     decision = decide_verdict(replace(facts, final=final), settings)
     if (chosen.effects and not decision.explained) or (decision.sensor and not facts.sensor):
         facts = replace(facts, sensor=facts.sensor or decision.sensor)
-        facts, chosen, floor, closed = _proven(prepared, attribution, facts, retuned, seed)
+        facts, chosen, floor, closed = _confirmed_causes(prepared, attribution, facts, retuned, seed)
         decision = decide_verdict(replace(facts, final=final), settings)
-    if decision.verdict == "unknown" and repeatable.kind == "repeats" and _at(closed, repeatable.rmse_deg, settings):
+    if (
+        decision.verdict == "unknown"
+        and repeatable.kind == "repeats"
+        and _at_floor(closed, repeatable.rmse_deg, settings)
+    ):
         # What differs between repeats is the gap, not its floor.
         floor = NoiseFloor(repeatable.noise_deg, "noise", repeatable.noise_deg)
         closed = measure(prepared, attribution.validation, retuned, retuned, floor, decision.sensor, None, seed)
@@ -223,7 +227,7 @@ def as_given_if_better(prepared: PreparedTrials, attribution: Attribution) -> At
     return replace(attribution, retuned=given) if worse else attribution
 
 
-def _proven(
+def _confirmed_causes(
     prepared: PreparedTrials, attribution: Attribution, facts: VerdictFacts, chosen: Hypothesis, seed: int
 ) -> tuple[VerdictFacts, Hypothesis, NoiseFloor, GapClosed]:
     """Drop causes that do not significantly lower the final error; facts, simulator, floor and errors without them."""
@@ -235,15 +239,15 @@ def _proven(
         weakest = closed.unproven({names[0] for names in facts.ambiguity})
         if not weakest:
             return replace(facts, jumps="stick_slip" in closed.causes and facts.jumps), chosen, floor, closed
-        facts, chosen = _without(attribution, facts, chosen, weakest)
+        facts, chosen = _without_cause(attribution, facts, chosen, weakest)
 
 
-def _at(closed: GapClosed, floor_deg: float, settings: VerdictSettings) -> bool:
+def _at_floor(closed: GapClosed, floor_deg: float, settings: VerdictSettings) -> bool:
     """Whether the retuned simulator leaves no more than a floor [deg] on the final trials."""
     return closed.gap.retuned_rmse_deg**2 < settings.at_floor * floor_deg**2
 
 
-def _without(
+def _without_cause(
     attribution: Attribution, facts: VerdictFacts, chosen: Hypothesis, dropped: str
 ) -> tuple[VerdictFacts, Hypothesis]:
     """Remove one cause from the facts and from the corrected simulator."""
@@ -265,7 +269,7 @@ def _sensor_matters(prepared: PreparedTrials, selection: Selection, settings: Ve
     White noise may be a disturbance that is faster than the log. Steps, outliers and held values are read off it.
     Steps that the sensor had at identification are no fault of it.
     """
-    signs, left, mended = prepared.signs, selection.chosen.mse, _mended_mse(prepared)
+    signs, left, mended = prepared.signs, selection.chosen.mse, _repair_mse(prepared)
     noise = signs.energy if signs.noisy or (signs.coarse and prepared.excess_mse > 0) else 0.0
     good_part = noise > settings.noise_share * left or mended > settings.mended_share * left
     return good_part or _is_gap(prepared, mended + (prepared.excess_mse if signs.coarse else 0.0), settings)
@@ -276,7 +280,7 @@ def _step_matters(prepared: PreparedTrials, mse: float, settings: VerdictSetting
     return prepared.new_step and prepared.signs.quantisation_deg**2 / 12.0 >= settings.step_share * mse
 
 
-def _mended_mse(prepared: PreparedTrials) -> float:
+def _repair_mse(prepared: PreparedTrials) -> float:
     """Mean square change of the angle by the repair of outliers and held values [deg^2]."""
     mended = np.concatenate([raw - run.angle for raw, run in zip(prepared.raw, prepared.everything, strict=True)])
     return float(np.mean(mended**2))

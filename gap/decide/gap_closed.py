@@ -94,7 +94,7 @@ def closed_share(retuned_mse: float, with_mse: float, floor_mse: float) -> float
 
 def closed_interval(retuned: Blocks, before: Blocks, after: Blocks, floor_mse: float, seed: int) -> Interval:
     """90 % interval of the share that lies between two stages, blocks resampled together."""
-    return _ends(_drawn_shares(retuned, before, after, floor_mse, seed))
+    return _clipped_quantiles(_drawn_shares(retuned, before, after, floor_mse, seed))
 
 
 def _drawn_shares(retuned: Blocks, before: Blocks, after: Blocks, floor_mse: float, seed: int) -> Vec:
@@ -112,7 +112,7 @@ def _drawn_shares(retuned: Blocks, before: Blocks, after: Blocks, floor_mse: flo
     return np.asarray(fall / np.maximum(gap, _LEAST_GAP * whole) if whole > 0 else np.zeros(_DRAWS))
 
 
-def _ends(shares: Vec) -> Interval:
+def _clipped_quantiles(shares: Vec) -> Interval:
     low, high = np.clip(np.quantile(shares, (0.05, 0.95)), -1.0, 1.0)
     return float(low), float(high)
 

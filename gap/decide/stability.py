@@ -73,15 +73,15 @@ def stability_of(
     verdicts = Counter(resampled.verdict(split) for split in _splits(*count, prepared.order == "known", seed))
     reference = conclusion.decision.verdict, conclusion.chosen.effects
     rivals = [set(names) for names in conclusion.decision.ambiguity]
-    same = sum(times for verdict, times in verdicts.items() if _agree(verdict, reference, rivals))
+    same = sum(times for verdict, times in verdicts.items() if _same_result(verdict, reference, rivals))
     others = Counter({_label(*verdict): 0 for verdict in verdicts})
     for verdict, times in verdicts.items():
-        others[_label(*verdict)] += 0 if _agree(verdict, reference, rivals) else times
+        others[_label(*verdict)] += 0 if _same_result(verdict, reference, rivals) else times
     total = sum(verdicts.values())
     return Stability(same / total, total, tuple((text, n / total) for text, n in others.most_common(3) if n))
 
 
-def _agree(verdict: tuple[Verdict, Names], reference: tuple[Verdict, Names], rivals: Sequence[set[str]]) -> bool:
+def _same_result(verdict: tuple[Verdict, Names], reference: tuple[Verdict, Names], rivals: Sequence[set[str]]) -> bool:
     """Whether verdict and effects are the same; members of one ambiguous set count as the same effect."""
     if verdict[0] != reference[0] or len(verdict[1]) != len(reference[1]):
         return False
@@ -128,7 +128,7 @@ class _ResampledVerdict:
         self._spread, self._moved = conclusion.closed.spread, conclusion.closed.moved
         self._faults_mse = prepared.excess_mse
         validation, selection = attribution.validation, attribution.selection
-        self._tried = {names: _everywhere(judged, prepared.final) for names, judged in selection.tried.items()}
+        self._tried = {names: _errors_on_all_runs(judged, prepared.final) for names, judged in selection.tried.items()}
         self._drift_shows = drift_test(validation, settings.verdict)
         baseline, floor_mse = selection.baseline, attribution.facts.floor_mse
         self._structure_left = functools.cache(
@@ -139,8 +139,10 @@ class _ResampledVerdict:
 
     def verdict(self, split: _TrialSplit) -> tuple[Verdict, Names]:
         """Verdict and names of the effects on that split."""
-        tried = {names: _part(judged, split.development, split.seed) for names, judged in self._tried.items()}
-        final: dict[Names, Blocks] = {n: _part(judged, split.final, split.seed) for n, judged in self._tried.items()}
+        tried = {names: _errors_on_runs(judged, split.development, split.seed) for names, judged in self._tried.items()}
+        final: dict[Names, Blocks] = {
+            n: _errors_on_runs(judged, split.final, split.seed) for n, judged in self._tried.items()
+        }
         settings = self._settings.verdict
         selection = select_again(tried, self._settings.selection, self._facts.floor_mse, self._faults_mse)
         names = selection.chosen.hypothesis.effects
@@ -154,11 +156,11 @@ class _ResampledVerdict:
             ambiguity=ambiguity_of(selection, settings, self._drift_shows),
         )
         explained = decide_verdict(facts, settings).explained
-        kept = self._proven(facts, final) if explained else frozenset()
+        kept = self._confirmed_causes(facts, final) if explained else frozenset()
         decision = self._decision(facts, kept, selection.chosen.hypothesis, tried, final)
         return decision.verdict, kept if decision.explained else frozenset()
 
-    def _proven(self, facts: VerdictFacts, final: Mapping[Names, Blocks]) -> Names:
+    def _confirmed_causes(self, facts: VerdictFacts, final: Mapping[Names, Blocks]) -> Names:
         """Causes left once those are dropped that do not surely lower the error of the final runs."""
         names, replaceable = facts.effects, {names[0] for names in facts.ambiguity}
         while names:
@@ -203,7 +205,7 @@ class _ResampledVerdict:
         return decide_verdict(replace(facts, final=closed), settings)
 
 
-def _everywhere(judged: HeldOutErrors, final: Sequence[Run]) -> HeldOutErrors:
+def _errors_on_all_runs(judged: HeldOutErrors, final: Sequence[Run]) -> HeldOutErrors:
     """Errors on the development runs by the fits of the folds, then on the final runs by the fit to all of these."""
     hypothesis = judged.hypothesis
     errors = tuple(hypothesis.problem.held_out_error(hypothesis.q, run) for run in final)
@@ -218,7 +220,7 @@ def _everywhere(judged: HeldOutErrors, final: Sequence[Run]) -> HeldOutErrors:
     )
 
 
-def _part(judged: HeldOutErrors, runs: Sequence[int], seed: int | None) -> HeldOutErrors:
+def _errors_on_runs(judged: HeldOutErrors, runs: Sequence[int], seed: int | None) -> HeldOutErrors:
     """Errors on some of the runs; with a seed, on as many blocks of each, drawn with replacement."""
     places = [np.flatnonzero(judged.run == k) for k in runs]
     if seed is not None:

@@ -88,7 +88,7 @@ def evaluated_mse(simulator: Simulator, recorded: Sequence[Trial], skip_first_fl
             return None
         start = trial_start(resampled.command, resampled.angle, resampled.dt)
         start = found_start(start, resampled.command, resampled.angle, resampled.dt, box, run)
-        error = _from(run, start, resampled.command) - resampled.angle
+        error = _free_run_from(run, start, resampled.command) - resampled.angle
         error = error[max(start.lead, first_flexure_end(resampled) if skip_first_flexure else 0) :]
         squares, samples = squares + float(error @ error), samples + error.size
     return squares / samples
@@ -141,10 +141,10 @@ def _angles(chain: Chain, run: Run, commands: Vec, dt_s: float) -> Vec:
         steps = np.arange(round(way.size * run.dt_s / dt_s)) * dt_s / run.dt_s
         way = np.interp(steps, np.arange(way.size), way)
     start = TrialStart(run.rest_command, run.rest_angle, run.lead, tuple(way.tolist()))
-    return _from(StagedChain(chain).rollouts(dt_s, chain.values), start, commands)
+    return _free_run_from(StagedChain(chain).rollouts(dt_s, chain.values), start, commands)
 
 
-def _from(run: Runs, start: TrialStart, commands: Vec) -> Vec:
+def _free_run_from(run: Runs, start: TrialStart, commands: Vec) -> Vec:
     """Angles (T,) over commands (T,) from a start on [deg]."""
     plan = np.concatenate([start.approach, commands])
     return np.asarray(run(np.array([start.command]), np.array([start.angle]), plan[None])[0, len(start.approach) :])
@@ -171,7 +171,7 @@ def common_rest(runs: tuple[Run, ...], form_mse: float) -> tuple[Run, ...]:
     """
     span = max(float(run.command.max()) for run in runs) - min(float(run.command.min()) for run in runs)
     commands, angles = np.array([(run.rest_command, run.rest_angle) for run in runs]).T
-    changes = [change for run in runs if (change := _change(run, _ONE_REST * span)) is not None]
+    changes = [change for run in runs if (change := _rest_angle_change(run, _ONE_REST * span)) is not None]
     spread = float(np.ptp(angles))
     if 2 * len(changes) < len(runs) or np.ptp(commands) > _ONE_REST * span:
         return runs
@@ -180,7 +180,7 @@ def common_rest(runs: tuple[Run, ...], form_mse: float) -> tuple[Run, ...]:
     return tuple(replace(run, rest_angle=runs[0].rest_angle) for run in runs)
 
 
-def _change(run: Run, near: float) -> float | None:
+def _rest_angle_change(run: Run, near: float) -> float | None:
     """By how much the angle at rest has changed with the motion [deg]; None if the command does not come back."""
     away = np.flatnonzero(np.abs(run.command - run.rest_command) > near)
     back = run.angle[away[-1] + 1 :] if away.size else run.angle[:0]

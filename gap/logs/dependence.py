@@ -65,11 +65,11 @@ def follows_command(trials: Sequence[Trial], seed: int = 0) -> tuple[bool, ...]:
     """
     parts = _parts(trials, seed)
     if len(trials) == 1:
-        return (_depends(*_tested(parts)[:2]),)
-    share, chance, expected = _tested(parts)
+        return (_depends(*_held_out_share(parts)[:2]),)
+    share, chance, expected = _held_out_share(parts)
     correlations = [_correlation(part, weights) for part, weights in zip(parts, expected, strict=True)]
-    unseen = _unseen(parts, expected)
-    sure = [_beyond(r) and not small for r, small in zip(correlations, unseen, strict=True)]
+    unseen = _little_motion(parts, expected)
+    sure = [_is_significant(r) and not small for r, small in zip(correlations, unseen, strict=True)]
     majority = sum(sure) >= 0.5 * (len(trials) - sum(unseen))
     if majority and _depends(share, chance):
         usual = float(np.median([float(r[0]) for r, small in zip(correlations, unseen, strict=True) if not small]))
@@ -79,7 +79,7 @@ def follows_command(trials: Sequence[Trial], seed: int = 0) -> tuple[bool, ...]:
         ]
     else:
         sure_parts = [part for part, kept in zip(parts, sure, strict=True) if kept]
-        enough = len(sure_parts) >= max(len(trials) / 2, 2) and _depends(*_tested(sure_parts)[:2])
+        enough = len(sure_parts) >= max(len(trials) / 2, 2) and _depends(*_held_out_share(sure_parts)[:2])
         follows = sure if enough else [False] * len(trials)
     return tuple(follows)
 
@@ -88,13 +88,13 @@ def _depends(share: float, chance: float) -> bool:
     return share > _SURELY or share > max(chance, 0.0)
 
 
-def _beyond(correlations: Vec) -> bool:
+def _is_significant(correlations: Vec) -> bool:
     """Whether the correlation of a trial (1 + D,) is large, or beyond its null."""
     recorded = float(correlations[0])
     return recorded > math.sqrt(_SURELY) or recorded > float(np.quantile(correlations[1:], 1 - _LEVEL, method="higher"))
 
 
-def _unseen(parts: Sequence[_Part], expected: Sequence[Mat]) -> list[bool]:
+def _little_motion(parts: Sequence[_Part], expected: Sequence[Mat]) -> list[bool]:
     """Trials in which little motion is expected."""
     sizes = [float(w[:, 0] @ p.gram @ w[:, 0]) / p.samples for p, w in zip(parts, expected, strict=True)]
     return [size < _EXPECTED**2 * float(np.mean(sizes)) for size in sizes]
@@ -146,7 +146,7 @@ def _reordered(size: int, length: int, random: np.random.Generator) -> NDArray[n
     return np.argsort(random.permutation(blocks)[block], kind="stable")
 
 
-def _tested(parts: Sequence[_Part]) -> tuple[float, float, list[Mat]]:
+def _held_out_share(parts: Sequence[_Part]) -> tuple[float, float, list[Mat]]:
     """Share explained, its quantile by chance, and the weights (F, 1 + D) for each part, fitted to the others."""
     gram, products = np.sum([p.gram for p in parts], axis=0), np.sum([p.products for p in parts], axis=0)
     energy = np.maximum(np.sum([p.energy for p in parts], axis=0), 1e-300)

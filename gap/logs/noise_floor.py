@@ -137,18 +137,18 @@ def find_repeats(trials: Sequence[Trial], tolerance: float = TOLERANCE) -> tuple
         return ()
     noise = white_noise([trial.command for trial in trials])
     band = max(tolerance * span, 4 * 2**0.5 * noise)
-    marks = [_marks(trial) for trial in trials]
+    marks = [_alignment_marks(trial) for trial in trials]
     repeats: list[RepeatedMotion] = []
     for a, first in enumerate(trials):
         for b in range(a, len(trials)):
             for shift in _shifts(first, trials[b], marks[a], marks[b], band, a == b):
-                repeat = _stretch((a, b), (first, trials[b]), shift, band, _LEAST_SPAN * span)
-                if repeat and not any(_same(repeat, other) for other in repeats):
+                repeat = _longest_repeat((a, b), (first, trials[b]), shift, band, _LEAST_SPAN * span)
+                if repeat and not any(_same_repeat(repeat, other) for other in repeats):
                     repeats.append(repeat)
     return tuple(repeats)
 
 
-def _marks(trial: Trial) -> Index:
+def _alignment_marks(trial: Trial) -> Index:
     parts = command_segments(trial)
     return np.unique(np.concatenate([parts.reversals, [b - 1 for _, b in parts.holds], [0]]).astype(np.intp))
 
@@ -167,7 +167,7 @@ def _shifts(first: Trial, second: Trial, a: Index, b: Index, band: float, same: 
     return [int(values[k]) for k in order if support[k] >= 2][:_MOST_SHIFTS]
 
 
-def _stretch(
+def _longest_repeat(
     pair: tuple[int, int], trials: tuple[Trial, Trial], shift: int, band: float, least: float
 ) -> RepeatedMotion | None:
     """The longest equal stretch at about that shift, the shift refined to a fraction of a sample."""
@@ -199,5 +199,5 @@ def _longest(inside: Mask) -> tuple[int, int]:
     return max(stretches(inside), key=lambda ends: ends[1] - ends[0], default=(0, 0))
 
 
-def _same(a: RepeatedMotion, b: RepeatedMotion) -> bool:
+def _same_repeat(a: RepeatedMotion, b: RepeatedMotion) -> bool:
     return (a.first, a.second) == (b.first, b.second) and abs(a.shift - b.shift) < 3

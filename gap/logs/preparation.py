@@ -185,7 +185,7 @@ def _baseline_and_runs(
         simulator_chain, chain = (decades.chain(s.chain) for s in (simulator, simulator.at_sample_time(checked.dt)))
         baseline = baseline_of(chain, command)
         starts = starts_at_simulator_rate([repaired(trial, signs) for trial in given], simulator.dt_s, checked.dt)
-        runs = _begun(baseline, runs_of(repaired_trials, None, before, starts), simulator, decades)
+        runs = _with_starts(baseline, runs_of(repaired_trials, None, before, starts), simulator, decades)
         runs = corrected_to_simulator_rate(runs, given, chain, simulator_chain, simulator.dt_s)
     else:
         baseline, corrections = _network_baseline(simulator, repaired_trials, command, decades)
@@ -196,7 +196,7 @@ def _baseline_and_runs(
     return baseline, runs
 
 
-def _begun(baseline: Baseline, runs: Sequence[Run], simulator: Simulator, decades: Decades) -> tuple[Run, ...]:
+def _with_starts(baseline: Baseline, runs: Sequence[Run], simulator: Simulator, decades: Decades) -> tuple[Run, ...]:
     """Runs from where the simulator as given finds that they begin, as `evaluate` does (`models.start`)."""
     u, y = simulator.trained_command, simulator.trained_angle_deg
     box = search_box(
@@ -320,7 +320,7 @@ def model_form_mse(
         dt_s: sample time of the simulator, at which it was identified [s].
     """
     stored = identification.residuals
-    if not stored or _has_seen(identification, trials, dt_s):
+    if not stored or _identified_on(identification, trials, dt_s):
         return 0.0
     held = ["holds" if motion in ("holds", "steps", "point_to_point", "ramps") else "continuous" for motion in motions]
     everything = [r.rmse_deg**2 for r in stored]
@@ -328,7 +328,7 @@ def model_form_mse(
     return float(np.mean([np.mean(values) for values in by_motion]))
 
 
-def _has_seen(identification: Identification, trials: Sequence[Trial], dt_s: float) -> bool:
+def _identified_on(identification: Identification, trials: Sequence[Trial], dt_s: float) -> bool:
     """Whether it was identified on one of these trials, or on all of them, at any rate."""
     known = {r.fingerprint for r in identification.residuals if r.fingerprint}
     # A file's sample time is rounded: 0.03333333333 s stand for 30 Hz, but 0.03 s for 1 / 0.03 Hz.

@@ -170,15 +170,15 @@ def choose_trials(
     workload = affordable(uniform, motions, seed, ordered=ordered)
     kept = list(zip(workload.kept, workload.samples, strict=True))
     return ChosenTrials(
-        tuple(_first(uniform[k], uniform[k].t[count - 1]) for k, count in kept),
-        tuple(_first(parts[k], uniform[k].t[count - 1]) for k, count in kept),
+        tuple(_beginning(uniform[k], uniform[k].t[count - 1]) for k, count in kept),
+        tuple(_beginning(parts[k], uniform[k].t[count - 1]) for k, count in kept),
         tuple(before[k] for k, _ in kept),
         1.0 / rate,
         workload,
     )
 
 
-def _first(trial: Trial, end_s: float) -> Trial:
+def _beginning(trial: Trial, end_s: float) -> Trial:
     """The trial up to a time [s], itself where no more than a sample of it comes later."""
     stop = int(np.searchsorted(trial.t, end_s, side="right"))
     return trial if trial.t[-1] - end_s <= 1.5 * trial.dt else trial.select(0, stop)
@@ -226,7 +226,7 @@ def affordable(
     kept, samples = list(range(len(trials))), sizes
     if sizes.sum() > most or len(trials) > _MOST_TRIALS:
         order, needed = _order(trials, motions, seed, ordered)
-        level = _level(sizes[order[: max(needed, min(_LEAST_UNCUT_TRIALS, len(order)))]], most)
+        level = _length_limit(sizes[order[: max(needed, min(_LEAST_UNCUT_TRIALS, len(order)))]], most)
         samples = np.minimum(sizes, level)
         fitting = int(np.searchsorted(np.cumsum(samples[order]), most, side="right"))
         kept = sorted(order[: min(fitting, _MOST_TRIALS)])
@@ -277,7 +277,7 @@ def _most_alike(features: Vec) -> tuple[int, int] | None:
     return (first, second) if distance[first, 1] < _REPEAT else None
 
 
-def _level(sizes: Index, most: int) -> int:
+def _length_limit(sizes: Index, most: int) -> int:
     """Greatest length to which trials can be cut so that together they have no more than `most` samples."""
     ascending = np.sort(sizes)
     left = most
@@ -310,7 +310,7 @@ def split_runs(
         ordered: whether they stand in the order of recording; the first one then is never final.
     """
     if len(runs) < _LEAST_TRIALS:
-        return _cut(runs)
+        return _split_in_time(runs)
     count = max(round(FINAL_SHARE * len(runs)), 1)
     chosen: list[int] = []
     left = list(range(len(runs)))
@@ -331,7 +331,7 @@ def split_runs(
     return tuple(runs[k] for k in left), tuple(runs[k] for k in sorted(chosen))
 
 
-def _cut(runs: Sequence[Run]) -> tuple[tuple[Run, ...], tuple[Run, ...]]:
+def _split_in_time(runs: Sequence[Run]) -> tuple[tuple[Run, ...], tuple[Run, ...]]:
     development, final = [], []
     for run in runs:
         samples, start = np.arange(run.command.size), int(np.argmax(run.counts))
@@ -350,10 +350,10 @@ def motion_features(commands: Sequence[Vec], dt_s: float) -> Vec:
         dt_s: sample time [s].
     """
     low, high = min(float(u.min()) for u in commands), max(float(u.max()) for u in commands)
-    return np.array([_character(u, dt_s, max(high - low, 1e-12)) for u in commands])
+    return np.array([_features(u, dt_s, max(high - low, 1e-12)) for u in commands])
 
 
-def _character(command: Vec, dt_s: float, span: float) -> Vec:
+def _features(command: Vec, dt_s: float, span: float) -> Vec:
     speed = np.abs(np.diff(command)) / (dt_s * span)
     levels = np.array([command.min(), command.mean(), command.max()]) / span
     quantiles = np.log1p(np.quantile(speed, _SPEEDS))

@@ -168,7 +168,7 @@ def expected_probability(distances: ArrayLike) -> float:
 def separations(candidates: Sequence[OpenHypothesis], command: Vec, dt: float) -> tuple[Vec, list[Vec]]:
     """Angles (K, T) of the candidates, and for each the directions (P, T) that its retuning can take [deg]."""
     angles = np.array([candidate.simulate(command, dt) for candidate in candidates])
-    directions = [_directions(c, angle, command, dt) for c, angle in zip(candidates, angles, strict=True)]
+    directions = [_retuning_directions(c, angle, command, dt) for c, angle in zip(candidates, angles, strict=True)]
     return angles, directions
 
 
@@ -197,7 +197,7 @@ def option_on(candidates: Sequence[OpenHypothesis], motion: SampledMotion, noise
     distances = np.zeros((count, count))
     for j, basis in enumerate(directions):
         others = [i for i in range(count) if i != j]
-        left = _left(angles[others] - angles[j], basis, noise)
+        left = _unexplained(angles[others] - angles[j], basis, noise)
         distances[others, j] = _distance(left, noise)
         separation = np.maximum(separation, np.abs(left).max(axis=0))
     return EvaluatedMotion(motion, expected_probability(distances), angles, separation, distances)
@@ -211,7 +211,7 @@ def _distance(left: Vec, noise: Noise) -> Vec:
     return np.asarray(seen / np.sqrt(1 + (seen * form) ** 2))
 
 
-def _directions(candidate: OpenHypothesis, angle: Vec, command: Vec, dt: float) -> Vec:
+def _retuning_directions(candidate: OpenHypothesis, angle: Vec, command: Vec, dt: float) -> Vec:
     """Changes of the angle [deg] that the candidate's retuning can make, one a row."""
     low, span = float(command.min()), float(np.ptp(command))
     shifted = np.maximum(command - _SHIFT * span, low)
@@ -223,7 +223,7 @@ def _directions(candidate: OpenHypothesis, angle: Vec, command: Vec, dt: float) 
     return np.array([np.ones_like(angle), angle, *(np.asarray(other) - angle for other in (*changed, *retuned))])
 
 
-def _left(targets: Vec, basis: Vec, noise: Noise) -> Vec:
+def _unexplained(targets: Vec, basis: Vec, noise: Noise) -> Vec:
     """Part of `targets` (N, T) that no sum of the basis (P, T) explains, by least squares in units of the noise."""
     weighted = noise.whiten(basis)
     norms = np.linalg.norm(weighted, axis=1)

@@ -98,7 +98,7 @@ def _rivals(findings: Findings) -> dict[str, Hypothesis]:
     name = strongest or min(chosen.effects)
     others = sorted((confounders(name) - chosen.effects) - set(findings.left_out))[:_MOST]
     rest = chosen.effects - {name}
-    fitted = {name: chosen} | {other: _with(findings, rest, other) for other in others}
+    fitted = {name: chosen} | {other: _with_effect(findings, rest, other) for other in others}
     rivals = {other: hypothesis for other, hypothesis in fitted.items() if hypothesis is not None}
     return rivals if len(rivals) >= 2 else {NOTHING: attribution.retuned, name: chosen}
 
@@ -113,11 +113,11 @@ def open_explanations(findings: Findings) -> dict[str, Hypothesis]:
     made: dict[str, Hypothesis | None] = {}
     for effect, *others in decision.ambiguity or (unseparated(findings),):
         rest = findings.conclusion.chosen.effects - {effect}
-        base = _tried(attribution, rest)
+        base = _fitted_with(attribution, rest)
         # The effects chosen of further sets are in the first hypothesis.
         for name in others if made else (effect, *others):
             # In one more trial a shift of its own is a matter of retuning.
-            made.setdefault(name, base if name == "trial_shift" else _with(findings, rest, name))
+            made.setdefault(name, base if name == "trial_shift" else _with_effect(findings, rest, name))
     return {name: hypothesis for name, hypothesis in made.items() if hypothesis is not None}
 
 
@@ -139,23 +139,23 @@ def unseparated(findings: Findings) -> tuple[str, ...]:
     return ()
 
 
-def _with(findings: Findings, rest: frozenset[str], name: str) -> Hypothesis | None:
+def _with_effect(findings: Findings, rest: frozenset[str], name: str) -> Hypothesis | None:
     """The causes `rest` and one more, as the selection fitted it, else fitted now."""
     attribution, names = findings.attribution, rest | {name}
     if names == findings.conclusion.chosen.effects:
         return findings.conclusion.chosen
     if names in attribution.selection.tried:
         return attribution.selection.tried[names].hypothesis
-    return _fitted(findings, _tried(attribution, rest), name)
+    return _fit_with(findings, _fitted_with(attribution, rest), name)
 
 
-def _tried(attribution: Attribution, names: frozenset[str]) -> Hypothesis:
+def _fitted_with(attribution: Attribution, names: frozenset[str]) -> Hypothesis:
     """The hypothesis with these causes, as the selection fitted it; else the retuned simulator."""
     known = attribution.selection.tried.get(names)
     return known.hypothesis if known else attribution.retuned
 
 
-def _fitted(findings: Findings, base: Hypothesis, name: str) -> Hypothesis | None:
+def _fit_with(findings: Findings, base: Hypothesis, name: str) -> Hypothesis | None:
     """The best variant of an effect added to a hypothesis; None where it is no operator."""
     problem, validation = base.problem, findings.attribution.validation
     z, there = problem.retuned(base.q), [list(values.values()) for values in problem.effect_values(base.q)]

@@ -25,7 +25,7 @@ from .words import (
 )
 
 _NEVER_HELD = ("trial_shift", "sensor", "configuration_change")  # of the trials or the sensor, not of the simulator
-_BY_SIGNS = ("stick_slip",)  # found by its jumps, it is in the simulator only where a fit found it as well
+_BY_JUMPS = ("stick_slip",)  # found by its jumps, it is in the simulator only where a fit found it as well
 _LIKELY = 0.5  # probability, and share of the resamples, from which an effect counts as likely
 _DENSE, _MOST = 1.5, 0.3  # density and share of the error, above which a place is worth a sentence
 
@@ -130,7 +130,7 @@ def _with_effects(data: ReportData, fixed: Simulator) -> str:
     diagnosis, chain = data.diagnosis, fixed.chain
     built_in = {effect_of(operator.name) for operator in (*chain.before, *chain.after)}
     names = [effect.name for effect in diagnosis.effects]
-    left_out = [n for n in names if n in _NEVER_HELD or (n in _BY_SIGNS and n not in built_in)]
+    left_out = [n for n in names if n in _NEVER_HELD or (n in _BY_JUMPS and n not in built_in)]
     held, lacking = (
         listed([in_words(name) for name in names if (name in left_out) == out], "and") for out in (False, True)
     )

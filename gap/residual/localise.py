@@ -146,7 +146,7 @@ def _lines(shown: Sequence[_Periodograms], total: float) -> tuple[SpectralLine, 
     left = (mean > bar) & common & (count >= 0.5 * len(shown))
     while left.any() and len(lines) < _MOST_LINES:
         k = int(np.argmax(np.where(left, mean, 0.0)))
-        share = float(sum(_above(s, float(grid[k])) for s in shown)) / total
+        share = float(sum(_line_energy(s, float(grid[k])) for s in shown)) / total
         if share >= _LEAST_SHARE:
             lines.append(SpectralLine(float(grid[k]), share, float(mean[k])))
         left &= np.abs(grid - grid[k]) > 2 * _WIDE * max(s.bin_hz for s in shown)
@@ -172,7 +172,7 @@ def _commanded(s: _Periodograms, grid: Vec) -> Mask:
     return commanded
 
 
-def _above(s: _Periodograms, hz: float) -> float:
+def _line_energy(s: _Periodograms, hz: float) -> float:
     """Energy of a spectral line above the local level, the geometric mean of both sides."""
     off = s.hz - hz
     inside, reach = np.abs(off) <= _WIDE * s.bin_hz, 4 * _WIDE * s.bin_hz
@@ -232,7 +232,7 @@ def localise(
         raise GapError(f"all {power.size} residuals are zero, expected something to localise")
     labels = np.concatenate([motion_part_labels(trial) for trial in trials])
     return Localisation(
-        places=_places(power, labels, _blocks(residuals, trials[0].dt), seed),
+        places=_residual_shares(power, labels, _blocks(residuals, trials[0].dt), seed),
         spectrum=spectrum_of(trials, residuals),
         memory=memory_gains(trials, residuals, loop_width, ordered),
     )
@@ -282,7 +282,7 @@ def _correlation_s(residuals: Sequence[Vec], dt: float) -> float:
     return float(below[0]) * dt if below.size else longest * dt
 
 
-def _places(power: Vec, labels: Index, blocks: Index, seed: int) -> dict[str, ResidualShare]:
+def _residual_shares(power: Vec, labels: Index, blocks: Index, seed: int) -> dict[str, ResidualShare]:
     energy = np.zeros((int(blocks[-1]) + 1, len(MOTION_PARTS)))
     spent = np.zeros_like(energy)
     np.add.at(energy, (blocks, labels), power)

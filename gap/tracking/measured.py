@@ -189,7 +189,7 @@ def tracking_falls(run: Path, before: Sequence[Path], diagnosis: Path | None = N
         HystmpcError: of any kind, if the closed loop cannot be simulated.
     """
     after = measured_runs(run)
-    earlier = [_matching(run, after, folder) for folder in before]
+    earlier = [_runs_to_compare(run, after, folder) for folder in before]
     pair = None if diagnosis is None else _simulators(diagnosis)
     falls = []
     for k, run_after in enumerate(after):
@@ -233,7 +233,7 @@ def fall_pieces(falls: Sequence[TrackingFall]) -> tuple[Piece, ...]:
     return tuple(pieces)
 
 
-def _matching(run: Path, after: Sequence[MeasuredRun], folder: Path) -> list[MeasuredRun | None]:
+def _runs_to_compare(run: Path, after: Sequence[MeasuredRun], folder: Path) -> list[MeasuredRun | None]:
     """The earlier run of each of a folder's runs; None where that folder has none of its name."""
     by_name = {earlier.name: earlier for earlier in measured_runs(folder)}
     matched = [by_name.get(run_after.name) for run_after in after]
