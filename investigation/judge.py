@@ -10,7 +10,7 @@ from typing import Literal
 from hystmpc.commissioning.stages import Figure
 from hystmpc.gap.diagnose import diagnose_trials
 from hystmpc.gap.diagnosis import Diagnosis, Verdict
-from hystmpc.gap.next.open_hypotheses import question
+from hystmpc.gap.next.open_hypotheses import discrimination_task
 from hystmpc.gap.report.words import closed_sentence, headline, tracking_sentence
 from hystmpc.models.simulator import load_simulator
 from hystmpc.trials.read import read_trials
@@ -112,7 +112,7 @@ def judge(
     longer = _LONGER ** (alike - 1) if sought else 1
 
     def planned() -> Plan | None:
-        asked, recorded = question(findings), {file.stem.partition("-")[2] for file in files}
+        asked, recorded = discrimination_task(findings), {file.stem.partition("-")[2] for file in files}
         undecided = alike > 1  # the last motion was to decide, and did not
         if undecided and (more := plan_more(settings, simulator, left_s, number, recorded, asked, folder)):
             return more

@@ -54,7 +54,7 @@ def corrected_to_simulator_rate(
 
 
 def starts_at_simulator_rate(recorded: Sequence[Trial], simulator_dt_s: float, dt_s: float) -> tuple[TrialStart, ...]:
-    """How trials begin at the simulator's own sample time, as `evaluate` takes them, for runs at that of a diagnosis.
+    """Initial states of the trials, found at the simulator's own sample time as `evaluate` does.
 
     Args:
         recorded: the trials as recorded, in the units of the runs.
@@ -181,7 +181,7 @@ def common_rest(runs: tuple[Run, ...], form_mse: float) -> tuple[Run, ...]:
 
 
 def _rest_angle_change(run: Run, near: float) -> float | None:
-    """By how much the angle at rest has changed with the motion [deg]; None if the command does not come back."""
+    """Change of the rest angle over the motion [deg]; None if the command does not return to its rest."""
     away = np.flatnonzero(np.abs(run.command - run.rest_command) > near)
     back = run.angle[away[-1] + 1 :] if away.size else run.angle[:0]
     return abs(float(np.mean(back)) - run.rest_angle) if back.size >= _LEAST_SAMPLES else None

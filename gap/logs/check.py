@@ -1,4 +1,4 @@
-"""Check of trials: whether they can be compared with a simulator, and what they excite."""
+"""Check of trials against a simulator: units, sign, scale, excitation."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ _AT_EXTREME, _TRAVEL = 0.02, 0.05  # of the samples; of the command's range
 
 @dataclass(frozen=True, eq=False)
 class CheckedTrials(ChosenTrials):
-    """Trials that can be diagnosed.
+    """Checked trials with their excitation and notes.
 
     Attributes:
         excitation: motions, speeds, holds and repeats of their commands.

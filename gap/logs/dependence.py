@@ -89,7 +89,7 @@ def _depends(share: float, chance: float) -> bool:
 
 
 def _is_significant(correlations: Vec) -> bool:
-    """Whether the correlation of a trial (1 + D,) is large, or beyond its null."""
+    """Whether the correlation of a trial is large, or significant against its null distribution (1 + D,)."""
     recorded = float(correlations[0])
     return recorded > math.sqrt(_SURELY) or recorded > float(np.quantile(correlations[1:], 1 - _LEVEL, method="higher"))
 
@@ -140,7 +140,7 @@ def _changes(signal: Mat, width: int, steps: int) -> Mat:
 
 
 def _reordered(size: int, length: int, random: np.random.Generator) -> NDArray[np.intp]:
-    """Numbers of `size` samples, blocks of one length, begun anywhere, in another order."""
+    """Indices of `size` samples after a random permutation of blocks of one length."""
     blocks = max(size // length, 1)
     block = np.roll(np.arange(size) * blocks // size, int(random.integers(size)))
     return np.argsort(random.permutation(blocks)[block], kind="stable")
@@ -168,7 +168,7 @@ def _held_out_share(parts: Sequence[_Part]) -> tuple[float, float, list[Mat]]:
 
 
 def _correlation(part: _Part, weights: Mat) -> Vec:
-    """Of a part's changes, recorded and in other orders (1 + D,), with those expected; 0 where either has none."""
+    """Correlation of a part's changes, recorded and permuted (1 + D,), with predicted ones; 0 where either is zero."""
     expected = weights[:, 0]
     size = np.sqrt(max(float(expected @ part.gram @ expected), 0.0) * np.maximum(part.energy, 0.0))
     return np.divide(expected @ part.products, size, out=np.zeros_like(size), where=size > 1e-12)

@@ -1,4 +1,4 @@
-"""Motion types and memory features of a trial, from its command alone: sine, steps, holds, and what the past holds."""
+"""Motion types (sine, steps, holds, ...) and features of the command history of a trial, from its command alone."""
 
 from __future__ import annotations
 
@@ -126,7 +126,7 @@ def _time(journey: list[Move]) -> int:
 
 
 def _between_rests(moves: list[Move], rests: list[tuple[int, int]]) -> list[list[Move]]:
-    """Moves with no rest between them."""
+    """Groups of moves without a rest between them."""
     starts = [a for a, _ in rests]
     places = np.searchsorted(starts, [move.start for move in moves])
     return [[move for move, at in zip(moves, places, strict=True) if at == k] for k in sorted(set(places.tolist()))]

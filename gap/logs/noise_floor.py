@@ -1,4 +1,4 @@
-"""Noise floor: the error that the best simulator keeps, from repeats of a motion or from the residual's noise."""
+"""Noise floor: irreducible error of any simulator, from repeated motions or from the noise of the residual."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ class RepeatedMotion:
 def find_floor(
     trials: Sequence[Trial], residuals: Sequence[Vec], dt: float, repeats: Sequence[RepeatedMotion] | None = None
 ) -> NoiseFloor:
-    """Both floors of uniform trials.
+    """Noise floor of uniform trials, from repeated motions and from white noise.
 
     From repeats: sigma^2 = sum_p sum_k (e2 - e1)^2 / sum_p n_p w_p over pairs p of n_p samples, with w = 2 at a shift
     of whole samples, less where interpolation reduces the noise. Residuals, not angles, are compared, since commands of

@@ -197,7 +197,7 @@ def _baseline_and_runs(
 
 
 def _with_starts(baseline: Baseline, runs: Sequence[Run], simulator: Simulator, decades: Decades) -> tuple[Run, ...]:
-    """Runs from where the simulator as given finds that they begin, as `evaluate` does (`models.start`)."""
+    """Runs with the initial states that the simulator as given finds, as `evaluate` does (`models.start`)."""
     u, y = simulator.trained_command, simulator.trained_angle_deg
     box = search_box(
         Range(lower=u.lower / decades.command, upper=u.upper / decades.command),
@@ -210,7 +210,7 @@ def _with_starts(baseline: Baseline, runs: Sequence[Run], simulator: Simulator, 
 def _evaluation_notes(
     simulator: Simulator, errors: Sequence[Vec], checked: CheckedTrials, skip_first_flexure: bool
 ) -> tuple[str, ...]:
-    """A sentence where `evaluate` gives another error than these (C,) each, in the unit of the log."""
+    """Note where `evaluate` finds another error than these (C,) each, in the unit of the log."""
     sizes = float(np.mean(np.concatenate(errors) ** 2)), white_noise(errors) ** 2
     evaluated = evaluated_mse(simulator, checked.given, skip_first_flexure)
     return evaluation_notes(simulator, *sizes, evaluated, checked.given, checked.dt)
@@ -241,7 +241,7 @@ def _known_step(identification: Identification, decades: Decades) -> float:
 
 
 def _require_size(simulator: Simulator, decades: Decades) -> None:
-    """A diagnosis searches within the bounds of its operators, which are stated in working units."""
+    """Require parameters within the bounds of their operators, which are stated in working units."""
     units, chain = Units(simulator.command_unit, simulator.angle_unit), decades.chain(simulator.chain)
     for name, parameter, value in zip(chain.labels, chain.parameters, chain.values, strict=True):
         if not parameter.lower <= value <= parameter.upper:
@@ -253,7 +253,7 @@ def _require_size(simulator: Simulator, decades: Decades) -> None:
 
 
 def _identification(simulator: Simulator | LoadedModel, decades: Decades) -> Identification:
-    """What the simulator's file says of its identification, residuals in working units."""
+    """Identification record of the simulator, residuals in working units."""
     if not isinstance(simulator, Simulator):
         return Identification(method="network")
     identification = simulator.identification

@@ -1,4 +1,4 @@
-"""Faults of an angle sensor: resolution, white noise, spikes and held values; and a trial repaired of them."""
+"""Faults of an angle sensor: resolution, white noise, spikes and held values; detection and repair."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ class SensorSigns:
 
 
 def sensor_signs(trials: Sequence[Trial], nominal_noise_deg: float | None = None) -> SensorSigns:
-    """Look for faults of the sensor in trials as recorded; resampling would take the angles off their grid.
+    """Detect faults of the sensor in trials as recorded; resampling would take the angles off their grid.
 
     Args:
         trials: of one device.

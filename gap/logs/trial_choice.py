@@ -100,7 +100,7 @@ _NEAR_RATE = 1.5
 
 @dataclass(frozen=True)
 class Workload:
-    """Trials that are used, and the cost of their diagnosis.
+    """Selection of trials and the cost of their diagnosis.
 
     Attributes:
         kept: numbers of the trials, in recording order.
@@ -120,7 +120,7 @@ class Workload:
 
 @dataclass(frozen=True, eq=False)
 class ChosenTrials:
-    """Trials that are diagnosed.
+    """Selected trials at one rate.
 
     Attributes:
         trials: uniform, all at one rate, in recording order.
@@ -240,7 +240,7 @@ def affordable(
 
 
 def _left_out(what: str, used: Index, recorded: Index, dt: float, most: int, seed: int, ordered: bool) -> str:
-    """One line on the trials and parts that are not used."""
+    """Note on the trials and parts that are not used."""
     cut, ends = used < recorded, "the first, the last, " if ordered else ""
     text = (
         f"{what}, more than are diagnosed in minutes ({most:,} samples of {_MOST_TRIALS} trials): {used.size} trials "

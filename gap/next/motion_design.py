@@ -33,7 +33,7 @@ _SHIFT, _SCALE = 0.01, 0.01  # of the command's range, and of the command
 
 @dataclass(frozen=True)
 class OpenHypothesis:
-    """One explanation that the logs leave open, as a fitted simulator.
+    """Hypothesis that the logs do not reject, as a fitted simulator.
 
     Attributes:
         name: public name of the effect.
@@ -49,7 +49,7 @@ class OpenHypothesis:
 
 @dataclass(frozen=True)
 class Noise:
-    """Noise, (1 - white) AR(1) + white, and model-form error, in whose units separations are measured.
+    """Noise model, AR(1) plus white, and model-form error; separations are measured in its units.
 
     Noise averages out over a motion. The model-form error, by which a device differs from the equations, does not: it
     is the same in every recording, and may point from one candidate to another.
@@ -241,7 +241,7 @@ _LEAST_S = 6.0  # a shorter motion is not worth a run of its own
 
 @dataclass(frozen=True)
 class SearchSettings:
-    """What counts, and how long is searched.
+    """Settings of the motion search.
 
     Attributes:
         seed: of what is drawn.
@@ -260,7 +260,7 @@ class SearchSettings:
 
 @dataclass(frozen=True, eq=False)
 class SearchedMotion:
-    """The motion that was found, and what it was compared with.
+    """Result of a motion search, with the best motion of the menu for comparison.
 
     Attributes:
         chosen: the best motion with its expected result.
@@ -300,7 +300,7 @@ def search_motion(
     settings: SearchSettings = SearchSettings(),
     menu: Sequence[SampledMotion] = (),
 ) -> SearchedMotion | None:
-    """The motion with the most expected information per second that tells open explanations apart.
+    """Search the motion with the most expected information per second on which hypothesis holds.
 
     Maximises log2(K p(x)) / (T(x) + T_run) over the numbers x of the family, p the expected probability of the right
     one of K explanations after retuning each (`propose`). Differential evolution (Storn, Price, J. Global Optimization

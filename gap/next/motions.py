@@ -104,7 +104,7 @@ class MotionTemplate:
 def _strokes(
     peaks: Sequence[float], hold_s: float, speed: float = 0.5, stroke_s: float = 0.0
 ) -> tuple[RampAndHold, ...]:
-    """To each peak and back to the lowest command."""
+    """Strokes from the lowest command to each peak and back."""
     return tuple(RampAndHold(target, hold_s, speed, stroke_s) for peak in peaks for target in (peak, 0.0))
 
 
@@ -261,9 +261,9 @@ _NO_BURST_S = 1.0  # a shorter burst is left out
 
 @dataclass(frozen=True)
 class MotionFamily:
-    """Every motion: rest, three ramps with holds, a burst of two sines, three ramps with holds, back, rest.
+    """Parametrised family of motions: rest, three ramps with holds, two sines, three ramps with holds, return, rest.
 
-    A motion is told by numbers x (22,) in [0, 1]: of each ramp the target (share of the range, counted from the end of
+    A motion is given by numbers x (22,) in [0, 1]: of each ramp the target (share of the range, counted from the end of
     the range that is nearer to the safe command), the speed (3 to 100 % of the allowed rate, logarithmic) and the hold
     (0.05 to 20 s, logarithmic); of the burst the amplitude, the frequency, the ratio of the second frequency, and the
     duration. A motion that would last too long is played faster: its ways up to the allowed rate, holds and burst

@@ -1,4 +1,4 @@
-"""Open hypotheses: explanations that the trials leave open, as simulators of a motion that was not recorded yet."""
+"""Open hypotheses: the explanations that the trials do not reject, as simulators of a further motion."""
 
 from __future__ import annotations
 
@@ -46,11 +46,10 @@ def next_step(findings: Findings) -> MotionProposal | None:
     Args:
         findings: of all earlier steps.
     """
-    fitted = {} if findings.prepared.checked.unrelated else open_explanations(findings)
-    if len(fitted) < 2:
+    task = discrimination_task(findings, confirm=False)
+    if task is None:
         return None
-    question = _question(fitted, findings)
-    return propose(question.hypotheses, menu(_limits(findings), findings.prepared.checked.dt), question.noise)
+    return propose(task.hypotheses, menu(_limits(findings), findings.prepared.checked.dt), task.noise)
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,29 +67,35 @@ class DiscriminationTask:
     confirms: bool = False
 
 
-def question(findings: Findings) -> DiscriminationTask | None:
+def discrimination_task(findings: Findings, confirm: bool = True) -> DiscriminationTask | None:
     """The hypotheses that stay open after these trials; where none is, those that would test the verdict.
 
     A named effect is tested against those that it is taken for, each fitted in its place; no gap is tested against a
     single effect of each family. None where no angle follows its command.
+
+    Args:
+        findings: of all earlier steps.
+        confirm: whether to test a verdict that leaves nothing open; else None there.
     """
     if findings.prepared.checked.unrelated:
         return None
     fitted = open_explanations(findings)
     if len(fitted) >= 2:
-        return _question(fitted, findings)
+        return _task(fitted, findings)
+    if not confirm:
+        return None
     tested = _rivals(findings)
-    return replace(_question(tested, findings), confirms=True) if len(tested) >= 2 else None
+    return replace(_task(tested, findings), confirms=True) if len(tested) >= 2 else None
 
 
-def _question(fitted: Mapping[str, Hypothesis], findings: Findings) -> DiscriminationTask:
+def _task(fitted: Mapping[str, Hypothesis], findings: Findings) -> DiscriminationTask:
     prepared = findings.prepared
     made = tuple(open_hypothesis(name, hypothesis, prepared) for name, hypothesis in fitted.items())
     return DiscriminationTask(made, _noise(findings))
 
 
 def _rivals(findings: Findings) -> dict[str, Hypothesis]:
-    """The verdict, and what could be there in its place."""
+    """Hypotheses of the verdict and of its alternatives, by the name of the effect."""
     chosen, attribution = findings.conclusion.chosen, findings.attribution
     if not chosen.effects:
         return {NOTHING: attribution.retuned, **_families(findings)}
@@ -122,7 +127,7 @@ def open_explanations(findings: Findings) -> dict[str, Hypothesis]:
 
 
 def unseparated(findings: Findings) -> tuple[str, ...]:
-    """A named effect and those from which these motions cannot tell it, judged by their commands.
+    """A named effect and those that these motions cannot separate from it, judged by their commands.
 
     They stay open beside it: the equations of a device are not the library's, so that the angles do not decide alone.
     """
@@ -140,7 +145,7 @@ def unseparated(findings: Findings) -> tuple[str, ...]:
 
 
 def _with_effect(findings: Findings, rest: frozenset[str], name: str) -> Hypothesis | None:
-    """The causes `rest` and one more, as the selection fitted it, else fitted now."""
+    """Hypothesis of the causes `rest` and one more, from the selection, else fitted now."""
     attribution, names = findings.attribution, rest | {name}
     if names == findings.conclusion.chosen.effects:
         return findings.conclusion.chosen

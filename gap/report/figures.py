@@ -52,7 +52,7 @@ def shown(trials: Sequence[TrialRuns], most: int) -> list[TrialRuns]:
 
 
 def short(name: str, most: int = 26) -> str:
-    """A file's name that fits beside a figure; its middle gives way."""
+    """File name shortened in its middle to fit a figure."""
     if len(name) <= most:
         return name
     head = (most - 1) // 2
@@ -174,7 +174,7 @@ def _names(diagnosis: Diagnosis) -> list[str]:
 
 
 def _label(diagnosis: Diagnosis, name: str) -> str:
-    """The effect's name and the letter of the set that it cannot be told apart from."""
+    """Name of an effect with the letters of its ambiguous sets."""
     sets = [chr(ord("A") + k) for k, names in enumerate(diagnosis.ambiguity) if name in names]
     return f"{in_words(name)} ({', '.join(sets)})" if sets else in_words(name)
 

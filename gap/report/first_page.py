@@ -103,7 +103,7 @@ def _unrelated(data: ReportData) -> bool:
 
 
 def _corrected(data: ReportData) -> str:
-    """What to do with the file of the correction."""
+    """Advice on the use of the corrected simulator."""
     diagnosis = data.diagnosis
     if _unrelated(data):
         return "Look for a wrong file or column, a loose sensor, or a tendon or line that is broken."
@@ -167,7 +167,7 @@ def _probability(diagnosis: Diagnosis) -> str:
 
 
 def _disagreement(diagnosis: Diagnosis) -> str:
-    """Why an effect is likely that few resamples contain, or the other way about; empty where the two agree."""
+    """Explanation where probability and inclusion of an effect disagree; empty where they agree."""
     apart = [e for e in diagnosis.effects if (e.probability >= _LIKELY) != (e.inclusion >= _LIKELY)]
     if not apart:
         return ""
@@ -179,5 +179,5 @@ def _disagreement(diagnosis: Diagnosis) -> str:
 
 
 def _sentence(text: str) -> str:
-    """A text with a capital and a full stop."""
+    """A text with a capital letter and a full stop."""
     return f"{text[:1].upper()}{text[1:]}{'' if text.endswith('.') else '.'}" if text else ""
