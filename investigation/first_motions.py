@@ -13,9 +13,9 @@ from hystmpc.gap.next.motion_design import (
     EvaluatedMotion,
     Noise,
     OpenHypothesis,
+    evaluate_motion,
     expected_probability,
     information_bits,
-    option_on,
 )
 from hystmpc.gap.next.motions import MotionFamily
 from hystmpc.gap.next.open_hypotheses import NOTHING, free_run
@@ -136,7 +136,7 @@ def _fastest(
     """A motion of the family's starts as fast as it is allowed, with its numbers; None where it is not."""
     for factor in _SLOWER:
         numbers = family.slower(family.starts[name], factor)
-        option = option_on(everything, family.motion(numbers, name), noise)
+        option = evaluate_motion(everything, family.motion(numbers, name), noise)
         if option is not None and allowed(option):
             return option, numbers
     return None

@@ -145,7 +145,7 @@ def propose(candidates: Sequence[OpenHypothesis], motions: Sequence[SampledMotio
     """
     if len(candidates) < 2 or not motions:
         raise FitError(f"next motion: got {len(candidates)} candidates and {len(motions)} motions, expected 2 and 1")
-    options = tuple(option for motion in motions if (option := option_on(candidates, motion, noise)))
+    options = tuple(option for motion in motions if (option := evaluate_motion(candidates, motion, noise)))
     if not options:
         raise FitError(f"next motion: none of {len(motions)} motions gives finite angles with all candidates")
     fewest = min(1 - option.probability for option in options)
@@ -188,7 +188,9 @@ def write_motion(path: Path | str, proposal: MotionProposal, command_unit: str =
     return write_atomically(path, format_table(columns))
 
 
-def option_on(candidates: Sequence[OpenHypothesis], motion: SampledMotion, noise: Noise) -> EvaluatedMotion | None:
+def evaluate_motion(
+    candidates: Sequence[OpenHypothesis], motion: SampledMotion, noise: Noise
+) -> EvaluatedMotion | None:
     """Expected result of one motion; None where a simulator does not give finite angles on it."""
     angles, directions = separations(candidates, motion.command, motion.dt)
     if not all(np.isfinite(part).all() for part in (angles, *directions)):
@@ -294,7 +296,7 @@ def information_bits(probability: float, count: int) -> float:
 
 
 def search_motion(
-    open_ones: Sequence[OpenHypothesis],
+    hypotheses: Sequence[OpenHypothesis],
     family: MotionFamily,
     noise: Noise,
     settings: SearchSettings = SearchSettings(),
@@ -307,7 +309,7 @@ def search_motion(
     11, 1997) starts from the menu's entries and motions drawn at random.
 
     Args:
-        open_ones: two explanations or more.
+        hypotheses: two explanations or more.
         family: motions that are allowed.
         noise: of the device, and form error of the explanations.
         menu: motions to compare with, as `motions.menu` makes them, of any duration.
@@ -315,13 +317,13 @@ def search_motion(
     Returns:
         The motion; None where no motion can be simulated that is allowed.
     """
-    count = len(open_ones)
+    count = len(hypotheses)
     best: list[tuple[float, EvaluatedMotion, Vec]] = []
     looked = [0]
 
     def value_of(motion: SampledMotion) -> tuple[float, EvaluatedMotion | None]:
         looked[0] += 1
-        option = option_on(open_ones, motion, noise)
+        option = evaluate_motion(hypotheses, motion, noise)
         if option is None or not settings.allowed(option):
             return -1.0, None
         short = max(settings.least_s / motion.duration_s, 1.0)
@@ -336,7 +338,7 @@ def search_motion(
     _evolve(cost, family, settings)
     if not best:
         return None
-    options = [option for motion in menu if (option := option_on(open_ones, motion, noise))]
+    options = [option for motion in menu if (option := evaluate_motion(hypotheses, motion, noise))]
     compared = max(options, key=lambda option: _rate(option, count, settings), default=None)
     chosen = best[0][1]
     return SearchedMotion(

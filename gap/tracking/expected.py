@@ -30,11 +30,11 @@ from ..report.report_data import ReportData, TrackingCurve, TrialRuns
 SEEDS = (1, 2)
 """Of the noise; the interval of an error is between its least and its greatest value over them."""
 
-USUAL = LinearisedMpcSettings(adaptation=None, handover=None)
+DEFAULT_CONTROLLER = LinearisedMpcSettings(adaptation=None, handover=None)
 """The controller of which a diagnosis speaks. One that learns finds on the device what its model lacks, and more of it
 than in a simulation, where part of it is a walk that nobody can learn: of it no fall can be foretold."""
 
-NEAR = 0.3
+AGREEMENT = 0.3
 """How far two falls of the error may be from each other, as a share of the expected one, to agree."""
 
 ROUGHNESS = 0.7
@@ -57,12 +57,12 @@ def expected_tracking(
 
         error^2 = mean over the samples that count of (true angle - reference)^2,   overall: mean over the motions
 
-    The fall has to be the same, within `NEAR` of itself, on the corrected simulator alone. Where what is left
+    The fall has to be the same, within `AGREEMENT` of itself, on the corrected simulator alone. Where what is left
     unexplained decides how much a loop gains, no fall is foretold (`why_not`).
 
     Args:
         motions: at least one.
-        settings: of the controller; `USUAL`, the linearised predictive controller without learning, where left out.
+        settings: of the controller; where left out, `DEFAULT_CONTROLLER`, linearised and predictive without learning.
         seeds: of the noise, at least one.
         floor_deg: RMSE that stays with any simulator; a fall that it hides counts as none.
 
@@ -75,7 +75,7 @@ def expected_tracking(
         if (got := getattr(corrected, name)) != (expected := getattr(nominal, name)):
             raise GapError(f"corrected simulator: {name} {got}, expected that of the nominal one, {expected}")
     limits = limits_of_model(nominal.metadata())
-    laws = [_controller(simulator, settings or USUAL, limits) for simulator in (nominal, corrected)]
+    laws = [_controller(simulator, settings or DEFAULT_CONTROLLER, limits) for simulator in (nominal, corrected)]
     plant = UnexplainedPlant(corrected, seeds[0])
     squares, runs = np.empty((len(seeds), len(motions), 2)), list[list[ClosedLoopRun]]()
     for k, seed in enumerate(seeds):
@@ -115,12 +115,12 @@ def _squares(
 
 def _undetermined(gap: TrackingGap, alone: TrackingGap, floor_deg: float) -> str:
     """Why the fall of the error is undetermined, given the fall without disturbance; empty where it is determined."""
-    if not gap.changes(floor_deg) or abs(alone.fall_share - gap.fall_share) <= NEAR * abs(gap.fall_share):
+    if not gap.changes(floor_deg) or abs(alone.fall_share - gap.fall_share) <= AGREEMENT * abs(gap.fall_share):
         return ""
     low, high = sorted((gap.fall_share, alone.fall_share))
     return (
         f"what the corrected simulator leaves unexplained decides the fall of the error: {100 * low:.0f} % to "
-        f"{100 * high:.0f} %, expected within {100 * NEAR:.0f} % of each other"
+        f"{100 * high:.0f} %, expected within {100 * AGREEMENT:.0f} % of each other"
     )
 
 

@@ -28,7 +28,7 @@ from hystmpc.trials.types import Vec
 from ..diagnosis import TrackingGap
 from ..report.folder import DIAGNOSIS_FILE, GIVEN_FILE, holds_diagnosis
 from ..report.report_data import FIXED_FILE
-from .expected import NEAR, UnexplainedPlant, expected_tracking
+from .expected import AGREEMENT, UnexplainedPlant, expected_tracking
 
 _BENCH = {"transport", "sensor", "reference"}  # settings that only an experiment has
 _LEAST = 10  # samples that can be compared
@@ -47,7 +47,7 @@ class MeasuredRun:
         t: end of the sample, from the beginning of the reference [s].
         reference_deg, angle_deg: wanted and measured angle; of a simulation the true one [deg].
         noise_deg: standard deviation of the noise in that angle; None where it is not known [deg].
-        led: whether the reference began with a way from where the device was.
+        approached_first: whether the reference began with a way from where the device was.
     """
 
     folder: Path
@@ -59,7 +59,7 @@ class MeasuredRun:
     reference_deg: Vec
     angle_deg: Vec
     noise_deg: float | None
-    led: bool
+    approached_first: bool
 
     @property
     def rmse_deg(self) -> float:
@@ -93,7 +93,7 @@ def measured_runs(folder: Path) -> tuple[MeasuredRun, ...]:
             reference_deg=r.run.log.reference_deg[r.run.first :],
             angle_deg=r.run.true_deg[r.run.first :],
             noise_deg=0.0,
-            led=r.run.first > 0,
+            approached_first=r.run.first > 0,
         )
         for r in study.results
     )
@@ -128,7 +128,7 @@ def _at_bench(run: RunFolder) -> MeasuredRun:
         reference_deg=wanted[rows],
         angle_deg=angle[rows],
         noise_deg=_noise_deg(settings.controller.model),
-        led=True,
+        approached_first=True,
     )
 
 
@@ -169,11 +169,11 @@ class TrackingFall:
 
     @property
     def agrees(self) -> bool:
-        """Whether the measured share is within `NEAR` of the expected one."""
+        """Whether the measured share is within `AGREEMENT` of the expected one."""
         if self.expected is None or self.expected.why_not or self.before is None:
             return False
         expected = self.expected.fall_share
-        return abs(self.share - expected) <= NEAR * abs(expected)
+        return abs(self.share - expected) <= AGREEMENT * abs(expected)
 
 
 def tracking_falls(run: Path, before: Sequence[Path], diagnosis: Path | None = None) -> tuple[TrackingFall, ...]:
@@ -279,7 +279,7 @@ def _expected(run: MeasuredRun, nominal: Simulator, corrected: Simulator) -> Tra
     nominal, corrected = nominal.at_sample_time(run.dt_s), corrected.at_sample_time(run.dt_s)
     settings: LawSettings = run.settings
     motion = CountedMotion(run.name or "reference", run.reference, 0.0)
-    if run.led:
+    if run.approached_first:
         rest = UnexplainedPlant(corrected, 1).true_angle
         motion = approached(motion.name, rest, float(run.reference(0.0)), run.reference)
     try:
@@ -322,7 +322,7 @@ def _expected_line(fall: TrackingFall, expected: TrackingGap) -> str:
     if fall.before is None:
         return text
     verdict = "is" if fall.agrees else "is not"
-    return f"{text}; the measured fall {verdict} within {100 * NEAR:.0f} % of it"
+    return f"{text}; the measured fall {verdict} within {100 * AGREEMENT:.0f} % of it"
 
 
 def _noise_words(*runs: MeasuredRun) -> str:

@@ -28,7 +28,7 @@ from hystmpc.ctrl.limits import CommandLimits
 from hystmpc.ctrl.loop import Controller
 from hystmpc.ctrl.mpc_settings import LinearisedMpcSettings
 from hystmpc.gap.diagnose import diagnose_trials
-from hystmpc.gap.tracking.expected import USUAL, covered_motions
+from hystmpc.gap.tracking.expected import DEFAULT_CONTROLLER, covered_motions
 from hystmpc.models.kinds.catalogue import kind_named
 from hystmpc.models.simulator import ChainModel, load_simulator
 from hystmpc.sim.closed_loop import ClosedLoopRun, run_closed_loop
@@ -323,7 +323,7 @@ def _tracking_gap(bench: StudyBench) -> tuple[str, dict[str, float]]:
     figures["gap.floor_deg"] = data.diagnosis.gap.floor_rmse_deg
     for name, simulator in (("before", nominal), ("after", fixed)):
         known = known_model(ChainModel(simulator, "conditioned"), None, 0.0)
-        controller = build_controller(USUAL, *known.predictive, limits_of_model(nominal.metadata()))
+        controller = build_controller(DEFAULT_CONTROLLER, *known.predictive, limits_of_model(nominal.metadata()))
         found, _ = bench.along(name, controller, bench.drawn, motions)
         figures[f"gap.{name}_deg"] = found[f"{name}.rmse_deg"]
     return "", figures
