@@ -9,9 +9,15 @@ import numpy as np
 
 from hystmpc.ctrl.command import CommandLimits
 from hystmpc.gap.logs.preparation import nominal_noise_deg
-from hystmpc.gap.next.motion_design import Noise, OpenHypothesis, Option, expected_probability, option_on
-from hystmpc.gap.next.motion_family import MotionFamily
-from hystmpc.gap.next.motion_search import information_bits
+from hystmpc.gap.next.motion_design import (
+    EvaluatedMotion,
+    Noise,
+    OpenHypothesis,
+    evaluate_motion,
+    expected_probability,
+    information_bits,
+)
+from hystmpc.gap.next.motions import MotionFamily
 from hystmpc.gap.next.open_hypotheses import NOTHING, free_run
 from hystmpc.models.contract.metadata import Range
 from hystmpc.models.effects.catalogue import candidates
@@ -38,7 +44,7 @@ class FirstMotions:
         probability: expected one of the right name, chance being one over their number.
     """
 
-    options: Mapping[str, Option]
+    options: Mapping[str, EvaluatedMotion]
     numbers: Mapping[str, Vec]
     explanations: tuple[str, ...]
     probability: float
@@ -48,7 +54,7 @@ def first_motions(
     simulator: Simulator,
     family: MotionFamily,
     count: int,
-    allowed: Callable[[Option], bool],
+    allowed: Callable[[EvaluatedMotion], bool],
     overhead_s: float,
 ) -> FirstMotions:
     """Starts of the family with most expected information per second about which effect the simulator lacks.
@@ -86,7 +92,7 @@ def further_motion(
     family: MotionFamily,
     recorded: Collection[str],
     number: int,
-    allowed: Callable[[Option], bool],
+    allowed: Callable[[EvaluatedMotion], bool],
     overhead_s: float,
 ) -> FirstMotions | None:
     """Unrecorded start of the family with most expected information per second; None where none is allowed.
@@ -111,8 +117,8 @@ def further_motion(
 
 
 def _options(
-    simulator: Simulator, family: MotionFamily, allowed: Callable[[Option], bool]
-) -> tuple[tuple[str, ...], dict[str, tuple[Option, Vec]]]:
+    simulator: Simulator, family: MotionFamily, allowed: Callable[[EvaluatedMotion], bool]
+) -> tuple[tuple[str, ...], dict[str, tuple[EvaluatedMotion, Vec]]]:
     """Names of the hypotheses, and each allowed start of the family with its numbers, by name."""
     everything, noise = explanations(simulator, family.limits, family.dt), prior_noise(simulator)
     fastest = [_fastest(family, name, everything, noise, allowed) for name in family.starts]
@@ -125,28 +131,28 @@ def _fastest(
     name: str,
     everything: Sequence[OpenHypothesis],
     noise: Noise,
-    allowed: Callable[[Option], bool],
-) -> tuple[Option, Vec] | None:
+    allowed: Callable[[EvaluatedMotion], bool],
+) -> tuple[EvaluatedMotion, Vec] | None:
     """The start of that name, as fast as allowed, with its numbers; None where no speed is allowed."""
     for factor in _SLOWER:
         numbers = family.slower(family.starts[name], factor)
-        option = option_on(everything, family.motion(numbers, name), noise)
+        option = evaluate_motion(everything, family.motion(numbers, name), noise)
         if option is not None and allowed(option):
             return option, numbers
     return None
 
 
 def _greedy(
-    options: Sequence[Option], known: Sequence[Option], names: int, count: int, overhead_s: float
-) -> list[Option]:
+    options: Sequence[EvaluatedMotion], known: Sequence[EvaluatedMotion], names: int, count: int, overhead_s: float
+) -> list[EvaluatedMotion]:
     """At most `count` options, chosen one by one for most additional information per second."""
-    chosen: list[Option] = []
+    chosen: list[EvaluatedMotion] = []
     squares = sum((option.distances**2 for option in known), np.zeros((names, names)))
     bits = information_bits(expected_probability(np.sqrt(squares)), names)
     for _ in range(min(count, len(options))):
         left = [option for option in options if option not in chosen]
 
-        def gain(option: Option, squares: np.ndarray = squares, bits: float = bits) -> float:
+        def gain(option: EvaluatedMotion, squares: np.ndarray = squares, bits: float = bits) -> float:
             more = information_bits(expected_probability(np.sqrt(squares + option.distances**2)), names) - bits
             return more / (option.motion.duration_s + overhead_s)
 

@@ -11,9 +11,9 @@ import numpy as np
 
 from hystmpc.ctrl.command import CommandLimits
 from hystmpc.ctrl.planner.reach import angles_at_rest
+from hystmpc.gap.diagnose import diagnose_trials
 from hystmpc.gap.diagnosis import Diagnosis
 from hystmpc.gap.report.words import closed_sentence, headline, tracking_sentence
-from hystmpc.gap.whole import diagnose_trials
 from hystmpc.models.contract.metadata import DeviceLimits, Range
 from hystmpc.models.kinds.catalogue import chosen_kind
 from hystmpc.models.kinds.kind import FitRequest
@@ -205,7 +205,7 @@ def diagnose_model(subject: Subject, model: Path, folder: Path, progress: Progre
         seed=seed,
         progress=progress,
     )
-    diagnosis, corrected = done.diagnosis, done.evidence.fixed if certified(done.diagnosis) else None
+    diagnosis, corrected = done.diagnosis, done.data.fixed if certified(done.diagnosis) else None
     if corrected is not None:
         save_simulator(corrected, folder / FIXED_FILE)
     motion = diagnosis.next_motion

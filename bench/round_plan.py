@@ -10,11 +10,16 @@ from pathlib import Path
 import numpy as np
 
 from hystmpc.gap.logs.trial_choice import MOST_HZ
-from hystmpc.gap.next.motion_design import MotionProposal, Option, write_motion
-from hystmpc.gap.next.motion_family import MotionFamily
-from hystmpc.gap.next.motion_menu import menu
-from hystmpc.gap.next.motion_search import SearchSettings, information_bits, search_motion
-from hystmpc.gap.next.open_hypotheses import Question
+from hystmpc.gap.next.motion_design import (
+    EvaluatedMotion,
+    MotionProposal,
+    SearchSettings,
+    information_bits,
+    search_motion,
+    write_motion,
+)
+from hystmpc.gap.next.motions import MotionFamily, menu
+from hystmpc.gap.next.open_hypotheses import DiscriminationTask
 from hystmpc.models.simulator import Simulator
 from hystmpc.rig.config import BenchSettings
 from hystmpc.rig.safety.plausibility import MotionWatch
@@ -118,7 +123,7 @@ def _first_longest_s(settings: InvestigateSettings, left_s: float) -> float:
 
 
 def plan_next(
-    settings: InvestigateSettings, question: Question, left_s: float, number: int, longer: int, folder: Path
+    settings: InvestigateSettings, question: DiscriminationTask, left_s: float, number: int, longer: int, folder: Path
 ) -> RoundPlan | None:
     """Plan a designed motion with most expected information and write it; None where none has enough.
 
@@ -162,7 +167,7 @@ def plan_more(
     left_s: float,
     number: int,
     recorded: Collection[str],
-    question: Question | None,
+    question: DiscriminationTask | None,
     folder: Path,
 ) -> RoundPlan | None:
     """Plan a motion of a kind that was not recorded yet, twice as long as the first ones.
@@ -182,7 +187,7 @@ def plan_more(
     around = run_seconds(settings, 0)
     is_allowed, hypotheses = allowed(settings), question.hypotheses if question else ()
 
-    def fits(option: Option) -> bool:
+    def fits(option: EvaluatedMotion) -> bool:
         motion = option.motion
         angles = np.array([fitted.simulate(motion.command, motion.dt) for fitted in hypotheses])
         return is_allowed(replace(option, angles=angles) if hypotheses else option)
@@ -209,7 +214,7 @@ def _plan_of(chosen: FirstMotions, settings: InvestigateSettings, longest_s: flo
     )
 
 
-def allowed(settings: InvestigateSettings) -> Callable[[Option], bool]:
+def allowed(settings: InvestigateSettings) -> Callable[[EvaluatedMotion], bool]:
     """Test of a motion: expected angles within the limits, and no false alarm of a blocked tip.
 
     RoundVerdict by the angles of all explanations; the bench's own watch on motion is asked with 0.7 of its travel. The
@@ -223,7 +228,7 @@ def allowed(settings: InvestigateSettings) -> Callable[[Option], bool]:
     watch = settings.plausibility
     careful = watch.model_copy(update={"travel": _CAREFUL * watch.travel_of(span, onward=True)})
 
-    def is_allowed(option: Option) -> bool:
+    def is_allowed(option: EvaluatedMotion) -> bool:
         expected = np.median(option.angles, axis=0)
         if expected.min() < low or expected.max() > high:
             return False
@@ -254,7 +259,7 @@ def _family(settings: InvestigateSettings, longest_s: float) -> MotionFamily:
 
 
 def _written(
-    folder: Path, name: str, option: Option, numbers: Vec, settings: InvestigateSettings, longest_s: float
+    folder: Path, name: str, option: EvaluatedMotion, numbers: Vec, settings: InvestigateSettings, longest_s: float
 ) -> Vec:
     """Write a motion at the rate of the bench with its expected angle and separation; returns its commands."""
     family = MotionFamily(settings.limits.build(), settings.dt_s, settings.safe_command, longest_s)

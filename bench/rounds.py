@@ -7,10 +7,10 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
+from hystmpc.gap.diagnose import diagnose_trials
 from hystmpc.gap.diagnosis import Diagnosis, Verdict
-from hystmpc.gap.next.open_hypotheses import question
+from hystmpc.gap.next.open_hypotheses import discrimination_task
 from hystmpc.gap.report.words import closed_sentence, headline, tracking_sentence
-from hystmpc.gap.whole import diagnose_trials
 from hystmpc.models.simulator import load_simulator
 from hystmpc.trials.brief import brief, in_brief
 from hystmpc.trials.json_text import plain
@@ -209,7 +209,7 @@ def judge_round(
     longer = _LONGER ** (repeats - 1) if sought else 1
 
     def planned() -> RoundPlan | None:
-        open_question, recorded = question(findings), {file.stem.partition("-")[2] for file in files}
+        open_question, recorded = discrimination_task(findings), {file.stem.partition("-")[2] for file in files}
         undecided = repeats > 1  # the last motion was to decide, and did not
         if undecided and (further := plan_more(settings, simulator, left_s, number, recorded, open_question, folder)):
             return further

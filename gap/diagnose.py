@@ -1,11 +1,12 @@
-"""The diagnosis step by step: logs, attribution, verdict on the final trials, localisation, next motion, report."""
+"""Diagnosis of the gap between a simulator and recorded trials, from the logs to the folder of results."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -18,25 +19,24 @@ from hystmpc.models.model import LoadedModel
 from hystmpc.models.simulator import Simulator
 from hystmpc.trials.errors import GapError, did_you_mean
 from hystmpc.trials.trial import Trial
-from hystmpc.trials.types import Progress
+from hystmpc.trials.types import Progress, no_progress
 
-from .decide.ambiguity import agreeing, probability, ranking
-from .decide.attribution import DiagnosisSettings, attribute, confirm, never_worse
-from .decide.configuration import SHIFT, UNITS, Configuration, configuration_of
-from .decide.findings import Findings
+from .decide.ambiguity import limited_by_inclusion, probability, ranking
+from .decide.attribution import DiagnosisSettings, Findings, as_given_if_better, attribute, confirm
+from .decide.remaining_structure import NAME, SHIFT, UNITS, Configuration, configuration_of
 from .decide.retuning import moved_numbers, retuned_with
 from .decide.stability import stability_of
-from .decide.verdict import reason_for
-from .diagnosis import DetectableSizes, Diagnosis, FoundEffect, Untestable
-from .logs.detectable import sizes_shown
+from .diagnosis import DetectableSizes, Diagnosis, IdentifiedEffect, Untestable
+from .logs.detectable import smallest_detectable
 from .logs.preparation import PreparedTrials, prepare
-from .logs.recording_order import NEEDS_ORDER
+from .logs.trial_choice import NEEDS_ORDER
 from .next.open_hypotheses import next_step, unseparated
 from .residual.localise import Localisation, localise
 from .residual.memory import explainable_share
 
 if TYPE_CHECKING:
-    from .report.report_data import Evidence
+    from .report.report_data import ReportData
+
 
 DEFAULT_SETTINGS = DiagnosisSettings()
 _STEPS, _CONCLUDED = 100, 97  # of the progress
@@ -61,8 +61,7 @@ def find_causes(
     ordered: bool = True,
     skip_first_flexure: bool = False,
 ) -> Findings:
-    """All steps up to the verdict: where a simulator departs from its device, which effects cause it, how far they
-    close the gap.
+    """Find the causes of the gap: check, retune, attribute, confirm on the final trials, and localise.
 
     Args:
         trials: of one device.
@@ -82,21 +81,21 @@ def find_causes(
         ModelError: if the simulator is an inverse map.
     """
     left_out = _left_out(without, only)
-    progress = progress or _no_progress
+    progress = progress or no_progress
     clock = _Clock()
     progress(0, _STEPS, "checking the trials")
     prepared = prepare(trials, simulator, seed, ordered, skip_first_flexure)
     if say:
         for line in filter(None, (*prepared.checked.left_out, prepared.checked.workload.estimate)):
             say(line)
-    detectable = sizes_shown(prepared, settings.verdict.no_gap, left_out)
+    detectable = smallest_detectable(prepared, settings.verdict.no_gap, left_out)
     validation = CrossValidation(prepared.baseline, prepared.development)
     prepared, validation, retuned = retuned_with(prepared, validation)
     clock.lap("check and retune")
     attribution = attribute(prepared, validation, retuned, left_out, settings, seed, _selection_progress(progress))
     clock.lap("which")
     progress(88, _STEPS, "measuring the gap on the final trials")
-    attribution = never_worse(prepared, attribution)
+    attribution = as_given_if_better(prepared, attribution)
     conclusion = confirm(prepared, attribution, settings.verdict, seed)
     clock.lap("how far")
     stability = stability_of(prepared, attribution, conclusion, settings, seed)
@@ -119,8 +118,8 @@ def find_causes(
 
 
 @one_blas_thread
-def conclude(findings: Findings, progress: Progress | None = None) -> tuple[Diagnosis, Evidence]:
-    """The next motion, the diagnosis, and all that its report shows."""
+def conclude(findings: Findings, progress: Progress | None = None) -> tuple[Diagnosis, ReportData]:
+    """Conclude a diagnosis: its result with the next motion, and the data of its report."""
     from .report.report_data import report_data
 
     clock = _Clock()
@@ -131,16 +130,16 @@ def conclude(findings: Findings, progress: Progress | None = None) -> tuple[Diag
     diagnosis = replace(diagnosis, next_motion=proposal.summary() if proposal else None)
     clock.lap("what next")
     findings = replace(findings, seconds={**findings.seconds, **clock.seconds})
-    shown = tuple(_in_log(row, prepared) for row in rows)
-    evidence = report_data(findings, diagnosis, proposal, shown)
-    (progress or _no_progress)(_CONCLUDED, _STEPS, diagnosis.verdict)
-    return diagnosis, evidence
+    shown = tuple(_in_log_units(row, prepared) for row in rows)
+    data = report_data(findings, diagnosis, proposal, shown)
+    (progress or no_progress)(_CONCLUDED, _STEPS, diagnosis.verdict)
+    return diagnosis, data
 
 
-def what_logs_would_show(
+def detectable_in_logs(
     trials: Sequence[Trial], simulator: Simulator | LoadedModel, settings: DiagnosisSettings = DEFAULT_SETTINGS
 ) -> DetectableSizes:
-    """The least size of each effect at which a diagnosis of these trials would see a gap, from their commands alone.
+    """Smallest detectable size of each effect on these trials, from their commands alone.
 
     Args:
         trials: of one device, in any order.
@@ -151,11 +150,7 @@ def what_logs_would_show(
         GapError: on unusable trials (`check_trials`).
         ModelError: if the simulator is an inverse map.
     """
-    return sizes_shown(prepare(trials, simulator, ordered=False), settings.verdict.no_gap)
-
-
-def _no_progress(done: float, total: float, note: str = "", /) -> None:
-    """No progress is shown."""
+    return smallest_detectable(prepare(trials, simulator, ordered=False), settings.verdict.no_gap)
 
 
 def _selection_progress(progress: Progress) -> Callable[[float, str], None]:
@@ -195,7 +190,7 @@ def _left_out(without: Sequence[str], only: Sequence[str] | None) -> tuple[str, 
 
 
 def _localisation(prepared: PreparedTrials, seed: int) -> Localisation | None:
-    """Where the error lies that retuning to all trials leaves: nothing is decided by it, so that none is held out."""
+    """Localisation of the residual of a simulator retuned to all trials; it decides nothing, so none is held out."""
     retuned = CrossValidation(prepared.baseline, prepared.counted).retuned()
     errors = prepared.scored(prepared.residuals(retuned))
     if not any(np.any(error) for error in errors):
@@ -206,27 +201,29 @@ def _localisation(prepared: PreparedTrials, seed: int) -> Localisation | None:
 
 def _diagnosis(findings: Findings, parameters: Sequence[ParameterRow]) -> Diagnosis:
     """The result, from the findings of all steps."""
+    from .report.words import reason_for
+
     prepared, attribution, conclusion = findings.prepared, findings.attribution, findings.conclusion
-    ruling, jumps, hypothesis = conclusion.ruling, attribution.jumps, attribution.retuned
+    decision, jumps, hypothesis = conclusion.decision, attribution.jumps, attribution.retuned
     grouped = configuration_of(conclusion.chosen, prepared.everything)
     probabilities = _probabilities(findings, grouped)
     effects = _effects(findings, probabilities, parameters, grouped)
-    sets = sorted(ruling.ambiguity, key=lambda names: -probabilities.get(names[0], 0.0))
-    ambiguity = tuple(tuple(_called(name, grouped) for name in names) for names in sets)
+    sets = sorted(decision.ambiguity, key=lambda names: -probabilities.get(names[0], 0.0))
+    ambiguity = tuple(tuple(_public_name(name, grouped) for name in names) for names in sets)
     decades, units = prepared.decades, prepared.checked.trials[0].units
     nominal, retuned = (
         {name: decades.log_value(v, BASELINE_UNITS[name]) for name, v in prepared.baseline.quantities(z).items()}
         for z in (prepared.baseline.nominal, hypothesis.problem.retuned(hypothesis.q))
     )
     library = [name for name in diagnosable() if name not in findings.left_out]
-    moved = moved_numbers(prepared, hypothesis, parameters) if ruling.verdict == "retuned" else ()
+    moved = moved_numbers(prepared, hypothesis, parameters) if decision.verdict == "retuned" else ()
     sizes, checked = decades.log_sizes(conclusion.closed.gap), prepared.checked
-    rivals = ruling.ambiguity or (unseparated(findings),)
-    ranked = ranking(probabilities, attribution.inclusion, rivals, library, _left_open(findings))
+    rivals = decision.ambiguity or (unseparated(findings),)
+    ranked = ranking(probabilities, attribution.inclusion, rivals, library, _unnamed_probability(findings))
     return Diagnosis(
-        verdict=ruling.verdict,
+        verdict=decision.verdict,
         reason=reason_for(
-            replace(ruling, ambiguity=ambiguity),
+            replace(decision, ambiguity=ambiguity),
             effects,
             sizes,
             prepared.too_little,
@@ -236,7 +233,7 @@ def _diagnosis(findings: Findings, parameters: Sequence[ParameterRow]) -> Diagno
         ),
         effects=effects,
         ambiguity=ambiguity,
-        ranking=tuple((_called(name, grouped), probability) for name, probability in ranked),
+        ranking=tuple((_public_name(name, grouped), probability) for name, probability in ranked),
         gap=sizes,
         retuned={name: (nominal[name], retuned[name]) for name in nominal},
         where=dict(findings.localisation.places) if findings.localisation else {},
@@ -259,7 +256,7 @@ def _explainable_share(findings: Findings) -> float | None:
     errors = prepared.scored(prepared.residuals(findings.attribution.retuned))
     mse = float(np.mean(np.concatenate(errors) ** 2))
     structural = mse - conclusion.closed.gap.floor_rmse_deg**2
-    if structural <= 0 or conclusion.ruling.case == "moved" or conclusion.ruling.verdict == "none":
+    if structural <= 0 or conclusion.decision.case == "moved" or conclusion.decision.verdict == "none":
         return None
     explained = explainable_share(prepared.checked.trials, errors, findings.seed) * mse
     return float(np.clip(explained / structural, 0.0, 1.0))
@@ -268,54 +265,56 @@ def _explainable_share(findings: Findings) -> float | None:
 def _parameters(findings: Findings) -> tuple[ParameterRow, ...]:
     """Every number of the corrected simulator, in working units."""
     prepared, conclusion = findings.prepared, findings.conclusion
-    own = {name: cause.parameters for name, cause in conclusion.closed.causes.items()}
-    return parameter_rows(conclusion.chosen, prepared.development, own)
+    values = {name: cause.parameters for name, cause in conclusion.closed.causes.items()}
+    return parameter_rows(conclusion.chosen, prepared.development, values)
 
 
-def _in_log(row: ParameterRow, prepared: PreparedTrials) -> ParameterRow:
+def _in_log_units(row: ParameterRow, prepared: PreparedTrials) -> ParameterRow:
     """A number in the units of the log, which have their own names."""
     units = prepared.checked.trials[0].units
     return replace(row.times(prepared.decades.in_log(row.unit)), unit=units.named(row.unit) or "1")
 
 
 def _untestable(findings: Findings) -> tuple[Untestable, ...]:
-    """What needs the order of recording, where that is unknown; not what the library goes without anyway."""
+    """Effects that need the unknown order of recording, without those left out of the library."""
     if findings.prepared.order == "known":
         return ()
     return tuple(Untestable(name, why) for name, why in NEEDS_ORDER.items() if name not in findings.left_out)
 
 
 def _probabilities(findings: Findings, grouped: Configuration | None) -> dict[str, float]:
-    """Probability of each effect found; that shifts fall into groups makes them less of an imitation."""
+    """Probability of each identified effect; grouped shifts are less likely to imitate another effect."""
     causes, missing = findings.conclusion.closed.causes, set(findings.left_out)
-    ambiguous = {name for names in findings.conclusion.ruling.ambiguity for name in names}
-    gone = {untestable.name for untestable in _untestable(findings)}
-    ambiguous |= {name for name in causes if gone & set(EFFECTS[name].also_taken_for)}
-    found = {}
+    ambiguous = {name for names in findings.conclusion.decision.ambiguity for name in names}
+    untestable_names = {untestable.name for untestable in _untestable(findings)}
+    ambiguous |= {name for name in causes if untestable_names & set(EFFECTS[name].also_taken_for)}
+    probabilities = {}
     for name, cause in causes.items():
         untried = bool(confounders(name) & missing)
-        chance = probability(_called(name, grouped), cause.share, name in ambiguous, _stable(findings), untried)
-        found[name] = agreeing(chance, findings.attribution.inclusion.get(name, 1.0))
-    return found
+        chance = probability(
+            _public_name(name, grouped), cause.share, name in ambiguous, _stability_share(findings), untried
+        )
+        probabilities[name] = limited_by_inclusion(chance, findings.attribution.inclusion.get(name, 1.0))
+    return probabilities
 
 
-def _left_open(findings: Findings) -> float:
-    """Probability that an effect is there of which the verdict does not speak.
+def _unnamed_probability(findings: Findings) -> float:
+    """Probability left for effects that the verdict does not name.
 
     Where nothing is missing in the simulator, it is the chance that the verdict is another one.
     """
-    if findings.conclusion.ruling.verdict not in ("none", "retuned"):
+    if findings.conclusion.decision.verdict not in ("none", "retuned"):
         return 1.0
-    return 1 - _SURE_OF_NONE * _stable(findings)
+    return 1 - _SURE_OF_NONE * _stability_share(findings)
 
 
-def _stable(findings: Findings) -> float:
+def _stability_share(findings: Findings) -> float:
     return findings.stability.share if findings.stability else _STABILITY_UNKNOWN
 
 
-def _called(name: str, grouped: Configuration | None) -> str:
-    """What an effect is called: shifts of whole groups of trials have a name of their own."""
-    return grouped.name(name) if grouped else name
+def _public_name(name: str, grouped: Configuration | None) -> str:
+    """Public name of an effect; shifts of whole groups of trials are a configuration change."""
+    return NAME if grouped and name == SHIFT else name
 
 
 def _effects(
@@ -323,16 +322,16 @@ def _effects(
     probabilities: Mapping[str, float],
     parameters: Sequence[ParameterRow],
     grouped: Configuration | None,
-) -> tuple[FoundEffect, ...]:
+) -> tuple[IdentifiedEffect, ...]:
     """Effects found, the most probable first."""
     closed, decades, log = findings.conclusion.closed, findings.prepared.decades, findings.prepared.checked.trials[0]
     units = {
         name: dict(UNITS) if grouped and name == SHIFT else {r.name: r.unit for r in parameters if r.owner == name}
         for name in closed.causes
     }
-    found = (
-        FoundEffect(
-            name=_called(name, grouped),
+    effects = (
+        IdentifiedEffect(
+            name=_public_name(name, grouped),
             probability=probabilities[name],
             inclusion=findings.attribution.inclusion.get(name, 1.0),
             closed_share=cause.share,
@@ -348,4 +347,85 @@ def _effects(
         )
         for name, cause in sorted(closed.causes.items(), key=lambda item: (-probabilities[item[0]], -item[1].share))
     )
-    return tuple(decades.log_sizes(effect) for effect in found)
+    return tuple(decades.log_sizes(effect) for effect in effects)
+
+
+@dataclass(frozen=True, eq=False)
+class DiagnosisResult:
+    """Result of a diagnosis with the results of its steps.
+
+    Attributes:
+        findings: result of every step.
+        data: what its report shows.
+    """
+
+    findings: Findings
+    data: ReportData
+
+    @property
+    def diagnosis(self) -> Diagnosis:
+        """The result."""
+        return self.data.diagnosis
+
+
+def diagnose_trials(
+    trials: Sequence[Trial],
+    simulator: Simulator | LoadedModel,
+    *,
+    out: Path | str | None = None,
+    called: Mapping[str, Any] | None = None,
+    model: Path | None = None,
+    seed: int = 1,
+    without: Sequence[str] = (),
+    only: Sequence[str] | None = None,
+    ordered: bool = True,
+    skip_first_flexure: bool = False,
+    progress: Progress | None = None,
+    say: Callable[[str], None] | None = None,
+) -> DiagnosisResult:
+    """Diagnose trials as `hystmpc diagnose` does: verdict, expected tracking error, and the folder of results.
+
+    Args:
+        trials: as recorded, of one device.
+        simulator: a chain of operators or an exported model.
+        out: folder for report, corrected simulator and next motion; nothing is written where left out.
+        called: further facts of how it was called, kept in the folder beside the arguments below.
+        model: file of the simulator; its SHA-256 is kept in the folder, its name stands in the report.
+        seed, without, only, ordered, skip_first_flexure, progress, say: see `find_causes`.
+
+    Raises:
+        LogError, GapError, ModelError: see `find_causes`.
+        ConfigError: if `out` holds anything but an older diagnosis, or cannot be written.
+    """
+    from .report.folder import require_free, save_diagnosis
+    from .tracking.expected import with_tracking
+
+    if out is not None:
+        require_free(out)
+    findings = find_causes(
+        trials,
+        simulator,
+        seed=seed,
+        without=without,
+        only=only,
+        progress=progress,
+        say=say,
+        ordered=ordered,
+        skip_first_flexure=skip_first_flexure,
+    )
+    data = with_tracking(conclude(findings, progress)[1], progress)
+    if model is not None:
+        data = replace(data, simulator=model.name)
+    if out is not None:
+        settings: dict[str, Any] = {
+            "logs": [trial.source for trial in trials],
+            **(called or {}),
+            "seed": seed,
+            "without": list(without),
+            "only": None if only is None else list(only),
+            "ordered": ordered,
+            "skip_first_flexure": skip_first_flexure,
+        }
+        (progress or no_progress)(100, 100, "writing the report")
+        save_diagnosis(data, out, settings, models=() if model is None else (model,))
+    return DiagnosisResult(findings, data)

@@ -31,8 +31,8 @@ _NO_FALL, _HIDDEN = 0.05, 0.3  # of the error: less is no fall; the same where t
 
 
 @dataclass(frozen=True)
-class FoundEffect:
-    """One effect that the diagnosis added to the simulator.
+class IdentifiedEffect:
+    """Effect that the diagnosis added to the simulator.
 
     Attributes:
         name: its public name.
@@ -102,7 +102,7 @@ class Gap:
 
 
 @dataclass(frozen=True)
-class Place:
+class ResidualShare:
     """Share of the retuned gap in one part of the motion.
 
     Attributes:
@@ -117,8 +117,8 @@ class Place:
 
 
 @dataclass(frozen=True)
-class Moved:
-    """A number of the simulator's core that retuning has moved.
+class RetunedParameter:
+    """Parameter of the hysteresis core that retuning has changed.
 
     Attributes:
         name: `gain`, `offset`, `backlash_width`, or as the core calls it.
@@ -144,7 +144,7 @@ class Untestable:
 
 @dataclass(frozen=True)
 class Detectable:
-    """The least size of one effect that would count as a gap.
+    """Smallest detectable size of one effect.
 
     Attributes:
         effect: its public name.
@@ -165,7 +165,7 @@ class Detectable:
 
 @dataclass(frozen=True)
 class DetectableSizes:
-    """What some logs would show, from their commands alone.
+    """Smallest detectable size of every effect, from the commands of the logs alone.
 
     Attributes:
         needed_rmse_deg: RMSE that an effect has to leave after retuning to count as a gap [deg].
@@ -182,7 +182,7 @@ class DetectableSizes:
 
 @dataclass(frozen=True)
 class Stability:
-    """How often the verdict comes out again on other splits of the trials.
+    """Stability of the verdict over resampled splits of the trials.
 
     Attributes:
         share: of the resamples with the same verdict and the same set of names.
@@ -229,7 +229,7 @@ class MotionTracking:
 
 @dataclass(frozen=True)
 class TrackingGap:
-    """How far the closed-loop tracking error is expected to fall with the corrected simulator as the model.
+    """Expected fall of the closed-loop tracking error with the corrected simulator as the model.
 
     All errors are RMS, true angle less reference, simulated on the corrected simulator with its noise.
 
@@ -267,7 +267,7 @@ class TrackingGap:
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """Where the gap lies, which effects cause it, how far it shrinks, and what to record next.
+    """Result of a diagnosis: location and causes of the gap, closed share, and the next motion.
 
     Attributes:
         verdict: named | one_of (see `ambiguity`) | retuned (see `moved`) | unknown | none | too_little.
@@ -296,12 +296,12 @@ class Diagnosis:
 
     verdict: Verdict
     reason: str
-    effects: tuple[FoundEffect, ...]
+    effects: tuple[IdentifiedEffect, ...]
     ambiguity: tuple[tuple[str, ...], ...]
     ranking: tuple[tuple[str, float], ...]
     gap: Gap
     retuned: Mapping[str, tuple[float, float]]
-    where: Mapping[str, Place]
+    where: Mapping[str, ResidualShare]
     notes: tuple[str, ...] = ()
     next_motion: NextMotion | None = None
     tracking: TrackingGap | None = None
@@ -309,7 +309,7 @@ class Diagnosis:
     untestable: tuple[Untestable, ...] = ()
     stability: Stability | None = None
     explainable_share: float | None = None
-    moved: tuple[Moved, ...] = ()
+    moved: tuple[RetunedParameter, ...] = ()
     groups: tuple[tuple[str, ...], ...] = ()
     detectable: DetectableSizes | None = None
     unit: str = "deg"
@@ -326,17 +326,17 @@ class Diagnosis:
     @property
     def kept_as_given(self) -> bool:
         """Whether retuning was not taken, since it did not lower the error of the final trials."""
-        return bool(self.retuned) and all(given == found for given, found in self.retuned.values())
+        return bool(self.retuned) and all(given == retuned for given, retuned in self.retuned.values())
 
     def as_json(self) -> dict[str, Any]:
         """The fixed form `hystmpc-diagnosis/2`: plain dicts, lists, numbers and strings."""
-        found, stability = _plain(asdict(self)), self.stability
-        found |= {
+        fields, stability = _plain(asdict(self)), self.stability
+        fields |= {
             "stability": None if stability is None else stability.share,
             "resamples": 0 if stability is None else stability.resamples,
             "otherwise": [] if stability is None else _plain(stability.otherwise),
         }
-        return {"format": FORMAT, **found}
+        return {"format": FORMAT, **fields}
 
     def __str__(self) -> str:
         lines = [f"{self.verdict}: {self.reason}"]

@@ -36,7 +36,7 @@ _SHIFT_SEED = 77  # of the phases and shifts of each trial
 
 @dataclass(frozen=True)
 class SelfTestRow:
-    """One known truth and what became of it.
+    """Result of one case of the self-test.
 
     Attributes:
         name: of the case.
@@ -58,7 +58,7 @@ class SelfTestRow:
 
 @dataclass(frozen=True)
 class _Case:
-    """A device.
+    """Device of the self-test with known effects.
 
     Attributes:
         truth: effects that are put in.
@@ -152,9 +152,9 @@ def record(case: _Case, seed: int) -> list[Trial]:
     )
     bent, clock = -np.inf, 0.0
     for k, command in enumerate(motions(random)):
-        own = (case.own(shifts),) if case.own else ()
+        trial_operators = (case.own(shifts),) if case.own else ()
         sensor = replace(case.sensor, seed=int(random.integers(1 << 30)))
-        chain = Chain(core, case.before, (*case.after, *own, sensor))
+        chain = Chain(core, case.before, (*case.after, *trial_operators, sensor))
         state = settled(chain, float(command[0]), core.values[-1], bent, clock)
         angle = StagedChain(chain).simulate(command[:, None], _DT_S, state[:, None])[0][:, 0]
         trials.append(Trial(_DT_S * np.arange(command.size, dtype=np.float64), command, angle, source=f"trial_{k}.csv"))
@@ -201,8 +201,8 @@ def _row(name: str, case: _Case, simulator: Simulator, seed: int) -> SelfTestRow
 
 def _sets(diagnosis: Diagnosis) -> list[tuple[str, ...]]:
     """Each effect found, with those that could replace it."""
-    alike = {names[0]: names for names in diagnosis.ambiguity}
-    return [alike.get(effect.name, (effect.name,)) for effect in diagnosis.effects]
+    sets = {names[0]: names for names in diagnosis.ambiguity}
+    return [sets.get(effect.name, (effect.name,)) for effect in diagnosis.effects]
 
 
 def _recovered(diagnosis: Diagnosis, truth: tuple[str, ...]) -> bool:

@@ -99,9 +99,9 @@ def check(
     checked = LogsCheck(tuple(reports))
     if chain is None or checked.worst is Severity.ERROR:
         return checked
-    from hystmpc.gap.diagnose import what_logs_would_show  # compiles
+    from hystmpc.gap.diagnose import detectable_in_logs  # compiles
 
     if progress is not None:
         progress(len(single), len(single), "what the logs would show")
     trials = read_trials(several, layout, sampled_hz=sampled_hz)
-    return LogsCheck(checked.reports, what_logs_would_show(trials, chain))
+    return LogsCheck(checked.reports, detectable_in_logs(trials, chain))

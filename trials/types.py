@@ -46,3 +46,7 @@ def parts(progress: Progress | None, seconds: Sequence[float]) -> tuple[Progress
 
     starts = [0.0, *accumulate(seconds)][:-1]
     return tuple(part(before, share) for before, share in zip(starts, seconds, strict=True))
+
+
+def no_progress(done: float, total: float, note: str = "", /) -> None:
+    """A `Progress` that shows nothing."""

@@ -32,7 +32,7 @@ _DRAWS = 300
 def ambiguity_of(
     selection: Selection, settings: VerdictSettings, drift_shows: Callable[[Hypothesis], bool]
 ) -> tuple[tuple[str, ...], ...]:
-    """For each chosen effect the others that could replace it; sets of fewer than two are left out.
+    """Sets of effects that explain the development trials equally well, the chosen effect first.
 
     A drift and shifts between trials are told apart by the drift within the trials, or by shifts that follow the clock
     as scatter does not.
@@ -42,29 +42,29 @@ def ambiguity_of(
         settings: thresholds.
         drift_shows: see `drift_is_significant`.
     """
-    chosen, found = selection.chosen, []
+    chosen, sets = selection.chosen, []
     names = chosen.hypothesis.effects
     for effect in sorted(names):
         rest = names - {effect}
         others = []
         for tried, judged in selection.tried.items():
             exchanged = len(tried) == len(names) and rest < tried and tried != names
-            if not exchanged or _told_apart(chosen, judged, settings):
+            if not exchanged or _distinguishable(chosen, judged, settings):
                 continue
             (other,) = tried - rest
             if (effect, other) == ("drift", "trial_shift"):
                 neither = selection.tried.get(rest)
                 share = line_share(neither, judged, chosen) if neither else 0.0
-                if _no_scatter(share, len(chosen.errors), settings) or drift_shows(chosen.hypothesis):
+                if _follows_line(share, len(chosen.errors), settings) or drift_shows(chosen.hypothesis):
                     continue
             others.append(other)
         if others:
-            found.append((effect, *others))
-    return tuple(found)
+            sets.append((effect, *others))
+    return tuple(sets)
 
 
-def _told_apart(chosen: HeldOutErrors, other: HeldOutErrors, settings: VerdictSettings) -> bool:
-    """Whether held-out trials lie nearer to the chosen explanation than to another, by more than chance.
+def _distinguishable(chosen: HeldOutErrors, other: HeldOutErrors, settings: VerdictSettings) -> bool:
+    """Whether held-out trials are significantly closer to the chosen prediction than to the other one.
 
     With the predictions a and b of the two and the measurement y,
 
@@ -81,8 +81,8 @@ def _told_apart(chosen: HeldOutErrors, other: HeldOutErrors, settings: VerdictSe
     return fall > settings.nearer * mean_square_difference(chosen, other) and fall > settings.nearer_errors * error
 
 
-def _no_scatter(share: float, trials: int, settings: VerdictSettings) -> bool:
-    """Whether a line through the shifts of so many trials explains a share that independent ones rarely reach.
+def _follows_line(share: float, trials: int, settings: VerdictSettings) -> bool:
+    """Whether the shifts of the trials follow a line over time more closely than independent shifts do by chance.
 
     The share r^2 of independent normal shifts has the distribution Beta(1/2, (N - 2)/2).
     """
@@ -113,7 +113,7 @@ def drift_is_significant(validation: CrossValidation, hypothesis: Hypothesis, er
 
 
 def inclusion_shares(selection: Selection, floor_mse: float, settings: VerdictSettings, seed: int) -> dict[str, float]:
-    """Share of block resamples in whose best explanation each effect is; every further cause has a price."""
+    """Inclusion frequency of each effect: share of block resamples whose best penalised hypothesis contains it."""
     rng = np.random.default_rng(seed)
     tried = list(selection.tried.values())
     energy = np.stack([judged.energy for judged in tried], axis=1)
@@ -145,17 +145,17 @@ def probability(name: str, share: float, ambiguous: bool, stability: float, untr
         untried: whether the library lacks an effect with which it can be confounded.
     """
     sure = min(max(share, 0.0), 1.0) * stability**2
-    logit = _BIAS + _AMBIGUOUS * ambiguous + _SURE * sure + _GENERIC * _imitates(name) * (1 - sure)
+    logit = _BIAS + _AMBIGUOUS * ambiguous + _SURE * sure + _GENERIC * _is_generic(name) * (1 - sure)
     return 1 / (1 + math.exp(-logit - _UNTRIED * untried))
 
 
-def _imitates(name: str) -> bool:
+def _is_generic(name: str) -> bool:
     """Whether an effect can imitate almost any other, and causes that the library lacks: its name is less certain."""
     return name in EFFECTS and EFFECTS[name].generic
 
 
-def agreeing(chance: float, inclusion: float) -> float:
-    """A probability that agrees with the share of the resamples in whose best explanation the effect is.
+def limited_by_inclusion(chance: float, inclusion: float) -> float:
+    """Probability of an effect, bounded by its inclusion in the resamples.
 
         P <= (1 + inclusion) / 2
 
@@ -171,7 +171,7 @@ def ranking(
     library: Sequence[str],
     left_open: float = 1.0,
 ) -> tuple[tuple[str, float], ...]:
-    """Every effect of the library with its probability, most likely first; a chosen one leads those equal to it.
+    """Effects of the library by probability, highest first; of equal ones the chosen effect comes first.
 
     Effects that could replace a chosen one, or that these motions do not tell from it, share the probability that it
     leaves; the others have half of that times their inclusion. None of them explains the trials better than what was
@@ -191,7 +191,7 @@ def ranking(
     even = left / max(len(rivals), 1)
     rows = []
     for name in library:
-        beside = 0.5 * left * min(inclusion.get(name, 0.0), 1.0)
-        other = min(even, rivals[name]) if name in rivals else min(beside, most)
+        minor = 0.5 * left * min(inclusion.get(name, 0.0), 1.0)
+        other = min(even, rivals[name]) if name in rivals else min(minor, most)
         rows.append((name, chosen.get(name, other)))
     return tuple(sorted(rows, key=lambda row: (-row[1], row[0] not in chosen)))

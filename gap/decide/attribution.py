@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -12,21 +12,24 @@ import numpy as np
 from hystmpc.models.effects.catalogue import candidates
 from hystmpc.models.effects.effect import Candidate, Scale
 from hystmpc.models.identify.cross_validation import CrossValidation, Hypothesis
-from hystmpc.models.identify.runs import Run, blocks_of
+from hystmpc.models.identify.runs import Run
 from hystmpc.models.identify.selection import OWN_TO_TRIALS, Selection, SelectionSettings, select
+from hystmpc.models.model import LoadedModel
+from hystmpc.models.simulator import Simulator
 
-from ..logs.noise_floor import Floor, find_floor
+from ..diagnosis import DetectableSizes, Stability
+from ..logs.noise_floor import NoiseFloor
 from ..logs.preparation import PreparedTrials
-from ..logs.recording_order import NEEDS_ORDER
 from ..logs.sensor import white_noise
+from ..logs.trial_choice import NEEDS_ORDER
+from ..residual.localise import Localisation
 from .ambiguity import ambiguity_of, drift_is_significant, inclusion_shares
 from .gap_closed import GapClosed, measure, measured_blocks
 from .jumps import Jumps, find_jumps
-from .lack_of_fit import structure_left
-from .retuning import Retuning, anew_share, retuning_of, width_grown
-from .verdict import FinalFacts, Ruling, VerdictFacts, VerdictSettings, decide_verdict
+from .remaining_structure import structure_left
+from .retuning import Retuning, reidentified_share, retuning_of, width_grown
+from .verdict import FinalFacts, VerdictDecision, VerdictFacts, VerdictSettings, decide_verdict, residual_ratio
 
-_LEAST_MSE = 1e-9
 _PREDICTABLE = 0.5  # of the retuned error: largest part of it that jumps may add to the floor of the selection
 
 
@@ -66,20 +69,20 @@ class Attribution:
 
 @dataclass(frozen=True, eq=False)
 class Conclusion:
-    """The ruling, and the sizes on the final trials that belong to it.
+    """Verdict, and the errors on the final trials that belong to it.
 
     Attributes:
-        ruling: verdict and its case.
+        decision: verdict and its case.
         facts: what it depends on, less the causes that did not surely lower the error of the final trials.
         chosen: the corrected simulator; the retuned one where no effect is the explanation.
         floor: from repeats or noise, with the corrected simulator.
         closed: sizes of the gap and what each cause closes.
     """
 
-    ruling: Ruling
+    decision: VerdictDecision
     facts: VerdictFacts
     chosen: Hypothesis
-    floor: Floor
+    floor: NoiseFloor
     closed: GapClosed
 
 
@@ -110,8 +113,8 @@ def attribute(
     floor_mse = max(noise_mse, prepared.form_mse)
     if jumping:
         floor_mse = max(floor_mse, min(jumps.mse, _PREDICTABLE * retuned.mse))
-    gone = (*left_out, "stick_slip") if jumps.absent else left_out
-    library = usable_effects(prepared, prepared.baseline.effects, gone, prepared.development)
+    excluded = (*left_out, "stick_slip") if jumps.absent else left_out
+    library = usable_effects(prepared, prepared.baseline.effects, excluded, prepared.development)
     without = left_out
     if prepared.checked.unrelated:  # nothing to explain: only the baseline is evaluated
         library, without = (), (*left_out, *OWN_TO_TRIALS)
@@ -119,7 +122,7 @@ def attribute(
     baseline, grown = selection.baseline, width_grown(selection.chosen.hypothesis)
     retuning = Retuning() if unusable else retuning_of(prepared, retuned, baseline.mse)
     if not unusable and grown >= settings.verdict.width_grown:
-        retuning = replace(retuning, anew_share=anew_share(prepared, validation, baseline, floor_mse))
+        retuning = replace(retuning, reidentified_share=reidentified_share(prepared, validation, baseline, floor_mse))
     return Attribution(
         validation=validation,
         retuned=retuned,
@@ -136,7 +139,7 @@ def attribute(
             structure_left=structure_left(selection, validation.runs, prepared.everything, floor_mse, settings.verdict),
             ambiguity=ambiguity_of(selection, settings.verdict, drift_test(validation, settings.verdict)),
             sensor="sensor" not in without and _sensor_matters(prepared, selection, settings.verdict),
-            sensor_gap=_is_gap(prepared, prepared.excess_mse + _mended_mse(prepared), settings.verdict),
+            sensor_gap=_is_gap(prepared, prepared.excess_mse + _repair_mse(prepared), settings.verdict),
             new_step="sensor" not in without and _step_matters(prepared, baseline.mse, settings.verdict),
             jumps=jumping,
             too_little=bool(prepared.too_little),
@@ -150,7 +153,7 @@ def attribute(
 def usable_effects(
     prepared: PreparedTrials, in_core: Iterable[str], left_out: Sequence[str], runs: Sequence[Run]
 ) -> tuple[Candidate, ...]:
-    """Effects that these trials can test: where the order of recording is unknown, none that needs it.
+    """Candidate effects that these trials can test; without a known order of recording, none that depends on it.
 
     Args:
         prepared: trials.
@@ -165,12 +168,12 @@ def usable_effects(
 
 
 def drift_test(validation: CrossValidation, settings: VerdictSettings) -> Callable[[Hypothesis], bool]:
-    """Whether the drift of a hypothesis shows within trials; each hypothesis is fitted once."""
+    """Test for a significant drift within trials; each hypothesis is fitted once."""
     return functools.cache(lambda h: drift_is_significant(validation, h, settings.significant_drift))
 
 
 def confirm(prepared: PreparedTrials, attribution: Attribution, settings: VerdictSettings, seed: int) -> Conclusion:
-    """Evaluate the final trials with the causes selected, and decide; without them, where they are not confirmed.
+    """Evaluate the final trials with the selected causes and decide the verdict; drop causes that they do not confirm.
 
     A cause whose interval of the closed share reaches zero on the final trials is dropped; all of them are where the
     interval of what they close together does.
@@ -187,45 +190,47 @@ def confirm(prepared: PreparedTrials, attribution: Attribution, settings: Verdic
     if provisional.explained:
         chosen = attribution.validation.polished(attribution.selection.chosen.hypothesis)
     facts = replace(facts, sensor=provisional.sensor)
-    facts, chosen, floor, closed = _proven(prepared, attribution, facts, chosen, seed)
+    facts, chosen, floor, closed = _confirmed_causes(prepared, attribution, facts, chosen, seed)
     repeatable = floor_of(prepared, retuned)
     final = FinalFacts(
         closed.gap.closed_share,
-        _residual_ratio(closed, prepared.form_mse, floor),
+        residual_ratio(closed.gap.with_effects_rmse_deg**2, prepared.form_mse, floor.noise_deg**2),
         unproven=provisional.explained and bool(attribution.facts.effects) and not chosen.effects,
-        at_floor=_at(closed, repeatable.noise_deg, settings),
+        at_floor=_at_floor(closed, repeatable.noise_deg, settings),
         moved=closed.moved,
     )
-    ruling = decide_verdict(replace(facts, final=final), settings)
-    if (chosen.effects and not ruling.explained) or (ruling.sensor and not facts.sensor):
-        facts = replace(facts, sensor=facts.sensor or ruling.sensor)
-        facts, chosen, floor, closed = _proven(prepared, attribution, facts, retuned, seed)
-        ruling = decide_verdict(replace(facts, final=final), settings)
-    if ruling.verdict == "unknown" and repeatable.kind == "repeats" and _at(closed, repeatable.rmse_deg, settings):
+    decision = decide_verdict(replace(facts, final=final), settings)
+    if (chosen.effects and not decision.explained) or (decision.sensor and not facts.sensor):
+        facts = replace(facts, sensor=facts.sensor or decision.sensor)
+        facts, chosen, floor, closed = _confirmed_causes(prepared, attribution, facts, retuned, seed)
+        decision = decide_verdict(replace(facts, final=final), settings)
+    if (
+        decision.verdict == "unknown"
+        and repeatable.kind == "repeats"
+        and _at_floor(closed, repeatable.rmse_deg, settings)
+    ):
         # What differs between repeats is the gap, not its floor.
-        floor = Floor(repeatable.noise_deg, "noise", repeatable.noise_deg)
-        closed = measure(prepared, attribution.validation, retuned, retuned, floor, ruling.sensor, None, seed)
-    return Conclusion(ruling, facts, chosen, floor, closed.with_repeats(repeatable))
+        floor = NoiseFloor(repeatable.noise_deg, "noise", repeatable.noise_deg)
+        closed = measure(prepared, attribution.validation, retuned, retuned, floor, decision.sensor, None, seed)
+    return Conclusion(decision, facts, chosen, floor, closed.with_repeats(repeatable))
 
 
-def never_worse(prepared: PreparedTrials, attribution: Attribution) -> Attribution:
-    """The attribution, with the simulator as given where retuning raises the error of the final trials.
+def as_given_if_better(prepared: PreparedTrials, attribution: Attribution) -> Attribution:
+    """Replace the retuned simulator by the one as given where retuning raises the error of the final trials.
 
     As a cause is dropped that does not lower that error: numbers that fit the development trials alone are no better.
     """
     problem = attribution.retuned.problem
-    start = problem.start(prepared.baseline.nominal, [])
-    given = Hypothesis(
-        problem, start, blocks_of([problem.error(start, r)[0] for r in prepared.development], prepared.development).mse
-    )
+    given = Hypothesis(problem, problem.as_given, math.nan)
+    given = replace(given, mse=attribution.validation.fitted_errors(given).mse)
     worse = measured_blocks(prepared, given).mse < measured_blocks(prepared, attribution.retuned).mse
     return replace(attribution, retuned=given) if worse else attribution
 
 
-def _proven(
+def _confirmed_causes(
     prepared: PreparedTrials, attribution: Attribution, facts: VerdictFacts, chosen: Hypothesis, seed: int
-) -> tuple[VerdictFacts, Hypothesis, Floor, GapClosed]:
-    """Facts, corrected simulator, floor and sizes, less the causes that do not surely lower the error."""
+) -> tuple[VerdictFacts, Hypothesis, NoiseFloor, GapClosed]:
+    """Drop causes that do not significantly lower the final error; facts, simulator, floor and errors without them."""
     while True:
         floor, jumps = floor_of(prepared, chosen), attribution.jumps if facts.jumps else None
         closed = measure(
@@ -234,18 +239,18 @@ def _proven(
         weakest = closed.unproven({names[0] for names in facts.ambiguity})
         if not weakest:
             return replace(facts, jumps="stick_slip" in closed.causes and facts.jumps), chosen, floor, closed
-        facts, chosen = _without(attribution, facts, chosen, weakest)
+        facts, chosen = _without_cause(attribution, facts, chosen, weakest)
 
 
-def _at(closed: GapClosed, floor_deg: float, settings: VerdictSettings) -> bool:
+def _at_floor(closed: GapClosed, floor_deg: float, settings: VerdictSettings) -> bool:
     """Whether the retuned simulator leaves no more than a floor [deg] on the final trials."""
     return closed.gap.retuned_rmse_deg**2 < settings.at_floor * floor_deg**2
 
 
-def _without(
+def _without_cause(
     attribution: Attribution, facts: VerdictFacts, chosen: Hypothesis, dropped: str
 ) -> tuple[VerdictFacts, Hypothesis]:
-    """Facts and corrected simulator less one cause."""
+    """Remove one cause from the facts and from the corrected simulator."""
     if dropped not in chosen.effects:
         if dropped == "sensor":
             return replace(facts, sensor=False, new_step=False), chosen
@@ -253,59 +258,76 @@ def _without(
     kept, validation = chosen.effects - {dropped}, attribution.validation
     if not kept:
         return facts, attribution.retuned
-    less = validation.polished(validation.without(chosen, {dropped}))
-    judged = attribution.selection.tried.get(kept) or validation.judge(less)
-    ambiguity = tuple(names for names in facts.ambiguity if names[0] in kept)
-    facts = replace(facts, effects=kept, chosen_mse=judged.mse, ambiguity=ambiguity, width_grown=width_grown(less))
-    return facts, less
+    reduced = validation.polished(validation.without(chosen, {dropped}))
+    judged = attribution.selection.tried.get(kept) or validation.judge(reduced)
+    return facts.with_only(kept, judged.mse, width_grown(reduced)), reduced
 
 
 def _sensor_matters(prepared: PreparedTrials, selection: Selection, settings: VerdictSettings) -> bool:
-    """Whether the sensor's faults are a good part of the error that the chosen causes leave, or surely a gap alone.
+    """Whether sensor faults make up a large part of the remaining error, or exceed the model-form error by themselves.
 
     White noise may be a disturbance that is faster than the log. Steps, outliers and held values are read off it.
     Steps that the sensor had at identification are no fault of it.
     """
-    signs, left, mended = prepared.signs, selection.chosen.mse, _mended_mse(prepared)
+    signs, left, mended = prepared.signs, selection.chosen.mse, _repair_mse(prepared)
     noise = signs.energy if signs.noisy or (signs.coarse and prepared.excess_mse > 0) else 0.0
     good_part = noise > settings.noise_share * left or mended > settings.mended_share * left
     return good_part or _is_gap(prepared, mended + (prepared.excess_mse if signs.coarse else 0.0), settings)
 
 
 def _step_matters(prepared: PreparedTrials, mse: float, settings: VerdictSettings) -> bool:
-    """Whether the readings have steps that they did not have, whose error does not vanish beside all of it."""
+    """Whether the readings have a new quantisation step whose error is a relevant share of the retuned error."""
     return prepared.new_step and prepared.signs.quantisation_deg**2 / 12.0 >= settings.step_share * mse
 
 
-def _mended_mse(prepared: PreparedTrials) -> float:
-    """Mean square of what the repair of outliers and held values changed [deg^2]."""
+def _repair_mse(prepared: PreparedTrials) -> float:
+    """Mean square change of the angle by the repair of outliers and held values [deg^2]."""
     mended = np.concatenate([raw - run.angle for raw, run in zip(prepared.raw, prepared.everything, strict=True)])
     return float(np.mean(mended**2))
 
 
 def _is_gap(prepared: PreparedTrials, mse: float, settings: VerdictSettings) -> bool:
-    """Whether an error that is added to the model-form error alone makes a gap."""
+    """Whether the model-form error plus this error counts as a gap."""
     return 0 < (settings.no_gap - 1) * prepared.form_mse <= mse
 
 
-def floor_of(prepared: PreparedTrials, hypothesis: Hypothesis) -> Floor:
-    """What stays with any simulator; what each trial has of its own by a cause is explained, and no part of it.
+def floor_of(prepared: PreparedTrials, hypothesis: Hypothesis) -> NoiseFloor:
+    """Noise floor of the residual; shifts and phases of single trials that a cause explains are taken off first.
 
     It is never less than the rounding of the readings, which leaves no noise where the angle rests.
     """
-    checked, problem = prepared.checked, hypothesis.problem
+    problem = hypothesis.problem
     residuals = prepared.residuals(hypothesis)
     if problem.terms.names:
         residuals = [-problem.held_out_error(hypothesis.q, run) for run in prepared.everything]
-    found, rounding = (
-        find_floor(checked.trials, residuals, checked.dt, checked.excitation.repeats),
-        prepared.rounding_deg,
-    )
-    return replace(found, rmse_deg=max(found.rmse_deg, rounding), noise_deg=max(found.noise_deg, rounding))
+    floor, least = prepared.floor(residuals), prepared.rounding_deg
+    return replace(floor, rmse_deg=max(floor.rmse_deg, least), noise_deg=max(floor.noise_deg, least))
 
 
-def _residual_ratio(closed: GapClosed, form_mse: float, floor: Floor) -> float:
-    """RMSE with all causes over noise and model-form error; 1 where the model-form error is unknown."""
-    if form_mse <= 0:
-        return 1.0
-    return closed.gap.with_effects_rmse_deg / math.sqrt(max(form_mse, floor.noise_deg**2, _LEAST_MSE))
+@dataclass(frozen=True, eq=False)
+class Findings:
+    """Result of every step.
+
+    Attributes:
+        simulator: as given.
+        prepared: trials and the baseline.
+        detectable: the least size at which the trials would show each effect, from their commands alone.
+        attribution: causes selected on the development trials.
+        conclusion: verdict, corrected simulator and sizes on the final trials.
+        localisation: of the retuned residual; None where there is none.
+        stability: of the verdict over resampled splits; None where the trials allow no choice.
+        left_out: effects that the library went without.
+        seed: of everything drawn at random.
+        seconds: duration of each step [s].
+    """
+
+    simulator: Simulator | LoadedModel
+    prepared: PreparedTrials
+    detectable: DetectableSizes
+    attribution: Attribution
+    conclusion: Conclusion
+    localisation: Localisation | None
+    stability: Stability | None
+    left_out: tuple[str, ...]
+    seed: int
+    seconds: Mapping[str, float]

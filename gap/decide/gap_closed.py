@@ -1,9 +1,9 @@
-"""Gap closed: errors on the final trials without and with the causes, and the share that each cause closes."""
+"""Closed gap: errors on the final trials without and with the causes, the share that each closes, and its interval."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Container, Mapping, Sequence
+from collections.abc import Callable, Container, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import final
 
@@ -12,12 +12,110 @@ import numpy as np
 from hystmpc.models.identify.cross_validation import CrossValidation, Hypothesis
 from hystmpc.models.identify.runs import Blocks, Run, blocks_of
 from hystmpc.models.identify.uncertainty import Interval
+from hystmpc.trials.types import Vec
 
 from ..diagnosis import Gap
-from ..logs.noise_floor import Floor
+from ..logs.noise_floor import NoiseFloor
 from ..logs.preparation import PreparedTrials
-from .closed_share import Shares, closed_share
 from .jumps import Jumps
+
+_DRAWS = 400
+_LEAST_SIZE = 0.1
+_LEAST_GAP = 0.1  # of the whole gap, in a resample
+
+
+@dataclass(frozen=True, eq=False)
+class ClosedShares:
+    """Shares of the structural gap closed by the stages of a correction, on given trials.
+
+    Attributes:
+        before: errors of the retuned simulator.
+        floor_mse: error that stays with any simulator [deg^2].
+        spread: half of a 90 % interval that is due to differences between trials, as a share of the closed share.
+        seed: of the resampling.
+    """
+
+    before: Blocks
+    floor_mse: float
+    spread: float
+    seed: int
+
+    def closed(self, mse: float) -> float:
+        """Share of the structural gap that is closed at that error."""
+        return closed_share(self.before.mse, mse, self.floor_mse)
+
+    def interval(self, before: Blocks, after: Blocks) -> Interval:
+        """90 % interval of the share that lies between two stages."""
+        middle = self.closed(self.before.mse - before.mse + after.mse)
+        return self._widened(middle, closed_interval(self.before, before, after, self.floor_mse, self.seed))
+
+    def of_causes(
+        self, names: frozenset[str], blocks: Callable[[frozenset[str]], Blocks]
+    ) -> dict[str, tuple[float, Interval]]:
+        """Closed share of each cause, and its 90 % interval.
+
+        A cause is weighed by the error that comes back without it, the others fitted anew:
+
+            share_i = closed (E_without_i - E) / sum_j max(E_without_j - E, 0)
+
+        The shares add up to what all close together, where each of them lowers the error. Of causes that can replace
+        each other none closes anything. The interval is that of the fall, blocks resampled together before and after:
+        a small cause beside a large one is as sure as its own fall.
+
+        Args:
+            names: of the causes.
+            blocks: errors with all of them, with all but one, and with none.
+        """
+        after = blocks(names)
+        without = {name: blocks(names - {name}) for name in sorted(names)}
+        falls = sum(max(b.mse - after.mse, 0.0) for b in without.values())
+        together = max(self.closed(after.mse), 0.0)
+        shares = {}
+        for name, before in without.items():
+            fall = before.mse - after.mse
+            share = together * fall / falls if falls > 0 else 0.0
+            one = self.closed(self.before.mse - fall)
+            scale = share / one if one else 0.0
+            low, high = closed_interval(self.before, before, after, self.floor_mse, self.seed)
+            shares[name] = share, self._widened(share, (scale * low, scale * high))
+        return shares
+
+    def _widened(self, middle: float, ends: Interval) -> Interval:
+        """Interval widened by the scatter between trials."""
+        further = self.spread * max(abs(middle), _LEAST_SIZE)
+        return middle - float(np.hypot(middle - ends[0], further)), middle + float(np.hypot(ends[1] - middle, further))
+
+
+def closed_share(retuned_mse: float, with_mse: float, floor_mse: float) -> float:
+    """(MSE_retuned - MSE_with) / (MSE_retuned - MSE_floor), between -1 and 1; zero where there is no gap."""
+    gap = retuned_mse - floor_mse
+    return float(np.clip((retuned_mse - with_mse) / gap, -1.0, 1.0)) if gap > 0 else 0.0
+
+
+def closed_interval(retuned: Blocks, before: Blocks, after: Blocks, floor_mse: float, seed: int) -> Interval:
+    """90 % interval of the share that lies between two stages, blocks resampled together."""
+    return _clipped_quantiles(_drawn_shares(retuned, before, after, floor_mse, seed))
+
+
+def _drawn_shares(retuned: Blocks, before: Blocks, after: Blocks, floor_mse: float, seed: int) -> Vec:
+    """The share in every resample of the blocks (D,), zeros where there is no gap.
+
+    A resample may have less of a gap than the floor is high. Its fall then counts against a tenth of the whole gap, so
+    that the sign of the fall, which is what proves a cause, is kept.
+    """
+    rng = np.random.default_rng(seed)
+    draws = rng.integers(0, retuned.energy.size, (_DRAWS, retuned.energy.size))
+    total = retuned.samples[draws].sum(axis=1)
+    gap = retuned.energy[draws].sum(axis=1) / total - floor_mse
+    fall = (before.energy - after.energy)[draws].sum(axis=1) / total
+    whole = retuned.mse - floor_mse
+    return np.asarray(fall / np.maximum(gap, _LEAST_GAP * whole) if whole > 0 else np.zeros(_DRAWS))
+
+
+def _clipped_quantiles(shares: Vec) -> Interval:
+    low, high = np.clip(np.quantile(shares, (0.05, 0.95)), -1.0, 1.0)
+    return float(low), float(high)
+
 
 # Of a 90 % interval; below a normal distribution's 1.645, since sessions have the same kinds of motion. Of 43 sessions
 # of development seeds 5801 and 5810 that were recorded again 39 lie within.
@@ -31,7 +129,7 @@ _LEAST_SHARE = 0.05  # of the structural gap, for jumps and for what another eff
 
 @dataclass(frozen=True)
 class ClosedByCause:
-    """What one cause closes.
+    """Share of the gap closed by one cause.
 
     Attributes:
         share: of the structural gap, by what comes back without this cause.
@@ -48,7 +146,7 @@ class ClosedByCause:
 
 @dataclass(frozen=True, eq=False)
 class GapClosed:
-    """Sizes on the final trials.
+    """Errors on the final trials, and the share of the gap closed by each cause.
 
     Attributes:
         gap: RMSE of the nominal, retuned and corrected simulator, floor, and share closed.
@@ -78,21 +176,21 @@ class GapClosed:
         weakest = min(least, key=lambda name: least[name], default="")
         if weakest and (least[weakest] <= 0 or self.gap.closed_ci90[0] <= 0):
             return weakest
-        return needless({name: cause.share for name, cause in self.causes.items()}, replaceable)
+        return negligible_cause({name: cause.share for name, cause in self.causes.items()}, replaceable)
 
     @property
     def moved(self) -> float:
         """Error of the simulator as given over that of the retuned one, mean squares."""
         return (self.gap.nominal_rmse_deg / max(self.gap.retuned_rmse_deg, _LEAST_DEG)) ** 2
 
-    def with_repeats(self, floor: Floor) -> GapClosed:
-        """The same with what repeats of a motion differ by."""
+    def with_repeats(self, floor: NoiseFloor) -> GapClosed:
+        """The same sizes with the RMS difference of repeated motions."""
         rmse = floor.rmse_deg if floor.kind == "repeats" else math.nan
         return replace(self, gap=replace(self.gap, repeats_rmse_deg=rmse))
 
 
-def needless(shares: Mapping[str, float], replaceable: Container[str]) -> str:
-    """The cause that closes the least beside others, too little to be named as another could replace it; else empty."""
+def negligible_cause(shares: Mapping[str, float], replaceable: Container[str]) -> str:
+    """Name of the replaceable cause with the smallest closed share, if that is below 5 %; empty where there is none."""
     small = [name for name in shares if name in replaceable and shares[name] < _LEAST_SHARE]
     return min(small, key=lambda name: shares[name]) if small and len(shares) > 1 else ""
 
@@ -102,12 +200,12 @@ def measure(
     validation: CrossValidation,
     retuned: Hypothesis,
     chosen: Hypothesis,
-    floor: Floor,
+    floor: NoiseFloor,
     sensor: bool,
     jumps: Jumps | None,
     seed: int,
 ) -> GapClosed:
-    """Evaluate the final trials.
+    """Measure the gap on the final trials with and without the causes.
 
     Noise of a faulty sensor and jumps of a tip that sticks cannot be predicted by a free run. A simulator that has them
     leaves their energy, so that it counts as closed: that of the noise, and in each block up to that of a sawtooth of
@@ -127,15 +225,15 @@ def measure(
     parameters, shares = _parameters(chosen, prepared), final_errors.shares
     causes = {}
     for name, (share, ci90) in shares.of_causes(chosen.effects, final_errors.blocks).items():
-        less = final_errors.blocks(chosen.effects - {name})
-        causes[name] = ClosedByCause(share, ci90, float(np.sqrt(less.mse)), parameters[name])
+        without = final_errors.blocks(chosen.effects - {name})
+        causes[name] = ClosedByCause(share, ci90, float(np.sqrt(without.mse)), parameters[name])
     if sensor:
         faulty = measured_blocks(prepared, chosen)
         share = shares.closed(shares.before.mse - faulty.mse + final_errors.after.mse)
         ci90, rmse = shares.interval(faulty, final_errors.after), float(np.sqrt(faulty.mse))
         causes["sensor"] = ClosedByCause(share, ci90, rmse, _sensor_parameters(prepared))
     if jumps is not None and "stick_slip" not in chosen.effects:
-        left = less_sawtooth(final_errors.after, jumps.mse)
+        left = without_sawtooth(final_errors.after, jumps.mse)
         share = shares.closed(left.mse) - shares.closed(final_errors.after.mse)
         if share >= _LEAST_SHARE:
             ci90, rmse = shares.interval(final_errors.after, left), float(np.sqrt(final_errors.after.mse))
@@ -144,8 +242,8 @@ def measure(
     return GapClosed(final_errors.gap(), causes, shares.spread)
 
 
-def less_sawtooth(blocks: Blocks, mse: float) -> Blocks:
-    """Errors less the energy of jumps, block by block and to nothing at most."""
+def without_sawtooth(blocks: Blocks, mse: float) -> Blocks:
+    """Errors with the energy of the jumps subtracted, block by block, not below zero."""
     return replace(blocks, energy=np.maximum(blocks.energy - mse * blocks.samples, 0.0))
 
 
@@ -164,7 +262,7 @@ class FinalErrors:
         validation: CrossValidation,
         retuned: Hypothesis,
         chosen: Hypothesis,
-        floor: Floor,
+        floor: NoiseFloor,
         sensor: bool,
         seed: int,
         jumps_mse: float = 0.0,
@@ -174,13 +272,13 @@ class FinalErrors:
         corrected = final_blocks(chosen, prepared.final)
         self._parts = {frozenset(chosen.effects): corrected}
         before = measured_blocks(prepared, retuned)
-        self.after = self.less_sensor_noise(corrected) if sensor else measured_blocks(prepared, chosen)
+        self.after = self.without_sensor_noise(corrected) if sensor else measured_blocks(prepared, chosen)
         excess = jumps_mse + (prepared.excess_mse if sensor else 0.0)  # repeats differ by them
         lowest = max(floor.rmse_deg**2 - excess, _LEAST_FLOOR * floor.rmse_deg**2)
         floor_mse = min(lowest, self.after.mse, before.mse)
-        self.shares = Shares(before, floor_mse, self._between_trials(floor_mse), seed)
+        self.shares = ClosedShares(before, floor_mse, self._between_trials(floor_mse), seed)
 
-    def less_sensor_noise(self, blocks: Blocks) -> Blocks:
+    def without_sensor_noise(self, blocks: Blocks) -> Blocks:
         """Errors less the energy of the noise that a sensor in the simulator would add."""
         energy = blocks.energy - self._prepared.excess_mse * blocks.samples
         return replace(blocks, energy=energy if energy.sum() > 0 else np.zeros_like(energy))
@@ -211,8 +309,7 @@ class FinalErrors:
     def gap(self) -> Gap:
         """Sizes of the gap."""
         problem = self._retuned.problem
-        nominal = Hypothesis(problem, problem.start(self._prepared.baseline.nominal, []), np.nan)
-        shares = self.shares
+        nominal, shares = Hypothesis(problem, problem.as_given, np.nan), self.shares
         closed = shares.closed(self.after.mse)
         return Gap(
             nominal_rmse_deg=float(np.sqrt(measured_blocks(self._prepared, nominal).mse)),
@@ -246,20 +343,20 @@ def measured_blocks(prepared: PreparedTrials, hypothesis: Hypothesis) -> Blocks:
 def _parameters(chosen: Hypothesis, prepared: PreparedTrials) -> dict[str, Mapping[str, float]]:
     """Identified values by cause and name; of what each trial has of its own, statistics over the trials."""
     problem = chosen.problem
-    found: dict[str, Mapping[str, float]] = dict(problem.identified(chosen.q))
+    parameters: dict[str, Mapping[str, float]] = dict(problem.identified(chosen.q))
     if problem.terms.frequency_hz:
         sizes = [problem.terms.amplitude(run, *problem.linearised(chosen.q, run)) for run in prepared.everything]
-        found["periodic_disturbance"] = {
+        parameters["periodic_disturbance"] = {
             "amplitude_deg": float(np.median(sizes)),
             "frequency_hz": problem.terms.frequency_hz,
         }
     if problem.terms.shift:
         offsets = [problem.terms.offset(run, *problem.linearised(chosen.q, run)) for run in prepared.everything]
-        found["trial_shift"] = {
+        parameters["trial_shift"] = {
             "offset_spread_deg": float(np.std(offsets)),
             "largest_offset_deg": float(max(offsets, key=abs)),
         }
-    return found
+    return parameters
 
 
 def _sensor_parameters(prepared: PreparedTrials) -> Mapping[str, float]:

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
 from hystmpc.models.identify.cross_validation import Hypothesis
 from hystmpc.models.identify.runs import Run
-from hystmpc.trials.types import Vec
+from hystmpc.trials.types import Mat, Vec
 
 from ..logs.sensor import SensorSigns
 
@@ -24,7 +23,7 @@ _ENOUGH = 100  # windows
 
 @dataclass(frozen=True)
 class Jumps:
-    """Motion of the tip while the simulator moves steadily.
+    """Statistics of the tip motion while the simulated motion is steady.
 
     In each window, as short as noise and resolution allow, the measured motion is a multiple g of the simulated one. A
     tip that sticks and slips does not move in many windows, moves several times too far in others, and never moves back
@@ -76,15 +75,6 @@ class Jumps:
         return {"jump_deg": self.height_deg, "fastest_deg_s": self.fastest_deg_s}
 
 
-class _Windows(NamedTuple):
-    """Of N windows: measured motion over simulated, measured motion, lead of it [deg], simulated speed [deg/s]."""
-
-    share: Vec
-    moved: Vec
-    ahead: Vec
-    speed: Vec
-
-
 def find_jumps(runs: Sequence[Run], retuned: Hypothesis, signs: SensorSigns) -> Jumps:
     """Look for stick-slip in steady motion.
 
@@ -103,9 +93,9 @@ def find_jumps(runs: Sequence[Run], retuned: Hypothesis, signs: SensorSigns) -> 
 
 
 def _pattern(runs: Sequence[Run], simulated: Sequence[Vec], least: float, uneven: float) -> Jumps:
-    """What the windows show in which the speed is that uneven at most."""
-    found = [_windows(run, theta, least, uneven) for run, theta in zip(runs, simulated, strict=True)]
-    share, moved, ahead, speed = (np.concatenate(parts) for parts in zip(*found, strict=True))
+    """Statistics of the windows in which the simulated speed varies by at most `uneven` of its mean."""
+    windows = [_windows(run, theta, least, uneven) for run, theta in zip(runs, simulated, strict=True)]
+    share, moved, ahead, speed = np.concatenate(windows).T
     if not share.size:
         return Jumps(0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     jumped, whole = share > _JUMPED, float(np.abs(moved).sum())
@@ -120,7 +110,8 @@ def _pattern(runs: Sequence[Run], simulated: Sequence[Vec], least: float, uneven
     )
 
 
-def _windows(run: Run, simulated: Vec, least: float, uneven: float) -> _Windows:
+def _windows(run: Run, simulated: Vec, least: float, uneven: float) -> Mat:
+    """Ratio of measured to simulated motion, measured motion, its lead [deg] and simulated speed [deg/s] (N, 4)."""
     speed, half = np.diff(simulated), max(round(_STEADY_S / run.dt_s), 1)
     kept = []
     for k in range(half, speed.size - half):
@@ -134,5 +125,4 @@ def _windows(run: Run, simulated: Vec, least: float, uneven: float) -> _Windows:
         moved, expected = (float(x[k + length] - x[k]) for x in (run.angle, simulated))
         if expected:
             kept.append((moved / expected, moved, (moved - expected) * np.sign(mean), abs(mean) / run.dt_s))
-    share, moves, ahead, speeds = np.array(kept).reshape(-1, 4).T
-    return _Windows(share, moves, ahead, speeds)
+    return np.array(kept, dtype=np.float64).reshape(-1, 4)

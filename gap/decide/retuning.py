@@ -15,8 +15,7 @@ from hystmpc.models.identify.uncertainty import ParameterRow, core_rows
 from hystmpc.models.operators.curved_plays import CurvedPlays
 from hystmpc.trials.errors import FitError
 
-from ..diagnosis import Moved
-from ..logs.noise_floor import find_floor
+from ..diagnosis import RetunedParameter
 from ..logs.preparation import PreparedTrials
 from ..logs.sensor import white_noise
 from ..residual.memory import friction_share
@@ -31,7 +30,7 @@ _MOST_GROWN = 4.0  # height of a loop over the given one: more is no friction of
 
 @dataclass(frozen=True)
 class Retuning:
-    """What retuning did.
+    """Effect of retuning on the error of the simulator.
 
     Attributes:
         moved: error of the simulator as given over that of the retuned one on development trials that the fit did not
@@ -39,21 +38,21 @@ class Retuning:
         grown_form_mse: model-form error that is to be expected of the retuned simulator [deg^2]; zero where the
             simulator's own is unknown.
         friction_share: of the retuned error above the noise, that plays of other weights and widths explain.
-        anew_share: of the retuned error above the floor, that a core identified anew explains (`anew_share`).
+        reidentified_share: of the retuned error above the floor, that a core identified anew explains.
         unrepeatable: share of the retuned error in which repeats of one motion differ; zero without repeats.
     """
 
     moved: float = 1.0
     grown_form_mse: float = 0.0
     friction_share: float = 0.0
-    anew_share: float = 0.0
+    reidentified_share: float = 0.0
     unrepeatable: float = 0.0
 
 
 def retuned_with(
     prepared: PreparedTrials, validation: CrossValidation
 ) -> tuple[PreparedTrials, CrossValidation, Hypothesis]:
-    """The retuned simulator, and trials and validation with the freedom that it has.
+    """Retune the simulator, and free the widths of curved plays where that lowers the held-out error.
 
     The half-widths of curved plays are free where the error asks for it: it is 1.5 times the model-form error, and
     they explain half of what is above that, by more than two standard errors on trials left out.
@@ -70,7 +69,7 @@ def retuned_with(
 
 
 def retuning_of(prepared: PreparedTrials, retuned: Hypothesis, left_out_mse: float) -> Retuning:
-    """What retuning did.
+    """Measure the effect of retuning on the error.
 
     The form error of a simulator of friction grows with the height h of its loop, gain times width: the noise n does
     not.
@@ -89,10 +88,9 @@ def retuning_of(prepared: PreparedTrials, retuned: Hypothesis, left_out_mse: flo
     before, after = (baseline.loop_height(z) for z in (baseline.nominal, retuned.problem.retuned(retuned.q)))
     grown = min(max(1.0, after / before), _MOST_GROWN) if before > 0 else 1.0
     still = min(noise**2, _MOST_NOISE * form)
-    start = retuned.problem.start(baseline.nominal, [])
-    nominal = np.concatenate([retuned.problem.error(start, run)[0] for run in prepared.development])
-    checked = prepared.checked
-    floor = find_floor(checked.trials, residuals, checked.dt, checked.excitation.repeats)
+    problem = retuned.problem
+    nominal = np.concatenate([problem.error(problem.as_given, run)[0] for run in prepared.development])
+    floor = prepared.floor(residuals)
     differ = floor.rmse_deg**2 if floor.kind == "repeats" else 0.0
     kept = after > _LEAST_LEFT * before
     return Retuning(
@@ -104,7 +102,7 @@ def retuning_of(prepared: PreparedTrials, retuned: Hypothesis, left_out_mse: flo
 
 
 def width_grown(hypothesis: Hypothesis) -> float:
-    """Width of the loop along the command in a hypothesis, its effects set aside, over that of the simulator as given.
+    """Ratio of the loop width of a hypothesis, without its effects, to that of the simulator as given.
 
     Effects take their part of the width: what is left is what the friction of the core has become.
     """
@@ -113,7 +111,7 @@ def width_grown(hypothesis: Hypothesis) -> float:
     return after / before if before > 0 else 1.0
 
 
-def anew_share(
+def reidentified_share(
     prepared: PreparedTrials, validation: CrossValidation, retuned: HeldOutErrors, floor_mse: float
 ) -> float:
     """Share of the retuned error above the floor that a core identified anew explains held out, 0 to 1.
@@ -141,8 +139,8 @@ def anew_share(
 
 def moved_numbers(
     prepared: PreparedTrials, retuned: Hypothesis, quantities: Iterable[ParameterRow]
-) -> tuple[Moved, ...]:
-    """Numbers of the simulator that retuning has surely moved: their 90 % interval lies off the given value.
+) -> tuple[RetunedParameter, ...]:
+    """Parameters that retuning has significantly changed: the 90 % interval excludes the given value.
 
     Gain, offset and width come first, then weights and widths of the core's plays.
 
@@ -158,11 +156,11 @@ def moved_numbers(
     given = dict(baseline.quantities(baseline.nominal))
     rows = [(row, given[row.name]) for row in quantities if row.owner == "baseline"]
     rows += [(row, float(row.neutral or 0.0)) for row in core_rows(retuned, prepared.development)]
-    found = []
+    moved = []
     for row, before in rows:
         sure = not row.flat and np.isfinite(row.ci90).all() and not row.ci90[0] <= before <= row.ci90[1]
         if sure and abs(row.value - before) > _LEAST_MOVE * max(abs(before), abs(row.value)):
             shown = row.times(decades.in_log(row.unit))
             was, unit = decades.log_value(before, row.unit), units.named(row.unit) or "1"
-            found.append(Moved(row.name, unit, was, shown.value, shown.ci90))
-    return tuple(found)
+            moved.append(RetunedParameter(row.name, unit, was, shown.value, shown.ci90))
+    return tuple(moved)

@@ -20,11 +20,10 @@ from ..diagnosis import Stability, Verdict
 from ..logs.preparation import PreparedTrials
 from .ambiguity import ambiguity_of
 from .attribution import Attribution, Conclusion, DiagnosisSettings, drift_test
-from .closed_share import Shares
-from .gap_closed import needless
-from .lack_of_fit import structure_left
+from .gap_closed import ClosedShares, negligible_cause
+from .remaining_structure import structure_left
 from .retuning import width_grown
-from .verdict import FinalFacts, Ruling, VerdictFacts, decide_verdict
+from .verdict import FinalFacts, VerdictDecision, VerdictFacts, decide_verdict, residual_ratio
 
 RESAMPLES = 40
 _LEAST_SPLITS = 8  # with fewer, blocks of the errors are drawn as well
@@ -33,8 +32,8 @@ Names = frozenset[str]
 
 
 @dataclass(frozen=True, eq=False)
-class _Split:
-    """Runs to choose on and runs to confirm on; blocks are drawn with replacement where `seed` is given."""
+class _TrialSplit:
+    """Development and final runs of one resample; blocks are drawn with replacement where `seed` is given."""
 
     development: tuple[int, ...]
     final: tuple[int, ...]
@@ -48,7 +47,7 @@ def stability_of(
     settings: DiagnosisSettings,
     seed: int,
 ) -> Stability | None:
-    """Share of resampled splits in which the same rules give the same verdict and the same set of names.
+    """Stability: share of resampled splits of the trials with the same verdict and the same effects.
 
     Each resample takes other trials as final ones. Every hypothesis that the selection tried has errors on all trials
     by fits that did not see them: those of its fold on a development trial, those of the fit to all development trials
@@ -69,24 +68,24 @@ def stability_of(
     """
     if prepared.too_little or prepared.checked.unrelated:
         return None
-    again = _Again(prepared, attribution, conclusion, settings, seed)
+    resampled = _ResampledVerdict(prepared, attribution, conclusion, settings, seed)
     count = len(prepared.development), len(prepared.final)
-    told = Counter(again.verdict(split) for split in _splits(*count, prepared.order == "known", seed))
-    own = conclusion.ruling.verdict, conclusion.chosen.effects
-    rivals = [set(names) for names in conclusion.ruling.ambiguity]
-    same = sum(times for made, times in told.items() if _agree(made, own, rivals))
-    others = Counter({_label(*made): 0 for made in told})
-    for made, times in told.items():
-        others[_label(*made)] += 0 if _agree(made, own, rivals) else times
-    total = sum(told.values())
+    verdicts = Counter(resampled.verdict(split) for split in _splits(*count, prepared.order == "known", seed))
+    reference = conclusion.decision.verdict, conclusion.chosen.effects
+    rivals = [set(names) for names in conclusion.decision.ambiguity]
+    same = sum(times for verdict, times in verdicts.items() if _same_result(verdict, reference, rivals))
+    others = Counter({_label(*verdict): 0 for verdict in verdicts})
+    for verdict, times in verdicts.items():
+        others[_label(*verdict)] += 0 if _same_result(verdict, reference, rivals) else times
+    total = sum(verdicts.values())
     return Stability(same / total, total, tuple((text, n / total) for text, n in others.most_common(3) if n))
 
 
-def _agree(made: tuple[Verdict, Names], own: tuple[Verdict, Names], rivals: Sequence[set[str]]) -> bool:
-    """Whether verdict and names are the same; of a set that cannot be told apart any member counts."""
-    if made[0] != own[0] or len(made[1]) != len(own[1]):
+def _same_result(verdict: tuple[Verdict, Names], reference: tuple[Verdict, Names], rivals: Sequence[set[str]]) -> bool:
+    """Whether verdict and effects are the same; members of one ambiguous set count as the same effect."""
+    if verdict[0] != reference[0] or len(verdict[1]) != len(reference[1]):
         return False
-    left, right = made[1] - own[1], own[1] - made[1]
+    left, right = verdict[1] - reference[1], reference[1] - verdict[1]
     return all(any(a in names and b in names for names in rivals for b in right) for a in left)
 
 
@@ -94,7 +93,7 @@ def _label(verdict: Verdict, names: Names) -> str:
     return f"{verdict}: {', '.join(sorted(names))}" if names else verdict
 
 
-def _splits(development: int, final: int, ordered: bool, seed: int) -> Iterator[_Split]:
+def _splits(development: int, final: int, ordered: bool, seed: int) -> Iterator[_TrialSplit]:
     """Splits of the runs that differ; a first trial whose order is known stays among those to choose on."""
     runs = range(development + final)
     free = runs[1:] if ordered and development > final else runs
@@ -110,11 +109,11 @@ def _splits(development: int, final: int, ordered: bool, seed: int) -> Iterator[
     repeats = 1 if count >= _LEAST_SPLITS else math.ceil(RESAMPLES / 2 / count)
     for k, part in enumerate(itertools.product(chosen, range(repeats))):
         rest = tuple(run for run in runs if run not in part[0])
-        yield _Split(rest, tuple(sorted(part[0])), None if repeats == 1 else seed + k)
+        yield _TrialSplit(rest, tuple(sorted(part[0])), None if repeats == 1 else seed + k)
 
 
-class _Again:
-    """The verdict on other splits."""
+class _ResampledVerdict:
+    """Verdicts on resampled splits, by the errors of the hypotheses that were fitted once."""
 
     def __init__(
         self,
@@ -129,7 +128,7 @@ class _Again:
         self._spread, self._moved = conclusion.closed.spread, conclusion.closed.moved
         self._faults_mse = prepared.excess_mse
         validation, selection = attribution.validation, attribution.selection
-        self._tried = {names: _everywhere(judged, prepared.final) for names, judged in selection.tried.items()}
+        self._tried = {names: _errors_on_all_runs(judged, prepared.final) for names, judged in selection.tried.items()}
         self._drift_shows = drift_test(validation, settings.verdict)
         baseline, floor_mse = selection.baseline, attribution.facts.floor_mse
         self._structure_left = functools.cache(
@@ -138,10 +137,12 @@ class _Again:
             )
         )
 
-    def verdict(self, split: _Split) -> tuple[Verdict, Names]:
+    def verdict(self, split: _TrialSplit) -> tuple[Verdict, Names]:
         """Verdict and names of the effects on that split."""
-        tried = {names: _part(judged, split.development, split.seed) for names, judged in self._tried.items()}
-        final: dict[Names, Blocks] = {n: _part(judged, split.final, split.seed) for n, judged in self._tried.items()}
+        tried = {names: _errors_on_runs(judged, split.development, split.seed) for names, judged in self._tried.items()}
+        final: dict[Names, Blocks] = {
+            n: _errors_on_runs(judged, split.final, split.seed) for n, judged in self._tried.items()
+        }
         settings = self._settings.verdict
         selection = select_again(tried, self._settings.selection, self._facts.floor_mse, self._faults_mse)
         names = selection.chosen.hypothesis.effects
@@ -155,11 +156,11 @@ class _Again:
             ambiguity=ambiguity_of(selection, settings, self._drift_shows),
         )
         explained = decide_verdict(facts, settings).explained
-        kept = self._proven(facts, final) if explained else frozenset()
-        ruling = self._ruling(facts, kept, selection.chosen.hypothesis, tried, final)
-        return ruling.verdict, kept if ruling.explained else frozenset()
+        kept = self._confirmed_causes(facts, final) if explained else frozenset()
+        decision = self._decision(facts, kept, selection.chosen.hypothesis, tried, final)
+        return decision.verdict, kept if decision.explained else frozenset()
 
-    def _proven(self, facts: VerdictFacts, final: Mapping[Names, Blocks]) -> Names:
+    def _confirmed_causes(self, facts: VerdictFacts, final: Mapping[Names, Blocks]) -> Names:
         """Causes left once those are dropped that do not surely lower the error of the final runs."""
         names, replaceable = facts.effects, {names[0] for names in facts.ambiguity}
         while names:
@@ -169,7 +170,7 @@ class _Again:
             if all(names - {name} in final for name in names):
                 closed = shares.of_causes(names, final.__getitem__)
                 least = {name: min(ci90[0], together[0]) for name, (_, ci90) in closed.items()}
-                small = needless({name: share for name, (share, _) in closed.items()}, replaceable)
+                small = negligible_cause({name: share for name, (share, _) in closed.items()}, replaceable)
             weakest = min(sorted(least), key=lambda name: least[name])
             weakest = weakest if least[weakest] <= 0 else small
             if not weakest:
@@ -179,57 +180,52 @@ class _Again:
                 return frozenset()
         return names
 
-    def _shares(self, names: Names, final: Mapping[Names, Blocks]) -> Shares:
+    def _shares(self, names: Names, final: Mapping[Names, Blocks]) -> ClosedShares:
         before, after = final[frozenset()], final[names]
-        return Shares(before, min(self._floor.rmse_deg**2, before.mse, after.mse), self._spread, self._seed)
+        return ClosedShares(before, min(self._floor.rmse_deg**2, before.mse, after.mse), self._spread, self._seed)
 
-    def _ruling(
+    def _decision(
         self,
         facts: VerdictFacts,
         kept: Names,
         chosen: Hypothesis,
         tried: Mapping[Names, HeldOutErrors],
         final: Mapping[Names, Blocks],
-    ) -> Ruling:
+    ) -> VerdictDecision:
         shares, settings = self._shares(kept, final), self._settings.verdict
-        ratio = 1.0
-        if self._form_mse > 0:
-            ratio = math.sqrt(final[kept].mse / max(self._form_mse, self._floor.noise_deg**2, 1e-9))
         closed = FinalFacts(
             shares.closed(final[kept].mse),
-            ratio,
+            residual_ratio(final[kept].mse, self._form_mse, self._floor.noise_deg**2),
             unproven=bool(chosen.effects) and not kept,
             at_floor=shares.before.mse < settings.at_floor * self._floor.noise_deg**2,
             moved=self._moved,
         )
         if kept and kept != facts.effects:
-            ambiguity = tuple(names for names in facts.ambiguity if names[0] in kept)
-            grown, mse = width_grown(tried[kept].hypothesis), tried[kept].mse
-            facts = replace(facts, effects=kept, chosen_mse=mse, ambiguity=ambiguity, width_grown=grown)
+            facts = facts.with_only(kept, tried[kept].mse, width_grown(tried[kept].hypothesis))
         return decide_verdict(replace(facts, final=closed), settings)
 
 
-def _everywhere(judged: HeldOutErrors, final: Sequence[Run]) -> HeldOutErrors:
+def _errors_on_all_runs(judged: HeldOutErrors, final: Sequence[Run]) -> HeldOutErrors:
     """Errors on the development runs by the fits of the folds, then on the final runs by the fit to all of these."""
     hypothesis = judged.hypothesis
     errors = tuple(hypothesis.problem.held_out_error(hypothesis.q, run) for run in final)
-    found = blocks_of(errors, final)
+    blocks = blocks_of(errors, final)
     return replace(
         judged,
-        energy=np.concatenate([judged.energy, found.energy]),
-        samples=np.concatenate([judged.samples, found.samples]),
-        run=np.concatenate([judged.run, found.run + len(judged.errors)]),
+        energy=np.concatenate([judged.energy, blocks.energy]),
+        samples=np.concatenate([judged.samples, blocks.samples]),
+        run=np.concatenate([judged.run, blocks.run + len(judged.errors)]),
         errors=(*judged.errors, *errors),
-        parts=judged.parts and judged.parts.with_trials(found.energy),
+        parts=judged.parts and judged.parts.with_trials(blocks.energy),
     )
 
 
-def _part(judged: HeldOutErrors, runs: Sequence[int], seed: int | None) -> HeldOutErrors:
+def _errors_on_runs(judged: HeldOutErrors, runs: Sequence[int], seed: int | None) -> HeldOutErrors:
     """Errors on some of the runs; with a seed, on as many blocks of each, drawn with replacement."""
     places = [np.flatnonzero(judged.run == k) for k in runs]
     if seed is not None:
         random = np.random.default_rng(seed)
-        places = [own[random.integers(0, own.size, own.size)] for own in places]
+        places = [blocks[random.integers(0, blocks.size, blocks.size)] for blocks in places]
     at: Index = np.concatenate(places)
     return replace(
         judged,

@@ -1,36 +1,15 @@
-"""The verdict of a diagnosis: one decision table over the facts that the other steps found."""
+"""The verdict of a diagnosis: one decision table over the facts of the earlier steps."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import Literal
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 
-from ..diagnosis import FoundEffect, Gap, Moved, Verdict
+from ..diagnosis import Verdict
 from .retuning import Retuning
 
-VerdictCase = Literal[
-    "too_little",
-    "unrelated",
-    "no_gap",
-    "sensor_alone",
-    "small_gap",
-    "no_effect",
-    "left_open",
-    "structure_left",
-    "unproven",
-    "not_confirmed",
-    "ambiguous",
-    "explained",
-    "jumps",
-    "sensor_beside_unknown",
-    "at_floor",
-    "moved",
-    "reshaped",
-]
-
-VERDICTS: Mapping[VerdictCase, Verdict] = {
+VERDICTS: Mapping[str, Verdict] = {
     "too_little": "too_little",
     "unrelated": "unknown",
     "no_gap": "none",
@@ -49,7 +28,10 @@ VERDICTS: Mapping[VerdictCase, Verdict] = {
     "moved": "retuned",
     "reshaped": "retuned",
 }
+"""Verdict of each case of `decide_verdict`."""
+
 _UNUSABLE = ("too_little", "unrelated")
+_LEAST_MSE = 1e-9  # [deg^2]
 _MENDS_FORM = frozenset(
     {"asymmetry", "nonlinear_gain", "trial_shift"}
 )  # what the form error of a simple core of friction looks like
@@ -144,7 +126,7 @@ class FinalFacts:
 
 @dataclass(frozen=True)
 class VerdictFacts:
-    """All that the verdict depends on.
+    """Errors and findings on which the verdict depends.
 
     Attributes:
         effects: names of the effects selected on the development trials.
@@ -183,10 +165,33 @@ class VerdictFacts:
     width_grown: float = 1.0
     final: FinalFacts | None = None
 
+    @property
+    def least_retuned_mse(self) -> float:
+        """Retuned error, held out or fitted, the lesser of the two [deg^2].
+
+        Held-out motions that are unlike the fitted ones add no structural gap.
+        """
+        return min(self.retuned_mse, self.retuned_fit_mse)
+
+    @property
+    def closed(self) -> float:
+        """Share of the structural error of the development trials that the selected effects close."""
+        return (self.retuned_mse - self.chosen_mse) / max(self.retuned_mse - self.floor_mse, 1e-12)
+
+    def with_only(self, effects: frozenset[str], chosen_mse: float, width_grown: float) -> VerdictFacts:
+        """Facts with some of the selected effects dropped, by the error and the loop width without these."""
+        ambiguity = tuple(names for names in self.ambiguity if names[0] in effects)
+        return replace(self, effects=effects, chosen_mse=chosen_mse, ambiguity=ambiguity, width_grown=width_grown)
+
+
+def residual_ratio(mse: float, form_mse: float, noise_mse: float) -> float:
+    """RMSE with all causes over noise and model-form error; 1 where the model-form error is unknown (zero)."""
+    return math.sqrt(mse / max(form_mse, noise_mse, _LEAST_MSE)) if form_mse > 0 else 1.0
+
 
 @dataclass(frozen=True)
-class Ruling:
-    """The verdict and what follows from it.
+class VerdictDecision:
+    """Verdict of the decision table, and what follows from it.
 
     Attributes:
         case: row of the table in `decide_verdict`.
@@ -194,7 +199,7 @@ class Ruling:
         sensor: whether the sensor is a cause.
     """
 
-    case: VerdictCase
+    case: str
     ambiguity: tuple[tuple[str, ...], ...] = ()
     sensor: bool = False
 
@@ -214,8 +219,8 @@ class Ruling:
         return self.verdict in ("unknown", "too_little") or self.case == "sensor_beside_unknown"
 
 
-def decide_verdict(facts: VerdictFacts, settings: VerdictSettings) -> Ruling:
-    """The verdict: the first row that applies.
+def decide_verdict(facts: VerdictFacts, settings: VerdictSettings) -> VerdictDecision:
+    """Decide the verdict by the first row of the table that applies.
 
     | case                  | applies if                                                                  | verdict    |
     |-----------------------|-----------------------------------------------------------------------------|------------|
@@ -244,14 +249,11 @@ def decide_verdict(facts: VerdictFacts, settings: VerdictSettings) -> Ruling:
     Effects that are not in the library are imitated by others, mostly several at once, that close a part of the gap:
     therefore several effects have to close more on the final trials than one alone.
     """
-    none_selected, form = not facts.effects, facts.form_mse
-    # The errors on the trials of the fit count, too: held-out motions that are new add no structural gap.
-    retuned = min(facts.retuned_mse, facts.retuned_fit_mse)
-    closed = (facts.retuned_mse - facts.chosen_mse) / max(facts.retuned_mse - facts.floor_mse, 1e-12)
-    left_open = closed < settings.least_closed and facts.chosen_mse > settings.still_open * facts.floor_mse
+    none_selected, form, retuned = not facts.effects, facts.form_mse, facts.least_retuned_mse
+    left_open = facts.closed < settings.least_closed and facts.chosen_mse > settings.still_open * facts.floor_mse
     repeats = facts.retuning.unrepeatable < settings.unrepeatable
     no_gap = retuned < settings.no_gap * form
-    rows: tuple[tuple[VerdictCase, bool], ...] = (
+    rows: tuple[tuple[str, bool], ...] = (
         ("too_little", facts.too_little),
         ("unrelated", facts.unrelated),
         ("sensor_alone", no_gap and facts.sensor and facts.sensor_gap),
@@ -266,7 +268,7 @@ def decide_verdict(facts: VerdictFacts, settings: VerdictSettings) -> Ruling:
         ("ambiguous", bool(facts.ambiguity)),
         ("explained", True),
     )
-    case: VerdictCase = next(name for name, applies in rows if applies)
+    case = next(name for name, applies in rows if applies)
     usable = case not in _UNUSABLE
     if usable and facts.jumps and VERDICTS[case] in ("none", "unknown"):
         case = "jumps"
@@ -278,22 +280,22 @@ def decide_verdict(facts: VerdictFacts, settings: VerdictSettings) -> Ruling:
     if usable and facts.new_step and VERDICTS[case] == "none":
         case = "sensor_alone"
     sensor = usable and (facts.sensor or case == "sensor_alone") and VERDICTS[case] not in ("none", "retuned")
-    return Ruling(case, facts.ambiguity if case == "ambiguous" else (), sensor)
+    return VerdictDecision(case, facts.ambiguity if case == "ambiguous" else (), sensor)
 
 
-def _retuned_case(case: VerdictCase, facts: VerdictFacts, settings: VerdictSettings) -> VerdictCase:
-    """The case, or that of retuning where the error fell by it and what it leaves is form error."""
+def _retuned_case(case: str, facts: VerdictFacts, settings: VerdictSettings) -> str:
+    """`moved` or `reshaped` where retuning lowered the error and leaves model-form error; else the given case."""
     verdict, moved = VERDICTS[case], min(facts.retuning.moved, facts.final.moved if facts.final else math.inf)
     if verdict == "none":
         return "moved" if moved >= settings.moved else case
-    beside = facts.sensor or facts.jumps  # not of the core
-    replaced = verdict == "unknown" or (verdict in ("named", "one_of") and not beside)
+    outside_core = facts.sensor or facts.jumps
+    replaced = verdict == "unknown" or (verdict in ("named", "one_of") and not outside_core)
     lowered = moved >= settings.lowered and facts.retuning.unrepeatable < settings.unrepeatable
     return "reshaped" if replaced and lowered and _reshaped(verdict, facts, settings) else case
 
 
 def _reshaped(verdict: Verdict, facts: VerdictFacts, settings: VerdictSettings) -> bool:
-    """Whether a core of the same structure explains what retuning leaves; any one row is enough.
+    """Whether a hysteresis core of the same structure explains the error that retuning leaves: one row is enough.
 
     | the error is                                                | in place of                                      |
     |-------------------------------------------------------------|--------------------------------------------------|
@@ -302,13 +304,12 @@ def _reshaped(verdict: Verdict, facts: VerdictFacts, settings: VerdictSettings) 
     | such that a core identified anew follows it, and the loop   | anything                                         |
     | is far wider than it was, with the effects in place         |                                                  |
     """
-    found, retuned = facts.retuning, min(facts.retuned_mse, facts.retuned_fit_mse)
+    retuning = facts.retuning
     vague = verdict == "unknown" or (bool(facts.effects) and facts.effects <= _MENDS_FORM)
-    higher = retuned < settings.no_gap * found.grown_form_mse
-    closed = (facts.retuned_mse - facts.chosen_mse) / max(facts.retuned_mse - facts.floor_mse, 1e-12)
-    spread = found.friction_share >= settings.friction
-    better = bool(facts.effects) and found.friction_share >= closed
-    wider = facts.width_grown >= settings.width_grown and found.anew_share >= settings.anew
+    higher = facts.least_retuned_mse < settings.no_gap * retuning.grown_form_mse
+    spread = retuning.friction_share >= settings.friction
+    better = bool(facts.effects) and retuning.friction_share >= facts.closed
+    wider = facts.width_grown >= settings.width_grown and retuning.reidentified_share >= settings.anew
     return (vague and (higher or spread)) or (better and spread) or wider
 
 
@@ -318,57 +319,3 @@ def _confirmed(facts: VerdictFacts, settings: VerdictSettings) -> bool:
         return True
     enough = settings.confirmed_several if len(facts.effects) > 1 else settings.confirmed_alone
     return facts.final.closed_share >= enough or facts.final.residual_ratio <= settings.confirmed_left
-
-
-def reason_for(
-    ruling: Ruling,
-    effects: Sequence[FoundEffect],
-    gap: Gap,
-    too_little: str,
-    unrelated: str,
-    moved: Sequence[Moved] = (),
-    unit: str = "deg",
-) -> str:
-    """The verdict in one sentence, with its numbers; `too_little` and `unrelated` say why trials are unusable."""
-    sizes = f"retuned {gap.retuned_rmse_deg:#.3g} {unit}, floor {gap.floor_rmse_deg:#.3g} {unit}"
-    names = ", ".join(effect.words for effect in effects)
-    closed = f"{100 * gap.closed_share:.0f} % of the structural gap closed on trials kept for the end"
-    sets = "; ".join(_either([name.replace("_", " ") for name in names]) for names in ruling.ambiguity)
-    unexplained = "a structural gap that no effect of the library explains"
-    if gap.unrepeatable:
-        differ = f"repeats of a motion differ by {gap.repeats_rmse_deg:#.3g} {unit}"
-        unexplained = (
-            f"{differ}, and retuning leaves no more: what is left does not depend on the command alone, and no effect "
-            "of the library explains it"
-        )
-    return {
-        "named": f"{names}: {closed}, {100 * gap.unexplained_share:.0f} % unexplained ({sizes})",
-        "one_of": f"one of {sets}: these trials cannot tell them apart; {closed} ({sizes})",
-        "unknown": f"{unrelated or unexplained} ({sizes})",
-        "retuned": f"{_retuned(ruling, gap, moved, unit)} ({sizes})",
-        "none": f"no structural gap: retuning leaves no more than noise and the simulator's own form error ({sizes})",
-        "too_little": f"too little: {too_little} ({sizes})",
-    }[ruling.verdict]
-
-
-def _either(names: Sequence[str]) -> str:
-    """Names of a set, as `lag, delay or creep`."""
-    return f"{', '.join(names[:-1])} or {names[-1]}"
-
-
-def _retuned(ruling: Ruling, gap: Gap, moved: Sequence[Moved], unit: str) -> str:
-    """What moved, and by how much the error falls with it."""
-    numbers = ", ".join(moved_words(row) for row in moved) or "numbers of the core, none of them for sure"
-    fall = f"the RMSE falls from {gap.nominal_rmse_deg:#.3g} to {gap.retuned_rmse_deg:#.3g} {unit}"
-    said = f"numbers of the same structure have moved, nothing is missing in it: {numbers}; {fall}"
-    if ruling.case == "moved":
-        return said
-    return f"{said}; the rest is the form error of this simulator with the friction as it is now: identify it anew"
-
-
-def moved_words(row: Moved) -> str:
-    """A number before and after, as `gain 10.2 to 11.4 deg/mm (90 % interval 11.3 to 11.5)`."""
-    low, high = row.ci90
-    unit = "" if row.unit == "1" else f" {row.unit}"
-    name = row.name.replace("_", " ")
-    return f"{name} {row.given:.3g} to {row.value:.3g}{unit} (90 % interval {low:.3g} to {high:.3g})"

@@ -1,4 +1,4 @@
-"""Check of trials: whether they can be compared with a simulator, and what they excite."""
+"""Check of trials against a simulator: units, sign, scale, excitation."""
 
 from __future__ import annotations
 
@@ -42,8 +42,8 @@ _AT_EXTREME, _TRAVEL = 0.02, 0.05  # of the samples; of the command's range
 
 
 @dataclass(frozen=True, eq=False)
-class Checked(ChosenTrials):
-    """Trials that can be diagnosed.
+class CheckedTrials(ChosenTrials):
+    """Checked trials with their excitation and notes.
 
     Attributes:
         excitation: motions, speeds, holds and repeats of their commands.
@@ -60,7 +60,7 @@ class Checked(ChosenTrials):
 
 def check_trials(
     trials: Sequence[Trial], simulator: Simulator | ModelMetadata, seed: int = 0, ordered: bool = True
-) -> Checked:
+) -> CheckedTrials:
     """Compare units, sign and scale with the simulator's, and bring the trials to one rate.
 
     The rate is the simulator's own, at which `evaluate` runs it, where it lies between 10 and 50 Hz and no trial's
@@ -101,7 +101,9 @@ def check_trials(
     excitation = excitation_of(chosen.trials, ordered)
     notes = (*left_out, *_gap_notes(trials), *(n for trial in chosen.given for n in _log_notes(trial)))
     notes = (*notes, *_set_notes(excitation))
-    return Checked(**vars(chosen), excitation=excitation, notes=notes, left_out=tuple(left_out), unrelated=unrelated)
+    return CheckedTrials(
+        **vars(chosen), excitation=excitation, notes=notes, left_out=tuple(left_out), unrelated=unrelated
+    )
 
 
 def _left_out(trial: Trial) -> str:
@@ -137,26 +139,21 @@ def _require_motion(trials: Sequence[Trial]) -> None:
 
 
 def _require_sign(trials: Sequence[Trial]) -> None:
-    pooled = _pooled_correlation(trials)
+    pooled = _correlation(trials)
     for trial in trials:
         limit = _SURELY_WRONG if pooled >= _WRONG_SIGN else _WRONG_SIGN
-        if np.ptp(trial.command) > 0 and (together := _correlation(trial)) < limit:
+        if np.ptp(trial.command) > 0 and (together := _correlation([trial])) < limit:
             raise GapError(
                 f"{trial.source}: the angle falls as the command rises (correlation {together:.2f}), expected it to "
                 "rise; flip the sign of one of them"
             )
 
 
-def _pooled_correlation(trials: Sequence[Trial]) -> float:
+def _correlation(trials: Sequence[Trial]) -> float:
     """Correlation of command and angle about each trial's means, over all trials."""
     u = np.concatenate([trial.command - trial.command.mean() for trial in trials])
     y = np.concatenate([trial.angle - trial.angle.mean() for trial in trials])
     return float(u @ y / math.sqrt(max((u @ u) * (y @ y), 1e-300)))
-
-
-def _correlation(trial: Trial) -> float:
-    u, y = trial.command - trial.command.mean(), trial.angle - trial.angle.mean()
-    return float(u @ y / math.sqrt((u @ u) * (y @ y)))
 
 
 def _require_commands(trials: Sequence[Trial], facts: ModelMetadata) -> None:
@@ -164,8 +161,8 @@ def _require_commands(trials: Sequence[Trial], facts: ModelMetadata) -> None:
     least = min(facts.command_limits.lower, facts.trained_command.lower)
     most = max(facts.command_limits.upper, facts.trained_command.upper)
     factor, unit = (high - low) / (most - least), facts.command_unit
-    name = Path(trials[0].source).name if len(trials) == 1 else f"{len(trials)} trials"
-    text = f"{name}: command {low:.4g} to {high:.4g} {unit}, expected within about {least:.4g} to {most:.4g} {unit}"
+    name, expected = _name(trials), f"expected within about {least:.4g} to {most:.4g} {unit}"
+    text = f"{name}: command {low:.4g} to {high:.4g} {unit}, {expected}"
     if factor > _WRONG_SCALE or factor < _SMALL_COMMAND:
         raise GapError(f"{text} (factor {factor:.3g}{_unit_remark(factor, _COMMAND_UNITS.get(unit, {}))})")
     if low > most + (most - least) or high < least - (most - least):
@@ -186,12 +183,16 @@ def _require_angles(trials: Sequence[Trial], facts: ModelMetadata) -> None:
     angle, middle = float(np.ptp(angles)), float(np.ptp(np.quantile(angles, _MIDDLE)))
     factor = angle / expected
     if factor < 1 / _WRONG_SCALE or min(angle, middle) > _WRONG_SCALE * expected:
-        name, unit = Path(trials[0].source).name if len(trials) == 1 else f"{len(trials)} trials", facts.angle_unit
+        unit = facts.angle_unit
         remark = _unit_remark(factor, _ANGLE_UNITS if unit == "deg" else {}) or "; another unit or device?"
         raise GapError(
-            f"{name}: the angle ranges over {angle:.4g} {unit}, expected about {expected:.4g} {unit} from the "
+            f"{_name(trials)}: the angle ranges over {angle:.4g} {unit}, expected about {expected:.4g} {unit} from the "
             f"simulator (factor {factor:.3g}{remark})"
         )
+
+
+def _name(trials: Sequence[Trial]) -> str:
+    return Path(trials[0].source).name if len(trials) == 1 else f"{len(trials)} trials"
 
 
 def _unit_remark(factor: float, units: dict[float, str]) -> str:
@@ -226,8 +227,8 @@ def _log_notes(trial: Trial) -> Iterator[str]:
                 f"of the samples while the command goes on by {travel:.0%} of its range: a saturated sensor, a stop, "
                 "or slack."
             )
-    if _correlation(trial) < -_WRONG_SIGN:
-        yield f"{name}: the angle hardly follows the command (correlation {_correlation(trial):.2f})."
+    if _correlation([trial]) < -_WRONG_SIGN:
+        yield f"{name}: the angle hardly follows the command (correlation {_correlation([trial]):.2f})."
 
 
 def _set_notes(e: Excitation) -> Iterator[str]:

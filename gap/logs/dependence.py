@@ -14,6 +14,7 @@ from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Mat, Vec
 
 from .motion_type import past_features
+from .sensor import autocorrelation
 
 _DRAWS = 199  # of the null: the lowest level of significance is 1 in 200
 _LEVEL = 0.01
@@ -64,21 +65,21 @@ def follows_command(trials: Sequence[Trial], seed: int = 0) -> tuple[bool, ...]:
     """
     parts = _parts(trials, seed)
     if len(trials) == 1:
-        return (_depends(*_tested(parts)[:2]),)
-    share, chance, expected = _tested(parts)
+        return (_depends(*_held_out_share(parts)[:2]),)
+    share, chance, expected = _held_out_share(parts)
     correlations = [_correlation(part, weights) for part, weights in zip(parts, expected, strict=True)]
-    unseen = _unseen(parts, expected)
-    sure = [_beyond(r) and not small for r, small in zip(correlations, unseen, strict=True)]
+    unseen = _little_motion(parts, expected)
+    sure = [_is_significant(r) and not small for r, small in zip(correlations, unseen, strict=True)]
     majority = sum(sure) >= 0.5 * (len(trials) - sum(unseen))
     if majority and _depends(share, chance):
         usual = float(np.median([float(r[0]) for r, small in zip(correlations, unseen, strict=True) if not small]))
         follows = [
-            small or own or float(r[0]) > usual - _SCATTER * float(r[1:].std())
-            for r, own, small in zip(correlations, sure, unseen, strict=True)
+            small or significant or float(r[0]) > usual - _SCATTER * float(r[1:].std())
+            for r, significant, small in zip(correlations, sure, unseen, strict=True)
         ]
     else:
-        own_parts = [part for part, kept in zip(parts, sure, strict=True) if kept]
-        enough = len(own_parts) >= max(len(trials) / 2, 2) and _depends(*_tested(own_parts)[:2])
+        sure_parts = [part for part, kept in zip(parts, sure, strict=True) if kept]
+        enough = len(sure_parts) >= max(len(trials) / 2, 2) and _depends(*_held_out_share(sure_parts)[:2])
         follows = sure if enough else [False] * len(trials)
     return tuple(follows)
 
@@ -87,13 +88,13 @@ def _depends(share: float, chance: float) -> bool:
     return share > _SURELY or share > max(chance, 0.0)
 
 
-def _beyond(found: Vec) -> bool:
-    """Whether the correlation of a trial (1 + D,) is large, or beyond its null."""
-    own = float(found[0])
-    return own > math.sqrt(_SURELY) or own > float(np.quantile(found[1:], 1 - _LEVEL, method="higher"))
+def _is_significant(correlations: Vec) -> bool:
+    """Whether the correlation of a trial is large, or significant against its null distribution (1 + D,)."""
+    recorded = float(correlations[0])
+    return recorded > math.sqrt(_SURELY) or recorded > float(np.quantile(correlations[1:], 1 - _LEVEL, method="higher"))
 
 
-def _unseen(parts: Sequence[_Part], expected: Sequence[Mat]) -> list[bool]:
+def _little_motion(parts: Sequence[_Part], expected: Sequence[Mat]) -> list[bool]:
     """Trials in which little motion is expected."""
     sizes = [float(w[:, 0] @ p.gram @ w[:, 0]) / p.samples for p, w in zip(parts, expected, strict=True)]
     return [size < _EXPECTED**2 * float(np.mean(sizes)) for size in sizes]
@@ -101,7 +102,7 @@ def _unseen(parts: Sequence[_Part], expected: Sequence[Mat]) -> list[bool]:
 
 def _parts(trials: Sequence[Trial], seed: int) -> list[_Part]:
     random = np.random.default_rng(seed)
-    found = []
+    parts = []
     for trial, features in zip(trials, past_features(trials), strict=True):
         lag = _lag(trial.command)
         width = max(lag // _PER_LAG, 1)
@@ -110,23 +111,22 @@ def _parts(trials: Sequence[Trial], seed: int) -> list[_Part]:
         length = max(min(2 * steps, len(y) // _LEAST_BLOCKS), 1)
         shown = [y[:, 0], *(y[_reordered(len(y), length, random), 0] for _ in range(_DRAWS))]
         edges = np.linspace(0, len(y), _PARTS + 1 if len(trials) == 1 else 2).astype(np.intp).tolist()
-        found += [_part(x[a:b], [own[a:b] for own in shown], width) for a, b in itertools.pairwise(edges)]
-    return found
+        parts += [_part(x[a:b], [order[a:b] for order in shown], width) for a, b in itertools.pairwise(edges)]
+    return parts
 
 
 def _part(x: Mat, shown: Sequence[Vec], width: int) -> _Part:
-    products = np.stack([own @ x for own in shown], axis=1)
-    return _Part(width * x.T @ x, width * products, width * np.array([own @ own for own in shown]), width * len(x))
+    products = np.stack([changes @ x for changes in shown], axis=1)
+    return _Part(
+        width * x.T @ x, width * products, width * np.array([changes @ changes for changes in shown]), width * len(x)
+    )
 
 
 def _lag(command: Vec) -> int:
     """Samples after which the mean square change of a command reaches its variance, at most an eighth of it."""
     most = max(command.size // _LEAST_BLOCKS, 1)
     u = command - command.mean()
-    size = 2 ** math.ceil(math.log2(2 * u.size))
-    together = np.fft.irfft(np.abs(np.fft.rfft(u, size)) ** 2, size)[1 : most + 1] / np.arange(
-        u.size - 1, u.size - 1 - most, -1
-    )
+    together = autocorrelation(u, most + 1)[1:] / np.arange(u.size - 1, u.size - 1 - most, -1)
     reached = np.flatnonzero(2 * (float(np.mean(u**2)) - together) >= float(np.mean(u**2)))
     return int(reached[0]) + 1 if reached.size else most
 
@@ -140,13 +140,13 @@ def _changes(signal: Mat, width: int, steps: int) -> Mat:
 
 
 def _reordered(size: int, length: int, random: np.random.Generator) -> NDArray[np.intp]:
-    """Numbers of `size` samples, blocks of one length, begun anywhere, in another order."""
+    """Indices of `size` samples after a random permutation of blocks of one length."""
     blocks = max(size // length, 1)
     block = np.roll(np.arange(size) * blocks // size, int(random.integers(size)))
     return np.argsort(random.permutation(blocks)[block], kind="stable")
 
 
-def _tested(parts: Sequence[_Part]) -> tuple[float, float, list[Mat]]:
+def _held_out_share(parts: Sequence[_Part]) -> tuple[float, float, list[Mat]]:
     """Share explained, its quantile by chance, and the weights (F, 1 + D) for each part, fitted to the others."""
     gram, products = np.sum([p.gram for p in parts], axis=0), np.sum([p.products for p in parts], axis=0)
     energy = np.maximum(np.sum([p.energy for p in parts], axis=0), 1e-300)
@@ -156,9 +156,10 @@ def _tested(parts: Sequence[_Part]) -> tuple[float, float, list[Mat]]:
         for part in parts:
             rest = gram - part.gram
             damping = ridge * float(np.trace(rest)) / len(rest) + 1e-12
-            own = np.linalg.solve(rest + damping * np.eye(len(rest)), products - part.products)
-            left += part.energy - 2 * np.sum(own * part.products, axis=0) + np.sum(own * (part.gram @ own), axis=0)
-            weights.append(own)
+            coefficients = np.linalg.solve(rest + damping * np.eye(len(rest)), products - part.products)
+            product, square = coefficients * part.products, coefficients * (part.gram @ coefficients)
+            left += part.energy - 2 * np.sum(product, axis=0) + np.sum(square, axis=0)
+            weights.append(coefficients)
         share = 1 - left / energy
         if share[0] > best[0]:
             kept = weights
@@ -167,7 +168,7 @@ def _tested(parts: Sequence[_Part]) -> tuple[float, float, list[Mat]]:
 
 
 def _correlation(part: _Part, weights: Mat) -> Vec:
-    """Of a part's changes, recorded and in other orders (1 + D,), with those expected; 0 where either has none."""
+    """Correlation of a part's changes, recorded and permuted (1 + D,), with predicted ones; 0 where either is zero."""
     expected = weights[:, 0]
     size = np.sqrt(max(float(expected @ part.gram @ expected), 0.0) * np.maximum(part.energy, 0.0))
     return np.divide(expected @ part.products, size, out=np.zeros_like(size), where=size > 1e-12)

@@ -1,9 +1,9 @@
-"""The least size at which these commands would show an effect, from the commands and the simulator alone."""
+"""Smallest detectable size of each effect, from the commands and the simulator alone."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -17,7 +17,7 @@ from hystmpc.trials.types import Mat, Vec
 
 from ..diagnosis import Detectable, DetectableSizes
 from .preparation import PreparedTrials
-from .recording_order import NEEDS_ORDER
+from .trial_choice import NEEDS_ORDER
 
 _SIZES = np.geomspace(0.02, 20.0, 10)
 """Sizes that are tried, as shares of the size from which a fit starts."""
@@ -30,8 +30,8 @@ _NO_FORM = (
 )
 
 
-def sizes_shown(prepared: PreparedTrials, no_gap: float, without: Collection[str] = ()) -> DetectableSizes:
-    """The least size at which each effect would end the verdict that there is no gap.
+def smallest_detectable(prepared: PreparedTrials, no_gap: float, without: Collection[str] = ()) -> DetectableSizes:
+    """Smallest size of each effect that a diagnosis of these trials counts as a gap.
 
         needed_mse = (no_gap - 1) model-form error
 
@@ -45,7 +45,7 @@ def sizes_shown(prepared: PreparedTrials, no_gap: float, without: Collection[str
     needed_mse, units = (no_gap - 1.0) * prepared.form_mse, prepared.checked.trials[0].units
     if needed_mse <= 0:
         return DetectableSizes(math.nan, why_not=_NO_FORM)
-    found = detectable_sizes(prepared.baseline, prepared.everything, needed_mse)
+    detectable = detectable_sizes(prepared.baseline, prepared.everything, needed_mse)
     unordered = () if prepared.order == "known" else tuple(NEEDS_ORDER)
     kept = tuple(
         replace(
@@ -54,14 +54,14 @@ def sizes_shown(prepared: PreparedTrials, no_gap: float, without: Collection[str
             unit=units.named(one.unit) or "1",
             untestable=one.effect in unordered,
         )
-        for one in found
+        for one in detectable
         if one.effect not in without
     )
     return prepared.decades.log_sizes(DetectableSizes(math.sqrt(needed_mse), kept, unit=units.angle))
 
 
 def detectable_sizes(baseline: Baseline, runs: Sequence[Run], needed_mse: float) -> tuple[Detectable, ...]:
-    """For every effect the size at which the part of it that retuning cannot take up reaches a mean square.
+    """Size of every effect at which its part orthogonal to retuning reaches a mean square error.
 
         d(s) = theta(with the effect at size s) - theta(nominal),   left(s) = d - J (J^T J)^-1 J^T d
         mean left(s)^2 = needed_mse
@@ -79,43 +79,32 @@ def detectable_sizes(baseline: Baseline, runs: Sequence[Run], needed_mse: float)
         sizes in the units of the runs, called `cmd` and `deg`.
     """
     problem = Problem(baseline)
-    at = problem.start(baseline.nominal, [])
-    nominal, slopes = zip(*(problem.linearised(at, run) for run in runs), strict=True)
+    nominal, slopes = zip(*(problem.linearised(problem.as_given, run) for run in runs), strict=True)
     known = np.linalg.qr(np.concatenate(slopes))[0]
     angles = np.concatenate(nominal)
     low, high = np.quantile(angles, (0.01, 0.99))
     scale = _scale(runs, float(low), float(high))
-    found = {
-        "trial_shift": _own(len(runs), needed_mse),
-        "periodic_disturbance": _wave(needed_mse),
+    kept = 1.0 - 1.0 / len(runs)  # of shifts between trials the common one is an offset
+    shift = math.sqrt(needed_mse / kept) if kept else math.inf
+    sizes = {
+        "trial_shift": Detectable("trial_shift", "offset", "deg", shift, 1.0 - kept),
+        "periodic_disturbance": Detectable(
+            "periodic_disturbance", "amplitude", "deg", math.sqrt(2.0 * needed_mse), hidden=0.0
+        ),
     }
-    for candidate in _first_forms(candidates(scale, ())):
-        found[candidate.effect] = _least(candidate, baseline, runs, angles, known, needed_mse)
-    return tuple(found[name] for name in diagnosable() if name in found)
+    first_forms: dict[str, Candidate] = {}
+    for candidate in candidates(scale, ()):
+        if candidate.free:
+            first_forms.setdefault(candidate.effect, candidate)
+    for candidate in first_forms.values():
+        sizes[candidate.effect] = _least(candidate, baseline, runs, angles, known, needed_mse)
+    return tuple(sizes[name] for name in diagnosable() if name in sizes)
 
 
 def _scale(runs: Sequence[Run], low: float, high: float) -> Scale:
     command = np.concatenate([run.command for run in runs])
     durations = [run.command.size * run.dt_s for run in runs]
     return Scale(float(command.min()), float(command.max()), low, high, max(durations), sum(durations), runs[0].dt_s)
-
-
-def _first_forms(forms: Sequence[Candidate]) -> Iterator[Candidate]:
-    seen = set()
-    for form in forms:
-        if form.effect not in seen and form.free:
-            seen.add(form.effect)
-            yield form
-
-
-def _own(trials: int, needed_mse: float) -> Detectable:
-    """Of shifts between trials the common one is an offset."""
-    kept = 1.0 - 1.0 / trials
-    return Detectable("trial_shift", "offset", "deg", math.sqrt(needed_mse / kept) if kept else math.inf, 1.0 - kept)
-
-
-def _wave(needed_mse: float) -> Detectable:
-    return Detectable("periodic_disturbance", "amplitude", "deg", math.sqrt(2.0 * needed_mse), 0.0)
 
 
 def _least(
@@ -126,7 +115,7 @@ def _least(
     known: Mat,
     needed_mse: float,
 ) -> Detectable:
-    """Sizes are tried from the least on; between the two about the bar the mean square is a power of the size."""
+    """Smallest detectable size of one effect, by log-log interpolation between sizes on a grid."""
     effect, names = EFFECTS[candidate.effect], [freedom.name for freedom in candidate.free]
     place = next(k for k, name in enumerate(names) if name in effect.neutral)
     freedom, neutral = candidate.free[place], effect.neutral[names[place]]

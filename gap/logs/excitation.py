@@ -1,4 +1,4 @@
-"""Excitation of a set of motions: speeds, holds, repeats, small fast parts, ends of the travel."""
+"""Excitation: speeds, holds, repeats and ends of a set of motions, and the effects that they can tell apart."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from hystmpc.trials.segments import Segments
 from hystmpc.trials.trial import Trial
 
 from .motion_type import STEP_S, MotionType, Move, command_segments, motion_type, moves_of
-from .noise_floor import Repeat, find_repeats
+from .noise_floor import RepeatedMotion, find_repeats
 
 LONG_HOLD_S = 30.0
 _SPEED_RATIO = 1.6  # speeds nearer than that are one speed
@@ -44,7 +44,7 @@ class Excitation:
 
     motions: tuple[MotionType, ...]
     trials: int
-    repeats: tuple[Repeat, ...]
+    repeats: tuple[RepeatedMotion, ...]
     longest_hold_s: float
     fastest: float
     ramp_speeds: tuple[float, ...]
@@ -106,7 +106,7 @@ def excitation_of(trials: Sequence[Trial], ordered: bool = True) -> Excitation:
     moves = [moves_of(trial, part) for trial, part in zip(trials, parts, strict=True)]
     low = min(float(trial.command.min()) for trial in trials)
     span = max(float(trial.command.max()) for trial in trials) - low
-    every = [move for own in moves for move in own]
+    all_moves = [move for trial_moves in moves for move in trial_moves]
     bottom = [trial.command <= low + _LOW * span for trial in trials]
     holds = [stop - start for part in parts for start, stop in part.holds]
     return Excitation(
@@ -115,13 +115,13 @@ def excitation_of(trials: Sequence[Trial], ordered: bool = True) -> Excitation:
         repeats=find_repeats(trials),
         longest_hold_s=max(holds, default=0) * dt,
         fastest=_fastest(trials, span),
-        ramp_speeds=_ramp_speeds(every, dt, _RAMP_HEIGHT * span),
-        steps=sum(move.samples * dt <= STEP_S and move.height >= _STEP_HEIGHT * span for move in every),
-        fast_small=sum(move.samples * dt < _FAST_S and 0.01 < move.height / span < _FAST_HEIGHT for move in every),
+        ramp_speeds=_ramp_speeds(all_moves, dt, _RAMP_HEIGHT * span),
+        steps=sum(move.samples * dt <= STEP_S and move.height >= _STEP_HEIGHT * span for move in all_moves),
+        fast_small=sum(move.samples * dt < _FAST_S and 0.01 < move.height / span < _FAST_HEIGHT for move in all_moves),
         low_s=sum(int(np.count_nonzero(inside)) for inside in bottom) * dt,
         low_visits=sum(int(np.count_nonzero(np.diff(b.astype(np.int8), prepend=0) == 1)) for b in bottom),
         top_levels=_top_levels(trials, parts, low, span),
-        opening_repeated=all(_opening_repeated(own, span) for own in _openings(moves, ordered)),
+        opening_repeated=all(_opening_repeated(trial_moves, span) for trial_moves in _openings(moves, ordered)),
     )
 
 
@@ -164,10 +164,83 @@ def _opening_repeated(moves: Sequence[Sequence[Move]], span: float) -> bool:
     if not moves or not moves[0]:
         return False
     opening = moves[0][0]
-    later = [move for own in moves for move in own][1:]
+    later = [move for trial_moves in moves for move in trial_moves][1:]
     return any(
         abs(move.first - opening.first) <= _OPENING_LEVEL * span
         and abs(move.last - opening.last) <= _OPENING_LEVEL * span
         and abs(move.samples - opening.samples) <= _OPENING_TIME * opening.samples + 1
         for move in later
+    )
+
+
+@dataclass(frozen=True)
+class ConfusableEffects:
+    """Effects with similar responses to some motions.
+
+    Attributes:
+        effects: their public names; two names of one class where `one_class`.
+        separable: whether these motions can tell them apart.
+        separated_by: the motion that can.
+        present: the part of it that these motions have.
+        alike_in_sine, alike_in_hold: share of one effect's gap that the other reproduces on a single 0.2 Hz sine, and
+            on a ramp with a hold of 8 s (study on a Prandtl-Ishlinskii model with three plays, 50 Hz).
+        one_class: equal in command and angle for every motion, by algebra.
+    """
+
+    effects: tuple[str, ...]
+    separable: bool
+    separated_by: str
+    present: str
+    alike_in_sine: float
+    alike_in_hold: float
+    one_class: bool = False
+
+
+_PAIRS: tuple[tuple[tuple[str, ...], str, float, float], ...] = (
+    (("lag", "delay", "rate_dependence"), "fast steps and small sines of 2 to 4 Hz", 1.0, 0.99),
+    (("actuator lag", "sensor lag"), "nothing; reported as one class, lag", 0.99, 1.0),
+    (("lag", "creep"), "holds of 3 s and more", 0.95, 0.3),
+    (("creep", "first_flexure"), "the opening motion repeated", 0.97, 0.3),
+    (("drift", "creep"), f"holds of {LONG_HOLD_S:g} s and more, and a repeat of a motion", 0.96, 0.78),
+    (("stick_slip", "lag"), "ramps at three speeds", 0.83, 0.54),
+    (
+        ("gravity", "nonlinear stretch"),
+        "another orientation or load; reported as one class, nonlinear_gain",
+        0.99,
+        0.98,
+    ),
+    (
+        ("slack", "nonlinear_gain"),
+        "another pretension; slow moves near the lowest command, three times and more",
+        0.63,
+        0.38,
+    ),
+    (("contact", "nonlinear_gain"), "the end approached from three amplitudes and more", 0.71, 0.8),
+)
+"""Effects, the motion that separates them, and `alike_in_sine` and `alike_in_hold` of `ConfusableEffects`."""
+
+
+def confusability(excitation: Excitation) -> tuple[ConfusableEffects, ...]:
+    """The table of confusable effects, judged for these motions."""
+    e, longest = excitation, excitation.longest_hold_s
+    hold = f"longest hold {longest:.3g} s" if longest else "no hold"
+    repeats = f"{len(e.repeats)} pairs of repeats" if e.repeats else "no repeat"
+    speeds = ", ".join(f"{speed:.3g}" for speed in e.ramp_speeds) or "none"
+    opening = "comes" if e.opening_repeated else "does not come"
+    low = f"{e.low_s:.3g} s in {e.low_visits} visits to the lowest tenth of the command"
+    signals = "command and angle only"
+    judged: tuple[tuple[bool | None, str], ...] = (  # in the order of `_PAIRS`; None: one class whatever the motion
+        (e.has_fast, f"{e.steps} fast steps, {e.fast_small} small moves faster than 1.5 Hz"),
+        (None, signals),
+        (e.has_holds, hold),
+        (e.opening_repeated, f"the opening motion {opening} again"),
+        (e.has_long_hold and e.has_repeats, f"{hold}, {repeats}"),
+        (e.has_speeds, f"ramps at distinct speeds: {speeds}"),
+        (None, signals),
+        (e.dwells_low and not e.sine_only, low),
+        (e.top_levels >= 3, f"{e.top_levels} distinct upper turning points"),
+    )
+    return tuple(
+        ConfusableEffects(effects, bool(separable), motion, text, in_sine, in_hold, one_class=separable is None)
+        for (effects, motion, in_sine, in_hold), (separable, text) in zip(_PAIRS, judged, strict=True)
     )

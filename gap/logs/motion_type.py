@@ -1,4 +1,4 @@
-"""Motion types and memory features of a trial, from its command alone: sine, steps, holds, and what the past holds."""
+"""Motion types (sine, steps, holds, ...) and features of the command history of a trial, from its command alone."""
 
 from __future__ import annotations
 
@@ -108,7 +108,7 @@ def motion_type(trial: Trial, parts: Segments) -> MotionType:
     if not moves:
         return "holds"
     held = sum(b - a for a, b in rests) / (len(trial) - lead)
-    journeys = _journeys(moves, rests)
+    journeys = _between_rests(moves, rests)
     turning = sum(_time(j) for j in journeys if len(j) > 2)
     moving = sum(_time(j) for j in journeys)
     if held < _HELD_SHARE or turning > 0.7 * moving:
@@ -125,8 +125,8 @@ def _time(journey: list[Move]) -> int:
     return sum(move.samples for move in journey)
 
 
-def _journeys(moves: list[Move], rests: list[tuple[int, int]]) -> list[list[Move]]:
-    """Moves with no rest between them."""
+def _between_rests(moves: list[Move], rests: list[tuple[int, int]]) -> list[list[Move]]:
+    """Groups of moves without a rest between them."""
     starts = [a for a, _ in rests]
     places = np.searchsorted(starts, [move.start for move in moves])
     return [[move for move, at in zip(moves, places, strict=True) if at == k] for k in sorted(set(places.tolist()))]
@@ -142,7 +142,7 @@ def _continuous(moves: list[Move], span: float) -> MotionType:
     regular = _regular(large)
     if lines >= 0.7:
         return "scan" if regular and len(large) >= 4 else "ramps"
-    if regular and cosine < _COSINE and _one_way([move.height for move in large[1:]], _SMALL * span):
+    if regular and cosine < _COSINE and _monotonic([move.height for move in large[1:]], _SMALL * span):
         return "sine"
     return "sines" if lines <= 0.3 else "mixed"
 
@@ -154,7 +154,7 @@ def _regular(moves: list[Move]) -> bool:
     return periods.size < 2 or float(np.std(periods)) <= _REGULAR * float(np.mean(periods)) + 0.5
 
 
-def _one_way(heights: list[float], slack: float) -> bool:
+def _monotonic(heights: list[float], slack: float) -> bool:
     """Whether heights only shrink or only grow, apart from `slack`."""
     steps = np.diff(heights)
     return bool(np.all(steps <= slack) or np.all(steps >= -slack))
@@ -172,7 +172,7 @@ def past_features(trials: Sequence[Trial]) -> list[Mat]:
     """Command, speeds, lagged and low-passed commands and plays (T, F) of each trial, of unit variance over all."""
     low = min(float(trial.command.min()) for trial in trials)
     span = max(float(trial.command.max()) for trial in trials) - low or 1.0
-    rows = [_past((trial.command - low) / span, trial.dt) for trial in trials]
+    rows = [_features_of_past((trial.command - low) / span, trial.dt) for trial in trials]
     samples = sum(len(x) for x in rows)
     mean = np.sum([x.sum(axis=0) for x in rows], axis=0) / samples
     variance = np.sum([((x - mean) ** 2).sum(axis=0) for x in rows], axis=0) / samples
@@ -193,22 +193,28 @@ def memory_features(trial: Trial, loop_width: float, clock_s: float) -> dict[str
     v = np.gradient(u, dt) / span
     bounded = v / (np.abs(v) + _TYPICAL_SPEED)  # a step must not dominate the fit
     direction, held = _last_direction(parts), parts.labels == Motion.HOLD
-    turned = np.zeros(u.size, dtype=np.bool_)
-    turned[parts.reversals] = True
-    travelled = np.cumsum(np.abs(np.diff(u, prepend=u[0])))
-    since = travelled - travelled[np.arange(u.size) - _samples_since(turned)]
+    samples, travel, total = since_reversal(u, parts)
     t = np.arange(u.size, dtype=np.float64) * dt
     columns = (
         [bounded, np.abs(bounded), np.sign(v) * (np.abs(v) > 1e-3), bounded**2],
-        _decaying(_samples_since(turned), dt, direction),
+        _decaying(samples, dt, direction),
         _decaying(_samples_since(~held), dt, direction * held),
-        [*(direction * np.exp(-since / (k * width)) for k in (0.5, 1.0, 2.0)), travelled / span / 10.0],
+        [*(direction * np.exp(-travel / (k * width)) for k in (0.5, 1.0, 2.0)), total / span / 10.0],
         [t / 60.0, (clock_s + t) / 60.0],
     )
-    return {name: np.column_stack(own) for name, own in zip(MEMORIES, columns, strict=True)}
+    return {name: np.column_stack(group) for name, group in zip(MEMORIES, columns, strict=True)}
 
 
-def _past(u: Vec, dt: float) -> Mat:
+def since_reversal(command: Vec, parts: Segments) -> tuple[Index, Vec, Vec]:
+    """Samples and travel [cmd] since the last reversal, or since the start, and travel since the start (T,) each."""
+    turned = np.zeros(command.size, dtype=np.bool_)
+    turned[parts.reversals] = True
+    samples = _samples_since(turned)
+    travelled = np.cumsum(np.abs(np.diff(command, prepend=command[0])))
+    return samples, travelled - travelled[np.arange(command.size) - samples], travelled
+
+
+def _features_of_past(u: Vec, dt: float) -> Mat:
     """Features (T, F) of a command between 0 and 1 and its past."""
     lags = [max(1, round(lag / dt)) for lag in _LAGS_S]
     late = [np.concatenate([np.full(min(k, u.size), u[0]), u[:-k]])[: u.size] for k in lags]

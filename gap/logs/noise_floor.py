@@ -1,4 +1,4 @@
-"""Noise floor: the error that the best simulator keeps, from repeats of a motion or from the residual's noise."""
+"""Noise floor: irreducible error of any simulator, from repeated motions or from the noise of the residual."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _MOST_SHIFTS = 40  # per pair of trials, best supported first
 
 
 @dataclass(frozen=True)
-class Floor:
+class NoiseFloor:
     """Root mean square error of the best simulator.
 
     Attributes:
@@ -43,7 +43,7 @@ class Floor:
 
 
 @dataclass(frozen=True)
-class Repeat:
+class RepeatedMotion:
     """Two stretches with equal commands.
 
     Attributes:
@@ -72,9 +72,9 @@ class Repeat:
 
 
 def find_floor(
-    trials: Sequence[Trial], residuals: Sequence[Vec], dt: float, repeats: Sequence[Repeat] | None = None
-) -> Floor:
-    """Both floors of uniform trials.
+    trials: Sequence[Trial], residuals: Sequence[Vec], dt: float, repeats: Sequence[RepeatedMotion] | None = None
+) -> NoiseFloor:
+    """Noise floor of uniform trials, from repeated motions and from white noise.
 
     From repeats: sigma^2 = sum_p sum_k (e2 - e1)^2 / sum_p n_p w_p over pairs p of n_p samples, with w = 2 at a shift
     of whole samples, less where interpolation reduces the noise. Residuals, not angles, are compared, since commands of
@@ -94,11 +94,11 @@ def find_floor(
     noise = white_noise(residuals)
     pairs = find_repeats(trials) if repeats is None else repeats
     if sum(repeat.stop - repeat.start for repeat in pairs) * dt < _LEAST_REPEATED_S:
-        return Floor(noise, "noise", noise)
+        return NoiseFloor(noise, "noise", noise)
     differences = [repeat.differences(residuals) for repeat in pairs]
     squares = np.array([float(d @ d) for d, _ in differences])
     weights = np.array([d.size * w for d, w in differences])
-    return Floor(math.sqrt(float(squares.sum() / weights.sum())), "repeats", noise)
+    return NoiseFloor(math.sqrt(float(squares.sum() / weights.sum())), "repeats", noise)
 
 
 def require_residuals(trials: Sequence[Trial], residuals: Sequence[Vec]) -> None:
@@ -116,7 +116,7 @@ def require_residuals(trials: Sequence[Trial], residuals: Sequence[Vec]) -> None
             raise GapError(f"{trial.source}: residual is not finite at sample {int(np.argmin(np.isfinite(e)))}")
 
 
-def find_repeats(trials: Sequence[Trial], tolerance: float = TOLERANCE) -> tuple[Repeat, ...]:
+def find_repeats(trials: Sequence[Trial], tolerance: float = TOLERANCE) -> tuple[RepeatedMotion, ...]:
     """All pairs of stretches of uniform trials at one rate whose commands are equal.
 
     Turning points and ends of holds at equal levels propose the shifts. A stretch counts once it has visited both its
@@ -137,18 +137,18 @@ def find_repeats(trials: Sequence[Trial], tolerance: float = TOLERANCE) -> tuple
         return ()
     noise = white_noise([trial.command for trial in trials])
     band = max(tolerance * span, 4 * 2**0.5 * noise)
-    marks = [_marks(trial) for trial in trials]
-    found: list[Repeat] = []
+    marks = [_alignment_marks(trial) for trial in trials]
+    repeats: list[RepeatedMotion] = []
     for a, first in enumerate(trials):
         for b in range(a, len(trials)):
             for shift in _shifts(first, trials[b], marks[a], marks[b], band, a == b):
-                repeat = _stretch((a, b), (first, trials[b]), shift, band, _LEAST_SPAN * span)
-                if repeat and not any(_same(repeat, other) for other in found):
-                    found.append(repeat)
-    return tuple(found)
+                repeat = _longest_repeat((a, b), (first, trials[b]), shift, band, _LEAST_SPAN * span)
+                if repeat and not any(_same_repeat(repeat, other) for other in repeats):
+                    repeats.append(repeat)
+    return tuple(repeats)
 
 
-def _marks(trial: Trial) -> Index:
+def _alignment_marks(trial: Trial) -> Index:
     parts = command_segments(trial)
     return np.unique(np.concatenate([parts.reversals, [b - 1 for _, b in parts.holds], [0]]).astype(np.intp))
 
@@ -167,9 +167,9 @@ def _shifts(first: Trial, second: Trial, a: Index, b: Index, band: float, same: 
     return [int(values[k]) for k in order if support[k] >= 2][:_MOST_SHIFTS]
 
 
-def _stretch(
+def _longest_repeat(
     pair: tuple[int, int], trials: tuple[Trial, Trial], shift: int, band: float, least: float
-) -> Repeat | None:
+) -> RepeatedMotion | None:
     """The longest equal stretch at about that shift, the shift refined to a fraction of a sample."""
     u, v = trials[0].command, trials[1].command
     start, stop = _longest(np.abs(_shifted(v, shift, u.size) - u) <= 4 * band)
@@ -186,7 +186,7 @@ def _stretch(
     start += max(int(np.argmax(u[start:stop])), int(np.argmin(u[start:stop])))
     if (stop - start) * trials[0].dt < _LEAST_S:
         return None
-    return Repeat(*pair, start, stop, float(exact))
+    return RepeatedMotion(*pair, start, stop, float(exact))
 
 
 def _shifted(v: Vec, shift: float, size: int) -> Vec:
@@ -199,5 +199,5 @@ def _longest(inside: Mask) -> tuple[int, int]:
     return max(stretches(inside), key=lambda ends: ends[1] - ends[0], default=(0, 0))
 
 
-def _same(a: Repeat, b: Repeat) -> bool:
+def _same_repeat(a: RepeatedMotion, b: RepeatedMotion) -> bool:
     return (a.first, a.second) == (b.first, b.second) and abs(a.shift - b.shift) < 3

@@ -25,16 +25,22 @@ from hystmpc.models.start import motion_line, search_box
 from hystmpc.trials.command_noise import remove_command_noise
 from hystmpc.trials.errors import GapError, LogError
 from hystmpc.trials.segments import first_flexure_end, segment
-from hystmpc.trials.trial import Trial, Units, parts_at_gaps, resample
+from hystmpc.trials.trial import Trial, Units, parts_at_gaps
 from hystmpc.trials.types import Vec
 
 from ..diagnosis import Order
-from .as_given import evaluated_mse, evaluation_notes, own_starts, with_own_rate
-from .check import Checked, check_trials
-from .recording_order import in_recording_order
-from .rest_angles import common_rest
+from .as_given import (
+    common_rest,
+    corrected_to_simulator_rate,
+    evaluated_mse,
+    evaluation_notes,
+    resampled_or_none,
+    starts_at_simulator_rate,
+)
+from .check import CheckedTrials, check_trials
+from .noise_floor import NoiseFloor, find_floor
 from .sensor import SensorSigns, repaired, sensor_signs, white_noise
-from .trial_choice import split_runs
+from .trial_choice import in_recording_order, split_runs
 
 _LEAST_S, _LEAST_TURNS = 15.0, 3
 _COARSER = 1.5  # times the step that the readings had at identification
@@ -68,7 +74,7 @@ class PreparedTrials:
 
     decades: Decades
     given: tuple[Trial, ...]
-    checked: Checked
+    checked: CheckedTrials
     signs: SensorSigns
     baseline: Baseline
     development: tuple[Run, ...]
@@ -90,6 +96,10 @@ class PreparedTrials:
     def residuals(self, hypothesis: Hypothesis) -> list[Vec]:
         """Measured less simulated angle of every run (T,) each [deg]."""
         return [run.angle - hypothesis.problem.angles(hypothesis.q, run) for run in self.everything]
+
+    def floor(self, residuals: Sequence[Vec]) -> NoiseFloor:
+        """Noise floor of residuals (T,) of every run [deg]."""
+        return find_floor(self.checked.trials, residuals, self.checked.dt, self.checked.excitation.repeats)
 
     def scored(self, residuals: Sequence[Vec]) -> list[Vec]:
         """Residuals (T,) of every run with zeros where it does not count [deg]."""
@@ -118,9 +128,8 @@ def prepare(
         ModelError: if the simulator is an inverse map.
     """
     trials, order = in_recording_order(trials, ordered)
-    known = order == "known"
-    checked = check_trials(trials, simulator if isinstance(simulator, Simulator) else simulator.metadata, seed, known)
-    facts = simulator.metadata() if isinstance(simulator, Simulator) else simulator.metadata
+    known, facts = order == "known", simulator.metadata() if isinstance(simulator, Simulator) else simulator.metadata
+    checked = check_trials(trials, simulator if isinstance(simulator, Simulator) else facts, seed, known)
     decades = Decades.of_ranges(facts.trained_command, facts.trained_angle)
     if isinstance(simulator, Simulator):
         _require_size(simulator, decades)
@@ -130,7 +139,7 @@ def prepare(
     in_working_units = decades.trials(checked.trials)
     baseline, runs = _baseline_and_runs(simulator, checked, signs, decades)
     motions = checked.excitation.motions
-    form_mse = model_form_mse(identification, trials, motions, _sample_time(simulator))
+    form_mse = model_form_mse(identification, trials, motions, facts.dt_s)
     runs = counted = common_rest(runs, form_mse)
     begun = [f"{motion_line(Path(run.name).name, run.start, run.dt_s)}." for run in runs if run.lead]
     checked = replace(checked, notes=(*checked.notes, *begun))
@@ -162,7 +171,7 @@ def prepare(
 
 
 def _baseline_and_runs(
-    simulator: Simulator | LoadedModel, checked: Checked, signs: SensorSigns, decades: Decades
+    simulator: Simulator | LoadedModel, checked: CheckedTrials, signs: SensorSigns, decades: Decades
 ) -> tuple[Baseline, tuple[Run, ...]]:
     """The nominal simulator at the sample time of the trials, and these as runs, faults of the sensor repaired."""
     trials, given = decades.trials(checked.trials), decades.trials(checked.given)
@@ -173,38 +182,35 @@ def _baseline_and_runs(
     )
     before = [b.scaled(1 / decades.command) for b in checked.before]
     if isinstance(simulator, Simulator):
-        own, chain = (decades.chain(s.chain) for s in (simulator, simulator.at_sample_time(checked.dt)))
+        simulator_chain, chain = (decades.chain(s.chain) for s in (simulator, simulator.at_sample_time(checked.dt)))
         baseline = baseline_of(chain, command)
-        starts = own_starts([repaired(trial, signs) for trial in given], simulator.dt_s, checked.dt)
-        runs = _begun(baseline, runs_of(repaired_trials, None, before, starts), simulator, decades)
-        runs = with_own_rate(runs, given, chain, own, simulator.dt_s)
+        starts = starts_at_simulator_rate([repaired(trial, signs) for trial in given], simulator.dt_s, checked.dt)
+        runs = _with_starts(baseline, runs_of(repaired_trials, None, before, starts), simulator, decades)
+        runs = corrected_to_simulator_rate(runs, given, chain, simulator_chain, simulator.dt_s)
     else:
         baseline, corrections = _network_baseline(simulator, repaired_trials, command, decades)
         runs = runs_of(repaired_trials, corrections, before)
     if signs.spikes or signs.drops:
-        problem = Problem(baseline)
-        start = problem.start(baseline.nominal, [])
-        pairs = zip(runs, trials, strict=True)
-        runs = tuple(replace(r, angle=repaired(t, signs, problem.angles(start, r)).angle) for r, t in pairs)
+        problem, pairs = Problem(baseline), zip(runs, trials, strict=True)
+        runs = tuple(replace(r, angle=repaired(t, signs, problem.angles(problem.as_given, r)).angle) for r, t in pairs)
     return baseline, runs
 
 
-def _begun(baseline: Baseline, runs: Sequence[Run], simulator: Simulator, decades: Decades) -> tuple[Run, ...]:
-    """Runs from where the simulator as given finds that they begin, as `evaluate` does (`models.start`)."""
+def _with_starts(baseline: Baseline, runs: Sequence[Run], simulator: Simulator, decades: Decades) -> tuple[Run, ...]:
+    """Runs with the initial states that the simulator as given finds, as `evaluate` does (`models.start`)."""
     u, y = simulator.trained_command, simulator.trained_angle_deg
     box = search_box(
         Range(lower=u.lower / decades.command, upper=u.upper / decades.command),
         Range(lower=y.lower / decades.angle, upper=y.upper / decades.angle),
     )
     problem = Problem(baseline)
-    start = problem.start(baseline.nominal, [])
-    return tuple(problem.begun(start, run, box) for run in runs)
+    return tuple(problem.begun(problem.as_given, run, box) for run in runs)
 
 
 def _evaluation_notes(
-    simulator: Simulator, errors: Sequence[Vec], checked: Checked, skip_first_flexure: bool
+    simulator: Simulator, errors: Sequence[Vec], checked: CheckedTrials, skip_first_flexure: bool
 ) -> tuple[str, ...]:
-    """A sentence where `evaluate` gives another error than these (C,) each, in the unit of the log."""
+    """Note where `evaluate` finds another error than these (C,) each, in the unit of the log."""
     sizes = float(np.mean(np.concatenate(errors) ** 2)), white_noise(errors) ** 2
     evaluated = evaluated_mse(simulator, checked.given, skip_first_flexure)
     return evaluation_notes(simulator, *sizes, evaluated, checked.given, checked.dt)
@@ -212,10 +218,8 @@ def _evaluation_notes(
 
 def _given_errors(baseline: Baseline, runs: Sequence[Run], measured: Sequence[Trial], decades: Decades) -> list[Vec]:
     """Errors of the simulator as given against the angles as measured (C,) each, in the unit of the log."""
-    problem = Problem(baseline)
-    start = problem.start(baseline.nominal, [])
-    pairs = zip(runs, measured, strict=True)
-    return [decades.angle * (problem.angles(start, run) - trial.angle)[run.counts] for run, trial in pairs]
+    problem, pairs = Problem(baseline), zip(runs, measured, strict=True)
+    return [decades.angle * (problem.angles(problem.as_given, run) - trial.angle)[run.counts] for run, trial in pairs]
 
 
 def _from_first_reversal(run: Run, trial: Trial) -> Run:
@@ -237,27 +241,27 @@ def _known_step(identification: Identification, decades: Decades) -> float:
 
 
 def _require_size(simulator: Simulator, decades: Decades) -> None:
-    """A diagnosis searches within the bounds of its operators, which are stated in working units."""
+    """Require parameters within the bounds of their operators, which are stated in working units."""
     units, chain = Units(simulator.command_unit, simulator.angle_unit), decades.chain(simulator.chain)
     for name, parameter, value in zip(chain.labels, chain.parameters, chain.values, strict=True):
         if not parameter.lower <= value <= parameter.upper:
-            found, low, high = (decades.log_value(v, parameter.unit) for v in (value, parameter.lower, parameter.upper))
+            size, low, high = (decades.log_value(v, parameter.unit) for v in (value, parameter.lower, parameter.upper))
             raise GapError(
-                f"simulator: {name} is {found:.4g} {units.named(parameter.unit)}, expected {low:g} to {high:g} from "
+                f"simulator: {name} is {size:.4g} {units.named(parameter.unit)}, expected {low:g} to {high:g} from "
                 "the ranges that it was identified in"
             )
 
 
 def _identification(simulator: Simulator | LoadedModel, decades: Decades) -> Identification:
-    """What the simulator's file says of its identification, residuals in working units."""
+    """Identification record of the simulator, residuals in working units."""
     if not isinstance(simulator, Simulator):
         return Identification(method="network")
-    own = simulator.identification
+    identification = simulator.identification
     residuals = tuple(
         r.model_copy(update={"rmse_deg": r.rmse_deg / decades.angle, "bias_deg": r.bias_deg / decades.angle})
-        for r in own.residuals
+        for r in identification.residuals
     )
-    return own.model_copy(update={"residuals": residuals})
+    return identification.model_copy(update={"residuals": residuals})
 
 
 def shortage(trials: Sequence[Trial]) -> str:
@@ -269,10 +273,6 @@ def shortage(trials: Sequence[Trial]) -> str:
     if turns < _LEAST_TURNS:
         return f"the command turns {turns} times in all, expected {_LEAST_TURNS} or more"
     return ""
-
-
-def _sample_time(simulator: Simulator | LoadedModel) -> float:
-    return simulator.dt_s if isinstance(simulator, Simulator) else simulator.metadata.dt_s
 
 
 def _network_baseline(
@@ -287,23 +287,21 @@ def _network_baseline(
     copies = [replace(trial, angle=y) for trial, y in zip(trials, angles, strict=True)]
     baseline = ScaledBaseline(_plays(copies, command), command)
     problem = Problem(baseline)
-    start = problem.start(baseline.nominal, [])
-    return baseline, [y - problem.angles(start, run) for y, run in zip(angles, runs_of(trials), strict=True)]
+    pairs = zip(angles, runs_of(trials), strict=True)
+    return baseline, [y - problem.angles(problem.as_given, run) for y, run in pairs]
 
 
 def _plays(copies: Sequence[Trial], command: Range) -> Chain:
     """Rate-independent plays fitted to a network's own free runs."""
     from hystmpc.models.identify.chain_kinds import prandtl_ishlinskii_starts
 
-    runs, found = runs_of(copies), []
+    runs, fits = runs_of(copies), []
     for start in prandtl_ishlinskii_starts(copies, _PLAYS):
         values = [0.0 if p.name == "beta" else v for p, v in zip(start.parameters, start.values, strict=True)]
         baseline = FreeCoreBaseline(start.with_values(values), command)
         problem = Problem(baseline)
-        found.append(
-            (problem, fit_problem(problem, runs, problem.start(baseline.nominal, []), _EVALUATIONS, _TOLERANCE))
-        )
-    problem, best = min(found, key=lambda pair: pair[1].mse)
+        fits.append((problem, fit_problem(problem, runs, problem.as_given, _EVALUATIONS, _TOLERANCE)))
+    problem, best = min(fits, key=lambda pair: pair[1].mse)
     return problem.fitted_chain(best.q)
 
 
@@ -322,20 +320,24 @@ def model_form_mse(
         dt_s: sample time of the simulator, at which it was identified [s].
     """
     stored = identification.residuals
-    if not stored or _has_seen(identification, trials, dt_s):
+    if not stored or _identified_on(identification, trials, dt_s):
         return 0.0
     held = ["holds" if motion in ("holds", "steps", "point_to_point", "ramps") else "continuous" for motion in motions]
     everything = [r.rmse_deg**2 for r in stored]
-    own = [[r.rmse_deg**2 for r in stored if r.motion == kind] or everything for kind in held]
-    return float(np.mean([np.mean(values) for values in own]))
+    by_motion = [[r.rmse_deg**2 for r in stored if r.motion == kind] or everything for kind in held]
+    return float(np.mean([np.mean(values) for values in by_motion]))
 
 
-def _has_seen(identification: Identification, trials: Sequence[Trial], dt_s: float) -> bool:
+def _identified_on(identification: Identification, trials: Sequence[Trial], dt_s: float) -> bool:
     """Whether it was identified on one of these trials, or on all of them, at any rate."""
     known = {r.fingerprint for r in identification.residuals if r.fingerprint}
     # A file's sample time is rounded: 0.03333333333 s stand for 30 Hz, but 0.03 s for 1 / 0.03 Hz.
     parts = remove_command_noise([part for trial in trials for part in _parts(trial)])
-    for taken in (trials, parts, *(_at(parts, rate) for rate in {1 / dt_s, round(1 / dt_s, 4)})):
+    for taken in (
+        trials,
+        parts,
+        *([t for part in parts if (t := resampled_or_none(part, rate))] for rate in {1 / dt_s, round(1 / dt_s, 4)}),
+    ):
         if identification.training_data_hash == fingerprint(taken):
             return True
         if any(fingerprint([trial]) in known for trial in taken):
@@ -348,15 +350,6 @@ def _parts(trial: Trial) -> tuple[Trial, ...]:
     with suppress(LogError):
         return parts_at_gaps(trial)
     return ()
-
-
-def _at(trials: Sequence[Trial], rate_hz: float) -> list[Trial]:
-    """The trials resampled to that rate; those that cannot be are left out."""
-    taken = []
-    for trial in trials:
-        with suppress(LogError):
-            taken.append(resample(trial, rate_hz))
-    return taken
 
 
 def nominal_noise_deg(identification: Identification, step_deg: float = 0.0) -> float | None:

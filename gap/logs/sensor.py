@@ -1,4 +1,4 @@
-"""Faults of an angle sensor: resolution, white noise, spikes and held values; and a trial repaired of them."""
+"""Faults of an angle sensor: resolution, white noise, spikes and held values; detection and repair."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ class SensorSigns:
 
 
 def sensor_signs(trials: Sequence[Trial], nominal_noise_deg: float | None = None) -> SensorSigns:
-    """Look for faults of the sensor in trials as recorded; resampling would take the angles off their grid.
+    """Detect faults of the sensor in trials as recorded; resampling would take the angles off their grid.
 
     Args:
         trials: of one device.
@@ -146,12 +146,12 @@ def _spikes(trial: Trial, step: float, noise: float) -> tuple[Mask, int]:
     least = max(_SPIKE * 1.5**0.5 * noise, _STEPS * step, _LEAST_JUMP * float(np.ptp(trial.angle)), 1e-9)
     middle, pull = h[1:-1], np.stack([h[:-2], h[2:]])
     safe = np.where(middle == 0, np.inf, middle)
-    alike = (pull / safe <= -_SHAPE[0]) & (pull / safe >= -_SHAPE[1])
-    found = np.flatnonzero((np.abs(middle) > least) & alike.all(axis=0)) + 2
+    symmetric = (pull / safe <= -_SHAPE[0]) & (pull / safe >= -_SHAPE[1])
+    spikes = np.flatnonzero((np.abs(middle) > least) & symmetric.all(axis=0)) + 2
     bounds = np.append(edges, len(trial))
-    for k in found.tolist():
+    for k in spikes.tolist():
         mask[bounds[k] : bounds[k + 1]] = True
-    return mask, found.size
+    return mask, spikes.size
 
 
 def _held(trial: Trial, step: float, noise: float) -> Mask:
@@ -201,6 +201,12 @@ def stretches(mask: Mask) -> list[tuple[int, int]]:
     return list(zip(np.flatnonzero(edges == 1).tolist(), np.flatnonzero(edges == -1).tolist(), strict=True))
 
 
+def autocorrelation(signal: Vec, lags: int) -> Vec:
+    """Sum over the samples of signal_k signal_{k + n} for n = 0 ... lags - 1 (N,), by FFT without wrapping around."""
+    size = 2 ** math.ceil(math.log2(2 * max(signal.size, lags)))
+    return np.asarray(np.fft.irfft(np.abs(np.fft.rfft(signal, size)) ** 2, size)[:lags])
+
+
 def white_noise(signals: Sequence[Vec]) -> float:
     """Standard deviation of the white part of signals, each (T,), in their unit; 0 where none is long enough.
 
@@ -210,7 +216,7 @@ def white_noise(signals: Sequence[Vec]) -> float:
 
     Source: von Neumann et al., Ann. Math. Stat. 12 (1941) 153, for n = 1; orders and trimming are ours.
     """
-    found = math.inf
+    lowest = math.inf
     for order in _ORDERS:
         parts = [np.abs(np.diff(signal, order)) for signal in signals if signal.size > order + 1]
         if not parts:
@@ -218,5 +224,5 @@ def white_noise(signals: Sequence[Vec]) -> float:
         size = np.concatenate(parts)
         kept = np.sort(size)[: max(1, round(_KEPT * size.size))]
         value = math.sqrt(float(np.mean(kept**2)) / (_KEPT_MOMENT * math.comb(2 * order, order)))
-        found = value if value < _LESS * found else found
-    return found if math.isfinite(found) else 0.0
+        lowest = value if value < _LESS * lowest else lowest
+    return lowest if math.isfinite(lowest) else 0.0

@@ -1,22 +1,70 @@
-"""Choice of trials: those that can be afforded, at one rate, and their split into development and final runs."""
+"""Order of recording, choice of the trials that can be afforded, and their split into development and final runs."""
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 from scipy.spatial import KDTree
 
 from hystmpc.models.contract.metadata import ModelMetadata
-from hystmpc.models.identify.runs import Before, Run
+from hystmpc.models.identify.runs import Before, Run, fingerprint
 from hystmpc.trials.command_noise import remove_command_noise
 from hystmpc.trials.errors import GapError
+from hystmpc.trials.recording import by_clock, by_manifest
 from hystmpc.trials.trial import Trial, parts_at_gaps, resample
 from hystmpc.trials.types import Index, Vec
 
+from ..diagnosis import Order
 from .motion_type import MotionType, command_segments, motion_type
+
+SET_ACROSS_TRIALS = "set_across_trials"
+NEEDS_ORDER: Mapping[str, str] = {
+    "drift": "A drift goes on from trial to trial, and the order of recording is unknown; it may pass for a trial "
+    "shift.",
+    SET_ACROSS_TRIALS: "A set that the first trials leave in all later ones needs the order of recording, which is "
+    "unknown; a first flexure that comes in every trial anew is looked for.",
+}
+"""What cannot be tested where the order is unknown, and why, a sentence each."""
+
+
+def in_recording_order(trials: Sequence[Trial], ordered: bool) -> tuple[list[Trial], Order]:
+    """Sort the trials by the order of recording, or by their content where that order is unknown.
+
+    Time stamps count first, then the caller's word, then a manifest. A single trial has its order. Where nothing tells
+    the order, trials are sorted by the range of their commands, their length and their content, so that every later
+    choice (folds, final trials, seeds) is the same whatever the order of the files.
+
+    Args:
+        trials: as given.
+        ordered: whether the caller says that they are in the order of recording.
+
+    Raises:
+        GapError: if the caller says so and the time stamps or the manifest say otherwise.
+        ConfigError: if a manifest cannot be used.
+    """
+    if len(trials) < 2:
+        return list(trials), "known"
+    places = by_clock(trials) or by_manifest([trial.source for trial in trials])
+    if ordered and places is not None and places != sorted(places):
+        k = next(k for k, place in enumerate(places) if k != place)
+        first, given = (Path(trials[j].source).name for j in (places[k], k))
+        raise GapError(
+            f"--ordered: got {given} as trial {k + 1}, expected {first}, which was recorded before it by time stamps "
+            "or manifest; give the files in that order, or leave --ordered out"
+        )
+    if places is not None:
+        return [trials[k] for k in places], "known"
+    return (list(trials), "known") if ordered else (sorted(trials, key=_content), "unknown")
+
+
+def _content(trial: Trial) -> tuple[float, float, str, str]:
+    """Sort key that puts similar motions side by side, so that they go to different folds."""
+    return float(np.ptp(trial.command)), trial.duration_s, fingerprint([trial]), trial.source
+
 
 FINAL_SHARE = 0.25
 _LEAST_TRIALS = 3
@@ -36,7 +84,7 @@ _BYTES, _START_BYTES = 0.6e3, 0.35e9
 _SOON_S = 30.0  # a shorter diagnosis is not announced
 _MOST_TRIALS = 200  # repeats are searched in all pairs of trials
 _LEAST_UNCUT_TRIALS = 12  # trials are cut before fewer than these are used
-_REPEAT = 0.005  # distance of `characters`: the same motion again
+_REPEAT = 0.005  # distance of `motion_features`: the same motion again
 
 MOST_HZ = 50.0
 """Greatest rate of a diagnosis: tip motions end at a few Hz, and time grows with the rate."""
@@ -52,7 +100,7 @@ _NEAR_RATE = 1.5
 
 @dataclass(frozen=True)
 class Workload:
-    """Trials that are used, and the cost of their diagnosis.
+    """Selection of trials and the cost of their diagnosis.
 
     Attributes:
         kept: numbers of the trials, in recording order.
@@ -72,7 +120,7 @@ class Workload:
 
 @dataclass(frozen=True, eq=False)
 class ChosenTrials:
-    """Trials that are diagnosed.
+    """Selected trials at one rate.
 
     Attributes:
         trials: uniform, all at one rate, in recording order.
@@ -122,15 +170,15 @@ def choose_trials(
     workload = affordable(uniform, motions, seed, ordered=ordered)
     kept = list(zip(workload.kept, workload.samples, strict=True))
     return ChosenTrials(
-        tuple(_first(uniform[k], uniform[k].t[count - 1]) for k, count in kept),
-        tuple(_first(parts[k], uniform[k].t[count - 1]) for k, count in kept),
+        tuple(_beginning(uniform[k], uniform[k].t[count - 1]) for k, count in kept),
+        tuple(_beginning(parts[k], uniform[k].t[count - 1]) for k, count in kept),
         tuple(before[k] for k, _ in kept),
         1.0 / rate,
         workload,
     )
 
 
-def _first(trial: Trial, end_s: float) -> Trial:
+def _beginning(trial: Trial, end_s: float) -> Trial:
     """The trial up to a time [s], itself where no more than a sample of it comes later."""
     stop = int(np.searchsorted(trial.t, end_s, side="right"))
     return trial if trial.t[-1] - end_s <= 1.5 * trial.dt else trial.select(0, stop)
@@ -146,11 +194,11 @@ def _parts(trial: Trial) -> tuple[Trial, ...]:
 
 
 def _common_rate(trials: Sequence[Trial], facts: ModelMetadata, fixed: bool) -> float:
-    own = 1.0 / facts.dt_s
+    simulator_hz = 1.0 / facts.dt_s
     if fixed:
-        return own
+        return simulator_hz
     slowest = min(MOST_HZ, *(1.0 / trial.dt for trial in trials))
-    return own if LEAST_HZ <= own <= min(_NEAR_RATE * slowest, MOST_HZ) else slowest
+    return simulator_hz if LEAST_HZ <= simulator_hz <= min(_NEAR_RATE * slowest, MOST_HZ) else slowest
 
 
 def affordable(
@@ -178,7 +226,7 @@ def affordable(
     kept, samples = list(range(len(trials))), sizes
     if sizes.sum() > most or len(trials) > _MOST_TRIALS:
         order, needed = _order(trials, motions, seed, ordered)
-        level = _level(sizes[order[: max(needed, min(_LEAST_UNCUT_TRIALS, len(order)))]], most)
+        level = _length_limit(sizes[order[: max(needed, min(_LEAST_UNCUT_TRIALS, len(order)))]], most)
         samples = np.minimum(sizes, level)
         fitting = int(np.searchsorted(np.cumsum(samples[order]), most, side="right"))
         kept = sorted(order[: min(fitting, _MOST_TRIALS)])
@@ -192,7 +240,7 @@ def affordable(
 
 
 def _left_out(what: str, used: Index, recorded: Index, dt: float, most: int, seed: int, ordered: bool) -> str:
-    """One line on the trials and parts that are not used."""
+    """Note on the trials and parts that are not used."""
     cut, ends = used < recorded, "the first, the last, " if ordered else ""
     text = (
         f"{what}, more than are diagnosed in minutes ({most:,} samples of {_MOST_TRIALS} trials): {used.size} trials "
@@ -206,30 +254,30 @@ def _left_out(what: str, used: Index, recorded: Index, dt: float, most: int, see
 
 def _order(trials: Sequence[Trial], motions: Sequence[MotionType], seed: int, ordered: bool) -> tuple[list[int], int]:
     """Numbers of all trials, those that are needed most first, and how many are needed."""
-    found = characters([trial.command for trial in trials], trials[0].dt)
+    features = motion_features([trial.command for trial in trials], trials[0].dt)
     kinds = [np.flatnonzero(np.array(motions) == kind) for kind in dict.fromkeys(motions)]
     needed = dict.fromkeys([0, len(trials) - 1] if ordered else [])
-    for own in kinds:
-        pair = _most_alike(found[own])
-        if pair or not set(own.tolist()) & set(needed):
-            needed |= dict.fromkeys(own[list(pair or (0,))].tolist())
+    for members in kinds:
+        pair = _most_alike(features[members])
+        if pair or not set(members.tolist()) & set(needed):
+            needed |= dict.fromkeys(members[list(pair or (0,))].tolist())
     random = np.random.default_rng(seed)
-    queues = [random.permutation([k for k in own.tolist() if k not in needed]).tolist() for own in kinds]
+    queues = [random.permutation([k for k in members.tolist() if k not in needed]).tolist() for members in kinds]
     rest = [queue[turn] for turn in range(max(map(len, queues))) for queue in queues if turn < len(queue)]
     return [*needed, *rest], len(needed)
 
 
-def _most_alike(found: Vec) -> tuple[int, int] | None:
+def _most_alike(features: Vec) -> tuple[int, int] | None:
     """Numbers of the two motions that are most alike; None where no motion repeats another."""
-    if len(found) < 2:
+    if len(features) < 2:
         return None
-    distance, other = (np.asarray(part) for part in KDTree(found).query(found, k=2))
+    distance, other = (np.asarray(part) for part in KDTree(features).query(features, k=2))
     first = int(np.argmin(distance[:, 1]))
     second = int(other[first, int(other[first, 1] != first)])  # of equal ones a motion may come after its repeat
     return (first, second) if distance[first, 1] < _REPEAT else None
 
 
-def _level(sizes: Index, most: int) -> int:
+def _length_limit(sizes: Index, most: int) -> int:
     """Greatest length to which trials can be cut so that together they have no more than `most` samples."""
     ascending = np.sort(sizes)
     left = most
@@ -262,12 +310,12 @@ def split_runs(
         ordered: whether they stand in the order of recording; the first one then is never final.
     """
     if len(runs) < _LEAST_TRIALS:
-        return _cut(runs)
+        return _split_in_time(runs)
     count = max(round(FINAL_SHARE * len(runs)), 1)
     chosen: list[int] = []
     left = list(range(len(runs)))
-    found = characters([run.command for run in runs], runs[0].dt_s)
-    apart = np.linalg.norm(found[:, None] - found[None], axis=-1)
+    features = motion_features([run.command for run in runs], runs[0].dt_s)
+    apart = np.linalg.norm(features[:, None] - features[None], axis=-1)
     while len(chosen) < count:
         # Of the most frequent motion left, the trial most like another.
         often = max(
@@ -283,7 +331,7 @@ def split_runs(
     return tuple(runs[k] for k in left), tuple(runs[k] for k in sorted(chosen))
 
 
-def _cut(runs: Sequence[Run]) -> tuple[tuple[Run, ...], tuple[Run, ...]]:
+def _split_in_time(runs: Sequence[Run]) -> tuple[tuple[Run, ...], tuple[Run, ...]]:
     development, final = [], []
     for run in runs:
         samples, start = np.arange(run.command.size), int(np.argmax(run.counts))
@@ -294,7 +342,7 @@ def _cut(runs: Sequence[Run]) -> tuple[tuple[Run, ...], tuple[Run, ...]]:
     return tuple(development), tuple(final)
 
 
-def characters(commands: Sequence[Vec], dt_s: float) -> Vec:
+def motion_features(commands: Sequence[Vec], dt_s: float) -> Vec:
     """Levels, speeds, rests and length of K commands (K, 10); near to each other where one repeats another.
 
     Args:
@@ -302,10 +350,10 @@ def characters(commands: Sequence[Vec], dt_s: float) -> Vec:
         dt_s: sample time [s].
     """
     low, high = min(float(u.min()) for u in commands), max(float(u.max()) for u in commands)
-    return np.array([_character(u, dt_s, max(high - low, 1e-12)) for u in commands])
+    return np.array([_features(u, dt_s, max(high - low, 1e-12)) for u in commands])
 
 
-def _character(command: Vec, dt_s: float, span: float) -> Vec:
+def _features(command: Vec, dt_s: float, span: float) -> Vec:
     speed = np.abs(np.diff(command)) / (dt_s * span)
     levels = np.array([command.min(), command.mean(), command.max()]) / span
     quantiles = np.log1p(np.quantile(speed, _SPEEDS))

@@ -1,13 +1,16 @@
-"""Motion design: the safe motion on which the open hypotheses differ most."""
+"""Design of the next motion: the one on which the open hypotheses are separated best, from a menu or by a search."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.optimize import differential_evolution
 from scipy.special import ndtr
 
 from hystmpc.trials.csv_files import format_table
@@ -18,7 +21,7 @@ from hystmpc.trials.recording import SEPARATION_COLUMN
 from hystmpc.trials.types import Vec
 
 from ..diagnosis import NextMotion
-from .motion_menu import MenuMotion
+from .motions import SIZE, MotionFamily, SampledMotion
 
 Simulate = Callable[[Vec, float], Vec]
 
@@ -30,7 +33,7 @@ _SHIFT, _SCALE = 0.01, 0.01  # of the command's range, and of the command
 
 @dataclass(frozen=True)
 class OpenHypothesis:
-    """One explanation that the logs leave open, as a fitted simulator.
+    """Hypothesis that the logs do not reject, as a fitted simulator.
 
     Attributes:
         name: public name of the effect.
@@ -46,7 +49,7 @@ class OpenHypothesis:
 
 @dataclass(frozen=True)
 class Noise:
-    """Noise, (1 - white) AR(1) + white, and model-form error, in whose units separations are measured.
+    """Noise model, AR(1) plus white, and model-form error; separations are measured in its units.
 
     Noise averages out over a motion. The model-form error, by which a device differs from the equations, does not: it
     is the same in every recording, and may point from one candidate to another.
@@ -81,7 +84,7 @@ class Noise:
 
 
 @dataclass(frozen=True, eq=False)
-class Option:
+class EvaluatedMotion:
     """One motion of the menu and its expected result.
 
     Attributes:
@@ -92,7 +95,7 @@ class Option:
         distances: of candidate i from candidate j retuned to it, in units of the noise, (K, K).
     """
 
-    motion: MenuMotion
+    motion: SampledMotion
     probability: float
     angles: Vec
     separation: Vec
@@ -110,8 +113,8 @@ class MotionProposal:
     """
 
     names: tuple[str, ...]
-    chosen: Option
-    options: tuple[Option, ...] = field(repr=False)
+    chosen: EvaluatedMotion
+    options: tuple[EvaluatedMotion, ...] = field(repr=False)
 
     def summary(self, file: str = MOTION_FILE) -> NextMotion:
         """The proposal as a diagnosis states it."""
@@ -119,7 +122,7 @@ class MotionProposal:
         return NextMotion(file, self.names, self.chosen.probability, motion.duration_s)
 
 
-def propose(candidates: Sequence[OpenHypothesis], motions: Sequence[MenuMotion], noise: Noise) -> MotionProposal:
+def propose(candidates: Sequence[OpenHypothesis], motions: Sequence[SampledMotion], noise: Noise) -> MotionProposal:
     """Choose the motion that most probably names the right candidate; at about equal probability the shortest.
 
     With candidate i true and j retuned to it, the part r_ij that is left favours i with probability
@@ -134,7 +137,7 @@ def propose(candidates: Sequence[OpenHypothesis], motions: Sequence[MenuMotion],
 
     Args:
         candidates: two or more.
-        motions: see `motion_menu.menu`.
+        motions: see `motions.menu`.
         noise: of the device, and form error of the candidates.
 
     Raises:
@@ -142,7 +145,7 @@ def propose(candidates: Sequence[OpenHypothesis], motions: Sequence[MenuMotion],
     """
     if len(candidates) < 2 or not motions:
         raise FitError(f"next motion: got {len(candidates)} candidates and {len(motions)} motions, expected 2 and 1")
-    options = tuple(option for motion in motions if (option := option_on(candidates, motion, noise)))
+    options = tuple(option for motion in motions if (option := evaluate_motion(candidates, motion, noise)))
     if not options:
         raise FitError(f"next motion: none of {len(motions)} motions gives finite angles with all candidates")
     fewest = min(1 - option.probability for option in options)
@@ -165,7 +168,7 @@ def expected_probability(distances: ArrayLike) -> float:
 def separations(candidates: Sequence[OpenHypothesis], command: Vec, dt: float) -> tuple[Vec, list[Vec]]:
     """Angles (K, T) of the candidates, and for each the directions (P, T) that its retuning can take [deg]."""
     angles = np.array([candidate.simulate(command, dt) for candidate in candidates])
-    directions = [_directions(c, angle, command, dt) for c, angle in zip(candidates, angles, strict=True)]
+    directions = [_retuning_directions(c, angle, command, dt) for c, angle in zip(candidates, angles, strict=True)]
     return angles, directions
 
 
@@ -185,7 +188,9 @@ def write_motion(path: Path | str, proposal: MotionProposal, command_unit: str =
     return write_atomically(path, format_table(columns))
 
 
-def option_on(candidates: Sequence[OpenHypothesis], motion: MenuMotion, noise: Noise) -> Option | None:
+def evaluate_motion(
+    candidates: Sequence[OpenHypothesis], motion: SampledMotion, noise: Noise
+) -> EvaluatedMotion | None:
     """Expected result of one motion; None where a simulator does not give finite angles on it."""
     angles, directions = separations(candidates, motion.command, motion.dt)
     if not all(np.isfinite(part).all() for part in (angles, *directions)):
@@ -194,10 +199,10 @@ def option_on(candidates: Sequence[OpenHypothesis], motion: MenuMotion, noise: N
     distances = np.zeros((count, count))
     for j, basis in enumerate(directions):
         others = [i for i in range(count) if i != j]
-        left = _left(angles[others] - angles[j], basis, noise)
+        left = _unexplained(angles[others] - angles[j], basis, noise)
         distances[others, j] = _distance(left, noise)
         separation = np.maximum(separation, np.abs(left).max(axis=0))
-    return Option(motion, expected_probability(distances), angles, separation, distances)
+    return EvaluatedMotion(motion, expected_probability(distances), angles, separation, distances)
 
 
 def _distance(left: Vec, noise: Noise) -> Vec:
@@ -208,19 +213,19 @@ def _distance(left: Vec, noise: Noise) -> Vec:
     return np.asarray(seen / np.sqrt(1 + (seen * form) ** 2))
 
 
-def _directions(candidate: OpenHypothesis, angle: Vec, command: Vec, dt: float) -> Vec:
+def _retuning_directions(candidate: OpenHypothesis, angle: Vec, command: Vec, dt: float) -> Vec:
     """Changes of the angle [deg] that the candidate's retuning can make, one a row."""
     low, span = float(command.min()), float(np.ptp(command))
     shifted = np.maximum(command - _SHIFT * span, low)
     scaled = low + (1 - _SCALE) * (command - low)
     changed = [candidate.simulate(shifted, dt), candidate.simulate(scaled, dt)]
-    own = [simulate(command, dt) for simulate in candidate.retunings]
+    retuned = [simulate(command, dt) for simulate in candidate.retunings]
     if not candidate.retunings:
-        own = [np.concatenate((angle[:1], angle[:-1]))]
-    return np.array([np.ones_like(angle), angle, *(np.asarray(other) - angle for other in (*changed, *own))])
+        retuned = [np.concatenate((angle[:1], angle[:-1]))]
+    return np.array([np.ones_like(angle), angle, *(np.asarray(other) - angle for other in (*changed, *retuned))])
 
 
-def _left(targets: Vec, basis: Vec, noise: Noise) -> Vec:
+def _unexplained(targets: Vec, basis: Vec, noise: Noise) -> Vec:
     """Part of `targets` (N, T) that no sum of the basis (P, T) explains, by least squares in units of the noise."""
     weighted = noise.whiten(basis)
     norms = np.linalg.norm(weighted, axis=1)
@@ -230,3 +235,140 @@ def _left(targets: Vec, basis: Vec, noise: Noise) -> Vec:
     scaled = weighted[moves].T / norms[moves]
     weights = np.linalg.lstsq(scaled, noise.whiten(targets).T, rcond=1e-9)[0]
     return targets - weights.T @ (basis[moves] / norms[moves, None])
+
+
+_DRAWN, _GENERATIONS = 12, 8  # members beside the menu's; 24 in all, so that a search looks at about 200 motions
+_LEAST_S = 6.0  # a shorter motion is not worth a run of its own
+
+
+@dataclass(frozen=True)
+class SearchSettings:
+    """Settings of the motion search.
+
+    Attributes:
+        seed: of what is drawn.
+        overhead_s: device time that a run takes beside its motion [s].
+        least_s: duration below which a motion is left out [s].
+        generations: of the search.
+        allowed: whether a motion may be played, judged by the angles that the explanations expect.
+    """
+
+    seed: int | Sequence[int] = 0
+    overhead_s: float = 0.0
+    least_s: float = _LEAST_S
+    generations: int = _GENERATIONS
+    allowed: Callable[[EvaluatedMotion], bool] = lambda option: True
+
+
+@dataclass(frozen=True, eq=False)
+class SearchedMotion:
+    """Result of a motion search, with the best motion of the menu for comparison.
+
+    Attributes:
+        chosen: the best motion with its expected result.
+        numbers: of it in the family (22,).
+        bits: expected information of it.
+        seconds: device time of it, the run around it included [s].
+        menu: the best motion of the menu by the same measure; None where none can be simulated.
+        menu_bits, menu_seconds: of that.
+        looked_at: motions that were simulated.
+    """
+
+    chosen: EvaluatedMotion
+    numbers: Vec = field(repr=False)
+    bits: float
+    seconds: float
+    menu: EvaluatedMotion | None = field(repr=False)
+    menu_bits: float
+    menu_seconds: float
+    looked_at: int
+
+    @property
+    def gain(self) -> float:
+        """Information per second over that of the menu's best; infinite where that tells nothing."""
+        rate, menu_rate = self.bits / self.seconds, self.menu_bits / self.menu_seconds if self.menu else 0.0
+        return rate / menu_rate if menu_rate > 0 else math.inf
+
+
+def information_bits(probability: float, count: int) -> float:
+    """Expected information on which of `count` equally likely explanations holds: log2(count p), 0 by chance."""
+    return max(math.log2(max(count * probability, 1.0)), 0.0)
+
+
+def search_motion(
+    hypotheses: Sequence[OpenHypothesis],
+    family: MotionFamily,
+    noise: Noise,
+    settings: SearchSettings = SearchSettings(),
+    menu: Sequence[SampledMotion] = (),
+) -> SearchedMotion | None:
+    """Search the motion with the most expected information per second on which hypothesis holds.
+
+    Maximises log2(K p(x)) / (T(x) + T_run) over the numbers x of the family, p the expected probability of the right
+    one of K explanations after retuning each (`propose`). Differential evolution (Storn, Price, J. Global Optimization
+    11, 1997) starts from the menu's entries and motions drawn at random.
+
+    Args:
+        hypotheses: two explanations or more.
+        family: motions that are allowed.
+        noise: of the device, and form error of the explanations.
+        menu: motions to compare with, as `motions.menu` makes them, of any duration.
+
+    Returns:
+        The motion; None where no motion can be simulated that is allowed.
+    """
+    count = len(hypotheses)
+    best: list[tuple[float, EvaluatedMotion, Vec]] = []
+    looked = [0]
+
+    def value_of(motion: SampledMotion) -> tuple[float, EvaluatedMotion | None]:
+        looked[0] += 1
+        option = evaluate_motion(hypotheses, motion, noise)
+        if option is None or not settings.allowed(option):
+            return -1.0, None
+        short = max(settings.least_s / motion.duration_s, 1.0)
+        return _rate(option, count, settings) / short**2, option
+
+    def cost(x: Vec) -> float:
+        value, option = value_of(family.motion(x, "designed"))
+        if option is not None and (not best or value > best[0][0]):
+            best[:] = [(value, option, x.copy())]
+        return -value
+
+    _evolve(cost, family, settings)
+    if not best:
+        return None
+    options = [option for motion in menu if (option := evaluate_motion(hypotheses, motion, noise))]
+    compared = max(options, key=lambda option: _rate(option, count, settings), default=None)
+    chosen = best[0][1]
+    return SearchedMotion(
+        chosen=chosen,
+        numbers=best[0][2],
+        bits=information_bits(chosen.probability, count),
+        seconds=chosen.motion.duration_s + settings.overhead_s,
+        menu=compared,
+        menu_bits=information_bits(compared.probability, count) if compared else 0.0,
+        menu_seconds=compared.motion.duration_s + settings.overhead_s if compared else math.nan,
+        looked_at=looked[0],
+    )
+
+
+def _rate(option: EvaluatedMotion, count: int, settings: SearchSettings) -> float:
+    """Expected information per second of device time."""
+    return information_bits(option.probability, count) / (option.motion.duration_s + settings.overhead_s)
+
+
+def _evolve(cost: Callable[[Vec], float], family: MotionFamily, settings: SearchSettings) -> None:
+    drawn = np.random.default_rng(settings.seed).uniform(0, 1, (_DRAWN, SIZE))
+    first = np.vstack([*family.starts.values(), drawn])
+    cast(Any, differential_evolution)(  # its types take no array for `init`
+        cost,
+        [(0.0, 1.0)] * SIZE,
+        init=first,
+        maxiter=settings.generations,
+        rng=np.random.default_rng(settings.seed),
+        mutation=(0.4, 0.9),
+        recombination=0.5,
+        polish=False,
+        tol=0.0,
+    )

@@ -1,4 +1,4 @@
-"""Open hypotheses: explanations that the trials leave open, as simulators of a motion that was not recorded yet."""
+"""Open hypotheses: the explanations that the trials do not reject, as simulators of a further motion."""
 
 from __future__ import annotations
 
@@ -19,13 +19,12 @@ from hystmpc.models.identify.problem import Problem
 from hystmpc.models.simulator import Simulator
 from hystmpc.trials.types import Vec
 
-from ..decide.attribution import Attribution, usable_effects
-from ..decide.findings import Findings
-from ..logs.identifiability import confusability
+from ..decide.attribution import Attribution, Findings, usable_effects
+from ..logs.excitation import confusability
 from ..logs.preparation import PreparedTrials
-from ..logs.recording_order import NEEDS_ORDER
+from ..logs.trial_choice import NEEDS_ORDER
 from .motion_design import MotionProposal, Noise, OpenHypothesis, Simulate, propose
-from .motion_menu import menu
+from .motions import menu
 
 _STEP = 0.3  # of the unknowns' typical changes
 
@@ -47,16 +46,15 @@ def next_step(findings: Findings) -> MotionProposal | None:
     Args:
         findings: of all earlier steps.
     """
-    fitted = {} if findings.prepared.checked.unrelated else open_explanations(findings)
-    if len(fitted) < 2:
+    task = discrimination_task(findings, confirm=False)
+    if task is None:
         return None
-    question = _question(fitted, findings)
-    return propose(question.hypotheses, menu(_limits(findings), findings.prepared.checked.dt), question.noise)
+    return propose(task.hypotheses, menu(_limits(findings), findings.prepared.checked.dt), task.noise)
 
 
 @dataclass(frozen=True, eq=False)
-class Question:
-    """Explanations between which a further motion is to decide.
+class DiscriminationTask:
+    """Model discrimination task: the hypotheses that a further motion has to separate.
 
     Attributes:
         hypotheses: the explanations, two or more.
@@ -69,29 +67,35 @@ class Question:
     confirms: bool = False
 
 
-def question(findings: Findings) -> Question | None:
-    """What is open after these trials; where nothing is, what would put the verdict to the test.
+def discrimination_task(findings: Findings, confirm: bool = True) -> DiscriminationTask | None:
+    """The hypotheses that stay open after these trials; where none is, those that would test the verdict.
 
     A named effect is tested against those that it is taken for, each fitted in its place; no gap is tested against a
     single effect of each family. None where no angle follows its command.
+
+    Args:
+        findings: of all earlier steps.
+        confirm: whether to test a verdict that leaves nothing open; else None there.
     """
     if findings.prepared.checked.unrelated:
         return None
     fitted = open_explanations(findings)
     if len(fitted) >= 2:
-        return _question(fitted, findings)
+        return _task(fitted, findings)
+    if not confirm:
+        return None
     tested = _rivals(findings)
-    return replace(_question(tested, findings), confirms=True) if len(tested) >= 2 else None
+    return replace(_task(tested, findings), confirms=True) if len(tested) >= 2 else None
 
 
-def _question(fitted: Mapping[str, Hypothesis], findings: Findings) -> Question:
+def _task(fitted: Mapping[str, Hypothesis], findings: Findings) -> DiscriminationTask:
     prepared = findings.prepared
     made = tuple(open_hypothesis(name, hypothesis, prepared) for name, hypothesis in fitted.items())
-    return Question(made, _noise(findings))
+    return DiscriminationTask(made, _noise(findings))
 
 
 def _rivals(findings: Findings) -> dict[str, Hypothesis]:
-    """The verdict, and what could be there in its place."""
+    """Hypotheses of the verdict and of its alternatives, by the name of the effect."""
     chosen, attribution = findings.conclusion.chosen, findings.attribution
     if not chosen.effects:
         return {NOTHING: attribution.retuned, **_families(findings)}
@@ -99,64 +103,64 @@ def _rivals(findings: Findings) -> dict[str, Hypothesis]:
     name = strongest or min(chosen.effects)
     others = sorted((confounders(name) - chosen.effects) - set(findings.left_out))[:_MOST]
     rest = chosen.effects - {name}
-    fitted = {name: chosen} | {other: _with(findings, rest, other) for other in others}
-    found = {other: hypothesis for other, hypothesis in fitted.items() if hypothesis is not None}
-    return found if len(found) >= 2 else {NOTHING: attribution.retuned, name: chosen}
+    fitted = {name: chosen} | {other: _with_effect(findings, rest, other) for other in others}
+    rivals = {other: hypothesis for other, hypothesis in fitted.items() if hypothesis is not None}
+    return rivals if len(rivals) >= 2 else {NOTHING: attribution.retuned, name: chosen}
 
 
 def open_explanations(findings: Findings) -> dict[str, Hypothesis]:
     """Open hypotheses by the effect that tells each from the others."""
-    ruling, attribution = findings.conclusion.ruling, findings.attribution
-    if ruling.effects_unknown:
+    decision, attribution = findings.conclusion.decision, findings.attribution
+    if decision.effects_unknown:
         return _families(findings)
-    if not ruling.ambiguity and not unseparated(findings):
+    if not decision.ambiguity and not unseparated(findings):
         return {}
     made: dict[str, Hypothesis | None] = {}
-    for effect, *others in ruling.ambiguity or (unseparated(findings),):
+    for effect, *others in decision.ambiguity or (unseparated(findings),):
         rest = findings.conclusion.chosen.effects - {effect}
-        base = _tried(attribution, rest)
+        base = _fitted_with(attribution, rest)
         # The effects chosen of further sets are in the first hypothesis.
         for name in others if made else (effect, *others):
             # In one more trial a shift of its own is a matter of retuning.
-            made.setdefault(name, base if name == "trial_shift" else _with(findings, rest, name))
+            made.setdefault(name, base if name == "trial_shift" else _with_effect(findings, rest, name))
     return {name: hypothesis for name, hypothesis in made.items() if hypothesis is not None}
 
 
 def unseparated(findings: Findings) -> tuple[str, ...]:
-    """A named effect and those from which these motions cannot tell it, judged by their commands.
+    """A named effect and those that these motions cannot separate from it, judged by their commands.
 
     They stay open beside it: the equations of a device are not the library's, so that the angles do not decide alone.
     """
     chosen = findings.conclusion.chosen.effects
-    if findings.conclusion.ruling.verdict != "named":
+    if findings.conclusion.decision.verdict != "named":
         return ()
-    gone = {*findings.left_out, *(NEEDS_ORDER if findings.prepared.order == "unknown" else ())}
+    excluded = {*findings.left_out, *(NEEDS_ORDER if findings.prepared.order == "unknown" else ())}
     for row in confusability(findings.prepared.checked.excitation):
         named = [name for name in row.effects if name in chosen]
         if named and not row.separable and not row.one_class:
-            others = [n for n in row.effects if n not in chosen and n not in gone]
+            others = [n for n in row.effects if n not in chosen and n not in excluded]
             if others:
                 return (named[0], *others)
     return ()
 
 
-def _with(findings: Findings, rest: frozenset[str], name: str) -> Hypothesis | None:
-    """The causes `rest` and one more, as the selection fitted it, else fitted now."""
+def _with_effect(findings: Findings, rest: frozenset[str], name: str) -> Hypothesis | None:
+    """Hypothesis of the causes `rest` and one more, from the selection, else fitted now."""
     attribution, names = findings.attribution, rest | {name}
     if names == findings.conclusion.chosen.effects:
         return findings.conclusion.chosen
     if names in attribution.selection.tried:
         return attribution.selection.tried[names].hypothesis
-    return _fitted(findings, _tried(attribution, rest), name)
+    return _fit_with(findings, _fitted_with(attribution, rest), name)
 
 
-def _tried(attribution: Attribution, names: frozenset[str]) -> Hypothesis:
+def _fitted_with(attribution: Attribution, names: frozenset[str]) -> Hypothesis:
     """The hypothesis with these causes, as the selection fitted it; else the retuned simulator."""
     known = attribution.selection.tried.get(names)
     return known.hypothesis if known else attribution.retuned
 
 
-def _fitted(findings: Findings, base: Hypothesis, name: str) -> Hypothesis | None:
+def _fit_with(findings: Findings, base: Hypothesis, name: str) -> Hypothesis | None:
     """The best variant of an effect added to a hypothesis; None where it is no operator."""
     problem, validation = base.problem, findings.attribution.validation
     z, there = problem.retuned(base.q), [list(values.values()) for values in problem.effect_values(base.q)]
@@ -189,7 +193,7 @@ def _noise(findings: Findings) -> Noise:
     """White noise of the sensor, and the error of the best explanation beyond it."""
     conclusion, decades = findings.conclusion, findings.prepared.decades
     rmse = max(conclusion.floor.noise_deg, _LEAST_NOISE_DEG)
-    if conclusion.ruling.effects_unknown:
+    if conclusion.decision.effects_unknown:
         return decades.log_sizes(Noise(rmse))
     form = float(np.sqrt(max(conclusion.chosen.mse - rmse**2, 0.0)))
     return decades.log_sizes(Noise(rmse, white=1.0, form_deg=form))

@@ -8,10 +8,9 @@ from hystmpc.models.effects.catalogue import effect_of
 from hystmpc.models.identify.corrected_simulator import EFFECTS_FILE
 from hystmpc.models.simulator import Simulator
 
-from ..diagnosis import Diagnosis, NextMotion, Place
-from .report_data import FIXED_FILE, Evidence
+from ..diagnosis import Diagnosis, NextMotion, ResidualShare
+from .report_data import FIXED_FILE, ReportData
 from .words import (
-    chances,
     closed_sentence,
     floor_words,
     in_words,
@@ -19,18 +18,19 @@ from .words import (
     mis_set_sentence,
     parameter_words,
     percent,
+    probabilities,
     retuning_sentence,
     stability_sentence,
     tracking_sentence,
 )
 
 _NEVER_HELD = ("trial_shift", "sensor", "configuration_change")  # of the trials or the sensor, not of the simulator
-_BY_SIGNS = ("stick_slip",)  # found by its jumps, it is in the simulator only where a fit found it as well
+_BY_JUMPS = ("stick_slip",)  # found by its jumps, it is in the simulator only where a fit found it as well
 _LIKELY = 0.5  # probability, and share of the resamples, from which an effect counts as likely
 _DENSE, _MOST = 1.5, 0.3  # density and share of the error, above which a place is worth a sentence
 
 
-def why(diagnosis: Diagnosis) -> tuple[str, ...]:
+def verdict_facts(diagnosis: Diagnosis) -> tuple[str, ...]:
     """Facts behind the verdict, each with its number."""
     if diagnosis.verdict in ("named", "one_of"):
         said = (closed_sentence(diagnosis), _values(diagnosis), mis_set_sentence(diagnosis))
@@ -41,10 +41,10 @@ def why(diagnosis: Diagnosis) -> tuple[str, ...]:
     return tuple(filter(None, said))
 
 
-def what_next(evidence: Evidence) -> tuple[str, ...]:
+def next_actions(data: ReportData) -> tuple[str, ...]:
     """What to do with the corrected simulator, what that brings, and what to record."""
-    diagnosis, motion = evidence.diagnosis, evidence.diagnosis.next_motion
-    said = [_corrected(evidence)]
+    diagnosis, motion = data.diagnosis, data.diagnosis.next_motion
+    said = [_corrected(data)]
     tracking = diagnosis.tracking
     if tracking is not None and not tracking.why_not and not diagnosis.relies_on_its_split:
         said.append(tracking_sentence(diagnosis))
@@ -52,12 +52,12 @@ def what_next(evidence: Evidence) -> tuple[str, ...]:
         said += _recording(motion)
     elif diagnosis.verdict == "too_little":
         said.append("Record more motion of this device and diagnose all logs together.")
-    elif diagnosis.verdict in ("one_of", "unknown") and not _unrelated(evidence):
+    elif diagnosis.verdict in ("one_of", "unknown") and not _unrelated(data):
         said.append("No motion of the safe menu is expected to settle what is open.")
     return tuple(filter(None, said))
 
 
-def how_sure(diagnosis: Diagnosis) -> tuple[str, ...]:
+def certainty(diagnosis: Diagnosis) -> tuple[str, ...]:
     """Probability, stability over splits, interval, floor, and what could not be tested."""
     untested = ""
     if diagnosis.untestable:
@@ -81,13 +81,13 @@ def _intervals(diagnosis: Diagnosis) -> str:
 
 
 def _values(diagnosis: Diagnosis) -> str:
-    found = [f"{in_words(effect.name)}: {parameter_words(effect)}" for effect in diagnosis.effects if effect.parameters]
-    return f"The identified values are, of {'; of '.join(found)}.".replace(" [1]", "") if found else ""
+    values = [f"{in_words(e.name)}: {parameter_words(e)}" for e in diagnosis.effects if e.parameters]
+    return f"The identified values are, of {'; of '.join(values)}.".replace(" [1]", "") if values else ""
 
 
 def _densest(diagnosis: Diagnosis) -> str:
     """The part of the motion where the error is densest, if that stands out."""
-    places: list[tuple[str, Place]] = [
+    places: list[tuple[str, ResidualShare]] = [
         (name, place) for name, place in diagnosis.where.items() if place.density > _DENSE and place.share > _MOST
     ]
     if not places:
@@ -97,23 +97,23 @@ def _densest(diagnosis: Diagnosis) -> str:
     return f"The error is densest in the part called {in_words(name)}: {share} of it in {time} of the time."
 
 
-def _unrelated(evidence: Evidence) -> bool:
+def _unrelated(data: ReportData) -> bool:
     """Whether no angle follows its command: no simulator is corrected then."""
-    return evidence.nominal is not None and evidence.fixed is None
+    return data.nominal is not None and data.fixed is None
 
 
-def _corrected(evidence: Evidence) -> str:
-    """What to do with the file of the correction."""
-    diagnosis = evidence.diagnosis
-    if _unrelated(evidence):
+def _corrected(data: ReportData) -> str:
+    """Advice on the use of the corrected simulator."""
+    diagnosis = data.diagnosis
+    if _unrelated(data):
         return "Look for a wrong file or column, a loose sensor, or a tendon or line that is broken."
     names = listed([in_words(effect.name) for effect in diagnosis.effects], "and")
     if diagnosis.relies_on_its_split:
         return f"Do not rely on {names}: the verdict flips. Record more trials and diagnose all logs together."
-    if evidence.fixed is None:
-        return f"Use {EFFECTS_FILE} beside the network." if EFFECTS_FILE in evidence.files else ""
+    if data.fixed is None:
+        return f"Use {EFFECTS_FILE} beside the network." if EFFECTS_FILE in data.files else ""
     if diagnosis.verdict in ("named", "one_of"):
-        return _with_effects(evidence, evidence.fixed)
+        return _with_effects(data, data.fixed)
     if diagnosis.verdict == "unknown":
         return f"Do not take {FIXED_FILE} for a cure: it is retuned, and the cause is not in it."
     if diagnosis.verdict == "too_little":
@@ -121,18 +121,18 @@ def _corrected(evidence: Evidence) -> str:
     given, retuned = diagnosis.gap.nominal_rmse_deg, diagnosis.gap.retuned_rmse_deg
     if retuned < given:
         fall = f"from {given:.3g} to {retuned:.3g} {diagnosis.unit}"
-        return f"Use {FIXED_FILE}: its retuned numbers lower the RMSE on the {evidence.measured_on} {fall}."
-    return f"Keep the simulator as given: retuning does not lower the RMSE on the {evidence.measured_on}."
+        return f"Use {FIXED_FILE}: its retuned numbers lower the RMSE on the {data.measured_on} {fall}."
+    return f"Keep the simulator as given: retuning does not lower the RMSE on the {data.measured_on}."
 
 
-def _with_effects(evidence: Evidence, fixed: Simulator) -> str:
+def _with_effects(data: ReportData, fixed: Simulator) -> str:
     """What to do with a corrected simulator that holds all of the effects, some of them or none."""
-    diagnosis, chain = evidence.diagnosis, fixed.chain
+    diagnosis, chain = data.diagnosis, fixed.chain
     built_in = {effect_of(operator.name) for operator in (*chain.before, *chain.after)}
-    found = [effect.name for effect in diagnosis.effects]
-    left_out = [n for n in found if n in _NEVER_HELD or (n in _BY_SIGNS and n not in built_in)]
+    names = [effect.name for effect in diagnosis.effects]
+    left_out = [n for n in names if n in _NEVER_HELD or (n in _BY_JUMPS and n not in built_in)]
     held, lacking = (
-        listed([in_words(name) for name in found if (name in left_out) == out], "and") for out in (False, True)
+        listed([in_words(name) for name in names if (name in left_out) == out], "and") for out in (False, True)
     )
     if not held:
         return f"The file {FIXED_FILE} is retuned only: it does not hold {lacking}." if lacking else ""
@@ -154,9 +154,9 @@ def _recording(motion: NextMotion) -> list[str]:
 
 def _probability(diagnosis: Diagnosis) -> str:
     """Probabilities of the effects found and of those they may stand for; else of the most likely one."""
-    chance = chances(diagnosis)
-    found = [effect.name for effect in diagnosis.effects]
-    shown = list(dict.fromkeys([*found, *(name for names in diagnosis.ambiguity for name in names)]))
+    chance = probabilities(diagnosis)
+    effects = [effect.name for effect in diagnosis.effects]
+    shown = list(dict.fromkeys([*effects, *(name for names in diagnosis.ambiguity for name in names)]))
     if not shown:
         if not diagnosis.ranking or diagnosis.verdict != "unknown":
             return ""
@@ -167,7 +167,7 @@ def _probability(diagnosis: Diagnosis) -> str:
 
 
 def _disagreement(diagnosis: Diagnosis) -> str:
-    """Why an effect is likely that few resamples contain, or the other way about; empty where the two agree."""
+    """Explanation where probability and inclusion of an effect disagree; empty where they agree."""
     apart = [e for e in diagnosis.effects if (e.probability >= _LIKELY) != (e.inclusion >= _LIKELY)]
     if not apart:
         return ""
@@ -179,5 +179,5 @@ def _disagreement(diagnosis: Diagnosis) -> str:
 
 
 def _sentence(text: str) -> str:
-    """A text with a capital and a full stop."""
+    """A text with a capital letter and a full stop."""
     return f"{text[:1].upper()}{text[1:]}{'' if text.endswith('.') else '.'}" if text else ""

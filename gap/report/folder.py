@@ -21,7 +21,7 @@ from hystmpc.trials.run_folder import RunFolder
 
 from ..diagnosis import FORMATS, Diagnosis
 from ..next.motion_design import MOTION_FILE, write_motion
-from .report_data import FIXED_FILE, STAGES, Evidence
+from .report_data import FIXED_FILE, STAGES, ReportData
 
 DIAGNOSIS_FILE, GIVEN_FILE = "diagnosis.json", "sim.given.yaml"
 _SOMETIMES = (FIXED_FILE, GIVEN_FILE, MOTION_FILE, "log.mcap")
@@ -41,15 +41,23 @@ def require_free(folder: Path | str) -> None:
         return
     try:
         RunFolder.open(path)
-        found = json.loads((path / DIAGNOSIS_FILE).read_text(encoding="utf-8")).get("format")
-    except (LogError, OSError, ValueError, AttributeError):
-        found = None
-    if found not in FORMATS:
+        free = holds_diagnosis(path)
+    except LogError:
+        free = False
+    if not free:
         raise ConfigError(f"{path}: is not empty and holds no diagnosis, expected a new, empty or diagnosis folder")
 
 
+def holds_diagnosis(folder: Path) -> bool:
+    """Whether a folder has the `diagnosis.json` of a diagnosis."""
+    try:
+        return json.loads((folder / DIAGNOSIS_FILE).read_text(encoding="utf-8")).get("format") in FORMATS
+    except (OSError, ValueError, AttributeError):
+        return False
+
+
 def save_diagnosis(
-    evidence: Evidence,
+    data: ReportData,
     folder: Path | str,
     settings: Mapping[str, Any],
     *,
@@ -58,7 +66,7 @@ def save_diagnosis(
     """Write everything that a diagnosis leaves; files appear whole, an older diagnosis in the folder is replaced.
 
     Args:
-        evidence: data of the report.
+        data: data of the report.
         folder: new, empty, or that of an older diagnosis.
         settings: how it was called, resolved.
         models: model files that it used; their SHA-256 is kept.
@@ -74,7 +82,7 @@ def save_diagnosis(
     except OSError as error:
         raise ConfigError(f"{target}: cannot be written ({error.strerror}), expected a writable folder") from None
     try:
-        _write(evidence, RunFolder.create(made, settings, seed=evidence.seed, models=models))
+        _write(data, RunFolder.create(made, settings, seed=data.seed, models=models))
         names = sorted(path.name for path in made.iterdir())
         for name in names:
             os.replace(made / name, target / name)
@@ -90,33 +98,33 @@ def diagnosis_json(diagnosis: Diagnosis) -> str:
     return file_text(plain(diagnosis.as_json()), indent=2)
 
 
-def _write(evidence: Evidence, run: RunFolder) -> None:
-    write_atomically(run.path / DIAGNOSIS_FILE, diagnosis_json(evidence.diagnosis))
-    run.write_log(_log(evidence))
-    for simulator, name in ((evidence.fixed, FIXED_FILE), (evidence.nominal, GIVEN_FILE)):
+def _write(data: ReportData, run: RunFolder) -> None:
+    write_atomically(run.path / DIAGNOSIS_FILE, diagnosis_json(data.diagnosis))
+    run.write_log(_log(data))
+    for simulator, name in ((data.fixed, FIXED_FILE), (data.nominal, GIVEN_FILE)):
         if simulator is not None:
             save_simulator(simulator, run.path / name)
-    if evidence.proposal is not None:
-        write_motion(run.path / MOTION_FILE, evidence.proposal, evidence.command_unit, evidence.unit)
-    for name, content in evidence.files.items():
+    if data.proposal is not None:
+        write_motion(run.path / MOTION_FILE, data.proposal, data.command_unit, data.unit)
+    for name, content in data.files.items():
         write_atomically(run.path / name, content)
     from .page import write_report  # imports matplotlib
 
-    write_report(evidence, run.path)
+    write_report(data, run.path)
 
 
-def _log(evidence: Evidence) -> dict[str, Any]:
+def _log(data: ReportData) -> dict[str, Any]:
     """All trials one after the other, with what the simulators made of them."""
     starts, at = [], 0.0
-    for trial in evidence.trials:
+    for trial in data.trials:
         starts.append(at - trial.trial.t[0])
         at += trial.trial.duration_s + _GAP_S
-    trials = evidence.trials
+    trials = data.trials
     joined = {
         "time_s": [trial.trial.t + start for trial, start in zip(trials, starts, strict=True)],
-        command_column(evidence.command_unit): [trial.trial.command for trial in trials],
-        OUTPUT_COLUMN[evidence.unit]: [trial.trial.angle for trial in trials],
-        **{f"{stage}_{evidence.unit}": [getattr(trial, stage) for trial in trials] for stage in STAGES},
+        command_column(data.command_unit): [trial.trial.command for trial in trials],
+        OUTPUT_COLUMN[data.unit]: [trial.trial.angle for trial in trials],
+        **{f"{stage}_{data.unit}": [getattr(trial, stage) for trial in trials] for stage in STAGES},
     }
     texts = {
         "trial": [trial.name for trial in trials for _ in range(len(trial.trial))],

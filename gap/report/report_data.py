@@ -1,4 +1,4 @@
-"""Data of the report: everything that it shows, put together from the findings."""
+"""Data of the report, collected from the findings of a diagnosis."""
 
 from __future__ import annotations
 
@@ -17,10 +17,9 @@ from hystmpc.models.simulator import Simulator
 from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Vec
 
-from ..decide.findings import Findings
+from ..decide.attribution import Findings
 from ..diagnosis import Diagnosis
-from ..logs.excitation import Excitation
-from ..logs.identifiability import Confusable, confusability
+from ..logs.excitation import ConfusableEffects, Excitation, confusability
 from ..next.motion_design import MotionProposal
 from ..residual.localise import Localisation
 
@@ -34,7 +33,7 @@ STAGES: tuple[Stage, ...] = ("nominal", "retuned", "with_effects")
 
 
 @dataclass(frozen=True, eq=False)
-class TrialEvidence:
+class TrialRuns:
     """One trial with its free runs.
 
     Attributes:
@@ -112,8 +111,8 @@ class TrackingCurve:
 
 
 @dataclass(frozen=True, eq=False)
-class Evidence:
-    """Everything that the report shows.
+class ReportData:
+    """Data of the report.
 
     Attributes:
         diagnosis: the result.
@@ -137,10 +136,10 @@ class Evidence:
 
     diagnosis: Diagnosis
     simulator: str
-    trials: tuple[TrialEvidence, ...]
+    trials: tuple[TrialRuns, ...]
     excitation: Excitation | None = None
     candidates: tuple[CandidateRow, ...] = ()
-    confusable: tuple[Confusable, ...] = ()
+    confusable: tuple[ConfusableEffects, ...] = ()
     parameters: tuple[ParameterRow, ...] = ()
     localisation: Localisation | None = None
     noise_deg: float = math.nan
@@ -154,7 +153,7 @@ class Evidence:
     curves: tuple[TrackingCurve, ...] = ()
 
     @property
-    def final(self) -> tuple[TrialEvidence, ...]:
+    def final(self) -> tuple[TrialRuns, ...]:
         """Final trials; all of them where there was no such split."""
         return tuple(trial for trial in self.trials if trial.role == "final") or self.trials
 
@@ -181,11 +180,11 @@ class Evidence:
 
 def report_data(
     findings: Findings, diagnosis: Diagnosis, proposal: MotionProposal | None, parameters: tuple[ParameterRow, ...]
-) -> Evidence:
-    """Everything that the report shows."""
+) -> ReportData:
+    """Collect the data of the report from the findings."""
     prepared, simulator = findings.prepared, findings.simulator
     rows = confusability(prepared.checked.excitation)
-    return Evidence(
+    return ReportData(
         diagnosis=diagnosis,
         simulator="simulator",
         trials=_trials(findings, diagnosis.gap.floor_rmse_deg),
@@ -230,27 +229,26 @@ def _network_effects(findings: Findings) -> Mapping[str, str]:
     return network_effects(chosen, prepared.baseline, last, dt, "the network", prepared.decades)
 
 
-def _sentence(row: Confusable) -> str:
+def _sentence(row: ConfusableEffects) -> str:
     names = " and ".join(name.replace("_", " ") for name in row.effects)
-    return f"{names[:1].upper()}{names[1:]} cannot be told apart ({row.found}); {row.separated_by} would do it."
+    return f"{names[:1].upper()}{names[1:]} cannot be told apart ({row.present}); {row.separated_by} would do it."
 
 
-def _trials(findings: Findings, floor_deg: float) -> tuple[TrialEvidence, ...]:
+def _trials(findings: Findings, floor_deg: float) -> tuple[TrialRuns, ...]:
     """Every trial with its free runs; of one that is cut in parts, the final part counts."""
     prepared, conclusion = findings.prepared, findings.conclusion
     retuned, chosen = findings.attribution.retuned, conclusion.chosen
     final = {run.name: int(np.flatnonzero(run.counts)[0]) for run in prepared.final}
-    nominal_q = retuned.problem.start(prepared.baseline.nominal, [])
     made, unit = [], prepared.decades.angle
     motions, starts = prepared.checked.excitation.motions, [int(np.argmax(run.counts)) for run in prepared.counted]
     for trial, run, motion, start in zip(prepared.checked.trials, prepared.everything, motions, starts, strict=True):
         role: Role = "final" if run.name in final else "fit"
         made.append(
-            TrialEvidence(
+            TrialRuns(
                 trial=trial,
                 role=role,
                 motion=motion,
-                nominal=unit * retuned.problem.angles(nominal_q, run),
+                nominal=unit * retuned.problem.angles(retuned.problem.as_given, run),
                 retuned=unit * retuned.problem.angles(retuned.q, run),
                 with_effects=unit * (run.angle + chosen.problem.held_out_error(chosen.q, run)),
                 floor_deg=floor_deg,

@@ -25,10 +25,10 @@ from hystmpc.trials.figures import (
 from hystmpc.trials.report import MEASURED, REFERENCE, new_figure
 from hystmpc.trials.types import Vec
 
-from ..diagnosis import Place
-from ..residual.spectrum import SpectralLine
-from .figure_style import COLOUR, COMMANDED, HEAT, INTERVAL, LABEL, LOOK, REAL, thin
-from .report_data import Stage, TrialEvidence
+from ..diagnosis import ResidualShare
+from ..residual.localise import SpectralLine
+from .figures import COLOUR, COMMANDED, HEAT, LABEL, LOOK, REAL, draw_interval, thin
+from .report_data import Stage, TrialRuns
 from .words import in_words
 
 _BINS, _SEGMENT_S = 12, 16.0
@@ -43,7 +43,7 @@ _BAR = COLOUR["retuned"]
 _STAIRS: Any = {"linewidth": 1.5, "baseline": None}
 
 
-def heat_figure(trials: Sequence[TrialEvidence], unit: str, stages: Sequence[Stage]) -> Figure:
+def heat_figure(trials: Sequence[TrialRuns], unit: str, stages: Sequence[Stage]) -> Figure:
     """Command over time, and below it |simulated - measured| as colour, one strip for each simulator.
 
     One scale of colour and one of time for all trials, so that strips can be compared.
@@ -63,14 +63,14 @@ def heat_figure(trials: Sequence[TrialEvidence], unit: str, stages: Sequence[Sta
     return figure
 
 
-def _command(axes: Axes, trial: TrialEvidence, unit: str) -> None:
+def _command(axes: Axes, trial: TrialRuns, unit: str) -> None:
     t, command = thin(trial.trial.t - trial.trial.t[0], trial.trial.command)
     axes.plot(t, command, **COMMANDED)
     axes.set_ylabel(unit)
     axes.set_title(f"{shortened(trial.name, 50)} ({trial.role})", fontsize=8.5)
 
 
-def _strip(axes: Axes, trial: TrialEvidence, stages: Sequence[Stage], top: float) -> None:
+def _strip(axes: Axes, trial: TrialRuns, stages: Sequence[Stage], top: float) -> None:
     """One row a simulator; samples that do not count stay white."""
     rows = np.array([_columns(trial, stage) for stage in stages])
     extent = (0.0, trial.trial.duration_s, len(stages) - 0.5, -0.5)
@@ -82,7 +82,7 @@ def _strip(axes: Axes, trial: TrialEvidence, stages: Sequence[Stage], top: float
         axes.axhline(k - 0.5, color="white", linewidth=1.2)
 
 
-def _columns(trial: TrialEvidence, stage: Stage) -> np.ndarray:
+def _columns(trial: TrialRuns, stage: Stage) -> np.ndarray:
     """Greatest |residual| in each of some equal parts of the trial [deg]."""
     size = np.full(len(trial.trial), np.nan)
     size[trial.start :] = np.abs(trial.residual(stage))
@@ -90,7 +90,7 @@ def _columns(trial: TrialEvidence, stage: Stage) -> np.ndarray:
     return np.array([np.nanmax(part) if np.isfinite(part).any() else np.nan for part in parts])
 
 
-def loops(trials: Sequence[TrialEvidence], unit: str, stages: Sequence[Stage]) -> Figure:
+def loops(trials: Sequence[TrialRuns], unit: str, stages: Sequence[Stage]) -> Figure:
     """Loops of the output over the command: real and of each simulator."""
     panels = []
     for trial in trials:
@@ -100,7 +100,7 @@ def loops(trials: Sequence[TrialEvidence], unit: str, stages: Sequence[Stage]) -
     return loop_figure(panels, unit, trials[0].trial.units.angle)
 
 
-def over_time(trials: Sequence[TrialEvidence], stages: Sequence[Stage]) -> Figure:
+def over_time(trials: Sequence[TrialRuns], stages: Sequence[Stage]) -> Figure:
     """Output over time: real and of each simulator, and the residuals of the simulators."""
     shown = []
     for evidence in trials:
@@ -111,7 +111,7 @@ def over_time(trials: Sequence[TrialEvidence], stages: Sequence[Stage]) -> Figur
     return time_figure(shown)
 
 
-def before_after_figure(trial: TrialEvidence, after: Stage) -> Figure:
+def before_after_figure(trial: TrialRuns, after: Stage) -> Figure:
     """Angle over time, measured and simulated before and after the correction, and the error of both; of a long trial
     the part around the largest error is seen at first."""
     t = trial.trial.t - trial.trial.t[0]
@@ -131,7 +131,7 @@ def before_after_figure(trial: TrialEvidence, after: Stage) -> Figure:
     return figure
 
 
-def _densest_start(trial: TrialEvidence) -> int:
+def _densest_start(trial: TrialRuns) -> int:
     """First sample of the window with the largest error as given, among the samples that count."""
     size = round(_WINDOW_S / trial.trial.dt)
     energy = np.cumsum(np.r_[0.0, trial.residual("nominal") ** 2])
@@ -140,20 +140,18 @@ def _densest_start(trial: TrialEvidence) -> int:
     return trial.start + int(np.argmax(energy[size:] - energy[:-size]))
 
 
-def _runs(trial: TrialEvidence, stages: Sequence[Stage]) -> list[NDArray[np.float64]]:
+def _runs(trial: TrialRuns, stages: Sequence[Stage]) -> list[NDArray[np.float64]]:
     return [getattr(trial, stage) for stage in stages]
 
 
-def share_figure(places: Mapping[str, Place]) -> Figure:
+def share_figure(places: Mapping[str, ResidualShare]) -> Figure:
     """Share of the retuned residual's energy in each part of the motion, beside the share of time spent there."""
     ordered = sorted(places.items(), key=lambda item: -item[1].share)
     with new_figure(7.0, 0.95 + 0.3 * len(ordered)) as figure:
         axes: Axes = figure.subplots()
         for k, (_, place) in enumerate(ordered):
             axes.barh(k, place.share, height=0.6, color=_BAR, label="share of the residual's energy" if not k else None)
-            low, high = place.ci90
-            reach = [[max(place.share - low, 0.0)], [max(high - place.share, 0.0)]]
-            axes.errorbar(place.share, k, xerr=reach, label="90 % interval" if not k else None, **INTERVAL)
+            draw_interval(axes, k, place.share, place.ci90, label="90 % interval" if not k else None)
             if place.density > 0:
                 time = place.share / place.density
                 label = "share of time" if not k else None
@@ -168,7 +166,7 @@ def share_figure(places: Mapping[str, Place]) -> Figure:
     return figure
 
 
-def bins_figure(trials: Sequence[TrialEvidence], stages: Sequence[Stage]) -> Figure | None:
+def bins_figure(trials: Sequence[TrialRuns], stages: Sequence[Stage]) -> Figure | None:
     """RMSE over command, angle and speed, of each simulator; None where nothing moves."""
     groups = binned(trials, stages)
     if not groups:
@@ -209,7 +207,7 @@ class Binned:
     time: Vec
 
 
-def binned(trials: Sequence[TrialEvidence], stages: Sequence[Stage]) -> list[Binned]:
+def binned(trials: Sequence[TrialRuns], stages: Sequence[Stage]) -> list[Binned]:
     """RMSE by command, angle and speed of the command over all samples that count; constant quantities are left out."""
     unit, angle = trials[0].trial.units.command, trials[0].trial.units.angle
     values = {
@@ -241,7 +239,7 @@ def _binned(quantity: str, unit: str, values: Vec, squares: dict[Stage, Vec]) ->
 
 
 def spectrum_figure(
-    trials: Sequence[TrialEvidence], stages: Sequence[Stage], noise_deg: float, lines: Sequence[SpectralLine] = ()
+    trials: Sequence[TrialRuns], stages: Sequence[Stage], noise_deg: float, lines: Sequence[SpectralLine] = ()
 ) -> Figure:
     """Residual over frequency against white noise of that deviation; lines that are not the command's are marked."""
     with new_figure(7.0, 2.8) as figure:
@@ -263,7 +261,7 @@ def spectrum_figure(
     return figure
 
 
-def amplitude_density(trials: Sequence[TrialEvidence], stage: Stage) -> tuple[Vec, Vec]:
+def amplitude_density(trials: Sequence[TrialRuns], stage: Stage) -> tuple[Vec, Vec]:
     """Frequencies [Hz] and amplitude density of the residuals [deg/sqrt(Hz)], mean power over trials (Welch, 16 s)."""
     dt = float(np.median([trial.trial.dt for trial in trials]))
     shortest = min(trial.residual(stage).size for trial in trials)
@@ -275,7 +273,7 @@ def amplitude_density(trials: Sequence[TrialEvidence], stage: Stage) -> tuple[Ve
 
 
 def memory_figure(gains: Mapping[str, float]) -> Figure:
-    """What of the residual each memory of the command predicts on trials left out."""
+    """Share of the residual energy that each memory of the command predicts on held-out trials."""
     ordered = sorted(gains.items(), key=lambda item: -item[1])
     with new_figure(7.0, 0.7 + 0.25 * len(ordered)) as figure:
         axes: Axes = figure.subplots()

@@ -8,16 +8,16 @@ from collections.abc import Iterator
 from hystmpc.trials.report import KeyValues, Paragraph, Piece, Table
 
 from ..diagnosis import DetectableSizes, TrackingGap
-from .figure_style import LABEL
-from .report_data import STAGES, CandidateRow, Evidence, TrialEvidence
+from .figures import LABEL
+from .report_data import STAGES, CandidateRow, ReportData, TrialRuns
 from .words import DETECTABLE_COLUMNS, baseline_units, detectable_rows, in_words, percent
 
 NOT_DETERMINED = "not determined"
 _SIDES = {"command": "command side", "output": "output side", "sensor": "sensor", "trial": "trial to trial"}
 
 
-def effects_table(evidence: Evidence) -> Table:
-    """The chosen effects with what each closes."""
+def effects_table(data: ReportData) -> Table:
+    """Chosen effects with the closed share of each."""
     rows = [
         (
             in_words(effect.name),
@@ -28,9 +28,9 @@ def effects_table(evidence: Evidence) -> Table:
             effect.rmse_before_deg,
             effect.rmse_after_deg,
         )
-        for effect in evidence.diagnosis.effects
+        for effect in data.diagnosis.effects
     ]
-    sizes = f"without [{evidence.unit}]", f"with [{evidence.unit}]"
+    sizes = f"without [{data.unit}]", f"with [{data.unit}]"
     columns = ("effect", "probability", "inclusion", "closed share", "90 % interval", *sizes)
     caption = (
         "Inclusion: share of resamples of the data in which the effect was chosen. Without, with: RMSE on the final "
@@ -39,48 +39,48 @@ def effects_table(evidence: Evidence) -> Table:
     return Table(columns, rows, caption)
 
 
-def candidates_table(evidence: Evidence) -> Table:
+def candidates_table(data: ReportData) -> Table:
     """Every effect of the library, added alone."""
-    sizes = (f"{size} [{evidence.unit}]" for size in ("RMSE", "gain", "standard error"))
+    sizes = (f"{size} [{data.unit}]" for size in ("RMSE", "gain", "standard error"))
     columns = ("effect", "acts on", *sizes, "probability", "")
     return Table(
         columns,
-        [_candidate(row) for row in evidence.candidates],
+        [_candidate(row) for row in data.candidates],
         "Each effect alone with the baseline refitted, on the trials to select by; gain: retuned RMSE less this one.",
     )
 
 
-def tracking_table(found: TrackingGap) -> Table:
+def tracking_table(tracking: TrackingGap) -> Table:
     """Expected closed-loop errors of every motion and over all of them."""
-    rows = [(in_words(m.name), m.before_deg, m.after_deg, m.before_deg - m.after_deg) for m in found.motions]
-    rows.append(("all motions", found.before_deg, found.after_deg, found.fall_deg))
+    rows = [(in_words(m.name), m.before_deg, m.after_deg, m.before_deg - m.after_deg) for m in tracking.motions]
+    rows.append(("all motions", tracking.before_deg, tracking.after_deg, tracking.fall_deg))
     caption = (
         "RMS of the true angle less the reference. Over seeds of the noise: "
-        f"before {_interval(found.before_range_deg)}, after {_interval(found.after_range_deg)} deg."
+        f"before {_interval(tracking.before_range_deg)}, after {_interval(tracking.after_range_deg)} deg."
     )
     return Table(("motion", "before [deg]", "after [deg]", "fall [deg]"), rows, caption)
 
 
-def trials_table(evidence: Evidence) -> Table:
+def trials_table(data: ReportData) -> Table:
     """RMSE of every trial; final ones first."""
-    rows = sorted(evidence.trials, key=lambda trial: trial.role != "final")
-    sizes = (f"{size} [{evidence.unit}]" for size in (*(LABEL[stage] for stage in STAGES), "floor"))
+    rows = sorted(data.trials, key=lambda trial: trial.role != "final")
+    sizes = (f"{size} [{data.unit}]" for size in (*(LABEL[stage] for stage in STAGES), "floor"))
     columns = ("trial", "motion", "used to", "s", *sizes)
     return Table(columns, [_trial(row) for row in rows], "RMSE of simulated less measured angle.")
 
 
-def confusable_table(evidence: Evidence) -> Table:
-    """What these motions can hardly tell apart; what they cannot comes first."""
+def confusable_table(data: ReportData) -> Table:
+    """Effects that these motions can confuse; inseparable ones first."""
     rows = [
         (
             ", ".join(in_words(name) for name in row.effects),
             "one class" if row.one_class else "yes" if row.separable else "no",
             "nothing: equal by algebra" if row.one_class else row.separated_by,
-            row.found,
+            row.present,
             percent(row.alike_in_sine),
             percent(row.alike_in_hold),
         )
-        for row in sorted(evidence.confusable, key=lambda row: row.separable)
+        for row in sorted(data.confusable, key=lambda row: row.separable)
     ]
     columns = ("effects", "told apart by these logs", "by", "found in these logs", "alike in a sine", "ramp and hold")
     caption = (
@@ -90,15 +90,15 @@ def confusable_table(evidence: Evidence) -> Table:
     return Table(columns, rows, caption)
 
 
-def detectable_table(found: DetectableSizes) -> Table:
+def detectable_table(sizes: DetectableSizes) -> Table:
     """The least size of each effect that these logs would show."""
-    return Table(DETECTABLE_COLUMNS, detectable_rows(found), "These logs would show each effect from this size on.")
+    return Table(DETECTABLE_COLUMNS, detectable_rows(sizes), "These logs would show each effect from this size on.")
 
 
-def parameters_table(evidence: Evidence) -> Table:
+def parameters_table(data: ReportData) -> Table:
     """Identified values and whether the logs determine them."""
     rows = []
-    for row in evidence.parameters:
+    for row in data.parameters:
         neutral = "" if row.neutral is None else row.neutral
         value = NOT_DETERMINED if row.flat else row.value
         remark = "at a bound" if row.at_bound else ""
@@ -111,50 +111,50 @@ def parameters_table(evidence: Evidence) -> Table:
     return Table(columns, rows, caption)
 
 
-def retuned_table(evidence: Evidence) -> Table:
+def retuned_table(data: ReportData) -> Table:
     """Baseline quantities before and after the refit."""
-    units = baseline_units(evidence.diagnosis)
+    units = baseline_units(data.diagnosis)
     rows = [
-        (in_words(name), units[name], given, found, "" if given == 0 else f"{100 * (found / given - 1):+.1f} %")
-        for name, (given, found) in evidence.diagnosis.retuned.items()
+        (in_words(name), units[name], given, retuned, "" if given == 0 else f"{100 * (retuned / given - 1):+.1f} %")
+        for name, (given, retuned) in data.diagnosis.retuned.items()
     ]
     caption = "Retuning of the simulator, without effects: not an effect."
     return Table(("quantity", "unit", "as given", "retuned", "change"), rows, caption)
 
 
-def check_pieces(evidence: Evidence) -> Iterator[Piece]:
-    """What the commands of the logs do, and the notes."""
-    found, unit = evidence.excitation, evidence.command_unit
-    if found is not None:
-        speeds = ", ".join(f"{speed:.3g}" for speed in found.ramp_speeds)
+def check_pieces(data: ReportData) -> Iterator[Piece]:
+    """Excitation by the commands, and the notes of the checks."""
+    excitation, unit = data.excitation, data.command_unit
+    if excitation is not None:
+        speeds = ", ".join(f"{speed:.3g}" for speed in excitation.ramp_speeds)
         rows = {
-            "motions": ", ".join(dict.fromkeys(in_words(motion) for motion in found.motions)),
-            "pairs of repeats": len(found.repeats),
-            "opening motion repeated": "yes" if found.opening_repeated else "no",
-            "longest hold": f"{found.longest_hold_s:.1f} s",
-            "fastest command": f"{found.fastest:.3g} {unit}/s",
+            "motions": ", ".join(dict.fromkeys(in_words(motion) for motion in excitation.motions)),
+            "pairs of repeats": len(excitation.repeats),
+            "opening motion repeated": "yes" if excitation.opening_repeated else "no",
+            "longest hold": f"{excitation.longest_hold_s:.1f} s",
+            "fastest command": f"{excitation.fastest:.3g} {unit}/s",
             "constant speeds": f"{speeds} {unit}/s" if speeds else "none",
-            "fast steps": found.steps,
-            "small moves above 1.5 Hz": found.fast_small,
-            "time near the lowest command": f"{found.low_s:.1f} s in {found.low_visits} visits",
-            "levels of turning near the top": found.top_levels,
+            "fast steps": excitation.steps,
+            "small moves above 1.5 Hz": excitation.fast_small,
+            "time near the lowest command": f"{excitation.low_s:.1f} s in {excitation.low_visits} visits",
+            "levels of turning near the top": excitation.top_levels,
         }
         yield KeyValues(rows)
-    for note in evidence.diagnosis.notes:
+    for note in data.diagnosis.notes:
         yield Paragraph(note)
-    if found is None and not evidence.diagnosis.notes:
+    if excitation is None and not data.diagnosis.notes:
         yield Paragraph("The checks found nothing to remark.")
 
 
-def made_by(evidence: Evidence, versions: dict[str, str]) -> KeyValues:
+def made_by(data: ReportData, versions: dict[str, str]) -> KeyValues:
     """How the diagnosis was made: simulator, seed, time, versions."""
-    roles = [trial.role for trial in evidence.trials]
+    roles = [trial.role for trial in data.trials]
     split = ", ".join(f"{roles.count(role)} {role}" for role in dict.fromkeys(roles))
-    rows: dict[str, object] = {"simulator": evidence.simulator, "trials": f"{len(roles)} ({split})"}
-    rows["seed"] = evidence.seed
-    if evidence.seconds:
-        parts = ", ".join(f"{in_words(name)} {seconds:.1f}" for name, seconds in evidence.seconds.items())
-        rows["time [s]"] = f"{sum(evidence.seconds.values()):.1f} ({parts})"
+    rows: dict[str, object] = {"simulator": data.simulator, "trials": f"{len(roles)} ({split})"}
+    rows["seed"] = data.seed
+    if data.seconds:
+        parts = ", ".join(f"{in_words(name)} {seconds:.1f}" for name, seconds in data.seconds.items())
+        rows["time [s]"] = f"{sum(data.seconds.values()):.1f} ({parts})"
     return KeyValues(rows | dict(versions))
 
 
@@ -163,7 +163,7 @@ def _candidate(row: CandidateRow) -> tuple[object, ...]:
     return in_words(row.name), _SIDES[row.side], *numbers, "chosen" if row.chosen else ""
 
 
-def _trial(row: TrialEvidence) -> tuple[object, ...]:
+def _trial(row: TrialRuns) -> tuple[object, ...]:
     sizes = [row.rmse(stage) for stage in STAGES]
     return row.name, in_words(row.motion), row.role, round(row.trial.duration_s, 1), *sizes, row.floor_deg
 

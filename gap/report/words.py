@@ -1,4 +1,4 @@
-"""Sentences of the report: headline, gap closed, next motion."""
+"""Words of a diagnosis: headline, reason of the verdict, and a sentence for each of its results."""
 
 from __future__ import annotations
 
@@ -8,7 +8,16 @@ from collections.abc import Sequence
 from hystmpc.models.identify.uncertainty import BASELINE_UNITS, Interval
 from hystmpc.trials.trial import Units
 
-from ..diagnosis import FLIPS, Detectable, DetectableSizes, Diagnosis, FoundEffect, Gap, TrackingGap
+from ..decide.verdict import VerdictDecision
+from ..diagnosis import (
+    FLIPS,
+    Detectable,
+    DetectableSizes,
+    Diagnosis,
+    Gap,
+    IdentifiedEffect,
+    RetunedParameter,
+)
 from ..next.motion_design import MotionProposal
 
 _UNREPEATABLE = "what is left differs between repeats of a motion, and no effect of the library explains that"
@@ -36,22 +45,75 @@ def headline(diagnosis: Diagnosis) -> str:
     return f"{said}. This verdict flips: it comes out in {percent(stability.share)} of the resampled splits"
 
 
+def reason_for(
+    decision: VerdictDecision,
+    effects: Sequence[IdentifiedEffect],
+    gap: Gap,
+    too_little: str,
+    unrelated: str,
+    moved: Sequence[RetunedParameter] = (),
+    unit: str = "deg",
+) -> str:
+    """The verdict in one sentence, with its numbers; `too_little` and `unrelated` say why trials are unusable."""
+    sizes = f"retuned {gap.retuned_rmse_deg:#.3g} {unit}, floor {gap.floor_rmse_deg:#.3g} {unit}"
+    names = ", ".join(effect.words for effect in effects)
+    closed = f"{percent(gap.closed_share)} of the structural gap closed on trials kept for the end"
+    sets = "; ".join(listed([in_words(name) for name in names], "or") for names in decision.ambiguity)
+    unexplained = "a structural gap that no effect of the library explains"
+    if gap.unrepeatable:
+        differ = f"repeats of a motion differ by {gap.repeats_rmse_deg:#.3g} {unit}"
+        unexplained = (
+            f"{differ}, and retuning leaves no more: what is left does not depend on the command alone, and no effect "
+            "of the library explains it"
+        )
+    return {
+        "named": f"{names}: {closed}, {percent(gap.unexplained_share)} unexplained ({sizes})",
+        "one_of": f"one of {sets}: these trials cannot tell them apart; {closed} ({sizes})",
+        "unknown": f"{unrelated or unexplained} ({sizes})",
+        "retuned": f"{_retuned_words(decision, gap, moved, unit)} ({sizes})",
+        "none": f"no structural gap: retuning leaves no more than noise and the simulator's own form error ({sizes})",
+        "too_little": f"too little: {too_little} ({sizes})",
+    }[decision.verdict]
+
+
+def _retuned_words(decision: VerdictDecision, gap: Gap, moved: Sequence[RetunedParameter], unit: str) -> str:
+    """Changed parameters, and the fall of the RMSE by retuning."""
+    numbers = ", ".join(_moved_words(row) for row in moved) or "numbers of the core, none of them for sure"
+    fall = f"the RMSE falls from {gap.nominal_rmse_deg:#.3g} to {gap.retuned_rmse_deg:#.3g} {unit}"
+    said = f"numbers of the same structure have moved, nothing is missing in it: {numbers}; {fall}"
+    if decision.case == "moved":
+        return said
+    return f"{said}; the rest is the form error of this simulator with the friction as it is now: identify it anew"
+
+
+def _moved_words(row: RetunedParameter) -> str:
+    """A number before and after, as `gain 10.2 to 11.4 deg/mm (90 % interval 11.3 to 11.5)`."""
+    low, high = row.ci90
+    unit = "" if row.unit == "1" else f" {row.unit}"
+    name = in_words(row.name)
+    return f"{name} {row.given:.3g} to {row.value:.3g}{unit} (90 % interval {low:.3g} to {high:.3g})"
+
+
 def _causes(diagnosis: Diagnosis) -> list[str]:
-    """Effects found, the most probable first, each with those that it may stand for, as `lag or delay`."""
-    sets = {name: words for names, words in zip(diagnosis.ambiguity, choices(diagnosis), strict=True) for name in names}
-    led = sorted(diagnosis.effects, key=lambda effect: -effect.probability)
-    found = dict.fromkeys(sets.get(effect.name, effect.words) for effect in led)
-    return list(found) or choices(diagnosis)
+    """Identified effects by probability, each with those that it may be confused with, as `lag or delay`."""
+    sets = {
+        name: words
+        for names, words in zip(diagnosis.ambiguity, ambiguous_sets(diagnosis), strict=True)
+        for name in names
+    }
+    effects = sorted(diagnosis.effects, key=lambda effect: -effect.probability)
+    causes = dict.fromkeys(sets.get(effect.name, effect.words) for effect in effects)
+    return list(causes) or ambiguous_sets(diagnosis)
 
 
-def choices(diagnosis: Diagnosis) -> list[str]:
+def ambiguous_sets(diagnosis: Diagnosis) -> list[str]:
     """Every set of effects that these trials cannot tell apart, the most probable first, as `lag or delay`."""
-    chance = chances(diagnosis)
-    led = (sorted(names, key=lambda name: -chance.get(name, 0.0)) for names in diagnosis.ambiguity)
-    return [listed([in_words(name) for name in names], "or") for names in led]
+    chance = probabilities(diagnosis)
+    sets = (sorted(names, key=lambda name: -chance.get(name, 0.0)) for names in diagnosis.ambiguity)
+    return [listed([in_words(name) for name in names], "or") for names in sets]
 
 
-def chances(diagnosis: Diagnosis) -> dict[str, float]:
+def probabilities(diagnosis: Diagnosis) -> dict[str, float]:
     """Probability of every effect by name."""
     return dict(diagnosis.ranking) | {effect.name: effect.probability for effect in diagnosis.effects}
 
@@ -83,12 +145,12 @@ def closed_sentence(diagnosis: Diagnosis) -> str:
 
 def stability_sentence(diagnosis: Diagnosis) -> str:
     """How often the verdict comes out again; empty where the trials allow no choice."""
-    found = diagnosis.stability
-    if found is None:
+    stability = diagnosis.stability
+    if stability is None:
         return ""
-    same = round(found.share * found.resamples)
-    text = f"The same verdict and names come out in {same} of {found.resamples} resampled splits of these trials"
-    others = [f"{_plain(result)} in {percent(share)}" for result, share in found.otherwise]
+    same = round(stability.share * stability.resamples)
+    text = f"The same verdict and names come out in {same} of {stability.resamples} resampled splits of these trials"
+    others = [f"{_plain(result)} in {percent(share)}" for result, share in stability.otherwise]
     return f"{text}; else {listed(others, 'and')}." if others else f"{text}."
 
 
@@ -99,7 +161,7 @@ def _plain(result: str) -> str:
 
 
 def ceiling_sentence(diagnosis: Diagnosis) -> str:
-    """What a flexible model reaches, and whether that bounds the effects; empty where it was not estimated."""
+    """Share that a flexible model explains, as a bound for the effects; empty where it was not estimated."""
     share, closed = diagnosis.explainable_share, diagnosis.gap.closed_share
     if share is None:
         return ""
@@ -113,7 +175,7 @@ def ceiling_sentence(diagnosis: Diagnosis) -> str:
 
 
 def order_sentences(diagnosis: Diagnosis) -> list[str]:
-    """What follows from an unknown order of recording; none where it is known."""
+    """Consequences of an unknown order of recording; none where it is known."""
     if diagnosis.order == "known":
         return []
     first = (
@@ -123,42 +185,37 @@ def order_sentences(diagnosis: Diagnosis) -> list[str]:
     return [first, *(untestable.why for untestable in diagnosis.untestable)]
 
 
-def parameter_words(effect: FoundEffect) -> str:
+def parameter_words(effect: IdentifiedEffect) -> str:
     """Identified values with their units; none where the logs do not determine it."""
     return ", ".join(
-        f"{name} not determined" if name in effect.undetermined else f"{name} {value:.3g} {_unit(effect, name)}"
+        f"{name} not determined"
+        if name in effect.undetermined
+        else f"{name} {value:.3g} [{effect.units.get(name, '1')}]"
         for name, value in effect.parameters.items()
     )
 
 
-def _unit(effect: FoundEffect, name: str) -> str:
-    return f"[{effect.units.get(name, '1')}]"
-
-
 def tracking_sentence(diagnosis: Diagnosis) -> str:
     """The closed-loop tracking error now and with the corrected simulator; empty where it was not asked for."""
-    found = diagnosis.tracking
-    if found is None:
+    tracking = diagnosis.tracking
+    if tracking is None:
         return ""
-    if found.why_not or diagnosis.relies_on_its_split:
-        return f"How far the closed-loop tracking error falls cannot be said: {found.why_not or FLIPS}."
-    before, after = (_size_of(v, ends, diagnosis.unit) for v, ends in _errors(found))
+    if tracking.why_not or diagnosis.relies_on_its_split:
+        return f"How far the closed-loop tracking error falls cannot be said: {tracking.why_not or FLIPS}."
+    before = _size_of(tracking.before_deg, tracking.before_range_deg, diagnosis.unit)
+    after = _size_of(tracking.after_deg, tracking.after_range_deg, diagnosis.unit)
     floor = diagnosis.gap.floor_rmse_deg
-    if not found.changes(floor):
+    if not tracking.changes(floor):
         return (
             f"No fall of the closed-loop tracking error is expected: {before} RMS with the simulator as given, {after} "
             f"with the corrected one; the floor is {_size(floor, diagnosis.unit)}."
         )
-    change = "fall" if found.fall_deg > 0 else "rise"
+    change = "fall" if tracking.fall_deg > 0 else "rise"
     return (
-        f"The closed-loop tracking error is expected to {change} by {percent(abs(found.fall_share))}, "
+        f"The closed-loop tracking error is expected to {change} by {percent(abs(tracking.fall_share))}, "
         f"from {before} RMS to {after}, where the predictive controller, without learning, gets the corrected "
         "simulator as its model."
     )
-
-
-def _errors(found: TrackingGap) -> tuple[tuple[float, Interval], tuple[float, Interval]]:
-    return (found.before_deg, found.before_range_deg), (found.after_deg, found.after_range_deg)
 
 
 def _size_of(value: float, ends: Interval, unit: str) -> str:
@@ -167,7 +224,7 @@ def _size_of(value: float, ends: Interval, unit: str) -> str:
 
 
 def floor_words(gap: Gap, unit: str = "deg") -> str:
-    """What the floor comes from and what follows for the shares."""
+    """Origin of the noise floor, and what follows for the shares."""
     if gap.floor_kind == "repeats":
         return "The floor comes from repeats of a motion: what differs between them no simulator can follow."
     if gap.unrepeatable:
@@ -196,21 +253,21 @@ def retuning_sentence(diagnosis: Diagnosis) -> str:
     """Quantities of the simulator that retuning moves by more than they are shown with; empty where there are none."""
     units = baseline_units(diagnosis)
     each = [
-        f"{in_words(name)} from {given:.3g} to {found:.3g} {units.get(name, '')}"
-        for name, (given, found) in diagnosis.retuned.items()
-        if f"{given:.3g}" != f"{found:.3g}"
+        f"{in_words(name)} from {given:.3g} to {retuned:.3g} {units.get(name, '')}"
+        for name, (given, retuned) in diagnosis.retuned.items()
+        if f"{given:.3g}" != f"{retuned:.3g}"
     ]
     return f"Retuning moves {listed(each, 'and')}." if each else ""
 
 
 def mis_set_sentence(diagnosis: Diagnosis) -> str:
-    """The same where these numbers were a good half of the mean square error as given, beside the verdict's cause."""
+    """Retuned quantities where they made up half of the mean square error and the verdict names another cause."""
     gap = diagnosis.gap
     mis_set = gap.nominal_rmse_deg**2 > _MIS_SET * gap.retuned_rmse_deg**2
     return retuning_sentence(diagnosis) if mis_set and diagnosis.verdict in ("named", "one_of", "unknown") else ""
 
 
-def detectable_rows(found: DetectableSizes) -> list[tuple[str, ...]]:
+def detectable_rows(sizes: DetectableSizes) -> list[tuple[str, ...]]:
     """A row for each effect, in the order of `DETECTABLE_COLUMNS`."""
     return [
         (
@@ -219,7 +276,7 @@ def detectable_rows(found: DetectableSizes) -> list[tuple[str, ...]]:
             percent(one.hidden) if math.isfinite(one.hidden) else "",
             _detectable_remark(one),
         )
-        for one in found.effects
+        for one in sizes.effects
     ]
 
 
@@ -235,14 +292,14 @@ def _detectable_remark(one: Detectable) -> str:
     return "jumps need more" if one.effect == "stick_slip" else ""
 
 
-def detectable_sentence(found: DetectableSizes) -> str:
+def detectable_sentence(sizes: DetectableSizes) -> str:
     """What the least sizes mean, or why there are none."""
-    return found.why_not or (
-        f"An effect has to leave {_size(found.needed_rmse_deg, found.unit)} RMS after retuning: less passes for the "
+    return sizes.why_not or (
+        f"An effect has to leave {_size(sizes.needed_rmse_deg, sizes.unit)} RMS after retuning: less passes for the "
         "simulator's own model-form error. Each size is that of one effect alone in a free run over these commands; "
         "no measured angle was looked at, but for the first of each trial. Hidden: share of the effect's energy that "
         "retuning takes up. Stick-slip is seen by its jumps, which needs about 2.5 times its size."
-        + (_ORDER_HIDES if any(one.untestable for one in found.effects) else "")
+        + (_ORDER_HIDES if any(one.untestable for one in sizes.effects) else "")
     )
 
 
@@ -257,7 +314,7 @@ def next_sentence(proposal: MotionProposal) -> str:
 
 
 def listed(words: Sequence[str], joint: str) -> str:
-    """Words with commas, and a word before the last."""
+    """Enumeration with commas and a conjunction before the last word."""
     if len(words) < 2:
         return "".join(words)
     return f"{', '.join(words[:-1])} {joint} {words[-1]}"

@@ -1,4 +1,4 @@
-"""Localisation of the residual: the parts of the motion in which its energy lies. It proposes and does not decide."""
+"""Localisation of the residual: its energy by part of the motion, frequency and memory of the command."""
 
 from __future__ import annotations
 
@@ -7,19 +7,182 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.ndimage import median_filter
+from scipy.signal import csd, get_window, welch
+from scipy.stats import norm
 
+from hystmpc.models.identify.motion_lines import fundamental_hz
 from hystmpc.trials.errors import GapError
 from hystmpc.trials.segments import Motion
 from hystmpc.trials.trial import Trial
-from hystmpc.trials.types import Index, Vec
+from hystmpc.trials.types import Index, Mask, Vec
 
-from ..diagnosis import Place
-from ..logs.motion_type import command_segments
+from ..diagnosis import ResidualShare
+from ..logs.motion_type import command_segments, since_reversal
 from ..logs.noise_floor import require_residuals
-from .memory import memory_gains
-from .spectrum import Spectrum, spectrum_of
+from ..logs.sensor import autocorrelation
+from .memory import locked_part, memory_gains
 
-PLACES = ("loading", "unloading", "after_reversal", "hold", "first_flexure")
+_SEGMENT_S = 8.0  # of the averaged spectra; resolves 0.25 Hz with a Hann window
+_HIGHEST_HARMONIC = 32
+_MOST_LINES = 8
+_WIDE = 2.0  # bins on either side that a Hann window spreads a line over
+_NEIGHBOURS_HZ, _LEAST_NEIGHBOURS = 0.6, 15  # width and bins of the local median
+_LOWEST_HZ = 0.12
+_CHANCE = 1e-4  # of one false line in all frequencies
+_LEAST_SHARE = 0.005
+_COMMANDED = 1e-3  # of the command's largest bin (3 % in amplitude): a line there may be the command's
+_PEAK = 6.0  # over the local median, for a line of the command
+_SPARSE = 8.0  # bins between harmonics, below which they would exclude every frequency
+_VISIBLE = 3.0  # over the local median, in half of the trials: noise exceeds it in an eighth of them
+
+
+@dataclass(frozen=True)
+class SpectralLine:
+    """A sharp line of the residual that the command does not have.
+
+    Attributes:
+        hz: frequency [Hz].
+        share: of the residual's energy about its mean.
+        ratio: height over its surroundings, geometric mean over the trials.
+    """
+
+    hz: float
+    share: float
+    ratio: float
+
+
+@dataclass(frozen=True)
+class Spectrum:
+    """The residual of all trials by frequency, about each trial's mean.
+
+    Attributes:
+        coherent: share of the energy that is linear in the command, by coherence.
+        lines: sharp lines not locked to the command, strongest first.
+    """
+
+    coherent: float
+    lines: tuple[SpectralLine, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class _Periodograms:
+    """Hann-windowed periodograms (F,) of one trial: of the residual, of its part that is not locked to the command, and
+    of the command; `fundamental` is the command's [Hz], 0 without one."""
+
+    hz: Vec
+    power: Vec
+    unlocked: Vec
+    command: Vec
+    fundamental: float
+
+    @property
+    def bin_hz(self) -> float:
+        return float(self.hz[1])
+
+
+def spectrum_of(trials: Sequence[Trial], residuals: Sequence[Vec]) -> Spectrum:
+    """Spectrum of residuals (T,) [deg] of uniform trials at one rate."""
+    locked = locked_part(trials, residuals)
+    spectra = [_periodograms(*each) for each in zip(trials, residuals, locked, strict=True) if each[1].size >= 32]
+    total = sum(float(s.power.sum()) for s in spectra)
+    if total <= 0:
+        return Spectrum(0.0, ())
+    return Spectrum(_coherent(trials, residuals), _lines(spectra, total))
+
+
+def _periodograms(trial: Trial, e: Vec, locked: Vec) -> _Periodograms:
+    window = get_window("hann", e.size)
+    hz = np.asarray(np.fft.rfftfreq(e.size, trial.dt), dtype=np.float64)
+    power, unlocked = (np.abs(np.fft.rfft(window * (x - x.mean()))) ** 2 for x in (e, e - locked))
+    u = trial.command - trial.command.mean()
+    command = np.abs(np.fft.rfft(window * u)) ** 2
+    command[0] = 0.0
+    return _Periodograms(hz, power, unlocked, command, fundamental_hz(trial.command, trial.dt))
+
+
+def _coherent(trials: Sequence[Trial], residuals: Sequence[Vec]) -> float:
+    """Share of energy coherent with the command: sum C S_ee / sum S_ee, C = |S_ue|^2 / (S_uu S_ee), less its bias."""
+    rate = 1.0 / trials[0].dt
+    size = min(round(_SEGMENT_S * rate), *(max(len(t) // 2, 8) for t in trials))
+    sums = [np.zeros(size // 2 + 1, dtype=np.complex128) for _ in range(3)]
+    count = 0.0
+    for trial, e in zip(trials, residuals, strict=True):
+        segments = max(1, 2 * len(trial) // size - 1)
+        count += segments
+        for k, (a, b) in enumerate(((trial.command, e), (trial.command, trial.command), (e, e))):
+            density = csd(a, b, rate, nperseg=size)[1] if k == 0 else welch(a, rate, nperseg=size)[1]
+            sums[k] += segments * density
+    cross, command, residual = np.abs(sums[0]) ** 2, sums[1].real, sums[2].real
+    coherence = np.divide(cross, command * residual, out=np.zeros(cross.size), where=command * residual > 0)
+    # Of n independent segments, half of those that overlap by half, unrelated signals have a coherence of 1 / n.
+    bias = min(1.0 / max(0.5 * (count + 1), 1.0), 0.99)
+    coherence = np.clip((coherence - bias) / (1 - bias), 0.0, 1.0)
+    return float(coherence @ residual / residual.sum()) if residual.sum() > 0 else 0.0
+
+
+def _lines(shown: Sequence[_Periodograms], total: float) -> tuple[SpectralLine, ...]:
+    """Frequencies at which the power of the unlocked part over its local median, mean over trials, is beyond chance.
+
+    What the command's past explains over all trials is taken out first: periodic motions have lines, too. Of a residual
+    without lines the ratio of power to its local median is exponential over ln 2; its logarithm has mean
+    -0.5772 - ln ln 2 and variance pi^2 / 6, and the mean of n trials is nearly normal. The geometric mean, unlike the
+    arithmetic, does not rise by one trial.
+    """
+    finest = min(s.bin_hz for s in shown)
+    grid = np.arange(_LOWEST_HZ, max(s.hz[-1] for s in shown) - finest, finest)
+    if grid.size < _LEAST_NEIGHBOURS:
+        return ()
+    ratios = np.array([np.interp(grid, s.hz, _ratio(s.unlocked, s.bin_hz)) for s in shown])
+    free = np.array([~_commanded(s, grid) for s in shown])
+    count = free.sum(axis=0)
+    n = np.maximum(count, 1)
+    logs = (np.log(np.maximum(ratios, 1e-6)) * free).sum(axis=0) / n
+    mean = np.where(count > 0, np.exp(logs), 0.0)
+    usual = -np.euler_gamma - np.log(np.log(2))
+    bar = np.exp(usual + norm.isf(_CHANCE / grid.size) * np.pi / np.sqrt(6 * n))
+    lines: list[SpectralLine] = []
+    common = ((ratios > _VISIBLE) & free).sum(axis=0) >= 0.5 * n
+    left = (mean > bar) & common & (count >= 0.5 * len(shown))
+    while left.any() and len(lines) < _MOST_LINES:
+        k = int(np.argmax(np.where(left, mean, 0.0)))
+        share = float(sum(_line_energy(s, float(grid[k])) for s in shown)) / total
+        if share >= _LEAST_SHARE:
+            lines.append(SpectralLine(float(grid[k]), share, float(mean[k])))
+        left &= np.abs(grid - grid[k]) > 2 * _WIDE * max(s.bin_hz for s in shown)
+    return tuple(sorted(lines, key=lambda line: -line.share))
+
+
+def _ratio(power: Vec, bin_hz: float) -> Vec:
+    """Power over its local median."""
+    size = 2 * max(_LEAST_NEIGHBOURS // 2, round(0.5 * _NEIGHBOURS_HZ / bin_hz)) + 1
+    level = median_filter(power, size=size, mode="nearest")
+    return power / np.maximum(level, 1e-12 * max(float(power.max()), 1e-300))
+
+
+def _commanded(s: _Periodograms, grid: Vec) -> Mask:
+    """Frequencies of the command's own lines, and of harmonics of its fundamental."""
+    peaks = (s.command > _COMMANDED * float(s.command.max())) & (_ratio(s.command, s.bin_hz) > _PEAK)
+    peaks |= np.roll(peaks, 1) | np.roll(peaks, -1)
+    commanded = np.interp(grid, s.hz, peaks.astype(np.float64)) > 0
+    if s.fundamental > _SPARSE * s.bin_hz:
+        order = np.rint(grid / s.fundamental)
+        near = np.abs(grid - order * s.fundamental) <= _WIDE * s.bin_hz
+        commanded |= near & (order <= _HIGHEST_HARMONIC)
+    return commanded
+
+
+def _line_energy(s: _Periodograms, hz: float) -> float:
+    """Energy of a spectral line above the local level, the geometric mean of both sides."""
+    off = s.hz - hz
+    inside, reach = np.abs(off) <= _WIDE * s.bin_hz, 4 * _WIDE * s.bin_hz
+    sides = [s.unlocked[side & (np.abs(off) <= reach) & ~inside] for side in (off < 0, off > 0)]
+    levels = [float(np.median(side)) / np.log(2) for side in sides if side.size]
+    level = float(np.exp(np.mean(np.log(np.maximum(levels, 1e-300))))) if levels else 0.0
+    return max(float(s.unlocked[inside].sum()) - level * int(inside.sum()), 0.0)
+
+
+MOTION_PARTS = ("loading", "unloading", "after_reversal", "hold", "first_flexure")
 """Parts of a motion, exclusive; precedence: hold, first_flexure, after_reversal, direction."""
 
 _AFTER = 0.1  # way after a reversal that counts as after it, as a share of the command's range in the trial
@@ -37,7 +200,7 @@ class Localisation:
         memory: share that each kind of memory explains held out, by name; below zero if none.
     """
 
-    places: Mapping[str, Place]
+    places: Mapping[str, ResidualShare]
     spectrum: Spectrum
     memory: Mapping[str, float]
 
@@ -67,16 +230,16 @@ def localise(
     power = np.concatenate([e**2 for e in residuals])
     if power.sum() <= 0:
         raise GapError(f"all {power.size} residuals are zero, expected something to localise")
-    labels = np.concatenate([place_labels(trial) for trial in trials])
+    labels = np.concatenate([motion_part_labels(trial) for trial in trials])
     return Localisation(
-        places=_places(power, labels, _blocks(residuals, trials[0].dt), seed),
+        places=_residual_shares(power, labels, _blocks(residuals, trials[0].dt), seed),
         spectrum=spectrum_of(trials, residuals),
         memory=memory_gains(trials, residuals, loop_width, ordered),
     )
 
 
-def place_labels(trial: Trial) -> Index:
-    """Number in `PLACES` of every sample (T,) of a uniform trial.
+def motion_part_labels(trial: Trial) -> Index:
+    """Number in `MOTION_PARTS` of every sample (T,) of a uniform trial.
 
     `hold`: the command rests. `first_flexure`: it moves, and has not turned yet in this trial. `after_reversal`: it
     moves, and has travelled less than a tenth of its range since it turned. Else `loading` or `unloading`. The parts
@@ -86,20 +249,15 @@ def place_labels(trial: Trial) -> Index:
         LogError: if the sampling is not uniform.
     """
     parts = command_segments(trial)
-    k = np.arange(len(trial))
-    labels = np.where(parts.labels == Motion.UNLOADING, PLACES.index("unloading"), PLACES.index("loading"))
+    labels = np.where(parts.labels == Motion.UNLOADING, MOTION_PARTS.index("unloading"), MOTION_PARTS.index("loading"))
     if parts.reversals.size:
         width = _AFTER * float(np.ptp(trial.command))
-        turned = np.zeros(len(trial), dtype=np.bool_)
-        turned[parts.reversals] = True
-        last = np.maximum.accumulate(np.where(turned, k, -1))
-        travelled = np.cumsum(np.abs(np.diff(trial.command, prepend=trial.command[0])))
-        near = (last >= 0) & (travelled - travelled[np.maximum(last, 0)] < width) & (k > last)
-        labels[near] = PLACES.index("after_reversal")
-        labels[: int(parts.reversals[0]) + 1] = PLACES.index("first_flexure")
+        samples, travel, _ = since_reversal(trial.command, parts)
+        labels[(samples > 0) & (travel < width)] = MOTION_PARTS.index("after_reversal")
+        labels[: int(parts.reversals[0]) + 1] = MOTION_PARTS.index("first_flexure")
     else:
-        labels[:] = PLACES.index("first_flexure")
-    labels[parts.labels == Motion.HOLD] = PLACES.index("hold")
+        labels[:] = MOTION_PARTS.index("first_flexure")
+    labels[parts.labels == Motion.HOLD] = MOTION_PARTS.index("hold")
     return labels.astype(np.intp)
 
 
@@ -119,17 +277,13 @@ def _blocks(residuals: Sequence[Vec], dt: float) -> Index:
 def _correlation_s(residuals: Sequence[Vec], dt: float) -> float:
     """Lag at which the correlation of the residuals, about each one's mean, falls to 1/e [s]."""
     longest = max(e.size for e in residuals)
-    size = 2 ** math.ceil(math.log2(2 * longest))
-    total = np.zeros(longest)
-    for e in residuals:
-        shape = np.abs(np.fft.rfft(e - e.mean(), size)) ** 2
-        total += np.fft.irfft(shape, size)[:longest]
+    total = np.sum([autocorrelation(e - e.mean(), longest) for e in residuals], axis=0)
     below = np.flatnonzero(total < total[0] / math.e)
     return float(below[0]) * dt if below.size else longest * dt
 
 
-def _places(power: Vec, labels: Index, blocks: Index, seed: int) -> dict[str, Place]:
-    energy = np.zeros((int(blocks[-1]) + 1, len(PLACES)))
+def _residual_shares(power: Vec, labels: Index, blocks: Index, seed: int) -> dict[str, ResidualShare]:
+    energy = np.zeros((int(blocks[-1]) + 1, len(MOTION_PARTS)))
     spent = np.zeros_like(energy)
     np.add.at(energy, (blocks, labels), power)
     np.add.at(spent, (blocks, labels), 1.0)
@@ -143,7 +297,7 @@ def _places(power: Vec, labels: Index, blocks: Index, seed: int) -> dict[str, Pl
     totals = np.maximum(drawn.sum(axis=1, keepdims=True), np.finfo(np.float64).tiny)
     low, high = np.quantile(drawn / totals, [0.05, 0.95], axis=0).tolist()
     return {
-        name: Place(float(share[k]), float(share[k] / time[k]), (low[k], high[k]))
-        for k, name in enumerate(PLACES)
+        name: ResidualShare(float(share[k]), float(share[k] / time[k]), (low[k], high[k]))
+        for k, name in enumerate(MOTION_PARTS)
         if time[k] > 0
     }

@@ -47,7 +47,7 @@ def memory_gains(
     total = float(_held_out([np.zeros((y.size, 0)) for y in targets], targets, (_RIDGE,)).sum())
     gains = {}
     for name in MEMORIES:
-        missed = _held_out(_folded([own[name] for own in features]), targets, (_RIDGE,))[0]
+        missed = _held_out(_folded([trial_features[name] for trial_features in features]), targets, (_RIDGE,))[0]
         gains[name] = float(np.clip(1 - missed.sum() / total, -1.0, 1.0)) if total > 0 else 0.0
     return gains
 
@@ -70,8 +70,8 @@ def explainable_share(trials: Sequence[Trial], residuals: Sequence[Vec], seed: i
     """
     require_residuals(trials, residuals)
     targets = _folded(residuals)
-    own = np.array([float(y @ y) for y in targets])
-    energy = float(own.sum())
+    energies = np.array([float(y @ y) for y in targets])
+    energy = float(energies.sum())
     if energy <= 0:
         return 0.0
     plain = _folded(past_features(trials))
@@ -86,7 +86,7 @@ def explainable_share(trials: Sequence[Trial], residuals: Sequence[Vec], seed: i
     missed = np.concatenate([_held_out(plain, targets, _RIDGES), _held_out(plain, targets, _RIDGES, mixed)])
     others = missed.sum(axis=1, keepdims=True) - missed
     chosen = np.argmin(others, axis=0)
-    explained = 1 - float(np.minimum(missed[chosen, np.arange(len(targets))], own).sum()) / energy
+    explained = 1 - float(np.minimum(missed[chosen, np.arange(len(targets))], energies).sum()) / energy
     return float(np.clip(explained, 0.0, 1.0))
 
 
@@ -109,9 +109,9 @@ def friction_share(trials: Sequence[Trial], residuals: Sequence[Vec], noise_deg:
     require_residuals(trials, residuals)
     starts = [int(next(iter(segment(trial).reversals), 0)) for trial in trials]
     targets = _folded([error[k:] for error, k in zip(residuals, starts, strict=True)])
-    own = np.array([float(y @ y) for y in targets])
-    weights = 1 / np.sqrt(np.maximum(own, np.finfo(np.float64).tiny))
-    energy = float(own @ weights)
+    energies = np.array([float(y @ y) for y in targets])
+    weights = 1 / np.sqrt(np.maximum(energies, np.finfo(np.float64).tiny))
+    energy = float(energies @ weights)
     noise = noise_deg**2 * float(np.array([y.size for y in targets]) @ weights)
     if energy <= noise:
         return 0.0

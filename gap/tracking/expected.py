@@ -1,9 +1,10 @@
-"""The closed-loop error expected before and after a correction, simulated on the corrected simulator."""
+"""Closed-loop tracking error expected with the simulator as given and with the corrected one."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any, final
 
 import numpy as np
@@ -20,21 +21,21 @@ from hystmpc.models.simulator import ChainModel, Simulator
 from hystmpc.sim.closed_loop import ClosedLoopRun, run_closed_loop
 from hystmpc.sim.plants.computed import ComputedPlant, Sensing
 from hystmpc.sim.plants.simulated import conditioned, rest_of
-from hystmpc.trajectories.drawn import CountedMotion
-from hystmpc.trials.errors import GapError
-from hystmpc.trials.types import Vec
+from hystmpc.trajectories.drawn import CountedMotion, drawn_motions
+from hystmpc.trials.errors import GapError, HystmpcError
+from hystmpc.trials.types import Progress, Vec, no_progress
 
-from ..diagnosis import MotionTracking, TrackingGap
-from ..report.report_data import TrackingCurve
+from ..diagnosis import FLIPS, Diagnosis, MotionTracking, TrackingGap
+from ..report.report_data import ReportData, TrackingCurve, TrialRuns
 
 SEEDS = (1, 2)
 """Of the noise; the interval of an error is between its least and its greatest value over them."""
 
-USUAL = LinearisedMpcSettings(adaptation=None, supervisor=None)
+DEFAULT_CONTROLLER = LinearisedMpcSettings(adaptation=None, supervisor=None)
 """The controller of which a diagnosis speaks. One that learns finds on the device what its model lacks, and more of it
 than in a simulation, where part of it is a walk that nobody can learn: of it no fall can be foretold."""
 
-NEAR = 0.3
+AGREEMENT = 0.3
 """How far two falls of the error may be from each other, as a share of the expected one, to agree."""
 
 ROUGHNESS = 0.7
@@ -57,12 +58,12 @@ def expected_tracking(
 
         error^2 = mean over the samples that count of (true angle - reference)^2,   overall: mean over the motions
 
-    The fall has to be the same, within `NEAR` of itself, on the corrected simulator alone. Where what is left
+    The fall has to be the same, within `AGREEMENT` of itself, on the corrected simulator alone. Where what is left
     unexplained decides how much a loop gains, no fall is foretold (`why_not`).
 
     Args:
         motions: at least one.
-        settings: of the controller; `USUAL`, the linearised predictive controller without learning, where left out.
+        settings: of the controller; where left out, `DEFAULT_CONTROLLER`, linearised and predictive without learning.
         seeds: of the noise, at least one.
         floor_deg: RMSE that stays with any simulator; a fall that it hides counts as none.
 
@@ -75,7 +76,7 @@ def expected_tracking(
         if (got := getattr(corrected, name)) != (expected := getattr(nominal, name)):
             raise GapError(f"corrected simulator: {name} {got}, expected that of the nominal one, {expected}")
     limits = limits_of_model(nominal.metadata())
-    laws = [_controller(simulator, settings or USUAL, limits) for simulator in (nominal, corrected)]
+    laws = [_controller(simulator, settings or DEFAULT_CONTROLLER, limits) for simulator in (nominal, corrected)]
     plant = UnexplainedPlant(corrected, seeds[0])
     squares, runs = np.empty((len(seeds), len(motions), 2)), list[list[ClosedLoopRun]]()
     for k, seed in enumerate(seeds):
@@ -86,7 +87,7 @@ def expected_tracking(
         for m, motion in enumerate(motions)
     )
     before, after = np.sqrt(squares.mean(axis=1)).T
-    found = TrackingGap(
+    gap = TrackingGap(
         before_deg=math.sqrt(float(squares[..., 0].mean())),
         after_deg=math.sqrt(float(squares[..., 1].mean())),
         before_range_deg=(float(before.min()), float(before.max())),
@@ -94,9 +95,9 @@ def expected_tracking(
         motions=each,
     )
     alone = np.sqrt(_squares(laws, UnexplainedPlant(corrected, seeds[0], explained=True), motions)[0].mean(axis=0))
-    if why_not := _undetermined(found, TrackingGap(*alone.tolist()), floor_deg):
+    if why_not := _undetermined(gap, TrackingGap(*alone.tolist()), floor_deg):
         return TrackingGap(why_not=why_not), ()
-    return found, tuple(_curve(motion, pair, plant.dt) for motion, pair in zip(motions, runs, strict=True))
+    return gap, tuple(_curve(motion, pair, plant.dt) for motion, pair in zip(motions, runs, strict=True))
 
 
 def _squares(
@@ -113,14 +114,14 @@ def _squares(
     return np.array(squares), runs
 
 
-def _undetermined(found: TrackingGap, alone: TrackingGap, floor_deg: float) -> str:
-    """Why a fall cannot be said, given the one on the corrected simulator alone; empty where it can."""
-    if not found.changes(floor_deg) or abs(alone.fall_share - found.fall_share) <= NEAR * abs(found.fall_share):
+def _undetermined(gap: TrackingGap, alone: TrackingGap, floor_deg: float) -> str:
+    """Why the fall of the error is undetermined, given the fall without disturbance; empty where it is determined."""
+    if not gap.changes(floor_deg) or abs(alone.fall_share - gap.fall_share) <= AGREEMENT * abs(gap.fall_share):
         return ""
-    low, high = sorted((found.fall_share, alone.fall_share))
+    low, high = sorted((gap.fall_share, alone.fall_share))
     return (
         f"what the corrected simulator leaves unexplained decides the fall of the error: {100 * low:.0f} % to "
-        f"{100 * high:.0f} %, expected within {100 * NEAR:.0f} % of each other"
+        f"{100 * high:.0f} %, expected within {100 * AGREEMENT:.0f} % of each other"
     )
 
 
@@ -137,7 +138,7 @@ def _controller(simulator: Simulator, settings: LawSettings, limits: CommandLimi
 
 @final
 class UnexplainedPlant(ComputedPlant):
-    """A simulator as the device that it says it is, with the noise that its file says it leaves.
+    """Simulated plant: a simulator with the sensor noise and the unexplained disturbance of its file.
 
         theta_k = model_k + d_k,   d_{k+1} = sqrt(1 - q_k / m^2) d_k + sqrt(q_k) w_k,
         q_k = c^2 (drift^2 dt + motion^2 |u_{k+1} - u_k|),   y_k = theta_k + sensor v_k
@@ -169,11 +170,11 @@ class UnexplainedPlant(ComputedPlant):
         inner, disturbance, before = state
         angle, after = self._model.advance(inner, u)
         if self._noise is not None:
-            disturbance = walked(disturbance, abs(u - before), self.dt, self._noise, random.standard_normal())
+            disturbance = next_disturbance(disturbance, abs(u - before), self.dt, self._noise, random.standard_normal())
         return angle + disturbance, (after, disturbance, u)
 
 
-def walked(disturbance: float, travel: float, dt_s: float, noise: NoiseModel, drawn: float) -> float:
+def next_disturbance(disturbance: float, travel: float, dt_s: float, noise: NoiseModel, drawn: float) -> float:
     """The disturbance one sample later."""
     drift, motion = noise.drift_sigma_deg_per_sqrt_s, noise.motion_sigma_deg_per_sqrt_unit
     q = ROUGHNESS**2 * (drift**2 * dt_s + motion**2 * travel)
@@ -182,3 +183,77 @@ def walked(disturbance: float, travel: float, dt_s: float, noise: NoiseModel, dr
         q = min(q, whole**2)
         kept = math.sqrt(1.0 - q / whole**2) if whole > 0 else 0.0
     return kept * disturbance + math.sqrt(q) * drawn
+
+
+SCANS_HZ = {"scan": 0.2}
+LEAST_CLOSED = 0.8
+"""Share of the structural gap that has to be closed; with more left open a loop can do what no simulation shows."""
+
+_MOVES = 3
+_COVERED = (0.02, 0.98)  # quantiles of the simulated angles: what was reached by accident is no motion
+_FASTEST, _SPEED_SHARE = 0.99, 0.5  # quantile of the simulated speed, and how much of it a reference takes
+_FAST_DT_S = 0.019  # below it a second seed would take too long
+
+
+def with_tracking(data: ReportData, progress: Progress | None = None) -> ReportData:
+    """Add the expected fall of the closed-loop tracking error to the report data and its diagnosis.
+
+    References are drawn from the seed of the diagnosis. They stay within the angles that the trials covered, as the
+    simulator with its effects has them, and within half of the greatest speed there.
+
+    Args:
+        progress: called as the step begins and as it ends.
+    """
+    report = progress or no_progress
+    report(98, 100, "closed loop before and after")
+    curves: tuple[TrackingCurve, ...] = ()
+    why_not = _why_not(data)
+    gap = TrackingGap(why_not=why_not)
+    if not why_not and data.nominal is not None and data.fixed is not None:
+        seeds = SEEDS if data.nominal.dt_s > _FAST_DT_S else SEEDS[:1]
+        try:
+            motions = covered_motions(data.trials, data.fixed, data.seed)
+            gap, curves = expected_tracking(
+                data.nominal, data.fixed, motions, seeds=seeds, floor_deg=data.diagnosis.gap.floor_rmse_deg
+            )
+        except HystmpcError as error:
+            gap = TrackingGap(why_not=f"the closed loop could not be simulated ({error})")
+    report(100, 100, data.diagnosis.verdict)
+    return replace(data, diagnosis=replace(data.diagnosis, tracking=gap), curves=curves)
+
+
+def covered_motions(trials: Sequence[TrialRuns], fixed: Simulator, seed: int) -> tuple[CountedMotion, ...]:
+    """Reference motions within the angles and half of the speed that the trials covered.
+
+    Raises:
+        TrajectoryError: if the angle hardly moved in the trials.
+    """
+    angles = [trial.with_effects for trial in trials]
+    low, high = np.quantile(np.concatenate(angles), _COVERED)
+    speeds = [np.abs(np.diff(trial.with_effects)) / trial.trial.dt for trial in trials]
+    speed = _SPEED_SHARE * float(np.quantile(np.concatenate(speeds), _FASTEST))
+    rest = UnexplainedPlant(fixed, seed).true_angle
+    random = np.random.default_rng([seed, 3])
+    return drawn_motions(random, rest, (float(low), float(high)), speed, SCANS_HZ, moves=_MOVES)
+
+
+def _why_not(data: ReportData) -> str:
+    """Why no fall of the error can be predicted, in one sentence; empty where it can."""
+    diagnosis: Diagnosis = data.diagnosis
+    if data.unit != "deg":
+        return f"the controllers follow angles in deg, and the output of this device is in {data.unit}"
+    if data.nominal is None:
+        return "the simulator is a network, of which a diagnosis makes no corrected simulator"
+    if diagnosis.verdict == "too_little":
+        return "these logs do not allow a diagnosis"
+    if diagnosis.verdict == "unknown" or data.fixed is None:
+        return "the gap has a cause that is not known, so that no simulator stands for the device"
+    if diagnosis.relies_on_its_split:
+        return FLIPS
+    closed = diagnosis.gap.closed_share
+    if diagnosis.verdict not in ("none", "retuned") and not closed >= LEAST_CLOSED:
+        return (
+            f"the corrected simulator closes {100 * closed:.0f} % of the structural gap, expected "
+            f"{100 * LEAST_CLOSED:.0f} % or more for it to stand for the device in a closed loop"
+        )
+    return ""

@@ -1,23 +1,36 @@
-"""Closed-loop runs read back for a comparison: the samples along the reference, and their error without the noise."""
+"""Closed-loop tracking error measured in runs, and its fall from one run to another on the same reference."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from hystmpc.ctrl.law import LawSettings
+from hystmpc.ctrl.mpc_settings import LinearisedMpcSettings, SamplingMpcSettings
 from hystmpc.models.load import load_model, model_path
+from hystmpc.models.simulator import Simulator, load_simulator
 from hystmpc.rig.config import RunSettings
 from hystmpc.sim.results import load_results
-from hystmpc.trajectories.trajectory import Trajectory, steps
-from hystmpc.trials.errors import LogError, ModelError
+from hystmpc.trajectories.drawn import CountedMotion, approached
+from hystmpc.trajectories.trajectory import Trajectory, sample, steps
+from hystmpc.trials.errors import ConfigError, HystmpcError, LogError, ModelError
+from hystmpc.trials.figures import TrackedLine, TrackedMotion, tracking_figure
 from hystmpc.trials.from_outside import only_reads
+from hystmpc.trials.report import Heading, Paragraph, Piece, Plot, Table
 from hystmpc.trials.run_folder import Column, RunFolder
 from hystmpc.trials.types import Vec
+
+from ..diagnosis import TrackingGap
+from ..report.figures import AFTER, BEFORE
+from ..report.folder import DIAGNOSIS_FILE, GIVEN_FILE, holds_diagnosis
+from ..report.report_data import FIXED_FILE
+from .expected import AGREEMENT, UnexplainedPlant, expected_tracking
 
 _BENCH = {"transport", "sensor", "reference"}  # settings that only an experiment has
 _LEAST = 10  # samples that can be compared
@@ -36,7 +49,7 @@ class MeasuredRun:
         t: end of the sample, from the beginning of the reference [s].
         reference_deg, angle_deg: wanted and measured angle; of a simulation the true one [deg].
         noise_deg: standard deviation of the noise in that angle; None where it is not known [deg].
-        led: whether the reference began with a way from where the device was.
+        approached_first: whether the reference began with a way from where the device was.
     """
 
     folder: Path
@@ -48,7 +61,7 @@ class MeasuredRun:
     reference_deg: Vec
     angle_deg: Vec
     noise_deg: float | None
-    led: bool
+    approached_first: bool
 
     @property
     def rmse_deg(self) -> float:
@@ -82,7 +95,7 @@ def measured_runs(folder: Path) -> tuple[MeasuredRun, ...]:
             reference_deg=r.run.log.reference_deg[r.run.first :],
             angle_deg=r.run.true_deg[r.run.first :],
             noise_deg=0.0,
-            led=r.run.first > 0,
+            approached_first=r.run.first > 0,
         )
         for r in study.results
     )
@@ -91,8 +104,8 @@ def measured_runs(folder: Path) -> tuple[MeasuredRun, ...]:
 def _at_bench(run: RunFolder) -> MeasuredRun:
     settings = RunSettings.parse(run.config(), str(run.path / "config.yaml"))
     log, reference, dt_s = run.log(), settings.reference.build(), settings.dt_s
-    if gone := [name for name in ("angle_deg", "reference_deg", "sequence") if name not in log]:
-        raise LogError(f"{run.path}: the log lacks {', '.join(gone)}, expected the log of a run at a bench")
+    if missing := [name for name in ("angle_deg", "reference_deg", "sequence") if name not in log]:
+        raise LogError(f"{run.path}: the log lacks {', '.join(missing)}, expected the log of a run at a bench")
     sequence = _numbers(log, "sequence").astype(np.int64)
     follows = np.flatnonzero(np.diff(sequence) == 1)  # rows whose end is the next row's beginning
     wanted, angle = _numbers(log, "reference_deg")[follows], _numbers(log, "angle_deg")[follows + 1]
@@ -117,7 +130,7 @@ def _at_bench(run: RunFolder) -> MeasuredRun:
         reference_deg=wanted[rows],
         angle_deg=angle[rows],
         noise_deg=_noise_deg(settings.controller.model),
-        led=True,
+        approached_first=True,
     )
 
 
@@ -132,3 +145,201 @@ def _noise_deg(model: str) -> float | None:
 
 def _numbers(log: Mapping[str, Column], name: str) -> Vec:
     return np.asarray(log[name], dtype=np.float64)
+
+
+_SAME_DEG = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class TrackingFall:
+    """Fall of the tracking error from an earlier run to a run on the same reference.
+
+    Attributes:
+        after: the run that is reported.
+        before: the earlier run; None where none was given.
+        expected: on this very reference; None without a diagnosis.
+    """
+
+    after: MeasuredRun
+    before: MeasuredRun | None
+    expected: TrackingGap | None
+
+    @property
+    def share(self) -> float:
+        """Measured fall as a share of the error before; not-a-number without an earlier run."""
+        return math.nan if self.before is None else _share(self.before.rmse_deg, self.after.rmse_deg)
+
+    @property
+    def agrees(self) -> bool:
+        """Whether the measured share is within `AGREEMENT` of the expected one."""
+        if self.expected is None or self.expected.why_not or self.before is None:
+            return False
+        expected = self.expected.fall_share
+        return abs(self.share - expected) <= AGREEMENT * abs(expected)
+
+
+def tracking_falls(run: Path, before: Sequence[Path], diagnosis: Path | None = None) -> tuple[TrackingFall, ...]:
+    """Fall of the tracking error from every earlier run, and the fall that a diagnosis predicts on the same reference.
+
+    Args:
+        run: folder of `run` or `simulate`.
+        before: folders of the same kind, on the same reference.
+        diagnosis: folder of `diagnose`; its simulators are run in closed loop on the run's own reference.
+
+    Raises:
+        LogError: if a folder holds no run or diagnosis, or references differ.
+        HystmpcError: of any kind, if the closed loop cannot be simulated.
+    """
+    after = measured_runs(run)
+    earlier = [_runs_to_compare(run, after, folder) for folder in before]
+    pair = None if diagnosis is None else _simulators(diagnosis)
+    falls = []
+    for k, run_after in enumerate(after):
+        earlier_runs = [earlier_run for earlier_runs in earlier if (earlier_run := earlier_runs[k]) is not None]
+        expected = None if pair is None or (before and not earlier_runs) else _expected(run_after, *pair)
+        falls += [TrackingFall(run_after, earlier_run, expected) for earlier_run in earlier_runs]
+        if not before:
+            falls.append(TrackingFall(run_after, None, expected))
+    return tuple(falls)
+
+
+def fall_lines(falls: Iterable[TrackingFall]) -> list[str]:
+    """Sentences on the measured and the expected fall, a line each."""
+    lines = []
+    for fall in falls:
+        lines.append(_measured_line(fall))
+        if fall.expected is not None:
+            lines.append(_expected_line(fall, fall.expected))
+    return lines
+
+
+def fall_pieces(falls: Sequence[TrackingFall]) -> tuple[Piece, ...]:
+    """The same for a page: a table, the lines, and a figure for each pair of runs."""
+    rows: list[tuple[Any, ...]] = []
+    for fall in falls:
+        name = fall.after.name or "tracking error"
+        if fall.before is not None:
+            rows.append(
+                (name, f"measured, {fall.before.folder.name}", *_row(fall.before.rmse_deg, fall.after.rmse_deg))
+            )
+        if fall.expected is not None and not fall.expected.why_not:
+            rows.append((name, "expected", *_row(fall.expected.before_deg, fall.expected.after_deg)))
+    columns = ("of", "", "before [deg]", "after [deg]", "fall [%]")
+    pieces: list[Piece] = [Heading("Fall of the tracking error"), *map(Paragraph, fall_lines(falls))]
+    pieces.append(Table(columns, rows, "RMS along the reference, without the way to its start."))
+    pieces += [
+        Plot(_figure(fall.before, fall.after), f"{fall.after.name or 'Angle'}: before and after.")
+        for fall in falls
+        if fall.before is not None
+    ]
+    return tuple(pieces)
+
+
+def _runs_to_compare(run: Path, after: Sequence[MeasuredRun], folder: Path) -> list[MeasuredRun | None]:
+    """The earlier run of each of a folder's runs; None where that folder has none of its name."""
+    by_name = {earlier.name: earlier for earlier in measured_runs(folder)}
+    matched = [by_name.get(run_after.name) for run_after in after]
+    if not any(matched):
+        names = ", ".join(by_name) or "nothing"
+        raise LogError(f"--before {folder}: got {names}, expected runs of the names in {run}")
+    for run_after, earlier in zip(after, matched, strict=True):
+        if earlier is not None:
+            _require_same(run_after, earlier)
+    return matched
+
+
+def _require_same(after: MeasuredRun, before: MeasuredRun) -> None:
+    rate = 1.0 / after.dt_s
+    (_, wanted), (_, other) = sample(after.reference, rate), sample(before.reference, rate)
+    where = f"--before {before.folder}"
+    if wanted.size != other.size:
+        got, expected = before.reference.duration_s, after.reference.duration_s
+        raise LogError(f"{where}: a reference of {got:.4g} s, expected that of {after.folder}, {expected:.4g} s")
+    apart = float(np.max(np.abs(wanted - other)))
+    if apart > _SAME_DEG:
+        distance = f"a reference up to {apart:.3g} deg beside that of {after.folder}"
+        raise LogError(f"{where}: {distance}, expected the same one")
+
+
+def _simulators(folder: Path) -> tuple[Simulator, Simulator]:
+    """Nominal and corrected simulator of a diagnosis."""
+    if not holds_diagnosis(folder):
+        raise LogError(f"--diagnosis {folder}: got no {DIAGNOSIS_FILE}, expected a folder of `diagnose`")
+    for name in (GIVEN_FILE, FIXED_FILE):
+        if not (folder / name).is_file():
+            raise LogError(
+                f"--diagnosis {folder}: got no {name}, expected one; a network, angles that follow no command and "
+                "older diagnoses have none"
+            )
+    return load_simulator(folder / GIVEN_FILE), load_simulator(folder / FIXED_FILE)
+
+
+def _expected(run: MeasuredRun, nominal: Simulator, corrected: Simulator) -> TrackingGap:
+    """The expected errors on the run's own reference, with the controller that it had."""
+    if not isinstance(run.settings, LinearisedMpcSettings | SamplingMpcSettings):
+        return TrackingGap(why_not=f"{run.name or run.folder}: its controller does not predict with a model")
+    nominal, corrected = nominal.at_sample_time(run.dt_s), corrected.at_sample_time(run.dt_s)
+    settings: LawSettings = run.settings
+    motion = CountedMotion(run.name or "reference", run.reference, 0.0)
+    if run.approached_first:
+        rest = UnexplainedPlant(corrected, 1).true_angle
+        motion = approached(motion.name, rest, float(run.reference(0.0)), run.reference)
+    try:
+        return expected_tracking(nominal, corrected, (motion,), settings=settings)[0]
+    except ConfigError:
+        raise
+    except HystmpcError as error:
+        return TrackingGap(why_not=f"the closed loop could not be simulated ({error})")
+
+
+def _share(before: float, after: float) -> float:
+    return (before - after) / before if before > 0 else 0.0
+
+
+def _row(before: float, after: float) -> tuple[float, float, float]:
+    return before, after, 100 * _share(before, after)
+
+
+def _measured_line(fall: TrackingFall) -> str:
+    name, after = (f"{fall.after.name}: " if fall.after.name else ""), fall.after
+    if fall.before is None:
+        return f"{name}the tracking error is {after.rmse_deg:.3g} deg RMS {_noise_words(after)}"
+    before = fall.before
+    change = "fell" if fall.share >= 0 else "rose"
+    text = (
+        f"{name}the tracking error {change} from {before.rmse_deg:.3g} deg RMS ({before.folder.name}) to "
+        f"{after.rmse_deg:.3g} deg, by {100 * abs(fall.share):.0f} % {_noise_words(before, after)}"
+    )
+    return text if before.settings == after.settings else f"{text}; the two runs differ in the controller's settings"
+
+
+def _expected_line(fall: TrackingFall, expected: TrackingGap) -> str:
+    if expected.why_not:
+        return f"no fall can be expected: {expected.why_not}"
+    share = _share(expected.before_deg, expected.after_deg)
+    text = (
+        f"expected on this reference: from {expected.before_deg:.3g} deg RMS to {expected.after_deg:.3g} deg, "
+        f"by {100 * share:.0f} %"
+    )
+    if fall.before is None:
+        return text
+    verdict = "is" if fall.agrees else "is not"
+    return f"{text}; the measured fall {verdict} within {100 * AGREEMENT:.0f} % of it"
+
+
+def _noise_words(*runs: MeasuredRun) -> str:
+    """How the sensor noise in the measured angle was treated."""
+    if all(run.noise_deg is None for run in runs):
+        return "(with the sensor's noise: no model file knows it)"
+    if any(run.noise_deg is None for run in runs):
+        return "(one of them with the sensor's noise: its model file does not know it)"
+    if not any(run.noise_deg for run in runs):
+        return "(true angle)"
+    sizes = " and ".join(dict.fromkeys(f"{run.noise_deg:.2g}" for run in runs))
+    return f"(noise of the sensor subtracted: {sizes} deg)"
+
+
+def _figure(before: MeasuredRun, after: MeasuredRun) -> Figure:
+    runs = ((before, BEFORE), (after, AFTER))
+    lines = [TrackedLine(run.t, run.angle_deg, run.angle_deg - run.reference_deg, look) for run, look in runs]
+    return tracking_figure([TrackedMotion(after.t, after.reference_deg, lines)], "error [deg]", height=4.0)

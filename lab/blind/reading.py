@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from hystmpc.gap.residual.localise import PLACES
+from hystmpc.gap.residual.localise import MOTION_PARTS
 from hystmpc.trials.errors import LogError
 
 from .generators import CONFIGURATION
@@ -132,7 +132,7 @@ def reading_of(data: Mapping[str, Any], others: Mapping[str, str] | None = None)
         float(gap["closed_share"]) if gap.get("closed_share") is not None else None,
         (float(interval[0]), float(interval[1])) if interval else None,
         float(gap["floor_rmse_deg"]) if gap.get("floor_rmse_deg") is not None else None,
-        {name: float(place["density"]) for name, place in data["where"].items() if name in PLACES},
+        {name: float(place["density"]) for name, place in data["where"].items() if name in MOTION_PARTS},
         {**data.get("baselines", {}), **(others or {})},
         tuple(str(name) for name in gap.get("final_trials", ())),
         tuple(float(e.get("closed_share", 0.0)) for e in effects),

@@ -11,7 +11,7 @@ from typing import Any, Protocol, TypeVar
 
 import numpy as np
 
-from hystmpc.gap.decide.findings import Findings
+from hystmpc.gap.decide.attribution import Findings
 from hystmpc.models.simulator import Simulator
 from hystmpc.sim.jobs.runner import attempt, backend_for, run_jobs
 from hystmpc.trials.csv_files import write_csv
@@ -211,13 +211,13 @@ def _renamed(trials: Sequence[Trial], job: DiagnosisJob) -> list[Trial]:
 
 def _beside(findings: Findings, trials: Sequence[Trial], simulator: Simulator, job: DiagnosisJob) -> dict[str, Any]:
     """Answers of simple rules, and the share that the causes close in another session, if the device can have one."""
-    from hystmpc.gap.decide.findings import closed_again
+    from .later_session import closed_in_later_session
 
     rules = fit_rules(findings.attribution.selection, findings.prepared.development)
     found: dict[str, Any] = {"others": {"correlation": correlation_rule(trials, simulator), **rules}}
     if findings.conclusion.closed.causes:
         with suppress(ConfigError):  # logs of a real device
-            found["closed_again"] = closed_again(findings, record_again(job.folder, job.case))
+            found["closed_again"] = closed_in_later_session(findings, record_again(job.folder, job.case))
     return found
 
 

@@ -12,7 +12,7 @@ from typing import Any, Literal
 import numpy as np
 from pydantic import Field
 
-from hystmpc.gap.residual.localise import PLACES, place_labels
+from hystmpc.gap.residual.localise import MOTION_PARTS, motion_part_labels
 from hystmpc.models.simulator import Simulator, load_simulator, save_simulator
 from hystmpc.trials.config import Settings
 from hystmpc.trials.csv_files import write_csv
@@ -253,7 +253,9 @@ def digest(text: str) -> str:
 
 def densities(trials: Sequence[Trial], errors: Sequence[Vec]) -> dict[str, float]:
     """Share of the squared error over share of the samples, by region; regions without samples are left out."""
-    region = np.concatenate([place_labels(trial) for trial in trials])
+    region = np.concatenate([motion_part_labels(trial) for trial in trials])
     square = np.concatenate(list(errors)) ** 2
     total = max(float(square.mean()), 1e-12)
-    return {name: float(square[region == k].mean()) / total for k, name in enumerate(PLACES) if np.any(region == k)}
+    return {
+        name: float(square[region == k].mean()) / total for k, name in enumerate(MOTION_PARTS) if np.any(region == k)
+    }

@@ -10,7 +10,7 @@ from functools import cached_property
 import numpy as np
 
 from hystmpc.gap.diagnosis import TrackingGap
-from hystmpc.gap.tracking.expected import NEAR
+from hystmpc.gap.tracking.expected import AGREEMENT
 
 from ..devices.drawn import FAMILIES
 from ..study import Bar, Figures, Outcome, beyond, by_device, over
@@ -128,8 +128,8 @@ def gap_agrees(figures: Figures) -> bool | None:
     said = TrackingGap(figures["gap.said_before_deg"], figures["gap.said_after_deg"])
     before, after, floor = (figures[f"gap.{name}_deg"] for name in ("before", "after", "floor"))
     if not said.changes(floor):
-        return abs(before - after) <= max(floor, NEAR * before)
-    return abs(1.0 - after / before - said.fall_share) <= NEAR * abs(said.fall_share)
+        return abs(before - after) <= max(floor, AGREEMENT * before)
+    return abs(1.0 - after / before - said.fall_share) <= AGREEMENT * abs(said.fall_share)
 
 
 def _gap(outcome: CommissionOutcome) -> Bar:

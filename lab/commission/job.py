@@ -22,9 +22,8 @@ from hystmpc.ctrl.inverse_settings import InverseControllerSettings
 from hystmpc.ctrl.law import LawSettings
 from hystmpc.ctrl.loop import Controller, ImagingSettings, NoSensorSettings
 from hystmpc.ctrl.mpc_settings import LinearisedMpcSettings
-from hystmpc.gap.tracking.diagnosed import covered_motions
-from hystmpc.gap.tracking.expected import USUAL
-from hystmpc.gap.whole import diagnose_trials
+from hystmpc.gap.diagnose import diagnose_trials
+from hystmpc.gap.tracking.expected import DEFAULT_CONTROLLER, covered_motions
 from hystmpc.models.kinds.catalogue import kind_named
 from hystmpc.models.prediction.build import ControllerModel, controller_model
 from hystmpc.models.simulator import ChainModel, load_simulator
@@ -238,16 +237,16 @@ def _tracking_gap(bench: StudyBench) -> tuple[str, dict[str, float]]:
     device = bench.device
     trials = recordings(DrawnPlant(device, device.seed + _DIAGNOSED), bench.settings.quick)
     nominal = load_simulator(bench.tip().parent / "rival.yaml")
-    evidence = diagnose_trials(trials, nominal, seed=bench.settings.seed).evidence
-    said, fixed = evidence.diagnosis.tracking, evidence.fixed
+    data = diagnose_trials(trials, nominal, seed=bench.settings.seed).data
+    said, fixed = data.diagnosis.tracking, data.fixed
     if said is None or said.why_not or fixed is None:
         return f"not said: {said.why_not if said else ''}", {"gap.said": 0.0}
-    motions = covered_motions(evidence.trials, fixed, evidence.seed)
+    motions = covered_motions(data.trials, fixed, data.seed)
     figures = {"gap.said": 1.0, "gap.said_before_deg": said.before_deg, "gap.said_after_deg": said.after_deg}
-    figures["gap.floor_deg"] = evidence.diagnosis.gap.floor_rmse_deg
+    figures["gap.floor_deg"] = data.diagnosis.gap.floor_rmse_deg
     for name, simulator in (("before", nominal), ("after", fixed)):
         known = controller_model(ChainModel(simulator, "conditioned"))
-        controller = build_controller(USUAL, *known.predictive, limits_of_model(nominal.metadata()))
+        controller = build_controller(DEFAULT_CONTROLLER, *known.predictive, limits_of_model(nominal.metadata()))
         scored, _ = bench.along(name, controller, bench.drawn, motions)
         figures[f"gap.{name}_deg"] = scored[f"{name}.rmse_deg"]
     return "", figures

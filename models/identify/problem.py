@@ -232,6 +232,11 @@ class Problem:
         """Unknowns from the baseline's freedom z (Z,) and each effect's free parameters."""
         return self.scaled(np.array([*z[self._active], *(v for values in effects for v in values)], dtype=np.float64))
 
+    @property
+    def as_given(self) -> Vec:
+        """Unknowns (Q,) of the simulator as given, without candidate effects."""
+        return self.start(self.baseline.nominal, [])
+
     def scaled(self, values: Vec) -> Vec:
         """Unknowns q from values."""
         core = values[: self._z] / self.baseline.scale[self._active]

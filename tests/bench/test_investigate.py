@@ -15,10 +15,9 @@ from hystmpc.bench.config import InvestigateSettings
 from hystmpc.bench.investigate import identification_share, plan_rows
 from hystmpc.bench.round_plan import plan_first, plan_more
 from hystmpc.bench.rounds import Investigated
-from hystmpc.gap.next.motion_design import Noise, OpenHypothesis
-from hystmpc.gap.next.motion_menu import TEMPLATES
-from hystmpc.gap.next.motion_search import SearchSettings
-from hystmpc.gap.next.open_hypotheses import Question
+from hystmpc.gap.next.motion_design import Noise, OpenHypothesis, SearchSettings
+from hystmpc.gap.next.motions import TEMPLATES
+from hystmpc.gap.next.open_hypotheses import DiscriminationTask
 from hystmpc.models.load import model_path
 from hystmpc.models.simulator import load_simulator
 from hystmpc.trials.csv_files import read_csv
@@ -127,7 +126,7 @@ def test_a_further_motion_is_of_a_kind_that_was_not_recorded_and_what_was_fitted
     assert plan_more(made, SIMULATOR, 200.0, 4, kinds, None, tmp_path) is None
     assert plan_more(made, SIMULATOR, 5.0, 4, (), None, tmp_path) is None
     outside = OpenHypothesis("outside", lambda command, dt: np.full(command.size, 1e3))
-    asked = Question((outside, outside), Noise(0.1))
+    asked = DiscriminationTask((outside, outside), Noise(0.1))
     assert plan_more(made, SIMULATOR, 200.0, 4, kinds - {left}, asked, tmp_path) is None
 
 

@@ -17,7 +17,7 @@ import hystmpc
 from hystmpc.cli import diagnose
 from hystmpc.ctrl.command import CommandLimits
 from hystmpc.gap.next.motion_design import Noise, propose, write_motion
-from hystmpc.gap.next.motion_menu import menu
+from hystmpc.gap.next.motions import menu
 from hystmpc.models.simulator import ChainModel, Residual, load_simulator, save_simulator
 from hystmpc.trials.csv_files import write_csv
 from hystmpc.trials.errors import LogError
@@ -106,7 +106,7 @@ def test_one_function_makes_the_whole_diagnosis() -> None:
     sources = {p.relative_to(root).as_posix(): p.read_text(encoding="utf-8") for p in files}
     own = {name: text for name, text in sources.items() if not name.startswith(("tests/", ".", "build/"))}
     callers = {n for n, text in own.items() if any(re.search(rf"(?<!def ){re.escape(s)}", text) for s in steps)}
-    assert callers == {"gap/whole.py"}
+    assert callers == {"gap/diagnose.py"}
     whole = {"tasks/diagnose.py", "commissioning/identify.py", "investigation/judge.py"}
     assert whole <= {name for name, text in own.items() if "diagnose_trials(" in text}
 

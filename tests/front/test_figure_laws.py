@@ -25,7 +25,7 @@ from matplotlib.ticker import FixedLocator
 from hystmpc.bench.motions import CONTROLLERS
 from hystmpc.bench.report import before_and_after
 from hystmpc.ctrl.command import CommandLimits
-from hystmpc.gap.report.effect_figures import closed_loop_figure
+from hystmpc.gap.report.figures import closed_loop_figure
 from hystmpc.gap.report.page import diagnosis_report
 from hystmpc.gap.report.report_data import TrackingCurve
 from hystmpc.models.evaluate import evaluate

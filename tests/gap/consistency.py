@@ -5,16 +5,16 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from hystmpc.gap.diagnosis import Diagnosis
-from hystmpc.gap.report.first_page import how_sure, what_next, why
-from hystmpc.gap.report.report_data import Evidence
+from hystmpc.gap.report.first_page import certainty, next_actions, verdict_facts
+from hystmpc.gap.report.report_data import ReportData
 from hystmpc.gap.report.words import closed_sentence, headline, in_words, tracking_sentence
 
 _ROUNDED = 1e-9
 
 
-def contradictions(evidence: Evidence) -> list[str]:
+def contradictions(data: ReportData) -> list[str]:
     """Everything in a diagnosis and its page that cannot stand beside something else in it."""
-    return [*_in_probabilities(evidence.diagnosis), *_in_sizes(evidence.diagnosis), *_in_words(evidence)]
+    return [*_in_probabilities(data.diagnosis), *_in_sizes(data.diagnosis), *_in_words(data)]
 
 
 def _in_probabilities(d: Diagnosis) -> Iterator[str]:
@@ -45,10 +45,10 @@ def _in_sizes(d: Diagnosis) -> Iterator[str]:
         yield "a fall of the tracking error is foretold with effects that are not to be relied on"
 
 
-def _in_words(evidence: Evidence) -> Iterator[str]:
-    d = evidence.diagnosis
+def _in_words(data: ReportData) -> Iterator[str]:
+    d = data.diagnosis
     page = [headline(d), d.reason, closed_sentence(d), tracking_sentence(d)]
-    page += [*why(d), *what_next(evidence), *how_sure(d)]
+    page += [*verdict_facts(d), *next_actions(data), *certainty(d)]
     text = " ".join(page)
     if d.effects and d.verdict in ("named", "one_of"):
         led = max(d.effects, key=lambda effect: effect.probability)

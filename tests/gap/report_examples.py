@@ -12,19 +12,18 @@ from hystmpc.gap.diagnosis import (
     Detectable,
     DetectableSizes,
     Diagnosis,
-    FoundEffect,
     Gap,
-    Moved,
+    IdentifiedEffect,
     NextMotion,
-    Place,
+    ResidualShare,
+    RetunedParameter,
     Stability,
     Verdict,
 )
-from hystmpc.gap.logs.excitation import excitation_of
-from hystmpc.gap.logs.identifiability import confusability
+from hystmpc.gap.logs.excitation import confusability, excitation_of
 from hystmpc.gap.next.motion_design import MotionProposal, Noise, propose
-from hystmpc.gap.next.motion_menu import menu
-from hystmpc.gap.report.report_data import CandidateRow, Evidence, Role, TrialEvidence
+from hystmpc.gap.next.motions import menu
+from hystmpc.gap.report.report_data import CandidateRow, ReportData, Role, TrialRuns
 from hystmpc.gap.residual.localise import localise
 from hystmpc.models.identify.uncertainty import ParameterRow
 from hystmpc.trials.trial import Trial
@@ -53,7 +52,7 @@ SIZES = DetectableSizes(
 _NAMES = ("creep", "drift", "lag", "delay", "first_flexure", "rate_dependence", "stick_slip", "slack")
 
 
-def trial_evidence(k: int, role: Role, seconds: float = 30.0) -> TrialEvidence:
+def trial_evidence(k: int, role: Role, seconds: float = 30.0) -> TrialRuns:
     """One trial: steps and holds, or a decaying sine, of a device that creeps."""
     random, t = np.random.default_rng(k), np.arange(round(seconds / DT)) * DT
     if k % 2:
@@ -67,7 +66,7 @@ def trial_evidence(k: int, role: Role, seconds: float = 30.0) -> TrialEvidence:
     trial = Trial(t, command, measured, source=f"logs/day 2/{motion}_{k:02d}_{role}.csv")
     nominal = baseline(command, DT) * 0.93 + 2
     retuned = angle(0.88 * command) + 2.6
-    return TrialEvidence(trial, role, motion, nominal, retuned, creep(0.16, 4.6)(command, DT), 0.14)
+    return TrialRuns(trial, role, motion, nominal, retuned, creep(0.16, 4.6)(command, DT), 0.14)
 
 
 def roles(count: int) -> list[Role]:
@@ -76,7 +75,7 @@ def roles(count: int) -> list[Role]:
     return [cycle[k % 3] for k in range(count)] if count > 2 else ["fit"] * count
 
 
-def gap_of(trials: tuple[TrialEvidence, ...], closed: float) -> Gap:
+def gap_of(trials: tuple[TrialRuns, ...], closed: float) -> Gap:
     """Sizes from the trials themselves."""
     final = tuple(trial for trial in trials if trial.role == "final") or trials
     pooled = {s: float(np.sqrt(np.mean([t.rmse(s) ** 2 for t in final]))) for s in ("nominal", "retuned")}
@@ -87,14 +86,14 @@ def gap_of(trials: tuple[TrialEvidence, ...], closed: float) -> Gap:
     return Gap(pooled["nominal"], pooled["retuned"], added, 0.14, kind, closed, 1 - closed, interval, names)
 
 
-def effects_of(verdict: Verdict) -> tuple[FoundEffect, ...]:
+def effects_of(verdict: Verdict) -> tuple[IdentifiedEffect, ...]:
     """What was put into the simulator."""
     if verdict == "named":
         parameters = {"share": 0.16, "tau_s": 4.6}
         units = {"share": "1", "tau_s": "s"}
-        return (FoundEffect("creep", 0.93, 0.95, 0.71, (0.6, 0.8), 1.9, 0.6, parameters, units, ("tau_s",)),)
+        return (IdentifiedEffect("creep", 0.93, 0.95, 0.71, (0.6, 0.8), 1.9, 0.6, parameters, units, ("tau_s",)),)
     if verdict == "one_of":
-        return (FoundEffect("lag", 0.48, 0.5, 0.8, (0.5, 0.9), 1.9, 0.7, {"tau_s": 0.1}, {"tau_s": "s"}),)
+        return (IdentifiedEffect("lag", 0.48, 0.5, 0.8, (0.5, 0.9), 1.9, 0.7, {"tau_s": 0.1}, {"tau_s": "s"}),)
     return ()
 
 
@@ -106,7 +105,7 @@ def proposal_of(verdict: Verdict) -> MotionProposal | None:
     return propose(pair, menu(CommandLimits(0.0, 6.0, 12.0), DT), Noise(0.14))
 
 
-def diagnosis_of(verdict: Verdict, trials: tuple[TrialEvidence, ...], proposal: MotionProposal | None) -> Diagnosis:
+def diagnosis_of(verdict: Verdict, trials: tuple[TrialRuns, ...], proposal: MotionProposal | None) -> Diagnosis:
     """A diagnosis of that verdict."""
     top = {"named": (0.93, 0.04), "one_of": (0.48, 0.46), "unknown": (0.2, 0.15), "none": (0.02, 0.01)}
     first, second = top.get(verdict, (0.0, 0.0))
@@ -115,11 +114,11 @@ def diagnosis_of(verdict: Verdict, trials: tuple[TrialEvidence, ...], proposal: 
     ranking = (*zip(leading, (first, second), strict=True), *((name, 0.01) for name in rest))
     closed = {"named": 0.9, "one_of": 0.8}.get(verdict, math.nan if verdict == "too_little" else 0.0)
     places = {
-        "hold": Place(0.61, 2.1, (0.5, 0.7)),
-        "loading": Place(0.2, 0.6, (0.13, 0.28)),
-        "unloading": Place(0.15, 0.5, (0.1, 0.22)),
-        "after_reversal": Place(0.04, 0.4, (0.01, 0.06)),
-        "first_flexure": Place(0.09, 1.2, (0.02, 0.2)),
+        "hold": ResidualShare(0.61, 2.1, (0.5, 0.7)),
+        "loading": ResidualShare(0.2, 0.6, (0.13, 0.28)),
+        "unloading": ResidualShare(0.15, 0.5, (0.1, 0.22)),
+        "after_reversal": ResidualShare(0.04, 0.4, (0.01, 0.06)),
+        "first_flexure": ResidualShare(0.09, 1.2, (0.02, 0.2)),
     }
     return Diagnosis(
         verdict,
@@ -134,20 +133,20 @@ def diagnosis_of(verdict: Verdict, trials: tuple[TrialEvidence, ...], proposal: 
         None if proposal is None else NextMotion(**vars(proposal.summary())),
         stability=None if verdict == "too_little" else Stability(0.9, 20, (("unknown", 0.1),)),
         explainable_share=0.93 if verdict == "named" else None,
-        moved=(Moved("gain", "deg/mm", 10.2, 10.9, (10.8, 11.0)),) if verdict == "retuned" else (),
+        moved=(RetunedParameter("gain", "deg/mm", 10.2, 10.9, (10.8, 11.0)),) if verdict == "retuned" else (),
         detectable=SIZES if len(trials) > 1 else DetectableSizes(math.nan, why_not="The least sizes are not computed."),
     )
 
 
 @cache
-def report_data(verdict: Verdict, count: int = 6) -> Evidence:
+def report_data(verdict: Verdict, count: int = 6) -> ReportData:
     """A whole body of evidence."""
     trials = tuple(trial_evidence(k, role) for k, role in enumerate(roles(count)))
     proposal = proposal_of(verdict)
     diagnosis = diagnosis_of(verdict, trials, proposal)
     chosen = {effect.name for effect in diagnosis.effects}
     excitation = excitation_of([trial.trial for trial in trials])
-    return Evidence(
+    return ReportData(
         diagnosis,
         "sim.yaml",
         trials,

@@ -10,11 +10,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hystmpc.gap.logs.as_given import at_own_rate, evaluated_mse
+from hystmpc.gap.diagnose import diagnose_trials
+from hystmpc.gap.logs.as_given import evaluated_mse, resampled_or_none
 from hystmpc.gap.logs.preparation import PreparedTrials, prepare
 from hystmpc.gap.logs.trial_choice import choose_trials
 from hystmpc.gap.next.open_hypotheses import free_run
-from hystmpc.gap.whole import diagnose_trials
 from hystmpc.models.chain import Chain
 from hystmpc.models.contract.metadata import Range
 from hystmpc.models.evaluate import evaluate
@@ -191,7 +191,7 @@ def test_a_report_warns_where_evaluate_gives_another_error() -> None:
 def test_what_is_compared_is_what_evaluate_says() -> None:
     given_one = simulator(Chain(BACKLASH, before=(Delay(0.1, 3),)))
     logs = recorded(given_one, 100.0, 2)
-    own = [log for log in (at_own_rate(log, given_one.dt_s) for log in logs) if log is not None]
+    own = [log for log in (resampled_or_none(log, given_one.dt_s) for log in logs) if log is not None]
     found = [evaluate(ChainModel(given_one), log) for log in own]
     squares = [run.errors.rmse_deg**2 * len(run.trial) for run in found]
     assert evaluated_mse(given_one, logs) == pytest.approx(sum(squares) / sum(map(len, own)))
@@ -275,7 +275,7 @@ def test_a_whole_diagnosis_skips_the_first_flexure() -> None:
     done = diagnose_trials(spoilt, given_one, skip_first_flexure=True)
     assert done.diagnosis.verdict == "none"
     assert done.diagnosis.gap.nominal_rmse_deg < 0.1
-    assert done.evidence.fixed is not None
-    assert done.evidence.fixed.identification.skip_first_flexure
-    assert all(trial.start > 0 and trial.rmse("nominal") < 0.1 for trial in done.evidence.trials)
-    assert contradictions(done.evidence) == []
+    assert done.data.fixed is not None
+    assert done.data.fixed.identification.skip_first_flexure
+    assert all(trial.start > 0 and trial.rmse("nominal") < 0.1 for trial in done.data.trials)
+    assert contradictions(done.data) == []

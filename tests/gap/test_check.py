@@ -9,9 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hystmpc.gap.logs.check import Checked, check_trials
-from hystmpc.gap.logs.excitation import excitation_of
-from hystmpc.gap.logs.identifiability import confusability
+from hystmpc.gap.logs.check import CheckedTrials, check_trials
+from hystmpc.gap.logs.excitation import confusability, excitation_of
 from hystmpc.gap.logs.motion_type import command_segments, motion_type
 from hystmpc.gap.logs.noise_floor import find_repeats
 from hystmpc.trials.errors import GapError
@@ -24,7 +23,7 @@ SIMULATOR = simulator(Chain(BACKLASH), DT)  # trained on 0 to 6 mm and 20 to 95 
 LONG = moves(LEVELS, 1.0, 5.0)
 
 
-def check(*trials: Trial) -> Checked:
+def check(*trials: Trial) -> CheckedTrials:
     return check_trials(trials, SIMULATOR)
 
 

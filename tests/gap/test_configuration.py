@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hystmpc.gap.decide.configuration import NAME, configuration_of
+from hystmpc.gap.decide.remaining_structure import NAME, configuration_of
 from hystmpc.gap.diagnose import conclude, find_causes
 from hystmpc.models.chain import Chain
 from hystmpc.models.identify.cross_validation import CrossValidation, Hypothesis

@@ -11,15 +11,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hystmpc.gap.decide.ambiguity import agreeing, probability, ranking
-from hystmpc.gap.decide.attribution import Attribution, floor_of, never_worse
+from hystmpc.gap.decide.ambiguity import limited_by_inclusion, probability, ranking
+from hystmpc.gap.decide.attribution import Attribution, as_given_if_better, floor_of
 from hystmpc.gap.decide.gap_closed import measured_blocks
 from hystmpc.gap.decide.verdict import VERDICTS as CASES
-from hystmpc.gap.decide.verdict import Ruling, VerdictCase, reason_for
-from hystmpc.gap.diagnosis import FLIPS, Diagnosis, FoundEffect, Gap, Stability, TrackingGap
+from hystmpc.gap.decide.verdict import VerdictDecision
+from hystmpc.gap.diagnosis import FLIPS, Diagnosis, Gap, IdentifiedEffect, Stability, TrackingGap
 from hystmpc.gap.logs.preparation import PreparedTrials, prepare
-from hystmpc.gap.report.report_data import Evidence
-from hystmpc.gap.tracking.diagnosed import with_tracking
+from hystmpc.gap.report.report_data import ReportData
+from hystmpc.gap.report.words import reason_for
+from hystmpc.gap.tracking.expected import with_tracking
 from hystmpc.models.chain import Chain
 from hystmpc.models.contract.metadata import NoiseModel
 from hystmpc.models.effects.catalogue import diagnosable
@@ -36,9 +37,9 @@ SHARE, SIZE = st.floats(0.0, 1.0), st.floats(1e-4, 50.0)
 
 
 @st.composite
-def diagnoses(draw: st.DrawFn) -> Evidence:
-    """Evidence whose parts are what the steps of a diagnosis make of drawn facts: shares, inclusions, sizes, splits."""
-    case: VerdictCase = draw(st.sampled_from([*CASES]))
+def diagnoses(draw: st.DrawFn) -> ReportData:
+    """ReportData whose parts are what the steps of a diagnosis make of drawn facts: shares, inclusions, sizes, splits."""
+    case: str = draw(st.sampled_from([*CASES]))
     verdict, stable = CASES[case], draw(SHARE)
     count = draw(st.integers(1, 4)) if verdict in ("named", "one_of") else 0
     names = draw(st.lists(st.sampled_from(LIBRARY), min_size=count, max_size=count, unique=True))
@@ -57,8 +58,8 @@ def diagnoses(draw: st.DrawFn) -> Evidence:
     for name in names:
         share = draw(SHARE)
         replaceable = any(name == group[0] for group in ambiguity)
-        chance = agreeing(probability(name, share, replaceable, stable), inclusion[name])
-        found.append(FoundEffect(name, chance, inclusion[name], share, (0.0, 1.0), retuned, with_effects, {}, {}))
+        chance = limited_by_inclusion(probability(name, share, replaceable, stable), inclusion[name])
+        found.append(IdentifiedEffect(name, chance, inclusion[name], share, (0.0, 1.0), retuned, with_effects, {}, {}))
     effects = tuple(sorted(found, key=lambda effect: -effect.probability))
     left_open = 1.0 if verdict not in ("none", "retuned") else 1 - 0.95 * stable
     ranked = ranking({e.name: e.probability for e in effects}, inclusion, ambiguity, LIBRARY, left_open)
@@ -66,7 +67,7 @@ def diagnoses(draw: st.DrawFn) -> Evidence:
     plain = report_data(verdict, 3)
     diagnosis = replace(
         plain.diagnosis,
-        reason=reason_for(Ruling(case, ambiguity), effects, sizes, "too short", ""),
+        reason=reason_for(VerdictDecision(case, ambiguity), effects, sizes, "too short", ""),
         effects=effects,
         ambiguity=ambiguity,
         ranking=ranked,
@@ -82,7 +83,7 @@ def diagnoses(draw: st.DrawFn) -> Evidence:
 
 @given(diagnoses())
 @settings(deadline=None)
-def test_no_page_contradicts_itself(evidence: Evidence) -> None:
+def test_no_page_contradicts_itself(evidence: ReportData) -> None:
     assert contradictions(evidence) == []
 
 
@@ -137,7 +138,7 @@ def test_numbers_that_are_worse_on_final_trials_are_not_taken(final_gain: float)
     trials = [replace(t, angle=(final_gain if t.source in kept_for_the_end else 1.12) * t.angle) for t in made]
     prepared = prepare(trials, plain)
     before = attribution_of(prepared)
-    after = never_worse(prepared, before)
+    after = as_given_if_better(prepared, before)
     problem = before.retuned.problem
     given_q = problem.start(prepared.baseline.nominal, [])
     taken = measured_blocks(prepared, after.retuned).mse

@@ -16,7 +16,7 @@ from hystmpc.gap.diagnose import conclude, find_causes
 from hystmpc.gap.diagnosis import Diagnosis
 from hystmpc.gap.logs.check import check_trials
 from hystmpc.gap.logs.dependence import follows_command
-from hystmpc.gap.report.report_data import Evidence
+from hystmpc.gap.report.report_data import ReportData
 from hystmpc.models.simulator import Residual
 from hystmpc.trials.errors import GapError
 from hystmpc.trials.read import read_trials
@@ -167,7 +167,7 @@ def test_a_constant_angle_is_refused_before_any_work() -> None:
 
 
 @cache
-def diagnosed(kind: str) -> tuple[Diagnosis, Evidence]:
+def diagnosed(kind: str) -> tuple[Diagnosis, ReportData]:
     """The diagnosis of angles that do not depend on the command."""
     trials = with_angles(recorded("capstan", 5, 4), UNRELATED[kind], 5)
     quiet = Residual(

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from hystmpc.gap.decide.verdict import VerdictSettings
-from hystmpc.gap.diagnose import what_logs_would_show
+from hystmpc.gap.diagnose import detectable_in_logs
 from hystmpc.gap.diagnosis import Detectable
-from hystmpc.gap.logs.detectable import detectable_sizes, sizes_shown
+from hystmpc.gap.logs.detectable import detectable_sizes, smallest_detectable
 from hystmpc.gap.logs.preparation import prepare
 from hystmpc.gap.report.words import DETECTABLE_COLUMNS, detectable_rows, detectable_sentence
 from hystmpc.models.effects.catalogue import diagnosable
@@ -92,7 +92,7 @@ def clocked() -> list[Trial]:
 
 def test_what_counts_as_a_gap_is_what_the_verdict_says() -> None:
     no_gap = VerdictSettings().no_gap
-    shown = what_logs_would_show(device_trials(), KNOWN)
+    shown = detectable_in_logs(device_trials(), KNOWN)
     assert shown.needed_rmse_deg**2 == pytest.approx((no_gap - 1.0) * FORM_DEG**2)
     assert f"{shown.needed_rmse_deg:.3g} deg" in detectable_sentence(shown)
     shift = next(one for one in shown.effects if one.effect == "trial_shift")
@@ -100,21 +100,21 @@ def test_what_counts_as_a_gap_is_what_the_verdict_says() -> None:
 
 
 def test_without_a_model_form_error_no_size_is_stated_and_one_line_says_why() -> None:
-    shown = what_logs_would_show(device_trials(), simulator_of(BACKLASH))
+    shown = detectable_in_logs(device_trials(), simulator_of(BACKLASH))
     assert (shown.effects, detectable_rows(shown)) == ((), [])
     assert "model-form error is unknown" in detectable_sentence(shown)
     assert "\n" not in shown.why_not
 
 
 def test_what_needs_the_order_is_marked_only_where_that_is_unknown() -> None:
-    unknown, known = (what_logs_would_show(given, KNOWN) for given in (device_trials(), clocked()))
+    unknown, known = (detectable_in_logs(given, KNOWN) for given in (device_trials(), clocked()))
     assert [one.effect for one in unknown.effects if one.untestable] == ["drift"]
     assert not any(one.untestable for one in known.effects)
     assert ("order" in detectable_sentence(unknown), "order" in detectable_sentence(known)) == (True, False)
 
 
 def test_every_row_has_the_size_and_the_unit_of_its_effect() -> None:
-    shown = sizes_shown(prepare(clocked(), KNOWN), VerdictSettings().no_gap, without=("creep",))
+    shown = smallest_detectable(prepare(clocked(), KNOWN), VerdictSettings().no_gap, without=("creep",))
     rows = {row[0].replace(" ", "_"): row for row in detectable_rows(shown)}
     assert "creep" not in rows
     for one in shown.effects:

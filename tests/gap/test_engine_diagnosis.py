@@ -11,11 +11,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hystmpc.gap.decide.findings import closed_again
 from hystmpc.gap.diagnose import conclude, find_causes
 from hystmpc.gap.diagnosis import Diagnosis
 from hystmpc.gap.report.folder import diagnosis_json
-from hystmpc.gap.report.report_data import Evidence
+from hystmpc.gap.report.report_data import ReportData
 from hystmpc.models.chain import Chain
 from hystmpc.models.effects.catalogue import diagnosable
 from hystmpc.models.operators.dynamics import Lag
@@ -24,6 +23,7 @@ from hystmpc.models.operators.slow_changes import Creep
 from hystmpc.models.simulator import Simulator
 from hystmpc.trials.errors import GapError
 from hystmpc.trials.trial import Trial
+from hystmpc_lab.blind.later_session import closed_in_later_session
 
 from ..models.zoo import BACKLASH
 from .consistency import contradictions
@@ -55,7 +55,7 @@ def recorded(*before: Operator, motions: tuple[Any, ...] = HOLDS, seed: int = 0)
     return trials_of(Chain(BACKLASH, before), list(motions), seed=seed)
 
 
-def diagnosed(trials: list[Trial], simulator: Simulator, **chosen: Any) -> tuple[Diagnosis, Evidence]:
+def diagnosed(trials: list[Trial], simulator: Simulator, **chosen: Any) -> tuple[Diagnosis, ReportData]:
     """A diagnosis that does not contradict itself."""
     diagnosis, evidence = conclude(find_causes(trials, simulator, **chosen))
     assert contradictions(evidence) == []
@@ -63,7 +63,7 @@ def diagnosed(trials: list[Trial], simulator: Simulator, **chosen: Any) -> tuple
 
 
 @functools.cache
-def creeping() -> tuple[Diagnosis, Evidence]:
+def creeping() -> tuple[Diagnosis, ReportData]:
     """The diagnosis of a device that creeps."""
     return diagnosed(recorded(CREEP), SIMULATOR, seed=3)
 
@@ -242,7 +242,7 @@ def test_what_is_not_finite_is_null() -> None:
 
 def test_another_session_of_the_device_is_closed_as_far_and_that_of_another_device_is_not() -> None:
     findings = find_causes(recorded(CREEP), SIMULATOR, seed=3)
-    assert closed_again(findings, recorded(CREEP, seed=8)) == pytest.approx(
+    assert closed_in_later_session(findings, recorded(CREEP, seed=8)) == pytest.approx(
         findings.conclusion.closed.gap.closed_share, abs=0.1
     )
-    assert closed_again(findings, recorded(seed=8)) < 0.0
+    assert closed_in_later_session(findings, recorded(seed=8)) < 0.0

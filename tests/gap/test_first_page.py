@@ -14,10 +14,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hystmpc.gap.diagnosis import NextMotion, Stability, TrackingGap, Untestable, Verdict
-from hystmpc.gap.report.first_page import how_sure, what_next, why
+from hystmpc.gap.report.first_page import certainty, next_actions, verdict_facts
 from hystmpc.gap.report.folder import diagnosis_json
 from hystmpc.gap.report.page import diagnosis_report
-from hystmpc.gap.report.report_data import FIXED_FILE, Evidence
+from hystmpc.gap.report.report_data import FIXED_FILE, ReportData
 from hystmpc.gap.report.words import headline
 from hystmpc.trials.report import Folded, Heading, Plot, Points
 
@@ -27,13 +27,13 @@ MOST_SENTENCES = 12
 SHARES = st.floats(0.01, 0.99)
 
 
-def said(evidence: Evidence) -> list[str]:
+def said(evidence: ReportData) -> list[str]:
     """All points of the first page."""
     diagnosis = evidence.diagnosis
-    return [*why(diagnosis), *what_next(evidence), *how_sure(diagnosis)]
+    return [*verdict_facts(diagnosis), *next_actions(evidence), *certainty(diagnosis)]
 
 
-def crowded() -> Evidence:
+def crowded() -> ReportData:
     """A diagnosis with everything that can be said at once: four effects, a motion, no order, no repeats."""
     evidence = report_data("named", 6)
     first, diagnosis = evidence.diagnosis.effects[0], evidence.diagnosis
@@ -62,12 +62,12 @@ def numbers(value: Any) -> Iterator[float]:
 
 
 @pytest.fixture(scope="module", params=[*VERDICTS, "crowded"])
-def evidence(request: pytest.FixtureRequest) -> Evidence:
+def evidence(request: pytest.FixtureRequest) -> ReportData:
     """Made for the tests that ask, not when tests are collected."""
     return crowded() if request.param == "crowded" else report_data(request.param, 6)
 
 
-def test_every_number_is_one_of_the_result(evidence: Evidence) -> None:
+def test_every_number_is_one_of_the_result(evidence: ReportData) -> None:
     result = json.loads(diagnosis_json(evidence.diagnosis))
     places = [place["share"] / place["density"] for place in result["where"].values()]
     splits = [result["resamples"], (result["stability"] or 0.0) * result["resamples"]]
@@ -81,7 +81,7 @@ def test_every_number_is_one_of_the_result(evidence: Evidence) -> None:
         assert set(re.findall(r"(?<![\w.])-?\d+(?:\.\d+)?(?!\w)", text)) <= shown, text
 
 
-def test_a_dozen_sentences_at_most(evidence: Evidence) -> None:
+def test_a_dozen_sentences_at_most(evidence: ReportData) -> None:
     texts = said(evidence)
     assert 0 < sum(len(re.findall(r"\.(?=\s|$)", text)) for text in texts) <= MOST_SENTENCES, texts
     for text in texts:
@@ -101,14 +101,14 @@ def test_probability_share_and_stability_are_those_of_the_result(chance: float, 
         stability=Stability(stable, 40),
     )
     assert f"explains {100 * closed:.0f} % of the gap" in headline(diagnosis)
-    assert f"Creep is present with {100 * chance:.0f} % probability." in how_sure(diagnosis)
-    advice = " ".join(what_next(replace(evidence, diagnosis=diagnosis)))
+    assert f"Creep is present with {100 * chance:.0f} % probability." in certainty(diagnosis)
+    advice = " ".join(next_actions(replace(evidence, diagnosis=diagnosis)))
     assert (f"Use {FIXED_FILE}" in advice) == (not diagnosis.stability.flips), "what flips is not recommended"
 
 
 @pytest.mark.parametrize("verdict", ["one_of", "unknown", "too_little"])
 def test_a_correction_that_is_not_proven_is_not_recommended(verdict: Verdict) -> None:
-    assert f"Use {FIXED_FILE}" not in " ".join(what_next(report_data(verdict, 6)))
+    assert f"Use {FIXED_FILE}" not in " ".join(next_actions(report_data(verdict, 6)))
 
 
 @pytest.mark.parametrize("name", ["trial_shift", "sensor", "stick_slip"])
@@ -116,7 +116,7 @@ def test_what_the_corrected_simulator_cannot_hold_is_not_said_to_be_in_it(name: 
     evidence = report_data("named", 3)
     creep = evidence.diagnosis.effects[0]
     alone, both = (
-        " ".join(what_next(replace(evidence, diagnosis=replace(evidence.diagnosis, effects=effects))))
+        " ".join(next_actions(replace(evidence, diagnosis=replace(evidence.diagnosis, effects=effects))))
         for effects in ((replace(creep, name=name),), (creep, replace(creep, name=name)))
     )
     words = name.replace("_", " ")
@@ -128,14 +128,14 @@ def test_what_the_corrected_simulator_cannot_hold_is_not_said_to_be_in_it(name: 
 def test_without_a_gap_the_better_simulator_is_recommended(given_deg: float, retuned_deg: float) -> None:
     evidence = report_data("none", 6)
     gap = replace(evidence.diagnosis.gap, nominal_rmse_deg=given_deg, retuned_rmse_deg=retuned_deg)
-    advice = what_next(replace(evidence, diagnosis=replace(evidence.diagnosis, gap=gap)))[0]
+    advice = next_actions(replace(evidence, diagnosis=replace(evidence.diagnosis, gap=gap)))[0]
     assert advice.startswith(f"Use {FIXED_FILE}" if retuned_deg < given_deg else "Keep the simulator as given")
 
 
 def test_where_no_angle_follows_its_command_the_wiring_is_to_be_looked_at() -> None:
     evidence = report_data("unknown", 3)
     assert evidence.fixed is not None
-    advice = what_next(
+    advice = next_actions(
         replace(evidence, nominal=evidence.fixed, fixed=None, diagnosis=replace(evidence.diagnosis, next_motion=None))
     )
     assert advice == ("Look for a wrong file or column, a loose sensor, or a tendon or line that is broken.",)

@@ -9,7 +9,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hystmpc.gap.decide.findings import closed_again
 from hystmpc.gap.decide.jumps import Jumps, find_jumps
 from hystmpc.gap.diagnose import conclude, find_causes
 from hystmpc.gap.logs.preparation import prepare
@@ -17,6 +16,7 @@ from hystmpc.models.chain import Chain
 from hystmpc.models.identify.cross_validation import CrossValidation
 from hystmpc.trials.trial import Trial
 from hystmpc_lab.blind.generators import lugre_tip
+from hystmpc_lab.blind.later_session import closed_in_later_session
 from hystmpc_lab.devices.cores import FINE_S, Scene
 
 from ..models.zoo import BACKLASH
@@ -127,7 +127,7 @@ def test_too_little_steady_motion_says_nothing() -> None:
 def test_the_diagnosis_names_it_and_says_that_its_share_stays_open() -> None:
     findings = find_causes(noisy(through(clean(), 6.0)), simulator_of(BACKLASH))
     diagnosis, _ = conclude(findings)
-    again = closed_again(findings, noisy(through(clean(), 6.0)))  # 0 where jumps count as in no free run
+    again = closed_in_later_session(findings, noisy(through(clean(), 6.0)))  # 0 where jumps count as in no free run
     assert abs(again - diagnosis.gap.closed_share) < 0.2
     assert diagnosis.verdict in ("named", "one_of")
     assert "stick_slip" in {effect.name for effect in diagnosis.effects}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from hystmpc.gap.decide.lack_of_fit import remaining_curvature
+from hystmpc.gap.decide.remaining_structure import remaining_curvature
 from hystmpc.gap.logs.preparation import PreparedTrials, prepare
 from hystmpc.models.chain import Chain
 from hystmpc.models.effects.catalogue import candidates

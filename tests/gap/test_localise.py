@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hystmpc.gap.residual.localise import PLACES, Localisation, localise, place_labels
+from hystmpc.gap.residual.localise import MOTION_PARTS, Localisation, localise, motion_part_labels
 from hystmpc.gap.residual.memory import explainable_share
 from hystmpc.trials.errors import GapError
 from hystmpc.trials.trial import Trial
@@ -24,8 +24,8 @@ def noise(own: Trial, seed: int = 0) -> np.ndarray:
 
 def at(residual: dict[str, float], sigma: float = 0.05) -> Localisation:
     """A constant error per place, and noise."""
-    sizes = np.array([residual.get(place, 0.0) for place in PLACES])
-    errors = [sizes[place_labels(own)] + sigma * noise(own, k) for k, own in enumerate(TRIALS)]
+    sizes = np.array([residual.get(place, 0.0) for place in MOTION_PARTS])
+    errors = [sizes[motion_part_labels(own)] + sigma * noise(own, k) for k, own in enumerate(TRIALS)]
     return localise(TRIALS, errors, WIDTH)
 
 
@@ -35,21 +35,21 @@ def test_shares_add_up_and_densities_average_to_one(seed: int) -> None:
     random = np.random.default_rng(seed)
     errors = [random.normal(0, random.uniform(0.1, 2), len(own)) + random.normal() for own in TRIALS]
     found = localise(TRIALS, errors, WIDTH, seed)
-    labels = np.concatenate([place_labels(own) for own in TRIALS])
-    time = np.bincount(labels, minlength=len(PLACES)) / labels.size
+    labels = np.concatenate([motion_part_labels(own) for own in TRIALS])
+    time = np.bincount(labels, minlength=len(MOTION_PARTS)) / labels.size
     assert sum(place.share for place in found.places.values()) == pytest.approx(1)
-    assert sum(found.places[name].density * time[k] for k, name in enumerate(PLACES)) == pytest.approx(1)
+    assert sum(found.places[name].density * time[k] for k, name in enumerate(MOTION_PARTS)) == pytest.approx(1)
     for place in found.places.values():
         assert 0 <= place.ci90[0] <= place.ci90[1] <= 1
 
 
-@pytest.mark.parametrize("place", PLACES)
+@pytest.mark.parametrize("place", MOTION_PARTS)
 def test_an_error_in_one_place_is_found_there(place: str) -> None:
     found = at({place: 1.0}).places
     assert max(found, key=lambda name: found[name].share) == place
     assert found[place].share > 0.9
     assert found[place].density > 1
-    assert max(found[name].ci90[1] for name in PLACES if name != place) < found[place].ci90[0]
+    assert max(found[name].ci90[1] for name in MOTION_PARTS if name != place) < found[place].ci90[0]
 
 
 def test_an_even_error_has_density_one_everywhere() -> None:
@@ -62,8 +62,8 @@ def test_an_even_error_has_density_one_everywhere() -> None:
 def test_intervals_cover_the_share_nine_times_in_ten() -> None:
     inside = []
     for seed in range(60):
-        errors = [(1 + (place_labels(own) == 3)) * noise(own, 50 * seed + k) for k, own in enumerate(TRIALS)]
-        labels = np.concatenate([place_labels(own) for own in TRIALS])
+        errors = [(1 + (motion_part_labels(own) == 3)) * noise(own, 50 * seed + k) for k, own in enumerate(TRIALS)]
+        labels = np.concatenate([motion_part_labels(own) for own in TRIALS])
         expected = 4 * np.mean(labels == 3) / (4 * np.mean(labels == 3) + np.mean(labels != 3))
         low, high = localise(TRIALS, errors, WIDTH, seed).places["hold"].ci90
         inside.append(low <= expected <= high)
@@ -72,7 +72,7 @@ def test_intervals_cover_the_share_nine_times_in_ten() -> None:
 
 def test_labels_follow_their_precedence() -> None:
     own = trial(np.concatenate([np.linspace(0, 5, 51), np.full(50, 5.0), np.linspace(5, 0, 51), np.linspace(0, 3, 31)]))
-    names = [PLACES[k] for k in place_labels(own)]
+    names = [MOTION_PARTS[k] for k in motion_part_labels(own)]
     assert names[10] == "first_flexure"
     assert names[80] == "hold"  # though the command has not turned yet
     assert names[104] == "after_reversal"
@@ -86,7 +86,7 @@ def test_labels_follow_their_precedence() -> None:
 def test_parts_of_a_motion_do_not_depend_on_the_unit_of_the_command(scale: float, offset: float) -> None:
     for own in TRIALS[:3]:
         other = Trial(own.t, scale * own.command + offset, own.angle)
-        assert np.mean(place_labels(other) != place_labels(own)) < 0.01  # rounding at the edges
+        assert np.mean(motion_part_labels(other) != motion_part_labels(own)) < 0.01  # rounding at the edges
 
 
 @pytest.mark.parametrize("hz", [0.3, 1.13, 3.4])

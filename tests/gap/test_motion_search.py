@@ -9,10 +9,8 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from hystmpc.ctrl.command import CommandLimits
-from hystmpc.gap.next.motion_design import Noise, OpenHypothesis
-from hystmpc.gap.next.motion_family import SIZE, MotionFamily
-from hystmpc.gap.next.motion_menu import TEMPLATES, menu
-from hystmpc.gap.next.motion_search import SearchSettings, information_bits, search_motion
+from hystmpc.gap.next.motion_design import Noise, OpenHypothesis, SearchSettings, information_bits, search_motion
+from hystmpc.gap.next.motions import SIZE, TEMPLATES, MotionFamily, menu
 from hystmpc.trials.errors import TrajectoryError
 
 from .contenders import DELAY, LAG, baseline

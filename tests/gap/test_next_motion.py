@@ -13,16 +13,16 @@ from hypothesis import strategies as st
 
 from hystmpc.ctrl.command import CommandLimits
 from hystmpc.gap.next.motion_design import (
+    EvaluatedMotion,
     MotionProposal,
     Noise,
     OpenHypothesis,
-    Option,
     expected_probability,
     propose,
     separations,
     write_motion,
 )
-from hystmpc.gap.next.motion_menu import TEMPLATES, MenuMotion, menu
+from hystmpc.gap.next.motions import TEMPLATES, SampledMotion, menu
 from hystmpc.gap.next.open_hypotheses import open_explanations
 from hystmpc.trajectories.trajectory import read_sampled
 from hystmpc.trials.csv_files import read_csv
@@ -66,7 +66,7 @@ def test_a_slow_actuator_gets_a_smaller_motion_not_a_longer_one() -> None:
     assert len({plan.name for plan in TEMPLATES}) == len(MOTIONS) == len(slow)
 
 
-def held_s(motion: MenuMotion) -> float:
+def held_s(motion: SampledMotion) -> float:
     """Longest time at one command above the lowest."""
     longest = run = 0
     for moved, up in zip(np.diff(motion.command), motion.command[1:] > LIMITS.lower + 0.1, strict=True):
@@ -75,7 +75,7 @@ def held_s(motion: MenuMotion) -> float:
     return longest * motion.dt
 
 
-def fast_share(motion: MenuMotion) -> float:
+def fast_share(motion: SampledMotion) -> float:
     """Share of the command's movement (its energy of speed) above 1 Hz."""
     power = np.abs(np.fft.rfft(np.diff(motion.command))) ** 2
     return float(power[np.fft.rfftfreq(motion.t.size - 1, motion.dt) > 1.0].sum() / power.sum())
@@ -203,7 +203,7 @@ def test_the_summary_is_the_diagnosis_form() -> None:
 
 def test_at_equal_odds_the_shorter_motion_wins() -> None:
     short = min(MOTIONS, key=lambda motion: motion.duration_s)
-    doubled = MenuMotion(
+    doubled = SampledMotion(
         "twice",
         "the same twice",
         np.arange(2 * short.t.size) * short.dt,
@@ -211,7 +211,7 @@ def test_at_equal_odds_the_shorter_motion_wins() -> None:
     )
     proposal = propose((LAG, CREEP), (doubled, short), Noise(1e-3))
     assert isinstance(proposal, MotionProposal)
-    assert all(isinstance(option, Option) for option in proposal.options)
+    assert all(isinstance(option, EvaluatedMotion) for option in proposal.options)
     assert proposal.chosen.motion is short
 
 
@@ -245,7 +245,7 @@ def test_the_motion_asks_about_every_set_that_is_open() -> None:
     findings: Any = SimpleNamespace(
         conclusion=SimpleNamespace(
             chosen=chosen,
-            ruling=SimpleNamespace(
+            decision=SimpleNamespace(
                 effects_unknown=False, ambiguity=(("lag", "delay"), ("contact", "slack", "trial_shift"))
             ),
         ),

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from hystmpc.gap.diagnose import conclude, find_causes
 from hystmpc.gap.logs.preparation import prepare
-from hystmpc.gap.logs.recording_order import NEEDS_ORDER, in_recording_order
+from hystmpc.gap.logs.trial_choice import NEEDS_ORDER, in_recording_order
 from hystmpc.gap.report.folder import diagnosis_json
 from hystmpc.gap.report.words import order_sentences
 from hystmpc.models.chain import Chain

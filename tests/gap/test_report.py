@@ -12,11 +12,10 @@ import numpy as np
 import pytest
 
 from hystmpc.gap.diagnosis import Verdict
-from hystmpc.gap.report.effect_figures import MOST_ROWS, closed_figure, rmse_interval
-from hystmpc.gap.report.figure_style import shown
+from hystmpc.gap.report.figures import MOST_ROWS, closed_figure, rmse_interval, shown
 from hystmpc.gap.report.folder import diagnosis_json, require_free, save_diagnosis
 from hystmpc.gap.report.page import MOST_HEAT, diagnosis_report, write_report
-from hystmpc.gap.report.report_data import Evidence
+from hystmpc.gap.report.report_data import ReportData
 from hystmpc.gap.report.residual_figures import amplitude_density, binned
 from hystmpc.gap.report.words import closed_sentence, headline, listed
 from hystmpc.models.simulator import load_simulator
@@ -40,7 +39,7 @@ SECTIONS = (
 )
 
 
-def behind(evidence: Evidence) -> list[Piece]:
+def behind(evidence: ReportData) -> list[Piece]:
     """All pieces of the folded sections."""
     sections = [piece for piece in diagnosis_report(evidence).pieces if isinstance(piece, Folded)]
     return [piece for section in sections for piece in section.pieces]
@@ -71,13 +70,13 @@ class Page(HTMLParser):
 
 
 @pytest.fixture(scope="module")
-def named() -> Evidence:
+def named() -> ReportData:
     """A diagnosis that names creep, of six trials."""
     return report_data("named")
 
 
 @pytest.mark.slow
-def test_the_page_opens_offline_and_shows_everything(named: Evidence, tmp_path: Path) -> None:
+def test_the_page_opens_offline_and_shows_everything(named: ReportData, tmp_path: Path) -> None:
     path = write_report(named, tmp_path)
     page = Page(path.read_text(encoding="utf-8"))
     assert [link for link in page.links if not link.startswith(("#", "data:"))] == []
@@ -157,7 +156,7 @@ def test_how_far_says_what_it_was_measured_on() -> None:
     assert "with effects" not in closed_sentence(unknown)
 
 
-def test_an_interval_holds_its_rmse_and_narrows_with_more_trials(named: Evidence) -> None:
+def test_an_interval_holds_its_rmse_and_narrows_with_more_trials(named: ReportData) -> None:
     for stage in named.stages:
         trial = named.trials[0]
         interval = rmse_interval([trial], stage)
@@ -170,7 +169,7 @@ def test_an_interval_holds_its_rmse_and_narrows_with_more_trials(named: Evidence
     assert rmse_interval([trial_evidence(0, "final", seconds=6.0)], "retuned") is None
 
 
-def test_bins_and_spectrum_keep_the_energy(named: Evidence) -> None:
+def test_bins_and_spectrum_keep_the_energy(named: ReportData) -> None:
     energy = float(np.mean(np.concatenate([trial.residual("retuned") ** 2 for trial in named.trials])))
     for group in binned(named.trials, named.stages):
         held = np.nansum(group.time * group.rmse_deg["retuned"] ** 2)

@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hystmpc.gap.decide.retuning import anew_share, retuned_with, retuning_of, width_grown
+from hystmpc.gap.decide.retuning import reidentified_share, retuned_with, retuning_of, width_grown
 from hystmpc.gap.diagnose import conclude, find_causes
-from hystmpc.gap.diagnosis import Moved
+from hystmpc.gap.diagnosis import RetunedParameter
 from hystmpc.gap.logs.motion_type import play_states
 from hystmpc.gap.logs.preparation import prepare
 from hystmpc.gap.report.words import headline
@@ -55,7 +55,7 @@ def test_a_friction_that_has_grown_is_retuned_and_said_with_its_interval() -> No
     assert width.ci90[0] <= width.value <= width.ci90[1] < width.given + 0.9
     assert "backlash width" in headline(found)
     assert f"{width.given:.3g} to {width.value:.3g} mm" in found.reason
-    assert found.as_json()["moved"][0].keys() == Moved.__dataclass_fields__.keys()
+    assert found.as_json()["moved"][0].keys() == RetunedParameter.__dataclass_fields__.keys()
     same = conclude(find_causes(trials_of(Chain(BACKLASH), COMMANDS), simulator_of(BACKLASH, KNOWN)))[0]
     assert (same.verdict, same.moved) == ("none", ())
 
@@ -103,7 +103,7 @@ def test_a_core_identified_anew_follows_any_static_loop_and_no_wave() -> None:
         prepared = prepare(trials, simulator_of(BACKLASH, KNOWN))
         validation = CrossValidation(prepared.baseline, prepared.development)
         judged = validation.judge(validation.retuned())
-        shares.append(anew_share(prepared, validation, judged, prepared.form_mse))
+        shares.append(reidentified_share(prepared, validation, judged, prepared.form_mse))
     assert shares[0] > 0.9
     assert shares[1] < 0.2
 

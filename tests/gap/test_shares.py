@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hystmpc.gap.decide.closed_share import Shares, closed_interval, closed_share
+from hystmpc.gap.decide.gap_closed import ClosedShares, closed_interval, closed_share
 from hystmpc.models.identify.runs import Blocks, blocks_of
 from hystmpc.models.identify.uncertainty import Interval
 
@@ -36,7 +36,7 @@ def corrections(draw: st.DrawFn) -> dict[frozenset[str], Blocks]:
 
 def of_causes(errors: dict[frozenset[str], Blocks], spread: float = 0.0) -> dict[str, tuple[float, Interval]]:
     """Share and interval of every cause."""
-    return Shares(errors[frozenset()], 0.0, spread, 1).of_causes(max(errors, key=len), errors.__getitem__)
+    return ClosedShares(errors[frozenset()], 0.0, spread, 1).of_causes(max(errors, key=len), errors.__getitem__)
 
 
 @given(corrections())

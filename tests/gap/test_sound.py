@@ -9,12 +9,19 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hystmpc.gap.decide.gap_closed import ClosedByCause, GapClosed, needless
-from hystmpc.gap.decide.verdict import VerdictSettings, decide_verdict, reason_for
+from hystmpc.gap.decide.gap_closed import ClosedByCause, GapClosed, negligible_cause
+from hystmpc.gap.decide.verdict import VerdictSettings, decide_verdict
 from hystmpc.gap.diagnose import conclude, find_causes
 from hystmpc.gap.diagnosis import Diagnosis, Gap, Stability
 from hystmpc.gap.report.tables import NOT_DETERMINED, parameters_table
-from hystmpc.gap.report.words import ceiling_sentence, floor_words, headline, parameter_words, stability_sentence
+from hystmpc.gap.report.words import (
+    ceiling_sentence,
+    floor_words,
+    headline,
+    parameter_words,
+    reason_for,
+    stability_sentence,
+)
 from hystmpc.models.chain import Chain
 from hystmpc.models.operators.hysteresis import Backlash
 from hystmpc.trials.trial import Trial
@@ -48,8 +55,8 @@ def test_faults_of_the_sensor_have_to_close_something_and_need_no_interval(share
 
 @given(st.dictionaries(st.sampled_from(["lag", "creep", "contact"]), st.floats(0.01, 0.5), min_size=1))
 def test_beside_others_what_could_be_replaced_has_to_close_five_percent(shares: dict[str, float]) -> None:
-    assert needless(shares, ()) == ""
-    found = needless(shares, shares)
+    assert negligible_cause(shares, ()) == ""
+    found = negligible_cause(shares, shares)
     assert (found == "") == (len(shares) == 1 or min(shares.values()) >= 0.05)
     assert found == "" or shares[found] == min(shares.values())
 

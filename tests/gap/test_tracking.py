@@ -19,12 +19,17 @@ from hypothesis import strategies as st
 from hystmpc.gap.diagnosis import FORMAT, MotionTracking, TrackingGap, Verdict
 from hystmpc.gap.report.folder import diagnosis_json
 from hystmpc.gap.report.page import diagnosis_report
-from hystmpc.gap.report.report_data import Evidence
+from hystmpc.gap.report.report_data import ReportData
 from hystmpc.gap.report.words import tracking_sentence
-from hystmpc.gap.tracking.diagnosed import covered_motions, with_tracking
-from hystmpc.gap.tracking.expected import ROUGHNESS, UnexplainedPlant, expected_tracking, walked
-from hystmpc.gap.tracking.fall import fall_lines, fall_pieces, tracking_falls
-from hystmpc.gap.tracking.measured import MeasuredRun, measured_runs
+from hystmpc.gap.tracking.expected import (
+    ROUGHNESS,
+    UnexplainedPlant,
+    covered_motions,
+    expected_tracking,
+    next_disturbance,
+    with_tracking,
+)
+from hystmpc.gap.tracking.measured import MeasuredRun, fall_lines, fall_pieces, measured_runs, tracking_falls
 from hystmpc.models.chain import Chain
 from hystmpc.models.contract.metadata import NoiseModel
 from hystmpc.models.operators.hysteresis import Backlash
@@ -58,14 +63,14 @@ TARGETS = PointToPoint(35.0, (55.0, 45.0), (0.6, 0.6))
 MOTIONS = (approached("move", 25.0, 35.0, TARGETS),)
 
 
-def evidence(verdict: Verdict = "named", nominal: Simulator | None = NOMINAL) -> Evidence:
+def evidence(verdict: Verdict = "named", nominal: Simulator | None = NOMINAL) -> ReportData:
     """Hand-made evidence of a device that is the corrected simulator."""
     made = report_data(verdict, 3)
     return replace(made, nominal=nominal, fixed=CORRECTED if nominal else None)
 
 
 @cache
-def tracked() -> Evidence:
+def tracked() -> ReportData:
     return with_tracking(evidence())
 
 
@@ -107,7 +112,7 @@ def test_what_is_unexplained_keeps_its_size(drift: float, motion: float, size: f
         motion_sigma_deg_per_sqrt_unit=motion,
         model_sigma_deg=size,
     )
-    kept, added = (walked(d, travel, 0.04, noise, w) for d, w in ((size, 0.0), (0.0, 1.0)))
+    kept, added = (next_disturbance(d, travel, 0.04, noise, w) for d, w in ((size, 0.0), (0.0, 1.0)))
     assert kept**2 + added**2 == pytest.approx(size**2)
     assert added <= ROUGHNESS * math.sqrt(drift**2 * 0.04 + motion**2 * travel) * (1 + 1e-9)
 

@@ -11,10 +11,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hystmpc.gap.diagnose import conclude, find_causes, what_logs_would_show
+from hystmpc.gap.diagnose import conclude, detectable_in_logs, find_causes
 from hystmpc.gap.diagnosis import Diagnosis
 from hystmpc.gap.report.folder import save_diagnosis
-from hystmpc.gap.report.report_data import Evidence
+from hystmpc.gap.report.report_data import ReportData
 from hystmpc.gap.report.words import detectable_sentence
 from hystmpc.models.chain import Chain
 from hystmpc.models.contract.metadata import Range
@@ -67,7 +67,7 @@ def rescaled(simulator: Simulator, command: float, angle: float) -> Simulator:
 @functools.cache
 def diagnosed(
     command: float, angle: float, only: tuple[str, ...] | None = None, before: tuple[Operator, ...] = (CREEP,)
-) -> tuple[Diagnosis, Evidence]:
+) -> tuple[Diagnosis, ReportData]:
     """The diagnosis of a device with effects, logged in units of which its usual ones hold so many."""
     trials, simulator = trials_of(Chain(BACKLASH, before), list(HOLDS)), simulator_of(BACKLASH, (FORM,))
     if (command, angle) != (1.0, 1.0):
@@ -126,7 +126,7 @@ def test_files_and_page_carry_the_unit(tmp_path: Path) -> None:
 
 def test_what_logs_would_show_has_the_units_of_the_logs() -> None:
     def shown(simulator: Simulator, trials: Sequence[Trial]) -> dict[str, tuple[float, str]]:
-        return {one.effect: (one.size, one.unit) for one in what_logs_would_show(trials, simulator).effects}
+        return {one.effect: (one.size, one.unit) for one in detectable_in_logs(trials, simulator).effects}
 
     simulator, trials = simulator_of(BACKLASH, (FORM,)), trials_of(Chain(BACKLASH), list(HOLDS))
     command, angle = 25.4, 1e-3

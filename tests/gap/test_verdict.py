@@ -16,9 +16,9 @@ from hystmpc.gap.decide.verdict import (
     VerdictFacts,
     VerdictSettings,
     decide_verdict,
-    reason_for,
 )
 from hystmpc.gap.diagnosis import Gap
+from hystmpc.gap.report.words import reason_for
 
 SETTINGS = VerdictSettings()
 EXPLAINED = VerdictFacts(
@@ -35,7 +35,7 @@ OPEN = replace(EXPLAINED, chosen_mse=0.9)
 AMBIGUOUS = replace(EXPLAINED, ambiguity=(("lag", "delay"),))
 UNPROVEN = FinalFacts(closed_share=0.0, residual_ratio=1.0, unproven=True)
 GROWN = Retuning(2.0, 0.5, 0.6)
-ANEW = Retuning(2.0, anew_share=0.9)
+ANEW = Retuning(2.0, reidentified_share=0.9)
 WEAK = FinalFacts(closed_share=0.5, residual_ratio=3.0)
 
 
@@ -121,7 +121,7 @@ WEAK = FinalFacts(closed_share=0.5, residual_ratio=3.0)
         (replace(AMBIGUOUS, retuning=ANEW, width_grown=1.5), "reshaped", "retuned"),
         (replace(NOTHING, retuning=ANEW, width_grown=1.5), "reshaped", "retuned"),
         (replace(EXPLAINED, retuning=ANEW, width_grown=1.3), "explained", "named"),
-        (replace(EXPLAINED, retuning=replace(ANEW, anew_share=0.89), width_grown=1.5), "explained", "named"),
+        (replace(EXPLAINED, retuning=replace(ANEW, reidentified_share=0.89), width_grown=1.5), "explained", "named"),
         (replace(EXPLAINED, retuning=ANEW, width_grown=1.5, jumps=True), "explained", "named"),
         # trials
         (replace(EXPLAINED, too_little=True), "too_little", "too_little"),
@@ -130,8 +130,8 @@ WEAK = FinalFacts(closed_share=0.5, residual_ratio=3.0)
     ],
 )
 def test_every_row_of_the_table(facts: VerdictFacts, case: str, verdict: str) -> None:
-    ruling = decide_verdict(facts, SETTINGS)
-    assert (ruling.case, ruling.verdict) == (case, verdict)
+    decision = decide_verdict(facts, SETTINGS)
+    assert (decision.case, decision.verdict) == (case, verdict)
 
 
 def test_what_a_ruling_implies() -> None:
@@ -169,26 +169,26 @@ facts_ = st.builds(
 
 @given(facts_)
 def test_rules_that_hold_for_all_facts(facts: VerdictFacts) -> None:
-    ruling = decide_verdict(facts, SETTINGS)
-    assert ruling.verdict == VERDICTS[ruling.case]
-    assert bool(ruling.ambiguity) == (ruling.verdict == "one_of")
+    decision = decide_verdict(facts, SETTINGS)
+    assert decision.verdict == VERDICTS[decision.case]
+    assert bool(decision.ambiguity) == (decision.verdict == "one_of")
     if facts.too_little or facts.unrelated:
-        assert ruling.verdict == ("too_little" if facts.too_little else "unknown")
-        assert (ruling.sensor, ruling.explained) == (False, False)
+        assert decision.verdict == ("too_little" if facts.too_little else "unknown")
+        assert (decision.sensor, decision.explained) == (False, False)
     elif facts.jumps:
-        assert ruling.verdict in ("named", "one_of")
-    if ruling.sensor:
+        assert decision.verdict in ("named", "one_of")
+    if decision.sensor:
         assert facts.sensor or facts.new_step
-    if ruling.verdict == "retuned":
+    if decision.verdict == "retuned":
         assert facts.retuning.moved >= SETTINGS.lowered
-        assert not ruling.explained
+        assert not decision.explained
     # The final trials alone never turn a gap into none, unless it is at their floor, nor an unexplained gap into an
     # explanation by effects.
     before = decide_verdict(replace(facts, final=None), SETTINGS)
-    assert (before.verdict == "none") == (ruling.verdict == "none") or ruling.case == "at_floor"
+    assert (before.verdict == "none") == (decision.verdict == "none") or decision.case == "at_floor"
     if facts.final is not None and facts.final.unproven:
-        assert not ruling.explained
-    assert before.explained or not ruling.explained
+        assert not decision.explained
+    assert before.explained or not decision.explained
 
 
 def test_the_reason_states_the_verdict_and_its_numbers() -> None:

@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hystmpc.gap.logs import trial_choice
-from hystmpc.gap.logs.check import Checked, check_trials
+from hystmpc.gap.logs.check import CheckedTrials, check_trials
 from hystmpc.gap.logs.motion_type import MotionType, command_segments, motion_type
 from hystmpc.gap.logs.noise_floor import find_repeats
 from hystmpc.gap.logs.trial_choice import MOST_SAMPLES, Workload, affordable
@@ -97,7 +97,7 @@ def test_what_today_is_usual_is_not_thinned() -> None:
     assert found.note == found.estimate == ""
 
 
-def thinned(trials: list[Trial], most: int, patch: pytest.MonkeyPatch) -> Checked:
+def thinned(trials: list[Trial], most: int, patch: pytest.MonkeyPatch) -> CheckedTrials:
     """Trials checked where fewer samples can be afforded."""
 
     def few(trials: list[Trial], motions: list[MotionType], seed: int, ordered: bool) -> Workload:

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hystmpc.gap.residual.localise import PLACES, place_labels
+from hystmpc.gap.residual.localise import MOTION_PARTS, motion_part_labels
 from hystmpc.trials.csv_files import read_csv
 from hystmpc.trials.errors import ConfigError, LogError
 from hystmpc.trials.read import read_trials
@@ -266,10 +266,10 @@ def test_regions_are_exclusive_and_densities_average_one() -> None:
     t = np.arange(1200) / 25
     command = np.interp(t, [0, 1, 5, 15, 20, 30, 48], [0, 0, 5, 5, 1, 4, 0])
     trial = Trial(t, command, command)
-    region = place_labels(trial)
-    assert {PLACES[k] for k in np.unique(region)} == set(PLACES)
+    region = motion_part_labels(trial)
+    assert {MOTION_PARTS[k] for k in np.unique(region)} == set(MOTION_PARTS)
     error = np.random.default_rng(0).standard_normal(t.size)
     found = densities([trial], [error])
-    shares = {name: float(np.mean(region == k)) for k, name in enumerate(PLACES)}
+    shares = {name: float(np.mean(region == k)) for k, name in enumerate(MOTION_PARTS)}
     assert sum(found[name] * shares[name] for name in found) == pytest.approx(1.0)
     assert densities([trial], [(region == 3).astype(float)])["hold"] == pytest.approx(1 / shares["hold"])

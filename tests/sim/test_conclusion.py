@@ -106,7 +106,7 @@ def test_a_first_jump_no_longer_hides_the_tracking(tmp_path) -> None:
     (back,) = load_results(tmp_path / "led").results
     assert back.run.first == led.run.first
     (measured,) = measured_runs(tmp_path / "led")
-    assert (measured.led, measured.rmse_deg) == (True, pytest.approx(led.metrics.rmse_deg))
+    assert (measured.approached_first, measured.rmse_deg) == (True, pytest.approx(led.metrics.rmse_deg))
     np.testing.assert_allclose(measured.reference_deg, measured.reference(measured.t), atol=1e-9)
     assert math.isclose(back.metrics.rmse_deg, led.metrics.rmse_deg, rel_tol=1e-9)
 

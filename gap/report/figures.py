@@ -1,4 +1,4 @@
-"""Figures of the gap closed, of the effects, and of the motion to record next."""
+"""Style of the figures, and figures of the closed gap, of the effects and of the next motion."""
 
 from __future__ import annotations
 
@@ -13,14 +13,46 @@ from matplotlib.patches import Patch
 
 from hystmpc.models.identify.uncertainty import Interval
 from hystmpc.trials.figures import ZERO_LOOK, TrackedLine, TrackedMotion, output_label, shortened, tracking_figure
-from hystmpc.trials.report import ACCENTS, MEASURED, MODEL, PALETTE, REFERENCE, new_figure
+from hystmpc.trials.report import ACCENTS, COMMAND, DASHES, MEASURED, MODEL, PALETTE, REFERENCE, new_figure
 from hystmpc.trials.types import Vec
 
-from ..diagnosis import Diagnosis, Gap
+from ..diagnosis import Diagnosis
 from ..next.motion_design import MotionProposal
-from .figure_style import AFTER, BEFORE, COLOUR, COMMANDED, INTERVAL, LABEL, MARKER, shown, thin
-from .report_data import CandidateRow, Evidence, Stage, TrackingCurve, TrialEvidence
+from .report_data import CandidateRow, ReportData, Stage, TrackingCurve, TrialRuns
 from .words import in_words
+
+LABEL: dict[Stage, str] = {"nominal": "as given", "retuned": "retuned", "with_effects": "with effects"}
+COLOUR: dict[Stage, str] = {"nominal": "#a6a6a6", "retuned": ACCENTS[2], "with_effects": MODEL}
+_DASH: dict[Stage, Any] = {"nominal": DASHES[0], "retuned": DASHES[2], "with_effects": DASHES[1]}
+LOOK: dict[Stage, Any] = {
+    stage: {"color": COLOUR[stage], "linestyle": dash, "label": LABEL[stage]} for stage, dash in _DASH.items()
+}
+MARKER: dict[Stage, str] = {"nominal": "s", "retuned": "o", "with_effects": "D"}
+REAL: Any = {"color": MEASURED, "linewidth": 2.6, "alpha": 0.5, "label": "real"}
+COMMANDED: Any = {"color": COMMAND, "linewidth": 0.9}
+INTERVAL: Any = {"color": REFERENCE, "linewidth": 1.1, "capsize": 2.5, "capthick": 1.1, "fmt": "none"}
+BEFORE: Any = {"color": ACCENTS[2], "linewidth": 1.0, "linestyle": DASHES[1], "label": "before"}
+AFTER: Any = {"color": MODEL, "linewidth": 1.0, "label": "after"}
+HEAT = "magma_r"  # even steps of lightness: also read in grey and by colour-blind readers
+_POINTS = 3000
+
+
+def worst_first(trials: Sequence[TrialRuns]) -> list[TrialRuns]:
+    """Trials by their retuned RMSE, greatest first."""
+    return sorted(trials, key=lambda trial: -trial.rmse("retuned"))
+
+
+def shown(trials: Sequence[TrialRuns], most: int) -> list[TrialRuns]:
+    """At most so many trials, final ones before others and worse before better, in recording order."""
+    ranked = sorted(worst_first(trials), key=lambda trial: trial.role != "final")[:most]
+    return [trial for trial in trials if any(trial is other for other in ranked)]
+
+
+def thin(*signals: Vec) -> tuple[Vec, ...]:
+    """Signals of one length with no more samples than a figure can show."""
+    step = max(1, -(-signals[0].size // _POINTS))
+    return tuple(signal[::step] for signal in signals)
+
 
 _BLOCK_S, _LEAST_BLOCKS = 2.0, 4
 _DRAWS = 400
@@ -35,23 +67,29 @@ _DASHES = ("-", (0, (4, 1.5)), (0, (1, 1)), (0, (6, 1, 1, 1)), (0, (3, 1, 1, 1, 
 _COLOURS = (PALETTE[0], PALETTE[1], PALETTE[3], PALETTE[5], PALETTE[4])
 
 
-def closed_figure(evidence: Evidence) -> Figure:
+def draw_interval(axes: Axes, row: float, value: float, interval: Interval, **style: Any) -> None:
+    """Draw the interval of a value along its row."""
+    reach = [[max(value - interval[0], 0.0)], [max(interval[1] - value, 0.0)]]
+    axes.errorbar(value, row, xerr=reach, **{**INTERVAL, **style})
+
+
+def closed_figure(data: ReportData) -> Figure:
     """RMSE of every final trial and of all together, with 90 % intervals, against the floor [deg]."""
-    trials = shown(evidence.final, MOST_ROWS)
-    gap, rows = evidence.diagnosis.gap, len(trials) + 1
+    trials = shown(data.final, MOST_ROWS)
+    gap, rows = data.diagnosis.gap, len(trials) + 1
     with new_figure(7.0, 1.1 + 0.42 * rows) as figure:
         axes: Axes = figure.subplots()
-        for stage in evidence.stages:
-            values = [_pooled(gap, stage), *(trial.rmse(stage) for trial in trials)]
-            groups: list[Sequence[TrialEvidence]] = [evidence.final, *([trial] for trial in trials)]
+        for stage in data.stages:
+            values = [getattr(gap, f"{stage}_rmse_deg"), *(trial.rmse(stage) for trial in trials)]
+            groups: list[Sequence[TrialRuns]] = [data.final, *([trial] for trial in trials)]
             _points(axes, stage, values, [rmse_interval(group, stage) for group in groups])
         floors = [gap.floor_rmse_deg, *(trial.floor_deg for trial in trials)]
         axes.plot(floors, np.arange(rows), "|", color=REFERENCE, markersize=17, markeredgewidth=1.6, label="floor")
-        names = [f"all {evidence.measured_on}", *(shortened(trial.name) for trial in trials)]
+        names = [f"all {data.measured_on}", *(shortened(trial.name) for trial in trials)]
         axes.set_yticks(range(rows), names)
         axes.get_yticklabels()[0].set_fontweight("bold")
         axes.axhline(0.5, color=REFERENCE, linewidth=0.6)
-        axes.set(ylim=(rows - 0.5, -0.5), xlabel=f"RMSE of simulated less measured angle [{evidence.unit}]")
+        axes.set(ylim=(rows - 0.5, -0.5), xlabel=f"RMSE of simulated less measured angle [{data.unit}]")
         axes.set_xlim(left=0.0)
         axes.grid(visible=False, axis="y")
         figure.legend(*axes.get_legend_handles_labels(), loc="outside upper center", ncols=4)
@@ -63,17 +101,12 @@ def _points(axes: Axes, stage: Stage, values: list[float], intervals: list[Inter
     rows = np.arange(len(values)) + _OFFSET[stage]
     for row, value, interval in zip(rows, values, intervals, strict=True):
         if interval is not None and np.isfinite(value):
-            reach = [[max(value - interval[0], 0.0)], [max(interval[1] - value, 0.0)]]
-            axes.errorbar(value, row, xerr=reach, zorder=2, **{**INTERVAL, "color": COLOUR[stage]})
+            draw_interval(axes, row, value, interval, zorder=2, color=COLOUR[stage])
     style: Any = {"color": COLOUR[stage], "marker": MARKER[stage], "linestyle": "none", "markersize": 5.5}
     axes.plot(values, rows, label=LABEL[stage], zorder=3, **style)
 
 
-def _pooled(gap: Gap, stage: Stage) -> float:
-    return float(getattr(gap, f"{stage}_rmse_deg"))
-
-
-def rmse_interval(trials: Sequence[TrialEvidence], stage: Stage) -> Interval | None:
+def rmse_interval(trials: Sequence[TrialRuns], stage: Stage) -> Interval | None:
     """90 % block-bootstrap interval of the RMSE over some trials [deg]; None for less than four blocks of 2 s.
 
     Drawn with one seed, so that a report is the same each time.
@@ -87,7 +120,7 @@ def rmse_interval(trials: Sequence[TrialEvidence], stage: Stage) -> Interval | N
     return float(low), float(high)
 
 
-def _blocks(trials: Sequence[TrialEvidence], stage: Stage) -> tuple[Vec, Vec]:
+def _blocks(trials: Sequence[TrialRuns], stage: Stage) -> tuple[Vec, Vec]:
     """Sum of squares [deg^2] and number of samples of every block."""
     sums, counts = list[float](), list[float]()
     for trial in trials:
@@ -99,14 +132,14 @@ def _blocks(trials: Sequence[TrialEvidence], stage: Stage) -> tuple[Vec, Vec]:
     return np.array(sums), np.array(counts)
 
 
-def effects_figure(evidence: Evidence) -> Figure:
+def effects_figure(data: ReportData) -> Figure:
     """Candidates by probability; those chosen, and those that these trials cannot tell apart, stand out."""
-    diagnosis, rows = evidence.diagnosis, {row.name: row for row in evidence.candidates}
+    diagnosis, rows = data.diagnosis, {row.name: row for row in data.candidates}
     names = _names(diagnosis)
     with new_figure(7.0, 1.0 + 0.29 * len(names)) as figure:
         chance, gain, closed = figure.subplots(1, 3, sharey=True, width_ratios=(3, 3, 3))
         _probabilities(chance, diagnosis, names)
-        _gains(gain, [rows.get(name) for name in names], evidence.unit)
+        _gains(gain, [rows.get(name) for name in names], data.unit)
         _shares(closed, diagnosis, names)
         chance.set_yticks(range(len(names)), [_label(diagnosis, name) for name in names])
         chance.set_ylim(len(names) - 0.4, -0.6)
@@ -130,7 +163,7 @@ def _names(diagnosis: Diagnosis) -> list[str]:
 
 
 def _label(diagnosis: Diagnosis, name: str) -> str:
-    """The effect's name and the letter of the set that it cannot be told apart from."""
+    """Name of an effect with the letters of its ambiguous sets."""
     sets = [chr(ord("A") + k) for k, names in enumerate(diagnosis.ambiguity) if name in names]
     return f"{in_words(name)} ({', '.join(sets)})" if sets else in_words(name)
 
@@ -177,9 +210,7 @@ def _shares(axes: Axes, diagnosis: Diagnosis, names: Sequence[str]) -> None:
             continue
         colour, hatch = _look(diagnosis, name)
         axes.barh(k, effect.closed_share, height=0.62, color=colour, hatch=hatch, edgecolor="white", linewidth=0.0)
-        low, high = effect.closed_ci90
-        reach = [[max(effect.closed_share - low, 0.0)], [max(high - effect.closed_share, 0.0)]]
-        axes.errorbar(effect.closed_share, k, xerr=reach, **INTERVAL)
+        draw_interval(axes, k, effect.closed_share, effect.closed_ci90)
     ends = [end for effect in chosen.values() for end in effect.closed_ci90 if np.isfinite(end)]
     axes.set_xlim(min(0.0, *ends, 0.0) * 1.05, max(1.0, *ends, 0.0) * 1.02)
     axes.axvline(0.0, **ZERO_LOOK)
