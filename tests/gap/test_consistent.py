@@ -38,7 +38,7 @@ SHARE, SIZE = st.floats(0.0, 1.0), st.floats(1e-4, 50.0)
 
 @st.composite
 def diagnoses(draw: st.DrawFn) -> ReportData:
-    """ReportData whose parts are what the steps of a diagnosis make of drawn facts: shares, inclusions, sizes, splits."""
+    """Report data made of drawn facts as the steps of a diagnosis make them: shares, inclusions, sizes, splits."""
     case: str = draw(st.sampled_from([*CASES]))
     verdict, stable = CASES[case], draw(SHARE)
     count = draw(st.integers(1, 4)) if verdict in ("named", "one_of") else 0

@@ -9,7 +9,7 @@ from pathlib import Path
 from .source import LAB, ROOMS, ROOT
 
 _ROOM = "|".join(ROOMS)
-# A path in back quotes or in a table: `gap/report/page.py`, `studies/blind/`.
+# A path in back quotes or in a table: `gap/report/page.py`, `lab/blind/`.
 FILE = re.compile(rf"(?<![\w/.-])(?:{_ROOM}|lab|tests|examples|docs|ros2)/[\w/.-]*\w(?:\.(?:py|yaml|md)\b|/(?=`))")
 MODULE = re.compile(rf"(?<![\w.])hystmpc(?:\.(?:{_ROOM}))(?:\.\w+)*")
 
