@@ -26,7 +26,7 @@ FILES: Mapping[str, tuple[str, str]] = MappingProxyType(
         "record": ("hystmpc.rig.config:RecordSettings", "recordings of `hystmpc record`"),
         "commission": ("hystmpc.bench.config:CommissionSettings", "a device of `hystmpc commission`"),
         "investigate": ("hystmpc.bench.config:InvestigateSettings", "a device of `hystmpc investigate`"),
-        "device": ("hystmpc.rig.device.config:DeviceSettings", "a simulated device of `hystmpc device`"),
+        "device": ("hystmpc.rig.device:DeviceSettings", "a simulated device of `hystmpc device`"),
         "layout": ("hystmpc.trials.layouts:LogMapping", "a layout of logs, of `--layout FILE.yaml`"),
         "simulator": ("hystmpc.models.simulator:SimulatorFile", "a simulator that `hystmpc fit` writes"),
     }

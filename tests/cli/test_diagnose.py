@@ -107,7 +107,7 @@ def test_one_function_makes_the_whole_diagnosis() -> None:
     own = {name: text for name, text in sources.items() if not name.startswith(("tests/", ".", "build/"))}
     callers = {n for n, text in own.items() if any(re.search(rf"(?<!def ){re.escape(s)}", text) for s in steps)}
     assert callers == {"gap/diagnose.py"}
-    whole = {"tasks/diagnose.py", "commissioning/identify.py", "investigation/judge.py"}
+    whole = {"tasks/diagnose.py", "bench/identify.py", "bench/rounds.py"}
     assert whole <= {name for name, text in own.items() if "diagnose_trials(" in text}
 
 

@@ -14,7 +14,6 @@ from hypothesis import strategies as st
 import hystmpc_lab.blind
 from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.types import Vec
-from hystmpc_lab.blind import kernels
 from hystmpc_lab.blind.device import DEVICES, BlindDevice, core_of, lasts_s
 from hystmpc_lab.blind.generators import (
     ALIASED_RATE,
@@ -33,6 +32,7 @@ from hystmpc_lab.blind.generators import (
     lugre_tip,
 )
 from hystmpc_lab.blind.motions import RAMP_HOLD, SINE, STEPS, TRIANGLES
+from hystmpc_lab.devices import kernels as cores
 from hystmpc_lab.devices.cores import (
     FINE_S,
     TRAVEL_MM,
@@ -165,7 +165,7 @@ def test_capstan_tension_stays_within_the_friction_cone() -> None:
     weights = np.full(nodes, 1 / nodes / 2.0)
     shares = weights + 0.06 / nodes
     x = 2.5 * (1 - np.cos(np.linspace(0, 20, 3000)))
-    kernels.capstan(x, np.full(x.size, wrap), tension, shares, weights, rest, out)
+    cores.capstan(x, np.full(x.size, wrap), tension, shares, weights, rest, out)
     log = np.log(tension / tension[0])
     assert np.all(np.abs(log) <= wrap * np.arange(nodes) / (nodes - 1) + 1e-6)
     assert shares @ (tension - rest) == pytest.approx(x[-1], abs=1e-6)

@@ -20,6 +20,8 @@ from hystmpc.models.contract.load import OnnxModel, load_onnx
 from hystmpc.models.contract.metadata import FORMAT, ModelMetadata
 from hystmpc.trials.errors import ModelError
 
+from ..refusals import names
+
 METADATA = ModelMetadata.parse(
     {
         "kind": "lag",
@@ -183,7 +185,7 @@ def refusal(path: Path) -> str:
     with pytest.raises(ModelError) as caught:
         load_onnx(path)
     text = str(caught.value)
-    assert text.startswith(f"{path}: ")
+    assert names(text, path)
     assert "\n" not in text
     return text
 

@@ -21,6 +21,7 @@ from hystmpc.models.prediction.compiled import CompiledPredictor
 from hystmpc.models.simulator import ChainModel, export_simulator, load_simulator, save_simulator
 from hystmpc.trials.errors import ModelError
 
+from ..refusals import names
 from .casadi_predictor import CasadiPredictor
 from .zoo import CHAINS, DT, simulator
 
@@ -168,7 +169,7 @@ def test_a_broken_simulator_file_is_one_line_that_names_it(change: object, messa
     with pytest.raises(ModelError) as error:
         load_simulator(path)
     assert message in str(error.value)
-    assert str(path) in str(error.value)
+    assert names(str(error.value), path)
     assert "\n" not in str(error.value)
 
 

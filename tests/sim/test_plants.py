@@ -25,6 +25,7 @@ from hystmpc.sim.tuning.settings import default_draws
 from hystmpc.trials.config import dump_yaml
 from hystmpc.trials.errors import ConfigError
 
+from ..refusals import names
 from .small import study_data
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
@@ -146,7 +147,7 @@ def test_a_wrong_device_is_told_with_its_line(tmp_path: Path, block: dict[str, A
     with pytest.raises(ConfigError) as caught:
         load_simulation(file)
     assert message in str(caught.value)
-    assert f"{file}, line {line}: plant" in str(caught.value)
+    assert names(str(caught.value), file, f", line {line}: plant")
     assert "\n" not in str(caught.value)
 
 

@@ -17,9 +17,9 @@ from hystmpc.models.simulator import save_simulator
 from hystmpc.trials.config import dump_yaml
 from hystmpc.trials.types import Vec
 
+from ..bench.small_commission import BENCH, make_quick
+from ..bench.small_investigate import bench
 from ..cli.test_verbs import run
-from ..commissioning.small import BENCH, make_quick
-from ..investigation.small import bench
 from ..models.zoo import CHAINS, simulator
 from ..sim.small import SCAN, study_data
 
