@@ -60,9 +60,13 @@ class Fit:
     def __repr__(self) -> str:
         return in_brief(self, f"{self.kind} from {len(self.trials)} trials: {self.identified.report}")
 
-    @cached_property
+    @property
     def model(self) -> LoadedModel:
         """The model, as `load_model` opens it from a file."""
+        return self._model
+
+    @cached_property
+    def _model(self) -> LoadedModel:
         return _model_of(self.kind, self.identified)
 
     @property

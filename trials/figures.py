@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
 from .figure_data import draw_long
 from .report import REFERENCE, new_figure
@@ -74,6 +75,7 @@ def tracking_figure(
     drawn: Look = {"drawstyle": "steps-pre"} if held else {}
     with new_figure(7.0, height) as figure:
         rows = figure.subplots(2, len(motions), squeeze=False, sharex="col", sharey="row", height_ratios=(3, 2))
+        rules: list[Line2D] = []
         for (upper, lower), motion in zip(rows.T, motions, strict=True):
             if np.isfinite(motion.reference_deg).any():
                 draw_long(upper, motion.t, motion.reference_deg, **REFERENCE_LOOK)

@@ -239,9 +239,9 @@ def _left_out(samples: _Samples, folds: Sequence[NDArray[np.bool_]], choice: Svr
 
 
 def _fitted(windows: Vec, angles: Vec, choice: SvrChoice, cache_mb: int) -> Any:
-    machine = SVR(kernel="rbf", C=choice.c, gamma=choice.gamma, epsilon=choice.epsilon, cache_size=cache_mb).fit(
-        windows, angles
-    )
+    gamma: Any = choice.gamma  # scikit-learn's own types know its words alone
+    machine = SVR(kernel="rbf", C=choice.c, gamma=gamma, epsilon=choice.epsilon, cache_size=cache_mb)
+    machine.fit(windows, angles)
     if not len(machine.support_):
         raise FitError(
             f"SVR: no support vector, all scaled angles lie within epsilon {choice.epsilon:g} of one value; "
