@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import codecs
+import math
 import re
 import zipfile
 from collections.abc import Iterator
@@ -168,13 +169,16 @@ def read_lines(path: Path | str) -> list[str]:
     return text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
 
 
-def read_bytes(path: Path | str, count: int | None = None) -> bytes:
+def read_bytes(path: Path | str, count: int | None = None, bounded: bool = True) -> bytes:
     """All bytes of a file, or its first `count`.
+
+    Args:
+        bounded: whether more than `MOST_BYTES` are refused; a recording of many topics may be larger than its signals.
 
     Raises:
         LogError: if the path is missing, a folder or unreadable, or holds more than `MOST_BYTES`.
     """
-    blocks, left = [], MOST_BYTES
+    blocks, left = [], float(MOST_BYTES) if bounded else math.inf
     try:
         if count is not None:
             with Path(path).open("rb") as file:

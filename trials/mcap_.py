@@ -97,7 +97,7 @@ class McapRecords:
         Raises:
             LogError: if the file cannot be read or is no MCAP file.
         """
-        data = read_bytes(self.path)
+        data = read_bytes(self.path, bounded=False)
         if not data.startswith(MAGIC):
             raise LogError(f"{self.path}: not an MCAP file (starts with {data[:8]!r}, expected {MAGIC!r})")
         try:

@@ -387,3 +387,14 @@ def test_a_tdms_file_reads_no_index_beside_it_and_holds_what_it_says(tmp_path: P
 def test_the_bounds_are_those_of_the_page() -> None:
     assert mcap_._MOST_BYTES == mat_.MOST_BYTES == formats.MOST_BYTES == 1 << 30
     assert xlsx_.MOST_BYTES == 1 << 28
+
+
+def test_a_bag_of_many_topics_may_be_larger_than_a_log(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What is not packed takes no more memory than it says; other formats hold one log and are bounded as they lie."""
+    columns = {"time_s": np.arange(9.0), "command": np.arange(9.0), "angle_deg": np.arange(9.0)}
+    (tmp_path / "log.mcap").write_bytes(mcap_.format_mcap(columns, np.arange(9.0), 0))
+    np.savez(tmp_path / "log.npz", **columns)
+    monkeypatch.setattr(formats, "MOST_BYTES", 100)
+    assert "angle_deg" in " ".join(open_mcap(tmp_path / "log.mcap").names())
+    with pytest.raises(LogError, match="more than 100 bytes"):
+        formats.read_bytes(tmp_path / "log.npz")
