@@ -5,6 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Mapping
 from functools import lru_cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -44,8 +45,20 @@ def open_search(storage: str, name: str) -> optuna.Study:
         raise ConfigError(f"--storage {storage}: cannot be opened ({reason})") from None
 
 
-@lru_cache(maxsize=4)
 def _storage(url: str) -> optuna.storages.RDBStorage:
+    """The open storage; of a file that was removed since, a new one: a connection would go on in the removed file."""
+    path = Path(url.removeprefix("sqlite:///"))
+    if not url.startswith("sqlite:///"):
+        return _opened(url, 0)
+    if not path.exists():
+        _opened.cache_clear()
+        return _opened(url, 0)
+    return _opened(url, path.stat().st_ino)
+
+
+@lru_cache(maxsize=4)
+def _opened(url: str, file: int) -> optuna.storages.RDBStorage:
+    del file  # part of the key: which file lies there now
     options = {"connect_args": {"timeout": _BUSY_S}} if url.startswith("sqlite") else {}
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ExperimentalWarning)

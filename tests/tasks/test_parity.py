@@ -217,7 +217,7 @@ def files(folder: Path) -> dict[str, Any]:
 
 def content(path: Path) -> Any:
     data = path.read_bytes()
-    if path.suffix in WITH_TIMES:
+    if path.suffix in WITH_TIMES or path.name in WITH_TIMES:
         return None
     if path.suffix not in (".json", ".yaml", ".html", ".csv"):
         return data
@@ -227,8 +227,8 @@ def content(path: Path) -> Any:
     return TIME.sub("TIME", text)
 
 
-WITH_TIMES = (".mcap", ".parquet", ".sqlite")
-"""Files whose other form, log.csv or the report, is compared."""
+WITH_TIMES = (".mcap", "search.db")
+"""Files whose other form, log.csv, trials.csv or the report, is compared."""
 TIME = re.compile(r"20\d\d-\d\d-\d\d[T ]\d\d:\d\d(:\d\d(\.\d+)?)?(Z|[+-]\d\d:?\d\d)?( UTC)?")
 
 
