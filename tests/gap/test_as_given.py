@@ -191,7 +191,7 @@ def test_a_report_warns_where_evaluate_gives_another_error() -> None:
 def test_what_is_compared_is_what_evaluate_says() -> None:
     given_one = simulator(Chain(BACKLASH, before=(Delay(0.1, 3),)))
     logs = recorded(given_one, 100.0, 2)
-    own = [log for log in (resampled_or_none(log, given_one.dt_s) for log in logs) if log is not None]
+    own = [log for log in (resampled_or_none(log, 1 / given_one.dt_s) for log in logs) if log is not None]
     found = [evaluate(ChainModel(given_one), log) for log in own]
     squares = [run.errors.rmse_deg**2 * len(run.trial) for run in found]
     assert evaluated_mse(given_one, logs) == pytest.approx(sum(squares) / sum(map(len, own)))

@@ -91,7 +91,7 @@ class Ran:
 @pytest.fixture(scope="module")
 def ran(tmp_path_factory: pytest.TempPathFactory) -> Ran:
     """The quick verb once, on a network so small that it takes seconds."""
-    from hystmpc.cli.bench import bench
+    from hystmpc_lab.verbs.bench import bench
 
     folder, told, reports = tmp_path_factory.mktemp("bench"), list[tuple[float, float, str]](), list[BenchReport]()
 
