@@ -25,6 +25,7 @@ ROOMS = (
     "gap",
     "testing",
     "bench",
+    "tasks",
     "cli",
 )
 # These wrap packages of an extra, and may ask for it when they are imported.
