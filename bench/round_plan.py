@@ -217,8 +217,8 @@ def _plan_of(chosen: FirstMotions, settings: InvestigateSettings, longest_s: flo
 def allowed(settings: InvestigateSettings) -> Callable[[EvaluatedMotion], bool]:
     """Test of a motion: expected angles within the limits, and no false alarm of a blocked tip.
 
-    RoundVerdict by the angles of all explanations; the bench's own watch on motion is asked with 0.7 of its travel. The
-    limits count for what is expected on the whole, since a typical size of an effect is nothing that was seen.
+    The angles of all explanations are tried, with 0.7 of the travel that the bench's own watch on motion allows. The
+    limits count for the median angle, since no explanation of a typical size has been seen on the device.
     """
     low, high = settings.angle_limits
     span, range_deg = (

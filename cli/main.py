@@ -48,6 +48,8 @@ GROUP = "hystmpc.verbs"
 """Entry points by which installed packages add verbs. The value is MODULE:NAME of a mapping of the same form as `VERBS`
 from each verb to the MODULE:NAME of its function or group, and its line in `hystmpc --help`."""
 
+_LABORATORY = "Studies and benchmarks are verbs of hystmpc-lab: pip install ./lab, or 'hystmpc[papers]'."
+
 _PLAIN: Any = {"rich_markup_mode": None, "pretty_exceptions_enable": False}
 _HELP = {"help_option_names": ["-h", "--help"]}  # verbs inherit it
 
@@ -120,7 +122,7 @@ class Verbs(TyperGroup):
         """The verb that was called; an unknown one is answered with the nearest."""
         if args and args[0] not in VERBS and args[0] not in _lines() and not args[0].startswith("-"):
             near = get_close_matches(args[0], _lines(), n=1)
-            hint = f" Did you mean {near[0]!r}?" if near else " Studies and benchmarks: pip install 'hystmpc[papers]'."
+            hint = f" Did you mean {near[0]!r}?" if near else f" {_LABORATORY}"
             ctx.fail(f"No such command {args[0]!r}.{hint}")
         return super().resolve_command(ctx, args)
 

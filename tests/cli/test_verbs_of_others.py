@@ -93,4 +93,4 @@ def test_without_the_laboratory_its_verbs_are_where_they_can_be_had(monkeypatch:
     use(EntryPoint("none", "none:NONE", "another.group"), monkeypatch)
     code, text = run("bench")
     assert code == 2
-    assert "pip install 'hystmpc[papers]'" in " ".join(text.split())
+    assert "verbs of hystmpc-lab: pip install ./lab" in " ".join(text.split())
