@@ -31,8 +31,7 @@ from .logs.detectable import smallest_detectable
 from .logs.preparation import PreparedTrials, prepare
 from .logs.trial_choice import NEEDS_ORDER
 from .next.open_hypotheses import next_step, unseparated
-from .residual.localise import Localisation, localise
-from .residual.memory import explainable_share
+from .residual import Localisation, explainable_share, localise
 
 if TYPE_CHECKING:
     from .report.report_data import ReportData
@@ -397,8 +396,8 @@ def diagnose_trials(
         LogError, GapError, ModelError: see `find_causes`.
         ConfigError: if `out` holds anything but an older diagnosis, or cannot be written.
     """
+    from .expected_tracking import with_tracking
     from .report.folder import require_free, save_diagnosis
-    from .tracking.expected import with_tracking
 
     if out is not None:
         require_free(out)

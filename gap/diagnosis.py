@@ -17,6 +17,9 @@ FORMAT = "hystmpc-diagnosis/2"
 FORMATS = ("hystmpc-diagnosis/1", FORMAT)
 """What readers accept; version 2 has all keys of version 1, with their meaning."""
 
+FIXED_FILE, MOTION_FILE = "sim.fixed.yaml", "next_motion.csv"
+"""Files of the corrected simulator and of the proposed motion in the folder of a diagnosis."""
+
 Verdict = Literal["named", "one_of", "retuned", "unknown", "none", "too_little"]
 FloorKind = Literal["repeats", "noise"]
 Order = Literal["known", "unknown"]

@@ -22,7 +22,7 @@ from ..logs.noise_floor import NoiseFloor
 from ..logs.preparation import PreparedTrials
 from ..logs.sensor import white_noise
 from ..logs.trial_choice import NEEDS_ORDER
-from ..residual.localise import Localisation
+from ..residual import Localisation
 from .ambiguity import ambiguity_of, drift_is_significant, inclusion_shares
 from .gap_closed import GapClosed, measure, measured_blocks
 from .jumps import Jumps, find_jumps

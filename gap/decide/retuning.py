@@ -18,7 +18,7 @@ from hystmpc.trials.errors import FitError
 from ..diagnosis import RetunedParameter
 from ..logs.preparation import PreparedTrials
 from ..logs.sensor import white_noise
-from ..residual.memory import friction_share
+from ..residual import friction_share
 
 _ASKED = 1.5  # held-out error over model-form error, from which the widths of curved plays are freed
 _GAINED = 0.5  # of the error above the model-form error, by which it has to fall with them

@@ -20,12 +20,11 @@ from hystmpc.trials.layouts import OUTPUT_COLUMN, command_column
 from hystmpc.trials.recording import SEPARATION_COLUMN
 from hystmpc.trials.types import Vec
 
-from ..diagnosis import NextMotion
+from ..diagnosis import MOTION_FILE, NextMotion
 from .motions import SIZE, MotionFamily, SampledMotion
 
 Simulate = Callable[[Vec, float], Vec]
 
-MOTION_FILE = "next_motion.csv"
 _EQUAL_FACTOR, _EQUAL_ERRORS = 1.05, 0.005  # equal probabilities: error up to this factor, plus this, of the least
 _FORM_SPREAD = 2.0  # root of the number of directions that a model-form error may take
 _SHIFT, _SCALE = 0.01, 0.01  # of the command's range, and of the command
@@ -116,10 +115,10 @@ class MotionProposal:
     chosen: EvaluatedMotion
     options: tuple[EvaluatedMotion, ...] = field(repr=False)
 
-    def summary(self, file: str = MOTION_FILE) -> NextMotion:
+    def summary(self) -> NextMotion:
         """The proposal as a diagnosis states it."""
         motion = self.chosen.motion
-        return NextMotion(file, self.names, self.chosen.probability, motion.duration_s)
+        return NextMotion(MOTION_FILE, self.names, self.chosen.probability, motion.duration_s)
 
 
 def propose(candidates: Sequence[OpenHypothesis], motions: Sequence[SampledMotion], noise: Noise) -> MotionProposal:

@@ -11,8 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hystmpc.gap.diagnose import diagnose_trials
-from hystmpc.gap.logs.as_given import evaluated_mse, resampled_or_none
-from hystmpc.gap.logs.preparation import PreparedTrials, prepare
+from hystmpc.gap.logs.preparation import PreparedTrials, evaluated_mse, prepare, resampled_or_none
 from hystmpc.gap.logs.trial_choice import choose_trials
 from hystmpc.gap.next.open_hypotheses import free_run
 from hystmpc.models.chain import Chain

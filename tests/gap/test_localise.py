@@ -7,8 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hystmpc.gap.residual.localise import MOTION_PARTS, Localisation, localise, motion_part_labels
-from hystmpc.gap.residual.memory import explainable_share
+from hystmpc.gap.residual import MOTION_PARTS, Localisation, explainable_share, localise, motion_part_labels
 from hystmpc.trials.errors import GapError
 from hystmpc.trials.trial import Trial
 

@@ -13,7 +13,7 @@ from hystmpc.gap.decide.gap_closed import ClosedByCause, GapClosed, negligible_c
 from hystmpc.gap.decide.verdict import VerdictSettings, decide_verdict
 from hystmpc.gap.diagnose import conclude, find_causes
 from hystmpc.gap.diagnosis import Diagnosis, Gap, Stability
-from hystmpc.gap.report.tables import NOT_DETERMINED, parameters_table
+from hystmpc.gap.report.page import NOT_DETERMINED, parameters_table
 from hystmpc.gap.report.words import (
     ceiling_sentence,
     floor_words,

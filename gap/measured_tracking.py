@@ -26,11 +26,10 @@ from hystmpc.trials.report import Heading, Paragraph, Piece, Plot, Table
 from hystmpc.trials.run_folder import Column, RunFolder
 from hystmpc.trials.types import Vec
 
-from ..diagnosis import TrackingGap
-from ..report.figures import AFTER, BEFORE
-from ..report.folder import DIAGNOSIS_FILE, GIVEN_FILE, holds_diagnosis
-from ..report.report_data import FIXED_FILE
-from .expected import AGREEMENT, UnexplainedPlant, expected_tracking
+from .diagnosis import FIXED_FILE, TrackingGap
+from .expected_tracking import AGREEMENT, UnexplainedPlant, expected_tracking
+from .report.figures import AFTER, BEFORE
+from .report.folder import DIAGNOSIS_FILE, GIVEN_FILE, holds_diagnosis
 
 _BENCH = {"transport", "sensor", "reference"}  # settings that only an experiment has
 _LEAST = 10  # samples that can be compared

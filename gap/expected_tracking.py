@@ -25,8 +25,8 @@ from hystmpc.trajectories.drawn import CountedMotion, drawn_motions
 from hystmpc.trials.errors import GapError, HystmpcError
 from hystmpc.trials.types import Progress, Vec, no_progress
 
-from ..diagnosis import FLIPS, Diagnosis, MotionTracking, TrackingGap
-from ..report.report_data import ReportData, TrackingCurve, TrialRuns
+from .diagnosis import FLIPS, Diagnosis, MotionTracking, TrackingGap
+from .report.report_data import ReportData, TrackingCurve, TrialRuns
 
 SEEDS = (1, 2)
 """Of the noise; the interval of an error is between its least and its greatest value over them."""
