@@ -22,7 +22,7 @@ from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Progress, no_progress
 
 from .decide.ambiguity import limited_by_inclusion, probability, ranking
-from .decide.attribution import DiagnosisSettings, Findings, as_given_if_better, attribute, confirm
+from .decide.attribution import Findings, as_given_if_better, attribute, confirm
 from .decide.remaining_structure import NAME, SHIFT, UNITS, Configuration, configuration_of
 from .decide.retuning import moved_numbers, retuned_with
 from .decide.stability import stability_of
@@ -37,7 +37,6 @@ if TYPE_CHECKING:
     from .report.report_data import ReportData
 
 
-DEFAULT_SETTINGS = DiagnosisSettings()
 _STEPS, _CONCLUDED = 100, 97  # of the progress
 _COMPILES_S = 75.0  # where nothing is on disk: the kernels of all effects
 _LEFT_BY_A_ROUND = 0.6  # of the progress of the selection
@@ -55,7 +54,6 @@ def find_causes(
     without: Sequence[str] = (),
     only: Sequence[str] | None = None,
     progress: Progress | None = None,
-    settings: DiagnosisSettings = DEFAULT_SETTINGS,
     say: Callable[[str], None] | None = None,
     ordered: bool = True,
     skip_first_flexure: bool = False,
@@ -87,17 +85,17 @@ def find_causes(
     if say:
         for line in filter(None, (*prepared.checked.left_out, prepared.checked.workload.estimate)):
             say(line)
-    detectable = smallest_detectable(prepared, settings.verdict.no_gap, left_out)
+    detectable = smallest_detectable(prepared, left_out)
     validation = CrossValidation(prepared.baseline, prepared.development)
     prepared, validation, retuned = retuned_with(prepared, validation)
     clock.lap("check and retune")
-    attribution = attribute(prepared, validation, retuned, left_out, settings, seed, _selection_progress(progress))
+    attribution = attribute(prepared, validation, retuned, left_out, seed, _selection_progress(progress))
     clock.lap("which")
     progress(88, _STEPS, "measuring the gap on the final trials")
     attribution = as_given_if_better(prepared, attribution)
-    conclusion = confirm(prepared, attribution, settings.verdict, seed)
+    conclusion = confirm(prepared, attribution, seed)
     clock.lap("how far")
-    stability = stability_of(prepared, attribution, conclusion, settings, seed)
+    stability = stability_of(prepared, attribution, conclusion, seed)
     clock.lap("how stable")
     progress(94, _STEPS, "where and what next")
     localisation = _localisation(prepared, seed)
@@ -135,21 +133,14 @@ def conclude(findings: Findings, progress: Progress | None = None) -> tuple[Diag
     return diagnosis, data
 
 
-def detectable_in_logs(
-    trials: Sequence[Trial], simulator: Simulator | LoadedModel, settings: DiagnosisSettings = DEFAULT_SETTINGS
-) -> DetectableSizes:
+def detectable_in_logs(trials: Sequence[Trial], simulator: Simulator | LoadedModel) -> DetectableSizes:
     """Smallest detectable size of each effect on these trials, from their commands alone.
-
-    Args:
-        trials: of one device, in any order.
-        simulator: a chain of operators or an exported model.
-        settings: thresholds.
 
     Raises:
         GapError: on unusable trials (`check_trials`).
         ModelError: if the simulator is an inverse map.
     """
-    return smallest_detectable(prepare(trials, simulator, ordered=False), settings.verdict.no_gap)
+    return smallest_detectable(prepare(trials, simulator, ordered=False))
 
 
 def _selection_progress(progress: Progress) -> Callable[[float, str], None]:

@@ -62,9 +62,7 @@ def expected_tracking(
     unexplained decides how much a loop gains, no fall is foretold (`why_not`).
 
     Args:
-        motions: at least one.
         settings: of the controller; where left out, `DEFAULT_CONTROLLER`, linearised and predictive without learning.
-        seeds: of the noise, at least one.
         floor_deg: RMSE that stays with any simulator; a fall that it hides counts as none.
 
     Raises:
@@ -148,7 +146,6 @@ class UnexplainedPlant(ComputedPlant):
     command of rest after a flexure over all commands.
 
     Args:
-        seed: of the noise.
         explained: whether nothing is left unexplained, d = 0.
     """
 
@@ -200,9 +197,6 @@ def with_tracking(data: ReportData, progress: Progress | None = None) -> ReportD
 
     References are drawn from the seed of the diagnosis. They stay within the angles that the trials covered, as the
     simulator with its effects has them, and within half of the greatest speed there.
-
-    Args:
-        progress: called as the step begins and as it ends.
     """
     report = progress or no_progress
     report(98, 100, "closed loop before and after")

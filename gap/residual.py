@@ -40,8 +40,6 @@ def memory_gains(
     clock, over all trials but one, applied to that one. A trial that stands alone is cut into four.
 
     Args:
-        trials: uniform, at one rate.
-        residuals: (T,) each [deg].
         loop_width: width of the hysteresis loop along the command [cmd].
         ordered: whether the trials stand in the order of recording; if not, the clock starts anew in each.
 
@@ -67,11 +65,6 @@ def explainable_share(trials: Sequence[Trial], residuals: Sequence[Vec], seed: i
     Leave-one-trial-out ridge regression on lagged commands, speeds, play states of six widths, commands low-passed at
     five time constants, and `tanh` of random mixtures of these. The ridge, and whether the random features are used,
     are chosen for each trial on the others. A trial that the regression makes worse counts as unexplained.
-
-    Args:
-        trials: uniform, at one rate.
-        residuals: (T,) each [deg].
-        seed: of the random mixtures.
 
     Raises:
         GapError: if residuals do not fit the trials or are not finite.
@@ -109,11 +102,6 @@ def friction_share(trials: Sequence[Trial], residuals: Sequence[Vec], noise_deg:
     down to its start, rose to it, or never moved before; the best of the three counts. What comes before the first
     reversal of a trial does not count: a set that is taken on the first way looks like friction. A trial weighs by its
     RMS, not by its energy: one large motion that is like no other cannot be predicted from the others.
-
-    Args:
-        trials: uniform, at one rate.
-        residuals: (T,) each [deg].
-        noise_deg: white noise of the residuals [deg].
     """
     require_residuals(trials, residuals)
     starts = [int(next(iter(segment(trial).reversals), 0)) for trial in trials]
@@ -377,11 +365,8 @@ def localise(
     which the residual's correlation falls to 1/e; ten blocks or more.
 
     Args:
-        trials: uniform, at one rate.
         residuals: measured less simulated angle, (T,) each [deg].
         loop_width: width of the hysteresis loop along the command, for the kinds of memory [cmd].
-        seed: of the resampling.
-        ordered: whether the trials stand in the order of recording.
 
     Raises:
         GapError: if there is no trial, residuals do not fit the trials or are not finite, or all are zero.

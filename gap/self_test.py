@@ -123,8 +123,6 @@ def self_test(
     the device without any effect; so the simulator's form is never exact.
 
     Args:
-        seed: of noise, of motions and of the diagnoses.
-        progress: called with truths done, truths in all and the present one.
         cases: names from `CASES`; all where left out.
     """
     names = tuple(CASES) if cases is None else tuple(cases)

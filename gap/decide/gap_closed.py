@@ -12,12 +12,11 @@ import numpy as np
 from hystmpc.models.identify.cross_validation import CrossValidation, Hypothesis
 from hystmpc.models.identify.runs import Blocks, Run, blocks_of
 from hystmpc.models.identify.uncertainty import Interval
-from hystmpc.trials.types import Vec
 
 from ..diagnosis import Gap
 from ..logs.noise_floor import NoiseFloor
 from ..logs.preparation import PreparedTrials
-from .jumps import Jumps
+from .remaining_structure import Jumps
 
 _DRAWS = 400
 _LEAST_SIZE = 0.1
@@ -63,7 +62,6 @@ class ClosedShares:
         a small cause beside a large one is as sure as its own fall.
 
         Args:
-            names: of the causes.
             blocks: errors with all of them, with all but one, and with none.
         """
         after = blocks(names)
@@ -93,12 +91,7 @@ def closed_share(retuned_mse: float, with_mse: float, floor_mse: float) -> float
 
 
 def closed_interval(retuned: Blocks, before: Blocks, after: Blocks, floor_mse: float, seed: int) -> Interval:
-    """90 % interval of the share that lies between two stages, blocks resampled together."""
-    return _clipped_quantiles(_drawn_shares(retuned, before, after, floor_mse, seed))
-
-
-def _drawn_shares(retuned: Blocks, before: Blocks, after: Blocks, floor_mse: float, seed: int) -> Vec:
-    """The share in every resample of the blocks (D,), zeros where there is no gap.
+    """90 % interval of the share that lies between two stages, blocks resampled together; zero without a gap.
 
     A resample may have less of a gap than the floor is high. Its fall then counts against a tenth of the whole gap, so
     that the sign of the fall, which is what proves a cause, is kept.
@@ -109,10 +102,7 @@ def _drawn_shares(retuned: Blocks, before: Blocks, after: Blocks, floor_mse: flo
     gap = retuned.energy[draws].sum(axis=1) / total - floor_mse
     fall = (before.energy - after.energy)[draws].sum(axis=1) / total
     whole = retuned.mse - floor_mse
-    return np.asarray(fall / np.maximum(gap, _LEAST_GAP * whole) if whole > 0 else np.zeros(_DRAWS))
-
-
-def _clipped_quantiles(shares: Vec) -> Interval:
+    shares = fall / np.maximum(gap, _LEAST_GAP * whole) if whole > 0 else np.zeros(_DRAWS)
     low, high = np.clip(np.quantile(shares, (0.05, 0.95)), -1.0, 1.0)
     return float(low), float(high)
 
@@ -165,9 +155,6 @@ class GapClosed:
         sensor are proven by the log itself, and may be rare: a resample without those few blocks is no evidence
         against them. Beside others a cause that could be replaced has to close 5 % of the gap: so little that several
         effects explain is the form error of the others.
-
-        Args:
-            replaceable: effects that another one could replace.
         """
         sensor = self.causes.get("sensor")
         if sensor and sensor.share <= 0:
@@ -212,26 +199,28 @@ def measure(
     the height of the jumps. Jumps that close less than 5 % of the gap are no cause.
 
     Args:
-        prepared: trials.
-        validation: development runs.
         retuned, chosen: the simulator without and with its causes.
-        floor: from repeats or noise.
-        sensor: whether the sensor is a cause.
         jumps: of the tip, where they are a cause.
-        seed: of the resampling.
     """
     unpredicted = jumps.mse if jumps is not None and "stick_slip" not in chosen.effects else 0.0
     final_errors = FinalErrors(prepared, validation, retuned, chosen, floor, sensor, seed, unpredicted)
-    parameters, shares = _parameters(chosen, prepared), final_errors.shares
+    identified, shares = _parameters(chosen, prepared), final_errors.shares
     causes = {}
     for name, (share, ci90) in shares.of_causes(chosen.effects, final_errors.blocks).items():
         without = final_errors.blocks(chosen.effects - {name})
-        causes[name] = ClosedByCause(share, ci90, float(np.sqrt(without.mse)), parameters[name])
+        causes[name] = ClosedByCause(share, ci90, float(np.sqrt(without.mse)), identified[name])
     if sensor:
         faulty = measured_blocks(prepared, chosen)
         share = shares.closed(shares.before.mse - faulty.mse + final_errors.after.mse)
         ci90, rmse = shares.interval(faulty, final_errors.after), float(np.sqrt(faulty.mse))
-        causes["sensor"] = ClosedByCause(share, ci90, rmse, _sensor_parameters(prepared))
+        signs = prepared.signs
+        parameters = {
+            "resolution_deg": signs.quantisation_deg if signs.coarse else 0.0,
+            "sigma_deg": signs.noise_deg,
+            "outlier_rate": signs.spike_rate if signs.spikes else 0.0,
+            "dropout_rate": signs.held_rate if signs.drops else 0.0,
+        }
+        causes["sensor"] = ClosedByCause(share, ci90, rmse, parameters)
     if jumps is not None and "stick_slip" not in chosen.effects:
         left = without_sawtooth(final_errors.after, jumps.mse)
         share = shares.closed(left.mse) - shares.closed(final_errors.after.mse)
@@ -357,13 +346,3 @@ def _parameters(chosen: Hypothesis, prepared: PreparedTrials) -> dict[str, Mappi
             "largest_offset_deg": float(max(offsets, key=abs)),
         }
     return parameters
-
-
-def _sensor_parameters(prepared: PreparedTrials) -> Mapping[str, float]:
-    signs = prepared.signs
-    return {
-        "resolution_deg": signs.quantisation_deg if signs.coarse else 0.0,
-        "sigma_deg": signs.noise_deg,
-        "outlier_rate": signs.spike_rate if signs.spikes else 0.0,
-        "dropout_rate": signs.held_rate if signs.drops else 0.0,
-    }

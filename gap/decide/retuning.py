@@ -79,8 +79,6 @@ def retuning_of(prepared: PreparedTrials, retuned: Hypothesis, left_out_mse: flo
     Where a loop has lost more than half of its height, no share is counted: less friction leaves less form error.
 
     Args:
-        prepared: trials and the baseline.
-        retuned: the simulator refitted.
         left_out_mse: its error on development trials that its fit did not see [deg^2].
     """
     residuals = prepared.residuals(retuned)
@@ -118,12 +116,6 @@ def reidentified_share(
 
     It is a sum of plays with a free curve each, all of it fitted: the richest structure of a static loop. It takes up
     whatever does not depend on time, as a friction of any spread, and what a tendon that only pulls does beyond it.
-
-    Args:
-        prepared: trials.
-        validation: development runs.
-        retuned: errors of the retuned simulator on them.
-        floor_mse: below which an error carries no evidence [deg^2].
     """
     try:
         forms = core_forms(prepared.decades.trials(prepared.checked.trials), Scale.of(validation.runs))
@@ -145,8 +137,6 @@ def moved_numbers(
     Gain, offset and width come first, then weights and widths of the core's plays.
 
     Args:
-        prepared: trials and the baseline.
-        retuned: the simulator refitted.
         quantities: gain, offset and width of it, in working units.
 
     Returns:

@@ -13,17 +13,17 @@ import numpy as np
 
 from hystmpc.models.identify.cross_validation import HeldOutErrors, Hypothesis
 from hystmpc.models.identify.runs import Blocks, Run, blocks_of
-from hystmpc.models.identify.selection import Selection, select_again
+from hystmpc.models.identify.selection import Selection, SelectionSettings, select_again
 from hystmpc.trials.types import Index
 
 from ..diagnosis import Stability, Verdict
 from ..logs.preparation import PreparedTrials
 from .ambiguity import ambiguity_of
-from .attribution import Attribution, Conclusion, DiagnosisSettings, drift_test
+from .attribution import Attribution, Conclusion, drift_test
 from .gap_closed import ClosedShares, negligible_cause
 from .remaining_structure import structure_left
 from .retuning import width_grown
-from .verdict import FinalFacts, VerdictDecision, VerdictFacts, decide_verdict, residual_ratio
+from .verdict import AT_FLOOR, FinalFacts, VerdictDecision, VerdictFacts, decide_verdict, residual_ratio
 
 RESAMPLES = 40
 _LEAST_SPLITS = 8  # with fewer, blocks of the errors are drawn as well
@@ -44,7 +44,6 @@ def stability_of(
     prepared: PreparedTrials,
     attribution: Attribution,
     conclusion: Conclusion,
-    settings: DiagnosisSettings,
     seed: int,
 ) -> Stability | None:
     """Stability: share of resampled splits of the trials with the same verdict and the same effects.
@@ -56,19 +55,12 @@ def stability_of(
     splits exist, blocks of 3 s are drawn with replacement as well. Costs the free runs of what was tried on the final
     trials.
 
-    Args:
-        prepared: trials.
-        attribution: hypotheses tried, and facts of the verdict.
-        conclusion: the verdict.
-        settings: thresholds.
-        seed: of the resamples.
-
     Returns:
         None where the trials allow no choice.
     """
     if prepared.too_little or prepared.checked.unrelated:
         return None
-    resampled = _ResampledVerdict(prepared, attribution, conclusion, settings, seed)
+    resampled = _ResampledVerdict(prepared, attribution, conclusion, seed)
     count = len(prepared.development), len(prepared.final)
     verdicts = Counter(resampled.verdict(split) for split in _splits(*count, prepared.order == "known", seed))
     reference = conclusion.decision.verdict, conclusion.chosen.effects
@@ -120,20 +112,19 @@ class _ResampledVerdict:
         prepared: PreparedTrials,
         attribution: Attribution,
         conclusion: Conclusion,
-        settings: DiagnosisSettings,
         seed: int,
     ) -> None:
-        self._facts, self._settings, self._seed = conclusion.facts, settings, seed
+        self._facts, self._seed = conclusion.facts, seed
         self._floor, self._form_mse = conclusion.floor, prepared.form_mse
         self._spread, self._moved = conclusion.closed.spread, conclusion.closed.moved
         self._faults_mse = prepared.excess_mse
         validation, selection = attribution.validation, attribution.selection
         self._tried = {names: _errors_on_all_runs(judged, prepared.final) for names, judged in selection.tried.items()}
-        self._drift_shows = drift_test(validation, settings.verdict)
+        self._drift_shows = drift_test(validation)
         baseline, floor_mse = selection.baseline, attribution.facts.floor_mse
         self._structure_left = functools.cache(
             lambda chosen: structure_left(
-                Selection(baseline, chosen, {}), validation.runs, prepared.everything, floor_mse, settings.verdict
+                Selection(baseline, chosen, {}), validation.runs, prepared.everything, floor_mse
             )
         )
 
@@ -143,8 +134,7 @@ class _ResampledVerdict:
         final: dict[Names, Blocks] = {
             n: _errors_on_runs(judged, split.final, split.seed) for n, judged in self._tried.items()
         }
-        settings = self._settings.verdict
-        selection = select_again(tried, self._settings.selection, self._facts.floor_mse, self._faults_mse)
+        selection = select_again(tried, SelectionSettings(), self._facts.floor_mse, self._faults_mse)
         names = selection.chosen.hypothesis.effects
         facts = replace(
             self._facts,
@@ -153,9 +143,9 @@ class _ResampledVerdict:
             chosen_mse=selection.chosen.mse,
             structure_left=self._structure_left(self._tried[names]),
             width_grown=width_grown(selection.chosen.hypothesis),
-            ambiguity=ambiguity_of(selection, settings, self._drift_shows),
+            ambiguity=ambiguity_of(selection, self._drift_shows),
         )
-        explained = decide_verdict(facts, settings).explained
+        explained = decide_verdict(facts).explained
         kept = self._confirmed_causes(facts, final) if explained else frozenset()
         decision = self._decision(facts, kept, selection.chosen.hypothesis, tried, final)
         return decision.verdict, kept if decision.explained else frozenset()
@@ -192,17 +182,17 @@ class _ResampledVerdict:
         tried: Mapping[Names, HeldOutErrors],
         final: Mapping[Names, Blocks],
     ) -> VerdictDecision:
-        shares, settings = self._shares(kept, final), self._settings.verdict
+        shares = self._shares(kept, final)
         closed = FinalFacts(
             shares.closed(final[kept].mse),
             residual_ratio(final[kept].mse, self._form_mse, self._floor.noise_deg**2),
             unproven=bool(chosen.effects) and not kept,
-            at_floor=shares.before.mse < settings.at_floor * self._floor.noise_deg**2,
+            at_floor=shares.before.mse < AT_FLOOR * self._floor.noise_deg**2,
             moved=self._moved,
         )
         if kept and kept != facts.effects:
             facts = facts.with_only(kept, tried[kept].mse, width_grown(tried[kept].hypothesis))
-        return decide_verdict(replace(facts, final=closed), settings)
+        return decide_verdict(replace(facts, final=closed))
 
 
 def _errors_on_all_runs(judged: HeldOutErrors, final: Sequence[Run]) -> HeldOutErrors:

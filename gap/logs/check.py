@@ -74,10 +74,7 @@ def check_trials(
     (`follows_command`).
 
     Args:
-        trials: of one device.
         simulator: chain of operators, or metadata of another model.
-        seed: of the choice of trials and of the test.
-        ordered: whether the trials stand in the order of recording.
 
     Raises:
         GapError: if there is no trial, units differ, commands or angles never change, the angle falls as the command
@@ -238,7 +235,7 @@ def _log_notes(trial: Trial) -> Iterator[str]:
 def _set_notes(e: Excitation) -> Iterator[str]:
     if e.trials == 1:
         yield "One trial only: what is held out comes from the same recording, and changes between trials cannot show."
-    if not e.has_repeats:
+    if not e.repeats:
         yield "No motion is repeated: the floor is the residual's noise, a lower bound, and every share is relative."
     if not e.has_holds:
         yield f"No hold of 3 s or more ({e.longest_hold_s:.3g} s at most): creep and lag cannot be told apart."
@@ -288,10 +285,6 @@ def follows_command(trials: Sequence[Trial], seed: int = 0) -> tuple[bool, ...]:
 
     Sources: Granger, Newbold, Spurious regressions in econometrics, J. Econometrics 2 (1974); Theiler et al., Testing
     for nonlinearity in time series: the method of surrogate data, Physica D 58 (1992).
-
-    Args:
-        trials: uniform, at one rate.
-        seed: of the orders.
     """
     parts = _parts(trials, seed)
     if len(trials) == 1:

@@ -19,6 +19,9 @@ from ..diagnosis import Detectable, DetectableSizes
 from .preparation import PreparedTrials
 from .trial_choice import NEEDS_ORDER
 
+NO_GAP = 2.2
+"""Retuned mean square error over the model-form error, below which there is no gap; frozen."""
+
 _SIZES = np.geomspace(0.02, 20.0, 10)
 """Sizes that are tried, as shares of the size from which a fit starts."""
 
@@ -30,19 +33,14 @@ _NO_FORM = (
 )
 
 
-def smallest_detectable(prepared: PreparedTrials, no_gap: float, without: Collection[str] = ()) -> DetectableSizes:
+def smallest_detectable(prepared: PreparedTrials, without: Collection[str] = ()) -> DetectableSizes:
     """Smallest size of each effect that a diagnosis of these trials counts as a gap.
 
-        needed_mse = (no_gap - 1) model-form error
+        needed_mse = (NO_GAP - 1) model-form error
 
-    Without an effect a retuned simulator leaves its model-form error, and up to `no_gap` times that is no gap.
-
-    Args:
-        prepared: trials and the simulator's baseline.
-        no_gap: retuned mean square error over the model-form error, below which there is no gap.
-        without: effects left out.
+    Without an effect a retuned simulator leaves its model-form error, and up to `NO_GAP` times that is no gap.
     """
-    needed_mse, units = (no_gap - 1.0) * prepared.form_mse, prepared.checked.trials[0].units
+    needed_mse, units = (NO_GAP - 1.0) * prepared.form_mse, prepared.checked.trials[0].units
     if needed_mse <= 0:
         return DetectableSizes(math.nan, why_not=_NO_FORM)
     detectable = detectable_sizes(prepared.baseline, prepared.everything, needed_mse)
@@ -71,8 +69,6 @@ def detectable_sizes(baseline: Baseline, runs: Sequence[Run], needed_mse: float)
     parameters at the values from which a fit starts.
 
     Args:
-        baseline: the nominal simulator and what retuning may change.
-        runs: trials, whose commands count.
         needed_mse: below which an error counts as no gap [deg^2].
 
     Returns:

@@ -61,31 +61,6 @@ class Excitation:
         return self.longest_hold_s >= 3.0
 
     @property
-    def has_long_hold(self) -> bool:
-        """A rest of 30 s or more."""
-        return self.longest_hold_s >= LONG_HOLD_S
-
-    @property
-    def has_repeats(self) -> bool:
-        """Whether any motion is repeated."""
-        return bool(self.repeats)
-
-    @property
-    def has_fast(self) -> bool:
-        """Whether there are fast steps or fast small oscillations."""
-        return self.steps >= _STEP_COUNT or self.fast_small >= _FAST_COUNT
-
-    @property
-    def has_speeds(self) -> bool:
-        """Ramps at three speeds or more."""
-        return len(self.ramp_speeds) >= 3
-
-    @property
-    def dwells_low(self) -> bool:
-        """3 s or more, in three visits or more, near the lowest command."""
-        return self.low_s >= _LOW_S and self.low_visits >= _LOW_VISITS
-
-    @property
     def sine_only(self) -> bool:
         """Whether every trial is one sine."""
         return all(motion == "sine" for motion in self.motions)
@@ -95,7 +70,6 @@ def excitation_of(trials: Sequence[Trial], ordered: bool = True) -> Excitation:
     """Excitation by uniform trials at one rate, from their commands alone.
 
     Args:
-        trials: uniform, at one rate.
         ordered: whether they stand in the order of recording; if not, any of them may have been the first.
 
     Raises:
@@ -220,24 +194,25 @@ _PAIRS: tuple[tuple[tuple[str, ...], str, float, float], ...] = (
 """Effects, the motion that separates them, and `alike_in_sine` and `alike_in_hold` of `ConfusableEffects`."""
 
 
-def confusability(excitation: Excitation) -> tuple[ConfusableEffects, ...]:
+def confusability(e: Excitation) -> tuple[ConfusableEffects, ...]:
     """The table of confusable effects, judged for these motions."""
-    e, longest = excitation, excitation.longest_hold_s
-    hold = f"longest hold {longest:.3g} s" if longest else "no hold"
+    hold = f"longest hold {e.longest_hold_s:.3g} s" if e.longest_hold_s else "no hold"
     repeats = f"{len(e.repeats)} pairs of repeats" if e.repeats else "no repeat"
     speeds = ", ".join(f"{speed:.3g}" for speed in e.ramp_speeds) or "none"
     opening = "comes" if e.opening_repeated else "does not come"
     low = f"{e.low_s:.3g} s in {e.low_visits} visits to the lowest tenth of the command"
     signals = "command and angle only"
+    fast = e.steps >= _STEP_COUNT or e.fast_small >= _FAST_COUNT
+    dwells = e.low_s >= _LOW_S and e.low_visits >= _LOW_VISITS
     judged: tuple[tuple[bool | None, str], ...] = (  # in the order of `_PAIRS`; None: one class whatever the motion
-        (e.has_fast, f"{e.steps} fast steps, {e.fast_small} small moves faster than 1.5 Hz"),
+        (fast, f"{e.steps} fast steps, {e.fast_small} small moves faster than 1.5 Hz"),
         (None, signals),
         (e.has_holds, hold),
         (e.opening_repeated, f"the opening motion {opening} again"),
-        (e.has_long_hold and e.has_repeats, f"{hold}, {repeats}"),
-        (e.has_speeds, f"ramps at distinct speeds: {speeds}"),
+        (e.longest_hold_s >= LONG_HOLD_S and bool(e.repeats), f"{hold}, {repeats}"),
+        (len(e.ramp_speeds) >= 3, f"ramps at distinct speeds: {speeds}"),
         (None, signals),
-        (e.dwells_low and not e.sine_only, low),
+        (dwells and not e.sine_only, low),
         (e.top_levels >= 3, f"{e.top_levels} distinct upper turning points"),
     )
     return tuple(

@@ -184,7 +184,6 @@ def memory_features(trial: Trial, loop_width: float, clock_s: float) -> dict[str
     """Features (T, F) of one trial's command for each of `MEMORIES`.
 
     Args:
-        trial: uniform.
         loop_width: width of the hysteresis loop along the command [cmd].
         clock_s: time recorded before the trial [s].
     """

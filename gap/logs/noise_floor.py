@@ -81,10 +81,7 @@ def find_floor(
     repeats may differ by 1 % of their range.
 
     Args:
-        trials: in recording order, at one rate.
         residuals: measured less simulated angle, (T,) each [deg]; the result hardly depends on the simulator.
-        dt: sample interval [s].
-        repeats: of these trials, if known already.
 
     Raises:
         GapError: if residuals do not fit the trials or are not finite.
@@ -124,7 +121,6 @@ def find_repeats(trials: Sequence[Trial], tolerance: float = TOLERANCE) -> tuple
     covers 30 % of the range of all commands.
 
     Args:
-        trials: in recording order.
         tolerance: greatest difference of equal commands, relative to the range of all.
 
     Raises:

@@ -49,7 +49,6 @@ class PreparedTrials:
 
     Attributes:
         decades: the working units.
-        given: diagnosed trials as recorded.
         checked: trials at one rate, and what their commands excite.
         signs: of the sensor.
         baseline: the nominal simulator and the freedom of retuning.
@@ -66,7 +65,6 @@ class PreparedTrials:
     """
 
     decades: Decades
-    given: tuple[Trial, ...]
     checked: CheckedTrials
     signs: SensorSigns
     baseline: Baseline
@@ -109,11 +107,8 @@ def prepare(
     """Check, resample, repair and split trials, and derive the baseline of the simulator.
 
     Args:
-        trials: of one device.
-        simulator: a chain of operators or an exported model.
         seed: of the choice among more trials than can be diagnosed.
         ordered: whether the trials are known to stand in the order of recording, see `in_recording_order`.
-        skip_first_flexure: count each trial only from the command's first reversal on.
 
     Raises:
         LogError: if the first flexure is to be skipped and the command of a trial never turns.
@@ -139,14 +134,14 @@ def prepare(
     if skip_first_flexure:
         counted = tuple(_from_first_reversal(r, t) for r, t in zip(runs, in_working_units, strict=True))
     if isinstance(simulator, Simulator):
-        errors = _given_errors(baseline, counted, in_working_units, decades)
+        problem, pairs = Problem(baseline), zip(counted, in_working_units, strict=True)
+        errors = [decades.angle * (problem.angles(problem.as_given, r) - t.angle)[r.counts] for r, t in pairs]
         notes = _evaluation_notes(simulator, errors, checked, skip_first_flexure)
         checked = replace(checked, notes=(*checked.notes, *notes))
     development, final = split_runs(counted, motions, known)
     new_step = signs.coarse and signs.quantisation_deg > _COARSER * _known_step(identification, decades)
     return PreparedTrials(
         decades=decades,
-        given=checked.given,
         checked=checked,
         signs=signs,
         baseline=baseline,
@@ -198,21 +193,6 @@ def _with_starts(baseline: Baseline, runs: Sequence[Run], simulator: Simulator, 
     )
     problem = Problem(baseline)
     return tuple(problem.begun(problem.as_given, run, box) for run in runs)
-
-
-def _evaluation_notes(
-    simulator: Simulator, errors: Sequence[Vec], checked: CheckedTrials, skip_first_flexure: bool
-) -> tuple[str, ...]:
-    """Note where `evaluate` finds another error than these (C,) each, in the unit of the log."""
-    sizes = float(np.mean(np.concatenate(errors) ** 2)), white_noise(errors) ** 2
-    evaluated = evaluated_mse(simulator, checked.given, skip_first_flexure)
-    return evaluation_notes(simulator, *sizes, evaluated, checked.given, checked.dt)
-
-
-def _given_errors(baseline: Baseline, runs: Sequence[Run], measured: Sequence[Trial], decades: Decades) -> list[Vec]:
-    """Errors of the simulator as given against the angles as measured (C,) each, in the unit of the log."""
-    problem, pairs = Problem(baseline), zip(runs, measured, strict=True)
-    return [decades.angle * (problem.angles(problem.as_given, run) - trial.angle)[run.counts] for run, trial in pairs]
 
 
 def _from_first_reversal(run: Run, trial: Trial) -> Run:
@@ -305,12 +285,6 @@ def model_form_mse(
 
     Zero where it is unknown: the simulator's file stores no residuals, or it was identified on one of these trials
     (compared by fingerprint), so that its residuals contain the gap itself.
-
-    Args:
-        identification: of the simulator.
-        trials: to be diagnosed, as recorded.
-        motions: motion type of each.
-        dt_s: sample time of the simulator, at which it was identified [s].
     """
     stored = identification.residuals
     if not stored or _identified_on(identification, trials, dt_s):
@@ -352,7 +326,6 @@ def nominal_noise_deg(identification: Identification, step_deg: float = 0.0) -> 
     readings in steps is not white where the angle moves slowly, and counts in full: step / sqrt(12).
 
     Args:
-        identification: of the simulator.
         step_deg: of the sensor's readings then; 0 of a continuous sensor.
     """
     if not identification.residuals:
@@ -374,12 +347,6 @@ def corrected_to_simulator_rate(
     is faster than its diagnosis, the difference of its angles at the two sample times is added to all free runs: exact
     for the simulator as given, and to first order with other numbers or effects. Nothing is added where it is as fast
     or slower, or where a log is too slow for its sample time.
-
-    Args:
-        runs: at the sample time of the diagnosis.
-        recorded: the trials as recorded, in the units of the runs.
-        chain, own: the simulator's at that sample time, and at its own.
-        simulator_dt_s: its own sample time [s].
     """
     if simulator_dt_s >= runs[0].dt_s * (1 - _ROUNDED):
         return tuple(runs)
@@ -395,12 +362,7 @@ def corrected_to_simulator_rate(
 
 
 def starts_at_simulator_rate(recorded: Sequence[Trial], simulator_dt_s: float, dt_s: float) -> tuple[TrialStart, ...]:
-    """Initial states of the trials, found at the simulator's own sample time as `evaluate` does.
-
-    Args:
-        recorded: the trials as recorded, in the units of the runs.
-        simulator_dt_s, dt_s: sample time of the simulator, and of the diagnosis [s].
-    """
+    """Initial states of the trials, found at the simulator's own sample time as `evaluate` does."""
     starts = []
     for trial in recorded:
         resampled = resampled_or_none(trial, 1 / simulator_dt_s) or resampled_or_none(trial, 1 / dt_s) or trial
@@ -435,27 +397,15 @@ def evaluated_mse(simulator: Simulator, recorded: Sequence[Trial], skip_first_fl
     return squares / samples
 
 
-def evaluation_notes(
-    simulator: Simulator,
-    given_mse: float,
-    noise_mse: float,
-    evaluated: float | None,
-    recorded: Sequence[Trial],
-    dt_s: float,
+def _evaluation_notes(
+    simulator: Simulator, errors: Sequence[Vec], checked: CheckedTrials, skip_first_flexure: bool
 ) -> tuple[str, ...]:
-    """Note that `evaluate` finds another error of the simulator as given; none where the two agree.
-
-    Args:
-        simulator: as given.
-        given_mse: its error in the diagnosis, over all trials as measured [deg^2].
-        noise_mse: white noise of the sensor, which other sample times meet in other readings [deg^2].
-        evaluated: the error that `evaluate` finds (`evaluated_mse`) [deg^2].
-        recorded: the trials, cut at gaps.
-        dt_s: sample time of the diagnosis [s].
-    """
+    """Note where `evaluate` finds another error of the simulator as given than these (C,) each [unit of the log]."""
+    given_mse, noise_mse = float(np.mean(np.concatenate(errors) ** 2)), white_noise(errors) ** 2
+    evaluated, dt_s = evaluated_mse(simulator, checked.given, skip_first_flexure), checked.dt
     unit, own_hz, hz = simulator.angle_unit, 1 / simulator.dt_s, 1 / dt_s
     if evaluated is None:
-        slowest = max(recorded, key=lambda trial: trial.dt)
+        slowest = max(checked.given, key=lambda trial: trial.dt)
         return (
             f"The simulator is of {own_hz:.4g} Hz and {Path(slowest.source).name} of {1 / slowest.dt:.4g} Hz: "
             f"`evaluate` does not run it over these trials, and the diagnosis runs it at {hz:.4g} Hz.",
@@ -505,10 +455,6 @@ def common_rest(runs: tuple[Run, ...], form_mse: float) -> tuple[Run, ...]:
     motions did, something else has moved them between the trials: a mounting, a drift, a zero. A core must not take
     that up as the state in which its plays begin: wide plays would keep it for the whole trial. All runs then begin
     at the median angle, and what differs is left in the error.
-
-    Args:
-        runs: all trials.
-        form_mse: model-form error of the simulator [deg^2].
     """
     span = max(float(run.command.max()) for run in runs) - min(float(run.command.min()) for run in runs)
     commands, angles = np.array([(run.rest_command, run.rest_angle) for run in runs]).T

@@ -68,7 +68,6 @@ def sensor_signs(trials: Sequence[Trial], nominal_noise_deg: float | None = None
     """Detect faults of the sensor in trials as recorded; resampling would take the angles off their grid.
 
     Args:
-        trials: of one device.
         nominal_noise_deg: white noise that the simulator's device had when it was identified [deg].
 
     Raises:
@@ -104,8 +103,6 @@ def repaired(trial: Trial, signs: SensorSigns, simulated: Vec | None = None) -> 
     turns while a value is held, a line misses it: the simulated motion, with such a line added, does not.
 
     Args:
-        trial: with the faults.
-        signs: of all trials.
         simulated: angle of a simulator (T,) [deg].
     """
     angle = trial.angle.copy()

@@ -38,10 +38,6 @@ def in_recording_order(trials: Sequence[Trial], ordered: bool) -> tuple[list[Tri
     the order, trials are sorted by the range of their commands, their length and their content, so that every later
     choice (folds, final trials, seeds) is the same whatever the order of the files.
 
-    Args:
-        trials: as given.
-        ordered: whether the caller says that they are in the order of recording.
-
     Raises:
         GapError: if the caller says so and the time stamps or the manifest say otherwise.
         ConfigError: if a manifest cannot be used.
@@ -152,10 +148,7 @@ def choose_trials(
     """Choose trials that can be afforded and bring them to one rate.
 
     Args:
-        trials: as given.
-        facts: metadata of the simulator.
         fixed: whether the simulator is valid at its own rate only.
-        seed: of the choice.
         ordered: whether the trials stand in the order of recording; if not, each begins anew.
 
     Raises:
@@ -214,13 +207,6 @@ def affordable(
     most alike come first; then the kinds in turn, in an order that the seed draws. Where fewer than twelve trials would
     be used, long ones are cut to their first part instead, since the state of the hysteresis is known at the start of a
     trial only.
-
-    Args:
-        trials: uniform, at one rate.
-        motions: kind of motion of each.
-        seed: of the order.
-        most: samples in all.
-        ordered: whether the trials stand in the order of recording.
     """
     sizes = np.array([len(trial) for trial in trials])
     kept, samples = list(range(len(trials))), sizes
@@ -305,8 +291,6 @@ def split_runs(
     trial are two folds.
 
     Args:
-        runs: of all trials.
-        motions: motion type of each.
         ordered: whether they stand in the order of recording; the first one then is never final.
     """
     if len(runs) < _LEAST_TRIALS:
@@ -343,12 +327,7 @@ def _split_in_time(runs: Sequence[Run]) -> tuple[tuple[Run, ...], tuple[Run, ...
 
 
 def motion_features(commands: Sequence[Vec], dt_s: float) -> Vec:
-    """Levels, speeds, rests and length of K commands (K, 10); near to each other where one repeats another.
-
-    Args:
-        commands: (T,) each [cmd].
-        dt_s: sample time [s].
-    """
+    """Levels, speeds, rests and length of K commands (K, 10); near to each other where one repeats another."""
     low, high = min(float(u.min()) for u in commands), max(float(u.max()) for u in commands)
     return np.array([_features(u, dt_s, max(high - low, 1e-12)) for u in commands])
 

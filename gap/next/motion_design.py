@@ -134,11 +134,6 @@ def propose(candidates: Sequence[OpenHypothesis], motions: Sequence[SampledMotio
     candidates are equally likely. Retuning is linear least squares on offset, gain, command shift, command scale and
     the candidate's own parameters.
 
-    Args:
-        candidates: two or more.
-        motions: see `motions.menu`.
-        noise: of the device, and form error of the candidates.
-
     Raises:
         FitError: if there are fewer than two candidates, no motions, or no motion on which all give finite angles.
     """
@@ -308,9 +303,6 @@ def search_motion(
     11, 1997) starts from the menu's entries and motions drawn at random.
 
     Args:
-        hypotheses: two explanations or more.
-        family: motions that are allowed.
-        noise: of the device, and form error of the explanations.
         menu: motions to compare with, as `motions.menu` makes them, of any duration.
 
     Returns:

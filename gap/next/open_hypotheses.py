@@ -42,9 +42,6 @@ def next_step(findings: Findings) -> MotionProposal | None:
     It is to separate, in this order: all effects that these trials cannot tell apart; an effect that was named and
     another from which these motions cannot tell it (`unseparated`); for a gap without explanation, effects of
     different families. Where no angle follows its command, no motion is proposed.
-
-    Args:
-        findings: of all earlier steps.
     """
     task = discrimination_task(findings, confirm=False)
     if task is None:
@@ -74,7 +71,6 @@ def discrimination_task(findings: Findings, confirm: bool = True) -> Discriminat
     single effect of each family. None where no angle follows its command.
 
     Args:
-        findings: of all earlier steps.
         confirm: whether to test a verdict that leaves nothing open; else None there.
     """
     if findings.prepared.checked.unrelated:
@@ -213,11 +209,6 @@ def open_hypothesis(name: str, hypothesis: Hypothesis, prepared: PreparedTrials)
 
     What each trial has of its own (`trial_shift`, the phase of a disturbance) is not simulated: in a single further
     motion a shift is a matter of retuning, and a phase would be another one.
-
-    Args:
-        name: of the effect that tells it from the others.
-        hypothesis: fitted.
-        prepared: trials, for the history of the device.
     """
     problem, q = hypothesis.problem, hypothesis.q
     nudges = [np.clip(q + _STEP * row, problem.lower, problem.upper) for row in np.eye(problem.size)]
@@ -239,10 +230,8 @@ def free_run(chain: Chain, rest_angle: float, bent: float = -np.inf, clock_s: fl
     """Free run of a chain from a long rest at the motion's first command, at the motion's sample time.
 
     Args:
-        chain: with its numbers.
         rest_angle: approximate angle of the device at rest [deg].
         bent: greatest command that the device has seen [mm or bar]; minus infinity for a new one.
-        clock_s: of the device [s].
     """
 
     @cache  # every motion of a menu has one sample time and starts at one command

@@ -66,10 +66,8 @@ def save_diagnosis(
     """Write everything that a diagnosis leaves; files appear whole, an older diagnosis in the folder is replaced.
 
     Args:
-        data: data of the report.
         folder: new, empty, or that of an older diagnosis.
         settings: how it was called, resolved.
-        models: model files that it used; their SHA-256 is kept.
 
     Raises:
         ConfigError: if the folder is taken by something else or cannot be written.

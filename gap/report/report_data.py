@@ -209,7 +209,7 @@ def _fixed(findings: Findings) -> Simulator | None:
         prepared.everything,
         prepared.development,
         checked.trials,
-        prepared.given,
+        prepared.checked.given,
         prepared.decades,
         skip_first_flexure=not all(run.counts.all() for run in prepared.counted),
     )
