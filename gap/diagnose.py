@@ -121,13 +121,15 @@ def conclude(findings: Findings, progress: Progress | None = None) -> tuple[Diag
 
     clock = _Clock()
     prepared = findings.prepared
-    rows = _parameters(findings)
+    values = {name: cause.parameters for name, cause in findings.conclusion.closed.causes.items()}
+    rows = parameter_rows(findings.conclusion.chosen, prepared.development, values)
     diagnosis = _diagnosis(findings, rows)
     proposal = next_step(findings)
     diagnosis = replace(diagnosis, next_motion=proposal.summary() if proposal else None)
     clock.lap("what next")
     findings = replace(findings, seconds={**findings.seconds, **clock.seconds})
-    shown = tuple(_in_log_units(row, prepared) for row in rows)
+    units, decades = prepared.checked.trials[0].units, prepared.decades
+    shown = tuple(replace(row.times(decades.in_log(row.unit)), unit=units.named(row.unit) or "1") for row in rows)
     data = report_data(findings, diagnosis, proposal, shown)
     (progress or no_progress)(_CONCLUDED, _STEPS, diagnosis.verdict)
     return diagnosis, data
@@ -252,19 +254,6 @@ def _explainable_share(findings: Findings) -> float | None:
     return float(np.clip(explained / structural, 0.0, 1.0))
 
 
-def _parameters(findings: Findings) -> tuple[ParameterRow, ...]:
-    """Every number of the corrected simulator, in working units."""
-    prepared, conclusion = findings.prepared, findings.conclusion
-    values = {name: cause.parameters for name, cause in conclusion.closed.causes.items()}
-    return parameter_rows(conclusion.chosen, prepared.development, values)
-
-
-def _in_log_units(row: ParameterRow, prepared: PreparedTrials) -> ParameterRow:
-    """A number in the units of the log, which have their own names."""
-    units = prepared.checked.trials[0].units
-    return replace(row.times(prepared.decades.in_log(row.unit)), unit=units.named(row.unit) or "1")
-
-
 def _untestable(findings: Findings) -> tuple[Untestable, ...]:
     """Effects that need the unknown order of recording, without those left out of the library."""
     if findings.prepared.order == "known":
@@ -342,12 +331,7 @@ def _effects(
 
 @dataclass(frozen=True, eq=False)
 class DiagnosisResult:
-    """Result of a diagnosis with the results of its steps.
-
-    Attributes:
-        findings: result of every step.
-        data: what its report shows.
-    """
+    """Result of a diagnosis with the results of its steps."""
 
     findings: Findings
     data: ReportData

@@ -185,13 +185,7 @@ class DetectableSizes:
 
 @dataclass(frozen=True)
 class Stability:
-    """Stability of the verdict over resampled splits of the trials.
-
-    Attributes:
-        share: of the resamples with the same verdict and the same set of names.
-        resamples: their number.
-        otherwise: the most frequent other results, each with its share.
-    """
+    """Stability of the verdict over resampled splits of the trials."""
 
     share: float
     resamples: int

@@ -217,11 +217,7 @@ def with_tracking(data: ReportData, progress: Progress | None = None) -> ReportD
 
 
 def covered_motions(trials: Sequence[TrialRuns], fixed: Simulator, seed: int) -> tuple[CountedMotion, ...]:
-    """Reference motions within the angles and half of the speed that the trials covered.
-
-    Raises:
-        TrajectoryError: if the angle hardly moved in the trials.
-    """
+    """Reference motions within the angles and half of the speed that the trials covered."""
     angles = [trial.with_effects for trial in trials]
     low, high = np.quantile(np.concatenate(angles), _COVERED)
     speeds = [np.abs(np.diff(trial.with_effects)) / trial.trial.dt for trial in trials]

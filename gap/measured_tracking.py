@@ -40,11 +40,7 @@ class MeasuredRun:
     """One controller along one reference, (N,) samples of the reference itself, without the way to its start.
 
     Attributes:
-        folder: of the run.
         name: motion and controller of a simulation; empty at a bench.
-        reference: what was tracked.
-        settings: of the controller.
-        dt_s: sample time [s].
         t: end of the sample, from the beginning of the reference [s].
         reference_deg, angle_deg: wanted and measured angle; of a simulation the true one [deg].
         noise_deg: standard deviation of the noise in that angle; None where it is not known [deg].
@@ -154,7 +150,6 @@ class TrackingFall:
     """Fall of the tracking error from an earlier run to a run on the same reference.
 
     Attributes:
-        after: the run that is reported.
         before: the earlier run; None where none was given.
         expected: on this very reference; None without a diagnosis.
     """
@@ -315,10 +310,9 @@ def _measured_line(fall: TrackingFall) -> str:
 def _expected_line(fall: TrackingFall, expected: TrackingGap) -> str:
     if expected.why_not:
         return f"no fall can be expected: {expected.why_not}"
-    share = _share(expected.before_deg, expected.after_deg)
     text = (
         f"expected on this reference: from {expected.before_deg:.3g} deg RMS to {expected.after_deg:.3g} deg, "
-        f"by {100 * share:.0f} %"
+        f"by {100 * expected.fall_share:.0f} %"
     )
     if fall.before is None:
         return text

@@ -12,14 +12,12 @@ from scipy.signal import csd, get_window, welch
 from scipy.stats import norm
 
 from hystmpc.models.identify.motion_lines import fundamental_hz
-from hystmpc.trials.errors import GapError
 from hystmpc.trials.segments import Motion, segment
 from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Index, Mask, Mat, Vec
 
 from .diagnosis import ResidualShare
 from .logs.motion_type import MEMORIES, command_segments, memory_features, past_features, play_states, since_reversal
-from .logs.noise_floor import require_residuals
 from .logs.sensor import autocorrelation
 
 _RIDGES = (1e-4, 1e-3, 1e-2, 1e-1, 1.0, 10.0)  # of the mean eigenvalue of the features' Gram matrix
@@ -42,12 +40,7 @@ def memory_gains(
     Args:
         loop_width: width of the hysteresis loop along the command [cmd].
         ordered: whether the trials stand in the order of recording; if not, the clock starts anew in each.
-
-    Raises:
-        GapError: if residuals do not fit the trials or are not finite.
-        LogError: if a trial is not uniform.
     """
-    require_residuals(trials, residuals)
     clocks = np.concatenate([[0.0], np.cumsum([trial.duration_s if ordered else 0.0 for trial in trials])])
     features = [memory_features(trial, loop_width, float(t)) for trial, t in zip(trials, clocks[:-1], strict=True)]
     targets = _folded(residuals)
@@ -65,12 +58,7 @@ def explainable_share(trials: Sequence[Trial], residuals: Sequence[Vec], seed: i
     Leave-one-trial-out ridge regression on lagged commands, speeds, play states of six widths, commands low-passed at
     five time constants, and `tanh` of random mixtures of these. The ridge, and whether the random features are used,
     are chosen for each trial on the others. A trial that the regression makes worse counts as unexplained.
-
-    Raises:
-        GapError: if residuals do not fit the trials or are not finite.
-        LogError: if a trial is not uniform.
     """
-    require_residuals(trials, residuals)
     targets = _folded(residuals)
     energies = np.array([float(y @ y) for y in targets])
     energy = float(energies.sum())
@@ -103,7 +91,6 @@ def friction_share(trials: Sequence[Trial], residuals: Sequence[Vec], noise_deg:
     reversal of a trial does not count: a set that is taken on the first way looks like friction. A trial weighs by its
     RMS, not by its energy: one large motion that is like no other cannot be predicted from the others.
     """
-    require_residuals(trials, residuals)
     starts = [int(next(iter(segment(trial).reversals), 0)) for trial in trials]
     targets = _folded([error[k:] for error, k in zip(residuals, starts, strict=True)])
     energies = np.array([float(y @ y) for y in targets])
@@ -193,14 +180,11 @@ class SpectralLine:
     """A sharp line of the residual that the command does not have.
 
     Attributes:
-        hz: frequency [Hz].
         share: of the residual's energy about its mean.
-        ratio: height over its surroundings, geometric mean over the trials.
     """
 
     hz: float
     share: float
-    ratio: float
 
 
 @dataclass(frozen=True)
@@ -299,7 +283,7 @@ def _lines(shown: Sequence[_Periodograms], total: float) -> tuple[SpectralLine, 
         k = int(np.argmax(np.where(left, mean, 0.0)))
         share = float(sum(_line_energy(s, float(grid[k])) for s in shown)) / total
         if share >= _LEAST_SHARE:
-            lines.append(SpectralLine(float(grid[k]), share, float(mean[k])))
+            lines.append(SpectralLine(float(grid[k]), share))
         left &= np.abs(grid - grid[k]) > 2 * _WIDE * max(s.bin_hz for s in shown)
     return tuple(sorted(lines, key=lambda line: -line.share))
 
@@ -347,7 +331,6 @@ class Localisation:
 
     Attributes:
         places: per part of the motion; shares add up to one.
-        spectrum: by frequency.
         memory: share that each kind of memory explains held out, by name; below zero if none.
     """
 
@@ -367,17 +350,8 @@ def localise(
     Args:
         residuals: measured less simulated angle, (T,) each [deg].
         loop_width: width of the hysteresis loop along the command, for the kinds of memory [cmd].
-
-    Raises:
-        GapError: if there is no trial, residuals do not fit the trials or are not finite, or all are zero.
-        LogError: if a trial is not uniform.
     """
-    if not trials:
-        raise GapError("no trial given, expected one or more")
-    require_residuals(trials, residuals)
     power = np.concatenate([e**2 for e in residuals])
-    if power.sum() <= 0:
-        raise GapError(f"all {power.size} residuals are zero, expected something to localise")
     labels = np.concatenate([motion_part_labels(trial) for trial in trials])
     return Localisation(
         places=_residual_shares(power, labels, _blocks(residuals, trials[0].dt), seed),
@@ -392,9 +366,6 @@ def motion_part_labels(trial: Trial) -> Index:
     `hold`: the command rests. `first_flexure`: it moves, and has not turned yet in this trial. `after_reversal`: it
     moves, and has travelled less than a tenth of its range since it turned. Else `loading` or `unloading`. The parts
     depend on the command alone, so that every simulator of a device is judged by the same ones.
-
-    Raises:
-        LogError: if the sampling is not uniform.
     """
     parts = command_segments(trial)
     labels = np.where(parts.labels == Motion.UNLOADING, MOTION_PARTS.index("unloading"), MOTION_PARTS.index("loading"))

@@ -39,11 +39,7 @@ class SelfTestRow:
     """Result of one case of the self-test.
 
     Attributes:
-        name: of the case.
-        truth: effects that were put in.
         verdict, found: of the diagnosis; found effects, those that it cannot tell apart joined by `|`.
-        closed_share: of the structural gap, on the final trials.
-        seconds: that it took [s].
         passed: whether the truth was found, alone or in a set that these trials cannot tell apart.
     """
 
@@ -61,11 +57,9 @@ class _Case:
     """Device of the self-test with known effects.
 
     Attributes:
-        truth: effects that are put in.
         before, after: their operators on the command and on the angle.
         off: gain, and offset [deg], by which the device is off its simulator.
         own: operator of each trial, drawn from a generator.
-        sensor: of the angle.
     """
 
     truth: tuple[str, ...] = ()

@@ -43,8 +43,6 @@ class Attribution:
 
     Attributes:
         validation: development runs, on which hypotheses are fitted and compared.
-        retuned: the simulator refitted, without causes.
-        selection: every hypothesis that was tried, and the best.
         inclusion: share of block resamples in which each effect is chosen.
         jumps: of the tip in steady motion, where they are the sign of stick-slip.
         facts: what the verdict depends on, but for the final trials.
@@ -63,11 +61,9 @@ class Conclusion:
     """Verdict, and the errors on the final trials that belong to it.
 
     Attributes:
-        decision: verdict and its case.
         facts: what it depends on, less the causes that did not surely lower the error of the final trials.
         chosen: the corrected simulator; the retuned one where no effect is the explanation.
         floor: from repeats or noise, with the corrected simulator.
-        closed: sizes of the gap and what each cause closes.
     """
 
     decision: VerdictDecision
@@ -280,15 +276,10 @@ class Findings:
     """Result of every step.
 
     Attributes:
-        simulator: as given.
-        prepared: trials and the baseline.
         detectable: the least size at which the trials would show each effect, from their commands alone.
-        attribution: causes selected on the development trials.
-        conclusion: verdict, corrected simulator and sizes on the final trials.
         localisation: of the retuned residual; None where there is none.
         stability: of the verdict over resampled splits; None where the trials allow no choice.
         left_out: effects that the library went without.
-        seed: of everything drawn at random.
         seconds: duration of each step [s].
     """
 

@@ -31,7 +31,6 @@ class ClosedShares:
         before: errors of the retuned simulator.
         floor_mse: error that stays with any simulator [deg^2].
         spread: half of a 90 % interval that is due to differences between trials, as a share of the closed share.
-        seed: of the resampling.
     """
 
     before: Blocks
@@ -136,13 +135,7 @@ class ClosedByCause:
 
 @dataclass(frozen=True, eq=False)
 class GapClosed:
-    """Errors on the final trials, and the share of the gap closed by each cause.
-
-    Attributes:
-        gap: RMSE of the nominal, retuned and corrected simulator, floor, and share closed.
-        causes: share of each cause by name.
-        spread: half of a 90 % interval that is due to differences between trials, as a share of the closed share.
-    """
+    """Errors on the final trials, and the share of the gap closed by each cause."""
 
     gap: Gap
     causes: Mapping[str, ClosedByCause]

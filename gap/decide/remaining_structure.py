@@ -34,12 +34,10 @@ class Configuration:
         groups: names of the trials of each group, the largest group first.
         sizes: greatest difference between groups, `offset_deg` [deg at the mean angle], `gain_share` of the gain and,
             where the core has a width, `width_deg` [deg, what it moves the angle by].
-        explained: share of what shifts of each trial explain.
     """
 
     groups: tuple[tuple[str, ...], ...]
     sizes: dict[str, float]
-    explained: float
 
 
 @final
@@ -107,7 +105,7 @@ def configuration_of(hypothesis: Hypothesis, runs: Sequence[Run]) -> Configurati
             names = tuple(UNITS)[: shared.shape[1]]
             shared[:, 2:] *= shifts.spread[2:]
             sizes = dict(zip(names, np.ptp(shared, axis=0).tolist(), strict=True))
-            return Configuration(tuple(tuple(runs[k].name for k in g) for g in groups), sizes, float(explained))
+            return Configuration(tuple(tuple(runs[k].name for k in g) for g in groups), sizes)
     return None
 
 

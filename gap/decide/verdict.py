@@ -64,7 +64,6 @@ class FinalFacts:
     """Errors on the final trials.
 
     Attributes:
-        closed_share: share of the gap that the causes close.
         residual_ratio: RMSE with all causes over noise and model-form error; 1 where that is unknown.
         unproven: whether effects were selected and none of them surely lowers the error.
         at_floor: whether the retuned simulator leaves no more than the noise.
@@ -94,9 +93,7 @@ class VerdictFacts:
         sensor_gap: whether they would be a gap without any other cause.
         new_step: whether the readings have steps that the simulator's device did not have, and that do not vanish
             beside the error.
-        jumps: whether the tip sticks and slips in steady motion.
         too_little, unrelated: whether the trials are too short, or no angle follows its command.
-        retuning: what retuning did.
         width_grown: width of the loop with the selected effects in place, over the given one.
         final: errors on the final trials with the causes that were selected; None before these are evaluated.
     """

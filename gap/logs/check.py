@@ -233,7 +233,7 @@ def _log_notes(trial: Trial) -> Iterator[str]:
 
 
 def _set_notes(e: Excitation) -> Iterator[str]:
-    if e.trials == 1:
+    if len(e.motions) == 1:
         yield "One trial only: what is held out comes from the same recording, and changes between trials cannot show."
     if not e.repeats:
         yield "No motion is repeated: the floor is the residual's noise, a lower bound, and every share is relative."

@@ -29,7 +29,6 @@ class Excitation:
 
     Attributes:
         motions: kind of motion per trial.
-        trials: their number.
         repeats: pairs of stretches with equal commands.
         longest_hold_s: longest rest of the command [s]; 0 without one.
         fastest: 99th percentile of its speed while it moves [cmd/s].
@@ -37,13 +36,11 @@ class Excitation:
         steps: moves of a tenth of the range or more within 0.2 s.
         fast_small: moves of less than a third of a second (1.5 Hz and above) and of less than 30 %.
         low_s: time within the lowest tenth [s].
-        low_visits: number of visits to it.
         top_levels: distinct levels, 8 % apart, in the upper 60 % at which it turns.
         opening_repeated: whether the first rise of the first trial comes again, in it or a later trial.
     """
 
     motions: tuple[MotionType, ...]
-    trials: int
     repeats: tuple[RepeatedMotion, ...]
     longest_hold_s: float
     fastest: float
@@ -71,9 +68,6 @@ def excitation_of(trials: Sequence[Trial], ordered: bool = True) -> Excitation:
 
     Args:
         ordered: whether they stand in the order of recording; if not, any of them may have been the first.
-
-    Raises:
-        LogError: if a trial is not uniform.
     """
     dt = trials[0].dt
     parts = [command_segments(trial) for trial in trials]
@@ -85,7 +79,6 @@ def excitation_of(trials: Sequence[Trial], ordered: bool = True) -> Excitation:
     holds = [stop - start for part in parts for start, stop in part.holds]
     return Excitation(
         motions=tuple(motion_type(trial, part) for trial, part in zip(trials, parts, strict=True)),
-        trials=len(trials),
         repeats=find_repeats(trials),
         longest_hold_s=max(holds, default=0) * dt,
         fastest=_fastest(trials, span),

@@ -65,11 +65,7 @@ class Move:
 
 
 def command_segments(trial: Trial) -> Segments:
-    """Segments of a uniform trial; the bands widen with the noise of a measured command.
-
-    Raises:
-        LogError: if the sampling is not uniform.
-    """
+    """Segments of a uniform trial; the bands widen with the noise of a measured command."""
     span = float(np.ptp(trial.command))
     noise = white_noise([trial.command]) / span if span > 0 else 0.0
     band = float(np.clip(_NOISE_BAND * noise, SegmentRule.hold_band, 0.02))

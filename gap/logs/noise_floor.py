@@ -8,7 +8,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hystmpc.trials.errors import GapError
 from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Index, Mask, Vec
 
@@ -82,12 +81,7 @@ def find_floor(
 
     Args:
         residuals: measured less simulated angle, (T,) each [deg]; the result hardly depends on the simulator.
-
-    Raises:
-        GapError: if residuals do not fit the trials or are not finite.
-        LogError: if a trial is not uniform.
     """
-    require_residuals(trials, residuals)
     noise = white_noise(residuals)
     pairs = find_repeats(trials) if repeats is None else repeats
     if sum(repeat.stop - repeat.start for repeat in pairs) * dt < _LEAST_REPEATED_S:
@@ -96,21 +90,6 @@ def find_floor(
     squares = np.array([float(d @ d) for d, _ in differences])
     weights = np.array([d.size * w for d, w in differences])
     return NoiseFloor(math.sqrt(float(squares.sum() / weights.sum())), "repeats", noise)
-
-
-def require_residuals(trials: Sequence[Trial], residuals: Sequence[Vec]) -> None:
-    """Check that there is one finite residual (T,) per trial.
-
-    Raises:
-        GapError: if numbers or shapes differ, or a value is not finite.
-    """
-    if len(trials) != len(residuals):
-        raise GapError(f"got {len(residuals)} residuals for {len(trials)} trials, expected one per trial")
-    for trial, e in zip(trials, residuals, strict=True):
-        if e.shape != (len(trial),):
-            raise GapError(f"{trial.source}: residual has shape {e.shape}, expected ({len(trial)},) as the trial")
-        if not np.all(np.isfinite(e)):
-            raise GapError(f"{trial.source}: residual is not finite at sample {int(np.argmin(np.isfinite(e)))}")
 
 
 def find_repeats(trials: Sequence[Trial], tolerance: float = TOLERANCE) -> tuple[RepeatedMotion, ...]:
@@ -122,9 +101,6 @@ def find_repeats(trials: Sequence[Trial], tolerance: float = TOLERANCE) -> tuple
 
     Args:
         tolerance: greatest difference of equal commands, relative to the range of all.
-
-    Raises:
-        LogError: if a trial is not uniform.
     """
     if not trials:
         return ()

@@ -48,9 +48,7 @@ class PreparedTrials:
     catheter: thresholds and bounds are stated for that size. There `deg` and `cmd` stand for a working unit.
 
     Attributes:
-        decades: the working units.
         checked: trials at one rate, and what their commands excite.
-        signs: of the sensor.
         baseline: the nominal simulator and the freedom of retuning.
         development, final: runs for the choice of causes, and runs that are evaluated once.
         everything: all runs, every sample counted; in recording order where it is known, else by content.
@@ -61,7 +59,6 @@ class PreparedTrials:
         excess_mse: energy of the sensor's noise beyond its noise at identification [deg^2]; where that is unknown, of
             its rounding.
         new_step: whether the sensor's readings have coarse steps that they did not have at identification.
-        order: whether the order of recording is known.
     """
 
     decades: Decades

@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hystmpc.models.identify.resolution import grid_step
-from hystmpc.trials.errors import GapError
 from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Mask, Vec
 
@@ -69,12 +68,7 @@ def sensor_signs(trials: Sequence[Trial], nominal_noise_deg: float | None = None
 
     Args:
         nominal_noise_deg: white noise that the simulator's device had when it was identified [deg].
-
-    Raises:
-        GapError: if there is no trial.
     """
-    if not trials:
-        raise GapError("no trial given, expected one or more")
     step = grid_step(np.concatenate([trial.angle for trial in trials]))
     noise = white_noise([trial.angle[:: _pace(trial)] for trial in trials])
     spikes = [_spikes(trial, step, noise) for trial in trials]

@@ -101,15 +101,12 @@ class Workload:
     Attributes:
         kept: numbers of the trials, in recording order.
         samples: number of first samples of each that are used.
-        seconds, gigabytes: estimate of the whole diagnosis.
         note: what is left out, in one line; empty where nothing is.
         estimate: the cost in one line; empty below 30 s.
     """
 
     kept: tuple[int, ...]
     samples: tuple[int, ...]
-    seconds: float
-    gigabytes: float
     note: str
     estimate: str
 
@@ -122,8 +119,6 @@ class ChosenTrials:
         trials: uniform, all at one rate, in recording order.
         given: the same as recorded, cut at gaps, without the noise of a measured command.
         before: history of the device before each, trials that were not chosen included.
-        dt: sample interval of `trials` [s].
-        workload: cost of their diagnosis.
     """
 
     trials: tuple[Trial, ...]
@@ -150,10 +145,6 @@ def choose_trials(
     Args:
         fixed: whether the simulator is valid at its own rate only.
         ordered: whether the trials stand in the order of recording; if not, each begins anew.
-
-    Raises:
-        GapError: if a part of a trial between gaps is too short.
-        LogError: if the simulator's rate is fixed and above a log's, or too much lies in short parts between gaps.
     """
     parts = remove_command_noise([part for trial in trials for part in _parts(trial)])
     rate = _common_rate(parts, facts, fixed)
@@ -222,7 +213,7 @@ def affordable(
     note = _left_out(what, used_samples, sizes[kept], trials[0].dt, most, seed, ordered) if taken < sizes.sum() else ""
     seconds, size = _START_S + _SECONDS * taken, (_START_BYTES + _BYTES * taken) / 1e9
     cost = f"{what}: about {_time(seconds)} and {size:.1f} GB, longer where more effects are found"
-    return Workload(tuple(kept), tuple(used_samples.tolist()), seconds, size, note, cost if seconds > _SOON_S else "")
+    return Workload(tuple(kept), tuple(used_samples.tolist()), note, cost if seconds > _SOON_S else "")
 
 
 def _left_out(what: str, used: Index, recorded: Index, dt: float, most: int, seed: int, ordered: bool) -> str:

@@ -58,20 +58,12 @@ class Noise:
         ar: correlation of its slow part from one sample to the next.
         white: share of its variance that has no memory.
         form_deg: root mean square of the model-form error [deg].
-
-    Raises:
-        FitError: if the deviation is not positive, or a share out of its bounds.
     """
 
     rmse_deg: float
     ar: float = 0.95
     white: float = 0.3
     form_deg: float = 0.0
-
-    def __post_init__(self) -> None:
-        shares = 0 <= self.ar < 1 and 0 <= self.white <= 1 and 0 <= self.form_deg < np.inf
-        if not (np.isfinite(self.rmse_deg) and self.rmse_deg > 0 and shares):
-            raise FitError(f"noise: got {self}, expected rmse_deg > 0, ar in [0, 1), white in [0, 1], form_deg >= 0")
 
     def whiten(self, signals: Vec) -> Vec:
         """Signals (..., T) in units of the noise: each frequency over the root of the noise's spectrum."""
@@ -87,7 +79,6 @@ class EvaluatedMotion:
     """One motion of the menu and its expected result.
 
     Attributes:
-        motion: the motion.
         probability: expected probability of naming the right candidate.
         angles: of every candidate on it [deg], (K, T).
         separation: greatest difference of a pair after retuning at each sample [deg], (T,).
@@ -107,7 +98,6 @@ class MotionProposal:
 
     Attributes:
         names: effects that it is to tell apart.
-        chosen: the best of the options.
         options: every motion that could be simulated, in the order of the menu.
     """
 
@@ -135,10 +125,8 @@ def propose(candidates: Sequence[OpenHypothesis], motions: Sequence[SampledMotio
     the candidate's own parameters.
 
     Raises:
-        FitError: if there are fewer than two candidates, no motions, or no motion on which all give finite angles.
+        FitError: if there is no motion on which all candidates give finite angles.
     """
-    if len(candidates) < 2 or not motions:
-        raise FitError(f"next motion: got {len(candidates)} candidates and {len(motions)} motions, expected 2 and 1")
     options = tuple(option for motion in motions if (option := evaluate_motion(candidates, motion, noise)))
     if not options:
         raise FitError(f"next motion: none of {len(motions)} motions gives finite angles with all candidates")
@@ -240,10 +228,8 @@ class SearchSettings:
     """Settings of the motion search.
 
     Attributes:
-        seed: of what is drawn.
         overhead_s: device time that a run takes beside its motion [s].
         least_s: duration below which a motion is left out [s].
-        generations: of the search.
         allowed: whether a motion may be played, judged by the angles that the explanations expect.
     """
 
@@ -259,9 +245,7 @@ class SearchedMotion:
     """Result of a motion search, with the best motion of the menu for comparison.
 
     Attributes:
-        chosen: the best motion with its expected result.
         numbers: of it in the family (22,).
-        bits: expected information of it.
         seconds: device time of it, the run around it included [s].
         menu: the best motion of the menu by the same measure; None where none can be simulated.
         menu_bits, menu_seconds: of that.

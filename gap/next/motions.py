@@ -28,7 +28,6 @@ class RampAndHold:
 
     Attributes:
         target: share of the reach, 0 at the lowest command.
-        hold_s: time at the target [s].
         speed: share of the allowed rate.
         stroke_s: time that the whole reach takes at least [s].
     """
@@ -63,7 +62,6 @@ class SampledMotion:
     """One motion of the menu, sampled.
 
     Attributes:
-        name: of the motion.
         purpose: what it tells apart, for the report.
         t: times [s], (T,), from 0 in steps of dt.
         command: command [mm or bar], (T,); starts and ends at rest at the lowest one.
@@ -87,13 +85,7 @@ class SampledMotion:
 
 @dataclass(frozen=True)
 class MotionTemplate:
-    """A motion before limits are known: parts in shares of the reach and of the rate.
-
-    Attributes:
-        name, purpose: see `SampledMotion`.
-        parts: in order.
-        longest_s: duration that the reach is cut to [s].
-    """
+    """A motion before limits are known: parts in shares of the reach and of the rate."""
 
     name: str
     purpose: str
@@ -186,12 +178,7 @@ def menu(limits: CommandLimits, dt: float) -> tuple[SampledMotion, ...]:
     Args:
         limits: box and rate of the command [mm or bar, and per second].
         dt: sample time [s].
-
-    Raises:
-        TrajectoryError: if dt is not finite and positive.
     """
-    if not (math.isfinite(dt) and dt > 0):
-        raise TrajectoryError(f"dt: got {dt}, expected a finite number > 0")
     return tuple(_motion(template, limits, dt) for template in TEMPLATES)
 
 
@@ -271,8 +258,6 @@ class MotionFamily:
 
     Attributes:
         limits: box and rate of the command [mm or bar, and per second].
-        dt: sample time [s].
-        safe: command at which a motion begins and ends.
         longest_s: duration that no motion exceeds [s].
 
     Raises:

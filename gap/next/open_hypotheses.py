@@ -54,8 +54,6 @@ class DiscriminationTask:
     """Model discrimination task: the hypotheses that a further motion has to separate.
 
     Attributes:
-        hypotheses: the explanations, two or more.
-        noise: of the device, and form error of the explanations.
         confirms: whether the trials so far decide already, so that the motion only puts their answer to the test.
     """
 

@@ -436,14 +436,7 @@ def bins_figure(trials: Sequence[TrialRuns], stages: Sequence[Stage]) -> Figure 
 
 @dataclass(frozen=True, eq=False)
 class Binned:
-    """RMSE over equal intervals of one quantity.
-
-    Attributes:
-        quantity, unit: of the edges.
-        edges: (B + 1,).
-        rmse_deg: in each interval for each simulator [deg], (B,), not-a-number where no sample lies.
-        time: share of the samples, (B,).
-    """
+    """RMSE over equal intervals of one quantity."""
 
     quantity: str
     unit: str

@@ -36,11 +36,9 @@ class TrialRuns:
     Attributes:
         trial: as diagnosed, on the simulator's sample time.
         role: fit, select or final (evaluated once).
-        motion: its motion type, such as `sine` or `holds`.
         nominal, retuned, with_effects: simulated angles [deg], (T,), of the simulator as given, refitted, and refitted
             with the chosen effects; where none was chosen the last equals the second.
         floor_deg: RMSE that stays with any simulator [deg].
-        start: first sample that counts.
     """
 
     trial: Trial
@@ -71,13 +69,9 @@ class CandidateRow:
     """One candidate effect, added alone to the retuned simulator.
 
     Attributes:
-        name: of the effect.
-        side: where it acts.
         rmse_deg: on the trials to select by [deg].
         gain_deg: retuned RMSE less this [deg]; negative where the effect did harm.
         standard_error_deg: of the gain [deg].
-        probability: calibrated.
-        chosen: whether it is in the corrected simulator.
     """
 
     name: str
@@ -112,19 +106,13 @@ class ReportData:
     """Data of the report.
 
     Attributes:
-        diagnosis: the result.
         simulator: name of the simulator's file.
         trials: in recording order, at least one.
-        excitation: motions, speeds, holds and repeats of the commands.
-        candidates: every effect, most likely first.
-        parameters: identified values of the corrected simulator.
         localisation: of the retuned residual; None where there was none to localise.
         noise_deg: white noise of the measured angle [deg]; not-a-number where unknown.
         proposal: motion to record next; None where nothing is open.
         fixed: the corrected simulator, where it can be written as one.
         files: further files of the diagnosis by name.
-        seed: of everything drawn at random.
-        seconds: time of each step of the procedure.
         nominal: the simulator as given; None of a network.
         curves: closed loops before and after the correction; none where they were not simulated.
     """
@@ -175,7 +163,8 @@ def report_data(
     findings: Findings, diagnosis: Diagnosis, proposal: MotionProposal | None, parameters: tuple[ParameterRow, ...]
 ) -> ReportData:
     """Collect the data of the report from the findings."""
-    prepared, simulator, files = findings.prepared, findings.simulator, Mapping[str, str]({})
+    prepared, simulator = findings.prepared, findings.simulator
+    files: Mapping[str, str] = {}
     if not isinstance(simulator, Simulator):
         dt, chosen, last = prepared.checked.dt, findings.conclusion.chosen, prepared.everything[-1]
         files = network_effects(chosen, prepared.baseline, last, dt, "the network", prepared.decades)
