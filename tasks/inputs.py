@@ -9,10 +9,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, Protocol, TypeAlias
 
 from hystmpc.trials.check import Severity, check
-from hystmpc.trials.clock_findings import gaps_text
 from hystmpc.trials.command_noise import noise_text
 from hystmpc.trials.config import override
 from hystmpc.trials.errors import ConfigError, ModelError
+from hystmpc.trials.findings import gaps_text
 from hystmpc.trials.from_outside import allow_python
 from hystmpc.trials.read import AnyLayout, Log, at_rate, expand_logs, read_trials
 from hystmpc.trials.recording import require_recorded

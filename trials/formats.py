@@ -101,6 +101,11 @@ def format_of(path: Path) -> str:
     return next((name for start, name in _READ if head.startswith(start)), by_ending)
 
 
+def is_bag(folder: Path) -> bool:
+    """Whether a folder is a ROS 2 bag: metadata.yaml beside at least one storage file."""
+    return (folder / "metadata.yaml").is_file() and any(any(folder.glob(f"*{end}*")) for end in (".db3", ".mcap"))
+
+
 def _packed(path: Path) -> str | None:
     """Format of a ZIP archive, by the names in it."""
     try:

@@ -13,7 +13,7 @@ import numpy as np
 from .errors import LogError, require
 from .formats import one_line
 from .layouts import HEADER_TIME, LOG_TIME, few
-from .signals import Series, split_path, walk
+from .signals import Series, Source, split_path, walk
 
 Decoder = Callable[[bytes], Any]
 
@@ -117,7 +117,7 @@ class Topic:
 
 @final
 @dataclass(frozen=True, eq=False)
-class MessageLog:
+class MessageLog(Source):
     """A `Source` over messages.
 
     Attributes:

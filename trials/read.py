@@ -4,22 +4,18 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
+from importlib import import_module
 from pathlib import Path
 
 import numpy as np
 
-from .arrays import ArrayLog
 from .command_noise import remove_command_noise
 from .csv_files import open_table, read_columns
 from .errors import ConfigError, LogError, in_a_line
-from .formats import ENDINGS, format_of
+from .formats import ENDINGS, format_of, is_bag
 from .layouts import Layout, LogMapping, is_mapping_file, layout_named, load_mapping
-from .mat_ import open_mat
-from .mcap_ import open_mcap
-from .npz_ import open_npz
-from .rosbag_ import is_bag, open_bag, open_bag1
 from .signals import (
     Series,
     Source,
@@ -32,7 +28,6 @@ from .signals import (
     read_mapped,
 )
 from .tables import Frame, Table
-from .tdms_ import open_tdms
 from .trial import Trial, even_time, parts_at_gaps, positive_rate, require_uniform, resample
 from .types import Vec
 
@@ -42,16 +37,17 @@ AnyLayout = str | Layout | LogMapping
 Log = Path | str | Frame | Trial
 """One recorded trial: a file, the folder of a ROS 2 bag, a data frame, or the trial itself."""
 
-OPENERS: dict[str, Callable[[Path], Source]] = {
-    "mcap": open_mcap,
-    "rosbag2": open_bag,
-    "rosbag1": open_bag1,
-    "mat": open_mat,
-    "npz": open_npz,
-    "npy": open_npz,
-    "tdms": open_tdms,
+OPENERS = {
+    "mcap": ("mcap_", "open_mcap"),
+    "rosbag2": ("mcap_", "open_bag"),
+    "rosbag1": ("mcap_", "open_bag1"),
+    "mat": ("mat_", "open_mat"),
+    "npz": ("arrays", "open_npz"),
+    "npy": ("arrays", "open_npz"),
+    "tdms": ("arrays", "open_tdms"),
 }
-"""Formats of named signals; all others are tables."""
+"""Formats of named signals, each with module and name of its reader, which is imported when asked for; all others are
+tables."""
 
 
 @in_a_line
@@ -162,19 +158,15 @@ def read_unchecked(
                 f"{source.path}: layout {name} is for delimited text, expected auto or a mapping file (*.yaml)"
             )
     try:
-        clock = source.clock if isinstance(source, ArrayLog) else ""
-        mapping = canonical_mapping(source.names(), source.path, clock)
-    except LogError:
-        if isinstance(source, ArrayLog) and source.unread:
-            raise source.not_read() from None
-        raise
+        mapping = canonical_mapping(source.names(), source.path, source.clock)
+    except LogError as error:
+        raise source.not_read() or error from None
     return read_mapped(source, _sampled(mapping, sampled_hz))
 
 
 def _read_mapping(log: Path | str | Frame, mapping: LogMapping, sampled_hz: float | None) -> UncheckedLog:
     source = _open(log, (mapping.time, *(name for s in mapping.signals() for name in (s.signal, s.minus or s.signal))))
-    times = source.table.times if isinstance(source, _TableLog) else getattr(source, "times", ())
-    if mapping.time in times:
+    if mapping.time in source.times:
         mapping = mapping.model_copy(update={"time_unit": "s"})  # a date has no other
     return read_mapped(source, _sampled(mapping, sampled_hz))
 
@@ -204,14 +196,16 @@ def _open(log: Path | str | Frame, wanted: Iterable[str]) -> Source:
     if isinstance(log, Frame) or _is_table(log):
         return _TableLog(open_table(log, wanted))
     path = Path(log)
-    return open_bag(path) if is_bag(path) else OPENERS[format_of(path)](path)
+    module, name = OPENERS["rosbag2" if is_bag(path) else format_of(path)]
+    source: Source = getattr(import_module(f".{module}", __package__), name)(path)
+    return source
 
 
-class _TableLog:
+class _TableLog(Source):
     """A `Source` over the columns of a table, for mapping files."""
 
     def __init__(self, table: Table) -> None:
-        self.path, self.table, self.note = table.source, table, ""
+        self.path, self.table, self.note, self.times = table.source, table, "", table.times
 
     def names(self) -> tuple[str, ...]:
         return tuple(name for name in self.table.numbers if name)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,34 +48,36 @@ class Series:
     left_out: NDArray[np.bool_] | None = None
 
 
-class Source(Protocol):
-    """An open log of named signals."""
+class Source:
+    """An open log of named signals.
 
-    @property
-    def path(self) -> str:
-        """The file or folder, for messages."""
-        ...
+    Attributes:
+        path: the file or folder, for messages.
+        note: note to the user about the file, such as that it is cut off; empty for none.
+        clock: signal that is used as time where none has a known name; empty for none.
+        times: names of signals that were dates; they are in seconds since the first.
+    """
 
-    @property
-    def note(self) -> str:
-        """Note to the user about the file, such as that it is cut off; empty for none."""
-        ...
+    path: str
+    note: str
+    clock: str = ""
+    times: frozenset[str] = frozenset()
 
     def names(self) -> tuple[str, ...]:
         """Every signal that can be asked for."""
-        ...
+        raise NotImplementedError
 
     def series(self, signals: Sequence[str], time: str) -> list[Series]:
-        """The signals asked for.
-
-        Args:
-            signals: names, as in `names`.
-            time: `log`, `header`, or the name of a signal that holds time.
+        """The signals asked for; time is `log`, `header`, or the name of a signal that holds it.
 
         Raises:
             LogError: on a signal that is not there; names it and those that are.
         """
-        ...
+        raise NotImplementedError
+
+    def not_read(self) -> LogError | None:
+        """Error for a part of the file that cannot be read; None if everything can."""
+        return None
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from hystmpc.models.contract.metadata import ModelMetadata
 from hystmpc.models.simulator import Simulator
-from hystmpc.trials.clock_findings import gaps_text
 from hystmpc.trials.command_noise import noise_text
 from hystmpc.trials.errors import GapError
+from hystmpc.trials.findings import gaps_text
 from hystmpc.trials.recording import require_recorded
 from hystmpc.trials.trial import Trial, parts_at_gaps
 from hystmpc.trials.types import Mat, Vec

@@ -26,8 +26,8 @@ from hystmpc.models.operators.operator import Operator
 from hystmpc.models.operators.static_curves import Line
 from hystmpc.models.simulator import ChainModel, Simulator
 from hystmpc.trials.check import Severity
-from hystmpc.trials.clock_findings import clock_of, time_findings
 from hystmpc.trials.errors import GapError, LogError, ModelError
+from hystmpc.trials.findings import clock_of, time_findings
 from hystmpc.trials.segments import first_flexure_end
 from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Vec
