@@ -35,9 +35,7 @@ class ArrayLog(Source):
     """A `Source` over named arrays, such as the variables of a MATLAB file.
 
     Attributes:
-        path: the file.
         variables: by name; a struct is a mapping, a struct array or a cell a list, numbers are arrays.
-        note: what a user should know about the file.
         clocks: time stamps [s] of signals that have their own, by name of the signal.
         unread: variables that cannot be read, by name, and what to do.
         times: names of signals that were dates; they are in seconds since the first.
@@ -91,7 +89,7 @@ class ArrayLog(Source):
         *way, last = split_path(signal) or [signal]
         try:
             holder = walk(self.variables, way, single=True)
-            of_matrix = _is_matrix(holder) and isinstance(last, int)
+            of_matrix = isinstance(last, int) and isinstance(holder, np.ndarray) and np.squeeze(holder).ndim <= 2
             value = _along(holder, int(last)) if of_matrix else walk(holder, [last], single=True)
         except (KeyError, IndexError, TypeError):
             raise self._missing(signal) from None
@@ -116,10 +114,6 @@ class ArrayLog(Source):
             return None
         known = name if name in self.unread else next(iter(self.unread))
         return LogError(f"{self.path}: {shown(known, 40)} is {self.unread[known]}")
-
-
-def _is_matrix(value: Any) -> bool:
-    return isinstance(value, np.ndarray) and np.squeeze(value).ndim <= 2 and value.ndim >= 1
 
 
 def _along(value: Any, signal: int) -> Any:

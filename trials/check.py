@@ -35,8 +35,6 @@ def check(log: Log, layout: AnyLayout = "auto", sampled_hz: float | None = None)
     A file or frame is read leniently: what `read_trials` would refuse becomes a finding.
 
     Args:
-        log: a file, a ROS 2 bag, a data frame or a trial.
-        layout: its layout, see `read_trials`.
         sampled_hz: rate [Hz] of a log that was sampled evenly, whose time stamps are not looked at.
 
     Raises:
@@ -130,11 +128,7 @@ def require_sound(trial: Trial) -> None:
 
 
 def _require_seconds(trial: Trial) -> None:
-    """Refuse a trial whose time is most likely not in seconds.
-
-    Raises:
-        LogError: if its samples are a second or more apart, or come faster than those of any loop of this field.
-    """
+    """Refuse a trial whose time is most likely not in seconds."""
     unit = suspected_unit(trial.t)
     if unit is not None and unit.certain:
         rate = 1 / trial.dt
@@ -167,7 +161,6 @@ def motion_findings(trial: Trial, ranges: tuple[Range | None, Range | None]) -> 
     """Findings on a trial whose values are finite and in order.
 
     Args:
-        trial: any.
         ranges: plausible values of command and angle; None for those of a tip that bends.
     """
     span = float(np.ptp(trial.command))
@@ -302,7 +295,6 @@ class Rest:
 
     Attributes:
         start, stop: samples of the hold.
-        command: during it.
         angle: a recorded one of its end, their median.
         error: standard error of that angle.
         drift: speed of the angle there, its standard error on top [angle/s].
@@ -328,10 +320,6 @@ def _first_flexure(trial: Trial, parts: Segments) -> Finding:
     of plays that begin between their middle and the side of the flexure it is never wider at the start than half-way.
     Plays begin so where the command begins at zero, the end of its range. Anywhere else it is a set, or a play that
     began elsewhere.
-
-    Args:
-        trial: uniformly sampled.
-        parts: its segments.
     """
     unit, u = trial.units.command, trial.command
     if not parts.reversals.size:
@@ -469,9 +457,7 @@ def encoding_findings(
     """Codes, wraps and sign bits among the numbers of command and angle, and the trial without them.
 
     Args:
-        trial: as read.
         conversions: how command and angle were made of the numbers in the log.
-        where: names a sample for the reader.
     """
     findings = []
     signals = {"angle": trial.angle, "command": trial.command}

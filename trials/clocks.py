@@ -28,11 +28,7 @@ _SAME = 1.5  # a step of a clock that is longer than that many usual ones is a g
 
 @dataclass(frozen=True)
 class Interval:
-    """Bounds of the sampling interval of an evenly sampled log.
-
-    Attributes:
-        least, most: bounds [s].
-    """
+    """Bounds of the sampling interval of an evenly sampled log."""
 
     least: float
     most: float
@@ -108,7 +104,6 @@ class SuspectedUnit:
     Attributes:
         units: the unit, or two that are as likely, keys of `SECONDS`.
         certain: in seconds the rate would be none of this field.
-        read: what a mapping file needs to say.
     """
 
     units: tuple[str, ...]
@@ -128,7 +123,6 @@ def suspected_unit(t: Vec, turns: int = 0) -> SuspectedUnit | None:
     reversals of the command are most usual.
 
     Args:
-        t: stamps, in any order.
         turns: reversals of the command; 0 where they are not known.
     """
     interval = interval_of(t)

@@ -211,7 +211,6 @@ class MisplacedError(ValueError):
     """Error of a validator that knows the offending entry within its block.
 
     Args:
-        message: one line.
         at: keys and indices from the validated block to the entry.
     """
 
@@ -242,7 +241,6 @@ def place_in(path: Path | str, overrides: Sequence[str] = ()) -> Callable[[Locat
     """Function that names the place of an entry: `file.yaml, line 3`, or the override that set it.
 
     Args:
-        path: a YAML file; read again only when a place is asked for.
         overrides: `a.b=3` changes that were applied to it.
     """
 
@@ -314,7 +312,6 @@ class Settings(BaseModel):
         """Validate plain data.
 
         Args:
-            data: mappings, lists and scalars.
             where: the source's name, or a function that tells it for the keys and indices of an entry; left out, they
                 are the program's own, and may name classes of it.
 
@@ -341,13 +338,6 @@ def _misread_number(value: Any, annotation: Any) -> tuple[tuple[Any, ...], Any] 
     """First text or Boolean in `value` at a place where `annotation` allows only numbers.
 
     pydantic turns `true` into 1.0 and `"010"` into 10.0. Blocks (pydantic models) look after their own fields.
-
-    Args:
-        value: plain data.
-        annotation: of the field.
-
-    Returns:
-        Keys and indices from `value` to the entry, and the entry; None where there is none.
     """
     members = tuple(_members(annotation))
     if isinstance(value, str | bool):

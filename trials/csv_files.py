@@ -102,7 +102,6 @@ def read_csv(log: Path | str | Frame, layout: str | Layout = "auto", sampled_hz:
     not-a-number), and columns of text are left out.
 
     Args:
-        log: the file or frame.
         layout: its layout: a name, a `Layout`, or `auto` to tell it from the header.
         sampled_hz: rate [Hz] of a log that was sampled evenly, whose time stamps are not looked at.
 
@@ -135,29 +134,24 @@ def write_csv(trial: Trial, path: Path | str) -> Path:
     return write_atomically(path, format_table(columns))
 
 
-def open_table(log: Path | str | Frame, wanted: Iterable[str] = (), names: Sequence[str] = ()) -> Table:
+def open_table(log: Path | str | Frame, wanted: Iterable[str] = ()) -> Table:
     """The columns of delimited text, a LabVIEW measurement, a sheet of a workbook, or a data frame.
 
     Args:
-        log: the file or frame.
         wanted: names that tell the header row, and the sheet.
-        names: of the columns, where no row of the file names them.
-
-    Raises:
-        LogError: if the file cannot be read as a table.
     """
     if isinstance(log, Frame):
         return frame_table(log)
     if format_of(Path(log)) == "xlsx":
         return open_xlsx(log, wanted)
     lines = read_lines(log)
-    return lvm_table(lines, str(log)) if is_lvm(lines) else text_table(lines, str(log), wanted, names)
+    return lvm_table(lines, str(log)) if is_lvm(lines) else text_table(lines, str(log), wanted)
 
 
 def _table_and_layout(log: Path | str | Frame, layout: Layout | None) -> tuple[Table, Layout]:
     """Columns of a log, and their layout: the given one, otherwise the one that matches the header."""
     wanted = layout.known() if layout is not None else [name for layout in LAYOUTS for name in layout.known()]
-    table = open_table(log, wanted, layout.columns if layout is not None else ())
+    table = open_table(log, wanted)
     header, clock = table.header, _clock(table, (layout or CANONICAL).spelled(table.header), (layout or CANONICAL).time)
     if layout is None:
         try:

@@ -97,7 +97,6 @@ def encodings(values: Vec, other: Vec, dt: float, is_command: bool) -> list[Enco
         values: as logged (T,), finite.
         other: the command of an angle, the angle of a command (T,).
         dt: usual sample interval [s].
-        is_command: whether `values` is the command.
     """
     repairs: list[Encoding] = []
     late = max(1, round(_LATE_S / dt))

@@ -135,8 +135,6 @@ def require(package: str, extra: str, purpose: str) -> None:
     """Require an optional package; the error says what to install.
 
     Args:
-        package: import name.
-        extra: extra of hystmpc that brings it.
         purpose: what it is needed for, such as `reading ROS 2 bags`.
 
     Raises:

@@ -227,11 +227,7 @@ _WORD = re.compile(r"[a-z0-9]+")
 
 
 def write_figures(named: Iterable[tuple[str, str, Figure]]) -> None:
-    """Write figures where `figures_to` asks for them: `01-WORDS.svg`, `.pdf` and `.csv` for each, in their order.
-
-    Args:
-        named: heading above it, caption, figure.
-    """
+    """Write figures where `figures_to` asks for them: `01-WORDS.svg`, `.pdf` and `.csv` for each, in their order."""
     folder = figures_folder()
     if folder is None:
         return

@@ -28,8 +28,6 @@ class TrackedLine:
     """One closed loop along a motion.
 
     Attributes:
-        t: time [s], (T,).
-        angle_deg: (T,).
         lower: command or error, (T,).
     """
 
@@ -44,7 +42,6 @@ class TrackedMotion:
     """Closed loops along one motion.
 
     Attributes:
-        t: time [s], (T,).
         reference_deg: (T,); not drawn where all of it is NaN.
         approach_s: end of the approach, which does not count [s]; shaded.
     """
@@ -67,8 +64,6 @@ def tracking_figure(
     """Reference and angles over time, and below them the command or the error; a column for each motion.
 
     Args:
-        lower_label: of the lower axes, with the unit.
-        height: of the figure [inch].
         limits: of the command, drawn across the lower axes.
         held: whether the lower lines go in steps, as a command does that is held for a sample.
     """
@@ -101,10 +96,8 @@ class SimulatedTrial:
     """A recorded trial and simulations of it.
 
     Attributes:
-        t: time [s], (T,).
         measured: output and its look, (T,).
         runs: simulated outputs and their looks, (T,).
-        unit: of the output.
         first: first sample of the error that is drawn.
     """
 
@@ -117,11 +110,7 @@ class SimulatedTrial:
 
 
 def time_figure(trials: Sequence[SimulatedTrial], error: str = "residual") -> Figure:
-    """Measured and simulated output of each trial over time, and below them simulation less measurement.
-
-    Args:
-        error: name of the difference.
-    """
+    """Measured and simulated output of each trial over time, and below them simulation less measurement."""
     with new_figure(7.0, 0.7 + 2.6 * len(trials)) as figure:
         rows = figure.subplots(2 * len(trials), 1, height_ratios=(5, 3) * len(trials))
         for upper, lower, trial in zip(rows[::2], rows[1::2], trials, strict=True):

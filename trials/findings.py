@@ -60,7 +60,6 @@ class CheckReport:
     Attributes:
         source: path of the log.
         layout: layout it was read with, empty for a trial from memory.
-        findings: at least one per topic.
     """
 
     source: str
@@ -107,8 +106,6 @@ class Clock:
         t: stamps [s] as they were read, less wraps of a counter, (T,).
         wrap: of the counter, in `unit`.
         unit: in which the log has them, a key of `SECONDS`.
-        interval: of the samples, [s].
-        suspicion: that they are in another unit.
     """
 
     t: Vec
@@ -144,13 +141,7 @@ def sampled_time(clock: Clock) -> Vec:
 
 
 def time_findings(clock: Clock, command: Vec, angle: Vec, where: Callable[[int], str]) -> Iterator[Finding]:
-    """Findings on time stamps [s] that may repeat, run backwards or be missing.
-
-    Args:
-        clock: time stamps, (T,).
-        command, angle: signals, (T,).
-        where: names a sample for the reader.
-    """
+    """Findings on time stamps [s] that may repeat, run backwards or be missing."""
     t = clock.t
     kept = np.flatnonzero(np.isfinite(t))
     intervals = np.diff(t[kept])

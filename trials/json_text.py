@@ -35,11 +35,7 @@ def file_text(data: Any, indent: int = 1) -> str:
 
 
 def canonical(data: Any, default: Callable[[Any], Any] | None = None) -> str:
-    """One line of JSON, keys in order: equal texts for equal data.
-
-    Args:
-        default: makes plain data of anything that JSON does not know.
-    """
+    """One line of JSON, keys in order: equal texts for equal data."""
     return json.dumps(data, sort_keys=True, default=default)
 
 

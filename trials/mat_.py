@@ -124,10 +124,6 @@ class _Hdf5Tree:
     """Bounded reader of the objects of an HDF5 file, whose links may form loops.
 
     Nothing outside the file is opened, whatever the file says.
-
-    Raises:
-        LogError: if a group or a cell lies within itself, there are more objects or bytes than in any log, or data lie
-            outside the file.
     """
 
     def __init__(self, path: str, file: Any) -> None:

@@ -45,23 +45,17 @@ def format_mcap(
     out = BytesIO()
     writer = Writer(out)
     writer.start(profile="", library="hystmpc")
-    schema = writer.register_schema("hystmpc.Sample", "jsonschema", json.dumps(_schema(columns)).encode())
+    kinds = {name: ["number", "null"] if isinstance(c, np.ndarray) else ["string"] for name, c in columns.items()}
+    fields = {"type": "object", "properties": {name: {"type": kind} for name, kind in kinds.items()}}
+    schema = writer.register_schema("hystmpc.Sample", "jsonschema", json.dumps(fields).encode())
     channel = writer.register_channel(TOPIC, "json", schema)
     stamps = (start_ns + np.rint(1e9 * t).astype(np.int64)).tolist()
     for k, stamp in enumerate(stamps):
-        message = {name: _null_for_nan(column[k]) for name, column in values.items()}
+        row = {name: column[k] for name, column in values.items()}
+        message = {name: None if isinstance(v, float) and not math.isfinite(v) else v for name, v in row.items()}
         writer.add_message(channel, stamp, json.dumps(message, allow_nan=False).encode(), stamp, k)
     writer.finish()
     return out.getvalue()
-
-
-def _null_for_nan(value: Any) -> Any:
-    return None if isinstance(value, float) and not math.isfinite(value) else value
-
-
-def _schema(columns: Mapping[str, Any]) -> dict[str, Any]:
-    kinds = {name: ["number", "null"] if isinstance(c, np.ndarray) else ["string"] for name, c in columns.items()}
-    return {"type": "object", "properties": {name: {"type": kind} for name, kind in kinds.items()}}
 
 
 MAGIC = b"\x89MCAP0\r\n"
@@ -79,7 +73,6 @@ class McapRecords:
     """Messages of one file in the order in which they were written.
 
     Attributes:
-        path: the file.
         schemas, channels: by their ids, as far as they have been met.
         note: why reading ended before the end of the file; empty if it did not.
         left: bytes that may still be unpacked.
@@ -166,11 +159,7 @@ class McapRecords:
 
 
 def _unpacked(chunk: Any, most: int) -> bytes:
-    """Unpack the records of a chunk, within its declared size.
-
-    Raises:
-        ValueError: if it cannot be unpacked, or has other bytes.
-    """
+    """Unpack the records of a chunk, within its declared size; a ValueError says why it cannot be."""
     if chunk.compression == "":
         return chunk.data
     size = chunk.uncompressed_size
@@ -252,9 +241,6 @@ def open_bag(path: Path | str) -> MessageLog:
 
     A bag whose recorder was killed has no metadata.yaml: name the storage file itself. An mcap storage that was cut
     off gives what stands before the cut; an sqlite3 storage what the database still yields.
-
-    Args:
-        path: the bag's folder, or a storage file.
 
     Raises:
         LogError: if `rosbags` is not installed, or the bag cannot be read or holds no message.

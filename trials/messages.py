@@ -27,10 +27,8 @@ def cdr_decoder(message_type: str, encoding: str, definition: str) -> Decoder:
     """Decoder from the bytes of a message to an object with its fields.
 
     Args:
-        message_type: such as `std_msgs/msg/Float64`.
         encoding: of the definition, `ros2msg`, `ros2idl`, `ros1msg` (then the messages are those of ROS 1), or empty
             where the bag has none: then it must be one of the message types that come with ROS 2.
-        definition: the text of the definition.
 
     Raises:
         UnreadableError: if the type is not known or its definition cannot be read.
@@ -105,7 +103,6 @@ class Topic:
     """One topic of a log.
 
     Attributes:
-        name: as published.
         kind: message type or schema, for messages.
         decode: from the bytes of a message to mappings, sequences and numbers, or to an object with fields.
     """
@@ -121,10 +118,7 @@ class MessageLog(Source):
     """A `Source` over messages.
 
     Attributes:
-        path: the log.
-        topics: by name.
         messages: topic, time of the log [ns] and bytes of every message, in the order of the log.
-        note: what a user should know about the file.
     """
 
     path: str

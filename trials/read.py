@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
@@ -77,19 +78,12 @@ def read_trials(
     for log in several or expand_logs([]):  # which refuses to do without any
         files = expand_logs([log]) if isinstance(log, Path | str) else [log]
         trials += [read_log(file, layout, sampled_hz) for file in files]
-    trials = _with_unique_names(trials)
-    return trials if rate_hz is None else at_rate(trials, rate_hz)
-
-
-def _with_unique_names(trials: list[Trial]) -> list[Trial]:
-    """Trials with unique names: a number follows each name that occurs more than once."""
     counts, seen = Counter(trial.source for trial in trials), Counter[str]()
-    named = []
-    for trial in trials:
+    for k, trial in enumerate(trials):
         seen[trial.source] += 1
-        name = f"{trial.source} {seen[trial.source]}"
-        named.append(trial if counts[trial.source] == 1 else replace(trial, source=name))
-    return named
+        if counts[trial.source] > 1:
+            trials[k] = replace(trial, source=f"{trial.source} {seen[trial.source]}")
+    return trials if rate_hz is None else at_rate(trials, rate_hz)
 
 
 def read_log(log: Log, layout: AnyLayout = "auto", sampled_hz: float | None = None) -> Trial:
@@ -147,7 +141,8 @@ def read_unchecked(
     """
     layout = resolve(layout)
     if isinstance(layout, LogMapping):
-        return _read_mapping(log, layout, sampled_hz)
+        names = (name for signal in layout.signals() for name in (signal.signal, signal.minus or signal.signal))
+        return _read_mapped(_open(log, (layout.time, *names)), layout, sampled_hz)
     if _is_table(log):
         return read_columns(log, layout, sampled_hz)
     source = _open(log, ())
@@ -161,19 +156,13 @@ def read_unchecked(
         mapping = canonical_mapping(source.names(), source.path, source.clock)
     except LogError as error:
         raise source.not_read() or error from None
-    return read_mapped(source, _sampled(mapping, sampled_hz))
+    return _read_mapped(source, mapping, sampled_hz)
 
 
-def _read_mapping(log: Path | str | Frame, mapping: LogMapping, sampled_hz: float | None) -> UncheckedLog:
-    source = _open(log, (mapping.time, *(name for s in mapping.signals() for name in (s.signal, s.minus or s.signal))))
-    if mapping.time in source.times:
-        mapping = mapping.model_copy(update={"time_unit": "s"})  # a date has no other
-    return read_mapped(source, _sampled(mapping, sampled_hz))
-
-
-def _sampled(mapping: LogMapping, sampled_hz: float | None) -> LogMapping:
-    """The mapping of a log that was sampled evenly, where its rate is given."""
-    return mapping if sampled_hz is None else mapping.model_copy(update={"rate_hz": positive_rate(sampled_hz)})
+def _read_mapped(source: Source, mapping: LogMapping, sampled_hz: float | None) -> UncheckedLog:
+    changes: dict[str, object] = {"time_unit": "s"} if mapping.time in source.times else {}  # a date has no other
+    changes |= {} if sampled_hz is None else {"rate_hz": positive_rate(sampled_hz)}
+    return read_mapped(source, mapping.model_copy(update=changes))
 
 
 def resolve(layout: AnyLayout) -> AnyLayout:
@@ -247,11 +236,9 @@ def at_rate(trials: Iterable[Trial], rate_hz: float) -> list[Trial]:
         ConfigError, LogError: see `parts_at_gaps` and `resample`.
     """
     parts = remove_command_noise([part for trial in trials for part in parts_at_gaps(trial)])
-    return [part if _lies_at(part, rate_hz) else resample(part, rate_hz) for part in parts]
-
-
-def _lies_at(trial: Trial, rate_hz: float) -> bool:
-    try:
-        return bool(np.isclose(require_uniform(trial) * rate_hz, 1.0, rtol=1e-9))
-    except LogError:
-        return False
+    for k, part in enumerate(parts):
+        even = False
+        with suppress(LogError):
+            even = bool(np.isclose(require_uniform(part) * rate_hz, 1.0, rtol=1e-9))
+        parts[k] = part if even else resample(part, rate_hz)
+    return parts

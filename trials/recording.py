@@ -24,8 +24,7 @@ def require_recorded(trial: Trial) -> None:
     """Refuse a trial that is no recording: a motion proposed by a diagnosis, or wrong signals.
 
     Raises:
-        LogError: if its angle is the one that a diagnosis expects, or `check` finds time in
-            another unit, codes or jumps, see `require_sound`.
+        LogError: if its angle is the one that a diagnosis expects, or as `require_sound`.
     """
     if SEPARATION_COLUMN in trial.channels:
         raise LogError(f"{trial.source}: is a motion proposed by a diagnosis, expected what was recorded on it")
@@ -51,13 +50,7 @@ class RecordingManifest(Settings):
 
 
 def write_manifest(folder: Path, files: Sequence[Path], start: datetime | None = None) -> Path:
-    """Write the manifest of logs that were recorded into a folder in that order.
-
-    Args:
-        folder: of the logs.
-        files: in the order of recording.
-        start: of the session; now where left out.
-    """
+    """Write the manifest of logs that were recorded into a folder in that order; the session starts now if not given."""
     begun = (start or datetime.now(UTC)).isoformat()
     content = {"format": FORMAT, "start": begun, "recorded": [file.name for file in files]}
     return write_atomically(folder / MANIFEST, dump_yaml(content))

@@ -61,9 +61,6 @@ def new_figure(width: float = 7.0, height: float = 3.2) -> Iterator[StyledFigure
     """A figure in the style of the project, to be drawn on inside the `with` block; it stays valid after it.
 
     Not made through pyplot: nothing global keeps it alive, and no display is needed.
-
-    Args:
-        width, height: size [inch].
     """
     with mpl.rc_context(_style()):
         yield StyledFigure(figsize=(width, height))
@@ -147,13 +144,7 @@ Piece = Heading | Paragraph | Points | KeyValues | Table | Plot | Folded
 
 @dataclass(frozen=True)
 class Report:
-    """A page made of pieces.
-
-    Attributes:
-        title: title of the page.
-        pieces: what it shows, in order.
-        subtitle: one line below the title.
-    """
+    """A page made of pieces."""
 
     title: str
     pieces: tuple[Piece, ...]
@@ -205,7 +196,6 @@ def figure_svg(figure: Figure, prefix: str = "") -> str:
     """A figure as an `<svg>` element to be set into a page.
 
     Args:
-        figure: any matplotlib figure.
         prefix: put before every id, so that the figures of one page do not refer to each other's parts.
     """
     _print_as_it_is(figure)

@@ -7,7 +7,7 @@ import os
 import platform
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
@@ -71,8 +71,6 @@ class RunFolder:
         """Start a run: make the folder and write what was asked for.
 
         Args:
-            path: a new or empty folder.
-            settings: resolved settings, defaults included.
             seed: of the run's random numbers, None where it draws none.
             models: model files of the run; their SHA-256 is kept.
             command_line: how the run was started; the process's own where not given.
@@ -80,8 +78,11 @@ class RunFolder:
         Raises:
             ConfigError: if the path is a file, a folder that is not empty, or cannot be made; or a model is missing.
         """
-        folder = Path(path)
+        folder, installed = Path(path), dict[str, str]()
         require_vacant(folder)
+        for name in _PACKAGES:
+            with suppress(PackageNotFoundError):
+                installed[name] = version(name)
         meta = {
             "format": FORMAT,
             "start": datetime.now(UTC).isoformat(),
@@ -90,7 +91,7 @@ class RunFolder:
             "command_line": list(sys.argv if command_line is None else command_line),
             "seed": seed,
             "models": {str(model): file_hash(Path(model)) for model in models},
-            "versions": {"python": platform.python_version()} | {name: _version(name) for name in _PACKAGES},
+            "versions": {"python": platform.python_version()} | dict.fromkeys(_PACKAGES) | installed,
         }
         plain = settings.model_dump(mode="json") if isinstance(settings, Settings) else dict(settings)
         try:
@@ -247,11 +248,3 @@ def _column(values: ArrayLike | Sequence[str]) -> NDArray[np.generic] | tuple[st
     if array.dtype.kind == "b":
         return array.astype(np.int64)
     return tuple(str(value) for value in np.asarray(values, dtype=object))
-
-
-def _version(package: str) -> str | None:
-    """Installed version, None where the package is absent."""
-    try:
-        return version(package)
-    except PackageNotFoundError:
-        return None

@@ -86,11 +86,7 @@ class UncheckedLog:
 
     Attributes:
         t, command, angle: time [s], command and output in `units`, each (T,).
-        channels: further signals, (T,) each.
-        units: of command and angle.
-        source: path of the log.
         layout: name of the layout it was read with; empty for a trial from memory.
-        note: what a user should know about the file; empty if nothing.
         ranges: plausible values of command and angle; None for any.
         cells: of a table, where its samples stand.
     """
@@ -127,7 +123,6 @@ class Cells:
     """Cells of a table behind the samples of a log.
 
     Attributes:
-        table: of the log.
         names: columns of the log behind `t`, `command` and `angle`.
         rows: of the table, one a sample; None where every row is a sample.
     """
@@ -179,13 +174,16 @@ def read_mapped(source: Source, mapping: LogMapping) -> UncheckedLog:
     logged = source.series([*wanted, *taken], mapping.time if mapping.rate_hz is None else LOG_TIME)
     for name, series in zip([*wanted, *taken], logged, strict=True):
         if not series.values.size:
-            raise LogError(f"{source.path}: signal {name!r} is empty, expected samples{_and(source.note)}")
+            note = f" ({source.note})" if source.note else ""
+            raise LogError(f"{source.path}: signal {name!r} is empty, expected samples{note}")
     owners = [*mapping.signals(), *(signal for signal in mapping.signals() if signal.minus is not None)]
     logged = _differences(source.path, mapping, [_decoded(s, owner) for s, owner in zip(logged, owners, strict=True)])
     if mapping.rate_hz is not None:
         logged = [Series(np.arange(s.values.size) / mapping.rate_hz, s.values, s.left_out) for s in logged]
     elif own_time:
-        logged = [Series(_seconds(s.t, mapping), s.values, s.left_out) for s in logged]
+        wrap, unit_s = mapping.time_wraps_at, SECONDS[mapping.time_unit]
+        stamps = [s.t if wrap is None else without_wraps(s.t, wrap) for s in logged]
+        logged = [Series(t * unit_s, s.values, s.left_out) for t, s in zip(stamps, logged, strict=True)]
     elif np.isnan(logged[0].t).all():
         raise LogError(f"{source.path}: no time stamps of its own, expected `time: SIGNAL` or `rate_hz` in the mapping")
     else:
@@ -201,12 +199,6 @@ def _decoded(series: Series, settings: SignalSettings) -> Series:
     return Series(series.t, values, np.isnan(values) & ~np.isnan(series.values))
 
 
-def _seconds(t: Vec, mapping: LogMapping) -> Vec:
-    """Stamps of a time signal [s]."""
-    whole = t if mapping.time_wraps_at is None else without_wraps(t, mapping.time_wraps_at)
-    return whole * SECONDS[mapping.time_unit]
-
-
 def _shifted(series: Series, shift_s: float) -> Series:
     """Valid samples of a signal, with its stamps shifted."""
     if series.left_out is None or not series.left_out.any():
@@ -218,8 +210,6 @@ def canonical_mapping(names: Sequence[str], path: str, clock: str = "") -> LogMa
     """Mapping of a log whose signals have the names of canonical columns.
 
     Args:
-        names: of the signals.
-        path: of the log, for messages.
         clock: what stands in for a missing `time_s`: a signal that is one by its kind, or `log`; empty for none.
 
     Raises:
@@ -258,8 +248,6 @@ def walk(value: Any, steps: Sequence[str | int], single: bool = False) -> Any:
     """Follow keys, attributes and indices into a message; a text index looks up the message's list `name`.
 
     Args:
-        value: the message.
-        steps: as `split_path` gives them.
         single: whether the one element of a list may also be written without it, and `[0]` of what is no list: MATLAB
             makes no difference between a struct and an array of one.
 
@@ -383,10 +371,6 @@ def at_times(t: Vec, series: Series, hold: bool) -> Vec:
     else:
         values = np.interp(t, known.t, known.values)
     return np.where((t < known.t[0]) | (t > known.t[-1]), np.nan, values)
-
-
-def _and(note: str) -> str:
-    return f" ({note})" if note else ""
 
 
 _LEAST_ROWS = 10

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import re
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
@@ -32,6 +33,7 @@ degrees bar mbar kpa pa mpa psi v mv kv volt volts a ma n mn kn nmm k c °c degc
 units
 """
 _UNITS = frozenset(_UNIT_WORDS.split())
+_DECLARED = re.compile("sep=([^ ])", re.IGNORECASE)  # the first line of a file of Excel
 
 
 @dataclass(frozen=True)
@@ -40,7 +42,6 @@ class Grid:
 
     Attributes:
         delimiter: of the cells; empty where they are apart already.
-        header: names of the columns; empty where no row names them.
         header_row: index of the row that holds them, or of the first row of data.
         units: cells of the row of units below the header; empty where there is none.
         start, stop: rows of data, by index.
@@ -74,11 +75,6 @@ def grid_of_lines(lines: Sequence[str], source: str, wanted: Iterable[str] = ())
 
     The delimiter is the one that leaves the greatest share of cells with a number, a date or a time.
 
-    Args:
-        lines: of the file.
-        source: its path, for messages.
-        wanted: names of columns that a layout knows.
-
     Raises:
         LogError: if there are no rows, or more columns than in any log.
     """
@@ -94,17 +90,20 @@ def grid_of_lines(lines: Sequence[str], source: str, wanted: Iterable[str] = ())
         raise LogError(
             f"{source}, row {sample[0] + 1}: {len(lines[sample[0]])} characters in one row, expected delimited text"
         )
-    if declared := _declared_delimiter(lines[sample[0]]):
+    declared = _DECLARED.fullmatch(lines[sample[0]].strip("\r\n ").strip('"'))
+    if declared:
         del sample[0]
     if not sample:
         raise LogError(f"{source}: no rows, expected a header row and at least two rows of numbers")
     choices = {}
-    for delimiter in (declared,) if declared else _DELIMITERS:
+    for delimiter in (declared[1],) if declared else _DELIMITERS:
         choices[delimiter] = _judge([_judged(cells_of(_uncommented(lines[k]), delimiter)) for k in sample])
     delimiter = max(choices, key=lambda d: (choices[d][0], d != BLANK, choices[d][1]))
     purity, width = choices[delimiter]
-    if not purity:
-        delimiter = declared or _of_header(lines[sample[0]])
+    if not purity and not declared:  # names alone
+        names = lines[sample[0]]
+        delimiter = max(_DELIMITERS[:-1], key=names.count)
+        delimiter = delimiter if delimiter in names or len(names.split()) < 2 else BLANK
     return _located(lambda k: cells_of(lines[k], delimiter), sample, len(lines), delimiter, width, source, wanted)
 
 
@@ -119,18 +118,6 @@ def grid_of_cells(rows: Sequence[Sequence[str]], source: str, wanted: Iterable[s
         raise LogError(f"{source}: empty, expected a header row and at least two rows of numbers")
     _, width = _judge([_judged(rows[k]) for k in sample])
     return _located(lambda k: list(rows[k]), sample, len(rows), "", width, source, wanted)
-
-
-def _declared_delimiter(line: str) -> str:
-    """The delimiter that the first line of a file of Excel names: `sep=;`."""
-    text = line.strip("\r\n ").strip('"')
-    return text[4:5] if text[:4].lower() == "sep=" and len(text) <= 5 and text[4:5].strip(" ") else ""
-
-
-def _of_header(line: str) -> str:
-    """The delimiter of a row of names."""
-    delimiter = max(_DELIMITERS[:-1], key=line.count)
-    return delimiter if delimiter in line or len(line.split()) < 2 else BLANK
 
 
 def _uncommented(line: str) -> str:
@@ -240,7 +227,6 @@ class Table:
     """Columns of one file or data frame.
 
     Attributes:
-        source: path of the file, for messages.
         header: names of all columns in the order of the file; `[0]`, `[1]`, ... where no row names them.
         numbers: columns of numbers, each (T,), not-a-number where the cell is empty or says so.
         texts: columns of anything else, each of length T.
@@ -342,26 +328,21 @@ def frame_table(frame: Frame, source: str = "<frame>") -> Table:
     return Table(source, header, numbers, texts, times)
 
 
-def text_table(lines: Sequence[str], source: str, wanted: Iterable[str] = (), names: Sequence[str] = ()) -> Table:
+def text_table(lines: Sequence[str], source: str, wanted: Iterable[str] = ()) -> Table:
     """Columns of delimited text, wherever in it the table lies; see `grid_of_lines`.
 
     A last line that has no line end and too few cells was cut off while it was written: it is left out. A column that
     holds both numbers and texts is left to `texts`, with a fault.
 
-    Args:
-        lines: of the file; one of them is not blank.
-        source: its path, for messages.
-        wanted: names of columns that a layout knows.
-        names: of the columns, where no row of the file names them.
-
     Raises:
         LogError: on a column named twice, no rows or a ragged row.
     """
     grid = grid_of_lines(lines, source, wanted)
-    header = tuple(names) or grid.header or _numbered(len(cells_of(lines[grid.start], grid.delimiter)))
+    header = grid.header or _numbered(len(cells_of(lines[grid.start], grid.delimiter)))
     _require_once(header, f"{source}, row {grid.header_row + 1}")
     stop = grid.stop
-    if grid.start < stop == len(lines) and _is_unfinished(lines[-1], grid.delimiter, len(header)):
+    last = lines[-1]
+    if grid.start < stop == len(lines) and last.strip() and len(cells_of(last, grid.delimiter)) < len(header):
         stop -= 1
 
     @cache
@@ -375,15 +356,11 @@ def text_table(lines: Sequence[str], source: str, wanted: Iterable[str] = (), na
     else:
         converted = [Converted("number", np.ascontiguousarray(column)) for column in block.T]
         kept = []
-    return _table(source, grid, header, converted, kept, rows, bool(names) or bool(grid.header))
+    return _table(source, grid, header, converted, kept, rows, bool(grid.header))
 
 
 def sheet_table(rows: Sequence[Sequence[str]], source: str, wanted: Iterable[str] = ()) -> Table:
-    """Columns of rows of cells, such as those of a sheet; see `text_table`.
-
-    Raises:
-        LogError: on a column named twice, no rows or a ragged row.
-    """
+    """Columns of rows of cells, such as those of a sheet; errors as of `text_table`."""
     grid = grid_of_cells(rows, source, wanted)
     width = max((len(row) for row in rows[grid.start : grid.stop]), default=0)
     header = grid.header or _numbered(width)
@@ -403,16 +380,12 @@ def read_table(lines: Sequence[str], source: str) -> Table:
     table = text_table(lines, source)
     for name in table.faults:
         raise table.not_numbers(name)
-    empty = {name: k for k, name in enumerate(table.header) if name in table.numbers and _is_empty(table.numbers[name])}
+    empty = {n: k for k, n in enumerate(table.header) if n in table.numbers and np.isnan(table.numbers[n]).all()}
     rows = table.rows() if table.rows is not None and empty else ()
     cells = {name: tuple(row[k].strip() for _, row in rows) for name, k in empty.items()}
     words = {name: texts for name, texts in cells.items() if not {*map(str.lower, texts)} <= {"", "nan", "-nan"}}
     numbers = {name: values for name, values in table.numbers.items() if name not in words}
     return replace(table, numbers=numbers, texts={**table.texts, **words})  # `-` is a word of this package's own
-
-
-def _is_empty(values: Vec) -> bool:
-    return bool(np.isnan(values).all())
 
 
 def _table(
@@ -479,11 +452,6 @@ def _checked(rows: Iterable[Row], header: Sequence[str], source: str) -> list[Ro
 
 def _columns(rows: Sequence[Row], width: int) -> list[list[str]]:
     return [[cells[k] for _, cells in rows] for k in range(width)]
-
-
-def _is_unfinished(line: str, delimiter: str, width: int) -> bool:
-    """Whether the last line, which has no line end, was cut off before its last cell."""
-    return bool(line.strip()) and len(cells_of(line, delimiter)) < width
 
 
 def _fast(lines: Sequence[str], delimiter: str, width: int) -> Vec | None:

@@ -77,7 +77,12 @@ class Trial:
 
     def __post_init__(self) -> None:
         for name in ("t", "command", "angle"):
-            object.__setattr__(self, name, _signal(getattr(self, name), name, self.source))
+            vector = _vector(getattr(self, name), name, self.source)
+            bad = np.flatnonzero(~np.isfinite(vector))
+            if bad.size:
+                got = f"{name} is {vector[bad[0]]} at sample {bad[0]}"
+                raise LogError(f"{self.source}: {got}, expected finite values ({bad.size} such)")
+            object.__setattr__(self, name, vector)
         channels = {k: _vector(v, k, self.source) for k, v in self.channels.items()}
         object.__setattr__(self, "channels", MappingProxyType(channels))
         sizes = {"command": self.command.size, "angle": self.angle.size} | {k: v.size for k, v in channels.items()}
@@ -169,16 +174,6 @@ def _vector(values: ArrayLike, name: str, source: str) -> Vec:
     if vector.ndim != 1:
         raise LogError(f"{source}: {name} has shape {vector.shape}, expected one dimension (T,)")
     vector.setflags(write=False)
-    return vector
-
-
-def _signal(values: ArrayLike, name: str, source: str) -> Vec:
-    """Read-only copy of `values` with one dimension and finite numbers."""
-    vector = _vector(values, name, source)
-    bad = np.flatnonzero(~np.isfinite(vector))
-    if bad.size:
-        k = int(bad[0])
-        raise LogError(f"{source}: {name} is {vector[k]} at sample {k}, expected finite values ({bad.size} such)")
     return vector
 
 
@@ -282,7 +277,6 @@ def resample(trial: Trial, rate_hz: float, max_gap_s: float = MAX_GAP_S) -> Tria
     controller sent is not band-limited, and a filter would shift its turning points.
 
     Args:
-        trial: recorded at any, also varying, rate.
         rate_hz: rate of the result [Hz].
         max_gap_s: longest sample interval that is bridged [s].
 
