@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,7 +15,7 @@ from .findings import CheckReport as CheckReport
 from .findings import Finding as Finding
 from .findings import Severity as Severity
 from .findings import clock_of, sampled_time, time_findings
-from .layouts import ANGLE_UNIT_OF, COMMAND_UNIT_OF, LogMapping, SignalSettings
+from .layouts import ANGLE_UNIT_OF, COMMAND_UNIT_OF, LogMapping
 from .read import AnyLayout, Log, read_unchecked, resolve
 from .segments import Motion, Segments, segment
 from .signals import UncheckedLog
@@ -65,24 +65,17 @@ def _report(log: UncheckedLog, layout: AnyLayout | None = None) -> CheckReport:
         t, command, angle = rows.T[:3]
         findings += _short(t)
         trial = Trial(t, command, angle, units=log.units, source=log.source)
-        encoded, trial = encoding_findings(trial, _conversions(mapping), lambda k: log.where(int(rows[k, 3])))
+        conversions: Sequence[Conversion] = (Conversion(), Conversion())
+        if mapping is not None:
+            factors = (
+                COMMAND_UNIT_OF.get(mapping.command.unit, ("", 1.0)),
+                ANGLE_UNIT_OF.get(mapping.angle.unit, ("", 1.0)),
+            )
+            signals = zip((mapping.command, mapping.angle), factors, strict=True)
+            conversions = tuple(Conversion(factor * s.scale, factor * s.offset) for s, (_, factor) in signals)
+        encoded, trial = encoding_findings(trial, conversions, lambda k: log.where(int(rows[k, 3])))
         findings += [*encoded, *motion_findings(trial, log.ranges)]
     return CheckReport(log.source, log.layout, tuple(findings))
-
-
-def _conversions(mapping: LogMapping | None) -> tuple[Conversion, Conversion]:
-    """Conversions from the numbers in the log to command and angle."""
-    if mapping is None:
-        return Conversion(), Conversion()
-    command, angle = mapping.command, mapping.angle
-    return (
-        _from(command, COMMAND_UNIT_OF.get(command.unit, ("", 1.0))[1]),
-        _from(angle, ANGLE_UNIT_OF.get(angle.unit, ("", 1.0))[1]),
-    )
-
-
-def _from(settings: SignalSettings, factor: float) -> Conversion:
-    return Conversion(factor * settings.scale, factor * settings.offset)
 
 
 def _short(t: Vec) -> Iterator[Finding]:
@@ -409,15 +402,10 @@ def _may_be_play(trial: Trial, before: Rest, after: Rest, top: int) -> bool:
     if there is None or back is None:
         return True
     gap = (back - there) * rises
-    steeper = max(1.0, _steeper(there, back, before, after, float(y[top])))
-    return not abs(change) > _FULL_LOOP * steeper * max(gap, 0.0)
-
-
-def _steeper(there: float, back: float, before: Rest, after: Rest, top: float) -> float:
-    """Ratio of the slopes of the first and second half of the flexure."""
     middle, start = 0.5 * (there + back), 0.5 * (before.angle + after.angle)
-    far = abs(top - middle)
-    return abs(middle - start) / far if far > 0 else np.inf
+    far = abs(float(y[top]) - middle)  # the slopes of the first and second half of the flexure differ by this ratio
+    steeper = max(1.0, abs(middle - start) / far if far > 0 else np.inf)
+    return not abs(change) > _FULL_LOOP * steeper * max(gap, 0.0)
 
 
 def _at(u: Vec, y: Vec, start: int, stop: int, level: float) -> float | None:
@@ -452,7 +440,7 @@ class Conversion:
 
 
 def encoding_findings(
-    trial: Trial, conversions: tuple[Conversion, Conversion], where: Callable[[int], str]
+    trial: Trial, conversions: Sequence[Conversion], where: Callable[[int], str]
 ) -> tuple[list[Finding], Trial]:
     """Codes, wraps and sign bits among the numbers of command and angle, and the trial without them.
 

@@ -134,16 +134,6 @@ def require_known(path: Path | str, data: bytes) -> None:
         raise LogError(f"{path}: {name}, which is not read; {remedy}")
 
 
-def foreign_text(text: str) -> str:
-    """Name and remedy of text in a known format that is no table; empty if it may be one."""
-    head = text[:_HEAD]
-    if _JSON.match(head):
-        return f"JSON, which is not read; {_CSV}"
-    if _MARKUP.match(head):
-        return f"XML or HTML, which is not read; {_CSV}"
-    return ""
-
-
 _CONTROL = re.compile(r"[\x00-\x08\x0e-\x1f]")
 _MARKS = (
     (codecs.BOM_UTF8, "utf-8"),
@@ -169,8 +159,9 @@ def read_lines(path: Path | str) -> list[str]:
     text = _decoded(path, data)
     if not text.strip():
         raise LogError(f"{path}: empty file, expected a header row and at least two rows of numbers")
-    if foreign := foreign_text(text):
-        raise LogError(f"{path}: {foreign}")
+    for form, name in ((_JSON, "JSON"), (_MARKUP, "XML or HTML")):
+        if form.match(text[:_HEAD]):
+            raise LogError(f"{path}: {name}, which is not read; {_CSV}")
     return text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
 
 

@@ -50,7 +50,7 @@ class RecordingManifest(Settings):
 
 
 def write_manifest(folder: Path, files: Sequence[Path], start: datetime | None = None) -> Path:
-    """Write the manifest of logs that were recorded into a folder in that order; the session starts now if not given."""
+    """Write the manifest of logs that were recorded into a folder in that order; the session started now or then."""
     begun = (start or datetime.now(UTC)).isoformat()
     content = {"format": FORMAT, "start": begun, "recorded": [file.name for file in files]}
     return write_atomically(folder / MANIFEST, dump_yaml(content))

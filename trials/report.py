@@ -58,7 +58,7 @@ class StyledFigure(Figure):
 
 @contextmanager
 def new_figure(width: float = 7.0, height: float = 3.2) -> Iterator[StyledFigure]:
-    """A figure in the style of the project, to be drawn on inside the `with` block; it stays valid after it.
+    """A figure of a size [inch] in the style of the project, to be drawn on inside the `with` block; it stays valid.
 
     Not made through pyplot: nothing global keeps it alive, and no display is needed.
     """
@@ -279,13 +279,11 @@ def _block(piece: Piece, number: str, drawn: Callable[[Figure, str], str] = figu
         ]
         return {"kind": "table", "columns": piece.columns, "rows": rows, "caption": piece.caption}
     svg = drawn(piece.figure, f"figure-{number}-")
-    zoom = _in_script(zoomed(piece.figure)) if piece.zoom and drawn is figure_svg else ""
+    zoom = Markup("")
+    if piece.zoom and drawn is figure_svg:  # inside a script element, where `<` would end it
+        data = json.dumps(zoomed(piece.figure), separators=(",", ":"), allow_nan=False)
+        zoom = Markup(data.replace("<", "\\u003c"))
     return {"kind": "figure", "svg": Markup(svg), "caption": piece.caption, "id": f"figure-{number}", "zoom": zoom}
-
-
-def _in_script(data: Any) -> Markup:
-    """JSON text for a script element of a page, with `<` escaped."""
-    return Markup(json.dumps(data, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c"))
 
 
 def _cell(value: object) -> dict[str, object]:
@@ -293,11 +291,6 @@ def _cell(value: object) -> dict[str, object]:
     is_number = isinstance(value, int | float) and not isinstance(value, bool)
     text = ("-" if math.isnan(value) else f"{value:.4g}") if isinstance(value, float) else str(value)
     return {"text": text, "is_number": is_number, "marked": False}
-
-
-def _prose(text: str) -> Markup:
-    """A sentence with what stands between backticks set as code."""
-    return Markup(_CODE.sub(r"<code>\1</code>", str(escape(text))))
 
 
 def _resource(name: str) -> str:
@@ -309,5 +302,5 @@ def _template() -> jinja2.Template:
     environment = jinja2.Environment(
         autoescape=True, trim_blocks=True, lstrip_blocks=True, undefined=jinja2.StrictUndefined
     )
-    environment.filters["prose"] = _prose
+    environment.filters["prose"] = lambda text: Markup(_CODE.sub(r"<code>\1</code>", str(escape(text))))
     return environment.from_string(_resource("report.html.j2"))
