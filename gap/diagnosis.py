@@ -321,6 +321,11 @@ class Diagnosis:
         return bool(self.effects) and self.stability is not None and self.stability.flips
 
     @property
+    def probabilities(self) -> dict[str, float]:
+        """Probability of every effect by name."""
+        return dict(self.ranking) | {effect.name: effect.probability for effect in self.effects}
+
+    @property
     def kept_as_given(self) -> bool:
         """Whether retuning was not taken, since it did not lower the error of the final trials."""
         return bool(self.retuned) and all(given == retuned for given, retuned in self.retuned.values())

@@ -161,7 +161,9 @@ class TrackingFall:
     @property
     def share(self) -> float:
         """Measured fall as a share of the error before; not-a-number without an earlier run."""
-        return math.nan if self.before is None else _share(self.before.rmse_deg, self.after.rmse_deg)
+        if self.before is None:
+            return math.nan
+        return TrackingGap(self.before.rmse_deg, self.after.rmse_deg).fall_share
 
     @property
     def agrees(self) -> bool:
@@ -286,12 +288,8 @@ def _expected(run: MeasuredRun, nominal: Simulator, corrected: Simulator) -> Tra
         return TrackingGap(why_not=f"the closed loop could not be simulated ({error})")
 
 
-def _share(before: float, after: float) -> float:
-    return (before - after) / before if before > 0 else 0.0
-
-
 def _row(before: float, after: float) -> tuple[float, float, float]:
-    return before, after, 100 * _share(before, after)
+    return before, after, 100 * TrackingGap(before, after).fall_share
 
 
 def _measured_line(fall: TrackingFall) -> str:

@@ -25,7 +25,7 @@ from ..logs.sensor import white_noise
 from ..logs.trial_choice import NEEDS_ORDER
 from ..residual import Localisation
 from .ambiguity import ambiguity_of, drift_is_significant, inclusion_shares
-from .gap_closed import GapClosed, measure, measured_blocks
+from .gap_closed import FinalErrors, GapClosed, measured_blocks
 from .remaining_structure import Jumps, find_jumps, structure_left
 from .retuning import Retuning, reidentified_share, retuning_of, width_grown
 from .verdict import AT_FLOOR, WIDTH_GROWN, FinalFacts, VerdictDecision, VerdictFacts, decide_verdict, residual_ratio
@@ -178,8 +178,10 @@ def confirm(prepared: PreparedTrials, attribution: Attribution, seed: int) -> Co
     if decision.verdict == "unknown" and repeatable.kind == "repeats" and _at_floor(closed, repeatable.rmse_deg):
         # What differs between repeats is the gap, not its floor.
         floor = NoiseFloor(repeatable.noise_deg, "noise", repeatable.noise_deg)
-        closed = measure(prepared, attribution.validation, retuned, retuned, floor, decision.sensor, None, seed)
-    return Conclusion(decision, facts, chosen, floor, closed.with_repeats(repeatable))
+        closed = FinalErrors(prepared, attribution.validation, retuned, retuned, floor, decision.sensor, seed).closed()
+    differ_deg = repeatable.rmse_deg if repeatable.kind == "repeats" else math.nan
+    closed = replace(closed, gap=replace(closed.gap, repeats_rmse_deg=differ_deg))
+    return Conclusion(decision, facts, chosen, floor, closed)
 
 
 def as_given_if_better(prepared: PreparedTrials, attribution: Attribution) -> Attribution:
@@ -200,9 +202,8 @@ def _confirmed_causes(
     """Drop causes that do not significantly lower the final error; facts, simulator, floor and errors without them."""
     while True:
         floor, jumps = floor_of(prepared, chosen), attribution.jumps if facts.jumps else None
-        closed = measure(
-            prepared, attribution.validation, attribution.retuned, chosen, floor, facts.sensor, jumps, seed
-        )
+        fitted = attribution.validation, attribution.retuned, chosen
+        closed = FinalErrors(prepared, *fitted, floor, facts.sensor, seed, jumps).closed()
         weakest = closed.unproven({names[0] for names in facts.ambiguity})
         if not weakest:
             return replace(facts, jumps="stick_slip" in closed.causes and facts.jumps), chosen, floor, closed

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Container, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import final
@@ -163,65 +162,11 @@ class GapClosed:
         """Error of the simulator as given over that of the retuned one, mean squares."""
         return (self.gap.nominal_rmse_deg / max(self.gap.retuned_rmse_deg, _LEAST_DEG)) ** 2
 
-    def with_repeats(self, floor: NoiseFloor) -> GapClosed:
-        """The same sizes with the RMS difference of repeated motions."""
-        rmse = floor.rmse_deg if floor.kind == "repeats" else math.nan
-        return replace(self, gap=replace(self.gap, repeats_rmse_deg=rmse))
-
 
 def negligible_cause(shares: Mapping[str, float], replaceable: Container[str]) -> str:
     """Name of the replaceable cause with the smallest closed share, if that is below 5 %; empty where there is none."""
     small = [name for name in shares if name in replaceable and shares[name] < _LEAST_SHARE]
     return min(small, key=lambda name: shares[name]) if small and len(shares) > 1 else ""
-
-
-def measure(
-    prepared: PreparedTrials,
-    validation: CrossValidation,
-    retuned: Hypothesis,
-    chosen: Hypothesis,
-    floor: NoiseFloor,
-    sensor: bool,
-    jumps: Jumps | None,
-    seed: int,
-) -> GapClosed:
-    """Measure the gap on the final trials with and without the causes.
-
-    Noise of a faulty sensor and jumps of a tip that sticks cannot be predicted by a free run. A simulator that has them
-    leaves their energy, so that it counts as closed: that of the noise, and in each block up to that of a sawtooth of
-    the height of the jumps. Jumps that close less than 5 % of the gap are no cause.
-
-    Args:
-        retuned, chosen: the simulator without and with its causes.
-        jumps: of the tip, where they are a cause.
-    """
-    unpredicted = jumps.mse if jumps is not None and "stick_slip" not in chosen.effects else 0.0
-    final_errors = FinalErrors(prepared, validation, retuned, chosen, floor, sensor, seed, unpredicted)
-    identified, shares = _parameters(chosen, prepared), final_errors.shares
-    causes = {}
-    for name, (share, ci90) in shares.of_causes(chosen.effects, final_errors.blocks).items():
-        without = final_errors.blocks(chosen.effects - {name})
-        causes[name] = ClosedByCause(share, ci90, float(np.sqrt(without.mse)), identified[name])
-    if sensor:
-        faulty = measured_blocks(prepared, chosen)
-        share = shares.closed(shares.before.mse - faulty.mse + final_errors.after.mse)
-        ci90, rmse = shares.interval(faulty, final_errors.after), float(np.sqrt(faulty.mse))
-        signs = prepared.signs
-        parameters = {
-            "resolution_deg": signs.quantisation_deg if signs.coarse else 0.0,
-            "sigma_deg": signs.noise_deg,
-            "outlier_rate": signs.spike_rate if signs.spikes else 0.0,
-            "dropout_rate": signs.held_rate if signs.drops else 0.0,
-        }
-        causes["sensor"] = ClosedByCause(share, ci90, rmse, parameters)
-    if jumps is not None and "stick_slip" not in chosen.effects:
-        left = without_sawtooth(final_errors.after, jumps.mse)
-        share = shares.closed(left.mse) - shares.closed(final_errors.after.mse)
-        if share >= _LEAST_SHARE:
-            ci90, rmse = shares.interval(final_errors.after, left), float(np.sqrt(final_errors.after.mse))
-            causes["stick_slip"] = ClosedByCause(share, ci90, rmse, jumps.parameters)
-            final_errors.after = left
-    return GapClosed(final_errors.gap(), causes, shares.spread)
 
 
 def without_sawtooth(blocks: Blocks, mse: float) -> Blocks:
@@ -231,11 +176,20 @@ def without_sawtooth(blocks: Blocks, mse: float) -> Blocks:
 
 @final
 class FinalErrors:
-    """Errors on the final trials of the simulator with any of its causes.
+    """Errors on the final trials of the simulator with any of its causes, and what these close.
+
+    Noise of a faulty sensor and jumps of a tip that sticks cannot be predicted by a free run. A simulator that has them
+    leaves their energy, so that it counts as closed: that of the noise, and in each block up to that of a sawtooth of
+    the height of the jumps.
 
     Attributes:
         after: of the corrected simulator; less the excess noise of a faulty sensor, where the sensor is a cause.
         shares: what the causes close; before them the retuned simulator, against the angles as measured.
+
+    Args:
+        retuned, chosen: the simulator without and with its causes.
+        sensor: whether the sensor is a cause.
+        jumps: of the tip, where they are a cause.
     """
 
     def __init__(
@@ -247,14 +201,16 @@ class FinalErrors:
         floor: NoiseFloor,
         sensor: bool,
         seed: int,
-        jumps_mse: float = 0.0,
+        jumps: Jumps | None = None,
     ) -> None:
         self._prepared, self._validation, self._retuned, self._chosen = prepared, validation, retuned, chosen
-        self._floor = floor
+        self._floor, self._sensor = floor, sensor
+        self._jumps = None if "stick_slip" in chosen.effects else jumps
         corrected = final_blocks(chosen, prepared.final)
         self._parts = {frozenset(chosen.effects): corrected}
         before = measured_blocks(prepared, retuned)
         self.after = self.without_sensor_noise(corrected) if sensor else measured_blocks(prepared, chosen)
+        jumps_mse = self._jumps.mse if self._jumps is not None else 0.0
         excess = jumps_mse + (prepared.excess_mse if sensor else 0.0)  # repeats differ by them
         lowest = max(floor.rmse_deg**2 - excess, _LEAST_FLOOR * floor.rmse_deg**2)
         floor_mse = min(lowest, self.after.mse, before.mse)
@@ -287,6 +243,33 @@ class FinalErrors:
                 part = self._validation.polished(without)
             self._parts[kept] = final_blocks(part, self._prepared.final)
         return self._parts[kept]
+
+    def closed(self) -> GapClosed:
+        """Sizes of the gap, and what each cause closes; jumps that close less than 5 % of the gap are no cause."""
+        chosen, prepared, shares, causes = self._chosen, self._prepared, self.shares, dict[str, ClosedByCause]()
+        identified = _parameters(chosen, prepared)
+        for name, (share, ci90) in shares.of_causes(chosen.effects, self.blocks).items():
+            rmse = float(np.sqrt(self.blocks(chosen.effects - {name}).mse))
+            causes[name] = ClosedByCause(share, ci90, rmse, identified[name])
+        if self._sensor:
+            faulty, signs = measured_blocks(prepared, chosen), prepared.signs
+            share = shares.closed(shares.before.mse - faulty.mse + self.after.mse)
+            parameters = {
+                "resolution_deg": signs.quantisation_deg if signs.coarse else 0.0,
+                "sigma_deg": signs.noise_deg,
+                "outlier_rate": signs.spike_rate if signs.spikes else 0.0,
+                "dropout_rate": signs.held_rate if signs.drops else 0.0,
+            }
+            rmse = float(np.sqrt(faulty.mse))
+            causes["sensor"] = ClosedByCause(share, shares.interval(faulty, self.after), rmse, parameters)
+        if self._jumps is not None:
+            left, rmse = without_sawtooth(self.after, self._jumps.mse), float(np.sqrt(self.after.mse))
+            share = shares.closed(left.mse) - shares.closed(self.after.mse)
+            if share >= _LEAST_SHARE:
+                ci90 = shares.interval(self.after, left)
+                causes["stick_slip"] = ClosedByCause(share, ci90, rmse, self._jumps.parameters)
+                self.after = left
+        return GapClosed(self.gap(), causes, shares.spread)
 
     def gap(self) -> Gap:
         """Sizes of the gap."""

@@ -7,7 +7,7 @@ import itertools
 import math
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -31,20 +31,12 @@ _LEAST_SPLITS = 8  # with fewer, blocks of the errors are drawn as well
 Names = frozenset[str]
 
 
-@dataclass(frozen=True, eq=False)
-class _TrialSplit:
-    """Development and final runs of one resample; blocks are drawn with replacement where `seed` is given."""
-
-    development: tuple[int, ...]
-    final: tuple[int, ...]
-    seed: int | None
+_TrialSplit = tuple[tuple[int, ...], tuple[int, ...], int | None]
+"""Development and final runs of one resample, and the seed of blocks drawn with replacement; None draws none."""
 
 
 def stability_of(
-    prepared: PreparedTrials,
-    attribution: Attribution,
-    conclusion: Conclusion,
-    seed: int,
+    prepared: PreparedTrials, attribution: Attribution, conclusion: Conclusion, seed: int
 ) -> Stability | None:
     """Stability: share of resampled splits of the trials with the same verdict and the same effects.
 
@@ -101,19 +93,13 @@ def _splits(development: int, final: int, ordered: bool, seed: int) -> Iterator[
     repeats = 1 if count >= _LEAST_SPLITS else math.ceil(RESAMPLES / 2 / count)
     for k, part in enumerate(itertools.product(chosen, range(repeats))):
         rest = tuple(run for run in runs if run not in part[0])
-        yield _TrialSplit(rest, tuple(sorted(part[0])), None if repeats == 1 else seed + k)
+        yield rest, tuple(sorted(part[0])), None if repeats == 1 else seed + k
 
 
 class _ResampledVerdict:
     """Verdicts on resampled splits, by the errors of the hypotheses that were fitted once."""
 
-    def __init__(
-        self,
-        prepared: PreparedTrials,
-        attribution: Attribution,
-        conclusion: Conclusion,
-        seed: int,
-    ) -> None:
+    def __init__(self, prepared: PreparedTrials, attribution: Attribution, conclusion: Conclusion, seed: int) -> None:
         self._facts, self._seed = conclusion.facts, seed
         self._floor, self._form_mse = conclusion.floor, prepared.form_mse
         self._spread, self._moved = conclusion.closed.spread, conclusion.closed.moved
@@ -130,10 +116,9 @@ class _ResampledVerdict:
 
     def verdict(self, split: _TrialSplit) -> tuple[Verdict, Names]:
         """Verdict and names of the effects on that split."""
-        tried = {names: _errors_on_runs(judged, split.development, split.seed) for names, judged in self._tried.items()}
-        final: dict[Names, Blocks] = {
-            n: _errors_on_runs(judged, split.final, split.seed) for n, judged in self._tried.items()
-        }
+        development, end, seed = split
+        tried = {names: _errors_on_runs(judged, development, seed) for names, judged in self._tried.items()}
+        final: dict[Names, Blocks] = {n: _errors_on_runs(judged, end, seed) for n, judged in self._tried.items()}
         selection = select_again(tried, SelectionSettings(), self._facts.floor_mse, self._faults_mse)
         names = selection.chosen.hypothesis.effects
         facts = replace(

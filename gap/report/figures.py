@@ -11,7 +11,6 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
-from numpy.typing import NDArray
 from scipy.signal import welch
 
 from hystmpc.models.identify.uncertainty import Interval
@@ -185,7 +184,7 @@ def _label(diagnosis: Diagnosis, name: str) -> str:
 
 
 def _probabilities(axes: Axes, diagnosis: Diagnosis, names: Sequence[str]) -> None:
-    chance = dict(diagnosis.ranking) | {effect.name: effect.probability for effect in diagnosis.effects}
+    chance = diagnosis.probabilities
     for k, name in enumerate(names):
         value = chance.get(name, np.nan)
         colour, hatch = _look(diagnosis, name)
@@ -340,7 +339,7 @@ def loops(trials: Sequence[TrialRuns], unit: str, stages: Sequence[Stage]) -> Fi
     panels = []
     for trial in trials:
         command = trial.trial.command
-        runs = [(command, run, _LOOK[stage]) for stage, run in zip(stages, _runs(trial, stages), strict=True)]
+        runs = [(command, getattr(trial, stage), _LOOK[stage]) for stage in stages]
         panels.append(LoopPanel(trial.name, [(command, trial.trial.angle, REAL), *runs]))
     return loop_figure(panels, unit, trials[0].trial.units.angle)
 
@@ -350,7 +349,7 @@ def over_time(trials: Sequence[TrialRuns], stages: Sequence[Stage]) -> Figure:
     shown = []
     for evidence in trials:
         trial = evidence.trial
-        runs = [(run, _LOOK[stage]) for stage, run in zip(stages, _runs(evidence, stages), strict=True)]
+        runs = [(getattr(evidence, stage), _LOOK[stage]) for stage in stages]
         title, t = shortened(evidence.name, 60), trial.t - trial.t[0]
         shown.append(SimulatedTrial(title, t, (trial.angle, REAL), runs, trial.units.angle))
     return time_figure(shown)
@@ -383,10 +382,6 @@ def _densest_start(trial: TrialRuns) -> int:
     if energy.size <= size:
         return trial.start
     return trial.start + int(np.argmax(energy[size:] - energy[:-size]))
-
-
-def _runs(trial: TrialRuns, stages: Sequence[Stage]) -> list[NDArray[np.float64]]:
-    return [getattr(trial, stage) for stage in stages]
 
 
 def share_figure(places: Mapping[str, ResidualShare]) -> Figure:

@@ -117,14 +117,9 @@ def _causes(diagnosis: Diagnosis) -> list[str]:
 
 def ambiguous_sets(diagnosis: Diagnosis) -> list[str]:
     """Every set of effects that these trials cannot tell apart, the most probable first, as `lag or delay`."""
-    chance = probabilities(diagnosis)
+    chance = diagnosis.probabilities
     sets = (sorted(names, key=lambda name: -chance.get(name, 0.0)) for names in diagnosis.ambiguity)
     return [listed([in_words(name) for name in names], "or") for names in sets]
-
-
-def probabilities(diagnosis: Diagnosis) -> dict[str, float]:
-    """Probability of every effect by name."""
-    return dict(diagnosis.ranking) | {effect.name: effect.probability for effect in diagnosis.effects}
 
 
 def closed_sentence(diagnosis: Diagnosis) -> str:
@@ -471,7 +466,7 @@ def _recording(motion: NextMotion) -> list[str]:
 
 def _probability(diagnosis: Diagnosis) -> str:
     """Probabilities of the effects found and of those they may stand for; else of the most likely one."""
-    chance = probabilities(diagnosis)
+    chance = diagnosis.probabilities
     effects = [effect.name for effect in diagnosis.effects]
     shown = list(dict.fromkeys([*effects, *(name for names in diagnosis.ambiguity for name in names)]))
     if not shown:
