@@ -95,7 +95,12 @@ def expected_tracking(
     alone = np.sqrt(_squares(laws, UnexplainedPlant(corrected, seeds[0], explained=True), motions)[0].mean(axis=0))
     if why_not := _undetermined(gap, TrackingGap(*alone.tolist()), floor_deg):
         return TrackingGap(why_not=why_not), ()
-    return gap, tuple(_curve(motion, pair, plant.dt) for motion, pair in zip(motions, runs, strict=True))
+    curves = []
+    for motion, pair in zip(motions, runs, strict=True):
+        (before_deg, after_deg), log = (run.true_deg for run in pair), pair[0].log
+        first = motion.first(plant.dt)
+        curves.append(TrackingCurve(motion.name, log.time_s, log.reference_deg, before_deg, after_deg, first))
+    return gap, tuple(curves)
 
 
 def _squares(
@@ -121,12 +126,6 @@ def _undetermined(gap: TrackingGap, alone: TrackingGap, floor_deg: float) -> str
         f"what the corrected simulator leaves unexplained decides the fall of the error: {100 * low:.0f} % to "
         f"{100 * high:.0f} %, expected within {100 * AGREEMENT:.0f} % of each other"
     )
-
-
-def _curve(motion: CountedMotion, pair: Sequence[ClosedLoopRun], dt_s: float) -> TrackingCurve:
-    log, first = pair[0].log, motion.first(dt_s)
-    before, after = (run.true_deg for run in pair)
-    return TrackingCurve(motion.name, log.time_s, log.reference_deg, before, after, first)
 
 
 def _controller(simulator: Simulator, settings: LawSettings, limits: CommandLimits) -> Controller[Any]:

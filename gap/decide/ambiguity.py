@@ -144,13 +144,9 @@ def probability(name: str, share: float, ambiguous: bool, stability: float, untr
         untried: whether the library lacks an effect with which it can be confounded.
     """
     sure = min(max(share, 0.0), 1.0) * stability**2
-    logit = _BIAS + _AMBIGUOUS * ambiguous + _SURE * sure + _GENERIC * _is_generic(name) * (1 - sure)
+    generic = name in EFFECTS and EFFECTS[name].generic  # it can imitate almost any other: its name is less certain
+    logit = _BIAS + _AMBIGUOUS * ambiguous + _SURE * sure + _GENERIC * generic * (1 - sure)
     return 1 / (1 + math.exp(-logit - _UNTRIED * untried))
-
-
-def _is_generic(name: str) -> bool:
-    """Whether an effect can imitate almost any other, and causes that the library lacks: its name is less certain."""
-    return name in EFFECTS and EFFECTS[name].generic
 
 
 def limited_by_inclusion(chance: float, inclusion: float) -> float:

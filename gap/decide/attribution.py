@@ -99,6 +99,7 @@ def attribute(
         library, without = (), (*left_out, *OWN_TO_TRIALS)
     selection = select(validation, library, SelectionSettings(), floor_mse, without, advance, prepared.excess_mse)
     baseline, grown = selection.baseline, width_grown(selection.chosen.hypothesis)
+    step_mse = prepared.signs.quantisation_deg**2 / 12.0
     retuning = Retuning() if unusable else retuning_of(prepared, retuned, baseline.mse)
     if not unusable and grown >= WIDTH_GROWN:
         retuning = replace(retuning, reidentified_share=reidentified_share(prepared, validation, baseline, floor_mse))
@@ -119,7 +120,7 @@ def attribute(
             ambiguity=ambiguity_of(selection, drift_test(validation)),
             sensor="sensor" not in without and _sensor_matters(prepared, selection),
             sensor_gap=_is_gap(prepared, prepared.excess_mse + _repair_mse(prepared)),
-            new_step="sensor" not in without and _step_matters(prepared, baseline.mse),
+            new_step="sensor" not in without and prepared.new_step and step_mse >= _STEP_SHARE * baseline.mse,
             jumps=jumping,
             too_little=bool(prepared.too_little),
             unrelated=bool(prepared.checked.unrelated),
@@ -241,11 +242,6 @@ def _sensor_matters(prepared: PreparedTrials, selection: Selection) -> bool:
     noise = signs.energy if signs.noisy or (signs.coarse and prepared.excess_mse > 0) else 0.0
     good_part = noise > _NOISE_SHARE * left or mended > _MENDED_SHARE * left
     return good_part or _is_gap(prepared, mended + (prepared.excess_mse if signs.coarse else 0.0))
-
-
-def _step_matters(prepared: PreparedTrials, mse: float) -> bool:
-    """Whether the readings have a new quantisation step whose error is a relevant share of the retuned error."""
-    return prepared.new_step and prepared.signs.quantisation_deg**2 / 12.0 >= _STEP_SHARE * mse
 
 
 def _repair_mse(prepared: PreparedTrials) -> float:

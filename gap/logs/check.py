@@ -100,8 +100,9 @@ def check_trials(
     else:
         unrelated = _UNRELATED
     excitation = excitation_of(chosen.trials, ordered)
-    notes = (*left_out, *_gap_notes(trials), *(n for trial in chosen.given for n in _log_notes(trial)))
-    notes = (*notes, *_set_notes(excitation))
+    gaps = ((trial, gaps_text(trial, parts_at_gaps(trial))) for trial in trials)
+    cut = [f"{Path(trial.source).name}: gaps in time; {said}." for trial, said in gaps if said]
+    notes = (*left_out, *cut, *(n for trial in chosen.given for n in _log_notes(trial)), *_set_notes(excitation))
     return CheckedTrials(
         **vars(chosen), excitation=excitation, notes=notes, left_out=tuple(left_out), unrelated=unrelated
     )
@@ -199,12 +200,6 @@ def _name(trials: Sequence[Trial]) -> str:
 def _unit_remark(factor: float, units: dict[float, str]) -> str:
     near = sorted((abs(math.log(factor / known)), name) for known, name in units.items())
     return f": looks like {near[0][1]}" if near and near[0][0] < math.log(_UNIT_FACTOR) else ""
-
-
-def _gap_notes(trials: Sequence[Trial]) -> Iterator[str]:
-    for trial in trials:
-        if said := gaps_text(trial, parts_at_gaps(trial)):
-            yield f"{Path(trial.source).name}: gaps in time; {said}."
 
 
 def _log_notes(trial: Trial) -> Iterator[str]:

@@ -77,6 +77,7 @@ def excitation_of(trials: Sequence[Trial], ordered: bool = True) -> Excitation:
     all_moves = [move for trial_moves in moves for move in trial_moves]
     bottom = [trial.command <= low + _LOW * span for trial in trials]
     holds = [stop - start for part in parts for start, stop in part.holds]
+    firsts = range(1 if ordered else len(trials))  # trials that may have been recorded first
     return Excitation(
         motions=tuple(motion_type(trial, part) for trial, part in zip(trials, parts, strict=True)),
         repeats=find_repeats(trials),
@@ -88,7 +89,7 @@ def excitation_of(trials: Sequence[Trial], ordered: bool = True) -> Excitation:
         low_s=sum(int(np.count_nonzero(inside)) for inside in bottom) * dt,
         low_visits=sum(int(np.count_nonzero(np.diff(b.astype(np.int8), prepend=0) == 1)) for b in bottom),
         top_levels=_top_levels(trials, parts, low, span),
-        opening_repeated=all(_opening_repeated(trial_moves, span) for trial_moves in _openings(moves, ordered)),
+        opening_repeated=all(_opening_repeated([*moves[k:], *moves[:k]], span) for k in firsts),
     )
 
 
@@ -119,11 +120,6 @@ def _top_levels(trials: Sequence[Trial], parts: Sequence[Segments], low: float, 
         if not distinct or level > distinct[-1] + _LEVEL * span:
             distinct.append(level)
     return len(distinct)
-
-
-def _openings(moves: Sequence[Sequence[Move]], ordered: bool) -> list[Sequence[Sequence[Move]]]:
-    """Moves of all trials, with each trial first that may have been recorded first."""
-    return [moves] if ordered else [[*moves[k:], *moves[:k]] for k in range(len(moves))]
 
 
 def _opening_repeated(moves: Sequence[Sequence[Move]], span: float) -> bool:

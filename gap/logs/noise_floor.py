@@ -109,7 +109,11 @@ def find_repeats(trials: Sequence[Trial], tolerance: float = TOLERANCE) -> tuple
         return ()
     noise = white_noise([trial.command for trial in trials])
     band = max(tolerance * span, 4 * 2**0.5 * noise)
-    marks = [_alignment_marks(trial) for trial in trials]
+    segments = [command_segments(trial) for trial in trials]
+    marks = [
+        np.unique(np.concatenate([parts.reversals, [b - 1 for _, b in parts.holds], [0]]).astype(np.intp))
+        for parts in segments
+    ]
     repeats: list[RepeatedMotion] = []
     for a, first in enumerate(trials):
         for b in range(a, len(trials)):
@@ -118,11 +122,6 @@ def find_repeats(trials: Sequence[Trial], tolerance: float = TOLERANCE) -> tuple
                 if repeat and not any(_same_repeat(repeat, other) for other in repeats):
                     repeats.append(repeat)
     return tuple(repeats)
-
-
-def _alignment_marks(trial: Trial) -> Index:
-    parts = command_segments(trial)
-    return np.unique(np.concatenate([parts.reversals, [b - 1 for _, b in parts.holds], [0]]).astype(np.intp))
 
 
 def _shifts(first: Trial, second: Trial, a: Index, b: Index, band: float, same: bool) -> list[int]:

@@ -119,7 +119,9 @@ def prepare(
     if isinstance(simulator, Simulator):
         _require_size(simulator, decades)
     identification = _identification(simulator, decades)
-    nominal = nominal_noise_deg(identification, _known_step(identification, decades))
+    noise = identification.noise
+    known_step = 0.0 if noise is None else noise.sensor_resolution_deg / decades.angle
+    nominal = nominal_noise_deg(identification, known_step)
     signs = sensor_signs(decades.trials(checked.given), nominal)
     in_working_units = decades.trials(checked.trials)
     baseline, runs = _baseline_and_runs(simulator, checked, signs, decades)
@@ -129,14 +131,18 @@ def prepare(
     begun = [f"{motion_line(Path(run.name).name, run.start, run.dt_s)}." for run in runs if run.lead]
     checked = replace(checked, notes=(*checked.notes, *begun))
     if skip_first_flexure:
-        counted = tuple(_from_first_reversal(r, t) for r, t in zip(runs, in_working_units, strict=True))
+        ends = [first_flexure_end(trial) for trial in in_working_units]
+        counted = tuple(
+            replace(run, counts=run.counts & (np.arange(run.counts.size) >= end))
+            for run, end in zip(runs, ends, strict=True)
+        )
     if isinstance(simulator, Simulator):
         problem, pairs = Problem(baseline), zip(counted, in_working_units, strict=True)
         errors = [decades.angle * (problem.angles(problem.as_given, r) - t.angle)[r.counts] for r, t in pairs]
         notes = _evaluation_notes(simulator, errors, checked, skip_first_flexure)
         checked = replace(checked, notes=(*checked.notes, *notes))
     development, final = split_runs(counted, motions, known)
-    new_step = signs.coarse and signs.quantisation_deg > _COARSER * _known_step(identification, decades)
+    new_step = signs.coarse and signs.quantisation_deg > _COARSER * known_step
     return PreparedTrials(
         decades=decades,
         checked=checked,
@@ -192,22 +198,12 @@ def _with_starts(baseline: Baseline, runs: Sequence[Run], simulator: Simulator, 
     return tuple(problem.begun(problem.as_given, run, box) for run in runs)
 
 
-def _from_first_reversal(run: Run, trial: Trial) -> Run:
-    """A run that counts from the first reversal of its command on, as `fit` and `evaluate` skip a first flexure."""
-    return replace(run, counts=run.counts & (np.arange(len(trial)) >= first_flexure_end(trial)))
-
-
 def _excess_mse(signs: SensorSigns, nominal_deg: float | None, new_step: bool) -> float:
     """Energy of a faulty sensor's noise beyond its noise at identification; that of new steps is read off them."""
     rounding = signs.quantisation_deg**2 / 12.0 if new_step else 0.0
     if nominal_deg is None or not (signs.noisy or signs.coarse):
         return rounding
     return max(signs.energy - nominal_deg**2, rounding)
-
-
-def _known_step(identification: Identification, decades: Decades) -> float:
-    """Step of the sensor's readings at identification, in working units; 0 where there was none, or it is unknown."""
-    return 0.0 if identification.noise is None else identification.noise.sensor_resolution_deg / decades.angle
 
 
 def _require_size(simulator: Simulator, decades: Decades) -> None:

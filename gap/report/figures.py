@@ -359,7 +359,14 @@ def before_after_figure(trial: TrialRuns, after: Stage) -> Figure:
     """Angle over time, measured and simulated before and after the correction, and the error of both; of a long trial
     the part around the largest error is seen at first."""
     t = trial.trial.t - trial.trial.t[0]
-    start = float(t[_densest_start(trial)])
+    size, energy, at = (
+        round(_WINDOW_S / trial.trial.dt),
+        np.cumsum(np.r_[0.0, trial.residual("nominal") ** 2]),
+        trial.start,
+    )
+    if energy.size > size:  # the window with the largest error as given, among the samples that count
+        at += int(np.argmax(energy[size:] - energy[:-size]))
+    start = float(t[at])
     part = (t >= start) & (t <= start + _WINDOW_S)
     with new_figure(7.0, 3.4) as figure:
         angle, error = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
@@ -373,15 +380,6 @@ def before_after_figure(trial: TrialRuns, after: Stage) -> Figure:
         error.set(ylabel=f"simulated less\nmeasured [{trial.trial.units.angle}]", xlabel="time [s]")
         figure.legend(*angle.get_legend_handles_labels(), loc="outside upper center", ncols=3)
     return figure
-
-
-def _densest_start(trial: TrialRuns) -> int:
-    """First sample of the window with the largest error as given, among the samples that count."""
-    size = round(_WINDOW_S / trial.trial.dt)
-    energy = np.cumsum(np.r_[0.0, trial.residual("nominal") ** 2])
-    if energy.size <= size:
-        return trial.start
-    return trial.start + int(np.argmax(energy[size:] - energy[:-size]))
 
 
 def share_figure(places: Mapping[str, ResidualShare]) -> Figure:

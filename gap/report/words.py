@@ -20,7 +20,6 @@ from ..diagnosis import (
     Diagnosis,
     Gap,
     IdentifiedEffect,
-    NextMotion,
     RetunedParameter,
 )
 
@@ -278,7 +277,7 @@ def detectable_rows(sizes: DetectableSizes) -> list[tuple[str, ...]]:
             in_words(one.effect),
             _least(one),
             percent(one.hidden) if math.isfinite(one.hidden) else "",
-            _detectable_remark(one),
+            "order unknown" if one.untestable else "jumps need more" if one.effect == "stick_slip" else "",
         )
         for one in sizes.effects
     ]
@@ -288,12 +287,6 @@ def _least(one: Detectable) -> str:
     if not math.isfinite(one.size):
         return "none shows"
     return f"{one.parameter} {one.size:.2g}" + (f" {one.unit}" if one.unit != "1" else "")
-
-
-def _detectable_remark(one: Detectable) -> str:
-    if one.untestable:
-        return "order unknown"
-    return "jumps need more" if one.effect == "stick_slip" else ""
 
 
 def detectable_sentence(sizes: DetectableSizes) -> str:
@@ -347,7 +340,9 @@ _DENSE, _MOST = 1.5, 0.3  # density and share of the error, above which a place 
 def verdict_facts(diagnosis: Diagnosis) -> tuple[str, ...]:
     """Facts behind the verdict, each with its number."""
     if diagnosis.verdict in ("named", "one_of"):
-        said = (closed_sentence(diagnosis), _values(diagnosis), mis_set_sentence(diagnosis))
+        each = [f"{in_words(e.name)}: {parameter_words(e)}" for e in diagnosis.effects if e.parameters]
+        values = f"The identified values are, of {'; of '.join(each)}.".replace(" [1]", "") if each else ""
+        said = (closed_sentence(diagnosis), values, mis_set_sentence(diagnosis))
     else:
         unknown, none = diagnosis.verdict == "unknown", diagnosis.verdict == "none"
         more = _densest(diagnosis) if unknown else retuning_sentence(diagnosis) if none else ""
@@ -363,7 +358,12 @@ def next_actions(data: ReportData) -> tuple[str, ...]:
     if tracking is not None and not tracking.why_not and not diagnosis.relies_on_its_split:
         said.append(tracking_sentence(diagnosis))
     if motion is not None:
-        said += _recording(motion)
+        names = listed([in_words(name) for name in motion.separates], "and")
+        said += [
+            f"Record {motion.file} ({motion.duration_s:.0f} s) and diagnose all logs together again: the right one of "
+            f"{names} is then named with an expected probability of {percent(motion.expected_probability)}.",
+            "Look at its command below before the device plays it.",
+        ]
     elif diagnosis.verdict == "too_little":
         said.append("Record more motion of this device and diagnose all logs together.")
     elif diagnosis.verdict in ("one_of", "unknown") and not _unrelated(data):
@@ -392,11 +392,6 @@ def _intervals(diagnosis: Diagnosis) -> str:
         if all(map(math.isfinite, e.closed_ci90))
     ]
     return f"By the 90 % interval{'s' if len(each) > 1 else ''}, {listed(each, 'and')}." if each else ""
-
-
-def _values(diagnosis: Diagnosis) -> str:
-    values = [f"{in_words(e.name)}: {parameter_words(e)}" for e in diagnosis.effects if e.parameters]
-    return f"The identified values are, of {'; of '.join(values)}.".replace(" [1]", "") if values else ""
 
 
 def _densest(diagnosis: Diagnosis) -> str:
@@ -453,15 +448,6 @@ def _with_effects(data: ReportData, fixed: Simulator) -> str:
     else:
         said = f"The corrected simulator, {FIXED_FILE}, holds {held}: it lowers the error, but proves no cause."
     return f"{said} It does not hold {lacking}." if lacking else said
-
-
-def _recording(motion: NextMotion) -> list[str]:
-    names = listed([in_words(name) for name in motion.separates], "and")
-    return [
-        f"Record {motion.file} ({motion.duration_s:.0f} s) and diagnose all logs together again: the right one of "
-        f"{names} is then named with an expected probability of {percent(motion.expected_probability)}.",
-        "Look at its command below before the device plays it.",
-    ]
 
 
 def _probability(diagnosis: Diagnosis) -> str:
