@@ -162,11 +162,7 @@ def parse_yaml(text: str) -> Any:
 
 
 def compose_yaml(text: str) -> yaml.Node | None:
-    """Parse a text into a tree with the line of every entry; None for an empty text.
-
-    Raises:
-        YamlError: as `parse_yaml`, but for values, which are not looked at.
-    """
+    """Parse a text into a tree with the line of every entry; None for an empty text."""
     return _read(text, _StrictLoader.get_single_node)
 
 

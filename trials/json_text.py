@@ -26,11 +26,7 @@ def plain(value: Any) -> Any:
 
 
 def file_text(data: Any, indent: int = 1) -> str:
-    """Text of a JSON file, which ends in a line break.
-
-    Raises:
-        ValueError: if a number in the data is not finite: JSON has no word for it, see `plain`.
-    """
+    """Text of a JSON file, which ends in a line break."""
     return json.dumps(data, indent=indent, allow_nan=False) + "\n"
 
 

@@ -148,9 +148,6 @@ class MessageLog(Source):
         """The signals asked for; see `Source`.
 
         A time signal is a field of the same message: `/tip.time_s`, or `time_s` for one of that name in every topic.
-
-        Raises:
-            LogError: on an unknown topic or field, a message that cannot be read, or a time on another topic.
         """
         places = [self._place(signal) for signal in signals]
         clocks = [self._clock(time, topic) for topic, _ in places]

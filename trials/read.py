@@ -166,11 +166,7 @@ def _read_mapped(source: Source, mapping: LogMapping, sampled_hz: float | None) 
 
 
 def resolve(layout: AnyLayout) -> AnyLayout:
-    """Resolve `--layout`: read a mapping from its file, or check a name.
-
-    Raises:
-        ConfigError: on an unknown layout or a wrong mapping file.
-    """
+    """Resolve `--layout`: read a mapping from its file, or check a name."""
     if not isinstance(layout, str) or layout == "auto":
         return layout
     return load_mapping(layout) if is_mapping_file(layout) else layout_named(layout)
@@ -231,9 +227,6 @@ def at_rate(trials: Iterable[Trial], rate_hz: float) -> list[Trial]:
     """Trials cut at their gaps, on a uniform grid, without the noise of a measured command (`remove_command_noise`).
 
     One without such noise that lies on the grid is left as it is.
-
-    Raises:
-        ConfigError, LogError: see `parts_at_gaps` and `resample`.
     """
     parts = remove_command_noise([part for trial in trials for part in parts_at_gaps(trial)])
     for k, part in enumerate(parts):

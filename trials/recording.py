@@ -73,9 +73,6 @@ def by_manifest(sources: Sequence[str]) -> list[int] | None:
     """Indices of the logs in the order of the manifests in their folders; None if a log is not listed.
 
     Logs of several folders are ordered by the starts of their sessions.
-
-    Raises:
-        ConfigError: if a manifest of this format cannot be used.
     """
     places: list[tuple[str, int]] = []
     manifests = {folder: _manifest(folder) for folder in {Path(source).parent for source in sources}}

@@ -153,11 +153,7 @@ class RunFolder:
         return read_yaml(self.path / "config.yaml")
 
     def log(self) -> dict[str, Column]:
-        """All columns of `log.csv`: numbers as arrays (T,), texts as tuples.
-
-        Raises:
-            LogError: if the log is missing or not a table.
-        """
+        """All columns of `log.csv`: numbers as arrays (T,), texts as tuples."""
         file = self.path / "log.csv"
         table = read_table(read_lines(file), str(file))
         return {name: table.numbers[name] if name in table.numbers else table.texts[name] for name in table.header}

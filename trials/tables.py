@@ -333,9 +333,6 @@ def text_table(lines: Sequence[str], source: str, wanted: Iterable[str] = ()) ->
 
     A last line that has no line end and too few cells was cut off while it was written: it is left out. A column that
     holds both numbers and texts is left to `texts`, with a fault.
-
-    Raises:
-        LogError: on a column named twice, no rows or a ragged row.
     """
     grid = grid_of_lines(lines, source, wanted)
     header = grid.header or _numbered(len(cells_of(lines[grid.start], grid.delimiter)))
