@@ -146,7 +146,7 @@ def detectable_in_logs(trials: Sequence[Trial], simulator: Simulator | LoadedMod
 
 
 def _selection_progress(progress: Progress) -> Callable[[float, str], None]:
-    """Progress of the selection, 5 to 85 %: each round, of which nobody knows the number, is 40 % of what is left.
+    """Progress of the selection, 5 to 85 %: each round takes 40 % of the remaining progress.
 
     Every round counts its candidates anew, which tells where one begins.
     """
@@ -182,7 +182,7 @@ def _left_out(without: Sequence[str], only: Sequence[str] | None) -> tuple[str, 
 
 
 def _localisation(prepared: PreparedTrials, seed: int) -> Localisation | None:
-    """Localisation of the residual of a simulator retuned to all trials; it decides nothing, so none is held out."""
+    """Localisation of the residual of a simulator that is retuned to all trials, since it decides nothing."""
     retuned = CrossValidation(prepared.baseline, prepared.counted).retuned()
     errors = prepared.scored(prepared.residuals(retuned))
     if not any(np.any(error) for error in errors):
@@ -302,7 +302,7 @@ def _effects(
     parameters: Sequence[ParameterRow],
     grouped: Configuration | None,
 ) -> tuple[IdentifiedEffect, ...]:
-    """Effects found, the most probable first."""
+    """Identified effects, the most probable first."""
     closed, decades, log = findings.conclusion.closed, findings.prepared.decades, findings.prepared.checked.trials[0]
     units = {
         name: dict(UNITS) if grouped and name == SHIFT else {r.name: r.unit for r in parameters if r.owner == name}

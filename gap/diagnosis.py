@@ -63,7 +63,7 @@ class IdentifiedEffect:
 
     @property
     def words(self) -> str:
-        """Its name in words, of a sensor with the steps of its readings."""
+        """Name of the effect in words; for a sensor with the resolution of its readings."""
         name, step = self.name.replace("_", " "), self.parameters.get("resolution_deg", 0.0)
         return f"{name} with steps of {step:.3g} {self.units.get('resolution_deg', '')}".strip() if step > 0 else name
 
@@ -193,7 +193,7 @@ class Stability:
 
     @property
     def flips(self) -> bool:
-        """Whether the verdict depends on which trials were kept for the end."""
+        """Whether the verdict depends on the choice of the final trials."""
         return self.share < _STABLE
 
 
@@ -248,12 +248,12 @@ class TrackingGap:
 
     @property
     def fall_deg(self) -> float:
-        """By how much the error falls; negative where it rises."""
+        """Fall of the error [deg]; negative if it rises."""
         return self.before_deg - self.after_deg
 
     @property
     def fall_share(self) -> float:
-        """The same as a share of the error before."""
+        """Fall of the error as a share of the error before."""
         return self.fall_deg / self.before_deg if self.before_deg > 0 else 0.0
 
     def changes(self, floor_deg: float) -> bool:
@@ -383,7 +383,7 @@ class Diagnosis:
 
 
 def _plain(value: Any) -> Any:
-    """Tuples as lists, inside dicts too."""
+    """Data with lists in place of tuples, also inside dicts."""
     if isinstance(value, dict):
         return {key: _plain(item) for key, item in value.items()}
     return [_plain(item) for item in value] if isinstance(value, tuple) else value

@@ -51,7 +51,7 @@ def expected_tracking(
     seeds: Sequence[int] = SEEDS,
     floor_deg: float = 0.0,
 ) -> tuple[TrackingGap, tuple[TrackingCurve, ...]]:
-    """The tracking error with a controller on the nominal simulator, and on the corrected one.
+    """Expected tracking error with a controller on the nominal simulator, and on the corrected one.
 
     The plant is the corrected simulator with what it leaves unexplained, see `UnexplainedPlant`. Before and after meet
     the same noise, so that equal simulators give equal errors.
@@ -171,7 +171,7 @@ class UnexplainedPlant(ComputedPlant):
 
 
 def next_disturbance(disturbance: float, travel: float, dt_s: float, noise: NoiseModel, drawn: float) -> float:
-    """The disturbance one sample later."""
+    """Unexplained disturbance after one more sample [deg]."""
     drift, motion = noise.drift_sigma_deg_per_sqrt_s, noise.motion_sigma_deg_per_sqrt_unit
     q = ROUGHNESS**2 * (drift**2 * dt_s + motion**2 * travel)
     kept = 1.0

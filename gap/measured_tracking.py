@@ -37,7 +37,7 @@ _LEAST = 10  # samples that can be compared
 
 @dataclass(frozen=True, eq=False)
 class MeasuredRun:
-    """One controller along one reference, (N,) samples of the reference itself, without the way to its start.
+    """Run of one controller along one reference, (N,) samples without the approach to its start.
 
     Attributes:
         name: motion and controller of a simulation; empty at a bench.
@@ -130,7 +130,7 @@ def _at_bench(run: RunFolder) -> MeasuredRun:
 
 
 def _noise_deg(model: str) -> float | None:
-    """The sensor's noise as the model's file has it; None where the file says nothing or is not there any more."""
+    """Standard deviation of the sensor noise from the model file [deg]; None if it is unknown."""
     try:
         noise = load_model(model_path(model)).metadata.noise
     except ModelError:
@@ -210,7 +210,7 @@ def fall_lines(falls: Iterable[TrackingFall]) -> list[str]:
 
 
 def fall_pieces(falls: Sequence[TrackingFall]) -> tuple[Piece, ...]:
-    """The same for a page: a table, the lines, and a figure for each pair of runs."""
+    """Report pieces on the measured and the expected fall: table, sentences, and a figure for each pair of runs."""
     rows: list[tuple[Any, ...]] = []
     for fall in falls:
         name = fall.after.name or "tracking error"
@@ -232,7 +232,7 @@ def fall_pieces(falls: Sequence[TrackingFall]) -> tuple[Piece, ...]:
 
 
 def _runs_to_compare(run: Path, after: Sequence[MeasuredRun], folder: Path) -> list[MeasuredRun | None]:
-    """The earlier run of each of a folder's runs; None where that folder has none of its name."""
+    """Earlier run of the same name for each run; None if there is none."""
     by_name = {earlier.name: earlier for earlier in measured_runs(folder)}
     matched = [by_name.get(run_after.name) for run_after in after]
     if not any(matched):
@@ -271,7 +271,7 @@ def _simulators(folder: Path) -> tuple[Simulator, Simulator]:
 
 
 def _expected(run: MeasuredRun, nominal: Simulator, corrected: Simulator) -> TrackingGap:
-    """The expected errors on the run's own reference, with the controller that it had."""
+    """Expected errors on the reference of a run, with its controller."""
     if not isinstance(run.settings, LinearisedMpcSettings | SamplingMpcSettings):
         return TrackingGap(why_not=f"{run.name or run.folder}: its controller does not predict with a model")
     nominal, corrected = nominal.at_sample_time(run.dt_s), corrected.at_sample_time(run.dt_s)

@@ -1,4 +1,4 @@
-"""Memory of a residual: share of it that features of the command's past explain on trials held out."""
+"""Analysis of a residual: memory of the command's past, spectral lines, and energy by part of the motion."""
 
 from __future__ import annotations
 
@@ -237,7 +237,7 @@ def _periodograms(trial: Trial, e: Vec, locked: Vec) -> _Periodograms:
 
 
 def _coherent(trials: Sequence[Trial], residuals: Sequence[Vec]) -> float:
-    """Share of energy coherent with the command: sum C S_ee / sum S_ee, C = |S_ue|^2 / (S_uu S_ee), less its bias."""
+    """Share of energy coherent with the command: sum C S_ee / sum S_ee, C = |S_ue|^2 / (S_uu S_ee), minus its bias."""
     rate = 1.0 / trials[0].dt
     size = min(round(_SEGMENT_S * rate), *(max(len(t) // 2, 8) for t in trials))
     sums = [np.zeros(size // 2 + 1, dtype=np.complex128) for _ in range(3)]
@@ -296,7 +296,7 @@ def _ratio(power: Vec, bin_hz: float) -> Vec:
 
 
 def _commanded(s: _Periodograms, grid: Vec) -> Mask:
-    """Frequencies of the command's own lines, and of harmonics of its fundamental."""
+    """Mask of frequencies of spectral lines of the command, and of harmonics of its fundamental."""
     peaks = (s.command > _COMMANDED * float(s.command.max())) & (_ratio(s.command, s.bin_hz) > _PEAK)
     peaks |= np.roll(peaks, 1) | np.roll(peaks, -1)
     commanded = np.interp(grid, s.hz, peaks.astype(np.float64)) > 0
@@ -327,7 +327,7 @@ _BLOCK_S, _LEAST_BLOCKS = 2.0, 10
 
 @dataclass(frozen=True)
 class Localisation:
-    """Parts of the residual.
+    """Energy of the residual by part of the motion, frequency and memory.
 
     Attributes:
         places: per part of the motion; shares add up to one.

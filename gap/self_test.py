@@ -1,4 +1,4 @@
-"""Self-test: known truths, made with the package's own operators, that the diagnosis has to find."""
+"""Self-test of the diagnosis on simulated devices with known effects."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ def _shift(random: np.random.Generator) -> Operator:
 
 
 def _as_shown(name: str) -> _Case:
-    """An effect at the size of its picture, on its first side."""
+    """Case with one effect at the size of its picture in the catalogue."""
     placed = effect_from({"effect": name, "parameters": dict(EFFECTS[name].shown[0])}, _DT_S)
     operators = (placed.operator,)
     return _Case((name,), before=operators) if placed.side == "command" else _Case((name,), after=operators)
@@ -132,7 +132,7 @@ def self_test(
 
 
 def record(case: _Case, seed: int) -> list[Trial]:
-    """Trials of a device, one after another; states that persist between trials are kept."""
+    """Trials of a device, one after another; persistent states carry over."""
     random, trials = np.random.default_rng(seed), []
     shifts = np.random.default_rng(_SHIFT_SEED)
     gain, offset = case.off
@@ -192,13 +192,13 @@ def _row(name: str, case: _Case, simulator: Simulator, seed: int) -> SelfTestRow
 
 
 def _sets(diagnosis: Diagnosis) -> list[tuple[str, ...]]:
-    """Each effect found, with those that could replace it."""
+    """Identified effects, each with its alternatives."""
     sets = {names[0]: names for names in diagnosis.ambiguity}
     return [sets.get(effect.name, (effect.name,)) for effect in diagnosis.effects]
 
 
 def _recovered(diagnosis: Diagnosis, truth: tuple[str, ...]) -> bool:
-    """Whether each effect of the truth has one set of its own, and none is left over."""
+    """Whether the identified effects match the truth one to one."""
     if not truth:
         return diagnosis.verdict in ("none", "retuned")
     sets = _sets(diagnosis)

@@ -198,7 +198,7 @@ def _times(cells: Sequence[str]) -> Converted:
 
 
 def _second(stamp: re.Match[str], unit: int) -> tuple[int, int]:
-    """Time of day, less its zone: whole seconds and nanoseconds."""
+    """Time of day minus its zone: whole seconds and nanoseconds."""
     hour, minute, second = (int(stamp[name] or 0) for name in ("h", "m", "sec"))
     if half := stamp["half"]:
         hour = hour % 12 + (12 if half[0] in "pP" else 0)

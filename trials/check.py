@@ -91,7 +91,7 @@ def _short(t: Vec) -> Iterator[Finding]:
 
 
 def _value_findings(log: UncheckedLog) -> Iterator[Finding]:
-    """Cells without a finite number, per signal."""
+    """Findings on samples without a finite number, per signal."""
     clean = True
     main = {"time": log.t, "command": log.command, "angle": log.angle}
     for name, values in {**main, **log.channels}.items():
@@ -442,7 +442,7 @@ class Conversion:
 def encoding_findings(
     trial: Trial, conversions: Sequence[Conversion], where: Callable[[int], str]
 ) -> tuple[list[Finding], Trial]:
-    """Codes, wraps and sign bits among the numbers of command and angle, and the trial without them.
+    """Findings on missing-value codes, wraps and sign bits of command and angle, and the decoded trial.
 
     Args:
         conversions: how command and angle were made of the numbers in the log.

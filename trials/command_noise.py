@@ -37,7 +37,7 @@ _TURN = 2.5  # standard deviations of the noise: a smaller motion back and forth
 
 
 def remove_command_noise(trials: Sequence[Trial]) -> list[Trial]:
-    """Remove the measurement noise of the command from trials of one device; its size is kept in `command_noise`.
+    """Remove the measurement noise of the command from trials of one device; its size is stored in `command_noise`.
 
     One without such noise is left as it is. Where it is found in one trial, others whose quietest parts are as noisy
     have it, too.

@@ -70,7 +70,7 @@ class _StrictLoader(yaml.SafeLoader):
         self._sizes: dict[int, int] = {}  # entries of each anchored node, itself included
 
     def compose_node(self, parent: Any, index: Any) -> Any:
-        """One key, value or item, and all that is below it."""
+        """Compose a node and everything below it, within the bounds of depth and size."""
         event: Any = self.peek_event()  # type: ignore[no-untyped-call]  # the stubs leave it open
         before = self._entries
         if self._depth >= DEEPEST:
@@ -92,7 +92,7 @@ class _StrictLoader(yaml.SafeLoader):
         return node
 
     def compose_mapping_node(self, anchor: Any) -> Any:
-        """A block of keys, none of which stands in it twice; what `<<` merges into it is not looked at yet."""
+        """Compose a block of keys and refuse a repeated key, before `<<` merges others into it."""
         node = super().compose_mapping_node(anchor)
         lines: dict[tuple[str, str], int] = {}
         for key, _ in node.value:
@@ -182,11 +182,11 @@ def _read(text: str, get: Any) -> Any:
 
 
 class _Dumper(yaml.SafeDumper):
-    """Quotes every text that is something else to `parse_yaml` or to YAML 1.1."""
+    """YAML writer that quotes every text that `parse_yaml` or YAML 1.1 would read as another type."""
 
 
 def _text(dumper: Any, text: str) -> Any:
-    """A text; one with a line break of Unicode in double quotes, which alone keep it."""
+    """Represent a text, with double quotes if it has a Unicode line break."""
     style = '"' if re.search("[\x85\u2028\u2029]", text) else None
     return dumper.represent_scalar(f"{_TAG}str", text, style=style)
 
@@ -347,7 +347,7 @@ def _misread_number(value: Any, annotation: Any) -> tuple[tuple[Any, ...], Any] 
 
 
 def _members(annotation: Any) -> Iterator[Any]:
-    """What a value may be: the members of unions, without constraints."""
+    """Types that an annotation allows: members of unions, without constraints."""
     origin = get_origin(annotation)
     if origin is Annotated:
         yield from _members(get_args(annotation)[0])

@@ -63,7 +63,7 @@ class Curve:
 
 
 def curves_of(axes: Axes) -> Iterator[Curve]:
-    """Curves in the data's own coordinates; lines across the whole panel are none."""
+    """Curves of a panel, without lines across the whole panel."""
     for line in axes.get_lines():
         if line.get_transform() != axes.transData or not line.get_visible():
             continue

@@ -110,7 +110,7 @@ class SimulatedTrial:
 
 
 def time_figure(trials: Sequence[SimulatedTrial], error: str = "residual") -> Figure:
-    """Measured and simulated output of each trial over time, and below them simulation less measurement."""
+    """Measured and simulated output of each trial over time, and below them simulation minus measurement."""
     with new_figure(7.0, 0.7 + 2.6 * len(trials)) as figure:
         rows = figure.subplots(2 * len(trials), 1, height_ratios=(5, 3) * len(trials))
         for upper, lower, trial in zip(rows[::2], rows[1::2], trials, strict=True):

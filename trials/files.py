@@ -88,5 +88,5 @@ def figures_to(folder: Path | str | None) -> Iterator[None]:
 
 
 def figures_folder() -> Path | None:
-    """The folder that `figures_to` asks for."""
+    """Folder of the active `figures_to`; None if there is none."""
     return _WANTED.get()

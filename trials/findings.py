@@ -1,4 +1,4 @@
-"""Findings of a quality check: severity, topic and message."""
+"""Findings of a quality check, and the findings on time stamps: rate, unit, jitter, gaps, repeats, stuck samples."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from .types import Vec
 
 
 class Severity(StrEnum):
-    """How much a finding matters, least first."""
+    """Severity of a finding, least first."""
 
     OK = "ok"
     NOTE = "note"  # worth knowing

@@ -84,7 +84,7 @@ _MARKUP = re.compile(r"\s*<(\?xml|!doctype|html|[a-z][\w:.-]*[\s/>])", re.IGNORE
 
 
 def format_of(path: Path) -> str:
-    """Name of the format of a file: of `ENDINGS`, or `text` for all that has no reader of its own.
+    """Name of the format of a file: of `ENDINGS`, or `text` for all without a special reader.
 
     What lies at the path is not judged: a reader says that a file is missing or cannot be read.
     """
@@ -102,7 +102,7 @@ def format_of(path: Path) -> str:
 
 
 def is_bag(folder: Path) -> bool:
-    """Whether a folder is a ROS 2 bag: metadata.yaml beside at least one storage file."""
+    """Whether a folder is a ROS 2 bag: metadata.yaml and at least one storage file."""
     return (folder / "metadata.yaml").is_file() and any(any(folder.glob(f"*{end}*")) for end in (".db3", ".mcap"))
 
 
@@ -206,7 +206,7 @@ def damaged(reason: str) -> str:
 
 @contextmanager
 def reading(path: Path | str, what: str) -> Iterator[None]:
-    """A block that reads a file with a third-party library, which may raise anything on a damaged file.
+    """Context for reading a file by a third-party library, which may raise anything on a damaged file.
 
     Raises:
         LogError: for whatever the library raises; names the file and what it was expected to be.

@@ -15,7 +15,7 @@ from .errors import ConfigError
 
 
 def plain(value: Any) -> Any:
-    """Only what JSON knows: numbers of NumPy as plain ones, tuples as lists, not-a-number and infinity as null."""
+    """Data for JSON: NumPy numbers as plain ones, tuples as lists, not-a-number and infinity as null."""
     if isinstance(value, Mapping):
         return {str(key): plain(item) for key, item in value.items()}
     if isinstance(value, np.ndarray | np.generic):

@@ -45,7 +45,7 @@ class Layout:
         return (self.time, self.angle, *self.command, *self.other_angles)
 
     def spelled(self, header: Sequence[str]) -> tuple[str, ...]:
-        """The header with the names of this layout as it writes them, where only capitals or the micro sign differ.
+        """Header in the spelling of this layout, where only capitals or the micro sign differ.
 
         A name that the layout knows as it stands is kept: capitals tell nm from Nm.
         """
@@ -119,7 +119,7 @@ _ALIASES = MappingProxyType(
 
 
 def unit_of(text: str) -> str:
-    """A unit as this package writes it: `um` for both spellings of micrometres, `deg` for a degree sign."""
+    """Normalised spelling of a unit: `um` for both spellings of micrometres, `deg` for a degree sign."""
     plain = text.strip("[](){}<> ").translate(_MICRO)
     return _ALIASES.get(plain.lower(), plain)
 
@@ -311,7 +311,7 @@ class LogMapping(Settings):
 
     @property
     def name(self) -> str:
-        """What messages call this layout."""
+        """Name of this layout in messages."""
         return "mapping"
 
     def signals(self) -> tuple[SignalSettings, ...]:

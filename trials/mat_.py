@@ -151,7 +151,7 @@ class _Hdf5Tree:
         return place
 
     def read(self, item: Any) -> Any:
-        """Groups as mappings; matrices the way MATLAB shows them, which stores them transposed."""
+        """Read groups as mappings, and matrices transposed, as MATLAB shows them."""
         import h5py
 
         self._left -= 1
@@ -230,7 +230,7 @@ def _require_bounded(path: str, data: bytes) -> None:
 
 @dataclass
 class _File:
-    """The elements of a file.
+    """Bounded walk over the elements of a MATLAB file.
 
     Attributes:
         ends: byte order, as `struct` names it.

@@ -65,7 +65,7 @@ _ID = struct.Struct("<H")
 
 
 class _DamagedError(Exception):
-    """The rest of the file cannot be trusted."""
+    """Damage after which the rest of a file cannot be trusted."""
 
 
 @dataclass
@@ -211,7 +211,7 @@ def open_mcap(path: Path | str) -> MessageLog:
 
 
 def _decoder(encoding: str, schema: Any) -> Decoder:
-    """How to read the messages of a channel."""
+    """Decoder of the messages of a channel."""
     if encoding == "json":
         return _parse_json
     if encoding == "cdr" and schema is not None:
@@ -278,7 +278,7 @@ def open_bag1(path: Path | str) -> MessageLog:
 
 
 def _read(path: Path, reader: Callable[[Path], Any], encodings: Mapping[str, str]) -> MessageLog:
-    """Topics and messages of a bag up to its first fault, which is in the note."""
+    """Topics and messages of a bag up to its first fault, which becomes the note."""
     topics: dict[str, Topic] = {}
     messages: list[tuple[str, int, bytes]] = []
     note = ""

@@ -19,7 +19,7 @@ Decoder = Callable[[bytes], Any]
 
 
 class UnreadableError(Exception):
-    """A message, or its definition, cannot be read; the text says why."""
+    """Error of a message, or of its definition, that cannot be read."""
 
 
 @lru_cache(maxsize=64)  # parsing a definition takes longer than reading thousands of messages
@@ -171,7 +171,7 @@ class MessageLog(Source):
         return [Series(np.array(t), np.array(y)) for t, y in zip(stamps, values, strict=True)]
 
     def _place(self, signal: str) -> tuple[str, list[str | int]]:
-        """Topic and way into its messages."""
+        """Topic and path into its messages."""
         fitting = [name for name in self.topics if signal == name or signal.startswith((f"{name}.", f"{name}["))]
         if not fitting:
             topics = sorted(self.topics)
@@ -180,7 +180,7 @@ class MessageLog(Source):
         return topic, split_path(signal[len(topic) :])
 
     def _clock(self, time: str, topic: str) -> list[str | int] | None:
-        """Way to the time field; None where time is the log's or the header's."""
+        """Path to the time field; None where time is the log's or the header's."""
         if time in (LOG_TIME, HEADER_TIME):
             return None
         if not time.startswith("/"):

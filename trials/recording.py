@@ -1,4 +1,4 @@
-"""Recordings: which trials may be identified from, and the order in which they were recorded."""
+"""Recordings: check that a trial is a recording, and the order in which trials were recorded."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ WALL_CLOCK = "wall_ns"  # column of a bench's log: time since 1970 [ns]
 
 
 class RecordingManifest(Settings):
-    """`manifest.yaml` beside logs: which trials one session has recorded, the first one first.
+    """Manifest of a session, `manifest.yaml` in the folder of its logs: the recorded trials in their order.
 
     Attributes:
         recorded: names of the files in the order of recording.

@@ -30,7 +30,7 @@ from .files import write_atomically
 
 @cache
 def _style() -> mpl.RcParams:
-    """The style file beside this one, which a script takes by `plt.style.use("hystmpc.trials.report")`."""
+    """Style of the figures, from a file that a script takes by `plt.style.use("hystmpc.trials.report")`."""
     with as_file(files("hystmpc.trials").joinpath("report.mplstyle")) as path:
         return mpl.rc_params_from_file(path, use_default_template=False)
 
@@ -250,7 +250,7 @@ def _print_as_it_is(figure: Figure) -> None:
 
 
 def _bitmap(figure: Figure, prefix: str = "") -> str:
-    """A figure as an `<img>` element that holds its own data."""
+    """A figure as an `<img>` element with embedded data."""
     del prefix
     three_ticks(figure)
     out = io.BytesIO()
@@ -260,7 +260,7 @@ def _bitmap(figure: Figure, prefix: str = "") -> str:
 
 
 def _block(piece: Piece, number: str, drawn: Callable[[Figure, str], str] = figure_svg) -> dict[str, Any]:
-    """Fields of one piece for the page template."""
+    """Fields of one piece of a report for the page template."""
     if isinstance(piece, Heading):
         return {"kind": "heading", "text": piece.text, "level": piece.level, "id": f"section-{number}"}
     if isinstance(piece, Paragraph):

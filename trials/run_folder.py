@@ -200,7 +200,7 @@ def require_resumable(folder: Path | str) -> None:
 
 
 def resumed_folder(path: Path, settings: Mapping[str, Any], seed: int, refusal: Callable[[Any], str]) -> RunFolder:
-    """A new run folder, or the one in which the same work was begun; its settings are written anew.
+    """Create a run folder, or open the folder of the same unfinished work; its settings are written anew.
 
     Args:
         refusal: why a folder with these earlier settings cannot be gone on with; empty where it can.
@@ -220,7 +220,7 @@ def resumed_folder(path: Path, settings: Mapping[str, Any], seed: int, refusal: 
 
 @contextmanager
 def alone_in(folder: Path) -> Iterator[None]:
-    """One process at a time writes into a folder; the lock of a process that died does not hold.
+    """Context with exclusive write access to a folder for one process; a lock of a dead process does not count.
 
     Raises:
         ConfigError: if another process works in it.

@@ -274,7 +274,7 @@ def missing(path: str, name: str, names: Sequence[str]) -> LogError:
 
 
 def _enter(value: Any, step: str | int, owner: Any) -> Any:
-    """One step of `walk`; KeyError, not raised, where there is no such way."""
+    """Value after one step of `walk`; the class KeyError if there is none."""
     if isinstance(value, Mapping):
         return value.get(step, KeyError)
     if not hasattr(value, "__len__") or isinstance(value, str):
@@ -379,7 +379,7 @@ _EVEN = 3.0  # times the median: a longer run of empty cells is a dropout
 
 
 def is_merged(command: Vec, angle: Vec) -> bool:
-    """Whether the signals of a table lie in rows of their own, so that empty cells are no lost values.
+    """Whether command and angle of a table lie in separate rows, so that empty cells are no lost values.
 
     So it is where at least a fifth of the rows hold one of the two signals only, and one of these is true: the command
     is in every row that holds the angle; fewer than half of the rows hold both; or the command has a value every few
@@ -417,7 +417,7 @@ def merged(t: Vec, command: Vec, angle: Vec, channels: Mapping[str, Vec]) -> tup
 
 
 def merged_note(command: Vec, angle: Vec) -> str:
-    """Note on a log whose signals lie in rows of their own."""
+    """Note on a log whose signals lie in separate rows."""
     return (
         f"signals lie in rows of their own: {np.count_nonzero(~np.isnan(command))} of the command, "
         f"{np.count_nonzero(~np.isnan(angle))} of the angle; the command keeps its value until its next row"

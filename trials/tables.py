@@ -438,7 +438,7 @@ def _is_comment(cells: Sequence[str]) -> bool:
 
 
 def _checked(rows: Iterable[Row], header: Sequence[str], source: str) -> list[Row]:
-    """The rows, all as wide as the header; further cells that are empty fall away."""
+    """Rows of the width of the header, without empty cells at their end."""
     kept, width = [], len(header)
     for number, cells in rows:
         if len(cells) != width and (len(cells) < width or any(cells[width:])):

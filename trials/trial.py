@@ -133,7 +133,7 @@ class Trial:
         return float(np.median(np.diff(self.t)))
 
     def select(self, start: int, stop: int | None = None) -> Trial:
-        """Return samples start to stop (exclusive) as a trial of its own; time keeps its origin."""
+        """Return samples start to stop (exclusive) as a separate trial with the same time origin."""
         part = slice(start, stop)
         channels = {name: values[part] for name, values in self.channels.items()}
         return replace(self, t=self.t[part], command=self.command[part], angle=self.angle[part], channels=channels)

@@ -88,7 +88,7 @@ def _follows_line(share: float, trials: int) -> bool:
 
 
 def drift_is_significant(validation: CrossValidation, hypothesis: Hypothesis) -> bool:
-    """Whether a drift shows within the development runs when each run may have a shift of its own as well.
+    """Whether a drift shows within the development runs when each run may also have an individual shift.
 
     Its rate has to differ from zero in the direction that it had without shifts.
     """

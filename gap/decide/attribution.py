@@ -200,7 +200,7 @@ def as_given_if_better(prepared: PreparedTrials, attribution: Attribution) -> At
 def _confirmed_causes(
     prepared: PreparedTrials, attribution: Attribution, facts: VerdictFacts, chosen: Hypothesis, seed: int
 ) -> tuple[VerdictFacts, Hypothesis, NoiseFloor, GapClosed]:
-    """Drop causes that do not significantly lower the final error; facts, simulator, floor and errors without them."""
+    """Facts, simulator, floor and errors after removal of causes that do not significantly lower the final error."""
     while True:
         floor, jumps = floor_of(prepared, chosen), attribution.jumps if facts.jumps else None
         fitted = attribution.validation, attribution.retuned, chosen
@@ -256,7 +256,7 @@ def _is_gap(prepared: PreparedTrials, mse: float) -> bool:
 
 
 def floor_of(prepared: PreparedTrials, hypothesis: Hypothesis) -> NoiseFloor:
-    """Noise floor of the residual; shifts and phases of single trials that a cause explains are taken off first.
+    """Noise floor of the residual, after correction by shifts and phases of single trials that a cause explains.
 
     It is never less than the rounding of the readings, which leaves no noise where the angle rests.
     """

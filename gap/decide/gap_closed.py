@@ -38,7 +38,7 @@ class ClosedShares:
     seed: int
 
     def closed(self, mse: float) -> float:
-        """Share of the structural gap that is closed at that error."""
+        """Share of the structural gap closed at a given mean square error."""
         return closed_share(self.before.mse, mse, self.floor_mse)
 
     def interval(self, before: Blocks, after: Blocks) -> Interval:
@@ -217,7 +217,7 @@ class FinalErrors:
         self.shares = ClosedShares(before, floor_mse, self._between_trials(floor_mse), seed)
 
     def without_sensor_noise(self, blocks: Blocks) -> Blocks:
-        """Errors less the energy of the noise that a sensor in the simulator would add."""
+        """Errors after subtraction of the excess noise of a faulty sensor."""
         energy = blocks.energy - self._prepared.excess_mse * blocks.samples
         return replace(blocks, energy=energy if energy.sum() > 0 else np.zeros_like(energy))
 
@@ -306,7 +306,7 @@ def measured_blocks(prepared: PreparedTrials, hypothesis: Hypothesis) -> Blocks:
 
 
 def _parameters(chosen: Hypothesis, prepared: PreparedTrials) -> dict[str, Mapping[str, float]]:
-    """Identified values by cause and name; of what each trial has of its own, statistics over the trials."""
+    """Identified values by cause and name; for effects of single trials, statistics over the trials."""
     problem = chosen.problem
     parameters: dict[str, Mapping[str, float]] = dict(problem.identified(chosen.q))
     if problem.terms.frequency_hz:

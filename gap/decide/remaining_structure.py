@@ -1,4 +1,4 @@
-"""Structure that a selected effect leaves in the error: shifts shared by groups of trials, and what contradicts it."""
+"""Structure of motion and error that tells of a cause: stick-slip jumps, shifts of groups of trials, lack of fit."""
 
 from __future__ import annotations
 
@@ -58,13 +58,13 @@ class _Shifts:
     spread: Vec
 
     def shared(self, runs: Sequence[int]) -> Vec:
-        """Coefficients (K,) that some trials have in common."""
+        """Least-squares coefficients (K,) shared by some trials."""
         square = self.square[runs].sum(axis=0)
         ridge = _RIDGE * np.trace(square) * np.eye(len(square))
         return np.asarray(np.linalg.solve(square + ridge, self.product[runs].sum(axis=0)), dtype=np.float64)
 
     def left(self, run: int, shift: Vec) -> float:
-        """Squared error that a trial has with a shift."""
+        """Sum of squared errors of a trial after correction by a shift."""
         return float(self.energy[run] - 2 * shift @ self.product[run] + shift @ self.square[run] @ shift)
 
     def left_out(self, groups: Sequence[Sequence[int]]) -> float:
@@ -110,7 +110,7 @@ def configuration_of(hypothesis: Hypothesis, runs: Sequence[Run]) -> Configurati
 
 
 def _shifts(hypothesis: Hypothesis, runs: Sequence[Run]) -> _Shifts:
-    """Offset at the mean angle of all trials, gain and width of each trial, width always where the core has one."""
+    """Normal equations for offset at the mean angle, gain and, if the core has one, width of each trial."""
     problem, q = hypothesis.problem, hypothesis.q
     terms = replace(problem.terms, shift=True, own_offset=False, frequency_hz=0.0, width=problem.baseline.width)
     parts = [problem.linearised(q, run) for run in runs]
@@ -195,7 +195,7 @@ def remaining_curvature(hypothesis: Hypothesis, runs: Sequence[Run], floor_mse: 
 
 
 def slow_mse(hypothesis: Hypothesis, runs: Sequence[Run]) -> float:
-    """Mean square of the remaining error's means over three seconds [deg^2], slow change within trials."""
+    """Mean square of the remaining error after averaging over three seconds [deg^2]: slow change within trials."""
     total, count = 0.0, 0
     for run in runs:
         error, blocks = hypothesis.problem.error(hypothesis.q, run)[0], run.blocks(_SLOW_S)
@@ -260,7 +260,7 @@ class Jumps:
         return self.height_deg**2 / 12.0 if self.seen else 0.0
 
     def note(self, unit: str) -> str:
-        """Note for the report, sizes in that unit."""
+        """Note on the jumps for the report, with sizes in a given unit."""
         return (
             f"Stick-slip by its jumps: in {self.stuck:.0%} of {self.windows} windows of steady motion the tip stands "
             f"still, in {self.jumped:.0%} it jumps, by {self.height_deg:.2g} {unit}, at speeds up to "

@@ -1,4 +1,4 @@
-"""Retuning: what it frees, how large the simulator's form error has become with it, and which numbers moved."""
+"""Retuning of the simulator: free parameters, growth of the model-form error, and significantly changed parameters."""
 
 from __future__ import annotations
 

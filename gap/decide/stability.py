@@ -78,7 +78,7 @@ def _label(verdict: Verdict, names: Names) -> str:
 
 
 def _splits(development: int, final: int, ordered: bool, seed: int) -> Iterator[_TrialSplit]:
-    """Splits of the runs that differ; a first trial whose order is known stays among those to choose on."""
+    """Different splits of the runs; the first trial of a known order always stays a development run."""
     runs = range(development + final)
     free = runs[1:] if ordered and development > final else runs
     random = np.random.default_rng([seed, len(runs)])
@@ -115,7 +115,7 @@ class _ResampledVerdict:
         )
 
     def verdict(self, split: _TrialSplit) -> tuple[Verdict, Names]:
-        """Verdict and names of the effects on that split."""
+        """Verdict and names of the effects on one split."""
         development, end, seed = split
         tried = {names: _errors_on_runs(judged, development, seed) for names, judged in self._tried.items()}
         final: dict[Names, Blocks] = {n: _errors_on_runs(judged, end, seed) for n, judged in self._tried.items()}
@@ -136,7 +136,7 @@ class _ResampledVerdict:
         return decision.verdict, kept if decision.explained else frozenset()
 
     def _confirmed_causes(self, facts: VerdictFacts, final: Mapping[Names, Blocks]) -> Names:
-        """Causes left once those are dropped that do not surely lower the error of the final runs."""
+        """Remaining causes after removal of those that do not significantly lower the error of the final runs."""
         names, replaceable = facts.effects, {names[0] for names in facts.ambiguity}
         while names:
             shares = self._shares(names, final)
@@ -181,7 +181,7 @@ class _ResampledVerdict:
 
 
 def _errors_on_all_runs(judged: HeldOutErrors, final: Sequence[Run]) -> HeldOutErrors:
-    """Errors on the development runs by the fits of the folds, then on the final runs by the fit to all of these."""
+    """Held-out errors on development runs, by the fits of the folds, and on final runs, by the fit to development runs."""
     hypothesis = judged.hypothesis
     errors = tuple(hypothesis.problem.held_out_error(hypothesis.q, run) for run in final)
     blocks = blocks_of(errors, final)

@@ -130,7 +130,7 @@ class VerdictFacts:
         return (self.retuned_mse - self.chosen_mse) / max(self.retuned_mse - self.floor_mse, 1e-12)
 
     def with_only(self, effects: frozenset[str], chosen_mse: float, width_grown: float) -> VerdictFacts:
-        """Facts with some of the selected effects dropped, by the error and the loop width without these."""
+        """Facts after removal of some of the selected effects."""
         ambiguity = tuple(names for names in self.ambiguity if names[0] in effects)
         return replace(self, effects=effects, chosen_mse=chosen_mse, ambiguity=ambiguity, width_grown=width_grown)
 
@@ -142,7 +142,7 @@ def residual_ratio(mse: float, form_mse: float, noise_mse: float) -> float:
 
 @dataclass(frozen=True)
 class VerdictDecision:
-    """Verdict of the decision table, and what follows from it.
+    """Verdict of the decision table, and its consequences.
 
     Attributes:
         case: row of the table in `decide_verdict`.

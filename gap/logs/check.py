@@ -1,4 +1,4 @@
-"""Check of trials against a simulator: units, sign, scale, excitation."""
+"""Check of trials against a simulator: units, sign, scale, excitation, and dependence of the angle on the command."""
 
 from __future__ import annotations
 
@@ -261,7 +261,7 @@ class _Part:
 
 
 def follows_command(trials: Sequence[Trial], seed: int = 0) -> tuple[bool, ...]:
-    """Whether the angle of each trial depends on the past of its command, or nothing contradicts it.
+    """Test of each trial: does its angle depend on the past of its command, or is that at least not contradicted?
 
     Changes y of the angle are regressed on those of features of the command's past (levels, speeds, lags, low-passes,
     plays) by ridge regression over all trials but one, and expected in that one:

@@ -25,7 +25,7 @@ _OPENING_LEVEL, _OPENING_TIME = 0.02, 0.1
 
 @dataclass(frozen=True)
 class Excitation:
-    """Excitation by the commands of all trials together; shares refer to the range of all commands.
+    """Excitation by the commands of all trials; shares refer to the range of all commands.
 
     Attributes:
         motions: kind of motion per trial.
@@ -54,7 +54,7 @@ class Excitation:
 
     @property
     def has_holds(self) -> bool:
-        """A rest of 3 s or more."""
+        """Whether the command rests for 3 s or more."""
         return self.longest_hold_s >= 3.0
 
     @property
@@ -109,7 +109,7 @@ def _ramp_speeds(moves: Sequence[Move], dt: float, least: float) -> tuple[float,
 
 
 def _top_levels(trials: Sequence[Trial], parts: Sequence[Segments], low: float, span: float) -> int:
-    """Levels of the upper turning points that lie apart."""
+    """Number of distinct levels of the upper turning points."""
     levels: list[float] = []
     for trial, part in zip(trials, parts, strict=True):
         turns = np.concatenate([trial.command[:1], trial.command[part.reversals], trial.command[-1:]])

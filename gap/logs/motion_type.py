@@ -32,7 +32,7 @@ _NOISE_BAND = 6.0  # standard deviations of the command's own noise
 
 @dataclass(frozen=True)
 class Move:
-    """A stretch in which the command rises or falls.
+    """Part of a trial in which the command rises or falls.
 
     Attributes:
         start, stop: samples, stop exclusive; the sample before `start` is where it came from.
@@ -50,7 +50,7 @@ class Move:
 
     @property
     def samples(self) -> int:
-        """Sample intervals that it takes."""
+        """Duration in sample intervals."""
         return self.stop - self.start
 
     @property
@@ -73,7 +73,7 @@ def command_segments(trial: Trial) -> Segments:
 
 
 def moves_of(trial: Trial, parts: Segments) -> list[Move]:
-    """All moves in order of time."""
+    """Moves of a trial in order of time."""
     runs = sorted(parts.runs(Motion.LOADING) + parts.runs(Motion.UNLOADING))
     return [_move(trial.command, start, stop) for start, stop in runs]
 

@@ -43,7 +43,7 @@ class NoiseFloor:
 
 @dataclass(frozen=True)
 class RepeatedMotion:
-    """Two stretches with equal commands.
+    """Pair of parts of trials with equal commands.
 
     Attributes:
         first, second: numbers of the trials; equal within one trial.
@@ -58,7 +58,7 @@ class RepeatedMotion:
     shift: float
 
     def differences(self, signals: Sequence[Vec]) -> tuple[Vec, float]:
-        """Second less first stretch of one signal per trial, (T,) each, and its white-noise variance over the signal's.
+        """Difference of one signal (T,) between the two parts, and its white-noise variance over that of the signal.
 
         Interpolation to fractions of a sample reduces that ratio below two.
         """
@@ -125,7 +125,7 @@ def find_repeats(trials: Sequence[Trial], tolerance: float = TOLERANCE) -> tuple
 
 
 def _shifts(first: Trial, second: Trial, a: Index, b: Index, band: float, same: bool) -> list[int]:
-    """Shifts that bring at least two marks onto marks of equal level, best supported first."""
+    """Candidate shifts: they align at least two marks of equal level; best supported first."""
     equal = np.abs(first.command[a][:, None] - second.command[b][None, :]) <= 2 * band
     shifts = (b[None, :] - a[:, None])[equal]
     if same:
@@ -141,7 +141,7 @@ def _shifts(first: Trial, second: Trial, a: Index, b: Index, band: float, same: 
 def _longest_repeat(
     pair: tuple[int, int], trials: tuple[Trial, Trial], shift: int, band: float, least: float
 ) -> RepeatedMotion | None:
-    """The longest equal stretch at about that shift, the shift refined to a fraction of a sample."""
+    """Longest equal part at about a given shift, which is refined to a fraction of a sample."""
     u, v = trials[0].command, trials[1].command
     start, stop = _longest(np.abs(_shifted(v, shift, u.size) - u) <= 4 * band)
     if (stop - start) * trials[0].dt < _LEAST_S:

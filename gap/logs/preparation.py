@@ -82,7 +82,7 @@ class PreparedTrials:
         return self.signs.quantisation_deg / math.sqrt(12.0)
 
     def residuals(self, hypothesis: Hypothesis) -> list[Vec]:
-        """Measured less simulated angle of every run (T,) each [deg]."""
+        """Measured minus simulated angle of every run (T,) each [deg]."""
         return [run.angle - hypothesis.problem.angles(hypothesis.q, run) for run in self.everything]
 
     def floor(self, residuals: Sequence[Vec]) -> NoiseFloor:
@@ -164,7 +164,7 @@ def prepare(
 def _baseline_and_runs(
     simulator: Simulator | LoadedModel, checked: CheckedTrials, signs: SensorSigns, decades: Decades
 ) -> tuple[Baseline, tuple[Run, ...]]:
-    """The nominal simulator at the sample time of the trials, and these as runs, faults of the sensor repaired."""
+    """Nominal simulator at the sample time of the trials, and the trials as runs with repaired sensor faults."""
     trials, given = decades.trials(checked.trials), decades.trials(checked.given)
     repaired_trials = [repaired(trial, signs) for trial in trials]
     command = Range(
@@ -244,7 +244,7 @@ def shortage(trials: Sequence[Trial]) -> str:
 def _network_baseline(
     model: LoadedModel, trials: Sequence[Trial], command: Range, decades: Decades
 ) -> tuple[Baseline, list[Vec]]:
-    """Plays in place of a network on these commands, and the difference of the network's angles from theirs (T,) each.
+    """Plays that replace a network on these commands, and the differences of the network's angles from theirs (T,).
 
     Effects are applied to the plays: exact without effects, first order with them.
     """
@@ -258,7 +258,7 @@ def _network_baseline(
 
 
 def _plays(copies: Sequence[Trial], command: Range) -> Chain:
-    """Rate-independent plays fitted to a network's own free runs."""
+    """Rate-independent plays fitted to the free runs of a network."""
     from hystmpc.models.identify.chain_kinds import prandtl_ishlinskii_starts
 
     runs, fits = runs_of(copies), []
@@ -274,7 +274,7 @@ def _plays(copies: Sequence[Trial], command: Range) -> Chain:
 def model_form_mse(
     identification: Identification, trials: Sequence[Trial], motions: Sequence[str], dt_s: float
 ) -> float:
-    """Model-form error: mean square residual of the nominal simulator on its own identification data [deg^2].
+    """Model-form error: mean square residual of the nominal simulator on its identification data [deg^2].
 
     Zero where it is unknown: the simulator's file stores no residuals, or it was identified on one of these trials
     (compared by fingerprint), so that its residuals contain the gap itself.
@@ -289,7 +289,7 @@ def model_form_mse(
 
 
 def _identified_on(identification: Identification, trials: Sequence[Trial], dt_s: float) -> bool:
-    """Whether it was identified on one of these trials, or on all of them, at any rate."""
+    """Whether the simulator was identified on one or all of these trials, at any sampling rate."""
     known = {r.fingerprint for r in identification.residuals if r.fingerprint}
     # A file's sample time is rounded: 0.03333333333 s stand for 30 Hz, but 0.03 s for 1 / 0.03 Hz.
     parts = remove_command_noise([part for trial in trials for part in _parts(trial)])
@@ -306,7 +306,7 @@ def _identified_on(identification: Identification, trials: Sequence[Trial], dt_s
 
 
 def _parts(trial: Trial) -> tuple[Trial, ...]:
-    """The trial cut at its gaps, as an identification takes it; none where it is refused."""
+    """Parts of a trial between gaps, as an identification uses them; none if it is refused."""
     with suppress(LogError):
         return parts_at_gaps(trial)
     return ()
@@ -334,7 +334,7 @@ _ROUNDED = 1e-3  # of a sample time, which files round
 def corrected_to_simulator_rate(
     runs: Sequence[Run], recorded: Sequence[Trial], chain: Chain, simulator_chain: Chain, simulator_dt_s: float
 ) -> tuple[Run, ...]:
-    """Add a correction to the runs: the difference between the simulator's angles at its own sample time and at theirs.
+    """Runs with a correction: angles of the simulator at its sample time minus those at the sample time of the runs.
 
     An operator is exact at any sample time for some inputs only, such as a lag for one in steps. Where the simulator
     is faster than its diagnosis, the difference of its angles at the two sample times is added to all free runs: exact
@@ -355,7 +355,7 @@ def corrected_to_simulator_rate(
 
 
 def starts_at_simulator_rate(recorded: Sequence[Trial], simulator_dt_s: float, dt_s: float) -> tuple[TrialStart, ...]:
-    """Initial states of the trials, found at the simulator's own sample time as `evaluate` does."""
+    """Initial states of the trials, estimated at the simulator's sample time as in `evaluate`."""
     starts = []
     for trial in recorded:
         resampled = resampled_or_none(trial, 1 / simulator_dt_s) or resampled_or_none(trial, 1 / dt_s) or trial
@@ -393,7 +393,7 @@ def evaluated_mse(simulator: Simulator, recorded: Sequence[Trial], skip_first_fl
 def _evaluation_notes(
     simulator: Simulator, errors: Sequence[Vec], checked: CheckedTrials, skip_first_flexure: bool
 ) -> tuple[str, ...]:
-    """Note where `evaluate` finds another error of the simulator as given than these (C,) each [unit of the log]."""
+    """Note if `evaluate` gives another error of the nominal simulator than these errors (C,) [unit of the log]."""
     given_mse, noise_mse = float(np.mean(np.concatenate(errors) ** 2)), white_noise(errors) ** 2
     evaluated, dt_s = evaluated_mse(simulator, checked.given, skip_first_flexure), checked.dt
     unit, own_hz, hz = simulator.angle_unit, 1 / simulator.dt_s, 1 / dt_s

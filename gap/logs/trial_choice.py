@@ -128,7 +128,7 @@ class ChosenTrials:
     workload: Workload
 
     def only(self, kept: Sequence[bool]) -> ChosenTrials:
-        """Some of the trials."""
+        """Subset of the trials."""
         return replace(
             self,
             trials=tuple(itertools.compress(self.trials, kept)),
@@ -163,13 +163,13 @@ def choose_trials(
 
 
 def _beginning(trial: Trial, end_s: float) -> Trial:
-    """The trial up to a time [s], itself where no more than a sample of it comes later."""
+    """Trial up to a time [s]; the whole trial if at most one sample comes later."""
     stop = int(np.searchsorted(trial.t, end_s, side="right"))
     return trial if trial.t[-1] - end_s <= 1.5 * trial.dt else trial.select(0, stop)
 
 
 def _parts(trial: Trial) -> tuple[Trial, ...]:
-    """The trial cut at its gaps: the one rule of `check`, `fit`, `evaluate` and the diagnosis."""
+    """Parts of a trial between gaps, by the same rule as in `check`, `fit` and `evaluate`."""
     parts = parts_at_gaps(trial)
     for part in parts:
         if part.duration_s < LEAST_S:

@@ -1,4 +1,4 @@
-"""Design of the next motion: the one on which the open hypotheses are separated best, from a menu or by a search."""
+"""Design of the next motion, from a menu or by a search: it separates the open hypotheses best."""
 
 from __future__ import annotations
 
@@ -106,7 +106,7 @@ class MotionProposal:
     options: tuple[EvaluatedMotion, ...] = field(repr=False)
 
     def summary(self) -> NextMotion:
-        """The proposal as a diagnosis states it."""
+        """Summary of the proposal for the diagnosis."""
         motion = self.chosen.motion
         return NextMotion(MOTION_FILE, self.names, self.chosen.probability, motion.duration_s)
 

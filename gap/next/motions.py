@@ -24,7 +24,7 @@ _EDGE_S = 1.0
 
 @dataclass(frozen=True)
 class RampAndHold:
-    """A ramp to a command and a hold there.
+    """Ramp to a command, and a hold there.
 
     Attributes:
         target: share of the reach, 0 at the lowest command.
@@ -38,7 +38,7 @@ class RampAndHold:
     stroke_s: float = 0.0
 
     def way_s(self, start: float, reach: float, rate: float) -> float:
-        """Time from another command to its own, both in shares of the reach [s]."""
+        """Duration of the ramp from a start, a share of the reach [s]."""
         return abs(self.target - start) * max(reach / (self.speed * rate), self.stroke_s)
 
 
@@ -85,7 +85,7 @@ class SampledMotion:
 
 @dataclass(frozen=True)
 class MotionTemplate:
-    """A motion before limits are known: parts in shares of the reach and of the rate."""
+    """Motion in shares of the reach and of the rate, before limits are known."""
 
     name: str
     purpose: str
@@ -221,7 +221,7 @@ def _duration_s(template: MotionTemplate, reach: float, rate: float) -> float:
 
 
 def sampled_burst(part: SineBurst, centre: float, reach: float, rate: float, dt: float) -> tuple[Vec, Vec]:
-    """Times and commands of a burst, on a grid of its own with linear interpolation.
+    """Times and commands of a burst, on a separate grid with linear interpolation.
 
     Slopes of A w(t) sum_i sin(2 pi f_i t) / n are at most A (2 pi mean f + 1 / edge), w rising within the edge.
     """

@@ -1,4 +1,4 @@
-"""Style of the figures, and figures of the closed gap, of the effects and of the next motion."""
+"""Figures of a diagnosis: closed gap, effects, next motion, closed loops, and the residual over time and frequency."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def worst_first(trials: Sequence[TrialRuns]) -> list[TrialRuns]:
 
 
 def shown(trials: Sequence[TrialRuns], most: int) -> list[TrialRuns]:
-    """At most so many trials, final ones before others and worse before better, in recording order."""
+    """Selection of at most `most` trials, final ones and large errors preferred, in recording order."""
     ranked = sorted(worst_first(trials), key=lambda trial: trial.role != "final")[:most]
     return [trial for trial in trials if any(trial is other for other in ranked)]
 
@@ -112,7 +112,7 @@ def closed_figure(data: ReportData) -> Figure:
 
 
 def _points(axes: Axes, stage: Stage, values: list[float], intervals: list[Interval | None]) -> None:
-    """One stage's values, one a row, each with its interval."""
+    """Draw the values of one simulator with their intervals, one row each."""
     rows = np.arange(len(values)) + _OFFSET[stage]
     for row, value, interval in zip(rows, values, intervals, strict=True):
         if interval is not None and np.isfinite(value):
@@ -122,7 +122,7 @@ def _points(axes: Axes, stage: Stage, values: list[float], intervals: list[Inter
 
 
 def rmse_interval(trials: Sequence[TrialRuns], stage: Stage) -> Interval | None:
-    """90 % block-bootstrap interval of the RMSE over some trials [deg]; None for less than four blocks of 2 s.
+    """90 % block-bootstrap interval of the RMSE over some trials [deg]; None for fewer than four blocks of 2 s.
 
     Drawn with one seed, so that a report is the same each time.
     """
@@ -315,7 +315,7 @@ def _command(axes: Axes, trial: TrialRuns, unit: str) -> None:
 
 
 def _strip(axes: Axes, trial: TrialRuns, stages: Sequence[Stage], top: float) -> None:
-    """One row a simulator; samples that do not count stay white."""
+    """Colour strip of the residual, one row for each simulator; samples that do not count stay white."""
     rows = np.array([_columns(trial, stage) for stage in stages])
     extent = (0.0, trial.trial.duration_s, len(stages) - 0.5, -0.5)
     axes.imshow(rows, aspect="auto", cmap=HEAT, vmin=0.0, vmax=top, extent=extent, interpolation="nearest")
@@ -356,8 +356,10 @@ def over_time(trials: Sequence[TrialRuns], stages: Sequence[Stage]) -> Figure:
 
 
 def before_after_figure(trial: TrialRuns, after: Stage) -> Figure:
-    """Angle over time, measured and simulated before and after the correction, and the error of both; of a long trial
-    the part around the largest error is seen at first."""
+    """Measured angle and simulated angles before and after the correction over time, and both errors.
+
+    A long trial opens at the window with the largest error.
+    """
     t = trial.trial.t - trial.trial.t[0]
     size, energy, at = (
         round(_WINDOW_S / trial.trial.dt),
@@ -383,7 +385,7 @@ def before_after_figure(trial: TrialRuns, after: Stage) -> Figure:
 
 
 def share_figure(places: Mapping[str, ResidualShare]) -> Figure:
-    """Share of the retuned residual's energy in each part of the motion, beside the share of time spent there."""
+    """Share of the retuned residual's energy in each part of the motion, with the share of time spent there."""
     ordered = sorted(places.items(), key=lambda item: -item[1].share)
     with new_figure(7.0, 0.95 + 0.3 * len(ordered)) as figure:
         axes: Axes = figure.subplots()

@@ -140,22 +140,22 @@ class ReportData:
 
     @property
     def stages(self) -> tuple[Stage, ...]:
-        """Simulators that differ: without a chosen effect the last is the retuned one."""
+        """Distinct simulators; without a chosen effect the retuned one is the last."""
         return STAGES if self.diagnosis.effects else STAGES[:2]
 
     @property
     def measured_on(self) -> str:
-        """What `final` are: final trials, or all of them."""
+        """Name of the trials in `final`: final trials, or all trials."""
         return "final trials" if any(trial.role == "final" for trial in self.trials) else "trials"
 
     @property
     def command_unit(self) -> str:
-        """Of the command: mm, bar or another."""
+        """Unit of the command: mm, bar or another."""
         return self.trials[0].trial.units.command
 
     @property
     def unit(self) -> str:
-        """Of the output: deg or another."""
+        """Unit of the output: deg or another."""
         return self.trials[0].trial.units.angle
 
 

@@ -147,7 +147,7 @@ def closed_sentence(diagnosis: Diagnosis) -> str:
 
 
 def stability_sentence(diagnosis: Diagnosis) -> str:
-    """How often the verdict comes out again; empty where the trials allow no choice."""
+    """Share of resampled splits with the same verdict; empty if the trials allow no choice."""
     stability = diagnosis.stability
     if stability is None:
         return ""
@@ -253,7 +253,7 @@ def baseline_units(diagnosis: Diagnosis) -> dict[str, str]:
 
 
 def retuning_sentence(diagnosis: Diagnosis) -> str:
-    """Quantities of the simulator that retuning moves by more than they are shown with; empty where there are none."""
+    """Sentence on the quantities that retuning visibly changes; empty if there are none."""
     units = baseline_units(diagnosis)
     each = [
         f"{in_words(name)} from {given:.3g} to {retuned:.3g} {units.get(name, '')}"
@@ -290,7 +290,7 @@ def _least(one: Detectable) -> str:
 
 
 def detectable_sentence(sizes: DetectableSizes) -> str:
-    """What the least sizes mean, or why there are none."""
+    """Meaning of the smallest detectable sizes, or the reason why there are none."""
     return sizes.why_not or (
         f"An effect has to leave {_size(sizes.needed_rmse_deg, sizes.unit)} RMS after retuning: less passes for the "
         "simulator's own model-form error. Each size is that of one effect alone in a free run over these commands; "
@@ -351,7 +351,7 @@ def verdict_facts(diagnosis: Diagnosis) -> tuple[str, ...]:
 
 
 def next_actions(data: ReportData) -> tuple[str, ...]:
-    """What to do with the corrected simulator, what that brings, and what to record."""
+    """Advice on the use of the corrected simulator, its expected benefit, and the next recording."""
     diagnosis, motion = data.diagnosis, data.diagnosis.next_motion
     said = [_corrected(data)]
     tracking = diagnosis.tracking
@@ -433,7 +433,7 @@ def _corrected(data: ReportData) -> str:
 
 
 def _with_effects(data: ReportData, fixed: Simulator) -> str:
-    """What to do with a corrected simulator that holds all of the effects, some of them or none."""
+    """Advice on the use of a corrected simulator that holds all, some or none of the effects."""
     diagnosis, chain = data.diagnosis, fixed.chain
     built_in = {effect_of(operator.name) for operator in (*chain.before, *chain.after)}
     names = [effect.name for effect in diagnosis.effects]
@@ -451,7 +451,7 @@ def _with_effects(data: ReportData, fixed: Simulator) -> str:
 
 
 def _probability(diagnosis: Diagnosis) -> str:
-    """Probabilities of the effects found and of those they may stand for; else of the most likely one."""
+    """Probabilities of the identified effects and of their alternatives; else of the most likely effect."""
     chance = diagnosis.probabilities
     effects = [effect.name for effect in diagnosis.effects]
     shown = list(dict.fromkeys([*effects, *(name for names in diagnosis.ambiguity for name in names)]))
