@@ -95,21 +95,17 @@ def read_columns(
     return UncheckedLog(t, u, angle, channels, units, path, layout.name, note, ranges, cells)
 
 
-def read_csv(log: Path | str | Frame, layout: str | Layout = "auto", sampled_hz: float | None = None) -> Trial:
+def read_csv(log: Path | str | Frame, layout: str | Layout = "auto") -> Trial:
     """Read one trial from a file or a data frame.
 
     Time, command and angle must be finite and time must increase; further columns may hold empty cells (read as
     not-a-number), and columns of text are left out.
 
-    Args:
-        layout: its layout: a name, a `Layout`, or `auto` to tell it from the header.
-        sampled_hz: rate [Hz] of a log that was sampled evenly, whose time stamps are not looked at.
-
     Raises:
         LogError: on anything else; one line with file, row, column, what was got and what was expected.
         ConfigError: on an unknown layout.
     """
-    return read_columns(log, layout, sampled_hz).trial()
+    return read_columns(log, layout).trial()
 
 
 def write_csv(trial: Trial, path: Path | str) -> Path:

@@ -204,7 +204,7 @@ def open_mcap(path: Path | str) -> MessageLog:
     for channel in records.channels.values():
         schema = records.schemas.get(channel.schema_id)
         kind = schema.name if schema is not None else channel.message_encoding
-        topics[channel.topic] = Topic(channel.topic, kind, _decoder(channel.message_encoding, schema))
+        topics[channel.topic] = Topic(kind, _decoder(channel.message_encoding, schema))
     names = {number: channel.topic for number, channel in records.channels.items()}
     messages = [(names[number], stamp, data) for number, stamp, data in kept]
     return MessageLog(str(path), topics, messages, records.note)
@@ -287,7 +287,7 @@ def _read(path: Path, reader: Callable[[Path], Any], encodings: Mapping[str, str
             for connection in bag.connections:
                 encoding = encodings.get(connection.msgdef.format.name, "")
                 decode = late_decoder(connection.msgtype, encoding, connection.msgdef.data)
-                topics[connection.topic] = Topic(connection.topic, connection.msgtype, decode)
+                topics[connection.topic] = Topic(connection.msgtype, decode)
             for connection, stamp, raw in bag.messages():
                 messages.append((connection.topic, stamp, bytes(raw)))
     except LogError:

@@ -107,7 +107,6 @@ class Topic:
         decode: from the bytes of a message to mappings, sequences and numbers, or to an object with fields.
     """
 
-    name: str
     kind: str
     decode: Decoder
 

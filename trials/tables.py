@@ -301,13 +301,13 @@ class Frame(Protocol):
         ...
 
 
-def frame_table(frame: Frame, source: str = "<frame>") -> Table:
+def frame_table(frame: Frame) -> Table:
     """Columns of a data frame; an index that has a name is a column too, and dates are seconds since the first.
 
     Raises:
         LogError: if a name occurs twice, or there is no row.
     """
-    header = tuple(map(str, frame.columns))
+    header, source = tuple(map(str, frame.columns)), "<frame>"
     columns = {name: np.asarray(frame[key]) for name, key in zip(header, frame.columns, strict=True)}
     index = getattr(frame, "index", None)
     name = getattr(index, "name", None)

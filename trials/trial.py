@@ -217,12 +217,12 @@ with a history that nobody knows. The longest part always counts."""
 _RATE_MARGIN = 1.5  # a grid this much finer than the log itself would only invent samples
 
 
-def gap_limit_s(median_interval_s: float, max_gap_s: float = MAX_GAP_S) -> float:
+def gap_limit_s(median_interval_s: float) -> float:
     """Sample interval above which a log has a gap [s]."""
-    return max(max_gap_s, GAP_INTERVALS * median_interval_s)
+    return max(MAX_GAP_S, GAP_INTERVALS * median_interval_s)
 
 
-def parts_at_gaps(trial: Trial, max_gap_s: float = MAX_GAP_S) -> tuple[Trial, ...]:
+def parts_at_gaps(trial: Trial) -> tuple[Trial, ...]:
     """Cut a trial at its gaps and drop parts that are too short, see `PART_S`.
 
     Time keeps its origin. Of several parts each says in its source from when it is.
@@ -230,7 +230,7 @@ def parts_at_gaps(trial: Trial, max_gap_s: float = MAX_GAP_S) -> tuple[Trial, ..
     Raises:
         LogError: if the parts that are too short make more than `LEFT_OUT` of the trial.
     """
-    limit = gap_limit_s(trial.dt, max_gap_s)
+    limit = gap_limit_s(trial.dt)
     gaps = np.flatnonzero(np.diff(trial.t) > limit)
     if not gaps.size:
         return (trial,)
@@ -270,15 +270,11 @@ class SlowLogError(LogError):
         return SlowLogError, (self.source, self.log_hz, *self._rest)  # it travels out of worker processes
 
 
-def resample(trial: Trial, rate_hz: float, max_gap_s: float = MAX_GAP_S) -> Trial:
+def resample(trial: Trial, rate_hz: float) -> Trial:
     """Interpolate all signals linearly onto t[0] + k / rate_hz, up to the last sample.
 
     Short parts beside a gap are left out first (`parts_at_gaps`). There is no anti-aliasing filter: a command that a
     controller sent is not band-limited, and a filter would shift its turning points.
-
-    Args:
-        rate_hz: rate of the result [Hz].
-        max_gap_s: longest sample interval that is bridged [s].
 
     Raises:
         ConfigError: if the rate is not a positive number.
@@ -286,9 +282,9 @@ def resample(trial: Trial, rate_hz: float, max_gap_s: float = MAX_GAP_S) -> Tria
         LogError: at a gap, or if the trial is shorter than one interval.
     """
     positive_rate(rate_hz)
-    first, *others = parts_at_gaps(trial, max_gap_s)
+    first, *others = parts_at_gaps(trial)
     if others:
-        raise LogError(f"{_widest_gap(trial, gap_limit_s(trial.dt, max_gap_s))}; cut the log there")
+        raise LogError(f"{_widest_gap(trial, gap_limit_s(trial.dt))}; cut the log there")
     trial = first
     log_hz = 1.0 / trial.dt
     if rate_hz > _RATE_MARGIN * log_hz:

@@ -181,7 +181,7 @@ class _ResampledVerdict:
 
 
 def _errors_on_all_runs(judged: HeldOutErrors, final: Sequence[Run]) -> HeldOutErrors:
-    """Held-out errors on development runs, by the fits of the folds, and on final runs, by the fit to development runs."""
+    """Held-out errors: on development runs by the fits of the folds, on final runs by the fit to development runs."""
     hypothesis = judged.hypothesis
     errors = tuple(hypothesis.problem.held_out_error(hypothesis.q, run) for run in final)
     blocks = blocks_of(errors, final)

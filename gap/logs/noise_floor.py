@@ -8,12 +8,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hystmpc.trials.clocks import runs
 from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Index, Mask, Vec
 
 from ..diagnosis import FloorKind
 from .motion_type import command_segments
-from .sensor import stretches, white_noise
+from .sensor import white_noise
 
 TOLERANCE = 0.01
 """Commands are equal where they differ by less than this share of their range."""
@@ -92,15 +93,12 @@ def find_floor(
     return NoiseFloor(math.sqrt(float(squares.sum() / weights.sum())), "repeats", noise)
 
 
-def find_repeats(trials: Sequence[Trial], tolerance: float = TOLERANCE) -> tuple[RepeatedMotion, ...]:
+def find_repeats(trials: Sequence[Trial]) -> tuple[RepeatedMotion, ...]:
     """All pairs of stretches of uniform trials at one rate whose commands are equal.
 
     Turning points and ends of holds at equal levels propose the shifts. A stretch counts once it has visited both its
     extremes, since hysteresis has then lost its earlier memory (wiping-out property). It is at least 2 s long and
     covers 30 % of the range of all commands.
-
-    Args:
-        tolerance: greatest difference of equal commands, relative to the range of all.
     """
     if not trials:
         return ()
@@ -108,7 +106,7 @@ def find_repeats(trials: Sequence[Trial], tolerance: float = TOLERANCE) -> tuple
     if span <= 0:
         return ()
     noise = white_noise([trial.command for trial in trials])
-    band = max(tolerance * span, 4 * 2**0.5 * noise)
+    band = max(TOLERANCE * span, 4 * 2**0.5 * noise)
     segments = [command_segments(trial) for trial in trials]
     marks = [
         np.unique(np.concatenate([parts.reversals, [b - 1 for _, b in parts.holds], [0]]).astype(np.intp))
@@ -167,7 +165,9 @@ def _shifted(v: Vec, shift: float, size: int) -> Vec:
 
 def _longest(inside: Mask) -> tuple[int, int]:
     """First and last sample (exclusive) of the longest stretch; (0, 0) without one."""
-    return max(stretches(inside), key=lambda ends: ends[1] - ends[0], default=(0, 0))
+    starts, stops = runs(inside)
+    k = int(np.argmax(stops - starts)) if starts.size else 0
+    return (int(starts[k]), int(stops[k])) if starts.size else (0, 0)
 
 
 def _same_repeat(a: RepeatedMotion, b: RepeatedMotion) -> bool:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hystmpc.models.identify.resolution import grid_step
+from hystmpc.trials.clocks import runs
 from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Mask, Vec
 
@@ -75,7 +76,7 @@ def sensor_signs(trials: Sequence[Trial], nominal_noise_deg: float | None = None
     held = [_held(trial, step, noise) for trial in trials]
     ticks = sum(len(trial) / _pace(trial) for trial in trials)
     count = sum(number for _, number in spikes)
-    drops = sum(len(stretches(mask)) for mask in held)
+    drops = sum(runs(mask)[0].size for mask in held)
     held_rate = sum(int(mask.sum()) for mask in held) / sum(len(trial) for trial in trials)
     fine = nominal_noise_deg if nominal_noise_deg is not None else noise
     return SensorSigns(
@@ -184,12 +185,6 @@ def _longest_by_chance(runs: NDArray[np.int64], step: float, noise: float) -> fl
     white = step / (2 * math.sqrt(math.pi) * noise) if noise > 0 else 1.0
     repeats = max(white, float(np.mean(runs > 1)), 1 / runs.size)
     return 1 + math.log(_BY_CHANCE / runs.size) / math.log(repeats) if repeats < _MOST_REPEATS else math.inf
-
-
-def stretches(mask: Mask) -> list[tuple[int, int]]:
-    """First sample and last sample (exclusive) of every stretch in which the mask holds."""
-    edges = np.diff(np.concatenate(([0], mask.astype(np.int8), [0])))
-    return list(zip(np.flatnonzero(edges == 1).tolist(), np.flatnonzero(edges == -1).tolist(), strict=True))
 
 
 def autocorrelation(signal: Vec, lags: int) -> Vec:
