@@ -83,13 +83,11 @@ def explainable_share(trials: Sequence[Trial], residuals: Sequence[Vec], seed: i
 def friction_share(trials: Sequence[Trial], residuals: Sequence[Vec], noise_deg: float) -> float:
     """Share of the residual's energy above the noise that plays of the command explain held out, 0 to 1.
 
-    r = c + a_0 u + sum_i a_i z_i,  z_i the plays of half-widths from 0.5 to 20 % of the command's range
+        r = c + a_0 u + sum_i a_i z_i,  z_i the plays of half-widths from 0.5 to 20 % of the command's range
 
-    is what a Prandtl-Ishlinskii model of other weights and widths would add to the simulator: friction that has grown
-    or is spread in another way. Ridge regression, each trial left out once. The plays begin where the command came
-    down to its start, rose to it, or never moved before; the best of the three counts. What comes before the first
-    reversal of a trial does not count: a set that is taken on the first way looks like friction. A trial weighs by its
-    RMS, not by its energy: one large motion that is like no other cannot be predicted from the others.
+    is what a Prandtl-Ishlinskii model of other weights and widths would add to the simulator. Ridge regression, each
+    trial left out once and weighted by its RMS; what comes before its first reversal does not count. The plays begin
+    where the command came down to its start, rose to it, or never moved before; the best of the three counts.
     """
     starts = [int(next(iter(segment(trial).reversals), 0)) for trial in trials]
     targets = _folded([error[k:] for error, k in zip(residuals, starts, strict=True)])
@@ -259,10 +257,8 @@ def _coherent(trials: Sequence[Trial], residuals: Sequence[Vec]) -> float:
 def _lines(shown: Sequence[_Periodograms], total: float) -> tuple[SpectralLine, ...]:
     """Frequencies at which the power of the unlocked part over its local median, mean over trials, is beyond chance.
 
-    What the command's past explains over all trials is taken out first: periodic motions have lines, too. Of a residual
-    without lines the ratio of power to its local median is exponential over ln 2; its logarithm has mean
-    -0.5772 - ln ln 2 and variance pi^2 / 6, and the mean of n trials is nearly normal. The geometric mean, unlike the
-    arithmetic, does not rise by one trial.
+    Without lines the ratio of power to its local median is exponential over ln 2; its logarithm has mean
+    -0.5772 - ln ln 2 and variance pi^2 / 6, and the mean of n trials is nearly normal.
     """
     finest = min(s.bin_hz for s in shown)
     grid = np.arange(_LOWEST_HZ, max(s.hz[-1] for s in shown) - finest, finest)

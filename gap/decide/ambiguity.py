@@ -64,13 +64,9 @@ def ambiguity_of(selection: Selection, drift_shows: Callable[[Hypothesis], bool]
 def _distinguishable(chosen: HeldOutErrors, other: HeldOutErrors) -> bool:
     """Whether held-out trials are significantly closer to the chosen prediction than to the other one.
 
-    With the predictions a and b of the two and the measurement y,
-
         (|y - b|^2 - |y - a|^2) / |a - b|^2  =  1 - 2 (y - a) . (b - a) / |a - b|^2
 
-    is 1 where a is true, -1 where b is, and 0 where the truth lies half way, as it does when it is neither. The measure
-    does not depend on how small the difference of the errors is beside the gap. A lag, a delay and a rate dependence
-    are told apart by errors of their own (`timing_rivals`).
+    with predictions a, b and measurement y is 1 where a is true, -1 where b is, and 0 where the truth lies half way.
     """
     if chosen.parts is not None and other.parts is not None:
         held_out, quick = timing_errors(other, chosen)
@@ -130,17 +126,12 @@ def inclusion_shares(selection: Selection, floor_mse: float, seed: int) -> dict[
 def probability(name: str, share: float, ambiguous: bool, stability: float, untried: bool = False) -> float:
     """Calibrated probability that a chosen effect is present.
 
-    logit P = b_0 + b_1 ambiguous + b_2 sure + b_3 generic (1 - sure) + b_4 untried,    sure = share stability^2
-
-    Sure is what closes the gap and comes out on whatever trials: neither is enough alone. A generic effect that does
-    both is no imitation of another cause.
+        logit P = b_0 + b_1 ambiguous + b_2 sure + b_3 generic (1 - sure) + b_4 untried,    sure = share stability^2
 
     Args:
-        name: of the effect.
         share: of the structural gap that it closes, 0 to 1.
         ambiguous: whether another effect could replace it.
-        stability: share of other splits of the trials in which the verdict is the same, 0 to 1; its square is the
-            chance that two of them both give it.
+        stability: share of other splits of the trials with the same verdict, 0 to 1.
         untried: whether the library lacks an effect with which it can be confounded.
     """
     sure = min(max(share, 0.0), 1.0) * stability**2
@@ -168,17 +159,14 @@ def ranking(
 ) -> tuple[tuple[str, float], ...]:
     """Effects of the library by probability, highest first; of equal ones the chosen effect comes first.
 
-    Effects that could replace a chosen one, or that these motions do not tell from it, share the probability that it
-    leaves; the others have half of that times their inclusion. None of them explains the trials better than what was
-    chosen, so that none is likelier than what it could replace, or than the likeliest that was chosen.
+    Effects that could replace a chosen one share the probability that it leaves; the others have half of that times
+    their inclusion. None is likelier than what it could replace, or than the likeliest that was chosen.
 
     Args:
-        chosen: probability of each effect found.
+        chosen: probability of each identified effect.
         inclusion: share of the resamples in whose best explanation each effect is.
         ambiguity: sets of effects that could replace each other, the chosen one first.
-        library: names of all effects.
-        left_open: probability that an effect is there of which the verdict does not speak: small where nothing is
-            missing.
+        left_open: probability of an effect that the verdict does not name.
     """
     most = max(chosen.values(), default=1.0)
     left = left_open * (1 - max(chosen.values(), default=0.0))

@@ -51,16 +51,13 @@ class ClosedShares:
     ) -> dict[str, tuple[float, Interval]]:
         """Closed share of each cause, and its 90 % interval.
 
-        A cause is weighed by the error that comes back without it, the others fitted anew:
-
             share_i = closed (E_without_i - E) / sum_j max(E_without_j - E, 0)
 
-        The shares add up to what all close together, where each of them lowers the error. Of causes that can replace
-        each other none closes anything. The interval is that of the fall, blocks resampled together before and after:
-        a small cause beside a large one is as sure as its own fall.
+        E_without_i is the error without cause i, the others fitted anew. The shares add up to what all close together.
+        The interval is that of the fall, blocks resampled together before and after.
 
         Args:
-            blocks: errors with all of them, with all but one, and with none.
+            blocks: errors with all of the causes, with all but one, and with none.
         """
         after = blocks(names)
         without = {name: blocks(names - {name}) for name in sorted(names)}
@@ -178,13 +175,12 @@ def without_sawtooth(blocks: Blocks, mse: float) -> Blocks:
 class FinalErrors:
     """Errors on the final trials of the simulator with any of its causes, and what these close.
 
-    Noise of a faulty sensor and jumps of a tip that sticks cannot be predicted by a free run. A simulator that has them
-    leaves their energy, so that it counts as closed: that of the noise, and in each block up to that of a sawtooth of
-    the height of the jumps.
+    Noise of a faulty sensor and jumps of a tip that sticks cannot be predicted by a free run: their energy counts as
+    closed, that of jumps in each block up to a sawtooth of their height.
 
     Attributes:
-        after: of the corrected simulator; less the excess noise of a faulty sensor, where the sensor is a cause.
-        shares: what the causes close; before them the retuned simulator, against the angles as measured.
+        after: of the corrected simulator, without the excess noise of a faulty sensor where the sensor is a cause.
+        shares: what the causes close of the error of the retuned simulator, against the angles as measured.
 
     Args:
         retuned, chosen: the simulator without and with its causes.

@@ -75,14 +75,11 @@ class _Shifts:
 def configuration_of(hypothesis: Hypothesis, runs: Sequence[Run]) -> Configuration | None:
     """Groups of trials that explain shifts between trials; None where these scatter, or no effect shifts them.
 
-    Trials are joined by Ward's method (J. Am. Stat. Assoc. 58, 1963) on what their own offset, gain and width move the
-    angle by. Each trial is then predicted with the shift that the others of its group share,
-
         share = (E_all - E_groups) / (E_all - E_own)
 
-    with the squared errors of one shift for all others, of the groups', and of each trial's own. The fewest groups, of
-    two trials or more, that reach 0.87 (0.95 for three groups) count. Scatter from trial to trial rarely does: two
-    halves of a normal distribution explain 0.64 of it on average.
+    with the squared errors of one shift for all other trials, of the groups', and of each trial's own. The fewest
+    groups, of two trials or more, that reach 0.87 (0.95 for three groups) count. Groups are joined by Ward's method
+    (J. Am. Stat. Assoc. 58, 1963) on what offset, gain and width of each trial move the angle by.
     """
     if SHIFT not in hypothesis.effects or len(runs) < 2 * _LEAST_OF_GROUP:
         return None
@@ -143,9 +140,8 @@ _WANDER = 0.7  # slow change within trials, over what shifts between them explai
 def structure_left(selection: Selection, runs: Sequence[Run], everything: Sequence[Run], floor_mse: float) -> bool:
     """Lack of fit: whether the only selected effect leaves structure that contradicts it.
 
-    A curved gain leaves no other curve of the angle (`remaining_curvature`). Shifts between trials leave no slow change
-    within them (`slow_mse`). Widths of single trials belong to groups of trials: else they follow the speed of the
-    motions, as with a friction that depends on it.
+    A curved gain leaves no other curve of the angle, shifts between trials leave no slow change within them, and widths
+    of single trials belong to groups of trials.
 
     Args:
         everything: all runs; groups of few trials show in all of them alone.
@@ -170,11 +166,7 @@ def remaining_curvature(hypothesis: Hypothesis, runs: Sequence[Run], floor_mse: 
     """Share of the remaining structural error that two free curves of the simulated angle explain, 0 to 1.
 
     One curve applies while the simulated angle rises and another while it falls, each piecewise linear between ten
-    knots at quantiles of the angle, fitted by least squares to the errors of all runs together. A quadratic and a cubic
-    term that imitate a corner, a toe or another branch leave such curves; those of a smooth gain do not.
-
-    Args:
-        floor_mse: below which an error carries no evidence [deg^2].
+    knots at quantiles of the angle. Errors below `floor_mse` [deg^2] carry no evidence.
     """
     angles, errors = [], []
     for run in runs:
@@ -224,14 +216,12 @@ _ENOUGH = 100  # windows
 class Jumps:
     """Statistics of the tip motion while the simulated motion is steady.
 
-    In each window, as short as noise and resolution allow, the measured motion is a multiple g of the simulated one. A
-    tip that sticks and slips does not move in many windows, moves several times too far in others, and never moves back
-    as it would under a disturbance from outside.
+    In each window, as short as noise and resolution allow, the measured motion is a multiple g of the simulated one.
 
     Attributes:
         windows: number of windows.
         stuck, jumped, back: share of them with g below 0.3, above 2, and below -0.5.
-        carried: share of the measured motion in those above 2: rare jumps are large.
+        carried: share of the measured motion in those above 2.
         height_deg: median change of the tip's lead over the simulator in a jump [deg].
         fastest_deg_s: 90 % quantile of the simulated speeds at which it jumps [deg/s].
     """

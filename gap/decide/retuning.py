@@ -71,12 +71,10 @@ def retuned_with(
 def retuning_of(prepared: PreparedTrials, retuned: Hypothesis, left_out_mse: float) -> Retuning:
     """Measure the effect of retuning on the error.
 
-    The form error of a simulator of friction grows with the height h of its loop, gain times width: the noise n does
-    not.
-
         e' = n^2 + min(max(1, h' / h), 4)^2 (e - n^2)
 
-    Where a loop has lost more than half of its height, no share is counted: less friction leaves less form error.
+    is the form error of a simulator of friction, which grows with the height h of its loop; n is the noise. Where a
+    loop has lost more than half of its height, no share is counted.
 
     Args:
         left_out_mse: its error on development trials that its fit did not see [deg^2].
@@ -114,8 +112,7 @@ def reidentified_share(
 ) -> float:
     """Share of the retuned error above the floor that a core identified anew explains held out, 0 to 1.
 
-    It is a sum of plays with a free curve each, all of it fitted: the richest structure of a static loop. It takes up
-    whatever does not depend on time, as a friction of any spread, and what a tendon that only pulls does beyond it.
+    It is a sum of plays with a free curve each, all of it fitted: the richest structure of a static loop.
     """
     try:
         forms = core_forms(prepared.decades.trials(prepared.checked.trials), Scale.of(validation.runs))
@@ -132,15 +129,10 @@ def reidentified_share(
 def moved_numbers(
     prepared: PreparedTrials, retuned: Hypothesis, quantities: Iterable[ParameterRow]
 ) -> tuple[RetunedParameter, ...]:
-    """Parameters that retuning has significantly changed: the 90 % interval excludes the given value.
-
-    Gain, offset and width come first, then weights and widths of the core's plays.
+    """Parameters, in the units of the log, whose 90 % interval after retuning excludes the given value.
 
     Args:
-        quantities: gain, offset and width of it, in working units.
-
-    Returns:
-        the numbers in the units of the log.
+        quantities: gain, offset and width of the simulator, in working units.
     """
     baseline, decades, units = prepared.baseline, prepared.decades, prepared.checked.trials[0].units
     given = dict(baseline.quantities(baseline.nominal))

@@ -38,17 +38,11 @@ _TrialSplit = tuple[tuple[int, ...], tuple[int, ...], int | None]
 def stability_of(
     prepared: PreparedTrials, attribution: Attribution, conclusion: Conclusion, seed: int
 ) -> Stability | None:
-    """Stability: share of resampled splits of the trials with the same verdict and the same effects.
+    """Stability: share of resampled splits with the same verdict and effects; None where the trials allow no choice.
 
-    Each resample takes other trials as final ones. Every hypothesis that the selection tried has errors on all trials
-    by fits that did not see them: those of its fold on a development trial, those of the fit to all development trials
-    on a final trial. The choice of causes, their ambiguity, their confirmation and the verdict are made anew from these
-    errors; nothing is fitted, and hypotheses that the selection did not try are not found. Where fewer than eight
-    splits exist, blocks of 3 s are drawn with replacement as well. Costs the free runs of what was tried on the final
-    trials.
-
-    Returns:
-        None where the trials allow no choice.
+    Every hypothesis that was tried has errors on all trials by fits that did not see them. Choice, ambiguity,
+    confirmation and verdict are made anew from these; nothing is fitted. With fewer than eight splits, blocks of 3 s
+    are drawn with replacement as well.
     """
     if prepared.too_little or prepared.checked.unrelated:
         return None

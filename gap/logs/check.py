@@ -67,14 +67,10 @@ def check_trials(
 ) -> CheckedTrials:
     """Compare units, sign and scale with the simulator's, and bring the trials to one rate.
 
-    The rate is the simulator's own, at which `evaluate` runs it, where it lies between 10 and 50 Hz and no trial's
-    median rate is lower by a factor of 1.5 or more; else the lowest of 50 Hz and the trials' rates. A network, given by
-    its metadata, always keeps its own rate. A log with gaps is cut there, as `fit` and `check` do it. Of more trials
-    than can be afforded some are chosen (`affordable`), and those whose angle does not follow the command are left out
-    (`follows_command`).
-
-    Args:
-        simulator: chain of operators, or metadata of another model.
+    The rate is that of the simulator where it lies between 10 and 50 Hz and no trial's median rate is lower by a factor
+    of 1.5 or more; else the lowest of 50 Hz and the trials' rates. A network, given by its metadata, always keeps its
+    rate. A log with gaps is cut there. Of more trials than can be afforded some are chosen (`affordable`), and those
+    whose angle does not follow the command are left out (`follows_command`).
 
     Raises:
         GapError: if there is no trial, units differ, commands or angles never change, the angle falls as the command
@@ -268,15 +264,13 @@ def follows_command(trials: Sequence[Trial], seed: int = 0) -> tuple[bool, ...]:
 
         share = 1 - sum_trials |y - expected|^2 / sum_trials |y|^2,   r = y . expected / (|y| |expected|)
 
-    Changes are taken over the time in which the command loses half of its variance, since the level of a drifting angle
-    correlates with any slow command. The null distribution comes from the changes of each trial in another order of
-    blocks, which keeps noise, drift and jumps and removes the dependence on the command.
+    Changes are taken over the time in which the command loses half of its variance. The null distribution comes from
+    the changes of each trial in another order of blocks.
 
-    All trials together depend on their commands where the share is above a quarter, or above the 99 % quantile of the
-    null, and where r is above 0.5, or above the 99 % quantile of its own null, in half of the trials. Then a trial
-    follows where that holds for its own r, where r is below that of the median trial by chance only, or where little
-    motion is expected of it (a command at rest or within the play of the device). Otherwise the trials whose own r is
-    significant follow if they are half of all or more and depend on their commands without the others.
+    All trials together depend on their commands where share and, in half of the trials, r are large (a quarter, 0.5) or
+    above the 99 % quantile of the null. Then a trial follows where that holds for its r, where r is below that of the
+    median trial by chance only, or where little motion is expected of it. Otherwise the trials of significant r follow
+    if they are half of all or more and depend on their commands without the others.
 
     Sources: Granger, Newbold, Spurious regressions in econometrics, J. Econometrics 2 (1974); Theiler et al., Testing
     for nonlinearity in time series: the method of surrogate data, Physica D 58 (1992).

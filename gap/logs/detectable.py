@@ -59,20 +59,14 @@ def smallest_detectable(prepared: PreparedTrials, without: Collection[str] = ())
 
 
 def detectable_sizes(baseline: Baseline, runs: Sequence[Run], needed_mse: float) -> tuple[Detectable, ...]:
-    """Size of every effect at which its part orthogonal to retuning reaches a mean square error.
+    """Size of every effect at which its part orthogonal to retuning reaches a mean square error [unit of the runs].
 
         d(s) = theta(with the effect at size s) - theta(nominal),   left(s) = d - J (J^T J)^-1 J^T d
         mean left(s)^2 = needed_mse
 
-    theta is the simulator's angle along the commands, J its derivative by all that retuning may change. The angles that
-    were measured are not looked at, but for the first of each trial. An effect takes its first form, with its other
-    parameters at the values from which a fit starts.
-
-    Args:
-        needed_mse: below which an error counts as no gap [deg^2].
-
-    Returns:
-        sizes in the units of the runs, called `cmd` and `deg`.
+    theta is the simulator's angle along the commands, J its derivative by all that retuning may change. Of the measured
+    angles only the first of each trial is used. An effect takes its first form, with its other parameters at the values
+    from which a fit starts.
     """
     problem = Problem(baseline)
     nominal, slopes = zip(*(problem.linearised(problem.as_given, run) for run in runs), strict=True)

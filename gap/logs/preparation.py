@@ -336,10 +336,9 @@ def corrected_to_simulator_rate(
 ) -> tuple[Run, ...]:
     """Runs with a correction: angles of the simulator at its sample time minus those at the sample time of the runs.
 
-    An operator is exact at any sample time for some inputs only, such as a lag for one in steps. Where the simulator
-    is faster than its diagnosis, the difference of its angles at the two sample times is added to all free runs: exact
-    for the simulator as given, and to first order with other numbers or effects. Nothing is added where it is as fast
-    or slower, or where a log is too slow for its sample time.
+    An operator is exact at any sample time for some inputs only, such as a lag for steps. The correction is exact for
+    the nominal simulator, and of first order otherwise. There is none where the simulator is no faster than its
+    diagnosis, or a log is too slow for its sample time.
     """
     if simulator_dt_s >= runs[0].dt_s * (1 - _ROUNDED):
         return tuple(runs)
@@ -372,10 +371,7 @@ def resampled_or_none(trial: Trial, rate_hz: float) -> Trial | None:
 
 
 def evaluated_mse(simulator: Simulator, recorded: Sequence[Trial], skip_first_flexure: bool = False) -> float | None:
-    """Mean square error that `evaluate` finds on trials without gaps [deg^2]; None where one is too slow for it.
-
-    A free run at the simulator's sample time, from where `evaluate` lets a trial begin (`models.start`).
-    """
+    """Mean square error of a free run as in `evaluate` on trials without gaps [deg^2]; None where a log is too slow."""
     facts, staged = simulator.metadata(), StagedChain(simulator.chain)
     run = staged.rollouts(simulator.dt_s, simulator.chain.values)
     box, squares, samples = search_box(facts.trained_command, facts.trained_angle), 0.0, 0
@@ -443,11 +439,9 @@ _BEYOND_FORM = 2.0  # times the model-form error (RMS): less does not matter
 def common_rest(runs: tuple[Run, ...], form_mse: float) -> tuple[Run, ...]:
     """Give all runs one rest angle where friction cannot explain the scatter of their rest angles.
 
-    A friction keeps an angle until a motion changes it. A trial that comes back to the command at which it rested shows
-    how much its motion did. Where the angles at rest of the trials differ by three times the most that any of these
-    motions did, something else has moved them between the trials: a mounting, a drift, a zero. A core must not take
-    that up as the state in which its plays begin: wide plays would keep it for the whole trial. All runs then begin
-    at the median angle, and what differs is left in the error.
+    A trial that returns to the command at which it rested shows how much its motion changes the angle. Where the rest
+    angles of the trials differ by three times the most of that, something else has moved between the trials, such as a
+    mounting: all runs then begin at the median angle, and the difference stays in the error.
     """
     span = max(float(run.command.max()) for run in runs) - min(float(run.command.min()) for run in runs)
     commands, angles = np.array([(run.rest_command, run.rest_angle) for run in runs]).T

@@ -275,11 +275,10 @@ def split_runs(
 ) -> tuple[tuple[Run, ...], tuple[Run, ...]]:
     """Development and final runs, by whole trials.
 
-    A quarter of the trials is final, if possible of motions that the development runs have too: first repeats of a
-    motion, then motions most like another, the latest among equals. A motion that is like no other, such as one that a
-    diagnosis asked for, stays with the development runs. Of one or two trials the last third of what counts is final:
-    it is simulated from the beginning of the trial and scored alone. The other two thirds of a single
-    trial are two folds.
+    A quarter of the trials is final: first repeats of a motion, then motions most like another, the latest among
+    equals. A motion that is like no other stays a development run. Of one or two trials the last third of what counts
+    is final: it is simulated from the beginning of the trial and scored alone. The other two thirds of a single trial
+    are two folds.
 
     Args:
         ordered: whether they stand in the order of recording; the first one then is never final.

@@ -170,14 +170,9 @@ TEMPLATES = (
 
 
 def menu(limits: CommandLimits, dt: float) -> tuple[SampledMotion, ...]:
-    """Every motion of the menu on one device.
+    """Motions of the menu on one device, within the limits [mm or bar, and per second], at a sample time [s].
 
-    All lie within the limits and change by at most 0.9 of the rate limit. The reach of a motion shrinks where it would
-    take more than 90 s otherwise.
-
-    Args:
-        limits: box and rate of the command [mm or bar, and per second].
-        dt: sample time [s].
+    They change by at most 0.9 of the rate limit, and reach less far where they would take more than 90 s otherwise.
     """
     return tuple(_motion(template, limits, dt) for template in TEMPLATES)
 
@@ -250,11 +245,10 @@ _NO_BURST_S = 1.0  # a shorter burst is left out
 class MotionFamily:
     """Parametrised family of motions: rest, three ramps with holds, two sines, three ramps with holds, return, rest.
 
-    A motion is given by numbers x (22,) in [0, 1]: of each ramp the target (share of the range, counted from the end of
-    the range that is nearer to the safe command), the speed (3 to 100 % of the allowed rate, logarithmic) and the hold
-    (0.05 to 20 s, logarithmic); of the burst the amplitude, the frequency, the ratio of the second frequency, and the
-    duration. A motion that would last too long is played faster: its ways up to the allowed rate, holds and burst
-    shorter; if that is not enough, it reaches less far.
+    A motion is given by numbers x (22,) in [0, 1]: of each ramp the target (share of the range, counted from the end
+    that is nearer to the safe command), the speed (3 to 100 % of the allowed rate, logarithmic) and the hold (0.05 to
+    20 s, logarithmic); of the burst the amplitude, the frequency, the ratio of the second frequency, and the duration.
+    A motion that would last too long is played faster, and reaches less far if that is not enough.
 
     Attributes:
         limits: box and rate of the command [mm or bar, and per second].
