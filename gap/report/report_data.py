@@ -234,7 +234,8 @@ def _candidates(findings: Findings, diagnosis: Diagnosis) -> tuple[CandidateRow,
     probabilities, before = dict(diagnosis.ranking), selection.baseline
     chosen, retuned = {effect.name for effect in diagnosis.effects}, float(np.sqrt(before.mse))
     rows = []
-    for name, after in ((*names, judged) for names, judged in selection.tried.items() if len(names) == 1):
+    alone = [(min(names), judged) for names, judged in selection.tried.items() if len(names) == 1]
+    for name, after in alone:
         (_, error), rmse = gain(before, after), float(np.sqrt(after.mse))
         effects = after.hypothesis.problem.effects
         side: Side = effects[0].side if effects else "trial"
