@@ -379,7 +379,11 @@ def motion_part_labels(trial: Trial) -> Index:
 def _blocks(residuals: Sequence[Vec], dt: float) -> Index:
     """Number of the block of every sample of all trials; no block reaches over two trials."""
     samples = sum(e.size for e in residuals)
-    length = max(_BLOCK_S, 4 * _correlation_s(residuals, dt)) / dt
+    longest = max(e.size for e in residuals)
+    total = np.sum([autocorrelation(e - e.mean(), longest) for e in residuals], axis=0)
+    below = np.flatnonzero(total < total[0] / math.e)  # lags from which the correlation is below 1/e
+    lag_s = float(below[0]) * dt if below.size else longest * dt
+    length = max(_BLOCK_S, 4 * lag_s) / dt
     length = max(1, round(min(length, samples / _LEAST_BLOCKS)))
     numbers, first = [], 0
     for e in residuals:
@@ -387,14 +391,6 @@ def _blocks(residuals: Sequence[Vec], dt: float) -> Index:
         numbers.append(first + np.arange(e.size) * count // e.size)
         first += count
     return np.concatenate(numbers)
-
-
-def _correlation_s(residuals: Sequence[Vec], dt: float) -> float:
-    """Lag at which the correlation of the residuals, about each one's mean, falls to 1/e [s]."""
-    longest = max(e.size for e in residuals)
-    total = np.sum([autocorrelation(e - e.mean(), longest) for e in residuals], axis=0)
-    below = np.flatnonzero(total < total[0] / math.e)
-    return float(below[0]) * dt if below.size else longest * dt
 
 
 def _residual_shares(power: Vec, labels: Index, blocks: Index, seed: int) -> dict[str, ResidualShare]:

@@ -111,24 +111,18 @@ def require_sound(trial: Trial) -> None:
     Raises:
         LogError: with what `check` says of it.
     """
-    _require_seconds(trial)
+    unit = suspected_unit(trial.t)
+    if unit is not None and unit.certain:
+        raise LogError(
+            f"{trial.source}: time_s runs from {trial.t[0]:.15g} to {trial.t[-1]:.15g}, sampling rate "
+            f"{1 / trial.dt:.3g} Hz, expected {SLOWEST_HZ:g} Hz to {UNUSUAL_HZ / 1e3:g} kHz: {unit.text}"
+        )
     findings, _ = encoding_findings(trial, (Conversion(), Conversion()), "sample {}".format)
     for finding in findings:
         raise LogError(f"{trial.source}: {finding.topic}: {finding.message}")
     shift = clock_shift(trial.t, trial.command, trial.angle)
     if shift is not None and shift.late_s < -IMPOSSIBLE_S:
         raise LogError(f"{trial.source}: {shift.text}")
-
-
-def _require_seconds(trial: Trial) -> None:
-    """Refuse a trial whose time is most likely not in seconds."""
-    unit = suspected_unit(trial.t)
-    if unit is not None and unit.certain:
-        rate = 1 / trial.dt
-        raise LogError(
-            f"{trial.source}: time_s runs from {trial.t[0]:.15g} to {trial.t[-1]:.15g}, sampling rate {rate:.3g} Hz, "
-            f"expected {SLOWEST_HZ:g} Hz to {UNUSUAL_HZ / 1e3:g} kHz: {unit.text}"
-        )
 
 
 _SEGMENT_RATE_HZ = 50.0  # enough for tip motions up to a few Hz

@@ -161,11 +161,6 @@ def parse_yaml(text: str) -> Any:
     return _read(text, _StrictLoader.get_single_data)
 
 
-def compose_yaml(text: str) -> yaml.Node | None:
-    """Parse a text into a tree with the line of every entry; None for an empty text."""
-    return _read(text, _StrictLoader.get_single_node)
-
-
 def _read(text: str, get: Any) -> Any:
     try:
         loader = _StrictLoader(text)
@@ -195,11 +190,6 @@ _Dumper.add_representer(str, _text)
 _Dumper.add_implicit_resolver(f"{_TAG}float", _NUMBER, _FIRST_OF_NUMBER)
 
 
-def format_yaml(data: Any) -> str:
-    """Plain data as YAML in the order given; read back as the same by `parse_yaml` and by YAML 1.1."""
-    return yaml.dump(data, Dumper=_Dumper, sort_keys=False, allow_unicode=True)
-
-
 Location = Sequence[str | int]
 
 
@@ -222,7 +212,7 @@ def line_of(text: str, at: Location) -> int | None:
     or nothing of `at` is there.
     """
     try:
-        node = compose_yaml(text)
+        node: yaml.Node | None = _read(text, _StrictLoader.get_single_node)
     except YamlError:
         return None
     line = None
@@ -432,5 +422,5 @@ def override(data: dict[str, Any], text: str) -> None:
 
 
 def dump_yaml(data: Any) -> str:
-    """Return plain data as YAML in the order given."""
-    return format_yaml(data)
+    """Plain data as YAML in the order given; read back as the same by `parse_yaml` and by YAML 1.1."""
+    return yaml.dump(data, Dumper=_Dumper, sort_keys=False, allow_unicode=True)

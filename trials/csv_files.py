@@ -141,7 +141,8 @@ def open_table(log: Path | str | Frame, wanted: Iterable[str] = ()) -> Table:
     if format_of(Path(log)) == "xlsx":
         return open_xlsx(log, wanted)
     lines = read_lines(log)
-    return lvm_table(lines, str(log)) if is_lvm(lines) else text_table(lines, str(log), wanted)
+    is_lvm = lines[0].lstrip("\ufeff").startswith(_LVM)
+    return lvm_table(lines, str(log)) if is_lvm else text_table(lines, str(log), wanted)
 
 
 def _table_and_layout(log: Path | str | Frame, layout: Layout | None) -> tuple[Table, Layout]:
@@ -189,15 +190,10 @@ def _header_hint(table: Table) -> str:
     return " (the first row holds numbers, expected column names; a mapping file can name columns '[0]', '[1]')"
 
 
-_START = "LabVIEW Measurement"
+_LVM = "LabVIEW Measurement"
 _END = "***End_of_Header***"
 X_VALUE, _COMMENT = "X_Value", "Comment"
 _SEPARATORS = {"tab": "\t", "comma": ",", "semicolon": ";", "space": " "}
-
-
-def is_lvm(lines: Sequence[str]) -> bool:
-    """Whether the text is a LabVIEW measurement."""
-    return lines[0].lstrip("\ufeff").startswith(_START)
 
 
 def lvm_table(lines: Sequence[str], source: str) -> Table:
@@ -264,7 +260,7 @@ def _blocks(
             continue
         rows = []
         for row in body[head + 1 :]:
-            if row[0].lower() in ("channels", _START.lower()):  # the header of the next part
+            if row[0].lower() in ("channels", _LVM.lower()):  # the header of the next part
                 break
             if any(row):
                 rows.append(row)

@@ -72,8 +72,8 @@ def detectable_sizes(baseline: Baseline, runs: Sequence[Run], needed_mse: float)
     nominal, slopes = zip(*(problem.linearised(problem.as_given, run) for run in runs), strict=True)
     known = np.linalg.qr(np.concatenate(slopes))[0]
     angles = np.concatenate(nominal)
-    low, high = np.quantile(angles, (0.01, 0.99))
-    scale = _scale(runs, float(low), float(high))
+    shown = [replace(run, angle=theta) for run, theta in zip(runs, nominal, strict=True)]
+    scale = replace(Scale.of(shown), resting=1.0, fastest=math.inf)
     kept = 1.0 - 1.0 / len(runs)  # of shifts between trials the common one is an offset
     shift = math.sqrt(needed_mse / kept) if kept else math.inf
     sizes = {
@@ -91,19 +91,8 @@ def detectable_sizes(baseline: Baseline, runs: Sequence[Run], needed_mse: float)
     return tuple(sizes[name] for name in diagnosable() if name in sizes)
 
 
-def _scale(runs: Sequence[Run], low: float, high: float) -> Scale:
-    command = np.concatenate([run.command for run in runs])
-    durations = [run.command.size * run.dt_s for run in runs]
-    return Scale(float(command.min()), float(command.max()), low, high, max(durations), sum(durations), runs[0].dt_s)
-
-
 def _least(
-    candidate: Candidate,
-    baseline: Baseline,
-    runs: Sequence[Run],
-    nominal: Vec,
-    known: Mat,
-    needed_mse: float,
+    candidate: Candidate, baseline: Baseline, runs: Sequence[Run], nominal: Vec, known: Mat, needed_mse: float
 ) -> Detectable:
     """Smallest detectable size of one effect, by log-log interpolation between sizes on a grid."""
     effect, names = EFFECTS[candidate.effect], [freedom.name for freedom in candidate.free]

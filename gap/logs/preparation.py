@@ -143,6 +143,8 @@ def prepare(
         checked = replace(checked, notes=(*checked.notes, *notes))
     development, final = split_runs(counted, motions, known)
     new_step = signs.coarse and signs.quantisation_deg > _COARSER * known_step
+    faulty = nominal is not None and (signs.noisy or signs.coarse)
+    excess = signs.energy - nominal**2 if nominal is not None and faulty else 0.0
     return PreparedTrials(
         decades=decades,
         checked=checked,
@@ -155,7 +157,7 @@ def prepare(
         raw=tuple(trial.angle for trial in in_working_units),
         form_mse=form_mse,
         too_little=shortage(checked.trials),
-        excess_mse=_excess_mse(signs, nominal, new_step),
+        excess_mse=max(excess, signs.quantisation_deg**2 / 12.0 if new_step else 0.0),
         order=order,
         new_step=new_step,
     )
@@ -196,14 +198,6 @@ def _with_starts(baseline: Baseline, runs: Sequence[Run], simulator: Simulator, 
     )
     problem = Problem(baseline)
     return tuple(problem.begun(problem.as_given, run, box) for run in runs)
-
-
-def _excess_mse(signs: SensorSigns, nominal_deg: float | None, new_step: bool) -> float:
-    """Energy of a faulty sensor's noise beyond its noise at identification; that of new steps is read off them."""
-    rounding = signs.quantisation_deg**2 / 12.0 if new_step else 0.0
-    if nominal_deg is None or not (signs.noisy or signs.coarse):
-        return rounding
-    return max(signs.energy - nominal_deg**2, rounding)
 
 
 def _require_size(simulator: Simulator, decades: Decades) -> None:

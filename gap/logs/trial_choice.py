@@ -54,12 +54,13 @@ def in_recording_order(trials: Sequence[Trial], ordered: bool) -> tuple[list[Tri
         )
     if places is not None:
         return [trials[k] for k in places], "known"
-    return (list(trials), "known") if ordered else (sorted(trials, key=_content), "unknown")
+    if ordered:
+        return list(trials), "known"
 
+    def content(trial: Trial) -> tuple[float, float, str, str]:  # similar motions go to different folds
+        return float(np.ptp(trial.command)), trial.duration_s, fingerprint([trial]), trial.source
 
-def _content(trial: Trial) -> tuple[float, float, str, str]:
-    """Sort key that puts similar motions side by side, so that they go to different folds."""
-    return float(np.ptp(trial.command)), trial.duration_s, fingerprint([trial]), trial.source
+    return sorted(trials, key=content), "unknown"
 
 
 FINAL_SHARE = 0.25
@@ -147,7 +148,10 @@ def choose_trials(
         ordered: whether the trials stand in the order of recording; if not, each begins anew.
     """
     parts = remove_command_noise([part for trial in trials for part in _parts(trial)])
-    rate = _common_rate(parts, facts, fixed)
+    rate = 1.0 / facts.dt_s
+    slowest = min(MOST_HZ, *(1.0 / part.dt for part in parts))
+    if not fixed and not LEAST_HZ <= rate <= min(_NEAR_RATE * slowest, MOST_HZ):
+        rate = slowest
     uniform = [resample(part, rate) for part in parts]
     before = Before.each(uniform) if ordered else (Before(),) * len(uniform)
     motions: list[MotionType] = [motion_type(trial, command_segments(trial)) for trial in uniform]
@@ -177,14 +181,6 @@ def _parts(trial: Trial) -> tuple[Trial, ...]:
     return parts
 
 
-def _common_rate(trials: Sequence[Trial], facts: ModelMetadata, fixed: bool) -> float:
-    simulator_hz = 1.0 / facts.dt_s
-    if fixed:
-        return simulator_hz
-    slowest = min(MOST_HZ, *(1.0 / trial.dt for trial in trials))
-    return simulator_hz if LEAST_HZ <= simulator_hz <= min(_NEAR_RATE * slowest, MOST_HZ) else slowest
-
-
 def affordable(
     trials: Sequence[Trial],
     motions: Sequence[MotionType],
@@ -212,7 +208,8 @@ def affordable(
     taken = int(used_samples.sum())
     note = _left_out(what, used_samples, sizes[kept], trials[0].dt, most, seed, ordered) if taken < sizes.sum() else ""
     seconds, size = _START_S + _SECONDS * taken, (_START_BYTES + _BYTES * taken) / 1e9
-    cost = f"{what}: about {_time(seconds)} and {size:.1f} GB, longer where more effects are found"
+    time = f"{seconds:.0f} s" if seconds < 90 else f"{seconds / 60:.0f} min"
+    cost = f"{what}: about {time} and {size:.1f} GB, longer where more effects are found"
     return Workload(tuple(kept), tuple(used_samples.tolist()), note, cost if seconds > _SOON_S else "")
 
 
@@ -264,10 +261,6 @@ def _length_limit(sizes: Index, most: int) -> int:
             return share
         left -= size
     return int(ascending[-1])
-
-
-def _time(seconds: float) -> str:
-    return f"{seconds:.0f} s" if seconds < 90 else f"{seconds / 60:.0f} min"
 
 
 def split_runs(

@@ -86,20 +86,17 @@ def reason_for(
 
 def _retuned_words(decision: VerdictDecision, gap: Gap, moved: Sequence[RetunedParameter], unit: str) -> str:
     """Changed parameters, and the fall of the RMSE by retuning."""
-    numbers = ", ".join(_moved_words(row) for row in moved) or "numbers of the core, none of them for sure"
+    each = [
+        f"{in_words(row.name)} {row.given:.3g} to {row.value:.3g}{'' if row.unit == '1' else f' {row.unit}'} "
+        f"(90 % interval {row.ci90[0]:.3g} to {row.ci90[1]:.3g})"
+        for row in moved
+    ]
+    numbers = ", ".join(each) or "numbers of the core, none of them for sure"
     fall = f"the RMSE falls from {gap.nominal_rmse_deg:#.3g} to {gap.retuned_rmse_deg:#.3g} {unit}"
     said = f"numbers of the same structure have moved, nothing is missing in it: {numbers}; {fall}"
     if decision.case == "moved":
         return said
     return f"{said}; the rest is the form error of this simulator with the friction as it is now: identify it anew"
-
-
-def _moved_words(row: RetunedParameter) -> str:
-    """A number before and after, as `gain 10.2 to 11.4 deg/mm (90 % interval 11.3 to 11.5)`."""
-    low, high = row.ci90
-    unit = "" if row.unit == "1" else f" {row.unit}"
-    name = in_words(row.name)
-    return f"{name} {row.given:.3g} to {row.value:.3g}{unit} (90 % interval {low:.3g} to {high:.3g})"
 
 
 def _causes(diagnosis: Diagnosis) -> list[str]:
