@@ -50,6 +50,7 @@ class ArrayLog(Source):
 
     @property
     def clock(self) -> str:  # type: ignore[override]  # read only, as all of it
+        """A signal of dates, else the times of waveforms."""
         return min(self.times, default=LOG_TIME if self.clocks else "")
 
     def names(self) -> tuple[str, ...]:
