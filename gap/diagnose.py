@@ -198,10 +198,11 @@ def _diagnosis(findings: Findings, parameters: Sequence[ParameterRow]) -> Diagno
     prepared, attribution, conclusion = findings.prepared, findings.attribution, findings.conclusion
     decision, jumps, hypothesis = conclusion.decision, attribution.jumps, attribution.retuned
     grouped = configuration_of(conclusion.chosen, prepared.everything)
-    probabilities = _probabilities(findings, grouped)
+    public = {SHIFT: NAME} if grouped else {}  # shifts of whole groups of trials are a configuration change
+    probabilities = _probabilities(findings, public)
     effects = _effects(findings, probabilities, parameters, grouped)
     sets = sorted(decision.ambiguity, key=lambda names: -probabilities.get(names[0], 0.0))
-    ambiguity = tuple(tuple(_public_name(name, grouped) for name in names) for names in sets)
+    ambiguity = tuple(tuple(public.get(name, name) for name in names) for names in sets)
     decades, units = prepared.decades, prepared.checked.trials[0].units
     nominal, retuned = (
         {name: decades.log_value(v, BASELINE_UNITS[name]) for name, v in prepared.baseline.quantities(z).items()}
@@ -212,20 +213,14 @@ def _diagnosis(findings: Findings, parameters: Sequence[ParameterRow]) -> Diagno
     sizes, checked = decades.log_sizes(conclusion.closed.gap), prepared.checked
     rivals = decision.ambiguity or (unseparated(findings),)
     ranked = ranking(probabilities, attribution.inclusion, rivals, library, _unnamed_probability(findings))
+    unusable, said = (prepared.too_little, checked.unrelated), replace(decision, ambiguity=ambiguity)
+    reason = reason_for(said, effects, sizes, *unusable, moved, units.angle)
     return Diagnosis(
         verdict=decision.verdict,
-        reason=reason_for(
-            replace(decision, ambiguity=ambiguity),
-            effects,
-            sizes,
-            prepared.too_little,
-            checked.unrelated,
-            moved,
-            units.angle,
-        ),
+        reason=reason,
         effects=effects,
         ambiguity=ambiguity,
-        ranking=tuple((_public_name(name, grouped), probability) for name, probability in ranked),
+        ranking=tuple((public.get(name, name), probability) for name, probability in ranked),
         gap=sizes,
         retuned={name: (nominal[name], retuned[name]) for name in nominal},
         where=dict(findings.localisation.places) if findings.localisation else {},
@@ -261,7 +256,7 @@ def _untestable(findings: Findings) -> tuple[Untestable, ...]:
     return tuple(Untestable(name, why) for name, why in NEEDS_ORDER.items() if name not in findings.left_out)
 
 
-def _probabilities(findings: Findings, grouped: Configuration | None) -> dict[str, float]:
+def _probabilities(findings: Findings, public: Mapping[str, str]) -> dict[str, float]:
     """Probability of each identified effect; grouped shifts are less likely to imitate another effect."""
     causes, missing = findings.conclusion.closed.causes, set(findings.left_out)
     ambiguous = {name for names in findings.conclusion.decision.ambiguity for name in names}
@@ -269,10 +264,8 @@ def _probabilities(findings: Findings, grouped: Configuration | None) -> dict[st
     ambiguous |= {name for name in causes if untestable_names & set(EFFECTS[name].also_taken_for)}
     probabilities = {}
     for name, cause in causes.items():
-        untried = bool(confounders(name) & missing)
-        chance = probability(
-            _public_name(name, grouped), cause.share, name in ambiguous, _stability_share(findings), untried
-        )
+        untried, stability = bool(confounders(name) & missing), _stability_share(findings)
+        chance = probability(public.get(name, name), cause.share, name in ambiguous, stability, untried)
         probabilities[name] = limited_by_inclusion(chance, findings.attribution.inclusion.get(name, 1.0))
     return probabilities
 
@@ -291,11 +284,6 @@ def _stability_share(findings: Findings) -> float:
     return findings.stability.share if findings.stability else _STABILITY_UNKNOWN
 
 
-def _public_name(name: str, grouped: Configuration | None) -> str:
-    """Public name of an effect; shifts of whole groups of trials are a configuration change."""
-    return NAME if grouped and name == SHIFT else name
-
-
 def _effects(
     findings: Findings,
     probabilities: Mapping[str, float],
@@ -310,7 +298,7 @@ def _effects(
     }
     effects = (
         IdentifiedEffect(
-            name=_public_name(name, grouped),
+            name=NAME if grouped and name == SHIFT else name,
             probability=probabilities[name],
             inclusion=findings.attribution.inclusion.get(name, 1.0),
             closed_share=cause.share,
