@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from .errors import LogError, require, shown
 from .formats import MOST_BYTES, damaged, read_bytes, reading, seconds_since_first
 from .layouts import HEADER_TIME, LOG_TIME
-from .signals import Series, Source, missing, split_path, walk
+from .signals import Series, SignalLog, missing, split_path, walk
 from .types import Vec
 
 _MOST_SIGNALS = 64  # of a matrix or a list that are listed
@@ -31,8 +31,8 @@ _MOST_SIGNALS = 64  # of a matrix or a list that are listed
 
 @final
 @dataclass(frozen=True, eq=False)
-class ArrayLog(Source):
-    """A `Source` over named arrays, such as the variables of a MATLAB file.
+class ArrayLog(SignalLog):
+    """A `SignalLog` over named arrays, such as the variables of a MATLAB file.
 
     Attributes:
         variables: by name; a struct is a mapping, a struct array or a cell a list, numbers are arrays.
@@ -65,7 +65,7 @@ class ArrayLog(Source):
         return dict(_vectors(self.variables, ""))
 
     def series(self, signals: Sequence[str], time: str) -> list[Series]:
-        """The signals asked for; see `Source`.
+        """The signals asked for; see `SignalLog`.
 
         Raises:
             LogError: on an unknown signal, one that is no vector, or one of another length than time.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -65,15 +65,13 @@ def _report(log: UncheckedLog, layout: AnyLayout | None = None) -> CheckReport:
         t, command, angle = rows.T[:3]
         findings += _short(t)
         trial = Trial(t, command, angle, units=log.units, source=log.source)
-        conversions: Sequence[Conversion] = (Conversion(), Conversion())
+        scales = dict[str, tuple[float, float]]()
         if mapping is not None:
-            factors = (
-                COMMAND_UNIT_OF.get(mapping.command.unit, ("", 1.0)),
-                ANGLE_UNIT_OF.get(mapping.angle.unit, ("", 1.0)),
-            )
-            signals = zip((mapping.command, mapping.angle), factors, strict=True)
-            conversions = tuple(Conversion(factor * s.scale, factor * s.offset) for s, (_, factor) in signals)
-        encoded, trial = encoding_findings(trial, conversions, lambda k: log.where(int(rows[k, 3])))
+            mapped = ("command", mapping.command, COMMAND_UNIT_OF), ("angle", mapping.angle, ANGLE_UNIT_OF)
+            for name, signal, units in mapped:
+                factor = units.get(signal.unit, ("", 1.0))[1]
+                scales[name] = factor * signal.scale, factor * signal.offset
+        encoded, trial = encoding_findings(trial, scales, lambda k: log.where(int(rows[k, 3])))
         findings += [*encoded, *motion_findings(trial, log.ranges)]
     return CheckReport(log.source, log.layout, tuple(findings))
 
@@ -117,7 +115,7 @@ def require_sound(trial: Trial) -> None:
             f"{trial.source}: time_s runs from {trial.t[0]:.15g} to {trial.t[-1]:.15g}, sampling rate "
             f"{1 / trial.dt:.3g} Hz, expected {SLOWEST_HZ:g} Hz to {UNUSUAL_HZ / 1e3:g} kHz: {unit.text}"
         )
-    findings, _ = encoding_findings(trial, (Conversion(), Conversion()), "sample {}".format)
+    findings, _ = encoding_findings(trial, {}, "sample {}".format)
     for finding in findings:
         raise LogError(f"{trial.source}: {finding.topic}: {finding.message}")
     shift = clock_shift(trial.t, trial.command, trial.angle)
@@ -277,7 +275,7 @@ _FULL_LOOP = 1.2  # of the half-way gap, by which the gap at the start is greate
 
 
 @dataclass(frozen=True)
-class Rest:
+class HoldEnd:
     """The end of a hold of the command.
 
     Attributes:
@@ -333,7 +331,7 @@ def _no_two_rests(opening: str, why: str) -> Finding:
     return Finding(Severity.NOTE, "first flexure", f"{opening}a set cannot be told: {why}; {advice}")
 
 
-def _set(trial: Trial, before: Rest, after: Rest, top: int, opening: str) -> Finding:
+def _set(trial: Trial, before: HoldEnd, after: HoldEnd, top: int, opening: str) -> Finding:
     """Finding on the change of the angle between two rests at one command."""
     bend, change = float(np.ptp(trial.angle)), after.angle - before.angle
     elapsed, moved = trial.t[after.stop - 1] - trial.t[before.stop - 1], trial.t[after.start] - trial.t[before.stop - 1]
@@ -355,7 +353,7 @@ def _set(trial: Trial, before: Rest, after: Rest, top: int, opening: str) -> Fin
     return Finding(Severity.WARNING, topic, f"{text}: {what}; score later motions only (--skip-first-flexure)")
 
 
-def _rest(trial: Trial, start: int, stop: int, grain: float = 0.0) -> Rest:
+def _rest(trial: Trial, start: int, stop: int, grain: float = 0.0) -> HoldEnd:
     """Angle at the end of a hold; `grain` is the drift that a constant reading may hide."""
     first = stop - max(2, round((stop - start) * _TAIL))
     first = max(first, start)
@@ -367,7 +365,7 @@ def _rest(trial: Trial, start: int, stop: int, grain: float = 0.0) -> Rest:
     grain = grain if float(np.ptp(y)) <= _SAME_READING * float(np.ptp(trial.angle)) else 0.0
     noise, seconds = float(np.std(y - y.mean() - slope * moment)), float(np.ptp(t)) or trial.dt
     error = noise / np.sqrt(power) if power > 0 else 0.0
-    return Rest(
+    return HoldEnd(
         start,
         stop,
         float(np.median(trial.command[start:stop])),
@@ -377,7 +375,7 @@ def _rest(trial: Trial, start: int, stop: int, grain: float = 0.0) -> Rest:
     )
 
 
-def _may_be_play(trial: Trial, before: Rest, after: Rest, top: int) -> bool:
+def _may_be_play(trial: Trial, before: HoldEnd, after: HoldEnd, top: int) -> bool:
     """Whether a play that begins elsewhere explains a change of the angle between two rests."""
     u, y = trial.command, trial.angle
     span, change = float(np.ptp(u)), after.angle - before.angle
@@ -413,46 +411,36 @@ def _at(u: Vec, y: Vec, start: int, stop: int, level: float) -> float | None:
     return float(y[k] + share * (y[k + 1] - y[k]))
 
 
-@dataclass(frozen=True)
-class Conversion:
-    """Linear conversion from the number in the log to a signal: value = scale * number + offset."""
-
-    scale: float = 1.0
-    offset: float = 0.0
-
-    def number(self, values: Vec) -> Vec:
-        """Numbers (T,) in the log; integers are exact."""
-        if self.scale == 1.0 and self.offset == 0.0:
-            return values
-        numbers = (values - self.offset) / self.scale
-        whole = np.rint(numbers)
-        return np.where(np.abs(numbers - whole) <= _ROUNDING * np.maximum(np.abs(numbers), 1.0), whole, numbers)
-
-    def value(self, numbers: Vec) -> Vec:
-        """The signal (T,) of numbers in the log."""
-        return self.scale * numbers + self.offset
+def _numbers(values: Vec, scale: float, offset: float) -> Vec:
+    """Numbers (T,) in the log behind a signal = scale * number + offset; integers are exact."""
+    if scale == 1.0 and offset == 0.0:
+        return values
+    numbers = (values - offset) / scale
+    whole = np.rint(numbers)
+    return np.where(np.abs(numbers - whole) <= _ROUNDING * np.maximum(np.abs(numbers), 1.0), whole, numbers)
 
 
 def encoding_findings(
-    trial: Trial, conversions: Sequence[Conversion], where: Callable[[int], str]
+    trial: Trial, scales: Mapping[str, tuple[float, float]], where: Callable[[int], str]
 ) -> tuple[list[Finding], Trial]:
     """Findings on missing-value codes, wraps and sign bits of command and angle, and the decoded trial.
 
     Args:
-        conversions: how command and angle were made of the numbers in the log.
+        scales: scale and offset by which `command` and `angle` were made of the numbers in the log, if not 1 and 0.
     """
     findings = []
     signals = {"angle": trial.angle, "command": trial.command}
-    for name, form in (("angle", conversions[1]), ("command", conversions[0])):
+    for name in signals:
+        scale, offset = scales.get(name, (1.0, 0.0))
         other = signals["command" if name == "angle" else "angle"]
         known = np.flatnonzero(np.isfinite(other))
         if known.size < 2:
             break
-        numbers = form.number(signals[name][known])
+        numbers = _numbers(signals[name][known], scale, offset)
         repairs = encodings(numbers, other[known], trial.dt, is_command=name == "command")
         if repairs:
             whole = np.full(len(trial), np.nan)
-            whole[known] = form.value(repairs[-1].values)
+            whole[known] = scale * repairs[-1].values + offset
             signals[name] = whole
         for repair in repairs:
             at = where(int(known[repair.samples[0]]))

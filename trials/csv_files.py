@@ -31,7 +31,7 @@ from .layouts import (
     unit_of,
 )
 from .signals import Cells, UncheckedLog, is_merged, merged, merged_note
-from .tables import Frame, Table, frame_table, sheet_table, text_table
+from .tables import FrameLike, LogTable, frame_table, sheet_table, text_table
 from .trial import Trial, Units, even_time
 from .types import Vec
 from .xlsx_ import open_xlsx
@@ -50,7 +50,7 @@ def format_table(columns: Mapping[str, Sequence[str] | NDArray[np.generic]]) -> 
 
 
 def read_columns(
-    log: Path | str | Frame, layout: str | Layout = "auto", sampled_hz: float | None = None
+    log: Path | str | FrameLike, layout: str | Layout = "auto", sampled_hz: float | None = None
 ) -> UncheckedLog:
     """Read a log without any check of its values: empty cells are not-a-number, time may repeat.
 
@@ -95,7 +95,7 @@ def read_columns(
     return UncheckedLog(t, u, angle, channels, units, path, layout.name, note, ranges, cells)
 
 
-def read_csv(log: Path | str | Frame, layout: str | Layout = "auto") -> Trial:
+def read_csv(log: Path | str | FrameLike, layout: str | Layout = "auto") -> Trial:
     """Read one trial from a file or a data frame.
 
     Time, command and angle must be finite and time must increase; further columns may hold empty cells (read as
@@ -130,13 +130,13 @@ def write_csv(trial: Trial, path: Path | str) -> Path:
     return write_atomically(path, format_table(columns))
 
 
-def open_table(log: Path | str | Frame, wanted: Iterable[str] = ()) -> Table:
+def open_table(log: Path | str | FrameLike, wanted: Iterable[str] = ()) -> LogTable:
     """The columns of delimited text, a LabVIEW measurement, a sheet of a workbook, or a data frame.
 
     Args:
         wanted: names that tell the header row, and the sheet.
     """
-    if isinstance(log, Frame):
+    if isinstance(log, FrameLike):
         return frame_table(log)
     if format_of(Path(log)) == "xlsx":
         return open_xlsx(log, wanted)
@@ -145,7 +145,7 @@ def open_table(log: Path | str | Frame, wanted: Iterable[str] = ()) -> Table:
     return lvm_table(lines, str(log)) if is_lvm else text_table(lines, str(log), wanted)
 
 
-def _table_and_layout(log: Path | str | Frame, layout: Layout | None) -> tuple[Table, Layout]:
+def _table_and_layout(log: Path | str | FrameLike, layout: Layout | None) -> tuple[LogTable, Layout]:
     """Columns of a log, and their layout: the given one, otherwise the one that matches the header."""
     wanted = layout.known() if layout is not None else [name for layout in LAYOUTS for name in layout.known()]
     table = open_table(log, wanted)
@@ -154,14 +154,14 @@ def _table_and_layout(log: Path | str | Frame, layout: Layout | None) -> tuple[T
         try:
             layout = detect_layout([CANONICAL.time if name == clock else name for name in header])
         except LogError as error:
-            where = table.source if isinstance(log, Frame) else f"{table.source}, row {table.header_row}"
+            where = table.source if isinstance(log, FrameLike) else f"{table.source}, row {table.header_row}"
             raise LogError(f"{where}: {error}{_header_hint(table)}") from None
     if clock and layout.time not in header:
         layout = replace(layout, time=clock)
     return table.renamed(layout.spelled(header)), layout
 
 
-def _clock(table: Table, header: Sequence[str], time: str) -> str:
+def _clock(table: LogTable, header: Sequence[str], time: str) -> str:
     """Column of dates or times of day that replaces a missing time column: the one with most different values."""
     dates = sorted(name for name in table.times if name in table.numbers)
     if time in header or not dates:
@@ -172,7 +172,7 @@ def _clock(table: Table, header: Sequence[str], time: str) -> str:
 _TIME_UNITS = ("s", "ms", "us", "ns", "min", "h", "d")
 
 
-def _require_units(table: Table, expected: Mapping[str, str]) -> None:
+def _require_units(table: LogTable, expected: Mapping[str, str]) -> None:
     """Refuse a row of units that contradicts the names of the columns."""
     for name, unit in expected.items():
         said = unit_of(table.units.get(name, ""))
@@ -183,7 +183,7 @@ def _require_units(table: Table, expected: Mapping[str, str]) -> None:
             )
 
 
-def _header_hint(table: Table) -> str:
+def _header_hint(table: LogTable) -> str:
     """Advice for an error line, if the header holds no known name."""
     if table.named:
         return MAPPING_HINT
@@ -196,7 +196,7 @@ X_VALUE, _COMMENT = "X_Value", "Comment"
 _SEPARATORS = {"tab": "\t", "comma": ",", "semicolon": ";", "space": " "}
 
 
-def lvm_table(lines: Sequence[str], source: str) -> Table:
+def lvm_table(lines: Sequence[str], source: str) -> LogTable:
     """Columns of a measurement; `X_Value` is in seconds, computed from `X0` and `Delta_X` if it is empty.
 
     Raises:

@@ -99,7 +99,7 @@ _STOOD = 0.02  # of the range of the command: it stood still over a gap
 
 
 @dataclass(frozen=True, eq=False)
-class Clock:
+class LogClock:
     """The time stamps of a log.
 
     Attributes:
@@ -120,7 +120,7 @@ class Clock:
         return 1.0 if self.suspicion is None else SECONDS[self.suspicion.units[0]]
 
 
-def clock_of(t: Vec, command: Vec, unit: str = "s") -> Clock:
+def clock_of(t: Vec, command: Vec, unit: str = "s") -> LogClock:
     """Analyse time stamps (T,) [s] that were read in `unit`; the command (T,) shows how fast the device moves."""
     wrap = counter_wrap(t / SECONDS[unit])
     whole = t if wrap is None else without_wraps(t, wrap.modulus * SECONDS[unit])
@@ -128,10 +128,10 @@ def clock_of(t: Vec, command: Vec, unit: str = "s") -> Clock:
     turns = turning_points(known, DEFAULT_RULE.reversal * float(np.ptp(known)))[1].size if known.size else 0
     # A mapping that names a unit other than seconds is believed.
     suspicion = suspected_unit(whole, turns) if unit == "s" else suspected_unit(whole)
-    return Clock(whole, wrap, unit, interval_of(whole), suspicion)
+    return LogClock(whole, wrap, unit, interval_of(whole), suspicion)
 
 
-def sampled_time(clock: Clock) -> Vec:
+def sampled_time(clock: LogClock) -> Vec:
     """Time (T,) [s] in the likely unit, evenly spaced where a coarse clock repeats its stamps."""
     steps = np.diff(clock.t[np.isfinite(clock.t)])
     coarse = steps.size and np.all(steps >= 0) and np.mean(steps == 0) > _COARSE_SHARE
@@ -140,7 +140,7 @@ def sampled_time(clock: Clock) -> Vec:
     return clock.t * clock.factor
 
 
-def time_findings(clock: Clock, command: Vec, angle: Vec, where: Callable[[int], str]) -> Iterator[Finding]:
+def time_findings(clock: LogClock, command: Vec, angle: Vec, where: Callable[[int], str]) -> Iterator[Finding]:
     """Findings on time stamps [s] that may repeat, run backwards or be missing."""
     t = clock.t
     kept = np.flatnonzero(np.isfinite(t))
@@ -157,7 +157,7 @@ def time_findings(clock: Clock, command: Vec, angle: Vec, where: Callable[[int],
     yield _stuck(t, command, angle)
 
 
-def _base(clock: Clock, duration: float) -> Finding:
+def _base(clock: LogClock, duration: float) -> Finding:
     """Finding on sampling rate and duration, or on the suspected unit of time."""
     assert clock.interval is not None
     t, rate = clock.t, 1 / max(clock.interval.middle, 1e-300)
@@ -176,7 +176,7 @@ def _base(clock: Clock, duration: float) -> Finding:
     return Finding(Severity.ERROR, "time base", f"{text}, {limit}: {clock.suspicion.text}")
 
 
-def _jitter(forward: Vec, median: float, clock: Clock) -> Finding:
+def _jitter(forward: Vec, median: float, clock: LogClock) -> Finding:
     repeated = clock.t.size - 1 - forward.size
     if clock.interval is not None and repeated > _COARSE_SHARE * clock.t.size:
         each = median / clock.interval.middle
@@ -228,7 +228,7 @@ def gaps_text(trial: Trial, parts: Sequence[Trial]) -> str:
     return f"{out}{'used' if len(parts) == 1 else f'cut into {len(parts)} trials'}: {', '.join(spans)}"
 
 
-def _order(clock: Clock, kept: NDArray[np.intp], intervals: Vec, where: Callable[[int], str]) -> Finding:
+def _order(clock: LogClock, kept: NDArray[np.intp], intervals: Vec, where: Callable[[int], str]) -> Finding:
     topic = "duplicates"
     if clock.wrap is not None:
         keys = [f"time_wraps_at: {clock.wrap.modulus:.16g}"]

@@ -225,11 +225,11 @@ def _require_bounded(path: str, data: bytes) -> None:
     ends = {b"IM": "<", b"MI": ">"}.get(data[126:128])
     if ends is None or not any(data[:4]):
         return
-    _File(path, ends, MOST_BYTES).walk(memoryview(data)[_HEADER:])
+    _MatElements(path, ends, MOST_BYTES).walk(memoryview(data)[_HEADER:])
 
 
 @dataclass
-class _File:
+class _MatElements:
     """Bounded walk over the elements of a MATLAB file.
 
     Attributes:

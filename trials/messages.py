@@ -13,7 +13,7 @@ import numpy as np
 from .errors import LogError, require
 from .formats import one_line
 from .layouts import HEADER_TIME, LOG_TIME, few
-from .signals import Series, Source, split_path, walk
+from .signals import Series, SignalLog, split_path, walk
 
 Decoder = Callable[[bytes], Any]
 
@@ -113,8 +113,8 @@ class Topic:
 
 @final
 @dataclass(frozen=True, eq=False)
-class MessageLog(Source):
-    """A `Source` over messages.
+class MessageLog(SignalLog):
+    """A `SignalLog` over messages.
 
     Attributes:
         messages: topic, time of the log [ns] and bytes of every message, in the order of the log.
@@ -144,7 +144,7 @@ class MessageLog(Source):
         return values
 
     def series(self, signals: Sequence[str], time: str) -> list[Series]:
-        """The signals asked for; see `Source`.
+        """The signals asked for; see `SignalLog`.
 
         A time signal is a field of the same message: `/tip.time_s`, or `time_s` for one of that name in every topic.
         """

@@ -19,7 +19,7 @@ from .formats import ENDINGS, format_of, is_bag
 from .layouts import Layout, LogMapping, is_mapping_file, layout_named, load_mapping
 from .signals import (
     Series,
-    Source,
+    SignalLog,
     UncheckedLog,
     canonical_mapping,
     filled_rows,
@@ -28,14 +28,14 @@ from .signals import (
     missing,
     read_mapped,
 )
-from .tables import Frame, Table
+from .tables import FrameLike, LogTable
 from .trial import Trial, even_time, parts_at_gaps, positive_rate, require_uniform, resample
 from .types import Vec
 
 AnyLayout = str | Layout | LogMapping
 """A layout's name, a mapping file (`*.yaml`), a `Layout` (tables), a `LogMapping`, or `auto`."""
 
-Log = Path | str | Frame | Trial
+Log = Path | str | FrameLike | Trial
 """One recorded trial: a file, the folder of a ROS 2 bag, a data frame, or the trial itself."""
 
 OPENERS = {
@@ -73,7 +73,7 @@ def read_trials(
         ConfigError: on an unknown layout or a wrong mapping file.
     """
     layout = resolve(layout)
-    several = [logs] if isinstance(logs, Path | str | Frame | Trial) else list(logs)
+    several = [logs] if isinstance(logs, Path | str | FrameLike | Trial) else list(logs)
     trials = []
     for log in several or expand_logs([]):  # which refuses to do without any
         files = expand_logs([log]) if isinstance(log, Path | str) else [log]
@@ -131,7 +131,7 @@ _NO_LOGS = (".", "~$")  # what macOS and Excel leave beside files
 
 
 def read_unchecked(
-    log: Path | str | Frame, layout: AnyLayout = "auto", sampled_hz: float | None = None
+    log: Path | str | FrameLike, layout: AnyLayout = "auto", sampled_hz: float | None = None
 ) -> UncheckedLog:
     """Read a log without any check of its values.
 
@@ -159,7 +159,7 @@ def read_unchecked(
     return _read_mapped(source, mapping, sampled_hz)
 
 
-def _read_mapped(source: Source, mapping: LogMapping, sampled_hz: float | None) -> UncheckedLog:
+def _read_mapped(source: SignalLog, mapping: LogMapping, sampled_hz: float | None) -> UncheckedLog:
     changes: dict[str, object] = {"time_unit": "s"} if mapping.time in source.times else {}  # a date has no other
     changes |= {} if sampled_hz is None else {"rate_hz": positive_rate(sampled_hz)}
     return read_mapped(source, mapping.model_copy(update=changes))
@@ -172,24 +172,24 @@ def resolve(layout: AnyLayout) -> AnyLayout:
     return load_mapping(layout) if is_mapping_file(layout) else layout_named(layout)
 
 
-def _is_table(log: Path | str | Frame) -> bool:
+def _is_table(log: Path | str | FrameLike) -> bool:
     """Whether a log is delimited text, a workbook or a data frame."""
-    return isinstance(log, Frame) or not (is_bag(Path(log)) or format_of(Path(log)) in OPENERS)
+    return isinstance(log, FrameLike) or not (is_bag(Path(log)) or format_of(Path(log)) in OPENERS)
 
 
-def _open(log: Path | str | Frame, wanted: Iterable[str]) -> Source:
-    if isinstance(log, Frame) or _is_table(log):
+def _open(log: Path | str | FrameLike, wanted: Iterable[str]) -> SignalLog:
+    if isinstance(log, FrameLike) or _is_table(log):
         return _TableLog(open_table(log, wanted))
     path = Path(log)
     module, name = OPENERS["rosbag2" if is_bag(path) else format_of(path)]
-    source: Source = getattr(import_module(f".{module}", __package__), name)(path)
+    source: SignalLog = getattr(import_module(f".{module}", __package__), name)(path)
     return source
 
 
-class _TableLog(Source):
-    """A `Source` over the columns of a table, for mapping files."""
+class _TableLog(SignalLog):
+    """A `SignalLog` over the columns of a table, for mapping files."""
 
-    def __init__(self, table: Table) -> None:
+    def __init__(self, table: LogTable) -> None:
         self.path, self.table, self.note, self.times = table.source, table, "", table.times
 
     def names(self) -> tuple[str, ...]:

@@ -25,7 +25,7 @@ from .layouts import (
     SignalSettings,
     few,
 )
-from .tables import Table
+from .tables import LogTable
 from .trial import Trial, Units, clock_advice
 from .types import Index, Vec
 
@@ -48,7 +48,7 @@ class Series:
     left_out: NDArray[np.bool_] | None = None
 
 
-class Source:
+class SignalLog:
     """An open log of named signals.
 
     Attributes:
@@ -127,7 +127,7 @@ class Cells:
         rows: of the table, one a sample; None where every row is a sample.
     """
 
-    table: Table
+    table: LogTable
     names: Mapping[str, str]
     rows: Index | None = None
 
@@ -156,7 +156,7 @@ def _require_valid(log: UncheckedLog, cells: Cells) -> None:
         )
 
 
-def read_mapped(source: Source, mapping: LogMapping) -> UncheckedLog:
+def read_mapped(source: SignalLog, mapping: LogMapping) -> UncheckedLog:
     """Join the signals of a mapping on one time base.
 
     The base is the time stamps of the angle (or of the command, as the mapping says) that lie inside the span of the
@@ -304,7 +304,7 @@ def _differences(path: str, mapping: LogMapping, logged: Sequence[Series]) -> li
     return left
 
 
-def _joined(source: Source, mapping: LogMapping, logged: Sequence[Series]) -> UncheckedLog:
+def _joined(source: SignalLog, mapping: LogMapping, logged: Sequence[Series]) -> UncheckedLog:
     command, angle = (_ordered(s) for s in logged[:2])
     base, other = (logged[1], command) if mapping.base == "angle" else (logged[0], angle)
     with np.errstate(invalid="ignore"):

@@ -223,7 +223,7 @@ Row = tuple[int, Sequence[str]]  # its number, counted from 1 as an editor shows
 
 
 @dataclass(frozen=True, eq=False)
-class Table:
+class LogTable:
     """Columns of one file or data frame.
 
     Attributes:
@@ -256,7 +256,7 @@ class Table:
         number, cells = self.rows()[sample]
         return number, cells[self.header.index(column)].strip()
 
-    def renamed(self, header: tuple[str, ...]) -> Table:
+    def renamed(self, header: tuple[str, ...]) -> LogTable:
         """The table with other names of its columns, in their order."""
         new = dict(zip(self.header, header, strict=True))
         return replace(
@@ -288,7 +288,7 @@ class Table:
 
 
 @runtime_checkable
-class Frame(Protocol):
+class FrameLike(Protocol):
     """Named columns in memory, such as a pandas or polars `DataFrame`; neither package is imported."""
 
     @property
@@ -301,7 +301,7 @@ class Frame(Protocol):
         ...
 
 
-def frame_table(frame: Frame) -> Table:
+def frame_table(frame: FrameLike) -> LogTable:
     """Columns of a data frame; an index that has a name is a column too, and dates are seconds since the first.
 
     Raises:
@@ -325,10 +325,10 @@ def frame_table(frame: Frame) -> Table:
             with suppress(TypeError, ValueError):
                 numbers[k] = np.array([np.nan if cell is None else cell for cell in v], dtype=np.float64)
     texts = {k: tuple(map(str, v)) for k, v in columns.items() if k not in numbers}
-    return Table(source, header, numbers, texts, times)
+    return LogTable(source, header, numbers, texts, times)
 
 
-def text_table(lines: Sequence[str], source: str, wanted: Iterable[str] = ()) -> Table:
+def text_table(lines: Sequence[str], source: str, wanted: Iterable[str] = ()) -> LogTable:
     """Columns of delimited text, wherever in it the table lies; see `grid_of_lines`.
 
     A last line that has no line end and too few cells was cut off while it was written: it is left out. A column that
@@ -356,7 +356,7 @@ def text_table(lines: Sequence[str], source: str, wanted: Iterable[str] = ()) ->
     return _table(source, grid, header, converted, kept, rows, bool(grid.header))
 
 
-def sheet_table(rows: Sequence[Sequence[str]], source: str, wanted: Iterable[str] = ()) -> Table:
+def sheet_table(rows: Sequence[Sequence[str]], source: str, wanted: Iterable[str] = ()) -> LogTable:
     """Columns of rows of cells, such as those of a sheet; errors as of `text_table`."""
     grid = grid_of_cells(rows, source, wanted)
     width = max((len(row) for row in rows[grid.start : grid.stop]), default=0)
@@ -368,7 +368,7 @@ def sheet_table(rows: Sequence[Sequence[str]], source: str, wanted: Iterable[str
     return _table(source, grid, header, converted, kept, lambda: kept, bool(grid.header))
 
 
-def read_table(lines: Sequence[str], source: str) -> Table:
+def read_table(lines: Sequence[str], source: str) -> LogTable:
     """Columns of a text that this package wrote, in which a column is all numbers or all text.
 
     Raises:
@@ -393,7 +393,7 @@ def _table(
     kept: Sequence[Row],
     rows: Callable[[], Sequence[Row]],
     named: bool,
-) -> Table:
+) -> LogTable:
     if not converted:
         raise LogError(f"{source}: header only, expected at least two rows of numbers")
     columns = dict(zip(header, converted, strict=True))
@@ -402,7 +402,7 @@ def _table(
     faults = {name: c.fault for name, c in columns.items() if c.fault is not None and c.kind != "text"}
     times = frozenset(name for name, c in columns.items() if c.kind == "time")
     units = dict(zip(header, grid.units, strict=False))
-    return Table(source, header, whole, texts, times, units, named, grid.header_row + 1, faults, rows)
+    return LogTable(source, header, whole, texts, times, units, named, grid.header_row + 1, faults, rows)
 
 
 def _numbered(width: int) -> tuple[str, ...]:
