@@ -143,9 +143,6 @@ class UnexplainedPlant(ComputedPlant):
     d is the walk of `NoiseModel`, held to its `model_sigma_deg` m; without m it is the walk itself. What a model has
     wrong is smoother than a walk, and a loop rejects it better: c = `ROUGHNESS`. The device rests at its
     command of rest after a flexure over all commands.
-
-    Args:
-        explained: whether nothing is left unexplained, d = 0.
     """
 
     def __init__(self, simulator: Simulator, seed: int, explained: bool = False) -> None:

@@ -38,7 +38,6 @@ def memory_gains(
     clock, over all trials but one, applied to that one. A trial that stands alone is cut into four.
 
     Args:
-        loop_width: width of the hysteresis loop along the command [cmd].
         ordered: whether the trials stand in the order of recording; if not, the clock starts anew in each.
     """
     clocks = np.concatenate([[0.0], np.cumsum([trial.duration_s if ordered else 0.0 for trial in trials])])
@@ -338,14 +337,10 @@ class Localisation:
 def localise(
     trials: Sequence[Trial], residuals: Sequence[Vec], loop_width: float, seed: int = 0, ordered: bool = True
 ) -> Localisation:
-    """Share and density of the residual's energy e^2 over parts of the motion, frequencies and memories.
+    """Share and density of the energy of residuals (T,) [deg] over parts of the motion, frequencies and memories.
 
     90 % intervals come from 500 resamples of blocks of time within trials: of 2 s or, if longer, four times the lag at
     which the residual's correlation falls to 1/e; ten blocks or more.
-
-    Args:
-        residuals: measured less simulated angle, (T,) each [deg].
-        loop_width: width of the hysteresis loop along the command, for the kinds of memory [cmd].
     """
     power = np.concatenate([e**2 for e in residuals])
     labels = np.concatenate([motion_part_labels(trial) for trial in trials])

@@ -115,9 +115,6 @@ def self_test(
 
     The device is a Prandtl-Ishlinskii model of three plays, its simulator a backlash that was identified on trials of
     the device without any effect; so the simulator's form is never exact.
-
-    Args:
-        cases: names from `CASES`; all where left out.
     """
     names = tuple(CASES) if cases is None else tuple(cases)
     simulator = identify("backlash", record(CASES["none"], seed + 1000))[0]

@@ -125,11 +125,7 @@ def shift_between(command_t: Vec, command: Vec, angle_t: Vec, angle: Vec) -> Clo
 
 
 def correlations(u: Vec, y: Vec, most: int) -> tuple[Index, Vec]:
-    """Correlation of y(k + lag) with u(k) over their common samples, for lags between -`most` and `most` samples.
-
-    Returns:
-        lags (L,) in samples, and correlations (L,) in [-1, 1].
-    """
+    """Lags (L,) from -`most` to `most` samples, and correlations (L,) of y(k + lag) with u(k) over common samples."""
     n, m = u.size, y.size
     u, y = u - u.mean(), y - y.mean()
     size = 1 << (n + m).bit_length()

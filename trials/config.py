@@ -224,11 +224,7 @@ def line_of(text: str, at: Location) -> int | None:
 
 
 def place_in(path: Path | str, overrides: Sequence[str] = ()) -> Callable[[Location], str]:
-    """Function that names the place of an entry: `file.yaml, line 3`, or the override that set it.
-
-    Args:
-        overrides: `a.b=3` changes that were applied to it.
-    """
+    """Function that names the place of an entry: `file.yaml, line 3`, or the override that set it."""
 
     def place(at: Location) -> str:
         parts = [str(part) for part in at]

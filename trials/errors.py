@@ -134,9 +134,6 @@ def nearest(got: str, available: Iterable[str]) -> str:
 def require(package: str, extra: str, purpose: str) -> None:
     """Require an optional package; the error says what to install.
 
-    Args:
-        purpose: what it is needed for, such as `reading ROS 2 bags`.
-
     Raises:
         LogError: if the package is not installed.
     """

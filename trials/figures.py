@@ -61,12 +61,7 @@ def tracking_figure(
     limits: Sequence[float] = (),
     held: bool = False,
 ) -> Figure:
-    """Reference and angles over time, and below them the command or the error; a column for each motion.
-
-    Args:
-        limits: of the command, drawn across the lower axes.
-        held: whether the lower lines go in steps, as a command does that is held for a sample.
-    """
+    """Reference and angles over time, and below them the command or the error; a column for each motion."""
     drawn: Look = {"drawstyle": "steps-pre"} if held else {}
     with new_figure(7.0, height) as figure:
         rows = figure.subplots(2, len(motions), squeeze=False, sharex="col", sharey="row", height_ratios=(3, 2))

@@ -41,9 +41,6 @@ def allow_python(*names: str) -> None:
     """Allow classes that files name as `python: MODULE:CLASS`: their modules may be imported.
 
     It holds for this process and for those that it starts from now on.
-
-    Args:
-        names: MODULE:CLASS; any class where left out.
     """
     given = os.environ.get(ALLOWED, "").split()
     os.environ[ALLOWED] = " ".join(dict.fromkeys([*given, *(names or (_ALL,))]))
@@ -78,11 +75,7 @@ def is_reading() -> bool:
 
 
 def refusal(name: str, group: str) -> str:
-    """Reason why MODULE:NAME may not be imported now; empty if it may.
-
-    Args:
-        group: of the entry points among which it may be.
-    """
+    """Reason why MODULE:NAME may not be imported now; empty if it may."""
     if name in installed(group).values():
         return ""
     said = os.environ.get(ALLOWED, "").split()

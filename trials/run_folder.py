@@ -202,9 +202,6 @@ def require_resumable(folder: Path | str) -> None:
 def resumed_folder(path: Path, settings: Mapping[str, Any], seed: int, refusal: Callable[[Any], str]) -> RunFolder:
     """Create a run folder, or open the folder of the same unfinished work; its settings are written anew.
 
-    Args:
-        refusal: why a folder with these earlier settings cannot be gone on with; empty where it can.
-
     Raises:
         ConfigError: if the folder holds something else.
         LogError: if it holds a run of another format.

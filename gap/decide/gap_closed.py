@@ -55,9 +55,6 @@ class ClosedShares:
 
         E_without_i is the error without cause i, the others fitted anew. The shares add up to what all close together.
         The interval is that of the fall, blocks resampled together before and after.
-
-        Args:
-            blocks: errors with all of the causes, with all but one, and with none.
         """
         after = blocks(names)
         without = {name: blocks(names - {name}) for name in sorted(names)}

@@ -69,15 +69,12 @@ def retuned_with(
 
 
 def retuning_of(prepared: PreparedTrials, retuned: Hypothesis, left_out_mse: float) -> Retuning:
-    """Measure the effect of retuning on the error.
+    """Measure the effect of retuning on the error, given the retuned error on trials left out [deg^2].
 
         e' = n^2 + min(max(1, h' / h), 4)^2 (e - n^2)
 
     is the form error of a simulator of friction, which grows with the height h of its loop; n is the noise. Where a
     loop has lost more than half of its height, no share is counted.
-
-    Args:
-        left_out_mse: its error on development trials that its fit did not see [deg^2].
     """
     residuals = prepared.residuals(retuned)
     noise, form, baseline = white_noise(residuals), prepared.form_mse, prepared.baseline
@@ -129,11 +126,7 @@ def reidentified_share(
 def moved_numbers(
     prepared: PreparedTrials, retuned: Hypothesis, quantities: Iterable[ParameterRow]
 ) -> tuple[RetunedParameter, ...]:
-    """Parameters, in the units of the log, whose 90 % interval after retuning excludes the given value.
-
-    Args:
-        quantities: gain, offset and width of the simulator, in working units.
-    """
+    """Parameters, in the units of the log, whose 90 % interval after retuning excludes the given value."""
     baseline, decades, units = prepared.baseline, prepared.decades, prepared.checked.trials[0].units
     given = dict(baseline.quantities(baseline.nominal))
     rows = [(row, given[row.name]) for row in quantities if row.owner == "baseline"]

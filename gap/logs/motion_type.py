@@ -177,12 +177,7 @@ def past_features(trials: Sequence[Trial]) -> list[Mat]:
 
 
 def memory_features(trial: Trial, loop_width: float, clock_s: float) -> dict[str, Mat]:
-    """Features (T, F) of one trial's command for each of `MEMORIES`.
-
-    Args:
-        loop_width: width of the hysteresis loop along the command [cmd].
-        clock_s: time recorded before the trial [s].
-    """
+    """Features (T, F) of a command for each of `MEMORIES`, given loop width [cmd] and time before the trial [s]."""
     parts, u, dt = command_segments(trial), trial.command, trial.dt
     span, width = max(float(np.ptp(u)), 1e-9), max(loop_width, 1e-9)
     v = np.gradient(u, dt) / span

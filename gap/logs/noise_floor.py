@@ -79,9 +79,6 @@ def find_floor(
     From repeats: sigma^2 = sum_p sum_k (e2 - e1)^2 / sum_p n_p w_p over pairs p of n_p samples, with w = 2 at a shift
     of whole samples, less where interpolation reduces the noise. Residuals, not angles, are compared, since commands of
     repeats may differ by 1 % of their range.
-
-    Args:
-        residuals: measured less simulated angle, (T,) each [deg]; the result hardly depends on the simulator.
     """
     noise = white_noise(residuals)
     pairs = find_repeats(trials) if repeats is None else repeats

@@ -307,13 +307,10 @@ def _parts(trial: Trial) -> tuple[Trial, ...]:
 
 
 def nominal_noise_deg(identification: Identification, step_deg: float = 0.0) -> float | None:
-    """Upper bound of the sensor's noise when the simulator was identified [deg]; None where unknown.
+    """Upper bound of the sensor's noise [deg], at identification with readings in steps [deg]; None where unknown.
 
     A residual with lag-one correlation c has at most the share 1 - c of its energy in white noise. The rounding of
     readings in steps is not white where the angle moves slowly, and counts in full: step / sqrt(12).
-
-    Args:
-        step_deg: of the sensor's readings then; 0 of a continuous sensor.
     """
     if not identification.residuals:
         return None

@@ -65,11 +65,7 @@ class SensorSigns:
 
 
 def sensor_signs(trials: Sequence[Trial], nominal_noise_deg: float | None = None) -> SensorSigns:
-    """Detect faults of the sensor in trials as recorded; resampling would take the angles off their grid.
-
-    Args:
-        nominal_noise_deg: white noise that the simulator's device had when it was identified [deg].
-    """
+    """Detect faults of the sensor in trials as recorded; resampling would take the angles off their grid."""
     step = grid_step(np.concatenate([trial.angle for trial in trials]))
     noise = white_noise([trial.angle[:: _pace(trial)] for trial in trials])
     spikes = [_spikes(trial, step, noise) for trial in trials]
@@ -92,13 +88,10 @@ def sensor_signs(trials: Sequence[Trial], nominal_noise_deg: float | None = None
 
 
 def repaired(trial: Trial, signs: SensorSigns, simulated: Vec | None = None) -> Trial:
-    """The trial with spikes and held values replaced by lines between the samples around them.
+    """Trial with spikes and held values replaced by lines between their neighbours, or by simulated angles (T,) [deg].
 
     For a spike of one sample a line equals the local median, and it does not lag on a moving angle. Where the motion
     turns while a value is held, a line misses it: the simulated motion, with such a line added, does not.
-
-    Args:
-        simulated: angle of a simulator (T,) [deg].
     """
     angle = trial.angle.copy()
     mask = np.zeros(len(trial), dtype=np.bool_)
@@ -177,10 +170,6 @@ def _longest_by_chance(runs: NDArray[np.int64], step: float, noise: float) -> fl
 
     Two readings at rest are equal with p = step / (2 sqrt(pi) noise), the density of the difference of two at 0, and L
     of them with p^(L - 1). The share of runs that repeat at all is p as well, also where the noise is not white.
-
-    Args:
-        runs: lengths of all runs of equal readings in a trial (R,).
-        step, noise: of the grid, and standard deviation [deg].
     """
     white = step / (2 * math.sqrt(math.pi) * noise) if noise > 0 else 1.0
     repeats = max(white, float(np.mean(runs > 1)), 1 / runs.size)

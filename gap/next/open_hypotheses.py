@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
@@ -67,25 +67,17 @@ def discrimination_task(findings: Findings, confirm: bool = True) -> Discriminat
 
     A named effect is tested against those that it is taken for, each fitted in its place; no gap is tested against a
     single effect of each family. None where no angle follows its command.
-
-    Args:
-        confirm: whether to test a verdict that leaves nothing open; else None there.
     """
     if findings.prepared.checked.unrelated:
         return None
     fitted = open_explanations(findings)
-    if len(fitted) >= 2:
-        return _task(fitted, findings)
-    if not confirm:
+    confirms = len(fitted) < 2
+    if confirms:
+        fitted = _rivals(findings) if confirm else {}
+    if len(fitted) < 2:
         return None
-    tested = _rivals(findings)
-    return replace(_task(tested, findings), confirms=True) if len(tested) >= 2 else None
-
-
-def _task(fitted: Mapping[str, Hypothesis], findings: Findings) -> DiscriminationTask:
-    prepared = findings.prepared
-    made = tuple(open_hypothesis(name, hypothesis, prepared) for name, hypothesis in fitted.items())
-    return DiscriminationTask(made, _noise(findings))
+    made = tuple(open_hypothesis(name, hypothesis, findings.prepared) for name, hypothesis in fitted.items())
+    return DiscriminationTask(made, _noise(findings), confirms)
 
 
 def _rivals(findings: Findings) -> dict[str, Hypothesis]:
@@ -225,12 +217,7 @@ def _simulator(problem: Problem, q: Vec, prepared: PreparedTrials) -> Simulate:
 
 
 def free_run(chain: Chain, rest_angle: float, bent: float = -np.inf, clock_s: float = 0.0) -> Simulate:
-    """Free run of a chain from a long rest at the motion's first command, at the motion's sample time.
-
-    Args:
-        rest_angle: approximate angle of the device at rest [deg].
-        bent: greatest command that the device has seen [mm or bar]; minus infinity for a new one.
-    """
+    """Free run of a chain after a long rest, given rest angle [deg], greatest past command, and clock [s]."""
 
     @cache  # every motion of a menu has one sample time and starts at one command
     def rested(dt: float, first: float) -> tuple[StagedChain, Vec]:

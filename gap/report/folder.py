@@ -65,10 +65,6 @@ def save_diagnosis(
 ) -> Path:
     """Write everything that a diagnosis leaves; files appear whole, an older diagnosis in the folder is replaced.
 
-    Args:
-        folder: new, empty, or that of an older diagnosis.
-        settings: how it was called, resolved.
-
     Raises:
         ConfigError: if the folder is taken by something else or cannot be written.
     """
