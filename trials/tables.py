@@ -164,14 +164,14 @@ def _located(
     judged = {k: _judged(cells(k)) for k in sample}
     data = next((k for k in sample if judged[k][0] == width and _is_data(judged[k])), None)
     if data is None:  # names alone, or cells of which none is a number
-        header = tuple(_trimmed(_named(cells(sample[0]), delimiter)))
+        header = _names(cells(sample[0]), delimiter)
         if not header:
             raise LogError(f"{source}: no name and no number in any row, expected a header and rows of numbers")
         _require_width(header, source, sample[0])
         return Grid(delimiter, header, sample[0], (), sample[0] + 1, count)
     known = {name.casefold() for name in wanted}
     above = [k for k in sample if k < data]
-    names = {k: tuple(_trimmed(_named(cells(k), delimiter))) for k in above}
+    names = {k: _names(cells(k), delimiter) for k in above}
     names = {k: row for k, row in names.items() if len(row) > 1 and not _is_data(_judged(row))}
     hits = {k: sum(name.casefold() in known for name in row) for k, row in names.items()}
     narrow = width - 1 if not any(cells(k)[-1] for k in sample if k >= data and judged[k][0] == width) else width
@@ -188,17 +188,13 @@ def _located(
     return Grid(delimiter, names[head], head, unit_cells, start, _end(cells, start, count))
 
 
-def _named(cells: list[str], delimiter: str) -> list[str]:
-    """The cells of a row of names, without the mark of a comment."""
+def _names(cells: list[str], delimiter: str) -> tuple[str, ...]:
+    """Cells of a row of names, without the mark of a comment and the empty cells at its end."""
     first = _uncommented(cells[0]).strip() if cells else ""
-    return [first, *cells[1:]] if first or delimiter != BLANK else cells[1:]
-
-
-def _trimmed(cells: list[str]) -> list[str]:
-    """Cells without the empty ones at the end of the row."""
-    while cells and not cells[-1]:
-        cells = cells[:-1]
-    return cells
+    names = [first, *cells[1:]] if first or delimiter != BLANK else cells[1:]
+    while names and not names[-1]:
+        names = names[:-1]
+    return tuple(names)
 
 
 def _are_units(cells: Iterable[str]) -> bool:
