@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from filelock import FileLock, Timeout
@@ -29,19 +29,14 @@ from .layouts import CANONICAL
 from .tables import read_table
 from .trial import Trial
 
+if TYPE_CHECKING:
+    from .report import Report
+
 FORMAT = "hystmpc-run/1"
 _META = {"start": str, "versions": dict}  # of meta.json, that readers rely on
 _PACKAGES = ("hystmpc", "numpy", "casadi", "onnxruntime", "osqp")
 
 Column = NDArray[np.float64] | tuple[str, ...]
-
-
-class Saved(Protocol):
-    """A page that can be written, such as a `Report`."""
-
-    def save(self, path: Path | str) -> Path:
-        """Write it, whole or not at all."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -144,7 +139,7 @@ class RunFolder:
             t = np.asarray(arrays[CANONICAL.time], dtype=np.float64)
             write_atomically(self.path / "log.mcap", mcap_.format_mcap(arrays, t, start_ns))
 
-    def write_report(self, report: Saved) -> Path:
+    def write_report(self, report: Report) -> Path:
         """Write `report.html`."""
         return report.save(self.path / "report.html")
 
