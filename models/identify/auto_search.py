@@ -21,8 +21,7 @@ from ..start import search_box
 from .baseline import FreeCoreBaseline
 from .chain_fit import nothing_found
 from .cross_validation import CrossValidation, HeldOutErrors, Hypothesis, gain
-from .late import dead_time
-from .parts import CoreForm, Form, core_forms, device_parts, plain_of, split_delay, straight, whole_delay
+from .parts import CoreForm, Form, core_forms, dead_time, device_parts, plain_of, split_delay, straight, whole_delay
 from .problem import Problem, TrialTerms
 from .runs import Blocks, Run, angle_range, command_range
 

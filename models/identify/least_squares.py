@@ -29,8 +29,7 @@ from .chain_fit import (
 )
 from .free_run import FreeRuns
 from .problem import Problem
-from .runs import Run, RunsTogether
-from .whitening import AS_IT_IS
+from .runs import AS_IT_IS, Run, RunsTogether
 
 P = ParamSpec("P")
 R = TypeVar("R")

@@ -10,6 +10,7 @@ from hystmpc.trials.types import Mask, Vec
 
 from .runs import Run
 
+_LEAKS = 2.0  # times what leaks from the motion's own frequencies: less is no line of its own
 _PURE = 0.5  # of the command's energy within one line: then it has a fundamental frequency
 _LOW_ORDERS = 5  # harmonics in which a loop has so much energy that it leaks as far as a trial resolves
 _ROUNDING = 0.01  # of a trial's resolution, by which its fundamental is known
@@ -80,3 +81,38 @@ def leaked_power(power: Vec, hz: Vec, of_motion: Mask, seconds: Vec) -> Vec:
         for height, length in zip(power[:, k], seconds, strict=True):
             leaked += height / np.maximum(1.0, (np.pi * (hz - hz[k]) * length) ** 2)
     return leaked
+
+
+def strongest_line(runs: list[Run], errors: list[Vec], lowest_hz: float, highest_hz: float) -> float:
+    """Frequency at which waves with a phase of each trial explain most of the errors [Hz]; 0 where there is none.
+
+    Frequencies of the motions themselves (`motions_own`) are left out: a wave there cannot be told from the loop. So
+    are those that hold no more than what leaks from there (`leaked_power`).
+    The grid is as fine as the longest trial resolves, then refined by a parabola. Its powers come from a chirp
+    z-transform: a table of all waves at all samples grows with the square of the duration, to gigabytes at ten minutes.
+    """
+    from scipy.signal import zoom_fft  # half a second to import
+
+    longest = max(error.size * run.dt_s for run, error in zip(runs, errors, strict=True))
+    step_hz = 0.25 / longest
+    grid = np.arange(step_hz, highest_hz, step_hz)  # from below `lowest_hz`, where a motion may leak from
+    power = np.empty((len(runs), grid.size))
+    stop_hz = (grid.size + 1) * step_hz
+    for row, run, error in zip(power, runs, errors, strict=True):
+        signal = np.zeros(run.counts.size)
+        signal[run.counts] = error - error.mean()
+        waves = zoom_fft(signal, [step_hz * run.dt_s, stop_hz * run.dt_s], grid.size, fs=1)
+        row[:] = np.abs(waves) ** 2 / error.size
+    seconds = np.array([error.size * run.dt_s for run, error in zip(runs, errors, strict=True)])
+    hidden = motions_own(runs, grid)
+    hidden |= power.sum(axis=0) < _LEAKS * leaked_power(power, grid, hidden, seconds)
+    power = np.where(hidden | (grid < lowest_hz), 0.0, power.sum(axis=0))
+    k = int(np.argmax(power))
+    if power[k] <= 0:
+        return 0.0
+    if 0 < k < grid.size - 1:
+        left, middle, right = power[k - 1 : k + 2]
+        curve = left - 2 * middle + right
+        refined = grid[k] + 0.5 * (left - right) / curve * (grid[1] - grid[0]) if curve else grid[k]
+        return float(grid[k] if motions_own(runs, np.array([refined]))[0] else refined)
+    return float(grid[k])

@@ -15,13 +15,10 @@ from ..effects.effect import CORE, Candidate
 from ..start import Box, found_start
 from .baseline import Baseline
 from .free_run import StagedChain
-from .motion_lines import leaked_power, motions_own
-from .runs import Run, RunsTogether
-from .whitening import AS_IT_IS, whitened
+from .runs import AS_IT_IS, Run, RunsTogether, whitened
 
 _BLOCK_S = 4.0
 _RIDGE = 1e-9
-_LEAKS = 2.0  # times what leaks from the motion's own frequencies: less is no line of its own
 _FAINT = 1e-4  # of the working units: a start that changes less is forgotten
 _STARTS, _NUDGE = 2, 1e-4  # numbers of a start, and a small change of them
 
@@ -135,41 +132,6 @@ def _from_lead(both: Vec, lead: int) -> Vec:
     shares = np.linalg.solve(square, columns[:lead].T @ rest[:lead])
     rest -= columns @ shares
     return np.asarray(columns @ shares[:, -1])
-
-
-def strongest_line(runs: list[Run], errors: list[Vec], lowest_hz: float, highest_hz: float) -> float:
-    """Frequency at which waves with a phase of each trial explain most of the errors [Hz]; 0 where there is none.
-
-    Frequencies of the motions themselves (`motions_own`) are left out: a wave there cannot be told from the loop. So
-    are those that hold no more than what leaks from there (`leaked_power`).
-    The grid is as fine as the longest trial resolves, then refined by a parabola. Its powers come from a chirp
-    z-transform: a table of all waves at all samples grows with the square of the duration, to gigabytes at ten minutes.
-    """
-    from scipy.signal import zoom_fft  # half a second to import
-
-    longest = max(error.size * run.dt_s for run, error in zip(runs, errors, strict=True))
-    step_hz = 0.25 / longest
-    grid = np.arange(step_hz, highest_hz, step_hz)  # from below `lowest_hz`, where a motion may leak from
-    power = np.empty((len(runs), grid.size))
-    stop_hz = (grid.size + 1) * step_hz
-    for row, run, error in zip(power, runs, errors, strict=True):
-        signal = np.zeros(run.counts.size)
-        signal[run.counts] = error - error.mean()
-        waves = zoom_fft(signal, [step_hz * run.dt_s, stop_hz * run.dt_s], grid.size, fs=1)
-        row[:] = np.abs(waves) ** 2 / error.size
-    seconds = np.array([error.size * run.dt_s for run, error in zip(runs, errors, strict=True)])
-    hidden = motions_own(runs, grid)
-    hidden |= power.sum(axis=0) < _LEAKS * leaked_power(power, grid, hidden, seconds)
-    power = np.where(hidden | (grid < lowest_hz), 0.0, power.sum(axis=0))
-    k = int(np.argmax(power))
-    if power[k] <= 0:
-        return 0.0
-    if 0 < k < grid.size - 1:
-        left, middle, right = power[k - 1 : k + 2]
-        curve = left - 2 * middle + right
-        refined = grid[k] + 0.5 * (left - right) / curve * (grid[1] - grid[0]) if curve else grid[k]
-        return float(grid[k] if motions_own(runs, np.array([refined]))[0] else refined)
-    return float(grid[k])
 
 
 @final

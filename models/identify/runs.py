@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import lfilter
 
 from hystmpc.trials.check import LEAST_SAMPLES
 from hystmpc.trials.errors import FitError
@@ -343,3 +344,34 @@ def facts_of(
 def fixed_rule(state: Vec) -> InitialRule:
     """A start (S,) that does not depend on the measured angle."""
     return InitialRule(offset=tuple(state.tolist()), slope=(0.0,) * state.size)
+
+
+AS_IT_IS: Vec = np.ones(1)
+"""The filter that changes nothing."""
+_PAST = 6
+_RIDGE = 1e-9
+
+
+def whitening(errors: Sequence[Vec]) -> Vec:
+    """Filter (P + 1,) that leaves of errors what their own past does not predict.
+
+    e_k - a_1 e_{k-1} - ... - a_P e_{k-P}, with a of least squares over all runs: a model-form error that follows the
+    motion slowly is taken off, and noise stays. An order of P = 6.
+
+    Source: Cochrane and Orcutt, Application of least squares regression to relationships containing auto-correlated
+    error terms, J. Am. Stat. Assoc. 44 (1949).
+    """
+    past = np.concatenate([np.lib.stride_tricks.sliding_window_view(e[:-1], _PAST)[:, ::-1] for e in errors])
+    square = past.T @ past
+    square += _RIDGE * max(float(np.trace(square)), _RIDGE) * np.eye(_PAST)
+    a = np.linalg.solve(square, past.T @ np.concatenate([e[_PAST:] for e in errors]))
+    return np.concatenate([[1.0], -a])
+
+
+def whitened(signal: Vec, white: Vec) -> Vec:
+    """A signal (T, ...) of one run through the filter; zero where its past is not known."""
+    if white.size == 1:
+        return white[0] * signal
+    left = np.asarray(lfilter(white, [1.0], signal, axis=0))
+    left[: white.size - 1] = 0.0
+    return left

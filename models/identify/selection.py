@@ -12,8 +12,8 @@ import numpy as np
 from ..effects.catalogue import EFFECTS
 from ..effects.effect import Candidate
 from .cross_validation import CrossValidation, HeldOutErrors, Hypothesis, gain, sureness
-from .motion_lines import motions_own
-from .problem import Problem, TrialTerms, strongest_line
+from .motion_lines import motions_own, strongest_line
+from .problem import Problem, TrialTerms
 from .timing import TIMING, by_timing, timing_rivals
 
 RoundProgress = Callable[[float, str], None]

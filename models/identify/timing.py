@@ -12,8 +12,7 @@ from hystmpc.trials.types import Vec
 from ..effects.effect import Candidate
 from .cross_validation import CrossValidation, HeldOutErrors, Hypothesis, InParts, sureness
 from .least_squares import fit_problem
-from .runs import Blocks, Run, blocks_of
-from .whitening import whitened, whitening
+from .runs import Blocks, Run, blocks_of, whitened, whitening
 
 TIMING = frozenset({"lag", "delay", "rate_dependence"})
 """Effects that leave a slow motion alone and keep the angle behind a fast one."""

@@ -15,13 +15,19 @@ from scipy.signal import cont2discrete
 from hystmpc.models.chain import Chain
 from hystmpc.models.contract.metadata import Range
 from hystmpc.models.effects.effect import Candidate, Scale
-from hystmpc.models.identify.auto import _advice, identify_auto
+from hystmpc.models.identify.auto import _advice, identify_auto, widened_rows, without_meaning
 from hystmpc.models.identify.auto_search import AutoSettings, Choice
 from hystmpc.models.identify.baseline import FreeCoreBaseline
 from hystmpc.models.identify.cross_validation import CrossValidation
-from hystmpc.models.identify.late import SHARE, dead_time
-from hystmpc.models.identify.part_intervals import widened_rows, without_meaning
-from hystmpc.models.identify.parts import CoreForm, Form, device_parts, split_delay, whole_delay
+from hystmpc.models.identify.parts import (
+    LONGEST_SHARE,
+    CoreForm,
+    Form,
+    dead_time,
+    device_parts,
+    split_delay,
+    whole_delay,
+)
 from hystmpc.models.identify.problem import NO_TERMS
 from hystmpc.models.identify.runs import Blocks, command_range, runs_of
 from hystmpc.models.identify.uncertainty import ParameterRow
@@ -83,7 +89,7 @@ def test_a_delay_of_up_to_a_share_of_the_shortest_trial_lies_within_the_bounds(
     seed: int, share: float, tau: float
 ) -> None:
     t, commands = _commands(seed)
-    delay_s = share * SHARE * float(t[-1])
+    delay_s = share * LONGEST_SHARE * float(t[-1])
     travels = []
     for u in commands:
         late, kept = np.interp(t - delay_s, t, u), math.exp(-_DT / tau)

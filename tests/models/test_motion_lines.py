@@ -9,8 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hystmpc.models.identify.motion_lines import fundamental_hz, motions_own
-from hystmpc.models.identify.problem import strongest_line
+from hystmpc.models.identify.motion_lines import fundamental_hz, motions_own, strongest_line
 from hystmpc.models.identify.runs import Run
 from hystmpc.trials.types import Vec
 
