@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hystmpc.trials.errors import LogError
-from hystmpc.trials.segments import first_flexure_end
 from hystmpc.trials.trial import Trial, Units, resample
 from hystmpc.trials.types import Vec
 
@@ -24,7 +23,7 @@ from .cross_validation import Hypothesis, gain
 from .estimation_noise import estimation_noise
 from .least_squares import one_blas_thread
 from .parts import whole_delay
-from .runs import Run, check_trial_set, command_range, runs_of
+from .runs import Run, check_trial_set, command_range, runs_to_fit
 from .uncertainty import ParameterRow, parameter_rows
 
 _AGAIN = 0.1  # time of the fit at the full rate over that of the search, if both had the same rate
@@ -213,15 +212,6 @@ def _numbers_at(search: AutoSearch, device: Choice, before: Sequence[ParameterRo
 
     rows = widened_rows(device, search.runs, search.tried, search.settings)
     return tuple(joint(row, wide.get((row.owner, row.name))) for row in rows)
-
-
-def runs_to_fit(trials: Sequence[Trial], skip_first_flexure: bool) -> tuple[Run, ...]:
-    """Trials as runs, each counted from the first reversal of its command on where the first flexure is skipped."""
-    runs = runs_of(trials)
-    if not skip_first_flexure:
-        return runs
-    first = [np.arange(len(trial)) >= first_flexure_end(trial) for trial in trials]
-    return tuple(replace(run, counts=run.counts & counts) for run, counts in zip(runs, first, strict=True))
 
 
 def _thinned(trials: Sequence[Trial], dt: float) -> Sequence[Trial]:

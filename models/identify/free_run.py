@@ -9,7 +9,6 @@ from typing import final
 import numpy as np
 
 from hystmpc.trials.errors import ModelError
-from hystmpc.trials.segments import first_flexure_end
 from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Index, Mask, Vec
 
@@ -17,8 +16,8 @@ from ..chain import Chain
 from ..kernels.chain_kernels import DIRECTIONS, StageKernels, stage_kernels
 from ..operators.dynamics import Delay
 from ..rest import FLAT, nearest_shown
-from ..start import Runs, TrialStart, found_start, search_box, trial_start
-from .runs import angle_range, check_trial_set, command_range, end_to_end
+from ..start import Runs, search_box
+from .runs import Run, RunsTogether, angle_range, check_trial_set, command_range, runs_to_fit
 
 Stage = tuple[StageKernels, slice, slice]
 """Compiled operator, and where its states and its parameters stand among those of the chain."""
@@ -312,25 +311,6 @@ class StagedChain:
             )
 
 
-@dataclass(frozen=True, eq=False)
-class ScoredRun:
-    """One trial as a fit runs it.
-
-    Attributes:
-        commands: the trial's commands behind the chain's warm-up and the approach of its start (W + T,).
-        angle: what was measured (T,).
-        warmup: samples W.
-        start: first sample of the trial that counts.
-        rest: where it begins.
-    """
-
-    commands: Vec
-    angle: Vec
-    warmup: int
-    start: int
-    rest: TrialStart
-
-
 @final
 class FreeRuns:
     """Free runs of a chain over trials, and their error; every trial has the same weight.
@@ -357,45 +337,31 @@ class FreeRuns:
         offset_free: bool = False,
         lead_s: float = 0.0,
     ) -> None:
-        self._dt, self._staged, self._offset_free = check_trial_set(trials), StagedChain(chain), offset_free
+        dt_s, self._staged, self._offset_free = check_trial_set(trials), StagedChain(chain), offset_free
         self._box = search_box(command_range(trials), angle_range(trials))
         self.runs = [
-            self._run(trial, chain.rest_samples, skip_first_flexure, round(lead_s / self._dt)) for trial in trials
+            replace(run, dt_s=dt_s, approach=(run.rest_command,) * chain.rest_samples)
+            for run in runs_to_fit(trials, skip_first_flexure, lead_s)
         ]
-
-    @staticmethod
-    def _run(trial: Trial, warmup: int, skip_first_flexure: bool, lead: int) -> ScoredRun:
-        rest = trial_start(trial.command, trial.angle, trial.dt, trial.inverted)
-        return ScoredRun(
-            np.concatenate([np.full(warmup, rest.command), trial.command]),
-            trial.angle,
-            warmup,
-            max(first_flexure_end(trial) if skip_first_flexure else 0, lead, rest.lead),
-            rest,
-        )
 
     @property
     def in_motion(self) -> bool:
         """Whether a trial begins in motion."""
-        return any(not run.rest.at_rest for run in self.runs)
+        return any(run.lead for run in self.runs)
 
     def find_starts(self, p: Vec) -> None:
         """Let each run that begins in motion begin where the chain with parameters p (P,) finds it."""
-        self.runs = [self._begun(run, p) for run in self.runs]
-
-    def _begun(self, run: ScoredRun, p: Vec) -> ScoredRun:
-        command = run.commands[run.warmup :]
-        rest = found_start(run.rest, command, run.angle, self._dt, self._box, self._staged.rollouts(self._dt, p))
-        warmup = np.concatenate([np.full(self._staged.chain.rest_samples, rest.command), rest.approach])
-        return replace(run, rest=rest, commands=np.concatenate([warmup, command]), warmup=warmup.size)
+        rollouts, held = self._staged.rollouts(self.runs[0].dt_s, p), self._staged.chain.rest_samples
+        self.runs = [run.begun(rollouts, self._box, held) if run.lead else run for run in self.runs]
 
     def angles(self, p: Vec) -> list[Vec]:
-        """Outputs (W + T,) of each run at parameters p (P,)."""
+        """Outputs (T,) of each run at parameters p (P,)."""
         angles = []
         for run in self.runs:
-            rest = np.array([[run.rest.command], [run.rest.angle]])
-            state = self._staged.settled(rest[0], rest[1], self._dt, p)[0]
-            angles.append(self._staged.simulate(run.commands[:, None], self._dt, state, p)[0][:, 0])
+            rest = np.array([[run.rest_command], [run.rest_angle]])
+            state = self._staged.settled(rest[0], rest[1], run.dt_s, p)[0]
+            commands = np.concatenate([run.approach, run.command])
+            angles.append(self._staged.simulate(commands[:, None], run.dt_s, state, p)[0][len(run.approach) :, 0])
         return angles
 
     def mse(self, p: Vec) -> float:
@@ -409,15 +375,12 @@ class FreeRuns:
 
         r = (theta(p) - measured) / sqrt(T_trial n_trials), so that sum r^2 is the mean square error of `mse`.
         """
-        residuals, jacobians = [], []
-        commands, first = end_to_end([run.commands for run in self.runs])
-        rests = np.array([(run.rest.command, run.rest.angle) for run in self.runs]).T
-        start = self._staged.settled(rests[0], rests[1], self._dt, p)
-        thetas, gradients = self._staged.differentiate(commands, self._dt, *start, p, first=first)
-        parts = zip(self.runs, *(np.split(part, first[1:-1]) for part in (thetas, gradients)), strict=True)
-        for run, theta, gradient in parts:
-            error = self._error(run, theta)
-            by_p = gradient[-error.size :]
+        together, residuals, jacobians = RunsTogether.of(self.runs), [], []
+        start = self._staged.settled(*together.rests, together.dt_s, p)
+        thetas, gradients = self._staged.differentiate(together.command, together.dt_s, *start, p, first=together.first)
+        thetas, gradients = thetas[together.own], gradients[together.own]
+        for run, at in together.each():
+            error, by_p = self._error(run, thetas[at]), gradients[at][run.scored]
             if self._offset_free:
                 by_p = by_p - by_p.mean(axis=0)
             scale = 1 / np.sqrt(error.size * len(self.runs))
@@ -425,7 +388,7 @@ class FreeRuns:
             jacobians.append(by_p * scale)
         return np.concatenate(residuals), np.vstack(jacobians)
 
-    def _error(self, run: ScoredRun, theta: Vec) -> Vec:
-        """Model less measurement over the samples that count, from theta (W + T,)."""
-        error = theta[run.warmup + run.start :] - run.angle[run.start :]
+    def _error(self, run: Run, theta: Vec) -> Vec:
+        """Model less measurement over the samples that count, from theta (T,)."""
+        error = (theta - run.angle)[run.scored]
         return error - error.mean() if self._offset_free else error

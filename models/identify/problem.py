@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import final
 
 import numpy as np
@@ -12,7 +12,7 @@ from hystmpc.trials.types import Vec
 
 from ..chain import Chain
 from ..effects.effect import CORE, Candidate
-from ..start import Box, found_start
+from ..start import Box
 from .baseline import Baseline
 from .free_run import StagedChain
 from .runs import AS_IT_IS, Run, RunsTogether, whitened
@@ -285,16 +285,8 @@ class Problem:
         return sum((part.T @ part for part in parts), np.zeros((q.size + 1, q.size + 1))), common
 
     def begun(self, q: Vec, run: Run, box: Box) -> Run:
-        """The run from where this device is found to begin, where it begins in motion; see `found_start`.
-
-        A device that rests only after a swing of its own is held before (`Chain.rest_samples`).
-        """
-        runs, measured = self._staged.rollouts(run.dt_s, self._values(q)[0]), run.angle - run.correction
-        start = found_start(run.start, run.command, measured, run.dt_s, box, runs)
-        if run.approach and start.at_rest:
-            return run
-        held = (start.command,) * self.chain.rest_samples
-        return run.begun(replace(start, approach=(*held, *start.approach)))
+        """The run from where this device is found to begin, where it begins in motion."""
+        return run.begun(self._staged.rollouts(run.dt_s, self._values(q)[0]), box, self.chain.rest_samples)
 
     def _pass(self, q: Vec, together: RunsTogether) -> tuple[Vec, Vec]:
         """Angles (T,), their derivative and, in the last column, their error (T, Q + 1) over all samples.
@@ -322,7 +314,7 @@ class Problem:
 
     def _move_starts(self, together: RunsTogether, p: Vec, state: Vec, moving: Vec) -> None:
         """Derivative of the states by where what is before the core, and the core, rested; in the first columns."""
-        command, angle = np.array([(run.rest_command, run.rest_angle) for run in together.runs]).T
+        command, angle = together.rests
         none, leads = np.empty((p.size, 0)), np.array([run.lead > 0 for run in together.runs])
         for k, (du, dy) in enumerate(((_NUDGE, 0.0), (0.0, _NUDGE))):
             moved = (self._staged.settled(command + du, angle + dy, together.dt_s, p, none)[0] - state) / _NUDGE
@@ -365,8 +357,7 @@ class Problem:
 
     def _start(self, together: RunsTogether, p: Vec, seeds: Vec) -> tuple[Vec, Vec]:
         """States (S, N) before the first sample of each run, and their derivatives (S, N, D)."""
-        command, angle = np.array([(run.rest_command, run.rest_angle) for run in together.runs]).T
-        state, slope = self._staged.settled(command, angle, together.dt_s, p, seeds)
+        state, slope = self._staged.settled(*together.rests, together.dt_s, p, seeds)
         for what, index in self._carried:
             state[index] = [
                 run.bent_before if what == "bend" else run.clock_s - len(run.approach) * run.dt_s

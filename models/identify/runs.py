@@ -14,11 +14,12 @@ from scipy.signal import lfilter
 
 from hystmpc.trials.check import LEAST_SAMPLES
 from hystmpc.trials.errors import FitError
+from hystmpc.trials.segments import first_flexure_end
 from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Index, Mask, Vec
 
 from ..contract.metadata import DeviceLimits, InitialRule, ModelMetadata, Range
-from ..start import TrialStart, trial_start
+from ..start import Box, Runs, TrialStart, found_start, trial_start
 
 _GROUP = 32768  # samples of a group of runs: some MB of derivatives
 
@@ -59,9 +60,13 @@ class Run:
         """Where the run begins, see `models.start`."""
         return TrialStart(self.rest_command, self.rest_angle, self.lead, self.approach)
 
-    def begun(self, start: TrialStart) -> Run:
-        """The run from another start on."""
-        return replace(self, rest_command=start.command, rest_angle=start.angle, approach=start.approach)
+    def begun(self, runs: Runs, box: Box, held: int) -> Run:
+        """The run from where a model finds its start, see `found_start`; the model is held there for `held` samples."""
+        start = found_start(self.start, self.command, self.angle - self.correction, self.dt_s, box, runs)
+        if self.approach and start.at_rest:
+            return self
+        approach = (*((start.command,) * held), *start.approach)
+        return replace(self, rest_command=start.command, rest_angle=start.angle, approach=approach)
 
     @cached_property
     def scored(self) -> slice | NDArray[np.bool_]:
@@ -138,6 +143,12 @@ class RunsTogether:
         """Sample time [s]."""
         return self.runs[0].dt_s
 
+    @property
+    def rests(self) -> tuple[Vec, Vec]:
+        """Commands (N,) [cmd] and angles (N,) [deg] at which the runs rest before."""
+        command, angle = np.array([(run.rest_command, run.rest_angle) for run in self.runs]).T
+        return command, angle
+
     def each(self) -> Iterator[tuple[Run, slice]]:
         """Every run and its place."""
         for run, a, b in zip(self.runs, self.begin[:-1].tolist(), self.begin[1:].tolist(), strict=True):
@@ -209,6 +220,15 @@ def runs_of(
             )
         )
     return tuple(runs)
+
+
+def runs_to_fit(trials: Sequence[Trial], skip_first_flexure: bool, lead_s: float = 0.0) -> tuple[Run, ...]:
+    """Trials as runs of which the first `lead_s` and, if asked for, all up to the first reversal do not count."""
+    made = []
+    for trial, run in zip(trials, runs_of(trials), strict=True):
+        first = max(first_flexure_end(trial) if skip_first_flexure else 0, round(lead_s / trial.dt))
+        made.append(replace(run, counts=run.counts & (np.arange(len(trial)) >= first)))
+    return tuple(made)
 
 
 _BLOCK_S = 3.0

@@ -15,11 +15,11 @@ from ..connections import connected_bundle
 from ..contract.export import ExportBundle, model_bytes
 from ..contract.metadata import DeviceLimits
 from ..evaluate import free_run, started
-from ..identify.auto import AutoFit, runs_to_fit
+from ..identify.auto import AutoFit
 from ..identify.auto_search import AutoSettings
 from ..identify.cross_validation import CrossValidation
 from ..identify.methods import simulator_of
-from ..identify.runs import Blocks, blocks_of, facts_of
+from ..identify.runs import Blocks, blocks_of, facts_of, runs_to_fit
 from ..inverse.drive import Drive
 from ..model import FitProgress
 from ..simulator import ChainModel, Simulator
