@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from hystmpc.models.effects.catalogue import effect_of
-from hystmpc.models.identify.corrected_simulator import EFFECTS_FILE
+from hystmpc.models.identify.simulators import EFFECTS_FILE
 from hystmpc.models.simulator import Simulator
 
 from ..diagnosis import Diagnosis, NextMotion, ResidualShare

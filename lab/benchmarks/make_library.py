@@ -16,7 +16,7 @@ from rich.progress import Progress
 
 from hystmpc.models.contract.export import export_onnx
 from hystmpc.models.contract.metadata import DeviceLimits, Range
-from hystmpc.models.identify.methods import identify
+from hystmpc.models.identify.simulators import identify
 from hystmpc.models.kinds.auto import AutoKind
 from hystmpc.models.kinds.kind import FitRequest
 from hystmpc.models.kinds.networks import LSTM

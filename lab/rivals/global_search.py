@@ -9,9 +9,8 @@ from typing import Any, cast
 import numpy as np
 from scipy.optimize import differential_evolution
 
-from hystmpc.models.identify.chain_fit import ChainFit, ChainTask, Tracker
+from hystmpc.models.identify.chain_fit import ChainFit, ChainTask, OperatorFitSettings, Tracker, fit_chain
 from hystmpc.models.identify.free_run import FreeRuns
-from hystmpc.models.identify.least_squares import OperatorFitSettings, fit_chain
 from hystmpc.models.model import FitProgress
 from hystmpc.trials.errors import FitError
 from hystmpc.trials.types import Vec

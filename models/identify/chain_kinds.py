@@ -11,7 +11,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from hystmpc.trials.errors import FitError, did_you_mean
+from hystmpc.trials.errors import FitError
 from hystmpc.trials.segments import Motion, first_flexure_end, segment
 from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Vec
@@ -22,9 +22,8 @@ from ..operators.friction import MaxwellSlip
 from ..operators.hysteresis import Backlash, BoucWen
 from ..operators.operator import Operator
 from ..operators.prandtl_ishlinskii import Drdpi, PrandtlIshlinskii
-from .chain_fit import ChainTask
 from .ringing import Ringing, oscillator_box, oscillator_starts, state_network_box, state_network_starts
-from .runs import check_trial_set, fastest_command
+from .runs import fastest_command
 
 
 def backlash_starts(trials: Sequence[Trial]) -> list[Chain]:
@@ -154,6 +153,25 @@ class Extent:
     high: float
     ringing: Ringing | None = None
 
+    @classmethod
+    def of(cls, trials: Sequence[Trial], kind: ChainKind) -> Extent:
+        """Read off trials; of a kind that rings without slope and lag, since no branch rises at a resonance.
+
+        Raises:
+            FitError: if the angle falls with the command where it has to rise, or a branch is missing.
+        """
+        span = max(float(np.ptp(t.command)) for t in trials)
+        low, high = min(float(t.angle.min()) for t in trials), max(float(t.angle.max()) for t in trials)
+        ranges = span, fastest_command(trials), low, high
+        if kind.rings:
+            return cls((high - low) / span, 0.5 * (low + high), 0.0, *ranges, Ringing.of(trials))
+        rises = kind.rises or trials[0].units.angle == "deg"
+        loading, unloading = (branch(trials, motion, rises) for motion in (Motion.LOADING, Motion.UNLOADING))
+        slope, offset = 0.5 * (loading + unloading)
+        middle = 0.5 * (max(t.command.max() for t in trials) + min(t.command.min() for t in trials))
+        lag = 0.5 * float(np.polyval(unloading - loading, middle))
+        return cls(float(slope), float(offset), lag, *ranges)
+
     @property
     def resonance(self) -> Ringing:
         """The resonance of a kind that has one.
@@ -200,73 +218,6 @@ class ChainKind:
     rises: bool = True
     rings: bool = False
     restarts: int | None = None
-
-
-def chain_task(kind: str, trials: Sequence[Trial], structure: Structure) -> ChainTask:
-    """Starts, box and fixed parameters of a chain of the kind.
-
-    Args:
-        kind: a name of `CHAIN_KINDS`; with `inverse_` before it, the inverse map, identified as its own model (the
-            "fitted inverse" of S2).
-        trials: command to angle for forward kinds; swapped (`Trial.swapped`) for the inverse ones.
-        structure: sizes of the chain.
-
-    Raises:
-        FitError: on an unknown kind, trials that are the wrong way round, unusable ones, or sizes below one.
-    """
-    known = [*CHAIN_KINDS, *(f"inverse_{name}" for name, entry in CHAIN_KINDS.items() if entry.inverse)]
-    if kind not in known:
-        raise FitError(f"no kind of chain {kind!r}, {did_you_mean(kind, known)}")
-    if min(structure.plays, structure.bands) < 1:
-        raise FitError(f"{structure.plays} plays and {structure.bands} bands, expected at least one of each")
-    check_trial_set(trials)
-    entry = CHAIN_KINDS[kind.removeprefix("inverse_")]
-    inverse = entry.inverse if kind.startswith("inverse_") else None
-    if trials[0].inverted != (inverse is not None):
-        way = "angle to command" if inverse else "command to angle"
-        raise FitError(f"{kind} maps {way}, got trials with the command in {trials[0].units.command}; swap them")
-    forward = [trial.swapped() if trial.inverted else trial for trial in trials]
-    rises = entry.rises or forward[0].units.angle == "deg"
-    extent = _ringing_extent(forward) if entry.rings else _extent(forward, rises)
-    operators = entry.starts(forward, extent, structure)
-    if inverse:
-        operators = [inverse(operator, structure) for operator in operators]
-    box = entry.box(extent, structure)
-    ends, first = (_ends(operators[0], {**box, **narrower}) for narrower in ({}, entry.first(extent, structure)))
-    fixed = entry.inverse_fixed if inverse else entry.fixed
-    lead_s = extent.ringing.lead_s if extent.ringing else 0.0
-    return ChainTask(tuple(Chain(o) for o in operators), ends, first, fixed, tuple(trials), lead_s)
-
-
-def _extent(trials: Sequence[Trial], rises: bool) -> Extent:
-    loading, unloading = (branch(trials, motion, rises) for motion in (Motion.LOADING, Motion.UNLOADING))
-    slope, offset = 0.5 * (loading + unloading)
-    middle = 0.5 * (max(t.command.max() for t in trials) + min(t.command.min() for t in trials))
-    lag = 0.5 * float(np.polyval(unloading - loading, middle))
-    return Extent(float(slope), float(offset), lag, *_ranges(trials))
-
-
-def _ringing_extent(trials: Sequence[Trial]) -> Extent:
-    """Of a device that rings: at its resonance the angle does not rise with the command."""
-    span, speed, low, high = _ranges(trials)
-    return Extent((high - low) / span, 0.5 * (low + high), 0.0, span, speed, low, high, Ringing.of(trials))
-
-
-def _ranges(trials: Sequence[Trial]) -> tuple[float, float, float, float]:
-    span = max(float(np.ptp(t.command)) for t in trials)
-    low, high = min(float(t.angle.min()) for t in trials), max(float(t.angle.max()) for t in trials)
-    return span, fastest_command(trials), low, high
-
-
-def _ends(operator: Operator, box: Ends) -> tuple[Vec, Vec]:
-    """The box in the order of the operator's parameters, within their bounds; without an entry a value is set."""
-    rows = []
-    for parameter, value in zip(operator.parameters, operator.values, strict=True):
-        stem = parameter.name.rstrip("0123456789")
-        low, high = box.get(parameter.name, box.get(stem, (value, value)))
-        rows.append((max(low, parameter.lower), min(high, parameter.upper)))
-    lower, upper = np.array(rows).T
-    return lower, upper
 
 
 def _cores(chains: Sequence[Chain]) -> list[Operator]:

@@ -9,7 +9,7 @@ from hystmpc.trials.errors import FitError
 from hystmpc.trials.trial import Trial
 
 from ..identify.auto import AutoFit, auto_chain, identify_auto
-from ..identify.methods import simulator_of
+from ..identify.simulators import simulator_of
 from ..kernels.compiling import expecting
 from ..model import FitProgress
 from ..simulator import simulator_bundle

@@ -18,8 +18,8 @@ from ..evaluate import free_run, started
 from ..identify.auto import AutoFit
 from ..identify.auto_search import AutoSettings
 from ..identify.cross_validation import CrossValidation
-from ..identify.methods import simulator_of
 from ..identify.runs import Blocks, blocks_of, facts_of, runs_to_fit
+from ..identify.simulators import simulator_of
 from ..inverse.drive import Drive
 from ..model import FitProgress
 from ..simulator import ChainModel, Simulator

@@ -9,9 +9,9 @@ from typing import final
 from hystmpc.trials.trial import Trial
 
 from ..contract.metadata import DeviceLimits
+from ..identify.chain_fit import OperatorFitSettings, identify_chain, methods_by_training
 from ..identify.chain_kinds import CHAIN_KINDS, ChainKind, Structure
-from ..identify.least_squares import OperatorFitSettings
-from ..identify.methods import identify_chain, methods_by_training, simulator_of
+from ..identify.simulators import simulator_of
 from ..model import FitProgress
 from ..simulator import simulator_bundle
 from .kind import FitRequest, Identified, ModelKind

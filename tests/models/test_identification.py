@@ -10,10 +10,9 @@ import pytest
 from hystmpc.models.chain import Chain
 from hystmpc.models.contract.metadata import DeviceLimits, Range
 from hystmpc.models.evaluate import evaluate, evaluation_json, mean_errors
-from hystmpc.models.identify.chain_fit import FreeParameters, Tracker
+from hystmpc.models.identify.chain_fit import FreeParameters, OperatorFitSettings, Tracker, fit_chain
 from hystmpc.models.identify.chain_kinds import backlash_starts
-from hystmpc.models.identify.least_squares import OperatorFitSettings, fit_chain
-from hystmpc.models.identify.methods import identify
+from hystmpc.models.identify.simulators import identify
 from hystmpc.models.simulator import ChainModel
 from hystmpc.trials.csv_files import read_csv
 from hystmpc.trials.errors import FitError, ModelError

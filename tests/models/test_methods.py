@@ -11,11 +11,15 @@ import pytest
 
 from hystmpc.models.chain import Chain
 from hystmpc.models.decades import size_of
-from hystmpc.models.identify.chain_fit import ConvergenceReport
-from hystmpc.models.identify.chain_kinds import CHAIN_KINDS, Structure, chain_task
+from hystmpc.models.identify.chain_fit import (
+    ConvergenceReport,
+    OperatorFitSettings,
+    chain_task,
+    identify_chain,
+    methods,
+)
+from hystmpc.models.identify.chain_kinds import CHAIN_KINDS, Structure
 from hystmpc.models.identify.free_run import FreeRuns
-from hystmpc.models.identify.least_squares import OperatorFitSettings
-from hystmpc.models.identify.methods import METHODS, identify_chain
 from hystmpc.models.operators.hysteresis import BoucWen
 from hystmpc.trials.csv_files import read_csv
 from hystmpc.trials.errors import FitError
@@ -39,7 +43,7 @@ SHORT: dict[str, Any] = {
     "cmaes": GlobalSettings(200, 12),
 }
 WITHIN = {"least_squares": 1e-6, "adam": 0.1, "iterated": 1e-6, "global": 0.1, "cmaes": 0.1}  # [deg]
-NAMES = list(METHODS)
+NAMES = list(methods())
 
 
 def fitted(method: str, kind: str = "backlash", **changes: object) -> tuple[Chain, object]:

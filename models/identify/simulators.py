@@ -1,39 +1,176 @@
-"""The corrected simulator: retuned, with the effects found, and with the residuals that it leaves."""
+"""Simulators of identified chains, as identified and as a diagnosis corrects them, with what they leave unexplained."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from hystmpc.trials.config import dump_yaml
-from hystmpc.trials.segments import first_flexure_end, segment
+from hystmpc.trials.errors import FitError
+from hystmpc.trials.segments import Motion, first_flexure_end, segment
 from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Vec
 
 from ..chain import Chain
+from ..contract.metadata import DeviceLimits, NoiseModel, Range
 from ..decades import Decades
 from ..effects.catalogue import EFFECTS
 from ..effects.place import PlacedEffect, effect_spec
+from ..evaluate import evaluate
+from ..model import FitProgress
 from ..operators.catalogue import operator_spec
+from ..operators.hysteresis import Backlash
 from ..operators.measurement import PeriodicDisturbance
 from ..operators.operator import Operator
 from ..operators.slow_changes import Drift, FirstFlexure
-from ..simulator import Identification, Simulator
+from ..simulator import ChainModel, Identification, Residual, Simulator
+from ..start import trial_start
 from .baseline import Baseline
+from .chain_fit import ChainFit, OperatorFitSettings, identify_chain
 from .cross_validation import Hypothesis
 from .estimation_noise import estimation_noise
 from .free_run import StagedChain
-from .methods import residual
-from .runs import Run, fingerprint
+from .least_squares import one_blas_thread
+from .runs import Run, angle_range, check_trial_set, command_range, fastest_command, fingerprint
 from .uncertainty import BASELINE_UNITS
 
 EFFECTS_FILE = "effects.yaml"
+HOLDS_SHARE = 0.2
 _FORMAT = "hystmpc-effects/1"
 _SETTLE_S, _SETTLE_DT = 1800.0, 2.0
+
+
+@one_blas_thread
+def identify(
+    kind: str,
+    trials: Sequence[Trial],
+    settings: OperatorFitSettings | None = None,
+    plays: int = 4,
+    limits: DeviceLimits | None = None,
+    progress: FitProgress | None = None,
+) -> tuple[Simulator, ChainFit]:
+    """Simulator of a kind of chain, identified by least squares; arguments and errors as of `identify_chain`.
+
+    Raises:
+        FitError: also where the lines of a backlash cross within the trained range.
+    """
+    settings = settings or OperatorFitSettings()
+    chain, fit = identify_chain(kind, trials, settings=settings, plays=plays, progress=progress)
+    words, skip = "bounded least squares on free runs", settings.skip_first_flexure
+    return simulator_of(chain, trials, limits or DeviceLimits(), words, settings.seed, skip), fit
+
+
+def simulator_of(
+    chain: Chain,
+    trials: Sequence[Trial],
+    limits: DeviceLimits,
+    method: str,
+    seed: int = 0,
+    skip_first_flexure: bool = False,
+    noise: NoiseModel | None = None,
+) -> Simulator:
+    """An identified chain with the facts of its trials; the residuals are found by running it.
+
+    Args:
+        chain: what was identified.
+        trials: from which.
+        limits: what the device may be sent.
+        method: how, in words.
+        seed: of what was drawn at random.
+        skip_first_flexure: whether each trial counted from the first reversal of its command on.
+        noise: of trials that the fit did not see; where left out, that of these trials.
+
+    Raises:
+        FitError: on unusable trials, or a backlash whose lines cross within the trained range.
+    """
+    _check_lines(chain, command_range(trials))
+    dt_s, box = check_trial_set(trials), limits.command or command_range(trials)
+
+    def build(residuals: tuple[Residual, ...], noise: NoiseModel | None) -> Simulator:
+        return Simulator(
+            chain=chain,
+            dt_s=dt_s,
+            command_unit=trials[0].units.command,
+            angle_unit=trials[0].units.angle,
+            inverse=trials[0].inverted,
+            rest_command=_rest_command(trials, box),
+            command_limits=box,
+            command_rate_per_s=limits.rate_per_s or fastest_command(trials),
+            trained_command=command_range(trials),
+            trained_angle_deg=angle_range(trials),
+            trained_rate_per_s=fastest_command(trials),
+            identification=Identification(
+                method=method,
+                seed=seed,
+                skip_first_flexure=skip_first_flexure,
+                training_data_hash=fingerprint(trials),
+                residuals=residuals,
+                noise=noise,
+            ),
+        ).at_sample_time(dt_s)
+
+    model = ChainModel(build((), None))
+    runs = [(trial, evaluate(model, trial, skip_first_flexure)) for trial in trials]
+    if noise is None and not model.metadata.inverted:
+        errors = [(trial.angle - run.theta)[run.start :] for trial, run in runs]
+        noise = estimation_noise(trials, errors, chain.values.size)
+    return build(tuple(residual(trial, trial, run.theta, run.start) for trial, run in runs), noise)
+
+
+def _rest_command(trials: Sequence[Trial], limits: Range) -> float | None:
+    """Where the device rests before its trials, None for the lower end of what it may be sent.
+
+    Of trials that all begin in motion it is not known: then where they begin.
+    """
+    if trials[0].inverted:
+        return None
+    starts = [trial_start(trial.command, trial.angle, trial.dt) for trial in trials]
+    rests = [start.command for start in starts if start.at_rest] or [float(trial.command[0]) for trial in trials]
+    rest = float(np.median(rests))
+    return rest if rest > limits.lower + _FROM_BELOW * (limits.upper - limits.lower) else None
+
+
+_FROM_BELOW = 0.01  # of the command's range: trials that begin higher up begin elsewhere than at its lower end
+
+
+def residual(log: Trial, trial: Trial, theta: Vec, start: int) -> Residual:
+    """What a simulator leaves unexplained on a trial.
+
+    Args:
+        log: as recorded, for its name and fingerprint.
+        trial: at the simulator's rate.
+        theta: the simulator's free run (T,) [deg].
+        start: first sample that counts.
+    """
+    error = (theta - trial.angle)[start:]
+    around = error - error.mean()
+    power = float(np.sum(around**2))
+    held = float(np.mean(segment(trial).labels == Motion.HOLD))
+    return Residual(
+        log=Path(log.source).name,
+        motion="holds" if held >= HOLDS_SHARE else "continuous",
+        samples=error.size,
+        rmse_deg=float(np.sqrt(np.mean(error**2))),
+        bias_deg=float(np.mean(error)),
+        lag_one=float(np.clip(np.sum(around[1:] * around[:-1]) / power, -1, 1)) if power > 0 else 0.0,
+        fingerprint=fingerprint([log]),
+    )
+
+
+def _check_lines(chain: Chain, trained: Range) -> None:
+    """A backlash whose unloading line dips below its loading line has no inverse there."""
+    if isinstance(chain.core, Backlash):
+        for u in (trained.lower, trained.upper):
+            if chain.core.gap(u) < 0:
+                raise FitError(
+                    f"the fitted lines cross: at command {u:.4g} unloading lies {-chain.core.gap(u):.3g} deg below "
+                    "loading, expected above; is the sign of the command right?"
+                )
 
 
 def corrected_simulator(
