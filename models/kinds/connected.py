@@ -23,9 +23,9 @@ from ..identify.simulators import simulator_of
 from ..inverse.drive import Drive
 from ..model import FitProgress
 from ..simulator import ChainModel, Simulator
-from .auto import AutoKind
 from .kind import FitRequest, Identified, ModelKind
 from .networks import NETWORK_KINDS, RESIDUAL, NetworkKind
+from .operator_kinds import AutoKind
 
 
 @final

@@ -24,7 +24,9 @@ from hystmpc.trials.types import Vec
 from ..contract.export import ExportBundle
 from ..contract.metadata import DeviceLimits, Range
 from ..identify.chain_kinds import falls
+from ..identify.estimation_noise import with_noise
 from ..identify.runs import angle_range, check_trial_set, command_range, facts_of, fixed_rule
+from ..kinds.kind import FitRequest, Identified, ModelKind, recorded
 from ..model import FitProgress
 from ..motions import initialisation_flexure, probe_commands
 from .predictor import follow_plays
@@ -416,3 +418,34 @@ def _line(trials: Sequence[Trial]) -> float:
         units = trials[0].units
         raise falls(f"({slope:.4g} {units.angle} per {units.command})", units.angle)
     return slope
+
+
+@final
+class PlayKernelKind(ModelKind):
+    """Monotone additive regression on plays: `best` with a first-order lag in front, or `rate_independent`.
+
+    See `PlayKernelWeights` for the equations and `PlayKernelSettings` for what is chosen how.
+    """
+
+    name = "play_kernel"
+    title = "play kernel"
+    trainings = ("best", "rate_independent")
+
+    def fit(self, trials: Sequence[Trial], request: FitRequest, progress: FitProgress | None = None) -> Identified:
+        self.check(trials, request)
+        settings = PLAY_KERNEL_TRAININGS[request.training]
+        history, show = recorded(progress)
+        fit = fit_play_kernel(trials, settings, request.skip_first_flexure, show)
+        unit = trials[0].units.angle
+        report = f"lag {fit.choice.lag_s:g} s, {fit.rmse:.4g} {unit} on the training trials"
+        if fit.judged:
+            report += f", {fit.judged[fit.choice]:.4g} {unit} offset-free on trials left out"
+        bundle = with_noise(play_kernel_bundle(fit, trials, settings, request.limits), trials, fit.weights.state_size)
+        return Identified(bundle, None, tuple(history), report, fit.interrupted)
+
+    def estimate(self, trials: Sequence[Trial], request: FitRequest) -> float | None:
+        return play_kernel_seconds(trials, PLAY_KERNEL_TRAININGS[request.training])
+
+    def steps(self, request: FitRequest) -> int | None:
+        settings = PLAY_KERNEL_TRAININGS.get(request.training)
+        return None if settings is None else len(settings.lags_s) * len(settings.smoothness) + 1
