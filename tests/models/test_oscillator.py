@@ -11,8 +11,8 @@ from hystmpc.models.chain import Chain
 from hystmpc.models.decades import Decades
 from hystmpc.models.identify import least_squares
 from hystmpc.models.identify.chain_fit import OperatorFitSettings, identify_chain
+from hystmpc.models.identify.chain_kinds import Ringing
 from hystmpc.models.identify.free_run import StagedChain
-from hystmpc.models.identify.ringing import Ringing
 from hystmpc.models.operators.dynamics import Servo
 from hystmpc.models.operators.oscillator import Oscillator, StateNetwork
 from hystmpc.trials.errors import ModelError
