@@ -153,55 +153,45 @@ class CrossValidation:
         """Errors of the fit itself, in the blocks of `judge`."""
         return blocks_of([hypothesis.problem.error(hypothesis.q, run)[0] for run in self.runs], self.runs)
 
-    def judge(self, hypothesis: Hypothesis) -> HeldOutErrors:
-        """Errors on each fold of a fit to the others; with one run, on thirds of it or of the fit to it."""
-        if self._thirds:
-            return self._judged_in_time(hypothesis)
-        parts: dict[int, Vec] = {}
-        fold_q = []
-        for fold in self.folds:
-            rest = [run for k, run in enumerate(self.runs) if k not in fold]
-            q = fit_problem(hypothesis.problem, rest, hypothesis.q, self.evaluations, 1e-3).q if rest else hypothesis.q
-            fold_q.append(q)
-            parts |= {k: hypothesis.problem.held_out_error(q, self.runs[k]) for k in fold}
-        errors = tuple(parts[k] for k in range(len(self.runs)))
-        held_out = blocks_of(errors, self.runs)
-        return HeldOutErrors(held_out.energy, held_out.samples, held_out.run, hypothesis, errors, tuple(fold_q))
-
     @cached_property
-    def _thirds(self) -> tuple[tuple[Run, Run], ...]:
-        """A single run without a third of the time that counts, and that third alone."""
-        if not self.in_time or len(self.runs) != 1:
-            return ()
-        run = self.runs[0]
-        made = []
+    def _splits(self) -> tuple[tuple[tuple[Run, ...], dict[int, Run]], ...]:
+        """Of each fold the runs of its fit and, by number, those held out; of a single run in time thirds of it."""
+        if len(self.runs) > 1 or not self.in_time:
+            return tuple(
+                (tuple(run for k, run in enumerate(self.runs) if k not in fold), {k: self.runs[k] for k in fold})
+                for fold in self.folds
+            )
+        (run,), splits = self.runs, []
         for part in np.array_split(np.flatnonzero(run.counts), LARGEST_FOLDS):
             third = np.zeros(run.counts.size, dtype=bool)
             third[part] = True
-            made.append((replace(run, counts=run.counts & ~third), replace(run, counts=third)))
-        return tuple(made)
+            splits.append(((replace(run, counts=run.counts & ~third),), {0: replace(run, counts=third)}))
+        return tuple(splits)
 
-    def _judged_in_time(self, hypothesis: Hypothesis) -> HeldOutErrors:
-        problem, fold_q, errors = hypothesis.problem, [], []
-        for rest, third in self._thirds:
-            fold_q.append(fit_problem(problem, [rest], hypothesis.q, self.evaluations, 1e-3).q)
-            errors.append(problem.held_out_error(fold_q[-1], third))
-        whole = (np.concatenate(errors),)
-        held_out = blocks_of(whole, self.runs)
-        return HeldOutErrors(held_out.energy, held_out.samples, held_out.run, hypothesis, whole, tuple(fold_q))
+    def judge(self, hypothesis: Hypothesis) -> HeldOutErrors:
+        """Errors on each fold of a fit to the others; of a single run that is not split, of the fit to it."""
+        problem, fold_q = hypothesis.problem, []
+        parts: list[list[Vec]] = [[] for _ in self.runs]
+        for rest, held_out in self._splits:
+            q = fit_problem(problem, rest, hypothesis.q, self.evaluations, 1e-3).q if rest else hypothesis.q
+            fold_q.append(q)
+            for k, run in held_out.items():
+                parts[k].append(problem.held_out_error(q, run))
+        errors = tuple(map(np.concatenate, parts))
+        blocks = blocks_of(errors, self.runs)
+        return HeldOutErrors(blocks.energy, blocks.samples, blocks.run, hypothesis, errors, tuple(fold_q))
 
     def left_out(self, judged: HeldOutErrors) -> tuple[Vec, ...]:
-        """Measurement less free run where it counts (C,) [deg], of every run with the fit that did not see it.
+        """Measurement less free run (C,) [deg] of every run, by the fit that it was held out of.
 
-        Nothing is taken off for what a trial has of its own. With one run, on thirds of it or of the fit to it.
+        Nothing is taken off for what a trial has of its own.
         """
-        if self._thirds:
-            thirds = [(third, q) for (_, third), q in zip(self._thirds, judged.fold_q, strict=True)]
-            apart = [(third.angle - judged.hypothesis.problem.angles(q, third))[third.counts] for third, q in thirds]
-            return (np.concatenate(apart),)
-        fits = {k: q for fold, q in zip(self.folds, judged.fold_q, strict=True) for k in fold}
-        angles = [judged.hypothesis.problem.angles(fits[k], run) for k, run in enumerate(self.runs)]
-        return tuple((run.angle - theta)[run.counts] for run, theta in zip(self.runs, angles, strict=True))
+        problem = judged.hypothesis.problem
+        parts: list[list[Vec]] = [[] for _ in self.runs]
+        for (_, held_out), q in zip(self._splits, judged.fold_q, strict=True):
+            for k, run in held_out.items():
+                parts[k].append((run.angle - problem.angles(q, run))[run.counts])
+        return tuple(map(np.concatenate, parts))
 
 
 def gain(before: Blocks, after: Blocks) -> tuple[float, float]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, replace
-from typing import Protocol, final
+from typing import final
 
 import numpy as np
 
@@ -93,35 +93,40 @@ class Selection:
     tried: dict[frozenset[str], HeldOutErrors]
 
 
-class Trials(Protocol):
-    """What a selection asks for: hypotheses, and their errors on trials that their fits did not see."""
+class _Judged:
+    """Hypotheses with their errors on trials that their fits did not see, by the names of their causes."""
+
+    def __init__(self, tried: Mapping[frozenset[str], HeldOutErrors]) -> None:
+        self.tried = dict(tried)
 
     def baseline(self) -> HeldOutErrors:
         """The retuned simulator."""
-        ...
+        return self.tried[frozenset()]
 
     def additions(self, base: Hypothesis) -> Sequence[Hypothesis]:
         """The base with one more effect each, the most promising first."""
-        ...
+        size = len(base.effects) + 1
+        return [j.hypothesis for names, j in self.tried.items() if len(names) == size and base.effects < names]
 
     def without(self, hypothesis: Hypothesis, effect: str) -> Hypothesis | None:
-        """A hypothesis less one of its effects; None where that is not known."""
-        ...
+        """A hypothesis without one of its effects; None where that was not judged."""
+        known = self.tried.get(hypothesis.effects - {effect})
+        return None if known is None else known.hypothesis
 
     def judged(self, hypothesis: Hypothesis) -> HeldOutErrors:
-        """Its errors."""
-        ...
+        """Errors of a hypothesis on held-out trials."""
+        return self.tried[hypothesis.effects]
 
     def known(self, names: frozenset[str]) -> HeldOutErrors | None:
         """Errors of the best hypothesis with these effects; None where none was judged yet."""
-        ...
+        return self.tried.get(names)
 
 
 @final
 class _Search:
     """One selection by the rules of `select`, on whatever trials."""
 
-    def __init__(self, trials: Trials, settings: SelectionSettings, floor_mse: float, faults_mse: float) -> None:
+    def __init__(self, trials: _Judged, settings: SelectionSettings, floor_mse: float, faults_mse: float) -> None:
         self._trials, self._settings, self._floor, self._faults = trials, settings, floor_mse, faults_mse
         self._baseline_mse, self._strict = 0.0, False
 
@@ -238,8 +243,8 @@ class _Search:
 
 
 @final
-class _Fits:
-    """`Trials` by fits: every hypothesis is fitted to the development runs and judged in folds."""
+class _Fits(_Judged):
+    """Hypotheses that are fitted to the development runs and judged in folds when they are asked for."""
 
     def __init__(
         self,
@@ -249,9 +254,9 @@ class _Fits:
         without: Sequence[str],
         progress: RoundProgress,
     ) -> None:
+        super().__init__({})
         self._validation, self._candidates, self._settings = validation, tuple(candidates), settings
         self._without, self._progress, self._blocks = without, progress, 0.0
-        self.tried: dict[frozenset[str], HeldOutErrors] = {}
         self._added: dict[Hypothesis, list[Hypothesis]] = {}
 
     def baseline(self) -> HeldOutErrors:
@@ -279,9 +284,6 @@ class _Fits:
         if known is None or judged.mse < known.mse:
             self.tried[hypothesis.effects] = judged
         return judged
-
-    def known(self, names: frozenset[str]) -> HeldOutErrors | None:
-        return self.tried.get(names)
 
     def additions(self, base: Hypothesis) -> list[Hypothesis]:
         """The best variant of every effect that is not there yet, the most promising first; fitted once for a base."""
@@ -343,31 +345,6 @@ class _Fits:
                 is_motion = bool(motions_own(runs, np.array([2 * line]))[0])
                 made.append(replace(terms, frequency_hz=line, harmonics=1 if is_motion else terms.harmonics))
         return made
-
-
-@final
-class _Known:
-    """`Trials` of hypotheses that were judged before: nothing is fitted."""
-
-    def __init__(self, tried: Mapping[frozenset[str], HeldOutErrors]) -> None:
-        self._tried = tried
-
-    def baseline(self) -> HeldOutErrors:
-        return self._tried[frozenset()]
-
-    def additions(self, base: Hypothesis) -> Sequence[Hypothesis]:
-        size = len(base.effects) + 1
-        return [j.hypothesis for names, j in self._tried.items() if len(names) == size and base.effects < names]
-
-    def without(self, hypothesis: Hypothesis, effect: str) -> Hypothesis | None:
-        known = self._tried.get(hypothesis.effects - {effect})
-        return None if known is None else known.hypothesis
-
-    def judged(self, hypothesis: Hypothesis) -> HeldOutErrors:
-        return self._tried[hypothesis.effects]
-
-    def known(self, names: frozenset[str]) -> HeldOutErrors | None:
-        return self._tried.get(names)
 
 
 def _same_structure(one: Problem, other: Problem) -> bool:
@@ -470,5 +447,5 @@ def select_again(
         settings: thresholds.
         floor_mse, faults_mse: see `select`.
     """
-    baseline, chosen = _Search(_Known(tried), settings, floor_mse, faults_mse).run()
+    baseline, chosen = _Search(_Judged(tried), settings, floor_mse, faults_mse).run()
     return Selection(baseline, by_timing(chosen, tried, settings.standard_errors), dict(tried))
