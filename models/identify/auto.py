@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,7 +17,7 @@ from ..contract.metadata import NoiseModel, Range
 from ..decades import Decades
 from ..effects.catalogue import EFFECTS
 from ..effects.effect import Candidate, Freedom
-from .auto_search import SEARCH_HZ, AutoSearch, AutoSettings, Choice, PartRow, SearchProgress
+from .auto_search import SEARCH_HZ, STANDARD_ERRORS, AutoSearch, Choice, PartRow, SearchProgress, needed
 from .chain_fit import nothing_found
 from .cross_validation import Hypothesis, gain
 from .estimation_noise import estimation_noise
@@ -67,7 +67,6 @@ class AutoFit:
 @one_blas_thread
 def identify_auto(
     trials: Sequence[Trial],
-    settings: AutoSettings | None = None,
     skip_first_flexure: bool = False,
     progress: SearchProgress = lambda share, rmse: None,
 ) -> AutoFit:
@@ -81,7 +80,6 @@ def identify_auto(
 
     Args:
         trials: uniformly sampled at one rate, in one pair of units; ramps, sines, or steps of a few values alone.
-        settings: thresholds.
         skip_first_flexure: leave out each trial up to the first reversal of its command.
         progress: told the share that is done and the best error so far; KeyboardInterrupt keeps the best so far.
 
@@ -91,7 +89,6 @@ def identify_auto(
     decades = Decades.of(trials)
     return _identified(
         decades.trials(trials),
-        settings or AutoSettings(),
         skip_first_flexure,
         lambda share, rmse: progress(share, rmse * decades.angle),
         decades,
@@ -99,34 +96,31 @@ def identify_auto(
 
 
 def _identified(
-    trials: Sequence[Trial],
-    settings: AutoSettings,
-    skip_first_flexure: bool,
-    progress: SearchProgress,
-    decades: Decades,
+    trials: Sequence[Trial], skip_first_flexure: bool, progress: SearchProgress, decades: Decades
 ) -> AutoFit:
     coarse = _thinned(trials, check_trial_set(trials))
     runs = runs_to_fit(coarse, skip_first_flexure)
     refit_share = 0.0 if coarse is trials else _AGAIN * sum(map(len, trials)) / sum(map(len, coarse))
     share, command = 1 / (1 + refit_share), command_range(trials)  # of the whole time
-    search = AutoSearch(coarse, runs, settings, lambda done, rmse: progress(share * done, rmse))
+    last = search = AutoSearch(coarse, runs, lambda done, rmse: progress(share * done, rmse))
+
+    def numbers_of(device: Choice) -> tuple[ParameterRow, ...]:
+        return tuple(widened_rows(device, search.runs, search.tried))
+
+    def reduced_by(device: Choice, part: str, effect: str, lost: set[str]) -> Choice:
+        return search.reselect_other_parts(search.without_effect(device, part, effect), lost)
+
     device = search.run()
-    parameters = tuple(widened_rows(device, runs, search.tried, settings))
+    parameters = tuple(widened_rows(device, runs, search.tried))
     rows: tuple[PartRow, ...] = ()
-    last = search
     try:
         if not search.interrupted:
-            device, parameters = _with_meaning(search, device, parameters, command)
+            device, parameters = _with_meaning(device, parameters, command, reduced_by, numbers_of)
     except KeyboardInterrupt:
         search.interrupted = True
     if coarse is not trials:
-        last = AutoSearch(
-            trials,
-            runs_to_fit(trials, skip_first_flexure),
-            settings,
-            lambda done, rmse: progress(share + (1 - share) * done, rmse),
-            search.terms,
-        )
+        full = runs_to_fit(trials, skip_first_flexure)
+        last = AutoSearch(trials, full, lambda done, rmse: progress(share + (1 - share) * done, rmse), search.terms)
         try:
             device, parameters = _at_full_rate(last, device, parameters, command)
         except KeyboardInterrupt:  # a delay's store is sized for the rate of the search: that model must not be used
@@ -162,42 +156,46 @@ def auto_chain(fit: AutoFit) -> Chain:
 
 
 def _with_meaning(
-    search: AutoSearch, device: Choice, parameters: tuple[ParameterRow, ...], command: Range
+    device: Choice,
+    rows: tuple[ParameterRow, ...],
+    command: Range,
+    reduced_by: Callable[[Choice, str, str, set[str]], Choice],
+    numbers_of: Callable[[Choice], tuple[ParameterRow, ...]],
 ) -> tuple[Choice, tuple[ParameterRow, ...]]:
-    """The device less what may do nothing, its other parts chosen anew each time."""
-    lost, needed = set[str](), set[tuple[str, str]]()
-    while nothing := without_meaning(device, parameters, command, needed):
-        reduced = search.reselect_other_parts(search.without_effect(device, *nothing), {*lost, nothing[0]})
-        if _needed(reduced, device, parameters, nothing[1], search.settings):
-            needed.add(nothing)
+    """The device without effects that may do nothing, and its numbers.
+
+    Args:
+        device, rows: device and its numbers.
+        command: range of the command.
+        reduced_by: the device without an effect of a part; told the parts that have lost an effect, this one included.
+        numbers_of: numbers of a device.
+    """
+    lost, required = set[str](), set[tuple[str, str]]()
+    while nothing := without_meaning(device, rows, command, required):
+        part, effect = nothing
+        reduced = reduced_by(device, part, effect, {*lost, part})
+        ended = any(row.at_bound for row in rows if row.owner == effect)  # it stands in for another effect
+        if not ended and needed(reduced.judged, device.judged):
+            required.add(nothing)
             continue
-        lost.add(nothing[0])
-        device = reduced
-        parameters = tuple(widened_rows(device, search.runs, search.tried, search.settings))
-    return device, parameters
-
-
-def _needed(
-    reduced: Choice, device: Choice, parameters: Sequence[ParameterRow], effect: str, settings: AutoSettings
-) -> bool:
-    """Whether an effect stays however its numbers trade; one at the end of what was searched stands in for another."""
-    ended = any(row.at_bound for row in parameters if row.owner == effect)
-    return not ended and settings.needed(reduced.judged, device.judged)
+        lost.add(part)
+        device, rows = reduced, numbers_of(reduced)
+    return device, rows
 
 
 def _at_full_rate(
     full: AutoSearch, device: Choice, parameters: Sequence[ParameterRow], command: Range
 ) -> tuple[Choice, tuple[ParameterRow, ...]]:
-    """The device of the search fitted again, less what may do nothing at this rate."""
+    """The device of the search fitted to all samples, without what may do nothing at this rate."""
     device = full.refit_at_full_rate(device)
-    rows, needed = _numbers_at(full, device, parameters), set[tuple[str, str]]()
-    while nothing := without_meaning(device, rows, command, needed):
-        reduced = full.without_effect(device, *nothing)
-        if _needed(reduced, device, rows, nothing[1], full.settings):
-            needed.add(nothing)
-            continue
-        device, rows = reduced, _numbers_at(full, reduced, parameters)
-    return device, rows
+    rows = _numbers_at(full, device, parameters)
+    return _with_meaning(
+        device,
+        rows,
+        command,
+        lambda present, part, effect, lost: full.without_effect(present, part, effect),
+        lambda present: _numbers_at(full, present, parameters),
+    )
 
 
 def _numbers_at(search: AutoSearch, device: Choice, before: Sequence[ParameterRow]) -> tuple[ParameterRow, ...]:
@@ -210,7 +208,7 @@ def _numbers_at(search: AutoSearch, device: Choice, before: Sequence[ParameterRo
         ends = [*row.ci90, *moved_row(before, row.value, device).ci90]
         return replace(row, ci90=(min(ends), max(ends)), at_bound=row.at_bound or before.at_bound)
 
-    rows = widened_rows(device, search.runs, search.tried, search.settings)
+    rows = widened_rows(device, search.runs, search.tried)
     return tuple(joint(row, wide.get((row.owner, row.name))) for row in rows)
 
 
@@ -239,25 +237,24 @@ def _advice(parameters: Sequence[ParameterRow], units: Units) -> Iterator[str]:
             yield f"{what}: {names} not identifiable from these logs{record}"
 
 
+_WIDENING = 1.5  # of intervals
 _QUANTILE = 1.645  # of the normal distribution, 95 %
 
 
-def widened_rows(
-    choice: Choice, runs: Sequence[Run], tried: Sequence[Choice], settings: AutoSettings
-) -> Iterator[ParameterRow]:
+def widened_rows(choice: Choice, runs: Sequence[Run], tried: Sequence[Choice]) -> Iterator[ParameterRow]:
     """Numbers of the parts with intervals that hold the choice of the form, too.
 
         half = k 1.645 sqrt(s^2 + j^2 + a^2)
 
     s: standard error of the fit (sandwich); j: that of a jackknife over the held-out folds; a: root mean square
     difference to alternatives with the same effect that do as well on held-out trials, such as a lag with a delay;
-    k: `AutoSettings.widening`. Of a number at the end of what was searched the interval is open there.
+    k: 1.5, for what no alternative of the list can express. An interval is open at an end of what was searched.
 
     Source: Buckland, Burnham, Augustin, Model selection: an integral part of inference, Biometrics 53 (1997), eq. (3).
     """
     rows = [r for r in parameter_rows(choice.hypothesis, runs, {}) if r.owner != "baseline"]
     folds = [_numbers(choice.hypothesis, q) for q in choice.judged.fold_q]
-    equals = [other for other in tried if _as_good(gain(other.judged, choice.judged), choice, settings)]
+    equals = [other for other in tried if _as_good(other, choice)]
     for row, (candidate, freedom) in zip(rows, _free(choice), strict=True):
         key, logarithmic = (candidate.label, freedom.name), freedom.scale == 0
         change = _log if logarithmic else _same
@@ -269,7 +266,7 @@ def widened_rows(
         alike = [_numbers(o.hypothesis, o.hypothesis.q) for o in equals if candidate.label in _labels(o)]
         away = [change(other[key]) - value for other in alike]
         spread = math.sqrt(float(np.mean(np.square(away)))) if away else 0.0
-        half = settings.widening * _QUANTILE * math.hypot(sigma, jackknife, spread)
+        half = _WIDENING * _QUANTILE * math.hypot(sigma, jackknife, spread)
         low, high = value - half, value + half
         if logarithmic:
             low, high = math.exp(max(low, -50.0)), math.exp(min(high, 50.0))
@@ -310,7 +307,7 @@ def without_meaning(
     choice: Choice,
     parameters: Sequence[ParameterRow],
     command: Range,
-    needed: Collection[tuple[str, str]] = (),
+    required: Collection[tuple[str, str]] = (),
 ) -> tuple[str, str] | None:
     """A part and its effect that may do nothing, as far as its intervals tell; None where there is none.
 
@@ -323,13 +320,13 @@ def without_meaning(
         choice: the device.
         parameters: its rows, in order.
         command: range of the command in the trials.
-        needed: parts and effects that are not asked, see `AutoSettings.needed`.
+        required: parts and effects that are not asked, see `needed`.
     """
     rows = iter(parameters)
     owners = [(name, c) for name, form in choice.forms.items() for c in form]
     for name, candidate in [*owners, *(("core", c) for c in choice.core.curve)]:
         numbers = [(next(rows), freedom) for freedom in candidate.free]
-        if (name, candidate.effect) not in needed and _may_do_nothing(numbers, command):
+        if (name, candidate.effect) not in required and _may_do_nothing(numbers, command):
             return name, candidate.effect
     return None
 
@@ -374,7 +371,7 @@ def _numbers(hypothesis: Hypothesis, q: Vec) -> dict[tuple[str, str], float]:
     return {(c.label, name): value for c, values in pairs for name, value in values.items()}
 
 
-def _as_good(gained: tuple[float, float], choice: Choice, settings: AutoSettings) -> bool:
-    """Whether the chosen device is not significantly better."""
-    fall, error = gained
-    return fall <= max(settings.standard_errors * error, 0.02 * choice.judged.mse)
+def _as_good(other: Choice, choice: Choice) -> bool:
+    """Whether the chosen device is not significantly better than another one."""
+    fall, error = gain(other.judged, choice.judged)
+    return fall <= max(STANDARD_ERRORS * error, 0.02 * choice.judged.mse)

@@ -39,46 +39,36 @@ _A_SAMPLE = 0.75  # samples: a delay of half a sample is one of the hold
 _THREADS = 2  # alternatives that are fitted side by side
 
 
-@dataclass(frozen=True)
-class AutoSettings:
-    """How `fit auto` searches; thresholds were chosen on development data, `clear_share` on short real logs, too.
+# Thresholds, chosen on development data; `_CLEAR_SHARE` on short real logs, too.
+STANDARD_ERRORS = 2.0  # by which the held-out error has to fall for a part to be added
+_LEAST_SHARE = 0.05  # of the held-out mean square error, by which it has to fall in any case
+# A fall by this share for each block of three seconds is enough: in logs of a few blocks the standard error is as large
+# as the error itself, and a part that halves the error would be left out.
+_CLEAR_SHARE = 0.0125
+# Alternatives within this factor of the best training error may be the best on held-out trials. Simpler ones are judged
+# there, too, unless even the error of their fit is significantly above that of the best.
+_NEAR = 1.15
+_ROUNDS = 3  # greatest number of passes over all parts
+_EVALUATIONS = 12  # free runs of one fit
 
-    Attributes:
-        standard_errors: by which the held-out error has to fall for a part to be added.
-        least_share: of the held-out mean square error, by which it has to fall in any case.
-        clear_share: of the held-out mean square error: a fall by this share for each block of three seconds is enough.
-            In logs of a few blocks the standard error is as large as the error itself, and a part that halves the error
-            would be left out.
-        near: alternatives within this factor of the best training error may be the best on held-out trials. Simpler
-            ones are judged there, too, unless even the error of their fit is significantly above that of the best.
-        rounds: greatest number of passes over all parts.
-        evaluations: free runs of one fit.
-        widening: factor on intervals for what no alternative of the list can express.
-    """
 
-    standard_errors: float = 2.0
-    least_share: float = 0.05
-    clear_share: float = 0.0125
-    near: float = 1.15
-    rounds: int = 3
-    evaluations: int = 12
-    widening: float = 1.5
+def worth(before: Blocks, after: Blocks) -> bool:
+    """Whether held-out errors fall by enough for a part to be added."""
+    fall, error = gain(before, after)
+    sure = min(STANDARD_ERRORS * error, _CLEAR_SHARE * before.energy.size * before.mse)
+    return fall > max(sure, _LEAST_SHARE * before.mse)
 
-    def stays(self, before: Blocks, after: Blocks) -> bool:
-        """Whether held-out errors are lower by more than their standard error with a part that was chosen."""
-        fall, error = gain(before, after)
-        return fall > max(error, self.least_share * before.mse)
 
-    def needed(self, before: Blocks, after: Blocks) -> bool:
-        """Whether the mean square error without a part is twice as large beyond doubt, whatever its numbers may be."""
-        fall, error = gain(before, after)
-        return fall > max(self.standard_errors * error, 0.5 * before.mse)
+def stays(before: Blocks, after: Blocks) -> bool:
+    """Whether held-out errors are lower by more than their standard error with a part that was chosen."""
+    fall, error = gain(before, after)
+    return fall > max(error, _LEAST_SHARE * before.mse)
 
-    def worth(self, before: Blocks, after: Blocks) -> bool:
-        """Whether held-out errors fall by enough for a part to be added."""
-        fall, error = gain(before, after)
-        sure = min(self.standard_errors * error, self.clear_share * before.energy.size * before.mse)
-        return fall > max(sure, self.least_share * before.mse)
+
+def needed(before: Blocks, after: Blocks) -> bool:
+    """Whether the mean square error without a part is twice as large beyond doubt, whatever its numbers may be."""
+    fall, error = gain(before, after)
+    return fall > max(STANDARD_ERRORS * error, 0.5 * before.mse)
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,8 +133,7 @@ class AutoSearch:
     since the richest core can stand in for a valve or a lag. Of all that was tried, the simplest is taken.
 
     Source: one-standard-error rule of Breiman, Friedman, Olshen, Stone, Classification and Regression Trees (1984),
-    section 3.4.3; the number of standard errors is `AutoSettings.standard_errors`, and `AutoSettings.clear_share`
-    bounds what the simpler form may cost.
+    section 3.4.3; see `worth` for the number of standard errors and for what the simpler form may cost.
 
     Trials begin where evaluation lets them begin (`models.start`): at rest, or where their first seconds say.
     """
@@ -153,11 +142,10 @@ class AutoSearch:
         self,
         trials: Sequence[Trial],
         runs: Sequence[Run],
-        settings: AutoSettings,
         progress: SearchProgress,
         terms: TrialTerms | None = None,
     ) -> None:
-        self.runs, self.settings, self._progress = tuple(runs), settings, progress
+        self.runs, self._progress = tuple(runs), progress
         scale = Scale.of(runs)
         self._cores, self._parts = core_forms(trials, scale), device_parts(scale, dead_time(runs))
         self._names = (*(part.name for part in self._parts), _CORE)
@@ -183,7 +171,7 @@ class AutoSearch:
         try:
             parts = tuple(part.name for part in self._parts)
             open_forms = [a for name in (*self._names, *parts) for a in self._alternatives(name, present)]
-            self._plan(open_forms, present, self.settings.rounds)
+            self._plan(open_forms, present, _ROUNDS)
             present = self._rounds(present, self._names)
             line = self._judged(self._cores[0], none, self._fitted(self._cores[0], none, None))
             self._rounds(line, parts)
@@ -199,7 +187,7 @@ class AutoSearch:
         """The device with these parts chosen one after the other, until nothing changes."""
         # of each part: the device when it was chosen last, and what was tried
         seen: dict[str, tuple[tuple[str, ...], list[Choice]]] = {}
-        for k in range(self.settings.rounds):
+        for k in range(_ROUNDS):
             self._weight = _NEXT_ROUND**k
             before = _labels(present.core, present.forms)
             for name in names:
@@ -219,7 +207,7 @@ class AutoSearch:
         alike = [present, *(c for c in self.tried if c.hypothesis.problem.terms == self.terms)]
         best = min(alike, key=lambda choice: choice.judged.mse)
         ordered = sorted(alike, key=lambda choice: (choice.size, choice.blocks, choice.judged.mse))
-        return next(c for c in ordered if c is best or not self.settings.worth(c.judged, best.judged))
+        return next(c for c in ordered if c is best or not worth(c.judged, best.judged))
 
     def _alternatives(self, name: str, present: Choice) -> list[tuple[CoreForm, dict[str, Form]]]:
         """The device with every form of one part."""
@@ -234,7 +222,7 @@ class AutoSearch:
             return choice
         self.terms = replace(self.terms, own_offset=False)
         plain = self._judged(choice.core, choice.forms, self._fitted(choice.core, choice.forms, choice))
-        if not self.settings.worth(plain.judged, choice.judged):
+        if not worth(plain.judged, choice.judged):
             return plain
         self.terms = replace(self.terms, own_offset=True)
         return choice
@@ -297,7 +285,7 @@ class AutoSearch:
         the error of the device without that part, with all other numbers fitted again.
         """
         reduced = self._without_each(choice)
-        while needless := [c for c in reduced.values() if c and not self.settings.stays(c.judged, choice.judged)]:
+        while needless := [c for c in reduced.values() if c and not stays(c.judged, choice.judged)]:
             choice = self._polished(min(needless, key=lambda c: c.judged.mse))
             reduced = self._without_each(choice)
         rows = [
@@ -362,7 +350,7 @@ class AutoSearch:
                 fits = [self._fitted(core, self._none() | drive | more, None) for drive in drives]
                 judged.append(self._validation(core).judge(min(fits, key=lambda fit: fit.mse)))
             errors[self.terms] = min(judged, key=lambda held_out: held_out.mse)
-        return zeroed if self.settings.worth(errors[plain], errors[zeroed]) else plain
+        return zeroed if worth(errors[plain], errors[zeroed]) else plain
 
     def _simplest(self, made: Sequence[tuple[CoreForm, dict[str, Form]]], present: Choice) -> Choice:
         def fitted(alternative: tuple[CoreForm, dict[str, Form]]) -> tuple[CoreForm, dict[str, Form], Hypothesis]:
@@ -374,7 +362,7 @@ class AutoSearch:
                 fits.append(fit)
                 self._tell(_points(fit[0], fit[1], present))
             least = min(fit.mse for *_, fit in fits)
-            near = [fit for fit in fits if fit[2].mse < self.settings.near * least]
+            near = [fit for fit in fits if fit[2].mse < _NEAR * least]
             choices = list(pool.map(lambda fit: self._choice(*fit), near))
         best = min(choices, key=lambda choice: choice.judged.mse)
         judged = {id(choice.hypothesis): choice for choice in choices}
@@ -384,10 +372,10 @@ class AutoSearch:
                 break
             if id(hypothesis) not in judged:
                 # The errors of a fit flatter it: what they do not excuse, trials that it did not see will not either.
-                if self.settings.worth(self._validation(core).fitted_errors(hypothesis), best.judged):
+                if worth(self._validation(core).fitted_errors(hypothesis), best.judged):
                     continue
                 judged[id(hypothesis)] = self._choice(core, forms, hypothesis)
-            if not self.settings.worth(judged[id(hypothesis)].judged, best.judged):
+            if not worth(judged[id(hypothesis)].judged, best.judged):
                 selected = judged[id(hypothesis)]
                 break
         self.tried += judged.values()
@@ -408,7 +396,7 @@ class AutoSearch:
         if isinstance(core.starts[0].core, Line):
             chains = (self._line_behind([c for c in effects if c not in core.curve], values[0]),)
             validation = replace(validation, baseline=FreeCoreBaseline(chains[0], self._command))
-        longer = replace(validation, evaluations=_FROM_AFAR * self.settings.evaluations)
+        longer = replace(validation, evaluations=_FROM_AFAR * _EVALUATIONS)
         cores = [np.array(chain.core.values) for chain in chains]
         fits = [longer.with_causes(effects, terms, z, values[:1]) for z in cores]
         return min(fits, key=lambda fit: fit.mse)
@@ -430,7 +418,7 @@ class AutoSearch:
             return choice
         forms = {**choice.forms, drive: held}
         other = self._polished(self._judged(choice.core, forms, self._fitted(choice.core, forms, choice)))
-        return choice if self.settings.worth(other.judged, choice.judged) else other
+        return choice if worth(other.judged, choice.judged) else other
 
     def _polished(self, choice: Choice) -> Choice:
         if any(run.lead for run in self.runs):
@@ -448,7 +436,7 @@ class AutoSearch:
 
     def _validation(self, core: CoreForm) -> CrossValidation:
         baseline = FreeCoreBaseline(core.starts[0], self._command)
-        return CrossValidation(baseline, self.runs, self.settings.evaluations, in_time=True)
+        return CrossValidation(baseline, self.runs, _EVALUATIONS, in_time=True)
 
 
 def _near(candidate: Candidate, values: tuple[float, ...], dt_s: float, whole_s: float) -> Form:

@@ -16,7 +16,7 @@ from ..contract.export import ExportBundle, model_bytes
 from ..contract.metadata import DeviceLimits
 from ..evaluate import free_run, started
 from ..identify.auto import AutoFit
-from ..identify.auto_search import AutoSettings
+from ..identify.auto_search import worth
 from ..identify.cross_validation import CrossValidation
 from ..identify.runs import Blocks, blocks_of, facts_of, runs_to_fit
 from ..identify.simulators import simulator_of
@@ -125,7 +125,7 @@ class ResidualKind(ModelKind):
             stopped = isinstance(error, KeyboardInterrupt)
             return replace(fit, interrupted=stopped, report=f"{fit.report}; {self._network.name} not kept: {why}")
         change = f"{before.mse**0.5:.4g} -> {after.mse**0.5:.4g} {trials[0].units.angle} on trials left out"
-        if not AutoSettings().worth(before, after):
+        if not worth(before, after):
             return replace(fit, report=f"{fit.report}; {self._network.name} not kept: {change}")
         device = _identified(fit)
         rest = self._network.fit(

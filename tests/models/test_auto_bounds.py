@@ -16,7 +16,7 @@ from hystmpc.models.chain import Chain
 from hystmpc.models.contract.metadata import Range
 from hystmpc.models.effects.effect import Candidate, Scale
 from hystmpc.models.identify.auto import _advice, identify_auto, widened_rows, without_meaning
-from hystmpc.models.identify.auto_search import AutoSettings, Choice
+from hystmpc.models.identify.auto_search import Choice, needed, stays
 from hystmpc.models.identify.baseline import FreeCoreBaseline
 from hystmpc.models.identify.cross_validation import CrossValidation
 from hystmpc.models.identify.parts import (
@@ -80,7 +80,7 @@ def _choice(form: Form, trials: list[Trial]) -> Choice:
 
 
 def _rows(choice: Choice, trials: list[Trial]) -> dict[str, ParameterRow]:
-    return {row.name: row for row in widened_rows(choice, runs_of(trials), [], AutoSettings())}
+    return {row.name: row for row in widened_rows(choice, runs_of(trials), [])}
 
 
 @settings(max_examples=6, deadline=None)
@@ -192,12 +192,12 @@ def _slack(scale: Scale) -> Candidate:
     return next(c for c in candidates(scale, ()) if c.label == "slack/sharp")
 
 
-@pytest.mark.parametrize(("fall", "stays"), [(0.001, False), (0.5, True)])
-def test_a_part_stays_only_if_it_lowers_the_error_by_more_than_its_standard_error(fall: float, stays: bool) -> None:
+@pytest.mark.parametrize(("fall", "kept"), [(0.001, False), (0.5, True)])
+def test_a_part_stays_only_if_it_lowers_the_error_by_more_than_its_standard_error(fall: float, kept: bool) -> None:
     random, samples, run = np.random.default_rng(1), np.full(20, 75.0), np.zeros(20, dtype=np.intp)
     energy = 75 * random.uniform(0.9, 1.1, 20)
     scattered = energy * (1 - fall) * (1 + 0.05 * random.standard_normal(20))
-    assert AutoSettings().stays(Blocks(energy, samples, run), Blocks(scattered, samples, run)) == stays
+    assert stays(Blocks(energy, samples, run), Blocks(scattered, samples, run)) == kept
 
 
 def test_a_part_without_which_the_error_doubles_beyond_doubt_is_needed() -> None:
@@ -206,9 +206,9 @@ def test_a_part_without_which_the_error_doubles_beyond_doubt_is_needed() -> None
     lone = energy.copy()
     lone[0] *= 40.0  # twice as much in all, in one block alone
     after = Blocks(energy, samples, run)
-    assert AutoSettings().needed(Blocks(3 * energy, samples, run), after)
-    assert not AutoSettings().needed(Blocks(1.5 * energy, samples, run), after)
-    assert not AutoSettings().needed(Blocks(lone, samples, run), after)
+    assert needed(Blocks(3 * energy, samples, run), after)
+    assert not needed(Blocks(1.5 * energy, samples, run), after)
+    assert not needed(Blocks(lone, samples, run), after)
 
 
 @pytest.mark.slow
