@@ -306,8 +306,6 @@ class OperatorFitSettings:
 
     Attributes:
         skip_first_flexure: score each trial from the first reversal of its command on.
-        offset_free: let each trial have an offset of its own, which the chain does not keep; for devices that are
-            mounted anew between trials.
         evaluations: greatest number of free runs over all trials, for each start.
         tolerance: relative change of the loss at which a start is done.
         restarts: further starts around the best point so far; the error has kinks, where a start may get stuck.
@@ -315,7 +313,6 @@ class OperatorFitSettings:
     """
 
     skip_first_flexure: bool = False
-    offset_free: bool = False
     evaluations: int = 200
     tolerance: float = 1e-9
     restarts: int = 6
@@ -355,7 +352,7 @@ def fit_by_least_squares(
 ) -> ChainFit:
     """`fit_chain` of a task in working units, as an identification method."""
     template, free = task.starts[0], task.free
-    runs = FreeRuns(template, task.trials, settings.skip_first_flexure, settings.offset_free, task.lead_s)
+    runs = FreeRuns(template, task.trials, settings.skip_first_flexure, task.lead_s)
     tracker, interrupted = Tracker(runs.mse, free, progress), False
 
     def evaluate(q: Vec) -> tuple[Vec, Mat]:

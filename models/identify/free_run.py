@@ -17,7 +17,7 @@ from ..kernels.chain_kernels import DIRECTIONS, StageKernels, stage_kernels
 from ..operators.dynamics import Delay
 from ..rest import FLAT, nearest_shown
 from ..start import Runs, search_box
-from .runs import Run, RunsTogether, angle_range, check_trial_set, command_range, runs_to_fit
+from .runs import RunsTogether, angle_range, check_trial_set, command_range, runs_to_fit
 
 Stage = tuple[StageKernels, slice, slice]
 """Compiled operator, and where its states and its parameters stand among those of the chain."""
@@ -322,7 +322,6 @@ class FreeRuns:
         chain: its structure; parameters are given with each call.
         trials: uniformly sampled at one rate, in one pair of units.
         skip_first_flexure: score each trial from the first reversal of its command on.
-        offset_free: take the mean off the error of each trial.
         lead_s: start of each trial that is not scored [s].
 
     Raises:
@@ -334,10 +333,9 @@ class FreeRuns:
         chain: Chain,
         trials: Sequence[Trial],
         skip_first_flexure: bool = False,
-        offset_free: bool = False,
         lead_s: float = 0.0,
     ) -> None:
-        dt_s, self._staged, self._offset_free = check_trial_set(trials), StagedChain(chain), offset_free
+        dt_s, self._staged = check_trial_set(trials), StagedChain(chain)
         self._box = search_box(command_range(trials), angle_range(trials))
         self.runs = [
             replace(run, dt_s=dt_s, approach=(run.rest_command,) * chain.rest_samples)
@@ -366,7 +364,8 @@ class FreeRuns:
 
     def mse(self, p: Vec) -> float:
         """Mean over trials of the mean square error at parameters p (P,); infinite where a run is not finite."""
-        errors = [self._error(run, theta) for run, theta in zip(self.runs, self.angles(p), strict=True)]
+        runs = zip(self.runs, self.angles(p), strict=True)
+        errors = [(theta - run.angle)[run.scored] for run, theta in runs]
         loss = sum(float(error @ error) / error.size for error in errors) / len(self.runs)
         return loss if np.isfinite(loss) else np.inf
 
@@ -380,15 +379,8 @@ class FreeRuns:
         thetas, gradients = self._staged.differentiate(together.command, together.dt_s, *start, p, first=together.first)
         thetas, gradients = thetas[together.own], gradients[together.own]
         for run, at in together.each():
-            error, by_p = self._error(run, thetas[at]), gradients[at][run.scored]
-            if self._offset_free:
-                by_p = by_p - by_p.mean(axis=0)
+            error = (thetas[at] - run.angle)[run.scored]
             scale = 1 / np.sqrt(error.size * len(self.runs))
             residuals.append(error * scale)
-            jacobians.append(by_p * scale)
+            jacobians.append(gradients[at][run.scored] * scale)
         return np.concatenate(residuals), np.vstack(jacobians)
-
-    def _error(self, run: Run, theta: Vec) -> Vec:
-        """Model less measurement over the samples that count, from theta (T,)."""
-        error = (theta - run.angle)[run.scored]
-        return error - error.mean() if self._offset_free else error

@@ -28,7 +28,7 @@ from ..identify.estimation_noise import with_noise
 from ..identify.runs import angle_range, check_trial_set, command_range, facts_of, fixed_rule
 from ..kinds.kind import FitRequest, Identified, ModelKind, recorded
 from ..model import FitProgress
-from ..motions import initialisation_flexure, probe_commands
+from ..motions import flexed, probe_commands
 from .predictor import follow_plays
 from .weights import PlayKernelStep, PlayKernelWeights, play_kernel_graph, ramps
 
@@ -193,7 +193,10 @@ def play_kernel_bundle(
         "play_kernel",
         trials,
         limits,
-        (fixed_rule(fresh).model_copy(update=moved), fixed_rule(_flexed(step, fresh, trials, warmup))),
+        (
+            fixed_rule(fresh).model_copy(update=moved),
+            fixed_rule(flexed(step, fresh, command_range(trials), check_trial_set(trials), warmup)),
+        ),
         warmup,
         {
             "preset": settings.name,
@@ -205,14 +208,6 @@ def play_kernel_bundle(
         },
     )
     return ExportBundle(play_kernel_graph(weights), metadata, step, probe_commands(metadata))
-
-
-def _flexed(step: PlayKernelStep, state: Vec, trials: Sequence[Trial], warmup: int) -> Vec:
-    """State (S,) after the initialisation flexure of S2 (RA-L 2024)."""
-    at = state[None]
-    for u in initialisation_flexure(command_range(trials), check_trial_set(trials), warmup):
-        _, at = step.advance(at, np.array([[u]]))
-    return at[0]
 
 
 BLOCK = 16_384
