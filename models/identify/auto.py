@@ -1,4 +1,4 @@
-"""`fit auto`: drive, creep and core of a device, each chosen by held-out free-run errors, fitted jointly."""
+"""Identification of a whole device, `fit auto`: drive, creep and hysteresis, chosen by errors on held-out trials."""
 
 from __future__ import annotations
 
@@ -41,15 +41,15 @@ MOTIONS_THAT_SEPARATE = {
 
 @dataclass(frozen=True, eq=False)
 class AutoFit:
-    """An identified device.
+    """Identified device.
 
     Attributes:
-        choice: what was chosen, with its held-out errors.
-        rows: what each part bought.
+        choice: chosen device with its errors on held-out trials.
+        rows: error without and with each part.
         parameters: numbers of drive and creep, with intervals of 90 %.
-        offsets: whether each trial had an offset of its own.
-        noise: what the device leaves unexplained of trials that its fit did not see; of one trial alone, of its thirds.
-        advice: what these trials do not determine, and what to record for it.
+        offsets: whether each trial has its separate offset.
+        noise: noise of the model on trials that its fit did not use; of one trial alone, on its thirds.
+        advice: numbers that the trials do not determine, and what to record for them.
         decades: working units of `choice`; rows, parameters and noise are in those of the log.
         interrupted: stopped by the user; this is the best so far.
     """
@@ -150,7 +150,7 @@ def _identified(
 
 
 def auto_chain(fit: AutoFit) -> Chain:
-    """The identified device in the units of the log."""
+    """Identified device as a chain, in the units of the log."""
     hypothesis = fit.choice.hypothesis
     return fit.decades.log_chain(hypothesis.problem.fitted_chain(hypothesis.q))
 
@@ -199,7 +199,7 @@ def _at_full_rate(
 
 
 def _numbers_at(search: AutoSearch, device: Choice, before: Sequence[ParameterRow]) -> tuple[ParameterRow, ...]:
-    """Numbers of a device at the full rate, with intervals that hold those of the search at a lower rate, too."""
+    """Numbers of a device at the full rate; their intervals include those of the search at a lower rate."""
     wide = {(row.owner, row.name): row for row in before}
 
     def joint(row: ParameterRow, before: ParameterRow | None) -> ParameterRow:
@@ -213,7 +213,7 @@ def _numbers_at(search: AutoSearch, device: Choice, before: Sequence[ParameterRo
 
 
 def _thinned(trials: Sequence[Trial], dt: float) -> Sequence[Trial]:
-    """Trials of at most 50 Hz for the search."""
+    """Trials resampled to at most 50 Hz for the search."""
     keep = math.floor(1 / (dt * SEARCH_HZ) + 1e-9)
     if keep < 2:
         return trials
@@ -224,7 +224,7 @@ def _thinned(trials: Sequence[Trial], dt: float) -> Sequence[Trial]:
 
 
 def _advice(parameters: Sequence[ParameterRow], units: Units) -> Iterator[str]:
-    """What these trials do not determine, and what would."""
+    """Sentences on numbers that the trials do not determine, and on motions that would determine them."""
     for owner in dict.fromkeys(row.owner for row in parameters if row.flat or row.at_bound):
         rows_of_effect, what = [r for r in parameters if r.owner == owner], owner.replace("_", " ")
         for row in (r for r in rows_of_effect if r.at_bound):
@@ -242,7 +242,7 @@ _QUANTILE = 1.645  # of the normal distribution, 95 %
 
 
 def widened_rows(choice: Choice, runs: Sequence[Run], tried: Sequence[Choice]) -> Iterator[ParameterRow]:
-    """Numbers of the parts with intervals that hold the choice of the form, too.
+    """Numbers of a device with intervals that allow for other forms of its parts.
 
         half = k 1.645 sqrt(s^2 + j^2 + a^2)
 
@@ -279,7 +279,7 @@ def widened_rows(choice: Choice, runs: Sequence[Run], tried: Sequence[Choice]) -
 
 
 def _free(choice: Choice) -> list[tuple[Candidate, Freedom]]:
-    """The free numbers of a device's effects in the order of the rows."""
+    """Free parameters of a device's effects in the order of the rows."""
     return [(c, freedom) for c in choice.hypothesis.problem.effects for freedom in c.free]
 
 
@@ -288,7 +288,7 @@ def _labels(choice: Choice) -> set[str]:
 
 
 def moved_row(row: ParameterRow, value: float, choice: Choice) -> ParameterRow:
-    """A number with its value from a fit at another rate, the interval as wide as it was.
+    """Number with its value from a fit at another rate; the interval keeps its width.
 
     A lag between samples that are held is half a sample early: at another rate the delay is another one.
     """
@@ -309,12 +309,11 @@ def without_meaning(
     command: Range,
     required: Collection[tuple[str, str]] = (),
 ) -> tuple[str, str] | None:
-    """A part and its effect that may do nothing, as far as its intervals tell; None where there is none.
+    """First effect whose intervals include its neutral value, with its part; None where there is none.
 
-    Of an effect with a neutral value that is where the intervals of all such numbers hold it; of several terms of creep
-    one is enough. A lag does nothing within twice its lower bound, far less than a sample, a top speed where it may be
-    that of the fastest command, a slack where it may end below the lowest command, and a creep as quick as creep may be
-    is a lag. The curve of a core goes with the part `core`.
+    Of several terms of creep one is enough. A lag does nothing within twice its lower bound, far less than a sample, a
+    top speed where it may be that of the fastest command, a slack where it may end below the lowest command, and a
+    creep as quick as creep may be is a lag. The curve of a core goes with the part `core`.
 
     Args:
         choice: the device.

@@ -1,4 +1,4 @@
-"""Search of the structure of a device: part after part, the simplest alternative that held-out errors allow."""
+"""Search for the structure of a device: the simplest form of each part that errors on held-out trials allow."""
 
 from __future__ import annotations
 
@@ -73,12 +73,12 @@ def needed(before: Blocks, after: Blocks) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class Choice:
-    """A device as far as it is chosen.
+    """Device during the search.
 
     Attributes:
-        core: form of the core.
-        forms: alternative of each part, by its name.
-        judged: the fit, with its errors on held-out trials.
+        core: form of the hysteresis core.
+        forms: form of each other part, by its name.
+        judged: fit to all trials, with its errors on held-out trials.
     """
 
     core: CoreForm
@@ -87,17 +87,17 @@ class Choice:
 
     @property
     def size(self) -> int:
-        """Free parameters."""
+        """Number of free parameters."""
         return size_of(self.core, self.forms)
 
     @property
     def blocks(self) -> int:
-        """Operators of its parts: of two devices with as many numbers the one with fewer poles is the simpler."""
+        """Number of operators: of two devices with as many parameters the one with fewer poles is the simpler."""
         return sum(len(c.operators) for form in self.forms.values() for c in form)
 
     @property
     def hypothesis(self) -> Hypothesis:
-        """The fit to all trials."""
+        """Fit to all trials."""
         return self.judged.hypothesis
 
     @property
@@ -108,11 +108,11 @@ class Choice:
 
 @dataclass(frozen=True)
 class PartRow:
-    """What one part bought.
+    """Effect of one part on the held-out error.
 
     Attributes:
         part: `drive`, `creep`, `core` or `sensor zero`.
-        form: the alternative that was chosen, `none` for a device without the part.
+        form: the form that was chosen, `none` for a device without the part.
         without_deg: held-out error of the device without the part, everything else fitted anew [deg]; of the core:
             with a line in its place. Not-a-number where there is nothing to leave out.
         with_deg: held-out error of the chosen device [deg].
@@ -126,7 +126,7 @@ class PartRow:
 
 @final
 class AutoSearch:
-    """Part after part, the simplest alternative whose held-out error is not significantly above the best one.
+    """Search that takes for each part the simplest form with a held-out error not significantly above the least.
 
     All parameters are fitted jointly for each alternative. It begins with the richest core, so that no other part has
     to stand in for it, and chooses each part anew while the others change. It then begins a second time with a line,
@@ -134,8 +134,6 @@ class AutoSearch:
 
     Source: one-standard-error rule of Breiman, Friedman, Olshen, Stone, Classification and Regression Trees (1984),
     section 3.4.3; see `worth` for the number of standard errors and for what the simpler form may cost.
-
-    Trials begin where evaluation lets them begin (`models.start`): at rest, or where their first seconds say.
     """
 
     def __init__(
@@ -157,11 +155,11 @@ class AutoSearch:
 
     @property
     def offsets(self) -> bool:
-        """Whether each trial has an offset of its own."""
+        """Whether each trial has its separate offset."""
         return self.terms.own_offset
 
     def run(self) -> Choice:
-        """The chosen device."""
+        """Search and return the chosen device."""
         core, none = self._cores[-1], self._none()
         try:
             self.terms = self._terms_of_trials()
@@ -184,7 +182,7 @@ class AutoSearch:
             return self._simplest_tried(present)
 
     def _rounds(self, present: Choice, names: Sequence[str]) -> Choice:
-        """The device with these parts chosen one after the other, until nothing changes."""
+        """Device with these parts chosen one after the other, until nothing changes."""
         # of each part: the device when it was chosen last, and what was tried
         seen: dict[str, tuple[tuple[str, ...], list[Choice]]] = {}
         for k in range(_ROUNDS):
@@ -203,21 +201,21 @@ class AutoSearch:
         return present
 
     def _simplest_tried(self, present: Choice) -> Choice:
-        """The simplest of all that were tried, by the same rule: rounds may end beside a simpler or better device."""
+        """Simplest of all devices tried, by the rule of one round: rounds may miss a simpler or better device."""
         alike = [present, *(c for c in self.tried if c.hypothesis.problem.terms == self.terms)]
         best = min(alike, key=lambda choice: choice.judged.mse)
         ordered = sorted(alike, key=lambda choice: (choice.size, choice.blocks, choice.judged.mse))
         return next(c for c in ordered if c is best or not worth(c.judged, best.judged))
 
     def _alternatives(self, name: str, present: Choice) -> list[tuple[CoreForm, dict[str, Form]]]:
-        """The device with every form of one part."""
+        """Device with every form of one part."""
         if name == _CORE:
             return [(core, present.forms) for core in self._cores]
         forms = next(part.forms for part in self._parts if part.name == name)
         return [(present.core, present.forms | {name: form}) for form in forms]
 
     def _with_one_zero(self, choice: Choice) -> Choice:
-        """The device with one offset for all trials, where offsets of their own are worth nothing any more."""
+        """Device with one offset for all trials, where separate offsets do not lower the held-out error."""
         if not self.offsets:
             return choice
         self.terms = replace(self.terms, own_offset=False)
@@ -228,7 +226,7 @@ class AutoSearch:
         return choice
 
     def refit_at_full_rate(self, choice: Choice) -> Choice:
-        """The device of another rate refitted to these trials, with its drive selected again.
+        """Device of another rate refitted to these trials, its drive selected anew.
 
         Some drives cannot be told from each other at few samples.
         """
@@ -252,10 +250,7 @@ class AutoSearch:
         return self._finished(self._simplest(drives, present))
 
     def without_effect(self, choice: Choice, part: str, effect: str) -> Choice:
-        """The device whose part has its next simpler form.
-
-        That is the same effect with fewer numbers where there is one, else no effect.
-        """
+        """Device whose part has the same effect with fewer parameters or, without such a form, lacks the effect."""
         if part == _CORE:
             core = plain_of(choice.core, self._cores)
             return self._polished(self._judged(core, choice.forms, self._fitted(core, choice.forms, choice)))
@@ -269,20 +264,17 @@ class AutoSearch:
         return self._polished(self._judged(choice.core, left, self._fitted(choice.core, left, choice)))
 
     def reselect_other_parts(self, choice: Choice, lost: Collection[str]) -> Choice:
-        """The device with all parts selected again except those that lost an effect.
-
-        The other parts were selected while that effect was part of the device.
-        """
+        """Device with all parts selected anew except those that lost an effect."""
         for name in self._names:
             if name not in lost:
                 choice = self._simplest(self._alternatives(name, choice), choice)
         return self._finished(choice)
 
     def part_contributions(self, choice: Choice) -> tuple[Choice, tuple[PartRow, ...]]:
-        """The device without needless parts, and by how much each part that is left lowers the error.
+        """Device without needless parts, and held-out errors without and with each part.
 
-        A part is needless where it lowers the error on trials left out by no more than the standard error. A row has
-        the error of the device without that part, with all other numbers fitted again.
+        A part is needless where it lowers the error on held-out trials by no more than the standard error. A row has
+        the error of the device without that part, with all other numbers fitted anew.
         """
         reduced = self._without_each(choice)
         while needless := [c for c in reduced.values() if c and not stays(c.judged, choice.judged)]:
@@ -297,10 +289,7 @@ class AutoSearch:
         return choice, (*rows, zero)
 
     def _without_each(self, choice: Choice) -> dict[str, Choice | None]:
-        """The device without each part, fitted again; None where there is no such part.
-
-        A line takes the place of the core.
-        """
+        """Device without each part, fitted anew, None where there is no such part; a line replaces the core."""
         reduced: dict[str, Choice | None] = {}
         for name, form in choice.forms.items():
             forms = {**choice.forms, name: ()}
@@ -315,14 +304,14 @@ class AutoSearch:
         return reduced
 
     def left_out(self, choice: Choice) -> tuple[Vec, ...]:
-        """Measurement less free run of each trial, left out of the fit; see `CrossValidation.left_out`."""
+        """Held-out residuals of each trial, see `CrossValidation.left_out`."""
         return self._validation(choice.core).left_out(choice.judged)
 
     def _none(self) -> dict[str, Form]:
         return {part.name: () for part in self._parts}
 
     def _plan(self, made: Sequence[tuple[CoreForm, dict[str, Form]]], present: Choice, rounds: int = 1) -> None:
-        """Begin to count: at most so many rounds of these fits, then the last fit and the table of parts."""
+        """Count from now on: at most so many rounds of these fits, then the last fit and the table of parts."""
         points = sum(_points(*alternative, present) for alternative in made)
         self._done, self._weight = 0.0, 1.0
         self._planned = _AT_LAST + points * sum(_NEXT_ROUND**k for k in range(rounds))
@@ -333,7 +322,7 @@ class AutoSearch:
         self._progress(min(self._done / self._planned, 1.0), math.sqrt(best))
 
     def _terms_of_trials(self) -> TrialTerms:
-        """Whether trials have offsets of their own, judged by the better of two devices with one drive.
+        """Whether trials need separate offsets, judged by the better of two devices with one drive.
 
         One has the richest core. The other has a valve and a line, whose lack of memory cannot stand in for a start.
         """
@@ -382,7 +371,7 @@ class AutoSearch:
         return selected
 
     def _fitted(self, core: CoreForm, forms: Mapping[str, Form], present: Choice | None) -> Hypothesis:
-        """Joint fit from the present values where a part stays, from its own starts where it is new."""
+        """Joint fit; a part that stays starts from its present values, a new one from its listed starts."""
         validation, terms = self._validation(core), self.terms
         effects = [*(c for form in forms.values() for c in form), *core.curve]
         held = _values(present.hypothesis) if present else {}
@@ -402,7 +391,7 @@ class AutoSearch:
         return min(fits, key=lambda fit: fit.mse)
 
     def _line_behind(self, effects: Sequence[Candidate], values: Sequence[Sequence[float]]) -> Chain:
-        """The line through what a drive hands on: behind a slow one its gain is many times that over the command."""
+        """Regression line over the output of the drive: behind a slow drive it is far steeper than over the command."""
         problem = Problem(FreeCoreBaseline(Chain(Line(1.0, 0.0)), self._command), effects)
         q = problem.start(np.array([1.0, 0.0]), values[: len(effects)])
         travel = np.concatenate([problem.angles(q, run)[run.counts] for run in self.runs])
@@ -410,7 +399,7 @@ class AutoSearch:
         return Chain(Line(*np.polyfit(travel, angle, 1).tolist()))
 
     def _finished(self, choice: Choice) -> Choice:
-        """The device with its fit run to the end, and without a delay that only says how a command runs to the next."""
+        """Device with its fit run to convergence, without a delay that only stands for the hold of a sample."""
         choice, drive = self._polished(choice), self._parts[0].name
         held = straight(choice.forms[drive])
         delays = [v for label, v in _values(choice.hypothesis).items() if label == "delay/command"]
@@ -440,20 +429,20 @@ class AutoSearch:
 
 
 def _near(candidate: Candidate, values: tuple[float, ...], dt_s: float, whole_s: float) -> Form:
-    """The candidate from known values on; a delay may move by half a sample of the search."""
+    """Candidate that starts from known values; a delay may move by half a sample of the search."""
     if candidate.effect != "delay":
         return (replace(candidate, starts=(values,)),)
     return split_delay(candidate, whole_s + values[0], 0.5 / SEARCH_HZ, dt_s)
 
 
 def _values(hypothesis: Hypothesis) -> dict[str, list[float]]:
-    """Free values of each effect of a fit, by label."""
+    """Free parameters of each effect of a fit, by label."""
     values = hypothesis.problem.effect_values(hypothesis.q)
     return {c.label: list(v.values()) for c, v in zip(hypothesis.problem.effects, values, strict=True)}
 
 
 def _points(core: CoreForm, forms: Mapping[str, Form], present: Choice) -> int:
-    """Points from which an alternative is fitted, weighed by their evaluations; see `AutoSearch._fitted`."""
+    """Number of starting points of a fit, weighted by their evaluations; see `AutoSearch._fitted`."""
     if core.label != present.core.label:
         return _FROM_AFAR * len(core.starts)
     held = _labels(present.core, present.forms)
@@ -482,10 +471,10 @@ def _title(candidate: Candidate) -> str:
 
 
 def size_of(core: CoreForm, forms: Mapping[str, Form]) -> int:
-    """Free parameters of a device."""
+    """Number of free parameters of a device."""
     return core.size + sum(map(free_numbers, forms.values()))
 
 
 def free_numbers(form: Form) -> int:
-    """Free numbers of an alternative."""
+    """Number of free parameters of a form."""
     return sum(len(c.free) for c in form)

@@ -1,4 +1,4 @@
-"""What retuning of the nominal simulator may change: gain, offset, widths, weights; never what has an effect's name."""
+"""Retuning of a nominal simulator: the freedom of its gain, offset, widths and weights."""
 
 from __future__ import annotations
 
@@ -86,14 +86,10 @@ class Baseline(ABC):
 
 @final
 class BacklashBaseline(Baseline):
-    """Gain, shift and width of a backlash; the ratio of its slopes is an asymmetry.
+    """Backlash whose gain, shift and width are retuned; the ratio of its slopes is an asymmetry.
 
     z = (g, s, w, a):  m_lo' = g m_lo sqrt(a),  m_up' = g m_up / sqrt(a),  c_lo' = c_lo + s + w / 2,
                        c_up' = c_up + s - w / 2
-
-    Args:
-        chain: the nominal chain, its core a backlash.
-        command: range of the command [cmd].
     """
 
     effects = MappingProxyType({"asymmetry": {"slope_ratio": 3}})
@@ -130,7 +126,7 @@ class BacklashBaseline(Baseline):
 
 @final
 class FreeCoreBaseline(Baseline):
-    """All parameters of the core but those that are effects by another name; of curved plays slopes and offset.
+    """Core whose parameters are all retuned, but for effects by another name; of curved plays slopes and offset.
 
     Args:
         chain: the nominal chain.
@@ -180,13 +176,9 @@ class FreeCoreBaseline(Baseline):
 
 @final
 class ScaledBaseline(Baseline):
-    """Gain, offset and input scale of a network, through the plays that stand for it.
+    """Network whose gain, offset and input scale are retuned, through Prandtl-Ishlinskii plays that stand for it.
 
     z = (g, o, w):  weights' = g weights,  b' = g b + o,  alpha' = w alpha
-
-    Args:
-        chain: its core a Prandtl-Ishlinskii model fitted to the network's free run.
-        command: range of the command [cmd].
     """
 
     width = 2

@@ -39,7 +39,7 @@ _FAR, _STEEP = 1e6, 1e100  # residual and derivative in working units of a run t
 
 @dataclass(frozen=True)
 class ConvergenceReport:
-    """Loss by iteration of one training, whatever the method calls an iteration.
+    """Loss by iteration of a fit, whatever the method calls an iteration.
 
     Attributes:
         method: name of the method.
@@ -58,7 +58,7 @@ class ConvergenceReport:
 
     @property
     def iterations(self) -> int:
-        """Iterations done."""
+        """Number of iterations done."""
         return len(self.losses)
 
     @property
@@ -85,7 +85,7 @@ class ConvergenceReport:
 
 @dataclass(frozen=True, eq=False)
 class FreeParameters:
-    """Free ones among the parameters of a chain.
+    """Parameters of a chain that a fit may change.
 
     Attributes:
         values: values of all (P,), from which the fixed ones are taken.
@@ -185,7 +185,7 @@ def chain_task(kind: str, trials: Sequence[Trial], structure: Structure) -> Chai
 
 
 def _ends(operator: Operator, box: Ends) -> tuple[Vec, Vec]:
-    """The box in the order of the operator's parameters, within their bounds; without an entry a value is set."""
+    """Search region in the order of the operator's parameters, within their bounds; without an entry a value is set."""
     rows = []
     for parameter, value in zip(operator.parameters, operator.values, strict=True):
         stem = parameter.name.rstrip("0123456789")
@@ -263,7 +263,7 @@ class Tracker:
 
 
 def nothing_found(looked_at: str, interrupted: bool) -> FitError:
-    """Error of a fit without a best point: the user was faster, or no error is a number."""
+    """Error of a fit without a best point: interrupted at once, or no error that is a number."""
     if interrupted:
         return FitInterruptedError("the fit was interrupted before its first look, there is nothing to keep")
     return FitError(f"no finite error in {looked_at}, expected at least one; check the units")
@@ -385,7 +385,7 @@ def fit_by_least_squares(
 
 
 def _points(starts: Sequence[Chain], tracker: Tracker, settings: OperatorFitSettings) -> Iterator[Vec]:
-    """The given starts, then the best point so far with every parameter changed by a fifth or so."""
+    """Starting points: the given ones, then the best so far with every parameter changed by about a fifth."""
     yield from (start.values for start in starts)
     rng = np.random.default_rng(settings.seed)
     for _ in range(settings.restarts):
@@ -394,7 +394,7 @@ def _points(starts: Sequence[Chain], tracker: Tracker, settings: OperatorFitSett
 
 
 def _condensed(residuals: Vec, jacobian: Mat) -> tuple[Vec, Mat]:
-    """Of many samples the triangle of a QR factorisation of (J, r), which is the same to least squares and smaller."""
+    """Residuals and Jacobian; of many samples the triangle of a QR factorisation, the same to least squares."""
     if residuals.size < _MANY or not np.all(np.abs(jacobian) < _DIVERGED):
         return residuals, jacobian
     triangle = np.asarray(np.linalg.qr(np.column_stack([jacobian, residuals]), mode="r"))

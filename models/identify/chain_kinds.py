@@ -1,6 +1,6 @@
-"""The one list of operator kinds: starts and search boxes, read off the trials.
+"""Kinds of model that are operators: their starting points and search regions, estimated from the trials.
 
-To add a kind of model that is an operator: write the operator in `models/operators/` and its entry in `CHAIN_KINDS`.
+To add such a kind: write the operator in `models/operators/` and its entry in `CHAIN_KINDS`.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from .runs import fastest_command
 
 
 def backlash_starts(trials: Sequence[Trial]) -> list[Chain]:
-    """The two regression lines, and lines of their common slope with wider and narrower gaps.
+    """Starting points of a backlash: the two regression lines, and lines of their mean slope with other gaps.
 
     Raises:
         FitError: if the angle does not rise with the command, or a branch is missing.
@@ -45,7 +45,7 @@ def backlash_starts(trials: Sequence[Trial]) -> list[Chain]:
 
 
 def prandtl_ishlinskii_starts(trials: Sequence[Trial], plays: int) -> list[Chain]:
-    """Equal weights that share the mean slope, thresholds spread over 10, 30 and 80 % of the command's range.
+    """Starting points of plays: equal weights, thresholds spread over 10, 30 and 80 % of the command's range.
 
     Raises:
         FitError: if the angle does not rise with the command, or a branch is missing.
@@ -65,12 +65,7 @@ FRICTION_KINDS = ("maxwell_slip", "maxwell_slip_rate")
 
 
 def falls(of_what: str, unit: str) -> FitError:
-    """The refusal of an output that falls with the command; of one in deg a wrong sign is the cause.
-
-    Args:
-        of_what: by how much it falls, and when.
-        unit: of the output.
-    """
+    """Error of an output that falls with the command `of_what`; for one in deg a wrong sign is the likely cause."""
     text = f"the angle falls with the command {of_what}, expected it to rise; "
     text += "where `hystmpc check` shows no delay and no second clock, turn the sign of one channel"
     if unit == "deg":
@@ -79,7 +74,7 @@ def falls(of_what: str, unit: str) -> FitError:
 
 
 def branch(trials: Sequence[Trial], motion: Motion, rises: bool = True) -> Vec:
-    """Slope [deg/cmd] and offset [deg] of the line through one branch after the first flexure.
+    """Slope [deg/cmd] and offset [deg] of the regression line through one branch after the first flexure.
 
     Raises:
         FitError: if too few samples move that way, or the angle falls as the command rises where it has to rise.
@@ -103,7 +98,7 @@ def branch(trials: Sequence[Trial], motion: Motion, rises: bool = True) -> Vec:
 
 
 def _lines(unloading: Vec, loading: Vec) -> Chain:
-    """A backlash of two lines (slope, offset)."""
+    """Backlash of two lines (slope, offset)."""
     return Chain(Backlash(unloading[0], loading[0], unloading[1] / unloading[0], loading[1] / loading[0]))
 
 
@@ -119,7 +114,7 @@ _BENT = 1e-3  # of the output: how much a neuron bends the linear system at the 
 
 @dataclass(frozen=True)
 class Ringing:
-    """The resonance of a device.
+    """Resonance of a device.
 
     Attributes:
         rad_per_s: angular frequency of the greatest response [rad/s].
@@ -140,7 +135,7 @@ class Ringing:
 
     @classmethod
     def of(cls, trials: Sequence[Trial]) -> Ringing:
-        """From the averaged spectra of the trials.
+        """Resonance of trials, from their averaged spectra.
 
         H(f) = S_uy(f) / S_uu(f) where the command has power; a linear oscillator has its peak 1 / (2 d k) near w, and
         half the power of it at w (1 -+ d).
@@ -171,7 +166,7 @@ class Ringing:
 
 
 def oscillator_starts(ringing: Ringing) -> list[Operator]:
-    """The linear oscillator of the peak, part of its stiffness with memory that relaxes within the range or sooner."""
+    """Linear oscillators with this peak, part of their stiffness with memory that relaxes within the range."""
     mass, damping, stiffness = _linear(ringing)
     return [
         Oscillator(mass, damping, (1 - share) * stiffness, share * stiffness, relaxing, -0.5 * relaxing)
@@ -181,13 +176,13 @@ def oscillator_starts(ringing: Ringing) -> list[Operator]:
 
 
 def _linear(ringing: Ringing) -> tuple[float, float, float]:
-    """Mass, damping and stiffness of the linear oscillator with this peak; a quarter of its width is damping proper."""
+    """Mass, damping and stiffness of the linear oscillator with this peak; a quarter of its width is viscous."""
     w, stiffness = ringing.rad_per_s, ringing.stiffness
     return stiffness / w**2, 2 * _VISCOUS * ringing.damping * stiffness / w, stiffness
 
 
 def oscillator_box(ringing: Ringing) -> dict[str, tuple[float, float]]:
-    """Half to twice the linear oscillator, any share with memory, which relaxes within the range or not at all."""
+    """Search region: half to twice the linear oscillator, with any share of memory."""
     mass, stiffness = ringing.stiffness / ringing.rad_per_s**2, ringing.stiffness
     return {
         "mass": (0.5 * mass, 2 * mass),
@@ -203,7 +198,7 @@ def oscillator_box(ringing: Ringing) -> dict[str, tuple[float, float]]:
 
 
 def state_network_starts(ringing: Ringing, hidden: int = _HIDDEN) -> list[Operator]:
-    """The turning pair of the resonance and slower states; neurons at random that bend it by a thousandth."""
+    """Starting point: the rotating pair of the resonance, slower states, and small random neurons."""
     rng, n = np.random.default_rng(0), _ORDER
     left = math.exp(-ringing.damping * ringing.rad_per_s * ringing.dt_s)
     turn = ringing.rad_per_s * ringing.dt_s * math.sqrt(1 - ringing.damping**2)
@@ -220,7 +215,7 @@ def state_network_starts(ringing: Ringing, hidden: int = _HIDDEN) -> list[Operat
 
 
 def state_network_box(ringing: Ringing) -> dict[str, tuple[float, float]]:
-    """Any stable system and neurons that see the whole range."""
+    """Search region: any stable system, with neurons over the whole range of the signals."""
     gain = 1 / ringing.stiffness
     return {
         "a": (-0.3, 0.3),
@@ -242,8 +237,8 @@ class Structure:
     Attributes:
         plays: plays of a `pi` or `drdpi`.
         bands: dead zones of a `drdpi` on either side of the middle.
-        dead_zone_deg: change of the wish that an `inverse_backlash` takes for noise; None for the 0.027 deg of the code
-            of S2, for a device of another size as much of its range.
+        dead_zone_deg: change of the reference that an `inverse_backlash` takes for noise; None for the 0.027 deg of the
+            code of S2, for a device of another size the same share of its range.
         steepness_s: see `BoucWen`, times the range of the command; 0.04 in the code of S2.
     """
 
@@ -253,13 +248,13 @@ class Structure:
     steepness_s: float = 0.04
 
     def in_working_units(self, angle: float) -> Structure:
-        """The same for trials of which one working unit is `angle` deg, see `Decades`."""
+        """Structure for trials of which one working unit is `angle` deg, see `Decades`."""
         return self if self.dead_zone_deg is None else replace(self, dead_zone_deg=self.dead_zone_deg / angle)
 
 
 @dataclass(frozen=True)
 class Extent:
-    """What the trials of a device show, command and angle in their own places.
+    """Ranges and mean branches of the trials of a device, always from command to angle.
 
     Attributes:
         slope, offset: of the mean line through loading and unloading branch [deg/cmd], [deg].
@@ -267,7 +262,7 @@ class Extent:
         span: range of the command [cmd].
         speed: greatest speed of the command [cmd/s].
         low, high: least and greatest angle [deg].
-        ringing: the resonance; of kinds that have one, whose branches say nothing of slope and lag.
+        ringing: the resonance; only of kinds that have one.
     """
 
     slope: float
@@ -281,7 +276,7 @@ class Extent:
 
     @classmethod
     def of(cls, trials: Sequence[Trial], kind: ChainKind) -> Extent:
-        """Read off trials; of a kind that rings without slope and lag, since no branch rises at a resonance.
+        """Extent of trials; of a kind that rings without slope and lag, since no branch rises at a resonance.
 
         Raises:
             FitError: if the angle falls with the command where it has to rise, or a branch is missing.
@@ -300,7 +295,7 @@ class Extent:
 
     @property
     def resonance(self) -> Ringing:
-        """The resonance of a kind that has one.
+        """Resonance of a kind that has one.
 
         Raises:
             FitError: of another kind.
@@ -315,7 +310,7 @@ _DEAD_ZONE = 0.027
 
 @dataclass(frozen=True)
 class ChainKind:
-    """One kind of operator model: how it is called, identified, started and bounded.
+    """Kind of operator model: its name, starting points and search regions.
 
     Attributes:
         name: on the command line and in reports.
@@ -351,7 +346,7 @@ def _cores(chains: Sequence[Chain]) -> list[Operator]:
 
 
 def _drdpi_starts(trials: Sequence[Trial], e: Extent, structure: Structure) -> list[Operator]:
-    """The plays of each start of a `pi`, with dead zones that are spread over the angle and do nothing yet."""
+    """Plays of each start of a `pi`, with dead zones spread over the angle that change nothing yet."""
     middle, n = 0.5 * (e.low + e.high), structure.bands
     ones, gaps = (1.0,) * n, (0.5 * (e.high - e.low) / (n + 1),) * n
     starts: list[Operator] = []
@@ -363,7 +358,7 @@ def _drdpi_starts(trials: Sequence[Trial], e: Extent, structure: Structure) -> l
 
 
 def _bouc_wen_starts(trials: Sequence[Trial], e: Extent, structure: Structure) -> list[Operator]:
-    """The mean line with the branches' distance, reached within 10, 30 and 80 % of the command's range."""
+    """Mean line with the branches' distance, reached within 10, 30 and 80 % of the command's range."""
     del trials
     steepness, lag = structure.steepness_s / e.span, max(e.lag, 0.0)
     return [
@@ -378,7 +373,7 @@ _REACHES = (0.03, 0.1, 0.3)  # of the displacement's range, over which a frictio
 def maxwell_slip_starts(
     elements: int, slope: float, offset: float, height: float, span: float, speed: float = 0.0
 ) -> list[MaxwellSlip]:
-    """Sliders of one stiffness, the last of which breaks away within 3, 10 and 30 % of the displacement's range.
+    """Starting points of a friction force: sliders of one stiffness that slip within 3, 10 and 30 % of the range.
 
     Args:
         elements: number of sliders.
@@ -406,7 +401,7 @@ def _friction_starts(e: Extent, structure: Structure, speed: float = 0.0) -> lis
 
 
 def _friction_box(e: Extent, structure: Structure) -> Ends:
-    """Sliders that all break away within half the range; ends `k` are those of k0, too."""
+    """Search region: sliders that all slip within half the range; ends `k` are those of k0, too."""
     height = e.high - e.low
     return {
         "k": (0.0, 20 * height / e.span),
@@ -428,7 +423,7 @@ def _backlash_box(e: Extent, structure: Structure) -> Ends:
 
 
 def _plays_box(e: Extent, structure: Structure) -> Ends:
-    """No play wider than half the range, none that speed widens by more than a quarter of it."""
+    """Search region: no play wider than half the range, none that speed widens by more than a quarter of it."""
     return {
         "a": (0.0, 1.5 * e.slope),
         "alpha": (0.0, 0.5 * e.span / structure.plays),
@@ -438,12 +433,12 @@ def _plays_box(e: Extent, structure: Structure) -> Ends:
 
 
 def _plays_first(e: Extent, structure: Structure) -> Ends:
-    """Weights whose sum is the slope or twice that: of sums many times too steep no generation finds back."""
+    """First region: weights whose sum is the slope to twice that; a search does not return from far steeper ones."""
     return {"a": (0.0, 4.0 * e.slope / (structure.plays + 1))}
 
 
 def _drdpi_box(e: Extent, structure: Structure) -> Ends:
-    """Plays twice as steep at most, since dead zones may flatten them; dead zones within the range of the angle."""
+    """Search region: plays at most twice as steep, since dead zones may flatten them."""
     height, middle = e.high - e.low, 0.5 * (e.low + e.high)
     sides = {f"slope_{side}_": (0.0, 3.0) for side in ("below", "above")}
     gaps = {f"gap_{side}_": (0.0, height / structure.bands) for side in ("below", "above")}
@@ -458,7 +453,7 @@ def _drdpi_box(e: Extent, structure: Structure) -> Ends:
 
 
 def _drdpi_first(e: Extent, structure: Structure) -> Ends:
-    """Bounds of a curve: its middle piece lies near the middle of the angle, and no other piece is much steeper."""
+    """First region: the middle piece of the curve near the middle of the angle, and no other piece much steeper."""
     height, middle = e.high - e.low, 0.5 * (e.low + e.high)
     return {
         **_plays_first(e, structure),

@@ -1,4 +1,4 @@
-"""A set of causes, fitted and judged on trials that its fit did not see."""
+"""Causes of a gap, fitted jointly with the baseline and judged on trials that their fit did not use."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _LEAST_ERROR = 1e-300
 
 @dataclass(frozen=True, eq=False)
 class Hypothesis:
-    """Baseline and some causes, fitted to the development runs.
+    """Baseline with some causes, fitted to the development runs.
 
     Attributes:
         problem: the baseline with the causes.
@@ -38,7 +38,7 @@ class Hypothesis:
 
     @property
     def effects(self) -> frozenset[str]:
-        """Names of its causes."""
+        """Names of the causes."""
         return frozenset((*(c.effect for c in self.problem.effects), *self.problem.terms.names))
 
     @cached_property
@@ -49,12 +49,12 @@ class Hypothesis:
 
 @dataclass(frozen=True, eq=False)
 class InParts:
-    """Energies in the blocks of a hypothesis, see `timing_rivals`.
+    """Error energies by which a lag, a delay and a rate dependence are compared, see `timing_rivals`.
 
     Attributes:
         held_out: of errors on parts of all trials, fitted to the other parts (B,) [deg^2].
         quick: of whitened errors of a fit to all trials (B,) [deg^2].
-        free: numbers of the effect in that fit.
+        free: free parameters of the effect in that fit.
     """
 
     held_out: Vec
@@ -63,23 +63,23 @@ class InParts:
 
     @property
     def expected(self) -> float:
-        """Energy of quick errors on other trials: (B + Q) / (B - Q), as for the forms of one effect [deg^2]."""
+        """Expected energy of whitened errors on other trials: (B + Q) / (B - Q) times that of the fit [deg^2]."""
         blocks = self.quick.size
         return float(self.quick.sum()) * (blocks + self.free) / max(blocks - self.free, 1)
 
     def at(self, blocks: NDArray[np.intp]) -> InParts:
-        """Those of some blocks."""
+        """Energies of some blocks."""
         return replace(self, held_out=self.held_out[blocks], quick=self.quick[blocks])
 
     def with_trials(self, energy: Vec) -> InParts:
-        """The same with the blocks of further trials, on which no quick errors were compared."""
+        """Energies with the blocks of further trials, on which no whitened errors were compared."""
         quick = np.concatenate([self.quick, np.zeros(energy.size)])
         return replace(self, held_out=np.concatenate([self.held_out, energy]), quick=quick)
 
 
 @dataclass(frozen=True, eq=False)
 class HeldOutErrors(Blocks):
-    """A hypothesis with its errors on held-out trials, in blocks.
+    """Errors of a hypothesis on held-out trials, in blocks.
 
     Attributes:
         hypothesis: what was judged.
@@ -96,7 +96,7 @@ class HeldOutErrors(Blocks):
 
 @dataclass(frozen=True, eq=False)
 class CrossValidation:
-    """Development runs and how they are split: what every hypothesis is fitted to and judged on.
+    """Development runs, split into folds, to which every hypothesis is fitted and on which it is judged.
 
     Attributes:
         baseline: of every hypothesis.
@@ -117,7 +117,7 @@ class CrossValidation:
         return tuple(tuple(range(k, len(self.runs), count)) for k in range(count))
 
     def retuned(self) -> Hypothesis:
-        """The baseline alone."""
+        """Baseline without causes, fitted to all runs."""
         problem = Problem(self.baseline)
         fit = fit_problem(problem, self.runs, problem.start(self.baseline.nominal, []), 40, 1e-6)
         return Hypothesis(problem, fit.q, fit.mse)
@@ -125,14 +125,14 @@ class CrossValidation:
     def with_causes(
         self, effects: Sequence[Candidate], terms: TrialTerms, z: Vec, starts: Sequence[Sequence[Sequence[float]]]
     ) -> Hypothesis:
-        """Fit causes jointly with the baseline, from baseline values z and several values of the effects."""
+        """Causes fitted jointly with the baseline, from baseline values z and several values of the effects."""
         problem = Problem(self.baseline, effects, terms)
         fits = [fit_problem(problem, self.runs, problem.start(z, values), self.evaluations, 1e-3) for values in starts]
         best = min(fits, key=lambda f: f.mse)
         return Hypothesis(problem, best.q, best.mse)
 
     def without(self, hypothesis: Hypothesis, dropped: AbstractSet[str]) -> Hypothesis:
-        """A hypothesis less some of its causes, fitted anew from its present values."""
+        """Hypothesis without some of its causes, fitted anew from its present values."""
         problem = hypothesis.problem
         values = [list(v.values()) for v in problem.effect_values(hypothesis.q)]
         kept = [(c, v) for c, v in zip(problem.effects, values, strict=True) if c.effect not in dropped]
@@ -145,7 +145,7 @@ class CrossValidation:
         return self.with_causes([c for c, _ in kept], terms, z, [[v for _, v in kept]])
 
     def polished(self, hypothesis: Hypothesis) -> Hypothesis:
-        """The same with its fit run to the end."""
+        """Hypothesis with its fit run to convergence."""
         fit = fit_problem(hypothesis.problem, self.runs, hypothesis.q, 60, 1e-6)
         return Hypothesis(hypothesis.problem, fit.q, fit.mse)
 
@@ -155,7 +155,7 @@ class CrossValidation:
 
     @cached_property
     def _splits(self) -> tuple[tuple[tuple[Run, ...], dict[int, Run]], ...]:
-        """Of each fold the runs of its fit and, by number, those held out; of a single run in time thirds of it."""
+        """Of each fold the runs of its fit and, by number, those held out; of a single run in time its thirds."""
         if len(self.runs) > 1 or not self.in_time:
             return tuple(
                 (tuple(run for k, run in enumerate(self.runs) if k not in fold), {k: self.runs[k] for k in fold})
@@ -202,7 +202,7 @@ def gain(before: Blocks, after: Blocks) -> tuple[float, float]:
 
 
 def sureness(before: Blocks, after: Blocks) -> float:
-    """Standard errors by which the held-out error falls, of squares or of RMS values of the blocks: what is more.
+    """Standard errors by which the held-out error falls, of squares or of RMS values of the blocks: the greater.
 
     A cause that acts in few blocks, as in fast steps alone, scatters in its squares as much as it is large, however
     sure it is. The root lets each block count by its error, not by the square of it (Bartlett, The use of
@@ -223,6 +223,6 @@ def _paired(difference: Vec, runs: NDArray[np.intp]) -> tuple[float, float]:
 
 
 def mean_square_difference(one: HeldOutErrors, other: HeldOutErrors) -> float:
-    """Mean square difference of what two hypotheses predict on held-out trials [deg^2]."""
+    """Mean square difference of the predictions of two hypotheses on held-out trials [deg^2]."""
     differences = [a - b for a, b in zip(one.errors, other.errors, strict=True)]
     return float(sum(np.sum(d**2) for d in differences) / sum(d.size for d in differences))

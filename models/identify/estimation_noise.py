@@ -1,4 +1,4 @@
-"""Noise of a model: what it leaves unexplained of trials, split into white noise and a random walk for an estimator."""
+"""Noise of a model for an estimator: white noise of the sensor, random walks, and the resolution of the sensor."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def estimation_noise(trials: Sequence[Trial], residuals: Sequence[Vec], fitted: 
     Readings of a step q are off by q^2 / 12 in mean square (Widrow, Trans. AIEE 79, 1961). Where noise below q does not
     make that error white, as at rest, the walk explains it: the sensor's variance is taken to be no less.
 
-    What neighbours have in common is the slow error of the model, since the sensor's noise is white. About the mean of
+    Slow errors of the model are what neighbours have in common, since the sensor's noise is white. About the mean of
     each trial, which a declared rest takes off, model_sigma^2 = mean (r_k - r) (r_{k+1} - r), enlarged likewise.
 
     Args:
@@ -52,7 +52,7 @@ def estimation_noise(trials: Sequence[Trial], residuals: Sequence[Vec], fitted: 
 
     Raises:
         FitError: if there are no residuals, more than samples in a trial, or they are not finite.
-    """  # in working units, where the least noise is meant
+    """
     decades = Decades.of(trials)
     output = decades.output(trials)
     return decades.log_noise(_noise(decades.trials(trials), [residual / output for residual in residuals], fitted))
@@ -87,7 +87,7 @@ def _noise(trials: Sequence[Trial], residuals: Sequence[Vec], fitted: int) -> No
 
 @final
 class ReferenceModel(LoadedModel):
-    """A model that has just been made, run by the reference of its export."""
+    """Model before its export, run by the reference of its bundle."""
 
     def __init__(self, bundle: ExportBundle) -> None:
         super().__init__(bundle.metadata, "initial")
@@ -97,7 +97,7 @@ class ReferenceModel(LoadedModel):
         return self._reference.advance(state, u)
 
     def casadi_function(self) -> Any:
-        """None is needed before the export.
+        """Refuse: a CasADi function is made by the export.
 
         Raises:
             FitError: always.
@@ -106,7 +106,7 @@ class ReferenceModel(LoadedModel):
 
 
 def with_noise(bundle: ExportBundle, trials: Sequence[Trial], fitted: int) -> ExportBundle:
-    """The bundle with the noise of its model on trials, free runs of its reference; as it is for an inverse map.
+    """Bundle with the noise of its model on trials, by free runs of its reference; unchanged for an inverse map.
 
     Args:
         trials: sampled at the model's rate, of its units.
@@ -131,7 +131,7 @@ def with_noise(bundle: ExportBundle, trials: Sequence[Trial], fitted: int) -> Ex
 
 
 def _most_likely_ratios(residuals: Vec, travel: Vec, usual: float) -> tuple[float, float]:
-    """Variance of the walk in a sample, and over one unit of travel, in variances of the sensor."""
+    """Variances of the walk in a sample and over one unit of travel, in variances of the sensor."""
     from scipy.optimize import minimize  # half a second to import
 
     def cost(logs: Vec) -> float:
@@ -196,9 +196,6 @@ def resolution(signals: Sequence[Vec]) -> float:
     The grid may have any offset. It is looked for in all readings and in those that repeat the one before, which
     linear interpolation to another rate leaves on it, and then in clusters of them, where a little noise was added
     after rounding. A log of few digits is on a grid, too: that of its last digit.
-
-    Args:
-        signals: readings of one sensor, (T,) each.
     """
     values = np.concatenate(signals)
     repeated = np.concatenate([signal[1:][np.diff(signal) == 0] for signal in signals])
@@ -212,12 +209,12 @@ def grid_step(values: Vec) -> float:
 
 
 def _of_many_levels(values: Vec, levels: Vec) -> float:
-    """As `grid_step`, of so many levels that chance does not put them on a grid."""
+    """Step of a grid with so many levels that chance does not put them on one, see `grid_step`."""
     return _step(values, levels) if levels.size >= _MANY_LEVELS else 0.0
 
 
 def _clusters(values: Vec) -> Vec:
-    """Middles of groups of values between gaps like the widest ones; each value where none stand out."""
+    """Means of the groups of values between wide gaps; each value where no gaps stand out."""
     ordered = np.sort(values)
     gaps = np.diff(ordered)
     if gaps.size < _MANY_LEVELS:
@@ -242,7 +239,7 @@ def _step(values: Vec, levels: Vec) -> float:
 
 
 def _grid_fit(levels: Vec, guess: float, values: Vec) -> tuple[float, float]:
-    """Step near the guess by regression of levels on their whole numbers, and the share of values on that grid."""
+    """Step near the guess, by regression of levels on whole numbers, and the share of values on that grid."""
     numbers = np.concatenate([[0.0], np.cumsum(np.rint(np.diff(levels) / guess))])
     if numbers[-1] + 1 < min(_MANY_LEVELS, levels.size):
         return 0.0, 0.0

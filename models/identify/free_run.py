@@ -1,4 +1,4 @@
-"""Free runs of a chain: the one compiled engine with exact sensitivities, and its error over trials."""
+"""Free runs of a chain: compiled simulation with exact sensitivities, its states at rest, and its error over trials."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ Stage = tuple[StageKernels, slice, slice]
 
 @dataclass(frozen=True, eq=False)
 class HeldRows:
-    """N rows held at their commands; D directions, the last of them the angle that the core was told to show.
+    """N rows held at their commands; D directions, the last of them the angle prescribed for the core.
 
     Attributes:
         state, slope: (S, N), and its derivative (S, N, D).
-        signal, by_signal: what the last operator so far hands on one sample later (N,), and its derivative (N, D).
-        core: angle that the core shows then (N,) [deg]; the one it was told where it can hold it.
+        signal, by_signal: output of the last operator so far one sample later (N,), and its derivative (N, D).
+        core: angle that the core shows then (N,) [deg]; the prescribed one where it can hold it.
     """
 
     state: Vec
@@ -40,29 +40,29 @@ class HeldRows:
     core: Vec
 
     def rows(self, n: Index) -> HeldRows:
-        """A copy of some rows."""
+        """Copy of some rows."""
         return HeldRows(self.state[:, n], self.slope[:, n], self.signal[n], self.by_signal[n], self.core[n])
 
     def put(self, n: Index, other: HeldRows) -> None:
-        """Take rows n from another."""
+        """Replace rows n by those of another."""
         self.state[:, n], self.slope[:, n] = other.state, other.slope
         self.signal[n], self.by_signal[n], self.core[n] = other.signal, other.by_signal, other.core
 
     @property
     def moves(self) -> Vec:
-        """Derivative of what is shown by the core's angle (N,)."""
+        """Derivative of the output by the core's angle (N,)."""
         return self.by_signal[:, -1]
 
     @property
     def leads(self) -> Mask:
-        """Rows in which that derivative leads anywhere (N,)."""
+        """Rows in which that derivative is not zero (N,)."""
         return ~(np.abs(self.moves) < FLAT)
 
 
 @final
 @dataclass(frozen=True, eq=False)
 class Settling:
-    """One parameter point at which rows are settled; see `StagedChain.settled`.
+    """States at rest for one set of parameters; see `StagedChain.settled`.
 
     Attributes:
         stages: operators in the order of the signal.
@@ -84,7 +84,7 @@ class Settling:
         return nearest_shown(angle, lambda n, at: self._held(before.rows(n), at))
 
     def _before(self, command: Vec) -> HeldRows:
-        """What stands before the core, held at commands (N,)."""
+        """Operators before the core, held at commands (N,)."""
         states, count = self.stages[-1][1].stop, self.seeds.shape[1]
         x, m = np.empty((states, command.size)), np.zeros((states, command.size, count))
         signal, moving = command.copy(), np.zeros((command.size, count))
@@ -93,7 +93,7 @@ class Settling:
         return HeldRows(x, m, signal, moving, np.empty(command.size))
 
     def _held(self, before: HeldRows, core_angle: Vec) -> HeldRows:
-        """Whole rows; what stands before the core does not depend on the core's angle, and is found once."""
+        """Whole rows; the operators before the core do not depend on the core's angle, and are settled once."""
         x, m = np.array(before.state, order="C"), np.array(before.slope, order="C")
         signal, moving = before.signal.copy(), before.by_signal.copy()
         by_shown = np.zeros_like(moving)
@@ -105,7 +105,7 @@ class Settling:
         return HeldRows(x, m, signal, moving, core)
 
     def _pass(self, k: int, x: Vec, m: Vec, signal: Vec, moving: Vec, seen: Vec, by_seen: Vec) -> None:
-        """One operator further: its states at rest at what it sees, and what it hands on, in place of what came."""
+        """Settle one operator and replace the signal by its output."""
         kernels, states, columns = self.stages[k]
         state, slope, seeds = x[states], m[states], self.seeds[columns]
         kernels.rest(signal, moving, seen, by_seen, self.values[columns], kernels.constants[2], seeds, state, slope)
@@ -122,8 +122,8 @@ class StagedChain:
     """Compiled free runs of a chain, batched, with exact sensitivities to all parameters.
 
     A chain is a series connection, so its operators can pass over a whole trial one after another. Each is compiled
-    once, alone: any number of them in any order needs no further compilation, which is what a search over structures
-    lives on. Values equal the chain's `transition`, sample by sample, to rounding.
+    once, alone: any number of them in any order needs no further compilation, which a search over structures needs.
+    Values equal the chain's `transition`, sample by sample, to rounding.
 
     Args:
         chain: its operators and their order; its values count only where a call is given none.
@@ -169,7 +169,7 @@ class StagedChain:
         return x, m
 
     def simulate(self, commands: Vec, dt_s: float, states: Vec, values: Vec | None = None) -> tuple[Vec, Vec]:
-        """Run N rows freely.
+        """Simulate N rows freely.
 
         Args:
             commands: (T, N), time first [cmd].
@@ -200,15 +200,14 @@ class StagedChain:
     ) -> tuple[Vec, Vec]:
         """States (S, N) of rows that were held at a command and show an angle, and their derivatives (S, N, D).
 
-        Unlike `rest`, every operator starts at what the one before it really hands on, and the core at the angle for
-        which the whole chain shows the one that was seen: a creep, a stop or a curve behind the core is no offset.
-        Newton's method on the core's angle a; dx/dp = dx/dp|_a - dx/da (dy/dp|_a) / (dy/da) by the implicit function
-        theorem. Where that is beyond what the core can hold at the command, the search goes on from the edge of what it
-        can; and where it cannot show the angle at all it shows the nearest that it can. Rows do not depend on others.
+        Unlike `rest`, every operator starts at the output of the one before it, and the core at the angle for which the
+        whole chain shows the measured one: a creep, a stop or a curve behind the core is no offset. Newton's method on
+        the core's angle a (`nearest_shown`); dx/dp = dx/dp|_a - dx/da (dy/dp|_a) / (dy/da) by the implicit function
+        theorem.
 
         Args:
             command: held (N,) [cmd].
-            angle: seen (N,) [deg].
+            angle: measured (N,) [deg].
             dt_s: sample time [s].
             values: parameters (P,); the chain's where left out.
             seeds: see `differentiate`.
@@ -221,7 +220,7 @@ class StagedChain:
         return held.state, np.ascontiguousarray((held.slope - held.slope[:, :, -1:] * turned)[:, :, :-1])
 
     def rollouts(self, dt_s: float, values: Vec) -> Runs:
-        """Free runs of the chain with parameters (P,), as the search of a start asks for them."""
+        """Free runs of the chain with parameters (P,), for `found_start`."""
 
         def run(commands: Vec, angles: Vec, plans: Vec) -> Vec:
             states = self.settled(commands, angles, dt_s, values, np.empty((self.parameter_count, 0)))[0]
@@ -272,11 +271,11 @@ class StagedChain:
         return signal, moving[:, :count]
 
     def _seeds(self, seeds: Vec | None) -> Vec:
-        """Directions (P, D): those of every parameter alone where none are given."""
+        """Directions (P, D): every parameter alone where none are given."""
         return np.eye(self.parameter_count) if seeds is None else np.ascontiguousarray(seeds, dtype=np.float64)
 
     def _kept(self, dt_s: float, values: Vec | None) -> list[Vec]:
-        """Of every operator, what follows from parameters and sample time alone."""
+        """Quantities of every operator that follow from parameters and sample time alone."""
         p, slopes = self._rows(values, 1), []
         self._require_room(p, dt_s)
         for kernels, _, columns in self._stages:
@@ -295,7 +294,7 @@ class StagedChain:
         return np.ascontiguousarray(np.broadcast_to(p[:, None] if p.ndim == 1 else p, (self.parameter_count, rows)))
 
     def _require_room(self, p: Vec, dt_s: float) -> None:
-        """Refuse a delay (P, N) that is longer than its store: all its weights vanish, and its output with them."""
+        """Refuse a delay (P, N) that is longer than its store: all its weights would vanish."""
         for k, samples in self._stores:
             if (longest := float(np.max(p[k]))) > samples * dt_s * (1 + _ROUNDING):
                 raise ModelError(
@@ -315,8 +314,8 @@ class StagedChain:
 class FreeRuns:
     """Free runs of a chain over trials, and their error; every trial has the same weight.
 
-    A run starts at rest (`StagedChain.settled`) where its trial does (`models.start`), and is compared after the
-    chain's warm-up. Of a trial that begins in motion the rest is found by `find_starts`, by samples that do not count.
+    A run starts at rest (`StagedChain.settled`) where its trial does (`models.start`), after the chain's warm-up. The
+    rest of a trial that begins in motion is estimated by `find_starts` from samples that do not count.
 
     Args:
         chain: its structure; parameters are given with each call.
@@ -348,7 +347,7 @@ class FreeRuns:
         return any(run.lead for run in self.runs)
 
     def find_starts(self, p: Vec) -> None:
-        """Let each run that begins in motion begin where the chain with parameters p (P,) finds it."""
+        """Estimate the start of each run that begins in motion, by the chain with parameters p (P,)."""
         rollouts, held = self._staged.rollouts(self.runs[0].dt_s, p), self._staged.chain.rest_samples
         self.runs = [run.begun(rollouts, self._box, held) if run.lead else run for run in self.runs]
 

@@ -1,4 +1,4 @@
-"""Bounded least squares: the one solver of all fits, and the fit of a hypothesis to runs."""
+"""Bounded least squares: the solver of all fits, and the fit of a hypothesis to runs."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _HELD = 1e-10  # of the greatest curvature: what no run determines stays where i
 
 
 def one_blas_thread(function: Callable[P, R]) -> Callable[P, R]:
-    """The function on one BLAS thread.
+    """Decorator that runs a function on one BLAS thread.
 
     The products of a fit are tall and narrow: with two threads a diagnosis took up to seven times the processor time.
     """
@@ -58,7 +58,7 @@ def minimise(evaluate: Callable[[Vec], tuple[Vec, Mat]], start: Vec, bounds: tup
 
 @dataclass(frozen=True, eq=False)
 class LeastSquaresFit:
-    """Where a fit of a hypothesis ended.
+    """Result of a fit of a hypothesis.
 
     Attributes:
         q: unknowns.
@@ -104,11 +104,7 @@ def fit_problem(
 
 
 class _CondensedSearch:
-    """Errors and derivatives of all runs, condensed: the triangle R of a QR factorisation of (J, r).
-
-    Least squares needs no more than the norm of r, J^T r and the singular values of J, and R has them all; with ten
-    thousand samples the solver's own decompositions would cost more than the free runs.
-    """
+    """Errors and derivatives of all runs as the triangle R of a QR factorisation of (J, r)."""
 
     def __init__(self, problem: Problem, runs: Sequence[Run], start: Vec, white: Vec) -> None:
         self._problem, self._start, self._white, self._groups = problem, start, white, RunsTogether.groups(runs)
@@ -137,14 +133,14 @@ class _CondensedSearch:
         return triangle[:, -1], triangle[:, :-1]
 
     def _pull(self, square: Vec, q: Vec) -> Vec:
-        """What the distance from the start and roughness add to the products of derivatives and errors."""
+        """Products of derivatives and errors of the distance from the start and of roughness."""
         away = np.column_stack([np.eye(q.size), q - self._start])
         rough = np.column_stack([self._problem.roughness, self._problem.roughness @ q])
         return np.asarray(_HELD * np.max(np.diag(square)[:-1], initial=0.0) * away.T @ away + rough.T @ rough)
 
 
 def _triangle(square: Vec) -> Vec:
-    """R with R^T R = square; a run that is not finite counts as a very bad one without a direction."""
+    """R with R^T R = square; a run that is not finite counts as very bad, without a direction."""
     size = square.shape[0]
     if not np.all(np.isfinite(square)):
         return np.vstack([np.zeros((size - 1, size)), np.append(np.zeros(size - 1), _DIVERGED)[None]])

@@ -1,4 +1,4 @@
-"""Lines of periodic motions: frequencies at which a disturbance cannot be told from the motion itself."""
+"""Spectral lines of errors and motions: a disturbance at a line of the motion cannot be told from the motion."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _MOST = 0.5  # of the recorded time, in which a frequency has to be the motion's
 
 
 def fundamental_hz(command: Vec, dt_s: float) -> float:
-    """Frequency of a motion that has most of its energy in one line [Hz]; 0 where it has not."""
+    """Frequency of a motion that has most of its energy in one line [Hz]; 0 of other motions."""
     from scipy.signal import get_window  # half a second to import
 
     hz = np.fft.rfftfreq(command.size, dt_s)
@@ -33,12 +33,12 @@ def fundamental_hz(command: Vec, dt_s: float) -> float:
 
 
 def motions_own(runs: Sequence[Run], hz: Vec) -> Mask:
-    """Frequencies (F,) that are a periodic motion's own in half of the recorded time or more.
+    """Frequencies (F,) that are lines of the motion itself in half of the recorded time or more.
 
-    A frequency is a motion's own where its fundamental or a harmonic lies nearer than 1 / T, with T the time of all
-    runs together. Each run has a phase of its own, and resolves no more than one over its own time: that is the limit
-    for the first five harmonics, whose size differs from run to run with the width of the loop. A few
-    slow moves are no periodic motion: of fewer than three periods only these five count, and no nearer than 1 / T.
+    These lie nearer to its fundamental or a harmonic than 1 / T, with T the time of all runs together. Each run has a
+    separate phase, and resolves no more than one over its duration: that is the limit for the first five harmonics,
+    whose size differs from run to run with the width of the loop. A few slow moves are no periodic motion: of fewer
+    than three periods only these five count, and no nearer than 1 / T.
 
     Args:
         runs: all that were recorded.
@@ -61,10 +61,11 @@ def motions_own(runs: Sequence[Run], hz: Vec) -> Mask:
 
 
 def leaked_power(power: Vec, hz: Vec, of_motion: Mask, seconds: Vec) -> Vec:
-    """Power (F,) that runs of finite length leak from the highest line within each own band to other frequencies.
+    """Power (F,) that runs of finite length leak from the lines of the motion to other frequencies.
 
-    A wave of power P that lasts T seconds has at most P / (pi d T)^2 at a distance d from its frequency, and P nearer
-    than 1 / (pi T) (Harris, On the use of windows, Proc. IEEE 66, 1978: rectangular window).
+    Of each band of the motion the highest line counts. A wave of power P that lasts T seconds has at most P / (pi d
+    T)^2 at a distance d from its frequency, and P nearer than 1 / (pi T) (Harris, On the use of windows, Proc. IEEE 66,
+    1978: rectangular window).
 
     Args:
         power: of each run (R, F).
@@ -84,10 +85,10 @@ def leaked_power(power: Vec, hz: Vec, of_motion: Mask, seconds: Vec) -> Vec:
 
 
 def strongest_line(runs: list[Run], errors: list[Vec], lowest_hz: float, highest_hz: float) -> float:
-    """Frequency at which waves with a phase of each trial explain most of the errors [Hz]; 0 where there is none.
+    """Frequency of the wave, with a phase of each trial, that explains most of the errors [Hz]; 0 for none.
 
-    Frequencies of the motions themselves (`motions_own`) are left out: a wave there cannot be told from the loop. So
-    are those that hold no more than what leaks from there (`leaked_power`).
+    Lines of the motions themselves (`motions_own`) are left out: a wave there cannot be told from the loop. So are
+    those that hold no more than what leaks from there (`leaked_power`).
     The grid is as fine as the longest trial resolves, then refined by a parabola. Its powers come from a chirp
     z-transform: a table of all waves at all samples grows with the square of the duration, to gigabytes at ten minutes.
     """

@@ -1,4 +1,4 @@
-"""What a device may be made of, part by part: the alternatives between which `fit auto` chooses."""
+"""Parts that a device may consist of, each with the forms between which `fit auto` chooses."""
 
 from __future__ import annotations
 
@@ -46,11 +46,11 @@ _RADII = (0.02, 0.45)  # of the command's range: its narrowest and its widest pl
 
 @dataclass(frozen=True)
 class Part:
-    """One part of a device and its alternatives.
+    """Part of a device with its possible forms.
 
     Attributes:
         name: in tables: `drive`, `creep`, `valve`.
-        forms: the alternatives, the device without the part first.
+        forms: the forms, the device without the part first.
     """
 
     name: str
@@ -73,7 +73,7 @@ def device_parts(scale: Scale, late_s: float = 0.0) -> tuple[Part, ...]:
 
     Args:
         scale: sizes of the device and its trials.
-        late_s: about how late the device is, see `dead_time`; a longer delay than usual is looked for there [s].
+        late_s: approximate delay of the device, see `dead_time`; a longer delay than usual is looked for there [s].
     """
     known = {c.label: c for c in candidates(scale, ())}
     delay = _as_late(known["delay/command"], late_s, scale)
@@ -93,12 +93,12 @@ def device_parts(scale: Scale, late_s: float = 0.0) -> tuple[Part, ...]:
 
 
 def _as_slow(tau: Freedom, scale: Scale) -> Freedom:
-    """A time constant of up to half the longest trial."""
+    """Time constant of up to half the longest trial."""
     return replace(tau, upper=max(tau.upper, 0.5 * scale.duration_s))
 
 
 def _as_late(delay: Candidate, late_s: float, scale: Scale) -> Form:
-    """A delay about that of the device, where that is more than the usual ones; by a device's list of effects else."""
+    """Delay near that of the device, where that is longer than usual; else the one of the list of effects."""
     usual = delay.free[0].upper
     if late_s <= _USUAL * usual:
         return (delay,)
@@ -106,7 +106,7 @@ def _as_late(delay: Candidate, late_s: float, scale: Scale) -> Form:
 
 
 def split_delay(delay: Candidate, about_s: float, reach_s: float, dt_s: float) -> Form:
-    """A delay of `about_s` give or take `reach_s`: one of whole samples that stays, and one that is fitted.
+    """Delay of `about_s` give or take `reach_s`: a fixed one of whole samples, and one that is fitted.
 
     A store of many samples takes minutes to compile; several short ones of whole samples in series are the same.
     """
@@ -124,7 +124,7 @@ def split_delay(delay: Candidate, about_s: float, reach_s: float, dt_s: float) -
 
 
 def straight(form: Form) -> Form:
-    """A lag behind a command that runs straight between samples, where a form has a lag with a delay; else empty.
+    """Lag behind a command that runs straight between samples, for a form of lag and delay; else empty.
 
     Behind a command in steps such a lag has half a sample of delay, which is none of the device: at another rate it is
     another one.
@@ -136,17 +136,17 @@ def straight(form: Form) -> Form:
 
 
 def whole_delay(form: Form) -> float:
-    """Delay of whole samples in a form, which its numbers leave out [s]."""
+    """Fixed delay of whole samples in a form, which its parameters leave out [s]."""
     return sum(sum(operator.values) for c in form if c.variant == WHOLE for operator in c.operators)
 
 
 def _short(delay: Form) -> Form:
-    """The delay with one start, where another form is fitted with it."""
+    """Delay with one start, where another effect is fitted with it."""
     return tuple(replace(c, starts=c.starts[:1]) for c in delay)
 
 
 def _top_speed(scale: Scale) -> Candidate:
-    """A follower with a top speed alone; it is a lag by name, as in the list of effects.
+    """Follower with a top speed alone; in the list of effects it is a lag.
 
     It is looked for from one that crosses the range in the longest trial to that of the fastest command, which is none.
     """
@@ -157,7 +157,7 @@ def _top_speed(scale: Scale) -> Candidate:
 
 
 def _creeps(creep: Candidate, scale: Scale) -> tuple[Candidate, Candidate]:
-    """One term, and a quick one with a slow one."""
+    """Creep of one term, and of a quick and a slow one."""
     share, tau = creep.free
     slowest, middle = 3.0 * scale.duration_s, 2.0
     share = replace(share, lower=-3.0, upper=0.9)
@@ -175,7 +175,7 @@ def _creeps(creep: Candidate, scale: Scale) -> tuple[Candidate, Candidate]:
 
 @dataclass(frozen=True)
 class CoreForm:
-    """One alternative of the hysteresis core.
+    """Form of the hysteresis core.
 
     Attributes:
         label: in tables, such as `pi, 6 plays`.
@@ -191,7 +191,7 @@ class CoreForm:
 
 
 def plain_of(core: CoreForm, cores: Sequence[CoreForm]) -> CoreForm:
-    """The core without its curve."""
+    """Core without its curve."""
     label = core.label.removesuffix("".join(f", {c.label}" for c in core.curve))
     return next(other for other in cores if other.label == label)
 
@@ -202,7 +202,7 @@ _SLIDERS = (4, 10)
 
 
 def core_forms(trials: Sequence[Trial], scale: Scale) -> tuple[CoreForm, ...]:
-    """Rate-independent cores, alone and with a curve, few numbers first; the richest last.
+    """Rate-independent cores, alone and with a curve, few parameters first; the richest last.
 
     The first is a line, a device without hysteresis. The richest is `CurvedPlays`, but a sum of stops where the output
     leads the command or falls with it, as friction forces do: no play does that. The start is the line through all
@@ -231,7 +231,7 @@ def core_forms(trials: Sequence[Trial], scale: Scale) -> tuple[CoreForm, ...]:
 
 
 def _lead(trials: Sequence[Trial]) -> float:
-    """Half the distance by which the output of a rising command lies above that of a falling one [deg]."""
+    """Half the distance by which the output lies higher while the command rises than while it falls [deg]."""
     ways = [segment(trial).labels for trial in trials]
     way = np.concatenate([np.where(w == Motion.LOADING, 1.0, np.where(w == Motion.UNLOADING, -1.0, 0.0)) for w in ways])
     command = np.concatenate([trial.command for trial in trials])
@@ -252,7 +252,7 @@ def _stops(slope: float, offset: float, height: float, span: float, scale: Scale
 
 
 def _bent(core: CoreForm, curve: Candidate) -> CoreForm:
-    """A core with a curve."""
+    """Core with a curve."""
     label = f"{core.label}, {curve.label}"
     return replace(core, label=label, size=core.size + len(curve.free), curve=(curve,))
 
@@ -302,8 +302,8 @@ def dead_time(runs: Sequence[Run]) -> float:
 
         theta = a + b G u,  G = exp(-s delay) / (tau s + 1)
 
-    of all trials, each with an offset of its own. It says where a delay is to be looked for, not how long it is:
-    hysteresis is late, too.
+    of all trials, each with its separate offset. It tells where a delay is to be looked for, not how long it is:
+    hysteresis delays the angle, too.
 
     Source: first-order plus dead-time models, e.g. Astrom and Hagglund, Advanced PID Control (2006), section 2.6.
     """
