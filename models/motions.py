@@ -1,4 +1,4 @@
-"""Motions on which a model is tried and conditioned: a decaying sinusoid, and the initialisation flexure."""
+"""Test motions of a model: a decaying sinusoid, and the initialisation flexure that conditions it."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ CYCLES, FREQUENCY_HZ = 7, 0.2
 
 
 def probe_commands(facts: ModelMetadata) -> Vec:
-    """Commands (T,) at the model's sample time: S2 (RA-L 2024) eq. (9)-(10) with zero baseline, 0.2 Hz, seven cycles.
+    """Decaying sinusoid (T,) of S2 (RA-L 2024) eq. (9)-(10): zero baseline, 0.2 Hz, seven cycles.
 
     u = low + (high - low) / 2 e^{-tau t} (sin(2 pi f t - pi / 2) + 1),  tau = f ln(7) / 6; slower where the device
     was never driven as fast, so that the probe stays inside what the model was trained on.
@@ -41,7 +41,7 @@ def flexed(step: StepFunction, state: Vec, commands: Range, dt_s: float, warmup_
 
 
 def initialisation_flexure(commands: Range, dt_s: float, warmup_samples: int, rest: float | None = None) -> Vec:
-    """Commands (T,): the lowest, held for the warm-up; one 0.1 Hz sine to the highest and back; 5 s at the rest.
+    """Commands (T,) of a flexure: the lowest for the warm-up, a 0.1 Hz sine to the highest and back, 5 s at rest.
 
     A device that rests between both ends, as one that bends both ways does, goes from the lowest command to its rest
     along half a sine as quick.

@@ -321,7 +321,7 @@ class Problem:
             moving[index, :, :_STARTS] = 0.0
 
     def _values(self, q: Vec) -> tuple[Vec, Vec]:
-        """Parameters (P,) of the chain and their derivative by the unknowns (P, Q); those of the last point are stored."""
+        """Parameters (P,) of the chain and their derivative (P, Q) by the unknowns; the last ones are stored."""
         last = self._last
         if last is None or not np.array_equal(q, last[0]):
             self._last = last = (q.copy(), *self._values_at(q))

@@ -1,4 +1,4 @@
-"""Which causes: forward addition, backward drop and swaps, all by joint fits and held-out free-run errors."""
+"""Selection of causes: forward addition, removal and exchange, by joint fits and free-run errors on held-out trials."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ class SelectionSettings:
 
 @dataclass(frozen=True, eq=False)
 class Selection:
-    """What was chosen, and what it was chosen from.
+    """Result of a selection.
 
     Attributes:
         baseline: retuned alone.
@@ -100,16 +100,16 @@ class _Judged:
         self.tried = dict(tried)
 
     def baseline(self) -> HeldOutErrors:
-        """The retuned simulator."""
+        """Retuned simulator without causes."""
         return self.tried[frozenset()]
 
     def additions(self, base: Hypothesis) -> Sequence[Hypothesis]:
-        """The base with one more effect each, the most promising first."""
+        """Base with one more effect each, the most promising first."""
         size = len(base.effects) + 1
         return [j.hypothesis for names, j in self.tried.items() if len(names) == size and base.effects < names]
 
     def without(self, hypothesis: Hypothesis, effect: str) -> Hypothesis | None:
-        """A hypothesis without one of its effects; None where that was not judged."""
+        """Hypothesis without one of its effects; None where that was not judged."""
         known = self.tried.get(hypothesis.effects - {effect})
         return None if known is None else known.hypothesis
 
@@ -124,14 +124,14 @@ class _Judged:
 
 @final
 class _Search:
-    """One selection by the rules of `select`, on whatever trials."""
+    """Selection by the rules of `select`, on any trials."""
 
     def __init__(self, trials: _Judged, settings: SelectionSettings, floor_mse: float, faults_mse: float) -> None:
         self._trials, self._settings, self._floor, self._faults = trials, settings, floor_mse, faults_mse
         self._baseline_mse, self._strict = 0.0, False
 
     def run(self) -> tuple[HeldOutErrors, HeldOutErrors]:
-        """The baseline and the chosen hypothesis.
+        """Baseline and chosen hypothesis.
 
         First generic causes are added like others: on the way one may stand beside a partner that is exchanged later.
         Where one of them then explains no more than form errors would, it is dropped and the search goes on without.
@@ -187,7 +187,7 @@ class _Search:
         return sureness(before, after) > settings.standard_errors and useful > least
 
     def _dropped(self, current: HeldOutErrors) -> HeldOutErrors:
-        """Without each cause that is not needed any more."""
+        """Hypothesis without the causes that are no longer needed."""
         for effect in sorted(current.hypothesis.effects):
             if len(current.hypothesis.effects) < 2:
                 break
@@ -201,7 +201,7 @@ class _Search:
         return current
 
     def _swapped(self, current: HeldOutErrors, baseline: HeldOutErrors) -> HeldOutErrors:
-        """With each cause exchanged for each other one; the better is kept, all are recorded for the ambiguity."""
+        """Hypothesis with each cause exchanged for each other one, where that is better."""
         for effect in sorted(current.hypothesis.effects):
             if effect not in current.hypothesis.effects:
                 continue
@@ -265,10 +265,10 @@ class _Fits(_Judged):
         return retuned
 
     def without(self, hypothesis: Hypothesis, effect: str) -> Hypothesis | None:
-        """The device without one effect, fitted again.
+        """Device without one effect, fitted anew.
 
-        A device of the same structure that was tried before is kept unless the new fit is better: its errors on trials
-        left out are already known.
+        A device of the same structure that was tried before stays unless the new fit is better: its errors on held-out
+        trials are already known.
         """
         refitted = self._validation.without(hypothesis, {effect})
         tried = self.tried.get(refitted.effects)
@@ -286,7 +286,7 @@ class _Fits(_Judged):
         return judged
 
     def additions(self, base: Hypothesis) -> list[Hypothesis]:
-        """The best variant of every effect that is not there yet, the most promising first; fitted once for a base."""
+        """Best variant of every effect that is not there yet, the most promising first; fitted once for a base."""
         if base not in self._added:
             self._added[base] = self._fitted_additions(base)
         return self._added[base]
@@ -318,7 +318,7 @@ class _Fits(_Judged):
         return order[: self._settings.judged]
 
     def _expected(self, free: int) -> float:
-        """Factor from the error of a fit to that of other trials: what flexible forms of an effect gain by chance.
+        """Factor from the error of a fit to that on other trials, for what flexible forms gain by chance.
 
         (B + Q) / (B - Q) with B blocks, as neighbouring errors are correlated, and Q free parameters (Akaike, Fitting
         autoregressive models for prediction, Ann. Inst. Statist. Math. 21, 1969: final prediction error).
@@ -327,7 +327,7 @@ class _Fits(_Judged):
         return (blocks + free) / max(blocks - free, 1.0)
 
     def _several_trials(self) -> bool:
-        """Folds of one trial share its samples: what changes between them is no shift from trial to trial."""
+        """Whether there are several trials: folds of one trial share its samples, and no shift from trial to trial."""
         return len({id(run.command) for run in self._validation.runs}) > 1
 
     def _terms(self, base: Hypothesis) -> list[TrialTerms]:
@@ -352,7 +352,7 @@ def _same_structure(one: Problem, other: Problem) -> bool:
 
 
 def _favourites(reached: Mapping[Candidate, float], most: int) -> tuple[Candidate, ...]:
-    """The variants of each effect that did best alone: later rounds try no others."""
+    """Variants of each effect that did best alone: later rounds try no others."""
     kept = []
     for effect in dict.fromkeys(candidate.effect for candidate in reached):
         reached_by_effect = sorted((c for c in reached if c.effect == effect), key=lambda c: reached[c])
@@ -366,12 +366,12 @@ def _exceeds(gained: tuple[float, float]) -> bool:
 
 
 def _freedoms(hypothesis: Hypothesis) -> int:
-    """Free parameters of the causes; what each trial has of its own counts as more than any."""
+    """Number of free parameters of the causes; terms of single trials count as more than any."""
     return sum(len(c.free) for c in hypothesis.problem.effects) + _OWN * len(hypothesis.problem.terms.names)
 
 
 def _recurs(before: HeldOutErrors, after: HeldOutErrors, new: AbstractSet[str], settings: SelectionSettings) -> bool:
-    """Whether what each trial has of its own is there in most trials, and not in a single odd one alone.
+    """Whether terms of single trials explain most trials, and not a single odd one alone.
 
     The median trial gains as the mean does. Where groups of unequal size share a shift, the retuned simulator is nearer
     to the larger group, whose trials gain less: then a shift explains half of the error of every trial, and the trials
@@ -389,7 +389,7 @@ def _recurs(before: HeldOutErrors, after: HeldOutErrors, new: AbstractSet[str], 
 
 
 def line_share(neither: HeldOutErrors, shifts: HeldOutErrors, drift: HeldOutErrors) -> float:
-    """Share of what shifts of the trials explain that a drift explains: how well these shifts follow the clock.
+    """Share of the error explained by shifts of the trials that a drift explains, too.
 
     Both are compared by their fits. Held out, shifts are estimated on the trial itself and a drift on others, so that
     its random walk about the line would count against it.
@@ -412,7 +412,7 @@ def select(
     progress: RoundProgress = lambda share, what: None,
     faults_mse: float = 0.0,
 ) -> Selection:
-    """Choose the causes.
+    """Select the causes of a gap.
 
     Args:
         validation: development runs and baseline.
@@ -420,7 +420,7 @@ def select(
         settings: thresholds.
         floor_mse: error of sensor noise and model form; a fall below it does not count [deg^2].
         without: effects that are left out of the library.
-        progress: told the share of the present round and what is tried.
+        progress: called with the share of the present round and the candidate that is tried.
         faults_mse: energy of a faulty sensor's noise, which is no form error [deg^2].
     """
     fits = _Fits(validation, candidates, settings, without, progress)
@@ -440,7 +440,7 @@ def select_again(
     floor_mse: float,
     faults_mse: float = 0.0,
 ) -> Selection:
-    """Choose by the same rules among hypotheses that were judged on other trials; nothing is fitted.
+    """Select by the same rules among hypotheses that were judged on other trials; nothing is fitted.
 
     Args:
         tried: their errors by the names of their causes, the baseline's among them.

@@ -1,4 +1,4 @@
-"""Simulators of identified chains, as identified and as a diagnosis corrects them, with what they leave unexplained."""
+"""Simulators of identified chains, as identified and as corrected by a diagnosis, with their residuals."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ def simulator_of(
     skip_first_flexure: bool = False,
     noise: NoiseModel | None = None,
 ) -> Simulator:
-    """An identified chain with the facts of its trials; the residuals are found by running it.
+    """Simulator of an identified chain with the facts of its trials, and the residuals of its free runs.
 
     Args:
         chain: what was identified.
@@ -83,7 +83,7 @@ def simulator_of(
         method: how, in words.
         seed: of what was drawn at random.
         skip_first_flexure: whether each trial counted from the first reversal of its command on.
-        noise: of trials that the fit did not see; where left out, that of these trials.
+        noise: of trials that the fit did not use; where left out, that of these trials.
 
     Raises:
         FitError: on unusable trials, or a backlash whose lines cross within the trained range.
@@ -123,9 +123,9 @@ def simulator_of(
 
 
 def _rest_command(trials: Sequence[Trial], limits: Range) -> float | None:
-    """Where the device rests before its trials, None for the lower end of what it may be sent.
+    """Command at which the device rests before its trials, None for the lower end of its range.
 
-    Of trials that all begin in motion it is not known: then where they begin.
+    Trials that all begin in motion do not tell it: then the command at which they begin.
     """
     if trials[0].inverted:
         return None
@@ -139,7 +139,7 @@ _FROM_BELOW = 0.01  # of the command's range: trials that begin higher up begin 
 
 
 def residual(log: Trial, trial: Trial, theta: Vec, start: int) -> Residual:
-    """What a simulator leaves unexplained on a trial.
+    """Residual of a simulator on a trial.
 
     Args:
         log: as recorded, for its name and fingerprint.
@@ -163,7 +163,7 @@ def residual(log: Trial, trial: Trial, theta: Vec, start: int) -> Residual:
 
 
 def _check_lines(chain: Chain, trained: Range) -> None:
-    """A backlash whose unloading line dips below its loading line has no inverse there."""
+    """Refuse a backlash whose unloading line dips below its loading line: it has no inverse there."""
     if isinstance(chain.core, Backlash):
         for u in (trained.lower, trained.upper):
             if chain.core.gap(u) < 0:
@@ -183,12 +183,11 @@ def corrected_simulator(
     decades: Decades,
     skip_first_flexure: bool = False,
 ) -> Simulator:
-    """A simulator retuned, with the effects found.
+    """Simulator that is retuned and has the identified effects.
 
-    A disturbance has the amplitude, the frequency and the phase of the last trial. What each trial has of its own
-    (`trial_shift`) and a faulty sensor are not included, and what is carried from trial to trial begins anew; the
-    method says so. Residuals and noise are those of the file as it stands, on the development trials, as `fit` stores
-    them.
+    A disturbance has the amplitude, the frequency and the phase of the last trial. Terms of single trials
+    (`trial_shift`) and a faulty sensor are not included, and memory from trial to trial begins anew; the method says
+    so. Residuals and noise are those of the file as it stands, on the development trials, as `fit` stores them.
 
     Args:
         simulator: as given.
@@ -222,14 +221,14 @@ def corrected_simulator(
 def network_effects(
     chosen: Hypothesis, baseline: Baseline, last: Run, dt_s: float, simulator: str, decades: Decades
 ) -> dict[str, str]:
-    """The file that stands beside a network, which cannot hold effects itself; none where there are no effects.
+    """File of effects beside a network, which cannot hold them itself; none where there are no effects.
 
     Args:
         chosen: fitted, with its causes.
         baseline: the plays that stand for the network.
         last: trial recorded last.
         dt_s: sample time of the trials [s].
-        simulator: what the network is called in the file's note.
+        simulator: name of the network in the file's note.
         decades: units in which the effects were fitted; the file is in those of the log.
     """
     effects = [_spec(c.effect, c.side, decades.log_operator(operator, c.side)) for c, operator in _placed(chosen)]
@@ -256,7 +255,7 @@ def network_effects(
 
 
 def _disturbance(chosen: Hypothesis, last: Run, dt_s: float, decades: Decades) -> Operator | None:
-    """The disturbance of the last trial, for a clock of that sample time; None if there is none.
+    """Disturbance of the last trial, for a clock of that sample time; None if there is none.
 
     Terms are s_h sin(2 pi h f t) + c_h cos(2 pi h f t), taken off the error; the operator's clock has made one step
     at the first sample.
@@ -274,7 +273,7 @@ def _disturbance(chosen: Hypothesis, last: Run, dt_s: float, decades: Decades) -
 
 
 def _remarks(chosen: Hypothesis) -> str:
-    """What the file leaves out."""
+    """Text on what the file leaves out."""
     said = []
     if chosen.problem.terms.shift:
         said.append("shifts from trial to trial are not in this file")
@@ -286,10 +285,7 @@ def _remarks(chosen: Hypothesis) -> str:
 
 
 def _compared(chain: Chain, angle: Vec, trial: Trial, skip_first_flexure: bool) -> tuple[Trial, Vec, int]:
-    """A trial with the angle as repaired (T,), the chain's free run (T,), and the first sample that counts.
-
-    The chain starts anew, at rest at the first command.
-    """
+    """Trial with the angle as repaired (T,), free run (T,) of the chain from rest, and first sample that counts."""
     repaired = Trial(trial.t, trial.command, angle, units=trial.units, source=trial.source)
     state = settled(chain, float(trial.command[0]), float(angle[0]), -math.inf, 0.0)
     theta = StagedChain(chain).simulate(trial.command[:, None], trial.dt, state[:, None])[0][:, 0]
@@ -329,7 +325,7 @@ def settled(chain: Chain, command: float, angle: float, bent: float, clock_s: fl
         chain: with its numbers.
         command: held [cmd].
         angle: approximate angle of the device [deg].
-        bent: greatest command that the device has seen [cmd]; the rest command for one that forgets.
+        bent: greatest command of the device so far [cmd]; the rest command for one that forgets.
         clock_s: of the device [s].
     """
     staged = StagedChain(chain)

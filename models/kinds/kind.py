@@ -1,4 +1,4 @@
-"""What a kind of model is: identified from trials, forward or inverse, always into an exportable bundle."""
+"""Kind of model: identified from trials, forward or inverse, always into an exportable bundle."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class FitRequest:
-    """What an identification is asked for; a kind ignores what it has no use for.
+    """Options of an identification; a kind ignores those that it has no use for.
 
     Attributes:
         training: `best`, or `paper` for the papers' training settings; for operators the method, see each kind.
@@ -36,7 +36,7 @@ class FitRequest:
         hold_out: whole trials held out of those given to stop early; None for the training's.
         validation: trials that only judge, in place of held-out ones.
         constancy_weight: beta of the constant-in, constant-out term, S2 (RA-L 2024) eq. (12); None for the training's.
-        plays: number of plays of a Prandtl-Ishlinskii model; None for the kind's own.
+        plays: number of plays of a Prandtl-Ishlinskii model; None for the kind's default.
         skip_first_flexure: score each trial from the first reversal of its command on.
         limits: what the device may be sent.
     """
@@ -54,7 +54,7 @@ class FitRequest:
 
 @dataclass(frozen=True, eq=False)
 class Identified:
-    """The result of an identification.
+    """Result of an identification.
 
     Attributes:
         bundle: graph, facts and reference, ready for `export_onnx`; `OnnxModel` runs it.
@@ -62,7 +62,7 @@ class Identified:
         history: step and best error so far, in the unit of the output.
         report: one line on how it went.
         interrupted: stopped by the user; this is the best so far.
-        parts: of `auto`, what each part of the device bought, its numbers with intervals, and what to record.
+        parts: of `auto`, the effect of each part on the error, its numbers with intervals, and what to record.
     """
 
     bundle: ExportBundle
@@ -74,7 +74,7 @@ class Identified:
 
 
 def recorded(progress: FitProgress | None) -> tuple[list[tuple[int, float]], FitProgress]:
-    """A history (step, least error), and a progress that writes it and goes on to the given one."""
+    """Empty history of (step, least error), and a progress function that fills it and calls the given one."""
     history: list[tuple[int, float]] = []
 
     def show(done: int, error: float) -> None:
@@ -86,7 +86,7 @@ def recorded(progress: FitProgress | None) -> tuple[list[tuple[int, float]], Fit
 
 
 class ModelKind(ABC):
-    """One kind of model. Implementations are final, have no state, and are listed in `catalogue.KINDS`.
+    """Kind of model. Implementations are final and have no state; `catalogue` names them.
 
     Trials whose command and angle have changed places (`Trial.swapped`) ask for the inverse map.
 
@@ -111,7 +111,7 @@ class ModelKind(ABC):
     rings: bool = False
 
     def usual_training(self, inverted: bool) -> str:
-        """The training that is taken where none is named."""
+        """Default training."""
         return (inverted and self.inverse_training) or self.trainings[0]
 
     @abstractmethod
@@ -126,10 +126,10 @@ class ModelKind(ABC):
 
     @abstractmethod
     def steps(self, request: FitRequest) -> int | None:
-        """What progress counts up to; None where it is not known beforehand."""
+        """Number of steps that progress counts up to; None where it is not known beforehand."""
 
     def estimate(self, trials: Sequence[Trial], request: FitRequest) -> float | None:
-        """Seconds that `fit` will take, measured on a few of its steps; None where that cannot be said beforehand.
+        """Duration of `fit` [s], measured on a few of its steps; None where that cannot be said beforehand.
 
         Raises:
             FitError: on unusable trials or a missing extra.
@@ -138,7 +138,7 @@ class ModelKind(ABC):
         return None
 
     def check(self, trials: Sequence[Trial], request: FitRequest) -> None:
-        """Refuse what this kind cannot do, before any work.
+        """Refuse a request that this kind cannot fulfil, before any work.
 
         Raises:
             FitError: on an unknown training, or an inverse map of a kind that has none.
@@ -159,9 +159,9 @@ _CAUSES = ("numbers", "clocks", "time base", "units", "sign")
 def identified(
     kind: ModelKind, trials: Sequence[Trial], request: FitRequest, progress: FitProgress | None = None
 ) -> Identified:
-    """Identify, and refuse a model whose free run errs more over these trials than one straight line through them.
+    """Identify, and refuse a model whose free run errs more over these trials than one straight line.
 
-    What was interrupted, or was asked to stop after so many steps, is returned as it is.
+    The result of a fit that was interrupted, or had a limit of steps, is returned unchecked.
 
     Raises:
         FitError: as `ModelKind.fit`, or that two clocks are the cause; where a line is better, with both errors and
@@ -213,7 +213,7 @@ def _span(trials: Sequence[Trial]) -> float:
 
 
 def _why(trials: Sequence[Trial]) -> str:
-    """What the check of the trials finds that may be the cause."""
+    """Finding of the check of the trials that may be the cause."""
     for trial in trials:
         forward = trial.swapped() if trial.inverted else trial
         for finding in check(forward).findings:

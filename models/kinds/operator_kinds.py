@@ -1,4 +1,4 @@
-"""The kinds of model that are operators: one for each entry of `identify.chain_kinds.CHAIN_KINDS`."""
+"""Kinds of model that consist of operators: one operator of `CHAIN_KINDS`, or the whole device of `auto`."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from .kind import FitRequest, Identified, ModelKind, recorded
 
 @final
 class OperatorKind(ModelKind):
-    """A kind that is an operator; its inverse form is identified from swapped trials.
+    """Kind of model that is one operator; its inverse form is identified from swapped trials.
 
     Its trainings are identification methods: bounded least squares (`best`), and those of installed packages.
 
@@ -66,7 +66,7 @@ _COMPILES_S = 150.0  # where nothing is on disk: the kernels of all operators th
 
 @final
 class AutoKind(ModelKind):
-    """A whole device as a chain of operators; see `identify.auto.identify_auto`."""
+    """Kind of model of a whole device as a chain of operators; see `identify_auto`."""
 
     name = "auto"
     title = "auto"
@@ -97,7 +97,7 @@ class AutoKind(ModelKind):
 
 
 def _report(fit: AutoFit, unit: str) -> str:
-    """One line: what the device consists of, and the error on trials left out."""
+    """Parts of the device and its error on held-out trials, in one line."""
     parts = [c.label for form in fit.choice.forms.values() for c in form if c.free]
     rmse = fit.choice.rmse_deg * fit.decades.angle
     return f"{' + '.join([*parts, fit.choice.core.label])}; {rmse:.4g} {unit} on trials left out"
