@@ -15,8 +15,7 @@ from hystmpc.models.contract.metadata import Range
 from hystmpc.models.decades import Decades
 from hystmpc.models.evaluate import free_run, started
 from hystmpc.models.identify.baseline import Baseline, FreeCoreBaseline, ScaledBaseline, baseline_of
-from hystmpc.models.identify.cross_validation import Hypothesis
-from hystmpc.models.identify.least_squares import fit_problem
+from hystmpc.models.identify.cross_validation import Hypothesis, fit_problem
 from hystmpc.models.identify.problem import Problem
 from hystmpc.models.identify.runs import Run, fingerprint, runs_of
 from hystmpc.models.model import LoadedModel

@@ -22,7 +22,7 @@ from ..chain import Chain
 from ..decades import Decades
 from ..model import FitProgress
 from ..operators.operator import Operator
-from .chain_kinds import CHAIN_KINDS, Ends, Extent, Structure
+from .chain_kinds import CHAIN_KINDS, Ends, Extent
 from .free_run import FreeRuns
 from .least_squares import minimise
 from .runs import check_trial_set
@@ -149,23 +149,23 @@ class ChainTask:
         return FreeParameters.of(self.starts[0], self.fixed)
 
 
-def chain_task(kind: str, trials: Sequence[Trial], structure: Structure) -> ChainTask:
+def chain_task(kind: str, trials: Sequence[Trial], plays: int = 4) -> ChainTask:
     """Identification problem of a kind of chain.
 
     Args:
         kind: a name of `CHAIN_KINDS`; with `inverse_` before it, the inverse map, identified as its own model (the
             "fitted inverse" of S2).
         trials: command to angle for forward kinds; swapped (`Trial.swapped`) for the inverse ones.
-        structure: sizes of the chain.
+        plays: number of plays of a `pi` or `drdpi`, or of sliders.
 
     Raises:
-        FitError: on an unknown kind, trials that are the wrong way round, unusable ones, or sizes below one.
+        FitError: on an unknown kind, trials that are the wrong way round, unusable ones, or less than one play.
     """
     known = [*CHAIN_KINDS, *(f"inverse_{name}" for name, entry in CHAIN_KINDS.items() if entry.inverse)]
     if kind not in known:
         raise FitError(f"no kind of chain {kind!r}, {did_you_mean(kind, known)}")
-    if min(structure.plays, structure.bands) < 1:
-        raise FitError(f"{structure.plays} plays and {structure.bands} bands, expected at least one of each")
+    if plays < 1:
+        raise FitError(f"{plays} plays, expected at least one")
     check_trial_set(trials)
     entry = CHAIN_KINDS[kind.removeprefix("inverse_")]
     inverse = entry.inverse if kind.startswith("inverse_") else None
@@ -174,11 +174,11 @@ def chain_task(kind: str, trials: Sequence[Trial], structure: Structure) -> Chai
         raise FitError(f"{kind} maps {way}, got trials with the command in {trials[0].units.command}; swap them")
     forward = [trial.swapped() if trial.inverted else trial for trial in trials]
     extent = Extent.of(forward, entry)
-    operators = entry.starts(forward, extent, structure)
+    operators = entry.starts(forward, extent, plays)
     if inverse:
-        operators = [inverse(operator, structure) for operator in operators]
-    box = entry.box(extent, structure)
-    ends, first = (_ends(operators[0], {**box, **narrower}) for narrower in ({}, entry.first(extent, structure)))
+        operators = [inverse(operator) for operator in operators]
+    box = entry.box(extent, plays)
+    ends, first = (_ends(operators[0], {**box, **narrower}) for narrower in ({}, entry.first(extent, plays)))
     fixed = entry.inverse_fixed if inverse else entry.fixed
     lead_s = extent.ringing.lead_s if extent.ringing else 0.0
     return ChainTask(tuple(map(Chain, operators)), ends, first, fixed, tuple(trials), lead_s)
@@ -438,7 +438,6 @@ def identify_chain(
     settings: Any = None,
     plays: int = 4,
     progress: FitProgress | None = None,
-    structure: Structure | None = None,
 ) -> tuple[Chain, ChainFit]:
     """Identify a chain of a kind by one of the `methods`.
 
@@ -448,10 +447,9 @@ def identify_chain(
         trials: uniformly sampled at one rate, in one pair of units.
         method: name of the method.
         settings: of the method; None for its defaults.
-        plays: number of plays of a `pi` or `drdpi`; `structure` has the other sizes, and this one too if given.
+        plays: number of plays of a `pi` or `drdpi`, or of sliders.
         progress: called with the iteration (for least squares: the free runs over all trials) and the best error so
             far; KeyboardInterrupt ends the fit and keeps the best so far.
-        structure: see `Structure`.
 
     Returns:
         The chain, and the result of which it is part.
@@ -467,8 +465,7 @@ def identify_chain(
     if not isinstance(settings, chosen.settings):
         raise FitError(f"{method}: got {type(settings).__name__}, expected {chosen.settings.__name__}")
     decades = Decades.of(trials)
-    structure = (structure or Structure(plays=plays)).in_working_units(decades.angle)
-    task = chain_task(kind, decades.trials(trials), structure)
+    task = chain_task(kind, decades.trials(trials), plays)
     if chosen.kinds is not None and kind not in chosen.kinds:
         raise FitError(f"{method} cannot identify {kind!r}, {did_you_mean(kind, chosen.kinds)}")
     fit = _in_log_units(chosen.fit, task, settings, progress, decades)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from types import MappingProxyType
 
 import numpy as np
@@ -230,26 +230,11 @@ def state_network_box(ringing: Ringing) -> dict[str, tuple[float, float]]:
 Ends = Mapping[str, tuple[float, float]]
 
 
-@dataclass(frozen=True)
-class Structure:
-    """Sizes and settings of a chain that are chosen, not identified.
-
-    Attributes:
-        plays: plays of a `pi` or `drdpi`.
-        bands: dead zones of a `drdpi` on either side of the middle.
-        dead_zone_deg: change of the reference that an `inverse_backlash` takes for noise; None for the 0.027 deg of the
-            code of S2, for a device of another size the same share of its range.
-        steepness_s: see `BoucWen`, times the range of the command; 0.04 in the code of S2.
-    """
-
-    plays: int = 4
-    bands: int = 2
-    dead_zone_deg: float | None = None
-    steepness_s: float = 0.04
-
-    def in_working_units(self, angle: float) -> Structure:
-        """Structure for trials of which one working unit is `angle` deg, see `Decades`."""
-        return self if self.dead_zone_deg is None else replace(self, dead_zone_deg=self.dead_zone_deg / angle)
+_BANDS = 2  # dead zones of a `drdpi` on either side of the middle
+_STEEPNESS_S = 0.04  # see `BoucWen`, times the range of the command, as in the code of S2
+# Change of the reference that an `inverse_backlash` takes for noise [deg], as in the code of S2; in working units, so
+# that it is as much of the range of any other device.
+_DEAD_ZONE = 0.027
 
 
 @dataclass(frozen=True)
@@ -305,9 +290,6 @@ class Extent:
         return self.ringing
 
 
-_DEAD_ZONE = 0.027
-
-
 @dataclass(frozen=True)
 class ChainKind:
     """Kind of operator model: its name, starting points and search regions.
@@ -315,7 +297,7 @@ class ChainKind:
     Attributes:
         name: on the command line and in reports.
         title: in tables.
-        starts: forward operators to start from.
+        starts: forward operators to start from, of trials, extent and number of plays.
         box: by parameter, the ends between which a global search looks; numbered parameters go by their stem.
         first: the same for where it begins to look; without an entry as `box`.
         fixed: parameters that are set.
@@ -329,11 +311,11 @@ class ChainKind:
 
     name: str
     title: str
-    starts: Callable[[Sequence[Trial], Extent, Structure], list[Operator]]
-    box: Callable[[Extent, Structure], Ends]
-    first: Callable[[Extent, Structure], Ends] = lambda e, s: {}
+    starts: Callable[[Sequence[Trial], Extent, int], list[Operator]]
+    box: Callable[[Extent, int], Ends]
+    first: Callable[[Extent, int], Ends] = lambda e, plays: {}
     fixed: tuple[str, ...] = ()
-    inverse: Callable[[Operator, Structure], Operator] | None = None
+    inverse: Callable[[Operator], Operator] | None = None
     inverse_fixed: tuple[str, ...] = ()
     plays: int = 4
     rises: bool = True
@@ -345,22 +327,22 @@ def _cores(chains: Sequence[Chain]) -> list[Operator]:
     return [chain.core for chain in chains]
 
 
-def _drdpi_starts(trials: Sequence[Trial], e: Extent, structure: Structure) -> list[Operator]:
+def _drdpi_starts(trials: Sequence[Trial], e: Extent, plays: int) -> list[Operator]:
     """Plays of each start of a `pi`, with dead zones spread over the angle that change nothing yet."""
-    middle, n = 0.5 * (e.low + e.high), structure.bands
+    middle, n = 0.5 * (e.low + e.high), _BANDS
     ones, gaps = (1.0,) * n, (0.5 * (e.high - e.low) / (n + 1),) * n
     starts: list[Operator] = []
-    for chain in prandtl_ishlinskii_starts(trials, structure.plays):
-        *plays, b = chain.core.values
-        values = [*plays, b - middle, *ones, *ones, *gaps, *gaps, middle]
-        starts.append(Drdpi.template(plays=structure.plays, below=n, above=n).with_values(values))
+    for chain in prandtl_ishlinskii_starts(trials, plays):
+        *weights, b = chain.core.values
+        values = [*weights, b - middle, *ones, *ones, *gaps, *gaps, middle]
+        starts.append(Drdpi.template(plays=plays, below=n, above=n).with_values(values))
     return starts
 
 
-def _bouc_wen_starts(trials: Sequence[Trial], e: Extent, structure: Structure) -> list[Operator]:
+def _bouc_wen_starts(trials: Sequence[Trial], e: Extent, plays: int) -> list[Operator]:
     """Mean line with the branches' distance, reached within 10, 30 and 80 % of the command's range."""
-    del trials
-    steepness, lag = structure.steepness_s / e.span, max(e.lag, 0.0)
+    del trials, plays
+    steepness, lag = _STEEPNESS_S / e.span, max(e.lag, 0.0)
     return [
         BoucWen(-lag / (reach * e.span), 0.0, 1 / (reach * e.span), e.slope, e.slope, steepness, e.offset)
         for reach in (0.1, 0.3, 0.8)
@@ -395,18 +377,18 @@ def maxwell_slip_starts(
 _LEAST_HEIGHT = 0.02  # of the output's range, from which a fit of friction starts
 
 
-def _friction_starts(e: Extent, structure: Structure, speed: float = 0.0) -> list[Operator]:
+def _friction_starts(e: Extent, plays: int, speed: float = 0.0) -> list[Operator]:
     height = max(-e.lag, _LEAST_HEIGHT * (e.high - e.low))
-    return [*maxwell_slip_starts(structure.plays, e.slope, e.offset, height, e.span, speed)]
+    return [*maxwell_slip_starts(plays, e.slope, e.offset, height, e.span, speed)]
 
 
-def _friction_box(e: Extent, structure: Structure) -> Ends:
+def _friction_box(e: Extent, plays: int) -> Ends:
     """Search region: sliders that all slip within half the range; ends `k` are those of k0, too."""
     height = e.high - e.low
     return {
         "k": (0.0, 20 * height / e.span),
         "k0": (e.slope - 2 * height / e.span, e.slope + 2 * height / e.span),
-        "spacing": (0.0, 0.5 * e.span / structure.plays),
+        "spacing": (0.0, 0.5 * e.span / plays),
         "growth": (-0.5 / e.span, 0.5 / e.span),
         "b": (e.offset - height, e.offset + height),
         "viscous": (0.0, height / e.speed),
@@ -415,35 +397,35 @@ def _friction_box(e: Extent, structure: Structure) -> Ends:
     }
 
 
-def _backlash_box(e: Extent, structure: Structure) -> Ends:
-    del structure
+def _backlash_box(e: Extent, plays: int) -> Ends:
+    del plays
     middle = e.offset / e.slope
     m, c = (0.5 * e.slope, 2.0 * e.slope), (middle - e.span, middle + e.span)
     return {"m_lo": m, "m_up": m, "c_lo": c, "c_up": c}
 
 
-def _plays_box(e: Extent, structure: Structure) -> Ends:
+def _plays_box(e: Extent, plays: int) -> Ends:
     """Search region: no play wider than half the range, none that speed widens by more than a quarter of it."""
     return {
         "a": (0.0, 1.5 * e.slope),
-        "alpha": (0.0, 0.5 * e.span / structure.plays),
+        "alpha": (0.0, 0.5 * e.span / plays),
         "beta": (0.0, 0.25 * e.span / e.speed),
         "b": (e.offset - (e.high - e.low), e.offset + (e.high - e.low)),
     }
 
 
-def _plays_first(e: Extent, structure: Structure) -> Ends:
+def _plays_first(e: Extent, plays: int) -> Ends:
     """First region: weights whose sum is the slope to twice that; a search does not return from far steeper ones."""
-    return {"a": (0.0, 4.0 * e.slope / (structure.plays + 1))}
+    return {"a": (0.0, 4.0 * e.slope / (plays + 1))}
 
 
-def _drdpi_box(e: Extent, structure: Structure) -> Ends:
+def _drdpi_box(e: Extent, plays: int) -> Ends:
     """Search region: plays at most twice as steep, since dead zones may flatten them."""
     height, middle = e.high - e.low, 0.5 * (e.low + e.high)
     sides = {f"slope_{side}_": (0.0, 3.0) for side in ("below", "above")}
-    gaps = {f"gap_{side}_": (0.0, height / structure.bands) for side in ("below", "above")}
+    gaps = {f"gap_{side}_": (0.0, height / _BANDS) for side in ("below", "above")}
     return {
-        **_plays_box(e, structure),
+        **_plays_box(e, plays),
         "a": (0.0, 2.0 * e.slope),
         "b": (e.offset - middle - 2 * height, e.offset - middle + 2 * height),
         **sides,
@@ -452,19 +434,19 @@ def _drdpi_box(e: Extent, structure: Structure) -> Ends:
     }
 
 
-def _drdpi_first(e: Extent, structure: Structure) -> Ends:
+def _drdpi_first(e: Extent, plays: int) -> Ends:
     """First region: the middle piece of the curve near the middle of the angle, and no other piece much steeper."""
     height, middle = e.high - e.low, 0.5 * (e.low + e.high)
     return {
-        **_plays_first(e, structure),
+        **_plays_first(e, plays),
         "b": (e.offset - middle - 0.5 * height, e.offset - middle + 0.5 * height),
         **{f"slope_{side}_": (0.0, 1.5) for side in ("below", "above")},
         "offset": (middle - 0.25 * height, middle + 0.25 * height),
     }
 
 
-def _bouc_wen_box(e: Extent, structure: Structure) -> Ends:
-    del structure
+def _bouc_wen_box(e: Extent, plays: int) -> Ends:
+    del plays
     height = e.high - e.low
     return {
         "a": (-5 * e.slope, e.slope),
@@ -474,14 +456,11 @@ def _bouc_wen_box(e: Extent, structure: Structure) -> Ends:
     }
 
 
-def _inverse_backlash(operator: Operator, structure: Structure) -> Operator:
-    return Backlash(*operator.values).inverse(
-        _DEAD_ZONE if structure.dead_zone_deg is None else structure.dead_zone_deg
-    )
+def _inverse_backlash(operator: Operator) -> Operator:
+    return Backlash(*operator.values).inverse(_DEAD_ZONE)
 
 
-def _inverse_plays(operator: Operator, structure: Structure) -> Operator:
-    del structure
+def _inverse_plays(operator: Operator) -> Operator:
     if not isinstance(operator, PrandtlIshlinskii | Drdpi):
         raise FitError(f"{operator.name} has no inverse plays, expected a pi or a drdpi")
     return operator.inverse()
@@ -494,7 +473,7 @@ CHAIN_KINDS: Mapping[str, ChainKind] = MappingProxyType(
             ChainKind(
                 "backlash",
                 "backlash",
-                lambda trials, e, s: _cores(backlash_starts(trials)),
+                lambda trials, e, plays: _cores(backlash_starts(trials)),
                 _backlash_box,
                 inverse=_inverse_backlash,
                 inverse_fixed=("dead_zone",),
@@ -502,7 +481,7 @@ CHAIN_KINDS: Mapping[str, ChainKind] = MappingProxyType(
             ChainKind(
                 "pi",
                 "PI",
-                lambda trials, e, s: _cores(prandtl_ishlinskii_starts(trials, s.plays)),
+                lambda trials, e, plays: _cores(prandtl_ishlinskii_starts(trials, plays)),
                 _plays_box,
                 _plays_first,
                 inverse=_inverse_plays,
@@ -520,30 +499,30 @@ CHAIN_KINDS: Mapping[str, ChainKind] = MappingProxyType(
             ChainKind(
                 "maxwell_slip",
                 "Maxwell slip",
-                lambda trials, e, s: _friction_starts(e, s),
+                lambda trials, e, plays: _friction_starts(e, plays),
                 _friction_box,
                 rises=False,
             ),
             ChainKind(
                 "maxwell_slip_rate",
                 "Maxwell slip, by speed",
-                lambda trials, e, s: _friction_starts(e, s, e.speed),
+                lambda trials, e, plays: _friction_starts(e, plays, e.speed),
                 _friction_box,
                 rises=False,
             ),
             ChainKind(
                 "oscillator",
                 "oscillator",
-                lambda trials, e, s: oscillator_starts(e.resonance),
-                lambda e, s: oscillator_box(e.resonance),
+                lambda trials, e, plays: oscillator_starts(e.resonance),
+                lambda e, plays: oscillator_box(e.resonance),
                 rings=True,
                 restarts=1,
             ),
             ChainKind(
                 "state_network",
                 "state network",
-                lambda trials, e, s: state_network_starts(e.resonance),
-                lambda e, s: state_network_box(e.resonance),
+                lambda trials, e, plays: state_network_starts(e.resonance),
+                lambda e, plays: state_network_box(e.resonance),
                 rings=True,
                 restarts=0,
             ),

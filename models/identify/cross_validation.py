@@ -10,16 +10,19 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from hystmpc.trials.types import Vec
+from hystmpc.trials.types import Mat, Vec
 
 from ..effects.effect import Candidate
 from .baseline import Baseline
-from .least_squares import fit_problem
+from .least_squares import minimise, triangle_of
 from .problem import Problem, TrialTerms
-from .runs import Blocks, Run, blocks_of
+from .runs import AS_IT_IS, Blocks, Run, RunsTogether, blocks_of
 
 LARGEST_FOLDS = 3
 _LEAST_ERROR = 1e-300
+_EDGE = 1e-9
+_COMMON = 1.0  # of the samples, that the mean of the trials' own terms counts as
+_HELD = 1e-10  # of the greatest curvature: what no run determines stays where it began
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,6 +48,76 @@ class Hypothesis:
     def label(self) -> str:
         """Causes with their variants."""
         return " + ".join((*(c.label for c in self.problem.effects), *self.problem.terms.names)) or "baseline"
+
+
+def fit_problem(
+    problem: Problem,
+    runs: Sequence[Run],
+    start: Vec,
+    evaluations: int = 25,
+    tolerance: float = 1e-4,
+    white: Vec = AS_IT_IS,
+) -> Hypothesis:
+    """Fit a hypothesis to runs from one start.
+
+    Args:
+        problem: what is fitted.
+        runs: trials; their counted samples weigh the same.
+        start: unknowns (Q,); brought within the bounds.
+        evaluations: greatest number of free runs over all trials.
+        tolerance: relative change of the error at which it is done.
+        white: filter of the errors whose squares are summed (`whitening`).
+    """
+    margin = _EDGE * (problem.upper - problem.lower)
+    inside = np.clip(start, problem.lower + margin, problem.upper - margin)
+    search = _CondensedSearch(problem, runs, inside, white)
+    q = minimise(
+        search.evaluate,
+        inside,
+        (problem.lower, problem.upper),
+        x_scale=1.0,
+        ftol=tolerance,
+        xtol=1e-6,
+        gtol=1e-12,
+        max_nfev=evaluations,
+    )
+    return Hypothesis(problem, q, search.mse(q))
+
+
+class _CondensedSearch:
+    """Errors and derivatives of all runs as the triangle R of a QR factorisation of (J, r)."""
+
+    def __init__(self, problem: Problem, runs: Sequence[Run], start: Vec, white: Vec) -> None:
+        self._problem, self._start, self._white, self._groups = problem, start, white, RunsTogether.groups(runs)
+        self._samples = sum(int(run.counts.sum()) for run in runs)
+        self._at: Vec | None = None
+        self._energy = 0.0
+
+    def mse(self, q: Vec) -> float:
+        """Mean square of the errors that count [deg^2]."""
+        if self._at is None or not np.array_equal(q, self._at):
+            self.evaluate(q)
+        return self._energy / self._samples
+
+    def evaluate(self, q: Vec) -> tuple[Vec, Mat]:
+        products = [self._problem.products(q, group, self._white) for group in self._groups]
+        square, common = (
+            np.sum([normal for normal, _ in products], axis=0),
+            [row for _, rows in products for row in rows],
+        )
+        self._at, self._energy = q.copy(), float(square[-1, -1])
+        square = square + self._pull(square, q)
+        if common:
+            mean = np.mean(common, axis=0)
+            square += _COMMON * self._samples * mean.T @ mean
+        triangle = triangle_of(square)
+        return triangle[:, -1], triangle[:, :-1]
+
+    def _pull(self, square: Vec, q: Vec) -> Vec:
+        """Products of derivatives and errors of the distance from the start and of roughness."""
+        away = np.column_stack([np.eye(q.size), q - self._start])
+        rough = np.column_stack([self._problem.roughness, self._problem.roughness @ q])
+        return np.asarray(_HELD * np.max(np.diag(square)[:-1], initial=0.0) * away.T @ away + rough.T @ rough)
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,8 +192,7 @@ class CrossValidation:
     def retuned(self) -> Hypothesis:
         """Baseline without causes, fitted to all runs."""
         problem = Problem(self.baseline)
-        fit = fit_problem(problem, self.runs, problem.start(self.baseline.nominal, []), 40, 1e-6)
-        return Hypothesis(problem, fit.q, fit.mse)
+        return fit_problem(problem, self.runs, problem.start(self.baseline.nominal, []), 40, 1e-6)
 
     def with_causes(
         self, effects: Sequence[Candidate], terms: TrialTerms, z: Vec, starts: Sequence[Sequence[Sequence[float]]]
@@ -128,8 +200,7 @@ class CrossValidation:
         """Causes fitted jointly with the baseline, from baseline values z and several values of the effects."""
         problem = Problem(self.baseline, effects, terms)
         fits = [fit_problem(problem, self.runs, problem.start(z, values), self.evaluations, 1e-3) for values in starts]
-        best = min(fits, key=lambda f: f.mse)
-        return Hypothesis(problem, best.q, best.mse)
+        return min(fits, key=lambda fit: fit.mse)
 
     def without(self, hypothesis: Hypothesis, dropped: AbstractSet[str]) -> Hypothesis:
         """Hypothesis without some of its causes, fitted anew from its present values."""
@@ -146,8 +217,7 @@ class CrossValidation:
 
     def polished(self, hypothesis: Hypothesis) -> Hypothesis:
         """Hypothesis with its fit run to convergence."""
-        fit = fit_problem(hypothesis.problem, self.runs, hypothesis.q, 60, 1e-6)
-        return Hypothesis(hypothesis.problem, fit.q, fit.mse)
+        return fit_problem(hypothesis.problem, self.runs, hypothesis.q, 60, 1e-6)
 
     def fitted_errors(self, hypothesis: Hypothesis) -> Blocks:
         """Errors of the fit itself, in the blocks of `judge`."""

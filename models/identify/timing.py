@@ -10,8 +10,7 @@ import numpy as np
 from hystmpc.trials.types import Vec
 
 from ..effects.effect import Candidate
-from .cross_validation import CrossValidation, HeldOutErrors, Hypothesis, InParts, sureness
-from .least_squares import fit_problem
+from .cross_validation import CrossValidation, HeldOutErrors, Hypothesis, InParts, fit_problem, sureness
 from .runs import Blocks, Run, blocks_of, whitened, whitening
 
 TIMING = frozenset({"lag", "delay", "rate_dependence"})

@@ -12,7 +12,7 @@ from hystmpc.trials.trial import Trial
 from ..contract.metadata import DeviceLimits
 from ..identify.auto import AutoFit, auto_chain, identify_auto
 from ..identify.chain_fit import OperatorFitSettings, identify_chain, methods_by_training
-from ..identify.chain_kinds import ChainKind, Structure
+from ..identify.chain_kinds import ChainKind
 from ..identify.simulators import simulator_of
 from ..kernels.compiling import expecting
 from ..model import FitProgress
@@ -45,8 +45,8 @@ class OperatorKind(ModelKind):
         settings = method.settings_for(request.steps, request.seed, request.skip_first_flexure)
         if isinstance(settings, OperatorFitSettings) and self._entry.restarts is not None:
             settings = replace(settings, restarts=self._entry.restarts)
-        structure = Structure(plays=self._entry.plays if request.plays is None else request.plays)
-        chain, fit = identify_chain(kind, trials, method.name, settings, progress=progress, structure=structure)
+        plays = self._entry.plays if request.plays is None else request.plays
+        chain, fit = identify_chain(kind, trials, method.name, settings, plays, progress)
         # The limits of the request are those of the device's command, which an inverse map gives and does not take.
         limits = DeviceLimits() if inverted else request.limits
         words = f"{method.name}, training {request.training}"
