@@ -14,7 +14,7 @@ from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Vec
 
 from ..chain import Chain
-from ..effects.catalogue import candidates
+from ..effects.catalogue import EFFECTS
 from ..effects.effect import Candidate, Freedom, Scale
 from ..operators.curved_plays import CurvedPlays
 from ..operators.dynamics import Delay, Lag, RateLimit, Servo
@@ -75,7 +75,7 @@ def device_parts(scale: Scale, late_s: float = 0.0) -> tuple[Part, ...]:
         scale: sizes of the device and its trials.
         late_s: approximate delay of the device, see `dead_time`; a longer delay than usual is looked for there [s].
     """
-    known = {c.label: c for c in candidates(scale, ())}
+    known = _forms_of(scale, "delay", "lag", "creep", "nonlinear_gain")
     delay = _as_late(known["delay/command"], late_s, scale)
     one = replace(known["lag/command"], variant="one pole", operators=(Lag(0.1),))
     one = replace(one, free=(_as_slow(one.free[0], scale),))
@@ -90,6 +90,11 @@ def device_parts(scale: Scale, late_s: float = 0.0) -> tuple[Part, ...]:
     creeps = ((), *((form,) for form in _creeps(known["creep/command"], scale)))
     valve = replace(known["nonlinear_gain/command"], variant="before the drive", order=_FIRST)
     return Part("drive", drives), Part("creep", creeps), Part("valve", ((), (valve,)))
+
+
+def _forms_of(scale: Scale, *effects: str) -> Mapping[str, Candidate]:
+    """Forms of some effects of the list, by label."""
+    return {c.label: c for effect in effects for c in EFFECTS[effect].forms(scale)}
 
 
 def _as_slow(tau: Freedom, scale: Scale) -> Freedom:
@@ -220,7 +225,8 @@ def core_forms(trials: Sequence[Trial], scale: Scale) -> tuple[CoreForm, ...]:
         raise falls(f"(by {-slope * span / height:.2g} of its range over that of the command)", unit)
     lead = _lead(trials)
     stops = _stops(slope, offset, max(lead, 0.0), span, scale) if lead > _LEADS * height or slope <= 0 else ()
-    line, known = CoreForm("line", (Chain(Line(slope, offset)),), 2), {c.label: c for c in candidates(scale, ())}
+    line = CoreForm("line", (Chain(Line(slope, offset)),), 2)
+    known = _forms_of(scale, "nonlinear_gain", "asymmetry", "slack", "contact")
     if slope <= 0 and float(np.corrcoef(command, angle)[0, 1]) < _FALLS:
         return line, *stops
     if slope <= 0:
