@@ -257,7 +257,7 @@ def widened_rows(choice: Choice, runs: Sequence[Run], tried: Sequence[Choice]) -
     equals = [other for other in tried if _as_good(other, choice)]
     for row, (candidate, freedom) in zip(rows, _free(choice), strict=True):
         key, logarithmic = (candidate.label, freedom.name), freedom.scale == 0
-        change = _log if logarithmic else _same
+        change = _log if logarithmic else float
         value = change(row.value)
         ends = [abs(change(end) - value) for end in row.ci90 if math.isfinite(end)]
         sigma = max(ends, default=0.0) / _QUANTILE
@@ -358,10 +358,6 @@ def _at_lower(row: ParameterRow, freedom: Freedom) -> bool:
 
 def _log(value: float) -> float:
     return math.log(max(value, 1e-9))
-
-
-def _same(value: float) -> float:
-    return value
 
 
 def _numbers(hypothesis: Hypothesis, q: Vec) -> dict[tuple[str, str], float]:

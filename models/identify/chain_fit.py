@@ -24,7 +24,7 @@ from ..model import FitProgress
 from ..operators.operator import Operator
 from .chain_kinds import CHAIN_KINDS, Ends, Extent
 from .free_run import FreeRuns
-from .least_squares import minimise
+from .least_squares import condensed, minimise
 from .runs import check_trial_set
 
 GROUP = "hystmpc.methods"
@@ -33,7 +33,6 @@ GROUP = "hystmpc.methods"
 TAIL = 0.1
 RESTART_SPREAD = 0.2
 _STARTS_FOUND = 2  # times that trials which begin in motion are given another start
-_MANY, _DIVERGED = 10_000, 1e9  # samples; derivative in working units that is none
 _FAR, _STEEP = 1e6, 1e100  # residual and derivative in working units of a run that diverged; both can be squared
 
 
@@ -363,7 +362,7 @@ def fit_by_least_squares(
         tracker.note(p, rmse * rmse)
         tracker.iteration()
         residuals = np.clip(np.nan_to_num(residuals, nan=_FAR), -_FAR, _FAR)
-        return _condensed(residuals, np.clip(np.nan_to_num(jacobian[:, free.index]), -_STEEP, _STEEP))
+        return condensed(residuals, np.clip(np.nan_to_num(jacobian[:, free.index]), -_STEEP, _STEEP))
 
     def fit_from(p: Vec) -> None:
         limits = {"ftol": settings.tolerance, "xtol": 1e-10, "max_nfev": settings.evaluations}
@@ -391,14 +390,6 @@ def _points(starts: Sequence[Chain], tracker: Tracker, settings: OperatorFitSett
     for _ in range(settings.restarts):
         if tracker.best is not None:
             yield tracker.best * np.exp(rng.normal(0.0, RESTART_SPREAD, tracker.best.size))
-
-
-def _condensed(residuals: Vec, jacobian: Mat) -> tuple[Vec, Mat]:
-    """Residuals and Jacobian; of many samples the triangle of a QR factorisation, the same to least squares."""
-    if residuals.size < _MANY or not np.all(np.abs(jacobian) < _DIVERGED):
-        return residuals, jacobian
-    triangle = np.asarray(np.linalg.qr(np.column_stack([jacobian, residuals]), mode="r"))
-    return triangle[:, -1], triangle[:, :-1]
 
 
 def _in_log_units(fit: Fit, task: ChainTask, settings: Any, progress: FitProgress | None, decades: Decades) -> ChainFit:

@@ -17,7 +17,8 @@ R = TypeVar("R")
 
 
 _JITTER = 1e-13
-_DIVERGED = 1e9
+_DIVERGED = 1e9  # in working units
+_MANY = 10_000  # samples
 
 
 def one_blas_thread(function: Callable[P, R]) -> Callable[P, R]:
@@ -57,3 +58,11 @@ def triangle_of(square: Vec) -> Vec:
     scale = np.sqrt(np.maximum(np.diag(square), 1e-300))
     correlation = square / np.outer(scale, scale) + _JITTER * np.eye(size)
     return np.asarray(np.linalg.cholesky(correlation).T * scale, dtype=np.float64)
+
+
+def condensed(residuals: Vec, jacobian: Mat) -> tuple[Vec, Mat]:
+    """Residuals and Jacobian; of many samples the triangle of a QR factorisation, the same to least squares."""
+    if residuals.size < _MANY or not np.all(np.abs(jacobian) < _DIVERGED):
+        return residuals, jacobian
+    triangle = np.asarray(np.linalg.qr(np.column_stack([jacobian, residuals]), mode="r"))
+    return triangle[:, -1], triangle[:, :-1]
