@@ -18,7 +18,7 @@ from hystmpc.trials.types import Vec
 
 from .contract.metadata import ModelMetadata
 from .model import LoadedModel
-from .start import TrialStart, found_start, motion_line, search_box, trial_start
+from .start import TrialStart, estimated_start, motion_line, search_box, trial_start
 
 FORMAT = "hystmpc-evaluation/1"
 INVERSE_FORMAT = "hystmpc-inverse-evaluation/1"
@@ -111,7 +111,7 @@ def started(model: LoadedModel, trial: Trial) -> TrialStart:
         return model.run_on(model.resting(commands, angles), plans)[0]
 
     box = search_box(facts.trained_command, facts.trained_angle)
-    return found_start(start, trial.command, trial.angle, trial.dt, box, runs)
+    return estimated_start(start, trial.command, trial.angle, trial.dt, box, runs)
 
 
 def evaluate(

@@ -80,7 +80,7 @@ def trial_start(command: Vec, angle: Vec, dt_s: float, inverted: bool = False) -
     return start
 
 
-def found_start(start: TrialStart, command: Vec, angle: Vec, dt_s: float, box: Box, runs: Runs) -> TrialStart:
+def estimated_start(start: TrialStart, command: Vec, angle: Vec, dt_s: float, box: Box, runs: Runs) -> TrialStart:
     """Start from which a model best explains the samples that are not scored.
 
         min_(u, y, e)  sum_{k < lead} w_k (theta_k(u, y, e) - y_k)^2,   w_k = (k / lead)^2

@@ -13,7 +13,7 @@ import numpy as np
 
 from hystmpc.models.identify.cross_validation import HeldOutErrors, Hypothesis
 from hystmpc.models.identify.runs import Blocks, Run, blocks_of
-from hystmpc.models.identify.selection import Selection, select_again
+from hystmpc.models.identify.selection import Selection, reselect
 from hystmpc.trials.types import Index
 
 from ..diagnosis import Stability, Verdict
@@ -144,7 +144,7 @@ class _ResampledVerdict:
             n: _errors_on_runs(judged, split.final, split.seed) for n, judged in self._tried.items()
         }
         settings = self._settings.verdict
-        selection = select_again(tried, self._settings.selection, self._facts.floor_mse, self._faults_mse)
+        selection = reselect(tried, self._settings.selection, self._facts.floor_mse, self._faults_mse)
         names = selection.chosen.hypothesis.effects
         facts = replace(
             self._facts,

@@ -14,7 +14,7 @@ from hystmpc.models.chain import Chain
 from hystmpc.models.identify.free_run import StagedChain
 from hystmpc.models.identify.runs import Run
 from hystmpc.models.simulator import Simulator
-from hystmpc.models.start import Runs, TrialStart, found_start, search_box, trial_start
+from hystmpc.models.start import Runs, TrialStart, estimated_start, search_box, trial_start
 from hystmpc.trials.errors import LogError
 from hystmpc.trials.segments import first_flexure_end
 from hystmpc.trials.trial import Trial, resample
@@ -87,7 +87,7 @@ def evaluated_mse(simulator: Simulator, recorded: Sequence[Trial], skip_first_fl
         if (resampled := resampled_or_none(trial, 1 / simulator.dt_s)) is None:
             return None
         start = trial_start(resampled.command, resampled.angle, resampled.dt)
-        start = found_start(start, resampled.command, resampled.angle, resampled.dt, box, run)
+        start = estimated_start(start, resampled.command, resampled.angle, resampled.dt, box, run)
         error = _free_run_from(run, start, resampled.command) - resampled.angle
         error = error[max(start.lead, first_flexure_end(resampled) if skip_first_flexure else 0) :]
         squares, samples = squares + float(error @ error), samples + error.size

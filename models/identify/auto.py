@@ -18,7 +18,7 @@ from ..decades import Decades
 from ..effects.catalogue import EFFECTS
 from ..effects.effect import Candidate, Freedom
 from .auto_search import SEARCH_HZ, STANDARD_ERRORS, AutoSearch, Choice, PartRow, SearchProgress, needed
-from .chain_fit import nothing_found
+from .chain_fit import no_result
 from .cross_validation import Hypothesis, gain
 from .estimation_noise import estimation_noise
 from .least_squares import one_blas_thread
@@ -124,7 +124,7 @@ def _identified(
         try:
             device, parameters = _at_full_rate(last, device, parameters, command)
         except KeyboardInterrupt:  # a delay's store is sized for the rate of the search: that model must not be used
-            raise nothing_found("the fit at the full rate", interrupted=True) from None
+            raise no_result("the fit at the full rate", interrupted=True) from None
     try:
         if not search.interrupted:
             kept, rows = last.part_contributions(device)

@@ -19,7 +19,7 @@ from ..effects.effect import Candidate, Scale
 from ..operators.static_curves import Line
 from ..start import search_box
 from .baseline import FreeCoreBaseline
-from .chain_fit import nothing_found
+from .chain_fit import no_result
 from .cross_validation import CrossValidation, HeldOutErrors, Hypothesis, gain
 from .parts import CoreForm, Form, core_forms, dead_time, device_parts, plain_of, split_delay, straight, whole_delay
 from .problem import Problem, TrialTerms
@@ -156,7 +156,7 @@ class AutoSearch:
     @property
     def offsets(self) -> bool:
         """Whether each trial has its separate offset."""
-        return self.terms.own_offset
+        return self.terms.trial_offset
 
     def run(self) -> Choice:
         """Search and return the chosen device."""
@@ -165,7 +165,7 @@ class AutoSearch:
             self.terms = self._terms_of_trials()
             present = self._judged(core, none, self._fitted(core, none, None))
         except KeyboardInterrupt:
-            raise nothing_found("the first core", interrupted=True) from None
+            raise no_result("the first core", interrupted=True) from None
         try:
             parts = tuple(part.name for part in self._parts)
             open_forms = [a for name in (*self._names, *parts) for a in self._alternatives(name, present)]
@@ -218,11 +218,11 @@ class AutoSearch:
         """Device with one offset for all trials, where separate offsets do not lower the held-out error."""
         if not self.offsets:
             return choice
-        self.terms = replace(self.terms, own_offset=False)
+        self.terms = replace(self.terms, trial_offset=False)
         plain = self._judged(choice.core, choice.forms, self._fitted(choice.core, choice.forms, choice))
         if not worth(plain.judged, choice.judged):
             return plain
-        self.terms = replace(self.terms, own_offset=True)
+        self.terms = replace(self.terms, trial_offset=True)
         return choice
 
     def refit_at_full_rate(self, choice: Choice) -> Choice:
@@ -330,7 +330,7 @@ class AutoSearch:
             return self.terms
         *delay, lag = next(form for form in self._parts[0].forms if len(_names(form)) > 1)
         valve = next({part.name: part.forms[-1]} for part in self._parts if part.name == "valve")
-        plain, zeroed = TrialTerms(), TrialTerms(own_offset=True)
+        plain, zeroed = TrialTerms(), TrialTerms(trial_offset=True)
         errors = {}
         for self.terms in (plain, zeroed):
             judged = []

@@ -254,14 +254,14 @@ class Tracker:
             FitError: if no point had a finite loss, or the best one is unusable.
         """
         if self.best is None:
-            raise nothing_found(f"{self.evaluations} free runs", interrupted)
+            raise no_result(f"{self.evaluations} free runs", interrupted)
         try:
             return template.with_values(self.best.tolist())
         except ModelError as error:
             raise FitError(f"the fit ended at an unusable model: {error}") from None
 
 
-def nothing_found(looked_at: str, interrupted: bool) -> FitError:
+def no_result(looked_at: str, interrupted: bool) -> FitError:
     """Error of a fit without a best point: interrupted at once, or no error that is a number."""
     if interrupted:
         return FitInterruptedError("the fit was interrupted before its first look, there is nothing to keep")
@@ -373,7 +373,7 @@ def fit_by_least_squares(
             fit_from(start)
         for _ in range(_STARTS_FOUND if runs.in_motion and tracker.best is not None else 0):
             best = np.asarray(tracker.best)
-            runs.find_starts(best)
+            runs.estimate_starts(best)
             tracker.best_loss = np.inf  # errors count from the new starts on
             fit_from(best)
     except KeyboardInterrupt:

@@ -220,7 +220,7 @@ class StagedChain:
         return held.state, np.ascontiguousarray((held.slope - held.slope[:, :, -1:] * turned)[:, :, :-1])
 
     def rollouts(self, dt_s: float, values: Vec) -> Runs:
-        """Free runs of the chain with parameters (P,), for `found_start`."""
+        """Free runs of the chain with parameters (P,), for `estimated_start`."""
 
         def run(commands: Vec, angles: Vec, plans: Vec) -> Vec:
             states = self.settled(commands, angles, dt_s, values, np.empty((self.parameter_count, 0)))[0]
@@ -315,7 +315,7 @@ class FreeRuns:
     """Free runs of a chain over trials, and their error; every trial has the same weight.
 
     A run starts at rest (`StagedChain.settled`) where its trial does (`models.start`), after the chain's warm-up. The
-    rest of a trial that begins in motion is estimated by `find_starts` from samples that do not count.
+    rest of a trial that begins in motion is estimated by `estimate_starts` from samples that do not count.
 
     Args:
         chain: its structure; parameters are given with each call.
@@ -346,7 +346,7 @@ class FreeRuns:
         """Whether a trial begins in motion."""
         return any(run.lead for run in self.runs)
 
-    def find_starts(self, p: Vec) -> None:
+    def estimate_starts(self, p: Vec) -> None:
         """Estimate the start of each run that begins in motion, by the chain with parameters p (P,)."""
         rollouts, held = self._staged.rollouts(self.runs[0].dt_s, p), self._staged.chain.rest_samples
         self.runs = [run.begun(rollouts, self._box, held) if run.lead else run for run in self.runs]
@@ -376,7 +376,7 @@ class FreeRuns:
         together, residuals, jacobians = RunsTogether.of(self.runs), [], []
         start = self._staged.settled(*together.rests, together.dt_s, p)
         thetas, gradients = self._staged.differentiate(together.command, together.dt_s, *start, p, first=together.first)
-        thetas, gradients = thetas[together.own], gradients[together.own]
+        thetas, gradients = thetas[together.recorded], gradients[together.recorded]
         for run, at in together.each():
             error = (thetas[at] - run.angle)[run.scored]
             scale = 1 / np.sqrt(error.size * len(self.runs))

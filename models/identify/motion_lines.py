@@ -32,7 +32,7 @@ def fundamental_hz(command: Vec, dt_s: float) -> float:
     return float(power[near] @ hz[near] / power[near].sum())
 
 
-def motions_own(runs: Sequence[Run], hz: Vec) -> Mask:
+def motion_frequencies(runs: Sequence[Run], hz: Vec) -> Mask:
     """Frequencies (F,) that are lines of the motion itself in half of the recorded time or more.
 
     These lie nearer to its fundamental or a harmonic than 1 / T, with T the time of all runs together. Each run has a
@@ -87,10 +87,10 @@ def leaked_power(power: Vec, hz: Vec, of_motion: Mask, seconds: Vec) -> Vec:
 def strongest_line(runs: list[Run], errors: list[Vec], lowest_hz: float, highest_hz: float) -> float:
     """Frequency of the wave, with a phase of each trial, that explains most of the errors [Hz]; 0 for none.
 
-    Lines of the motions themselves (`motions_own`) are left out: a wave there cannot be told from the loop. So are
-    those that hold no more than what leaks from there (`leaked_power`).
-    The grid is as fine as the longest trial resolves, then refined by a parabola. Its powers come from a chirp
-    z-transform: a table of all waves at all samples grows with the square of the duration, to gigabytes at ten minutes.
+    Lines of the motions themselves (`motion_frequencies`) are left out: a wave there cannot be told from the loop. So
+    are those that hold no more than what leaks from there (`leaked_power`). The grid is as fine as the longest trial
+    resolves, then refined by a parabola. Its powers come from a chirp z-transform: a table of all waves at all samples
+    grows with the square of the duration, to gigabytes at ten minutes.
     """
     from scipy.signal import zoom_fft  # half a second to import
 
@@ -105,7 +105,7 @@ def strongest_line(runs: list[Run], errors: list[Vec], lowest_hz: float, highest
         waves = zoom_fft(signal, [step_hz * run.dt_s, stop_hz * run.dt_s], grid.size, fs=1)
         row[:] = np.abs(waves) ** 2 / error.size
     seconds = np.array([error.size * run.dt_s for run, error in zip(runs, errors, strict=True)])
-    hidden = motions_own(runs, grid)
+    hidden = motion_frequencies(runs, grid)
     hidden |= power.sum(axis=0) < _LEAKS * leaked_power(power, grid, hidden, seconds)
     power = np.where(hidden | (grid < lowest_hz), 0.0, power.sum(axis=0))
     k = int(np.argmax(power))
@@ -115,5 +115,5 @@ def strongest_line(runs: list[Run], errors: list[Vec], lowest_hz: float, highest
         left, middle, right = power[k - 1 : k + 2]
         curve = left - 2 * middle + right
         refined = grid[k] + 0.5 * (left - right) / curve * (grid[1] - grid[0]) if curve else grid[k]
-        return float(grid[k] if motions_own(runs, np.array([refined]))[0] else refined)
+        return float(grid[k] if motion_frequencies(runs, np.array([refined]))[0] else refined)
     return float(grid[k])

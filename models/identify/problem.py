@@ -30,14 +30,14 @@ class TrialTerms:
 
     Attributes:
         shift: offset, gain and width of the trial, to first order: columns 1, theta and d theta / d width.
-        own_offset: an offset alone; no effect, as sensors are zeroed anew for a trial.
+        trial_offset: an offset alone; no effect, as sensors are zeroed anew for a trial.
         frequency_hz: of a disturbance with a phase of each trial; 0 for none.
         harmonics: of that disturbance.
         width: position of the baseline's width among the unknowns, -1 for none.
     """
 
     shift: bool = False
-    own_offset: bool = False
+    trial_offset: bool = False
     frequency_hz: float = 0.0
     harmonics: int = 2
     width: int = -1
@@ -49,7 +49,7 @@ class TrialTerms:
 
     def columns(self, run: Run, theta: Vec, by_q: Vec) -> Vec:
         """Columns (C, K) of the terms at the samples that count."""
-        made: list[Vec] = [np.ones(theta.size)] if self.own_offset else []
+        made: list[Vec] = [np.ones(theta.size)] if self.trial_offset else []
         if self.shift:
             made += [np.ones(theta.size), theta - theta.mean()]
             if self.width >= 0 and np.ptp(by_q[:, self.width]) > 0:
@@ -77,7 +77,7 @@ class TrialTerms:
     @property
     def apart(self) -> bool:
         """Whether a trial has a separate offset, see `common`."""
-        return self.shift or self.own_offset
+        return self.shift or self.trial_offset
 
     def common(self, run: Run, theta: Vec, both: Vec) -> Vec:
         """Offset and gain of a run relative to the others [deg] (2, Q + 1), the derivative first.
@@ -243,7 +243,7 @@ class Problem:
         p = self._values(q)[0]
         together = RunsTogether.of([run])
         state = self._start(together, p, np.empty((p.size, 0)))[0]
-        theta = self._staged.simulate(together.command[:, None], run.dt_s, state, p)[0][together.own, 0]
+        theta = self._staged.simulate(together.command[:, None], run.dt_s, state, p)[0][together.recorded, 0]
         return np.asarray(theta + run.correction, dtype=np.float64)
 
     def linearised(self, q: Vec, run: Run) -> tuple[Vec, Vec]:
@@ -299,7 +299,7 @@ class Problem:
         theta, both = self._staged.differentiate(
             together.command, together.dt_s, state, moving, p, seeds, together.first
         )
-        theta, both = theta[together.own], both[together.own]
+        theta, both = theta[together.recorded], both[together.recorded]
         theta += together.correction
         np.subtract(theta, together.angle, out=both[:, -1])
         if not more:

@@ -19,7 +19,7 @@ from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Index, Mask, Vec
 
 from ..contract.metadata import DeviceLimits, InitialRule, ModelMetadata, Range
-from ..start import Box, Runs, TrialStart, found_start, trial_start
+from ..start import Box, Runs, TrialStart, estimated_start, trial_start
 
 _GROUP = 32768  # samples of a group of runs: some MB of derivatives
 
@@ -61,8 +61,8 @@ class Run:
         return TrialStart(self.rest_command, self.rest_angle, self.lead, self.approach)
 
     def begun(self, runs: Runs, box: Box, held: int) -> Run:
-        """Run with the start that a model estimates (`found_start`), held there for `held` samples."""
-        start = found_start(self.start, self.command, self.angle - self.correction, self.dt_s, box, runs)
+        """Run with the start that a model estimates (`estimated_start`), held there for `held` samples."""
+        start = estimated_start(self.start, self.command, self.angle - self.correction, self.dt_s, box, runs)
         if self.approach and start.at_rest:
             return self
         approach = (*((start.command,) * held), *start.approach)
@@ -99,7 +99,7 @@ class RunsTogether:
         runs: in order.
         command: of all runs with their approaches (A,).
         first: first sample of each of them, and A (N + 1,).
-        own: samples among these that belong to the trials (T,).
+        recorded: samples among these that belong to the trials (T,).
         angle, correction: of all trials (T,), see `Run`.
         begin: first sample of each trial among these, and T (N + 1,).
         spans: first sample and end of each stretch that is scored.
@@ -108,7 +108,7 @@ class RunsTogether:
     runs: tuple[Run, ...]
     command: Vec
     first: Index
-    own: slice | Mask
+    recorded: slice | Mask
     angle: Vec
     correction: Vec
     begin: Index
@@ -119,12 +119,12 @@ class RunsTogether:
         """Runs laid end to end."""
         command, first = end_to_end([np.concatenate([run.approach, run.command]) for run in runs])
         angle, begin = end_to_end([run.angle for run in runs])
-        own: slice | Mask = slice(None)
+        recorded: slice | Mask = slice(None)
         if command.size > angle.size:
-            own = np.concatenate([np.arange(-len(run.approach), run.command.size) >= 0 for run in runs])
+            recorded = np.concatenate([np.arange(-len(run.approach), run.command.size) >= 0 for run in runs])
         correction = np.concatenate([run.correction for run in runs])
         spans = spans_of(np.concatenate([run.counts for run in runs]))
-        return cls(tuple(runs), command, first, own, angle, correction, begin, spans)
+        return cls(tuple(runs), command, first, recorded, angle, correction, begin, spans)
 
     @classmethod
     def groups(cls, runs: Sequence[Run]) -> tuple[RunsTogether, ...]:

@@ -12,7 +12,7 @@ import numpy as np
 from ..effects.catalogue import EFFECTS
 from ..effects.effect import Candidate
 from .cross_validation import CrossValidation, HeldOutErrors, Hypothesis, gain, sureness
-from .motion_lines import motions_own, strongest_line
+from .motion_lines import motion_frequencies, strongest_line
 from .problem import Problem, TrialTerms
 from .timing import TIMING, by_timing, timing_rivals
 
@@ -21,7 +21,7 @@ RoundProgress = Callable[[float, str], None]
 
 _OWN = 100
 _SAME_FIT = 1e-3  # relative fall of the error that is none: the tolerance of the fits
-OWN_TO_TRIALS = frozenset({"trial_shift", "periodic_disturbance"})  # fitted to each trial anew: has to recur
+OF_SINGLE_TRIALS = frozenset({"trial_shift", "periodic_disturbance"})  # fitted to each trial anew: has to recur
 
 
 @dataclass(frozen=True)
@@ -180,7 +180,7 @@ class _Search:
             whole = 0.0  # shifts explain what it does between trials: by the whole error it would always seem small
         if new == {"trial_shift"} and "drift" in before.hypothesis.effects and self._on_a_line(after, before):
             return False
-        if new & OWN_TO_TRIALS and not _recurs(before, after, new, settings):
+        if new & OF_SINGLE_TRIALS and not _recurs(before, after, new, settings):
             return False
         least = max(share * remaining, whole, settings.form_share * self._floor)
         least = max(least, settings.beside_share * (before.mse - self._faults)) if imitates else least
@@ -342,7 +342,7 @@ class _Fits(_Judged):
             errors = [base.problem.error(base.q, run)[0] for run in runs]
             line = strongest_line(runs, errors, settings.lowest_hz, settings.highest_hz)
             if line > 0:
-                is_motion = bool(motions_own(runs, np.array([2 * line]))[0])
+                is_motion = bool(motion_frequencies(runs, np.array([2 * line]))[0])
                 made.append(replace(terms, frequency_hz=line, harmonics=1 if is_motion else terms.harmonics))
         return made
 
@@ -434,7 +434,7 @@ def select(
     return Selection(baseline, by_timing(chosen, fits.tried, settings.standard_errors), fits.tried)
 
 
-def select_again(
+def reselect(
     tried: Mapping[frozenset[str], HeldOutErrors],
     settings: SelectionSettings,
     floor_mse: float,
