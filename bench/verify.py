@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from hystmpc.ctrl.command import CommandLimits, Source
-from hystmpc.models.identify.resolution import resolution
+from hystmpc.models.identify.estimation_noise import resolution
 from hystmpc.rig.config import BenchSettings
 from hystmpc.sim.results import holds, violations
 from hystmpc.trajectories.config import MotionSettings

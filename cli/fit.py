@@ -12,7 +12,7 @@ from typer.core import TyperCommand
 
 from hystmpc.models.contract.metadata import DeviceLimits, ModelMetadata, Range
 from hystmpc.models.evaluate import error_sentence
-from hystmpc.models.kinds.catalogue import KINDS
+from hystmpc.models.kinds.catalogue import kind_names
 from hystmpc.tasks.fit import DEFAULT_RATE_HZ, Fit, part_tables
 from hystmpc.tasks.fit import fit as fit_model
 from hystmpc.trials.errors import ConfigError
@@ -63,7 +63,7 @@ RateHz = Annotated[
     float | None, typer.Option(help=f"Rate to which the logs are resampled [Hz]; else {DEFAULT_RATE_HZ:g}.")
 ]
 
-_KINDS = ", ".join(kind.name for kind in KINDS)
+_KINDS = ", ".join(kind_names())
 # `auto` begins with its richest core, which takes longest, and ends after two of three rounds in most cases.
 _PACE: dict[str, Pace] = {"auto": ((0, 0), (0.1, 0.36), (0.42, 0.45), (0.7, 0.82), (0.8, 0.95), (1, 1))}
 _SEEN_PART = {"--command-limits": "the range", "--command-rate": "the rate"}

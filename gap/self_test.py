@@ -11,9 +11,8 @@ import numpy as np
 from hystmpc.models.chain import Chain
 from hystmpc.models.effects.catalogue import EFFECTS, diagnosable
 from hystmpc.models.effects.place import effect_from
-from hystmpc.models.identify.corrected_simulator import settled
 from hystmpc.models.identify.free_run import StagedChain
-from hystmpc.models.identify.methods import identify
+from hystmpc.models.identify.simulators import identify, settled
 from hystmpc.models.operators.dynamics import Delay, Lag
 from hystmpc.models.operators.friction import Asymmetry, RateDependence, StickSlip
 from hystmpc.models.operators.measurement import PeriodicDisturbance, Sensor

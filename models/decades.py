@@ -1,4 +1,4 @@
-"""Free of units: identifications work in powers of ten of the log's units, in which every device has the same size."""
+"""Working units: powers of ten of the log's units, in which every device has about the same size."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _FACTOR = re.compile(r"([a-z]+|1)(?:\^(\d))?")
 
 
 class _Record(Protocol):
-    """A dataclass."""
+    """Any dataclass."""
 
     __dataclass_fields__: ClassVar[dict[str, Field[Any]]]
 
@@ -34,10 +34,10 @@ _R = TypeVar("_R", bound=_Record)
 
 @dataclass(frozen=True)
 class Decades:
-    """Working units: a command's range is 1 to 10 of them, an output's 10 to 100.
+    """Working units, in which a command's range is 1 to 10 and an output's 10 to 100.
 
     These are the sizes of a tendon catheter in mm and deg, for which starts, bounds and thresholds of an identification
-    are stated. Any other device is brought to them: its trials on the way in, what was identified on the way out.
+    are stated. Trials of any other device are brought to them, and the identified numbers back to the log's units.
     Powers of ten, so that a device which has these sizes is left as it is.
 
     Attributes:
@@ -49,13 +49,13 @@ class Decades:
 
     @classmethod
     def of(cls, trials: Sequence[Trial]) -> Self:
-        """The working units of a device; of swapped trials as of the device that they are from."""
+        """Working units of the device of some trials, swapped or not."""
         spans = [max((float(np.ptp(signal)) for signal in signals), default=0.0) for signals in _signals(trials)]
         return cls._of_spans(*spans)
 
     @classmethod
     def of_ranges(cls, command: Range, angle: Range) -> Self:
-        """The working units of a device whose command and output have these ranges."""
+        """Working units of a device whose command and output have these ranges."""
         return cls._of_spans(command.upper - command.lower, angle.upper - angle.lower)
 
     @classmethod
@@ -64,11 +64,11 @@ class Decades:
 
     @property
     def usual(self) -> bool:
-        """Whether they are the log's own."""
+        """Whether the working units are those of the log."""
         return self.command == self.angle == 1.0
 
     def trial(self, trial: Trial) -> Trial:
-        """A trial in working units; they go by the names of the log's."""
+        """Trial in working units; they go by the names of the log's."""
         factors = (self.angle, self.command) if trial.inverted else (self.command, self.angle)
         if self.usual:
             return trial
@@ -79,15 +79,15 @@ class Decades:
         return [self.trial(trial) for trial in trials]
 
     def chain(self, chain: Chain) -> Chain:
-        """A chain in working units."""
+        """Chain in working units."""
         return self._converted(chain, -1)
 
     def log_chain(self, chain: Chain) -> Chain:
-        """A chain in working units, brought back to the units of the log."""
+        """Chain in the units of the log, from one in working units."""
         return self._converted(chain, 1)
 
     def log_value(self, value: float, unit: str) -> float:
-        """A number in working units, brought back; `unit` with `cmd` and `deg`, as `deg/cmd`."""
+        """Number in the units of the log, from one in working units; `unit` with `cmd` and `deg`, as `deg/cmd`."""
         return value * self.in_log(unit)
 
     def output(self, trials: Sequence[Trial]) -> float:
@@ -95,7 +95,7 @@ class Decades:
         return self.command if trials and trials[0].inverted else self.angle
 
     def log_noise(self, noise: NoiseModel) -> NoiseModel:
-        """Noise of a model in working units, brought back."""
+        """Noise of a model in the units of the log, from one in working units."""
         model = noise.model_sigma_deg
         return NoiseModel(
             sensor_sigma_deg=noise.sensor_sigma_deg * self.angle,
@@ -106,7 +106,7 @@ class Decades:
         )
 
     def log_sizes(self, row: _R) -> _R:
-        """A record in working units, brought back: numbers, arrays and pairs whose names end in `_deg` or `_deg_s`."""
+        """Record in the units of the log: of its fields those that end in `_deg` or `_deg_s` are converted."""
         named = [(f.name, unit) for f in fields(row) for end, unit in _SUFFIXES.items() if f.name.endswith(end)]
         return replace(row, **{name: _times(getattr(row, name), self.in_log(unit)) for name, unit in named})
 
@@ -115,7 +115,7 @@ class Decades:
         return size_of(unit, {"cmd": self.command, "deg": self.angle})
 
     def log_operator(self, operator: Operator, side: Side) -> Operator:
-        """An operator in working units that acts on that side, brought back."""
+        """Operator on that side in the units of the log, from one in working units."""
         return self._operator(operator, side, 1)
 
     def _converted(self, chain: Chain, way: int) -> Chain:

@@ -1,4 +1,4 @@
-"""How well a model reproduces recorded trials: free run from the command alone, and its error in degrees."""
+"""Evaluation of a model on recorded trials: free run from the command alone, and its error in degrees."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from hystmpc.trials.types import Vec
 
 from .contract.metadata import ModelMetadata
 from .model import LoadedModel
-from .start import TrialStart, found_start, motion_line, search_box, trial_start
+from .start import TrialStart, estimated_start, motion_line, search_box, trial_start
 
 FORMAT = "hystmpc-evaluation/1"
 INVERSE_FORMAT = "hystmpc-inverse-evaluation/1"
@@ -53,7 +53,7 @@ class Errors:
 
 @dataclass(frozen=True, eq=False)
 class TrialEvaluation:
-    """One trial's free run.
+    """Free run over one trial with its errors.
 
     Attributes:
         trial: the trial as scored, on the model's sample time.
@@ -74,12 +74,12 @@ class TrialEvaluation:
 
     @property
     def unscored_s(self) -> float:
-        """Time at the start of a trial that begins in motion in which its state is found [s]; else zero."""
+        """Duration at the start of a trial in motion in which its state is found [s]; else zero."""
         return self.began.lead * self.trial.dt
 
     @property
     def start_line(self) -> str:
-        """What to say of its start; empty where the trial begins at rest."""
+        """Sentence on a trial that begins in motion; empty where it begins at rest."""
         name = Path(self.trial.source).name
         return "" if self.began.at_rest else motion_line(name, self.began, self.trial.dt)
 
@@ -90,11 +90,12 @@ class TrialEvaluation:
 
 
 def free_run(model: LoadedModel, commands: Vec, start: float | TrialStart) -> Vec:
-    """Model's angles (T,) [deg] over commands (T,), given where it starts and nothing more of the measurement.
+    """Angles (T,) [deg] of a model over commands (T,), from a start and without any other measurement.
 
     Args:
+        model: that runs.
         commands: (T,) [command unit].
-        start: angle [deg] that the device shows at rest at the first command; or where else it starts.
+        start: angle [deg] of the device at rest at the first command; or another start.
     """
     if not isinstance(start, TrialStart):
         start = TrialStart(float(commands[0]), start)
@@ -103,20 +104,20 @@ def free_run(model: LoadedModel, commands: Vec, start: float | TrialStart) -> Ve
 
 
 def started(model: LoadedModel, trial: Trial) -> TrialStart:
-    """Where a free run over a trial begins: at its own rest, or where the model finds it; see `models.start`."""
+    """Start of a free run over a trial: at rest, or where the model estimates it; see `models.start`."""
     start, facts = trial_start(trial.command, trial.angle, trial.dt, trial.inverted), model.metadata
 
     def runs(commands: Vec, angles: Vec, plans: Vec) -> Vec:
         return model.run_on(model.resting(commands, angles), plans)[0]
 
     box = search_box(facts.trained_command, facts.trained_angle)
-    return found_start(start, trial.command, trial.angle, trial.dt, box, runs)
+    return estimated_start(start, trial.command, trial.angle, trial.dt, box, runs)
 
 
 def evaluate(
     model: LoadedModel, trial: Trial, skip_first_flexure: bool = False, before: Trial | None = None
 ) -> TrialEvaluation:
-    """Score a free run over one trial that is sampled at the model's sample time; an inverse map runs over it swapped.
+    """Evaluate a free run over one trial at the model's sample time; an inverse map runs over it swapped.
 
     A trial that begins at rest is scored from its first sample on. Of one that begins in motion the first seconds are
     used to find the state of the device, and are not scored (`models.start`).
@@ -160,13 +161,13 @@ def evaluate(
 
 
 def mean_errors(evaluations: Sequence[TrialEvaluation]) -> Errors:
-    """Mean of each figure over trials; the bias as the mean of its absolute values would hide its sign, so signed."""
+    """Mean of each error over trials; that of the bias is signed."""
     names = [field.name for field in fields(Errors)]
     return Errors(*(float(np.mean([getattr(e.errors, name) for e in evaluations])) for name in names))
 
 
 def evaluation_json(evaluations: Sequence[TrialEvaluation]) -> dict[str, Any]:
-    """Plain data in the format `hystmpc-evaluation/1`; of an inverse map, whose errors are commands, in its own."""
+    """Plain data in the format `hystmpc-evaluation/1`; of an inverse map, whose errors are commands, in another."""
     rows = [{"file": Path(e.trial.source).name, **vars(e.errors), "unscored_s": e.unscored_s} for e in evaluations]
     mean = dict(vars(mean_errors(evaluations)))
     if not evaluations[0].trial.inverted:
@@ -177,19 +178,19 @@ def evaluation_json(evaluations: Sequence[TrialEvaluation]) -> dict[str, Any]:
 
 
 def start_sentences(results: Sequence[TrialEvaluation]) -> list[str]:
-    """One sentence on each trial that begins in motion."""
+    """Sentences on the trials that begin in motion."""
     return [line for result in results if (line := result.start_line)]
 
 
 def error_rows(results: Sequence[TrialEvaluation]) -> list[list[str]]:
-    """The errors of each trial and their mean, in the unit of the output, as `ERROR_COLUMNS` name them."""
+    """Errors of each trial and their mean, in the unit of the output, as `ERROR_COLUMNS` name them."""
     places = _decimals(max(float(np.ptp(result.trial.angle)) for result in results))
     rows = [_row(Path(result.trial.source).name, result.errors, places) for result in results]
     return [*rows, _row("mean", mean_errors(results), places)]
 
 
 def error_sentence(results: Sequence[TrialEvaluation], which: str = "") -> str:
-    """What the free runs err by, in a sentence.
+    """Error of the free runs, in a sentence.
 
     Args:
         results: one or more.

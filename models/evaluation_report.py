@@ -1,4 +1,4 @@
-"""Free runs as tables, figures and one page: what a model errs by, beside what was measured."""
+"""Report of free runs: tables, figures and a page that compare model and measurement."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _MODEL: Look = {"color": MODEL, "label": "model", "linewidth": 0.9}
 def evaluation_report(
     title: str, subtitle: str, parts: Sequence[tuple[str, Sequence[TrialEvaluation]]], more: Sequence[Piece] = ()
 ) -> Report:
-    """The page of an evaluation or a fit.
+    """Page of an evaluation or a fit.
 
     Args:
         title, subtitle: of the page.

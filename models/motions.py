@@ -1,4 +1,4 @@
-"""Motions on which a model is tried and conditioned: a decaying sinusoid, and the initialisation flexure."""
+"""Test motions of a model: a decaying sinusoid, and the initialisation flexure that conditions it."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ import numpy as np
 
 from hystmpc.trials.types import Vec
 
-from .contract.metadata import InitialRule, ModelMetadata, Range
+from .contract.metadata import ModelMetadata, Range
 from .model import StepFunction
 
 CYCLES, FREQUENCY_HZ = 7, 0.2
 
 
 def probe_commands(facts: ModelMetadata) -> Vec:
-    """Commands (T,) at the model's sample time: S2 (RA-L 2024) eq. (9)-(10) with zero baseline, 0.2 Hz, seven cycles.
+    """Decaying sinusoid (T,) of S2 (RA-L 2024) eq. (9)-(10): zero baseline, 0.2 Hz, seven cycles.
 
     u = low + (high - low) / 2 e^{-tau t} (sin(2 pi f t - pi / 2) + 1),  tau = f ln(7) / 6; slower where the device
     was never driven as fast, so that the probe stays inside what the model was trained on.
@@ -32,25 +32,16 @@ FLEXURE_HZ = 0.1
 REST_S = 5.0
 
 
-def zero_state_rule(state_size: int) -> InitialRule:
-    """Start of a trial: zeros, as in training; the warm-up brings the state in line with the first command."""
-    return InitialRule(offset=(0.0,) * state_size, slope=(0.0,) * state_size)
-
-
-def conditioned_rule(step: StepFunction, commands: Range, dt_s: float, warmup_samples: int) -> InitialRule:
-    """State after the initialisation flexure, run through the network itself; it does not depend on the measured angle.
-
-    The flexure is that of S2: from rest one period of a 0.1 Hz sine to the top of the trained commands and back, then
-    5 s of rest.
-    """
-    state = np.zeros((1, step.state_size))
+def flexed(step: StepFunction, state: Vec, commands: Range, dt_s: float, warmup_samples: int) -> Vec:
+    """State (S,) after the initialisation flexure of S2 (RA-L 2024), run through the model itself from a state (S,)."""
+    at = state[None]
     for u in initialisation_flexure(commands, dt_s, warmup_samples):
-        _, state = step.advance(state, np.array([[u]]))
-    return InitialRule(offset=tuple(state[0].tolist()), slope=(0.0,) * step.state_size)
+        _, at = step.advance(at, np.array([[u]]))
+    return at[0]
 
 
 def initialisation_flexure(commands: Range, dt_s: float, warmup_samples: int, rest: float | None = None) -> Vec:
-    """Commands (T,): the lowest, held for the warm-up; to the highest and back along a sine; the rest, held.
+    """Commands (T,) of a flexure: the lowest for the warm-up, a 0.1 Hz sine to the highest and back, 5 s at rest.
 
     A device that rests between both ends, as one that bends both ways does, goes from the lowest command to its rest
     along half a sine as quick.

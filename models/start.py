@@ -1,4 +1,4 @@
-"""How a recorded trial begins: at rest at its own first command and angle, or in motion, where a model finds its state.
+"""Start of a recorded trial: at rest at its first command and angle, or in motion, where a model estimates its state.
 
 One rule for the search of a fit, its residuals, evaluation and diagnosis.
 """
@@ -33,7 +33,7 @@ Runs = Callable[[Vec, Vec, Vec], Vec]
 
 @dataclass(frozen=True)
 class TrialStart:
-    """Where a free run over a trial begins.
+    """Start of a free run over a trial.
 
     Attributes:
         command, angle: at which the device rests before the first sample [command unit], [deg]. Of a trial that begins
@@ -54,7 +54,7 @@ class TrialStart:
 
 
 def trial_start(command: Vec, angle: Vec, dt_s: float, inverted: bool = False) -> TrialStart:
-    """How a trial begins, from its samples alone.
+    """Start of a trial, from its samples alone.
 
     It begins at rest where the command has no speed at the first sample, since it is held or sets out from there, and
     the angle keeps still while the command does. The device then rests at the mean of the samples before the command
@@ -80,8 +80,8 @@ def trial_start(command: Vec, angle: Vec, dt_s: float, inverted: bool = False) -
     return start
 
 
-def found_start(start: TrialStart, command: Vec, angle: Vec, dt_s: float, box: Box, runs: Runs) -> TrialStart:
-    """The start from which a model best explains the samples that are not scored, found by them alone.
+def estimated_start(start: TrialStart, command: Vec, angle: Vec, dt_s: float, box: Box, runs: Runs) -> TrialStart:
+    """Start from which a model best explains the samples that are not scored.
 
         min_(u, y, e)  sum_{k < lead} w_k (theta_k(u, y, e) - y_k)^2,   w_k = (k / lead)^2
 
@@ -94,7 +94,7 @@ def found_start(start: TrialStart, command: Vec, angle: Vec, dt_s: float, box: B
         start: of a trial that begins in motion.
         command, angle: measured (T,).
         dt_s: sample time [s].
-        box: ranges that are searched; the trial's own samples lie within.
+        box: ranges that are searched; the trial's samples lie within.
         runs: of the model.
     """
     if start.at_rest:
@@ -138,15 +138,7 @@ def _ends(box: Box) -> tuple[tuple[float, float], tuple[float, float]]:
 
 
 def _approach(rest: float, turn: float, command: Vec, box: Range, dt_s: float) -> Vec:
-    """Commands from a rest by way of a turn to just before the first sample.
-
-    Args:
-        rest: command at rest.
-        turn: how far the last way is, as a share of that to the end of the box behind it.
-        command: of the trial.
-        box: of commands.
-        dt_s: sample time [s].
-    """
+    """Commands from a rest to just before the first sample; `turn`: share of the last way to the end of the box."""
     look, count = max(round(_LOOK_S / dt_s), 1), max(round(_APPROACH_S / dt_s), 2)
     speed = float(command[look] - command[0]) / look
     end = box.lower if speed > 0 else box.upper
@@ -158,7 +150,7 @@ def _approach(rest: float, turn: float, command: Vec, box: Range, dt_s: float) -
 
 
 def search_box(command: Range, angle: Range) -> Box:
-    """Where a device may have rested: a little beyond what it has been seen to do."""
+    """Ranges in which a device may have rested: a little wider than those of its trials."""
     w, h = 0.25 * (command.upper - command.lower), 0.1 * (angle.upper - angle.lower)
     return (
         Range(lower=command.lower - w, upper=command.upper + w),
@@ -167,7 +159,7 @@ def search_box(command: Range, angle: Range) -> Box:
 
 
 def motion_line(name: str, start: TrialStart, dt_s: float) -> str:
-    """What to say of a trial that begins in motion."""
+    """Sentence on a trial that begins in motion."""
     return (
         f"{name} begins in motion: its first {start.lead * dt_s:.3g} s are used to find the state of the device and "
         "are not scored"
@@ -175,7 +167,7 @@ def motion_line(name: str, start: TrialStart, dt_s: float) -> str:
 
 
 def _averaged(angle: Vec, held: int, still: int, dt_s: float) -> int:
-    """Samples whose mean is the angle at rest: those of a little travel too, unless they move it by more than noise."""
+    """Number of samples whose mean is the angle at rest; those of a little travel count unless it moves the angle."""
     moved = abs(float(np.mean(angle[:still]) - np.mean(angle[:held])))
     sure = _SURE * _noise(angle[: round(_NOISE_S / dt_s) + 6]) / held**0.5
     return still if moved <= sure else held
@@ -184,8 +176,8 @@ def _averaged(angle: Vec, held: int, still: int, dt_s: float) -> int:
 def _still(command: Vec, span: float, dt_s: float) -> tuple[int, int, int, bool]:
     """Samples before the command has moved at all, has moved, and by more than a little; and whether it is in motion.
 
-    Its speed at the first sample is that of the parabola through three samples, v = (3 d_1 - d_2) / 2 in the way d_1,
-    d_2 of two intervals; it is none within a part of the change of that way from one interval to the next.
+    Its speed at the first sample is that of the parabola through three samples, v = (3 d_1 - d_2) / 2 with the travels
+    d_1, d_2 of two intervals; it is none within a part of the change of the travel from one interval to the next.
     """
     look = max(round(_LOOK_S / dt_s), 1)
     noise = _SCATTER * _noise(command[: round(_NOISE_S / dt_s) + 6])
@@ -199,7 +191,7 @@ def _still(command: Vec, span: float, dt_s: float) -> tuple[int, int, int, bool]
 
 
 def _first(happens: Mask) -> int:
-    """Number of the first sample at which it does, of all where it never does."""
+    """Number of the first sample with that property, of all samples where none has it."""
     return int(np.argmax(happens)) if happens.any() else happens.size
 
 
@@ -211,7 +203,7 @@ def _noise(signal: Vec) -> float:
 
 
 def _drifts(signal: Vec, little: float) -> bool:
-    """Whether a signal at rest moves after all: by a straight line, surely and by more than a little."""
+    """Whether a signal at rest moves along a straight line, significantly and by more than a little."""
     if signal.size < 5:
         return False
     t = np.arange(signal.size) - 0.5 * (signal.size - 1)
@@ -223,7 +215,7 @@ def _drifts(signal: Vec, little: float) -> bool:
 
 
 def _lead(command: Vec, span: float, dt_s: float) -> int:
-    """Samples until the command has been near both of its ends: no narrower play keeps what was before."""
+    """Samples until the command has been near both of its ends: after that no narrower play remembers its start."""
     near = _SEEN * span
     ends = (command >= command.max() - near, command <= command.min() + near)
     visited = max(int(np.argmax(end)) for end in ends) + 1

@@ -276,7 +276,7 @@ def _identify(
     kind: ModelKind, trials: Sequence[Trial], request: FitRequest, progress: Progress | None, say: Say | None
 ) -> Identified:
     from hystmpc.models.kernels.compiling import about
-    from hystmpc.models.kinds.worth import identified
+    from hystmpc.models.kinds.kind import identified
 
     kind.check(trials, request)
     if say is not None and (seconds := kind.estimate(trials, request)) is not None:

@@ -13,7 +13,7 @@ from hystmpc.models.effects.catalogue import candidates
 from hystmpc.models.effects.effect import Candidate, Scale
 from hystmpc.models.identify.cross_validation import CrossValidation, Hypothesis
 from hystmpc.models.identify.runs import Run
-from hystmpc.models.identify.selection import OWN_TO_TRIALS, Selection, SelectionSettings, select
+from hystmpc.models.identify.selection import OF_SINGLE_TRIALS, Selection, SelectionSettings, select
 from hystmpc.models.model import LoadedModel
 from hystmpc.models.simulator import Simulator
 
@@ -96,7 +96,7 @@ def attribute(
     library = usable_effects(prepared, prepared.baseline.effects, excluded, prepared.development)
     without = left_out
     if prepared.checked.unrelated:  # nothing to explain: only the baseline is evaluated
-        library, without = (), (*left_out, *OWN_TO_TRIALS)
+        library, without = (), (*left_out, *OF_SINGLE_TRIALS)
     selection = select(validation, library, SelectionSettings(), floor_mse, without, advance, prepared.excess_mse)
     baseline, grown = selection.baseline, width_grown(selection.chosen.hypothesis)
     step_mse = prepared.signs.quantisation_deg**2 / 12.0

@@ -109,7 +109,7 @@ def configuration_of(hypothesis: Hypothesis, runs: Sequence[Run]) -> Configurati
 def _shifts(hypothesis: Hypothesis, runs: Sequence[Run]) -> _Shifts:
     """Normal equations for offset at the mean angle, gain and, if the core has one, width of each trial."""
     problem, q = hypothesis.problem, hypothesis.q
-    terms = replace(problem.terms, shift=True, own_offset=False, frequency_hz=0.0, width=problem.baseline.width)
+    terms = replace(problem.terms, shift=True, trial_offset=False, frequency_hz=0.0, width=problem.baseline.width)
     parts = [problem.linearised(q, run) for run in runs]
     middle = float(np.mean(np.concatenate([theta for theta, _ in parts])))
     rows, errors = [], []

@@ -13,7 +13,7 @@ import numpy as np
 
 from hystmpc.models.identify.cross_validation import HeldOutErrors, Hypothesis
 from hystmpc.models.identify.runs import Blocks, Run, blocks_of
-from hystmpc.models.identify.selection import Selection, SelectionSettings, select_again
+from hystmpc.models.identify.selection import Selection, SelectionSettings, reselect
 from hystmpc.trials.types import Index
 
 from ..diagnosis import Stability, Verdict
@@ -113,7 +113,7 @@ class _ResampledVerdict:
         development, end, seed = split
         tried = {names: _errors_on_runs(judged, development, seed) for names, judged in self._tried.items()}
         final: dict[Names, Blocks] = {n: _errors_on_runs(judged, end, seed) for n, judged in self._tried.items()}
-        selection = select_again(tried, SelectionSettings(), self._facts.floor_mse, self._faults_mse)
+        selection = reselect(tried, SelectionSettings(), self._facts.floor_mse, self._faults_mse)
         names = selection.chosen.hypothesis.effects
         facts = replace(
             self._facts,

@@ -15,14 +15,13 @@ from hystmpc.models.contract.metadata import Range
 from hystmpc.models.decades import Decades
 from hystmpc.models.evaluate import free_run, started
 from hystmpc.models.identify.baseline import Baseline, FreeCoreBaseline, ScaledBaseline, baseline_of
-from hystmpc.models.identify.cross_validation import Hypothesis
+from hystmpc.models.identify.cross_validation import Hypothesis, fit_problem
 from hystmpc.models.identify.free_run import StagedChain
-from hystmpc.models.identify.least_squares import fit_problem
 from hystmpc.models.identify.problem import Problem
 from hystmpc.models.identify.runs import Run, fingerprint, runs_of
 from hystmpc.models.model import LoadedModel
 from hystmpc.models.simulator import Identification, Simulator
-from hystmpc.models.start import Runs, TrialStart, found_start, motion_line, search_box, trial_start
+from hystmpc.models.start import Runs, TrialStart, estimated_start, motion_line, search_box, trial_start
 from hystmpc.trials.command_noise import remove_command_noise
 from hystmpc.trials.errors import GapError, LogError
 from hystmpc.trials.segments import first_flexure_end, segment
@@ -370,7 +369,7 @@ def evaluated_mse(simulator: Simulator, recorded: Sequence[Trial], skip_first_fl
         if (resampled := resampled_or_none(trial, 1 / simulator.dt_s)) is None:
             return None
         start = trial_start(resampled.command, resampled.angle, resampled.dt)
-        start = found_start(start, resampled.command, resampled.angle, resampled.dt, box, run)
+        start = estimated_start(start, resampled.command, resampled.angle, resampled.dt, box, run)
         error = _free_run_from(run, start, resampled.command) - resampled.angle
         error = error[max(start.lead, first_flexure_end(resampled) if skip_first_flexure else 0) :]
         squares, samples = squares + float(error @ error), samples + error.size

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from hystmpc.models.identify.resolution import grid_step
+from hystmpc.models.identify.estimation_noise import grid_step
 from hystmpc.trials.clocks import runs
 from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Mask, Vec

@@ -12,10 +12,10 @@ from hystmpc.ctrl.command import CommandLimits
 from hystmpc.models.chain import Chain
 from hystmpc.models.contract.metadata import ModelMetadata
 from hystmpc.models.effects.catalogue import confounders
-from hystmpc.models.identify.corrected_simulator import settled
 from hystmpc.models.identify.cross_validation import Hypothesis
 from hystmpc.models.identify.free_run import StagedChain
 from hystmpc.models.identify.problem import Problem
+from hystmpc.models.identify.simulators import settled
 from hystmpc.models.simulator import Simulator
 from hystmpc.trials.types import Vec
 

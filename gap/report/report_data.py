@@ -10,8 +10,8 @@ from typing import Literal
 
 import numpy as np
 
-from hystmpc.models.identify.corrected_simulator import corrected_simulator, network_effects
 from hystmpc.models.identify.cross_validation import gain
+from hystmpc.models.identify.simulators import corrected_simulator, network_effects
 from hystmpc.models.identify.uncertainty import ParameterRow
 from hystmpc.models.simulator import Simulator
 from hystmpc.trials.trial import Trial

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from hystmpc.models.effects.catalogue import effect_of
-from hystmpc.models.identify.corrected_simulator import EFFECTS_FILE
+from hystmpc.models.identify.simulators import EFFECTS_FILE
 from hystmpc.models.identify.uncertainty import BASELINE_UNITS, Interval
 from hystmpc.models.simulator import Simulator
 from hystmpc.trials.trial import Units

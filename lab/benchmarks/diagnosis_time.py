@@ -24,8 +24,8 @@ from rich.console import Console
 from rich.table import Table
 
 from hystmpc.gap.diagnose import conclude, find_causes
-from hystmpc.models.identify.least_squares import OperatorFitSettings
-from hystmpc.models.identify.methods import identify
+from hystmpc.models.identify.chain_fit import OperatorFitSettings
+from hystmpc.models.identify.simulators import identify
 from hystmpc.models.simulator import Simulator
 from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Vec

@@ -26,7 +26,7 @@ from rich.table import Table
 from hystmpc.models.contract.export import ExportBundle, export_onnx
 from hystmpc.models.contract.load import load_onnx
 from hystmpc.models.evaluate import Errors, evaluate
-from hystmpc.models.kinds.catalogue import KINDS, kind_named
+from hystmpc.models.kinds.catalogue import kind_named, kind_names
 from hystmpc.models.kinds.kind import FitRequest
 from hystmpc.models.kinds.networks import NetworkKind
 from hystmpc.models.model import LoadedModel
@@ -116,7 +116,7 @@ def main() -> None:
     parser.add_argument("logs", nargs="+", type=Path)
     parser.add_argument("--rate-hz", type=float, default=25.0)
     parser.add_argument("--layout", default="auto", help="layout of the logs")
-    parser.add_argument("--kinds", nargs="+", default=["backlash", "pi", "lstm"], choices=[k.name for k in KINDS])
+    parser.add_argument("--kinds", nargs="+", default=["backlash", "pi", "lstm"], choices=kind_names())
     parser.add_argument("--training", default="best")
     parser.add_argument("--inverse", action="store_true", help="angle to command")
     parser.add_argument("--skip-first-flexure", action="store_true", help="fit each trial from its first reversal on")

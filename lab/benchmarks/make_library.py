@@ -16,10 +16,10 @@ from rich.progress import Progress
 
 from hystmpc.models.contract.export import export_onnx
 from hystmpc.models.contract.metadata import DeviceLimits, Range
-from hystmpc.models.identify.methods import identify
-from hystmpc.models.kinds.auto import AutoKind
+from hystmpc.models.identify.simulators import identify
 from hystmpc.models.kinds.kind import FitRequest
 from hystmpc.models.kinds.networks import LSTM
+from hystmpc.models.kinds.operator_kinds import AutoKind
 from hystmpc.models.load import library_file
 from hystmpc.models.simulator import load_simulator, save_simulator
 from hystmpc.models.train.networks import fit_network, network_bundle

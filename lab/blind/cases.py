@@ -12,11 +12,11 @@ import numpy as np
 from hystmpc.models.chain import Chain
 from hystmpc.models.contract.metadata import DeviceLimits, Range
 from hystmpc.models.effects.effect import Scale
+from hystmpc.models.identify.chain_fit import OperatorFitSettings, fit_chain
 from hystmpc.models.identify.chain_kinds import backlash_starts, prandtl_ishlinskii_starts
-from hystmpc.models.identify.least_squares import OperatorFitSettings, fit_chain
-from hystmpc.models.identify.methods import simulator_of
 from hystmpc.models.identify.parts import core_forms
 from hystmpc.models.identify.runs import runs_of
+from hystmpc.models.identify.simulators import simulator_of
 from hystmpc.models.simulator import Simulator
 from hystmpc.trials.errors import FitError
 from hystmpc.trials.trial import Trial

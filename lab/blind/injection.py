@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from hystmpc.models.identify.least_squares import OperatorFitSettings
-from hystmpc.models.identify.methods import identify
+from hystmpc.models.identify.chain_fit import OperatorFitSettings
+from hystmpc.models.identify.simulators import identify
 from hystmpc.models.simulator import Simulator
 from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.trial import Trial

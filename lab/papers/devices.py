@@ -10,7 +10,7 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import Field
 
-from hystmpc.models.kinds.catalogue import KINDS
+from hystmpc.models.kinds.catalogue import kind_names
 from hystmpc.trials.config import Settings, read_yaml
 from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.report import Heading, Paragraph, Piece, Report
@@ -20,7 +20,7 @@ from .real import RealCandidate, candidates
 from .result import PaperOutcome
 from .settings import PaperSettings
 
-DEVICES_KINDS = tuple(kind.name for kind in KINDS if kind.name not in ("oscillator", "state_network"))
+DEVICES_KINDS = tuple(name for name in kind_names() if name not in ("oscillator", "state_network"))
 """All kinds but those for devices that ring."""
 
 

@@ -11,8 +11,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from hystmpc.models.chain import Chain
+from hystmpc.models.identify.chain_fit import OperatorFitSettings, fit_chain
 from hystmpc.models.identify.chain_kinds import backlash_starts
-from hystmpc.models.identify.least_squares import OperatorFitSettings, fit_chain
 from hystmpc.models.kernels.chain_kernels import compile_step
 from hystmpc.models.maps import QuadraticMap
 from hystmpc.trials.report import ACCENTS, COMMAND, MEASURED, MODEL, PALETTE, REFERENCE, new_figure

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from hystmpc.models.kinds.catalogue import KINDS
+from hystmpc.models.kinds.catalogue import kind_names
 
 from ..statistics import least_p
 from ..study import NOTHING, Cell, StudyTable
@@ -14,7 +14,7 @@ from .printed import S2_ORDER, S2_RELATIVE, S2_VALIDATION, S2_WINDOWS, Printed, 
 from .result import PaperOutcome, title_of
 from .s2_plan import BASELINE, MOTION_NAMES, MOTIONS, TRAINING_SETS, UNITS, Matched, matched, split_tested_on
 
-_CATALOGUE = frozenset(kind.name for kind in KINDS)
+_CATALOGUE = frozenset(kind_names())
 
 
 def errors_table(view: Matched) -> StudyTable:

@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, field_validator
 
-from hystmpc.models.kinds.catalogue import KINDS
+from hystmpc.models.kinds.catalogue import all_kinds, kind_names
 from hystmpc.trials.errors import ConfigError, did_you_mean
 
 from ..study import StudySettings
@@ -83,7 +83,7 @@ class PaperSettings(StudySettings):
         """
         if study not in _DEFAULTS:
             raise ConfigError(f"no study {study!r}, {did_you_mean(study, _DEFAULTS)}")
-        known = tuple(kind.name for kind in KINDS)
+        known = kind_names()
         data = {"study": study, "kinds": known} | _DEFAULTS[study]
         data |= {name: value for name, value in changes.items() if value not in (None, (), [])}
         settings = cls.parse(data, f"study {study}")
@@ -94,7 +94,7 @@ class PaperSettings(StudySettings):
         wrong = [name for name in self.kinds if name not in known] if asked else []
         if wrong:
             raise ConfigError(f"no kind of model {wrong[0]!r}, {did_you_mean(wrong[0], known)}")
-        presets = {preset for kind in KINDS for preset in kind.trainings}
+        presets = {preset for kind in all_kinds() for preset in kind.trainings}
         for name, available in ((self.presets, presets), (self.stages, STAGES[self.study])):
             for text in name:
                 if text not in available:
@@ -108,5 +108,5 @@ class PaperSettings(StudySettings):
     @property
     def left_out(self) -> tuple[str, ...]:
         """Kinds of the study that the catalogue does not hold."""
-        known = {kind.name for kind in KINDS}
+        known = {*kind_names()}
         return tuple(name for name in self.kinds if name not in known)

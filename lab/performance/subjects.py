@@ -18,9 +18,10 @@ from hystmpc.models.chain import Chain
 from hystmpc.models.contract.export import ExportBundle, export_onnx
 from hystmpc.models.contract.load import OnnxModel, load_onnx
 from hystmpc.models.contract.metadata import ModelMetadata, Range
+from hystmpc.models.identify.runs import fixed_rule
 from hystmpc.models.load import library_file, library_names
 from hystmpc.models.model import Inverse, LoadedModel, Predictor
-from hystmpc.models.motions import conditioned_rule, probe_commands, zero_state_rule
+from hystmpc.models.motions import flexed, probe_commands
 from hystmpc.models.networks.lstm import LstmLayer, LstmStep, LstmWeights, lstm_step_graph
 from hystmpc.models.networks.nodes import Scaling
 from hystmpc.models.operators.hysteresis import Backlash
@@ -80,8 +81,8 @@ def _random_model(hidden: int) -> OnnxModel:
         trained_command=_COMMAND,
         trained_angle=_ANGLE,
         trained_rate=_RATE,
-        initial=zero_state_rule(step.state_size),
-        conditioned=conditioned_rule(step, _COMMAND, _DT_S, _WARMUP),
+        initial=fixed_rule(np.zeros(step.state_size)),
+        conditioned=fixed_rule(flexed(step, np.zeros(step.state_size), _COMMAND, _DT_S, _WARMUP)),
         warmup_samples=_WARMUP,
         training_data_hash="",
     )

@@ -9,9 +9,8 @@ from typing import Any, cast
 import numpy as np
 from scipy.optimize import differential_evolution
 
-from hystmpc.models.identify.chain_fit import ChainFit, ChainTask, Tracker
+from hystmpc.models.identify.chain_fit import ChainFit, ChainTask, OperatorFitSettings, Tracker, fit_chain
 from hystmpc.models.identify.free_run import FreeRuns
-from hystmpc.models.identify.least_squares import OperatorFitSettings, fit_chain
 from hystmpc.models.model import FitProgress
 from hystmpc.trials.errors import FitError
 from hystmpc.trials.types import Vec
@@ -28,7 +27,6 @@ class GlobalSettings:
         population: points of a generation; 200 is that algorithm's default beyond five parameters.
         polish: end with a bounded least-squares fit from the best point; not part of S1's method.
         skip_first_flexure: score each trial from the first reversal of its command on.
-        offset_free: let each trial have an offset of its own, which the chain does not keep.
         seed: of everything drawn at random.
 
     Raises:
@@ -39,7 +37,6 @@ class GlobalSettings:
     population: int = 200
     polish: bool = False
     skip_first_flexure: bool = False
-    offset_free: bool = False
     seed: int = 0
 
     def __post_init__(self) -> None:
@@ -76,7 +73,7 @@ def fit_globally(
     Raises:
         FitError: on unusable trials, or if no point has a finite error.
     """
-    loss = FreeRuns(task.starts[0], task.trials, settings.skip_first_flexure, settings.offset_free)
+    loss = FreeRuns(task.starts[0], task.trials, settings.skip_first_flexure)
     free = task.free
     tracker, interrupted = Tracker(loss.mse, free, progress), False
     try:
@@ -123,7 +120,7 @@ def evolve(tracker: Tracker, region: Region, settings: GlobalSettings) -> None:
 
 def _polished(found: ChainFit, task: ChainTask, settings: GlobalSettings) -> ChainFit:
     """The bounded least-squares fit from there, if it is better."""
-    polish = OperatorFitSettings(settings.skip_first_flexure, settings.offset_free, restarts=0, seed=settings.seed)
+    polish = OperatorFitSettings(settings.skip_first_flexure, restarts=0, seed=settings.seed)
     fit = fit_chain([found.chain], task.trials, polish, fixed=task.fixed)
     evaluations = found.evaluations + fit.evaluations
     if fit.rmse_deg >= found.rmse_deg:

@@ -9,8 +9,8 @@ from typing import Literal
 import numpy as np
 
 from hystmpc.models.identify.chain_fit import ChainFit, ChainTask, Tracker
-from hystmpc.models.identify.free_run import FreeRuns, ScoredRun
-from hystmpc.models.identify.runs import check_trial_set
+from hystmpc.models.identify.free_run import FreeRuns
+from hystmpc.models.identify.runs import Run, check_trial_set
 from hystmpc.models.model import FitProgress
 from hystmpc.models.operators.hysteresis import Backlash
 from hystmpc.trials.errors import FitError
@@ -113,13 +113,13 @@ def _frame(trials: tuple[Trial, ...]) -> Frame:
     return Frame(0.5 * (u0 + u1), 0.5 * (u1 - u0), 0.5 * (y0 + y1), 0.5 * (y1 - y0))
 
 
-def _samples(runs: Sequence[ScoredRun], frame: Frame, own: Sequence[Vec] | None) -> Samples:
+def _samples(runs: Sequence[Run], frame: Frame, own: Sequence[Vec] | None) -> Samples:
     """Normalised samples that count; `own` has the free runs whose angle is to be the last one."""
     parts = []
     for k, run in enumerate(runs):
-        last = run.angle if own is None else own[k][run.warmup :]
-        u = (run.commands[run.warmup + run.start :] - frame.u) / frame.u_scale
-        y, last = ((signal[run.start :] - frame.y) / frame.y_scale for signal in (run.angle, last))
+        last = run.angle if own is None else own[k]
+        u = (run.command[run.scored] - frame.u) / frame.u_scale
+        y, last = ((signal[run.scored] - frame.y) / frame.y_scale for signal in (run.angle, last))
         parts.append((u[1:], y[1:], last[:-1]))
     return Samples(*(np.concatenate(signals) for signals in zip(*parts, strict=True)))
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import final
 
-from hystmpc.models.kinds.kind import FitRequest, Identified, ModelKind
+from hystmpc.models.kinds.kind import FitRequest, Identified, ModelKind, recorded
 from hystmpc.models.kinds.networks import (
     PLAIN,
     S1_WINDOWS,
@@ -18,7 +18,6 @@ from hystmpc.models.kinds.networks import (
     s1_settings,
     s2_settings,
 )
-from hystmpc.models.kinds.regressions import recorded
 from hystmpc.models.model import FitProgress
 from hystmpc.models.train.settings import NetworkSettings, StreamTraining
 from hystmpc.trials.trial import Trial

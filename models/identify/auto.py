@@ -1,28 +1,30 @@
-"""`fit auto`: drive, creep and core of a device, each chosen by held-out free-run errors, fitted jointly."""
+"""Identification of a whole device, `fit auto`: drive, creep and hysteresis, chosen by errors on held-out trials."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from hystmpc.trials.errors import LogError
-from hystmpc.trials.segments import first_flexure_end
 from hystmpc.trials.trial import Trial, Units, resample
+from hystmpc.trials.types import Vec
 
 from ..chain import Chain
 from ..contract.metadata import NoiseModel, Range
 from ..decades import Decades
 from ..effects.catalogue import EFFECTS
-from .auto_search import SEARCH_HZ, AutoSearch, AutoSettings, Choice, PartRow, SearchProgress
-from .chain_fit import nothing_found
+from ..effects.effect import Candidate, Freedom
+from .auto_search import SEARCH_HZ, STANDARD_ERRORS, AutoSearch, Choice, PartRow, SearchProgress, needed
+from .chain_fit import no_result
+from .cross_validation import Hypothesis, gain
 from .estimation_noise import estimation_noise
 from .least_squares import one_blas_thread
-from .part_intervals import moved_row, widened_rows, without_meaning
-from .runs import Run, check_trial_set, command_range, runs_of
-from .uncertainty import ParameterRow
+from .parts import whole_delay
+from .runs import Run, check_trial_set, command_range, runs_to_fit
+from .uncertainty import ParameterRow, parameter_rows
 
 _AGAIN = 0.1  # time of the fit at the full rate over that of the search, if both had the same rate
 
@@ -39,15 +41,15 @@ MOTIONS_THAT_SEPARATE = {
 
 @dataclass(frozen=True, eq=False)
 class AutoFit:
-    """An identified device.
+    """Identified device.
 
     Attributes:
-        choice: what was chosen, with its held-out errors.
-        rows: what each part bought.
+        choice: chosen device with its errors on held-out trials.
+        rows: error without and with each part.
         parameters: numbers of drive and creep, with intervals of 90 %.
-        offsets: whether each trial had an offset of its own.
-        noise: what the device leaves unexplained of trials that its fit did not see; of one trial alone, of its thirds.
-        advice: what these trials do not determine, and what to record for it.
+        offsets: whether each trial has its separate offset.
+        noise: noise of the model on trials that its fit did not use; of one trial alone, on its thirds.
+        advice: numbers that the trials do not determine, and what to record for them.
         decades: working units of `choice`; rows, parameters and noise are in those of the log.
         interrupted: stopped by the user; this is the best so far.
     """
@@ -65,7 +67,6 @@ class AutoFit:
 @one_blas_thread
 def identify_auto(
     trials: Sequence[Trial],
-    settings: AutoSettings | None = None,
     skip_first_flexure: bool = False,
     progress: SearchProgress = lambda share, rmse: None,
 ) -> AutoFit:
@@ -79,7 +80,6 @@ def identify_auto(
 
     Args:
         trials: uniformly sampled at one rate, in one pair of units; ramps, sines, or steps of a few values alone.
-        settings: thresholds.
         skip_first_flexure: leave out each trial up to the first reversal of its command.
         progress: told the share that is done and the best error so far; KeyboardInterrupt keeps the best so far.
 
@@ -89,7 +89,6 @@ def identify_auto(
     decades = Decades.of(trials)
     return _identified(
         decades.trials(trials),
-        settings or AutoSettings(),
         skip_first_flexure,
         lambda share, rmse: progress(share, rmse * decades.angle),
         decades,
@@ -97,38 +96,35 @@ def identify_auto(
 
 
 def _identified(
-    trials: Sequence[Trial],
-    settings: AutoSettings,
-    skip_first_flexure: bool,
-    progress: SearchProgress,
-    decades: Decades,
+    trials: Sequence[Trial], skip_first_flexure: bool, progress: SearchProgress, decades: Decades
 ) -> AutoFit:
     coarse = _thinned(trials, check_trial_set(trials))
     runs = runs_to_fit(coarse, skip_first_flexure)
     refit_share = 0.0 if coarse is trials else _AGAIN * sum(map(len, trials)) / sum(map(len, coarse))
     share, command = 1 / (1 + refit_share), command_range(trials)  # of the whole time
-    search = AutoSearch(coarse, runs, settings, lambda done, rmse: progress(share * done, rmse))
+    last = search = AutoSearch(coarse, runs, lambda done, rmse: progress(share * done, rmse))
+
+    def numbers_of(device: Choice) -> tuple[ParameterRow, ...]:
+        return tuple(widened_rows(device, search.runs, search.tried))
+
+    def reduced_by(device: Choice, part: str, effect: str, lost: set[str]) -> Choice:
+        return search.reselect_other_parts(search.without_effect(device, part, effect), lost)
+
     device = search.run()
-    parameters = tuple(widened_rows(device, runs, search.tried, settings))
+    parameters = tuple(widened_rows(device, runs, search.tried))
     rows: tuple[PartRow, ...] = ()
-    last = search
     try:
         if not search.interrupted:
-            device, parameters = _with_meaning(search, device, parameters, command)
+            device, parameters = _with_meaning(device, parameters, command, reduced_by, numbers_of)
     except KeyboardInterrupt:
         search.interrupted = True
     if coarse is not trials:
-        last = AutoSearch(
-            trials,
-            runs_to_fit(trials, skip_first_flexure),
-            settings,
-            lambda done, rmse: progress(share + (1 - share) * done, rmse),
-            search.terms,
-        )
+        full = runs_to_fit(trials, skip_first_flexure)
+        last = AutoSearch(trials, full, lambda done, rmse: progress(share + (1 - share) * done, rmse), search.terms)
         try:
             device, parameters = _at_full_rate(last, device, parameters, command)
         except KeyboardInterrupt:  # a delay's store is sized for the rate of the search: that model must not be used
-            raise nothing_found("the fit at the full rate", interrupted=True) from None
+            raise no_result("the fit at the full rate", interrupted=True) from None
     try:
         if not search.interrupted:
             kept, rows = last.part_contributions(device)
@@ -154,52 +150,56 @@ def _identified(
 
 
 def auto_chain(fit: AutoFit) -> Chain:
-    """The identified device in the units of the log."""
+    """Identified device as a chain, in the units of the log."""
     hypothesis = fit.choice.hypothesis
     return fit.decades.log_chain(hypothesis.problem.fitted_chain(hypothesis.q))
 
 
 def _with_meaning(
-    search: AutoSearch, device: Choice, parameters: tuple[ParameterRow, ...], command: Range
+    device: Choice,
+    rows: tuple[ParameterRow, ...],
+    command: Range,
+    reduced_by: Callable[[Choice, str, str, set[str]], Choice],
+    numbers_of: Callable[[Choice], tuple[ParameterRow, ...]],
 ) -> tuple[Choice, tuple[ParameterRow, ...]]:
-    """The device less what may do nothing, its other parts chosen anew each time."""
-    lost, needed = set[str](), set[tuple[str, str]]()
-    while nothing := without_meaning(device, parameters, command, needed):
-        reduced = search.reselect_other_parts(search.without_effect(device, *nothing), {*lost, nothing[0]})
-        if _needed(reduced, device, parameters, nothing[1], search.settings):
-            needed.add(nothing)
+    """The device without effects that may do nothing, and its numbers.
+
+    Args:
+        device, rows: device and its numbers.
+        command: range of the command.
+        reduced_by: the device without an effect of a part; told the parts that have lost an effect, this one included.
+        numbers_of: numbers of a device.
+    """
+    lost, required = set[str](), set[tuple[str, str]]()
+    while nothing := without_meaning(device, rows, command, required):
+        part, effect = nothing
+        reduced = reduced_by(device, part, effect, {*lost, part})
+        ended = any(row.at_bound for row in rows if row.owner == effect)  # it stands in for another effect
+        if not ended and needed(reduced.judged, device.judged):
+            required.add(nothing)
             continue
-        lost.add(nothing[0])
-        device = reduced
-        parameters = tuple(widened_rows(device, search.runs, search.tried, search.settings))
-    return device, parameters
-
-
-def _needed(
-    reduced: Choice, device: Choice, parameters: Sequence[ParameterRow], effect: str, settings: AutoSettings
-) -> bool:
-    """Whether an effect stays however its numbers trade; one at the end of what was searched stands in for another."""
-    ended = any(row.at_bound for row in parameters if row.owner == effect)
-    return not ended and settings.needed(reduced.judged, device.judged)
+        lost.add(part)
+        device, rows = reduced, numbers_of(reduced)
+    return device, rows
 
 
 def _at_full_rate(
     full: AutoSearch, device: Choice, parameters: Sequence[ParameterRow], command: Range
 ) -> tuple[Choice, tuple[ParameterRow, ...]]:
-    """The device of the search fitted again, less what may do nothing at this rate."""
+    """The device of the search fitted to all samples, without what may do nothing at this rate."""
     device = full.refit_at_full_rate(device)
-    rows, needed = _numbers_at(full, device, parameters), set[tuple[str, str]]()
-    while nothing := without_meaning(device, rows, command, needed):
-        reduced = full.without_effect(device, *nothing)
-        if _needed(reduced, device, rows, nothing[1], full.settings):
-            needed.add(nothing)
-            continue
-        device, rows = reduced, _numbers_at(full, reduced, parameters)
-    return device, rows
+    rows = _numbers_at(full, device, parameters)
+    return _with_meaning(
+        device,
+        rows,
+        command,
+        lambda present, part, effect, lost: full.without_effect(present, part, effect),
+        lambda present: _numbers_at(full, present, parameters),
+    )
 
 
 def _numbers_at(search: AutoSearch, device: Choice, before: Sequence[ParameterRow]) -> tuple[ParameterRow, ...]:
-    """Numbers of a device at the full rate, with intervals that hold those of the search at a lower rate, too."""
+    """Numbers of a device at the full rate; their intervals include those of the search at a lower rate."""
     wide = {(row.owner, row.name): row for row in before}
 
     def joint(row: ParameterRow, before: ParameterRow | None) -> ParameterRow:
@@ -208,21 +208,12 @@ def _numbers_at(search: AutoSearch, device: Choice, before: Sequence[ParameterRo
         ends = [*row.ci90, *moved_row(before, row.value, device).ci90]
         return replace(row, ci90=(min(ends), max(ends)), at_bound=row.at_bound or before.at_bound)
 
-    rows = widened_rows(device, search.runs, search.tried, search.settings)
+    rows = widened_rows(device, search.runs, search.tried)
     return tuple(joint(row, wide.get((row.owner, row.name))) for row in rows)
 
 
-def runs_to_fit(trials: Sequence[Trial], skip_first_flexure: bool) -> tuple[Run, ...]:
-    """Trials as runs, each counted from the first reversal of its command on where the first flexure is skipped."""
-    runs = runs_of(trials)
-    if not skip_first_flexure:
-        return runs
-    first = [np.arange(len(trial)) >= first_flexure_end(trial) for trial in trials]
-    return tuple(replace(run, counts=run.counts & counts) for run, counts in zip(runs, first, strict=True))
-
-
 def _thinned(trials: Sequence[Trial], dt: float) -> Sequence[Trial]:
-    """Trials of at most 50 Hz for the search."""
+    """Trials resampled to at most 50 Hz for the search."""
     keep = math.floor(1 / (dt * SEARCH_HZ) + 1e-9)
     if keep < 2:
         return trials
@@ -233,7 +224,7 @@ def _thinned(trials: Sequence[Trial], dt: float) -> Sequence[Trial]:
 
 
 def _advice(parameters: Sequence[ParameterRow], units: Units) -> Iterator[str]:
-    """What these trials do not determine, and what would."""
+    """Sentences on numbers that the trials do not determine, and on motions that would determine them."""
     for owner in dict.fromkeys(row.owner for row in parameters if row.flat or row.at_bound):
         rows_of_effect, what = [r for r in parameters if r.owner == owner], owner.replace("_", " ")
         for row in (r for r in rows_of_effect if r.at_bound):
@@ -244,3 +235,138 @@ def _advice(parameters: Sequence[ParameterRow], units: Units) -> Iterator[str]:
         record = f"; record {' and '.join(motions)}" if motions else ""
         if names := ", ".join(r.name for r in rows_of_effect if r.flat and not r.at_bound):
             yield f"{what}: {names} not identifiable from these logs{record}"
+
+
+_WIDENING = 1.5  # of intervals
+_QUANTILE = 1.645  # of the normal distribution, 95 %
+
+
+def widened_rows(choice: Choice, runs: Sequence[Run], tried: Sequence[Choice]) -> Iterator[ParameterRow]:
+    """Numbers of a device with intervals that allow for other forms of its parts.
+
+        half = k 1.645 sqrt(s^2 + j^2 + a^2)
+
+    s: standard error of the fit (sandwich); j: that of a jackknife over the held-out folds; a: root mean square
+    difference to alternatives with the same effect that do as well on held-out trials, such as a lag with a delay;
+    k: 1.5, for what no alternative of the list can express. An interval is open at an end of what was searched.
+
+    Source: Buckland, Burnham, Augustin, Model selection: an integral part of inference, Biometrics 53 (1997), eq. (3).
+    """
+    rows = [r for r in parameter_rows(choice.hypothesis, runs, {}) if r.owner != "baseline"]
+    folds = [_numbers(choice.hypothesis, q) for q in choice.judged.fold_q]
+    equals = [other for other in tried if _as_good(other, choice)]
+    for row, (candidate, freedom) in zip(rows, _free(choice), strict=True):
+        key, logarithmic = (candidate.label, freedom.name), freedom.scale == 0
+        change = _log if logarithmic else float
+        value = change(row.value)
+        ends = [abs(change(end) - value) for end in row.ci90 if math.isfinite(end)]
+        sigma = max(ends, default=0.0) / _QUANTILE
+        left = np.array([change(fold[key]) for fold in folds])
+        jackknife = math.sqrt((left.size - 1) / max(left.size, 1) * float(np.sum((left - left.mean()) ** 2)))
+        alike = [_numbers(o.hypothesis, o.hypothesis.q) for o in equals if candidate.label in _labels(o)]
+        away = [change(other[key]) - value for other in alike]
+        spread = math.sqrt(float(np.mean(np.square(away)))) if away else 0.0
+        half = _WIDENING * _QUANTILE * math.hypot(sigma, jackknife, spread)
+        low, high = value - half, value + half
+        if logarithmic:
+            low, high = math.exp(max(low, -50.0)), math.exp(min(high, 50.0))
+        if _at_lower(row, freedom):  # what is beyond was not looked at
+            low = 0.0 if freedom.lower >= 0 else -math.inf
+        elif row.at_bound:
+            high = math.inf
+        more = sum(map(whole_delay, choice.forms.values())) if candidate.effect == "delay" else 0.0
+        yield replace(row, value=row.value + more, ci90=(low + more, high + more))
+
+
+def _free(choice: Choice) -> list[tuple[Candidate, Freedom]]:
+    """Free parameters of a device's effects in the order of the rows."""
+    return [(c, freedom) for c in choice.hypothesis.problem.effects for freedom in c.free]
+
+
+def _labels(choice: Choice) -> set[str]:
+    return {c.label for c in choice.hypothesis.problem.effects}
+
+
+def moved_row(row: ParameterRow, value: float, choice: Choice) -> ParameterRow:
+    """Number with its value from a fit at another rate; the interval keeps its width.
+
+    A lag between samples that are held is half a sample early: at another rate the delay is another one.
+    """
+    low, high = row.ci90
+    effects = choice.hypothesis.problem.effects
+    if any((c.effect, f.name) == (row.owner, row.name) and f.scale == 0 for c in effects for f in c.free):
+        return replace(row, value=value, ci90=(value * low / row.value, value * high / row.value))
+    return replace(row, value=value, ci90=(value + low - row.value, value + high - row.value))
+
+
+_NEARLY = 2.0  # times its lower bound: a lag down to there is none
+_EDGE = 0.01  # of the command's range: a slack so near its lowest value is an offset
+
+
+def without_meaning(
+    choice: Choice,
+    parameters: Sequence[ParameterRow],
+    command: Range,
+    required: Collection[tuple[str, str]] = (),
+) -> tuple[str, str] | None:
+    """First effect whose intervals include its neutral value, with its part; None where there is none.
+
+    Of several terms of creep one is enough. A lag does nothing within twice its lower bound, far less than a sample, a
+    top speed where it may be that of the fastest command, a slack where it may end below the lowest command, and a
+    creep as quick as creep may be is a lag. The curve of a core goes with the part `core`.
+
+    Args:
+        choice: the device.
+        parameters: its rows, in order.
+        command: range of the command in the trials.
+        required: parts and effects that are not asked, see `needed`.
+    """
+    rows = iter(parameters)
+    owners = [(name, c) for name, form in choice.forms.items() for c in form]
+    for name, candidate in [*owners, *(("core", c) for c in choice.core.curve)]:
+        numbers = [(next(rows), freedom) for freedom in candidate.free]
+        if (name, candidate.effect) not in required and _may_do_nothing(numbers, command):
+            return name, candidate.effect
+    return None
+
+
+def _may_do_nothing(numbers: Sequence[tuple[ParameterRow, Freedom]], command: Range) -> bool:
+    neutral: list[bool] = []
+    for row, freedom in numbers:
+        low, high = row.ci90
+        if row.owner == "lag":
+            none = low < _NEARLY * freedom.lower if row.name.startswith("tau") else False
+            none |= row.name == "top_speed" and high >= freedom.upper
+        elif row.owner == "slack":
+            none = row.name == "slack" and low <= command.lower + _EDGE * (command.upper - command.lower)
+        elif row.owner == "delay":
+            none = low <= 0.0
+        elif row.owner == "creep":
+            none = low <= 0.0 <= high if row.name.startswith("share") else _at_lower(row, freedom)
+        else:
+            if row.neutral is not None:
+                neutral.append(low <= row.neutral <= high)
+            continue
+        if none:
+            return True
+    return bool(neutral) and all(neutral)
+
+
+def _at_lower(row: ParameterRow, freedom: Freedom) -> bool:
+    return row.at_bound and row.value - freedom.lower < freedom.upper - row.value
+
+
+def _log(value: float) -> float:
+    return math.log(max(value, 1e-9))
+
+
+def _numbers(hypothesis: Hypothesis, q: Vec) -> dict[tuple[str, str], float]:
+    values = hypothesis.problem.effect_values(q)
+    pairs = zip(hypothesis.problem.effects, values, strict=True)
+    return {(c.label, name): value for c, values in pairs for name, value in values.items()}
+
+
+def _as_good(other: Choice, choice: Choice) -> bool:
+    """Whether the chosen device is not significantly better than another one."""
+    fall, error = gain(other.judged, choice.judged)
+    return fall <= max(STANDARD_ERRORS * error, 0.02 * choice.judged.mse)

@@ -1,4 +1,4 @@
-"""Search of the structure of a device: part after part, the simplest alternative that held-out errors allow."""
+"""Search for the structure of a device: the simplest form of each part that errors on held-out trials allow."""
 
 from __future__ import annotations
 
@@ -19,10 +19,9 @@ from ..effects.effect import Candidate, Scale
 from ..operators.static_curves import Line
 from ..start import search_box
 from .baseline import FreeCoreBaseline
-from .chain_fit import nothing_found
+from .chain_fit import no_result
 from .cross_validation import CrossValidation, HeldOutErrors, Hypothesis, gain
-from .late import dead_time
-from .parts import CoreForm, Form, core_forms, device_parts, plain_of, split_delay, straight, whole_delay
+from .parts import CoreForm, Form, core_forms, dead_time, device_parts, plain_of, split_delay, straight, whole_delay
 from .problem import Problem, TrialTerms
 from .runs import Blocks, Run, angle_range, command_range
 
@@ -40,56 +39,46 @@ _A_SAMPLE = 0.75  # samples: a delay of half a sample is one of the hold
 _THREADS = 2  # alternatives that are fitted side by side
 
 
-@dataclass(frozen=True)
-class AutoSettings:
-    """How `fit auto` searches; thresholds were chosen on development data, `clear_share` on short real logs, too.
+# Thresholds, chosen on development data; `_CLEAR_SHARE` on short real logs, too.
+STANDARD_ERRORS = 2.0  # by which the held-out error has to fall for a part to be added
+_LEAST_SHARE = 0.05  # of the held-out mean square error, by which it has to fall in any case
+# A fall by this share for each block of three seconds is enough: in logs of a few blocks the standard error is as large
+# as the error itself, and a part that halves the error would be left out.
+_CLEAR_SHARE = 0.0125
+# Alternatives within this factor of the best training error may be the best on held-out trials. Simpler ones are judged
+# there, too, unless even the error of their fit is significantly above that of the best.
+_NEAR = 1.15
+_ROUNDS = 3  # greatest number of passes over all parts
+_EVALUATIONS = 12  # free runs of one fit
 
-    Attributes:
-        standard_errors: by which the held-out error has to fall for a part to be added.
-        least_share: of the held-out mean square error, by which it has to fall in any case.
-        clear_share: of the held-out mean square error: a fall by this share for each block of three seconds is enough.
-            In logs of a few blocks the standard error is as large as the error itself, and a part that halves the error
-            would be left out.
-        near: alternatives within this factor of the best training error may be the best on held-out trials. Simpler
-            ones are judged there, too, unless even the error of their fit is significantly above that of the best.
-        rounds: greatest number of passes over all parts.
-        evaluations: free runs of one fit.
-        widening: factor on intervals for what no alternative of the list can express.
-    """
 
-    standard_errors: float = 2.0
-    least_share: float = 0.05
-    clear_share: float = 0.0125
-    near: float = 1.15
-    rounds: int = 3
-    evaluations: int = 12
-    widening: float = 1.5
+def worth(before: Blocks, after: Blocks) -> bool:
+    """Whether held-out errors fall by enough for a part to be added."""
+    fall, error = gain(before, after)
+    sure = min(STANDARD_ERRORS * error, _CLEAR_SHARE * before.energy.size * before.mse)
+    return fall > max(sure, _LEAST_SHARE * before.mse)
 
-    def stays(self, before: Blocks, after: Blocks) -> bool:
-        """Whether held-out errors are lower by more than their standard error with a part that was chosen."""
-        fall, error = gain(before, after)
-        return fall > max(error, self.least_share * before.mse)
 
-    def needed(self, before: Blocks, after: Blocks) -> bool:
-        """Whether the mean square error without a part is twice as large beyond doubt, whatever its numbers may be."""
-        fall, error = gain(before, after)
-        return fall > max(self.standard_errors * error, 0.5 * before.mse)
+def stays(before: Blocks, after: Blocks) -> bool:
+    """Whether held-out errors are lower by more than their standard error with a part that was chosen."""
+    fall, error = gain(before, after)
+    return fall > max(error, _LEAST_SHARE * before.mse)
 
-    def worth(self, before: Blocks, after: Blocks) -> bool:
-        """Whether held-out errors fall by enough for a part to be added."""
-        fall, error = gain(before, after)
-        sure = min(self.standard_errors * error, self.clear_share * before.energy.size * before.mse)
-        return fall > max(sure, self.least_share * before.mse)
+
+def needed(before: Blocks, after: Blocks) -> bool:
+    """Whether the mean square error without a part is twice as large beyond doubt, whatever its numbers may be."""
+    fall, error = gain(before, after)
+    return fall > max(STANDARD_ERRORS * error, 0.5 * before.mse)
 
 
 @dataclass(frozen=True, eq=False)
 class Choice:
-    """A device as far as it is chosen.
+    """Device during the search.
 
     Attributes:
-        core: form of the core.
-        forms: alternative of each part, by its name.
-        judged: the fit, with its errors on held-out trials.
+        core: form of the hysteresis core.
+        forms: form of each other part, by its name.
+        judged: fit to all trials, with its errors on held-out trials.
     """
 
     core: CoreForm
@@ -98,17 +87,17 @@ class Choice:
 
     @property
     def size(self) -> int:
-        """Free parameters."""
+        """Number of free parameters."""
         return size_of(self.core, self.forms)
 
     @property
     def blocks(self) -> int:
-        """Operators of its parts: of two devices with as many numbers the one with fewer poles is the simpler."""
+        """Number of operators: of two devices with as many parameters the one with fewer poles is the simpler."""
         return sum(len(c.operators) for form in self.forms.values() for c in form)
 
     @property
     def hypothesis(self) -> Hypothesis:
-        """The fit to all trials."""
+        """Fit to all trials."""
         return self.judged.hypothesis
 
     @property
@@ -119,11 +108,11 @@ class Choice:
 
 @dataclass(frozen=True)
 class PartRow:
-    """What one part bought.
+    """Effect of one part on the held-out error.
 
     Attributes:
         part: `drive`, `creep`, `core` or `sensor zero`.
-        form: the alternative that was chosen, `none` for a device without the part.
+        form: the form that was chosen, `none` for a device without the part.
         without_deg: held-out error of the device without the part, everything else fitted anew [deg]; of the core:
             with a line in its place. Not-a-number where there is nothing to leave out.
         with_deg: held-out error of the chosen device [deg].
@@ -137,28 +126,24 @@ class PartRow:
 
 @final
 class AutoSearch:
-    """Part after part, the simplest alternative whose held-out error is not significantly above the best one.
+    """Search that takes for each part the simplest form with a held-out error not significantly above the least.
 
     All parameters are fitted jointly for each alternative. It begins with the richest core, so that no other part has
     to stand in for it, and chooses each part anew while the others change. It then begins a second time with a line,
     since the richest core can stand in for a valve or a lag. Of all that was tried, the simplest is taken.
 
     Source: one-standard-error rule of Breiman, Friedman, Olshen, Stone, Classification and Regression Trees (1984),
-    section 3.4.3; the number of standard errors is `AutoSettings.standard_errors`, and `AutoSettings.clear_share`
-    bounds what the simpler form may cost.
-
-    Trials begin where evaluation lets them begin (`models.start`): at rest, or where their first seconds say.
+    section 3.4.3; see `worth` for the number of standard errors and for what the simpler form may cost.
     """
 
     def __init__(
         self,
         trials: Sequence[Trial],
         runs: Sequence[Run],
-        settings: AutoSettings,
         progress: SearchProgress,
         terms: TrialTerms | None = None,
     ) -> None:
-        self.runs, self.settings, self._progress = tuple(runs), settings, progress
+        self.runs, self._progress = tuple(runs), progress
         scale = Scale.of(runs)
         self._cores, self._parts = core_forms(trials, scale), device_parts(scale, dead_time(runs))
         self._names = (*(part.name for part in self._parts), _CORE)
@@ -170,21 +155,21 @@ class AutoSearch:
 
     @property
     def offsets(self) -> bool:
-        """Whether each trial has an offset of its own."""
-        return self.terms.own_offset
+        """Whether each trial has its separate offset."""
+        return self.terms.trial_offset
 
     def run(self) -> Choice:
-        """The chosen device."""
+        """Search and return the chosen device."""
         core, none = self._cores[-1], self._none()
         try:
             self.terms = self._terms_of_trials()
             present = self._judged(core, none, self._fitted(core, none, None))
         except KeyboardInterrupt:
-            raise nothing_found("the first core", interrupted=True) from None
+            raise no_result("the first core", interrupted=True) from None
         try:
             parts = tuple(part.name for part in self._parts)
             open_forms = [a for name in (*self._names, *parts) for a in self._alternatives(name, present)]
-            self._plan(open_forms, present, self.settings.rounds)
+            self._plan(open_forms, present, _ROUNDS)
             present = self._rounds(present, self._names)
             line = self._judged(self._cores[0], none, self._fitted(self._cores[0], none, None))
             self._rounds(line, parts)
@@ -197,10 +182,10 @@ class AutoSearch:
             return self._simplest_tried(present)
 
     def _rounds(self, present: Choice, names: Sequence[str]) -> Choice:
-        """The device with these parts chosen one after the other, until nothing changes."""
+        """Device with these parts chosen one after the other, until nothing changes."""
         # of each part: the device when it was chosen last, and what was tried
         seen: dict[str, tuple[tuple[str, ...], list[Choice]]] = {}
-        for k in range(self.settings.rounds):
+        for k in range(_ROUNDS):
             self._weight = _NEXT_ROUND**k
             before = _labels(present.core, present.forms)
             for name in names:
@@ -216,32 +201,32 @@ class AutoSearch:
         return present
 
     def _simplest_tried(self, present: Choice) -> Choice:
-        """The simplest of all that were tried, by the same rule: rounds may end beside a simpler or better device."""
+        """Simplest of all devices tried, by the rule of one round: rounds may miss a simpler or better device."""
         alike = [present, *(c for c in self.tried if c.hypothesis.problem.terms == self.terms)]
         best = min(alike, key=lambda choice: choice.judged.mse)
         ordered = sorted(alike, key=lambda choice: (choice.size, choice.blocks, choice.judged.mse))
-        return next(c for c in ordered if c is best or not self.settings.worth(c.judged, best.judged))
+        return next(c for c in ordered if c is best or not worth(c.judged, best.judged))
 
     def _alternatives(self, name: str, present: Choice) -> list[tuple[CoreForm, dict[str, Form]]]:
-        """The device with every form of one part."""
+        """Device with every form of one part."""
         if name == _CORE:
             return [(core, present.forms) for core in self._cores]
         forms = next(part.forms for part in self._parts if part.name == name)
         return [(present.core, present.forms | {name: form}) for form in forms]
 
     def _with_one_zero(self, choice: Choice) -> Choice:
-        """The device with one offset for all trials, where offsets of their own are worth nothing any more."""
+        """Device with one offset for all trials, where separate offsets do not lower the held-out error."""
         if not self.offsets:
             return choice
-        self.terms = replace(self.terms, own_offset=False)
+        self.terms = replace(self.terms, trial_offset=False)
         plain = self._judged(choice.core, choice.forms, self._fitted(choice.core, choice.forms, choice))
-        if not self.settings.worth(plain.judged, choice.judged):
+        if not worth(plain.judged, choice.judged):
             return plain
-        self.terms = replace(self.terms, own_offset=True)
+        self.terms = replace(self.terms, trial_offset=True)
         return choice
 
     def refit_at_full_rate(self, choice: Choice) -> Choice:
-        """The device of another rate refitted to these trials, with its drive selected again.
+        """Device of another rate refitted to these trials, its drive selected anew.
 
         Some drives cannot be told from each other at few samples.
         """
@@ -265,10 +250,7 @@ class AutoSearch:
         return self._finished(self._simplest(drives, present))
 
     def without_effect(self, choice: Choice, part: str, effect: str) -> Choice:
-        """The device whose part has its next simpler form.
-
-        That is the same effect with fewer numbers where there is one, else no effect.
-        """
+        """Device whose part has the same effect with fewer parameters or, without such a form, lacks the effect."""
         if part == _CORE:
             core = plain_of(choice.core, self._cores)
             return self._polished(self._judged(core, choice.forms, self._fitted(core, choice.forms, choice)))
@@ -282,23 +264,20 @@ class AutoSearch:
         return self._polished(self._judged(choice.core, left, self._fitted(choice.core, left, choice)))
 
     def reselect_other_parts(self, choice: Choice, lost: Collection[str]) -> Choice:
-        """The device with all parts selected again except those that lost an effect.
-
-        The other parts were selected while that effect was part of the device.
-        """
+        """Device with all parts selected anew except those that lost an effect."""
         for name in self._names:
             if name not in lost:
                 choice = self._simplest(self._alternatives(name, choice), choice)
         return self._finished(choice)
 
     def part_contributions(self, choice: Choice) -> tuple[Choice, tuple[PartRow, ...]]:
-        """The device without needless parts, and by how much each part that is left lowers the error.
+        """Device without needless parts, and held-out errors without and with each part.
 
-        A part is needless where it lowers the error on trials left out by no more than the standard error. A row has
-        the error of the device without that part, with all other numbers fitted again.
+        A part is needless where it lowers the error on held-out trials by no more than the standard error. A row has
+        the error of the device without that part, with all other numbers fitted anew.
         """
         reduced = self._without_each(choice)
-        while needless := [c for c in reduced.values() if c and not self.settings.stays(c.judged, choice.judged)]:
+        while needless := [c for c in reduced.values() if c and not stays(c.judged, choice.judged)]:
             choice = self._polished(min(needless, key=lambda c: c.judged.mse))
             reduced = self._without_each(choice)
         rows = [
@@ -310,10 +289,7 @@ class AutoSearch:
         return choice, (*rows, zero)
 
     def _without_each(self, choice: Choice) -> dict[str, Choice | None]:
-        """The device without each part, fitted again; None where there is no such part.
-
-        A line takes the place of the core.
-        """
+        """Device without each part, fitted anew, None where there is no such part; a line replaces the core."""
         reduced: dict[str, Choice | None] = {}
         for name, form in choice.forms.items():
             forms = {**choice.forms, name: ()}
@@ -328,14 +304,14 @@ class AutoSearch:
         return reduced
 
     def left_out(self, choice: Choice) -> tuple[Vec, ...]:
-        """Measurement less free run of each trial, left out of the fit; see `CrossValidation.left_out`."""
+        """Held-out residuals of each trial, see `CrossValidation.left_out`."""
         return self._validation(choice.core).left_out(choice.judged)
 
     def _none(self) -> dict[str, Form]:
         return {part.name: () for part in self._parts}
 
     def _plan(self, made: Sequence[tuple[CoreForm, dict[str, Form]]], present: Choice, rounds: int = 1) -> None:
-        """Begin to count: at most so many rounds of these fits, then the last fit and the table of parts."""
+        """Count from now on: at most so many rounds of these fits, then the last fit and the table of parts."""
         points = sum(_points(*alternative, present) for alternative in made)
         self._done, self._weight = 0.0, 1.0
         self._planned = _AT_LAST + points * sum(_NEXT_ROUND**k for k in range(rounds))
@@ -346,7 +322,7 @@ class AutoSearch:
         self._progress(min(self._done / self._planned, 1.0), math.sqrt(best))
 
     def _terms_of_trials(self) -> TrialTerms:
-        """Whether trials have offsets of their own, judged by the better of two devices with one drive.
+        """Whether trials need separate offsets, judged by the better of two devices with one drive.
 
         One has the richest core. The other has a valve and a line, whose lack of memory cannot stand in for a start.
         """
@@ -354,7 +330,7 @@ class AutoSearch:
             return self.terms
         *delay, lag = next(form for form in self._parts[0].forms if len(_names(form)) > 1)
         valve = next({part.name: part.forms[-1]} for part in self._parts if part.name == "valve")
-        plain, zeroed = TrialTerms(), TrialTerms(own_offset=True)
+        plain, zeroed = TrialTerms(), TrialTerms(trial_offset=True)
         errors = {}
         for self.terms in (plain, zeroed):
             judged = []
@@ -363,7 +339,7 @@ class AutoSearch:
                 fits = [self._fitted(core, self._none() | drive | more, None) for drive in drives]
                 judged.append(self._validation(core).judge(min(fits, key=lambda fit: fit.mse)))
             errors[self.terms] = min(judged, key=lambda held_out: held_out.mse)
-        return zeroed if self.settings.worth(errors[plain], errors[zeroed]) else plain
+        return zeroed if worth(errors[plain], errors[zeroed]) else plain
 
     def _simplest(self, made: Sequence[tuple[CoreForm, dict[str, Form]]], present: Choice) -> Choice:
         def fitted(alternative: tuple[CoreForm, dict[str, Form]]) -> tuple[CoreForm, dict[str, Form], Hypothesis]:
@@ -375,7 +351,7 @@ class AutoSearch:
                 fits.append(fit)
                 self._tell(_points(fit[0], fit[1], present))
             least = min(fit.mse for *_, fit in fits)
-            near = [fit for fit in fits if fit[2].mse < self.settings.near * least]
+            near = [fit for fit in fits if fit[2].mse < _NEAR * least]
             choices = list(pool.map(lambda fit: self._choice(*fit), near))
         best = min(choices, key=lambda choice: choice.judged.mse)
         judged = {id(choice.hypothesis): choice for choice in choices}
@@ -385,17 +361,17 @@ class AutoSearch:
                 break
             if id(hypothesis) not in judged:
                 # The errors of a fit flatter it: what they do not excuse, trials that it did not see will not either.
-                if self.settings.worth(self._validation(core).fitted_errors(hypothesis), best.judged):
+                if worth(self._validation(core).fitted_errors(hypothesis), best.judged):
                     continue
                 judged[id(hypothesis)] = self._choice(core, forms, hypothesis)
-            if not self.settings.worth(judged[id(hypothesis)].judged, best.judged):
+            if not worth(judged[id(hypothesis)].judged, best.judged):
                 selected = judged[id(hypothesis)]
                 break
         self.tried += judged.values()
         return selected
 
     def _fitted(self, core: CoreForm, forms: Mapping[str, Form], present: Choice | None) -> Hypothesis:
-        """Joint fit from the present values where a part stays, from its own starts where it is new."""
+        """Joint fit; a part that stays starts from its present values, a new one from its listed starts."""
         validation, terms = self._validation(core), self.terms
         effects = [*(c for form in forms.values() for c in form), *core.curve]
         held = _values(present.hypothesis) if present else {}
@@ -409,13 +385,13 @@ class AutoSearch:
         if isinstance(core.starts[0].core, Line):
             chains = (self._line_behind([c for c in effects if c not in core.curve], values[0]),)
             validation = replace(validation, baseline=FreeCoreBaseline(chains[0], self._command))
-        longer = replace(validation, evaluations=_FROM_AFAR * self.settings.evaluations)
+        longer = replace(validation, evaluations=_FROM_AFAR * _EVALUATIONS)
         cores = [np.array(chain.core.values) for chain in chains]
         fits = [longer.with_causes(effects, terms, z, values[:1]) for z in cores]
         return min(fits, key=lambda fit: fit.mse)
 
     def _line_behind(self, effects: Sequence[Candidate], values: Sequence[Sequence[float]]) -> Chain:
-        """The line through what a drive hands on: behind a slow one its gain is many times that over the command."""
+        """Regression line over the output of the drive: behind a slow drive it is far steeper than over the command."""
         problem = Problem(FreeCoreBaseline(Chain(Line(1.0, 0.0)), self._command), effects)
         q = problem.start(np.array([1.0, 0.0]), values[: len(effects)])
         travel = np.concatenate([problem.angles(q, run)[run.counts] for run in self.runs])
@@ -423,7 +399,7 @@ class AutoSearch:
         return Chain(Line(*np.polyfit(travel, angle, 1).tolist()))
 
     def _finished(self, choice: Choice) -> Choice:
-        """The device with its fit run to the end, and without a delay that only says how a command runs to the next."""
+        """Device with its fit run to convergence, without a delay that only stands for the hold of a sample."""
         choice, drive = self._polished(choice), self._parts[0].name
         held = straight(choice.forms[drive])
         delays = [v for label, v in _values(choice.hypothesis).items() if label == "delay/command"]
@@ -431,7 +407,7 @@ class AutoSearch:
             return choice
         forms = {**choice.forms, drive: held}
         other = self._polished(self._judged(choice.core, forms, self._fitted(choice.core, forms, choice)))
-        return choice if self.settings.worth(other.judged, choice.judged) else other
+        return choice if worth(other.judged, choice.judged) else other
 
     def _polished(self, choice: Choice) -> Choice:
         if any(run.lead for run in self.runs):
@@ -449,24 +425,24 @@ class AutoSearch:
 
     def _validation(self, core: CoreForm) -> CrossValidation:
         baseline = FreeCoreBaseline(core.starts[0], self._command)
-        return CrossValidation(baseline, self.runs, self.settings.evaluations, in_time=True)
+        return CrossValidation(baseline, self.runs, _EVALUATIONS, in_time=True)
 
 
 def _near(candidate: Candidate, values: tuple[float, ...], dt_s: float, whole_s: float) -> Form:
-    """The candidate from known values on; a delay may move by half a sample of the search."""
+    """Candidate that starts from known values; a delay may move by half a sample of the search."""
     if candidate.effect != "delay":
         return (replace(candidate, starts=(values,)),)
     return split_delay(candidate, whole_s + values[0], 0.5 / SEARCH_HZ, dt_s)
 
 
 def _values(hypothesis: Hypothesis) -> dict[str, list[float]]:
-    """Free values of each effect of a fit, by label."""
+    """Free parameters of each effect of a fit, by label."""
     values = hypothesis.problem.effect_values(hypothesis.q)
     return {c.label: list(v.values()) for c, v in zip(hypothesis.problem.effects, values, strict=True)}
 
 
 def _points(core: CoreForm, forms: Mapping[str, Form], present: Choice) -> int:
-    """Points from which an alternative is fitted, weighed by their evaluations; see `AutoSearch._fitted`."""
+    """Number of starting points of a fit, weighted by their evaluations; see `AutoSearch._fitted`."""
     if core.label != present.core.label:
         return _FROM_AFAR * len(core.starts)
     held = _labels(present.core, present.forms)
@@ -495,10 +471,10 @@ def _title(candidate: Candidate) -> str:
 
 
 def size_of(core: CoreForm, forms: Mapping[str, Form]) -> int:
-    """Free parameters of a device."""
+    """Number of free parameters of a device."""
     return core.size + sum(map(free_numbers, forms.values()))
 
 
 def free_numbers(form: Form) -> int:
-    """Free numbers of an alternative."""
+    """Number of free parameters of a form."""
     return sum(len(c.free) for c in form)

@@ -1,10 +1,10 @@
-"""What retuning of the nominal simulator may change: gain, offset, widths, weights; never what has an effect's name."""
+"""Retuning of a nominal simulator: the freedom of its gain, offset, widths and weights."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 from typing import final
 
 import numpy as np
@@ -16,6 +16,7 @@ from ..contract.metadata import Range
 from ..operators.curved_plays import CurvedPlays
 from ..operators.friction import MaxwellSlip
 from ..operators.hysteresis import Backlash
+from ..operators.operator import Operator
 from .free_run import StagedChain
 
 # Parameters of cores that are effects by another name: retuning leaves them at their nominal values.
@@ -26,12 +27,12 @@ _SLOW_S = 1.0  # sample time of that loop: slow enough for rate-dependent widths
 
 
 class Baseline(ABC):
-    """The nominal chain with some freedom z (Z,), nominal values included.
+    """Freedom of a chain that retuning may change: unknowns z (Z,) with their nominal values and bounds.
 
     Attributes:
         chain: the nominal chain.
         command: range of the command [cmd].
-        nominal, lower, upper, scale: of z.
+        nominal, lower, upper, scale: nominal values, bounds and typical changes of z (Z,).
         effects: position in z of what retuning leaves alone, because it is an effect: {effect: {name: position}}.
         held: positions in z of what is chosen and never fitted.
         width: position in z of the width of the loop, -1 for none.
@@ -40,75 +41,67 @@ class Baseline(ABC):
             Statistical Science 11, 1996, with differences of first order).
     """
 
-    chain: Chain
-    command: Range
-    nominal: Vec
-    lower: Vec
-    upper: Vec
-    scale: Vec
-    effects: Mapping[str, Mapping[str, int]]
+    effects: Mapping[str, Mapping[str, int]] = MappingProxyType({})
     held: tuple[int, ...] = ()
     width: int = -1
     roughness: Vec = np.empty((0, 0))
 
-    @abstractmethod
-    def core_values(self, z: Vec) -> tuple[Vec, Vec]:
-        """Parameters (P,) of the chain's core and their derivative (P, Z)."""
+    def __init__(
+        self, chain: Chain, command: Range, nominal: Sequence[float], ends: tuple[Vec, Vec], scale: Sequence[float]
+    ) -> None:
+        self.chain, self.command = chain, command
+        self.nominal, (self.lower, self.upper), self.scale = np.array(nominal), ends, np.array(scale)
 
     @abstractmethod
+    def core_values(self, z: Vec) -> tuple[Vec, Vec]:
+        """Parameters (P,) of the core and their derivative by z (P, Z)."""
+
     def quantities(self, z: Vec) -> Mapping[str, float]:
         """`gain` [deg/cmd], `offset` [deg at the middle of the command's range], `backlash_width` [cmd].
 
         Of a friction force, which leads its displacement: `stiffness` [deg/cmd] and `friction` [deg, half the height of
-        the loop] instead of gain and width.
+        the loop] instead of gain and width. They are read off the major loop over the command's range.
         """
+        gain, offset, height = _major_loop(Chain(self._core(z)), self.command)
+        return {"gain": gain, "offset": offset, "backlash_width": height / gain if gain else 0.0}
 
     def loop_height(self, z: Vec) -> float:
         """Height of the loop [deg]."""
         quantities = self.quantities(z)
-        return (
-            2 * quantities["friction"]
-            if "friction" in quantities
-            else quantities["gain"] * quantities["backlash_width"]
-        )
+        if "friction" in quantities:
+            return 2 * quantities["friction"]
+        return quantities["gain"] * quantities["backlash_width"]
 
     def loop_width(self, z: Vec) -> float:
         """Travel after a reversal over which the loop changes its branch [cmd]."""
         return self.quantities(z)["backlash_width"]
 
     def freed(self) -> Baseline:
-        """The same with the widths of its plays free, where retuning usually holds them; itself where none are held."""
+        """The baseline with free widths of its plays, where retuning usually holds them."""
         return self
+
+    def _core(self, z: Vec) -> Operator:
+        return self.chain.core.with_values(self.core_values(z)[0].tolist())
 
 
 @final
-@dataclass(frozen=True, eq=False)
 class BacklashBaseline(Baseline):
-    """Gain, shift and width of a backlash; the ratio of its slopes is an asymmetry.
+    """Backlash whose gain, shift and width are retuned; the ratio of its slopes is an asymmetry.
 
     z = (g, s, w, a):  m_lo' = g m_lo sqrt(a),  m_up' = g m_up / sqrt(a),  c_lo' = c_lo + s + w / 2,
                        c_up' = c_up + s - w / 2
-
-    Attributes:
-        chain: the nominal chain, its core a backlash.
-        command: range of the command [cmd].
     """
 
-    chain: Chain
-    command: Range
+    effects = MappingProxyType({"asymmetry": {"slope_ratio": 3}})
+    width = 2
 
-    def __post_init__(self) -> None:
-        span = self.command.upper - self.command.lower
-        width = self.quantities(np.array([1.0, 0.0, 0.0, 1.0]))["backlash_width"]
-        for name, value in (
-            ("nominal", [1.0, 0.0, 0.0, 1.0]),
-            ("lower", [0.2, -span, -max(width, 0.0), 0.3]),
-            ("upper", [5.0, span, span, 3.0]),
-            ("scale", [0.1, 0.05 * span, 0.05 * span, 0.1]),
-        ):
-            object.__setattr__(self, name, np.array(value))
-        object.__setattr__(self, "effects", {"asymmetry": {"slope_ratio": 3}})
-        object.__setattr__(self, "width", 2)
+    def __init__(self, chain: Chain, command: Range) -> None:
+        span, nominal = command.upper - command.lower, [1.0, 0.0, 0.0, 1.0]
+        self.chain, self.command = chain, command
+        width = self.quantities(np.array(nominal))["backlash_width"]
+        lower, upper = [0.2, -span, -max(width, 0.0), 0.3], [5.0, span, span, 3.0]
+        ends = np.array(lower), np.array(upper)
+        super().__init__(chain, command, nominal, ends, [0.1, 0.05 * span, 0.05 * span, 0.1])
 
     def core_values(self, z: Vec) -> tuple[Vec, Vec]:
         m_lo, m_up, c_lo, c_up = self.chain.core.values
@@ -132,95 +125,69 @@ class BacklashBaseline(Baseline):
 
 
 @final
-@dataclass(frozen=True, eq=False)
 class FreeCoreBaseline(Baseline):
-    """All parameters of the core but one that is an effect by another name; of curved plays slopes and offset.
+    """Core whose parameters are all retuned, but for effects by another name; of curved plays slopes and offset.
 
-    Attributes:
+    Args:
         chain: the nominal chain.
         command: range of the command [cmd].
         free_widths: whether the half-widths of curved plays are free, too.
     """
 
-    chain: Chain
-    command: Range
-    free_widths: bool = False
-
-    def __post_init__(self) -> None:
-        core, values = self.chain.core, np.array(self.chain.core.values)
-        span = self.command.upper - self.command.lower
-        slopes = [abs(v) for v, p in zip(values, core.parameters, strict=True) if p.unit == "deg/cmd"]
-        pieces = core.pieces + 1 if isinstance(core, CurvedPlays) else 1
-        gain = max(sum(slopes) / pieces, 1e-6)
+    def __init__(self, chain: Chain, command: Range, free_widths: bool = False) -> None:
+        core, values, parameters = chain.core, np.array(chain.core.values), chain.core.parameters
+        span = command.upper - command.lower
+        slopes = [abs(v) for v, p in zip(values, parameters, strict=True) if p.unit == "deg/cmd"]
+        gain = max(sum(slopes) / (core.pieces + 1 if isinstance(core, CurvedPlays) else 1), 1e-6)
         typical = {"cmd": 0.05 * span, "deg/cmd": 0.1 * gain, "deg": 0.05 * gain * span, "s": 0.02}
         little = {"1/cmd": 0.1 / span}
         scale = [
             typical.get(p.unit, max(0.1 * abs(v), little.get(p.unit, 1e-3) if v == 0 else 1e-3))
-            for v, p in zip(values, core.parameters, strict=True)
+            for v, p in zip(values, parameters, strict=True)
         ]
-        object.__setattr__(self, "nominal", values)
-        object.__setattr__(self, "lower", np.array([p.lower for p in core.parameters]))
-        object.__setattr__(self, "upper", np.array([p.upper for p in core.parameters]))
-        object.__setattr__(self, "scale", np.array(scale))
-        named = {
-            _EFFECTS_BY_ANOTHER_NAME[p.name]: {p.name: k}
-            for k, p in enumerate(core.parameters)
-            if p.name in _EFFECTS_BY_ANOTHER_NAME
+        ends = np.array([p.lower for p in parameters]), np.array([p.upper for p in parameters])
+        super().__init__(chain, command, values.tolist(), ends, scale)
+        names = [p.name for p in parameters]
+        self.effects = {
+            _EFFECTS_BY_ANOTHER_NAME[n]: {n: k} for k, n in enumerate(names) if n in _EFFECTS_BY_ANOTHER_NAME
         }
-        object.__setattr__(self, "effects", named)
-        names = [p.name for p in core.parameters]
-        object.__setattr__(self, "width", names.index("alpha") if "alpha" in names else -1)
+        self.width = names.index("alpha") if "alpha" in names else -1
         if isinstance(core, CurvedPlays):
-            widths = core.plays if self.free_widths else 0
-            object.__setattr__(self, "held", tuple(range(len(slopes) + 1 + widths, values.size)))
-            object.__setattr__(self, "roughness", _ROUGHNESS * span * _differences(core, values.size))
+            self.held = tuple(range(len(slopes) + 1 + (core.plays if free_widths else 0), values.size))
+            self.roughness = _ROUGHNESS * span * _differences(core, values.size)
 
     def core_values(self, z: Vec) -> tuple[Vec, Vec]:
         return np.clip(z, self.lower, self.upper), np.eye(z.size)
 
     def freed(self) -> Baseline:
-        return replace(self, free_widths=True) if isinstance(self.chain.core, CurvedPlays) else self
+        curved = isinstance(self.chain.core, CurvedPlays)
+        return FreeCoreBaseline(self.chain, self.command, free_widths=True) if curved else self
 
     def quantities(self, z: Vec) -> Mapping[str, float]:
-        """Read off the major loop of the core over the command's range."""
-        core = self.chain.core.with_values(self.core_values(z)[0].tolist())
-        if isinstance(core, MaxwellSlip):
-            stiffness, offset, height = _major_loop(Chain(core), self.command)
-            return {"stiffness": stiffness, "offset": offset, "friction": -0.5 * height}
-        return _loop_quantities(Chain(core), self.command)
+        if not isinstance(core := self._core(z), MaxwellSlip):
+            return super().quantities(z)
+        stiffness, offset, height = _major_loop(Chain(core), self.command)
+        return {"stiffness": stiffness, "offset": offset, "friction": -0.5 * height}
 
     def loop_width(self, z: Vec) -> float:
-        core = self.chain.core.with_values(self.core_values(z)[0].tolist())
+        core = self._core(z)
         return 2 * core.spacing * core.elements if isinstance(core, MaxwellSlip) else super().loop_width(z)
 
 
 @final
-@dataclass(frozen=True, eq=False)
 class ScaledBaseline(Baseline):
-    """Gain, offset and input scale of a network, through the plays that stand for it.
+    """Network whose gain, offset and input scale are retuned, through Prandtl-Ishlinskii plays that stand for it.
 
     z = (g, o, w):  weights' = g weights,  b' = g b + o,  alpha' = w alpha
-
-    Attributes:
-        chain: its core a Prandtl-Ishlinskii model fitted to the network's free run.
-        command: range of the command [cmd].
     """
 
-    chain: Chain
-    command: Range
+    width = 2
 
-    def __post_init__(self) -> None:
-        span = self.command.upper - self.command.lower
-        reach = sum(v for v, p in zip(self.chain.core.values, self.chain.core.parameters, strict=True) if p.name != "b")
-        for name, value in (
-            ("nominal", [1.0, 0.0, 1.0]),
-            ("lower", [0.2, -reach * span, 0.0]),
-            ("upper", [5.0, reach * span, 10.0]),
-            ("scale", [0.1, 0.05 * reach * span, 0.2]),
-        ):
-            object.__setattr__(self, name, np.array(value))
-        object.__setattr__(self, "effects", {})
-        object.__setattr__(self, "width", 2)
+    def __init__(self, chain: Chain, command: Range) -> None:
+        span = command.upper - command.lower
+        reach = sum(v for v, p in zip(chain.core.values, chain.core.parameters, strict=True) if p.name != "b")
+        ends = np.array([0.2, -reach * span, 0.0]), np.array([5.0, reach * span, 10.0])
+        super().__init__(chain, command, [1.0, 0.0, 1.0], ends, [0.1, 0.05 * reach * span, 0.2])
 
     def core_values(self, z: Vec) -> tuple[Vec, Vec]:
         nominal, slope = np.array(self.chain.core.values), np.zeros((len(self.chain.core.values), 3))
@@ -234,11 +201,6 @@ class ScaledBaseline(Baseline):
                 p[k], slope[k, 2] = z[2] * nominal[k], nominal[k]
         return p, slope
 
-    def quantities(self, z: Vec) -> Mapping[str, float]:
-        """Read off the major loop over the command's range."""
-        core = self.chain.core.with_values(self.core_values(z)[0].tolist())
-        return _loop_quantities(Chain(core), self.command)
-
 
 def _differences(core: CurvedPlays, size: int) -> Vec:
     """Rows (R, Z) that give the differences of neighbouring slopes of each curve."""
@@ -247,14 +209,8 @@ def _differences(core: CurvedPlays, size: int) -> Vec:
     return np.array(rows)
 
 
-def _loop_quantities(chain: Chain, command: Range) -> Mapping[str, float]:
-    """Gain, offset and width of the major loop."""
-    gain, offset, height = _major_loop(chain, command)
-    return {"gain": gain, "offset": offset, "backlash_width": height / gain if gain else 0.0}
-
-
 def _major_loop(chain: Chain, command: Range) -> tuple[float, float, float]:
-    """Gain and offset of the major loop, run slowly and twice over the range, and how far its way back lies above."""
+    """Gain, offset and height of the major loop, run slowly and twice over the range."""
     up = np.linspace(command.lower, command.upper, _LOOP_SAMPLES)
     u = np.concatenate([up, up[::-1], up, up[::-1]])[:, None]
     staged = StagedChain(chain)
@@ -268,10 +224,5 @@ def _major_loop(chain: Chain, command: Range) -> tuple[float, float, float]:
 
 
 def baseline_of(chain: Chain, command: Range) -> Baseline:
-    """The freedom that retuning has for a chain.
-
-    Args:
-        chain: the nominal chain.
-        command: range over which it is used [cmd].
-    """
+    """Freedom that retuning has for a nominal chain, used over a range of commands [cmd]."""
     return (BacklashBaseline if isinstance(chain.core, Backlash) else FreeCoreBaseline)(chain, command)

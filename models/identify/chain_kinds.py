@@ -1,17 +1,18 @@
-"""The one list of operator kinds: starts and search boxes, read off the trials.
+"""Kinds of model that are operators: their starting points and search regions, estimated from the trials.
 
-To add a kind of model that is an operator: write the operator in `models/operators/` and its entry in `CHAIN_KINDS`.
+To add such a kind: write the operator in `models/operators/` and its entry in `CHAIN_KINDS`.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from types import MappingProxyType
 
 import numpy as np
 
-from hystmpc.trials.errors import FitError, did_you_mean
+from hystmpc.trials.errors import FitError
 from hystmpc.trials.segments import Motion, first_flexure_end, segment
 from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Vec
@@ -21,14 +22,13 @@ from ..decades import Decades
 from ..operators.friction import MaxwellSlip
 from ..operators.hysteresis import Backlash, BoucWen
 from ..operators.operator import Operator
+from ..operators.oscillator import Oscillator, StateNetwork
 from ..operators.prandtl_ishlinskii import Drdpi, PrandtlIshlinskii
-from .chain_fit import ChainTask
-from .ringing import Ringing, oscillator_box, oscillator_starts, state_network_box, state_network_starts
-from .runs import check_trial_set, fastest_command
+from .runs import fastest_command
 
 
 def backlash_starts(trials: Sequence[Trial]) -> list[Chain]:
-    """The two regression lines, and lines of their common slope with wider and narrower gaps.
+    """Starting points of a backlash: the two regression lines, and lines of their mean slope with other gaps.
 
     Raises:
         FitError: if the angle does not rise with the command, or a branch is missing.
@@ -45,7 +45,7 @@ def backlash_starts(trials: Sequence[Trial]) -> list[Chain]:
 
 
 def prandtl_ishlinskii_starts(trials: Sequence[Trial], plays: int) -> list[Chain]:
-    """Equal weights that share the mean slope, thresholds spread over 10, 30 and 80 % of the command's range.
+    """Starting points of plays: equal weights, thresholds spread over 10, 30 and 80 % of the command's range.
 
     Raises:
         FitError: if the angle does not rise with the command, or a branch is missing.
@@ -65,12 +65,7 @@ FRICTION_KINDS = ("maxwell_slip", "maxwell_slip_rate")
 
 
 def falls(of_what: str, unit: str) -> FitError:
-    """The refusal of an output that falls with the command; of one in deg a wrong sign is the cause.
-
-    Args:
-        of_what: by how much it falls, and when.
-        unit: of the output.
-    """
+    """Error of an output that falls with the command `of_what`; for one in deg a wrong sign is the likely cause."""
     text = f"the angle falls with the command {of_what}, expected it to rise; "
     text += "where `hystmpc check` shows no delay and no second clock, turn the sign of one channel"
     if unit == "deg":
@@ -79,7 +74,7 @@ def falls(of_what: str, unit: str) -> FitError:
 
 
 def branch(trials: Sequence[Trial], motion: Motion, rises: bool = True) -> Vec:
-    """Slope [deg/cmd] and offset [deg] of the line through one branch after the first flexure.
+    """Slope [deg/cmd] and offset [deg] of the regression line through one branch after the first flexure.
 
     Raises:
         FitError: if too few samples move that way, or the angle falls as the command rises where it has to rise.
@@ -103,38 +98,148 @@ def branch(trials: Sequence[Trial], motion: Motion, rises: bool = True) -> Vec:
 
 
 def _lines(unloading: Vec, loading: Vec) -> Chain:
-    """A backlash of two lines (slope, offset)."""
+    """Backlash of two lines (slope, offset)."""
     return Chain(Backlash(unloading[0], loading[0], unloading[1] / unloading[0], loading[1] / loading[0]))
+
+
+_SEGMENTS = 16  # of the longest trial, over which spectra are averaged
+_SEEN = 1e-3  # of the greatest power: an input of less says nothing of the response
+_SLOWEST, _FASTEST = 4.0, 1.2  # cycles in a trial, and radians a sample
+_LEAST_DAMPED, _MOST_DAMPED = 0.005, 0.7
+_RINGING, _LONGEST = 8.0, 0.2  # time constants that a start rings, and share of the shortest trial
+_HIDDEN, _ORDER = 12, 3
+_VISCOUS = 0.25  # of the width of the peak; the loops of the hysteretic force take the rest
+_BENT = 1e-3  # of the output: how much a neuron bends the linear system at the start
+
+
+@dataclass(frozen=True)
+class Ringing:
+    """Resonance of a device.
+
+    Attributes:
+        rad_per_s: angular frequency of the greatest response [rad/s].
+        damping: ratio to the critical damping, from the width of the peak.
+        stiffness: that of a linear oscillator with this peak [cmd/deg].
+        dt_s: sample time [s].
+        command, angle: standard deviations of the signals [cmd], [deg].
+        lead_s: time in which the ringing of an unknown start fades [s].
+    """
+
+    rad_per_s: float
+    damping: float
+    stiffness: float
+    dt_s: float
+    command: float
+    angle: float
+    lead_s: float
+
+    @classmethod
+    def of(cls, trials: Sequence[Trial]) -> Ringing:
+        """Resonance of trials, from their averaged spectra.
+
+        H(f) = S_uy(f) / S_uu(f) where the command has power; a linear oscillator has its peak 1 / (2 d k) near w, and
+        half the power of it at w (1 -+ d).
+        """
+        from scipy.signal import csd, welch  # half a second to import
+
+        dt = trials[0].dt
+        length = max(max(len(trial) for trial in trials) // _SEGMENTS, 16)
+        pairs = [(trial.command - trial.command.mean(), trial.angle - trial.angle.mean()) for trial in trials]
+        options = {"fs": 1 / dt, "nperseg": length}
+        inside = [(u, y) for u, y in pairs if u.size >= length]
+        frequency = welch(inside[0][0], **options)[0]
+        power = np.sum([welch(u, **options)[1] for u, _ in inside], axis=0)
+        cross = np.sum([csd(u, y, **options)[1] for u, y in inside], axis=0)
+        w = 2 * math.pi * frequency
+        slowest = _SLOWEST * 2 * math.pi / (max(len(trial) for trial in trials) * dt)
+        usable = np.flatnonzero((power > _SEEN * power.max()) & (w >= slowest) & (w * dt <= _FASTEST))
+        response = np.abs(cross[usable]) / power[usable] if usable.size else np.ones(1)
+        peak = int(np.argmax(response))
+        at = float(w[usable[peak]]) if usable.size else slowest
+        below = np.flatnonzero(response < response[peak] / math.sqrt(2))
+        ends = (below[below < peak].max(initial=0), below[below > peak].min(initial=response.size - 1))
+        wide = float(np.ptp(w[usable[list(ends)]])) if usable.size else 0.0
+        damping = float(np.clip(0.5 * wide / at, _LEAST_DAMPED, _MOST_DAMPED))
+        ringing = min(_RINGING / (_VISCOUS * damping * at), _LONGEST * min(trial.duration_s for trial in trials))
+        command, angle = (float(np.std(np.concatenate(signals))) for signals in zip(*pairs, strict=True))
+        return cls(at, damping, 0.5 / (damping * float(response[peak])), dt, command, angle, ringing)
+
+
+def oscillator_starts(ringing: Ringing) -> list[Operator]:
+    """Linear oscillators with this peak, part of their stiffness with memory that relaxes within the range."""
+    mass, damping, stiffness = _linear(ringing)
+    return [
+        Oscillator(mass, damping, (1 - share) * stiffness, share * stiffness, relaxing, -0.5 * relaxing)
+        for relaxing in (0.5 / ringing.angle, 1.5 / ringing.angle)
+        for share in (0.3, 0.6)
+    ]
+
+
+def _linear(ringing: Ringing) -> tuple[float, float, float]:
+    """Mass, damping and stiffness of the linear oscillator with this peak; a quarter of its width is viscous."""
+    w, stiffness = ringing.rad_per_s, ringing.stiffness
+    return stiffness / w**2, 2 * _VISCOUS * ringing.damping * stiffness / w, stiffness
+
+
+def oscillator_box(ringing: Ringing) -> dict[str, tuple[float, float]]:
+    """Search region: half to twice the linear oscillator, with any share of memory."""
+    mass, stiffness = ringing.stiffness / ringing.rad_per_s**2, ringing.stiffness
+    return {
+        "mass": (0.5 * mass, 2 * mass),
+        "damping": (
+            0.1 * ringing.damping * stiffness / ringing.rad_per_s,
+            4 * ringing.damping * stiffness / ringing.rad_per_s,
+        ),
+        "stiffness": (0.2 * stiffness, 1.2 * stiffness),
+        "alpha": (0.0, 0.8 * stiffness),
+        "gamma": (0.0, 10 / ringing.angle),
+        "delta": (-5 / ringing.angle, 5 / ringing.angle),
+    }
+
+
+def state_network_starts(ringing: Ringing, hidden: int = _HIDDEN) -> list[Operator]:
+    """Starting point: the rotating pair of the resonance, slower states, and small random neurons."""
+    rng, n = np.random.default_rng(0), _ORDER
+    left = math.exp(-ringing.damping * ringing.rad_per_s * ringing.dt_s)
+    turn = ringing.rad_per_s * ringing.dt_s * math.sqrt(1 - ringing.damping**2)
+    a = 0.9 * np.eye(n)
+    a[:2, :2] = left * np.array([[math.cos(turn), math.sin(turn)], [-math.sin(turn), math.cos(turn)]])
+    a[2, 1], a[:2, 2] = 0.1, -0.02
+    b = np.zeros((n, 2))
+    b[1, 0] = turn / ringing.stiffness  # w^2 u / k, summed over a sample, of the second state, y' / w
+    w = rng.normal(0.0, _BENT * ringing.angle, (n, hidden))
+    vx, vu = rng.normal(0.0, 0.7 / ringing.angle, (hidden, n)), rng.normal(0.0, 0.7 / ringing.command, (hidden, 2))
+    c = rng.normal(0.0, 0.7, hidden)
+    values = np.concatenate([matrix.ravel() for matrix in (a, b, w, vx, vu, c)])
+    return [StateNetwork.template(order=n, hidden=hidden).with_values(values.tolist())]
+
+
+def state_network_box(ringing: Ringing) -> dict[str, tuple[float, float]]:
+    """Search region: any stable system, with neurons over the whole range of the signals."""
+    gain = 1 / ringing.stiffness
+    return {
+        "a": (-0.3, 0.3),
+        "b": (-gain, gain),
+        "w": (-ringing.angle, ringing.angle),
+        "vx": (-1 / ringing.angle, 1 / ringing.angle),
+        "vu": (-1 / ringing.command, 1 / ringing.command),
+        "c": (-1.0, 1.0),
+    }
 
 
 Ends = Mapping[str, tuple[float, float]]
 
 
-@dataclass(frozen=True)
-class Structure:
-    """Sizes and settings of a chain that are chosen, not identified.
-
-    Attributes:
-        plays: plays of a `pi` or `drdpi`.
-        bands: dead zones of a `drdpi` on either side of the middle.
-        dead_zone_deg: change of the wish that an `inverse_backlash` takes for noise; None for the 0.027 deg of the code
-            of S2, for a device of another size as much of its range.
-        steepness_s: see `BoucWen`, times the range of the command; 0.04 in the code of S2.
-    """
-
-    plays: int = 4
-    bands: int = 2
-    dead_zone_deg: float | None = None
-    steepness_s: float = 0.04
-
-    def in_working_units(self, angle: float) -> Structure:
-        """The same for trials of which one working unit is `angle` deg, see `Decades`."""
-        return self if self.dead_zone_deg is None else replace(self, dead_zone_deg=self.dead_zone_deg / angle)
+_BANDS = 2  # dead zones of a `drdpi` on either side of the middle
+_STEEPNESS_S = 0.04  # see `BoucWen`, times the range of the command, as in the code of S2
+# Change of the reference that an `inverse_backlash` takes for noise [deg], as in the code of S2; in working units, so
+# that it is as much of the range of any other device.
+_DEAD_ZONE = 0.027
 
 
 @dataclass(frozen=True)
 class Extent:
-    """What the trials of a device show, command and angle in their own places.
+    """Ranges and mean branches of the trials of a device, always from command to angle.
 
     Attributes:
         slope, offset: of the mean line through loading and unloading branch [deg/cmd], [deg].
@@ -142,7 +247,7 @@ class Extent:
         span: range of the command [cmd].
         speed: greatest speed of the command [cmd/s].
         low, high: least and greatest angle [deg].
-        ringing: the resonance; of kinds that have one, whose branches say nothing of slope and lag.
+        ringing: the resonance; only of kinds that have one.
     """
 
     slope: float
@@ -154,9 +259,28 @@ class Extent:
     high: float
     ringing: Ringing | None = None
 
+    @classmethod
+    def of(cls, trials: Sequence[Trial], kind: ChainKind) -> Extent:
+        """Extent of trials; of a kind that rings without slope and lag, since no branch rises at a resonance.
+
+        Raises:
+            FitError: if the angle falls with the command where it has to rise, or a branch is missing.
+        """
+        span = max(float(np.ptp(t.command)) for t in trials)
+        low, high = min(float(t.angle.min()) for t in trials), max(float(t.angle.max()) for t in trials)
+        ranges = span, fastest_command(trials), low, high
+        if kind.rings:
+            return cls((high - low) / span, 0.5 * (low + high), 0.0, *ranges, Ringing.of(trials))
+        rises = kind.rises or trials[0].units.angle == "deg"
+        loading, unloading = (branch(trials, motion, rises) for motion in (Motion.LOADING, Motion.UNLOADING))
+        slope, offset = 0.5 * (loading + unloading)
+        middle = 0.5 * (max(t.command.max() for t in trials) + min(t.command.min() for t in trials))
+        lag = 0.5 * float(np.polyval(unloading - loading, middle))
+        return cls(float(slope), float(offset), lag, *ranges)
+
     @property
     def resonance(self) -> Ringing:
-        """The resonance of a kind that has one.
+        """Resonance of a kind that has one.
 
         Raises:
             FitError: of another kind.
@@ -166,17 +290,14 @@ class Extent:
         return self.ringing
 
 
-_DEAD_ZONE = 0.027
-
-
 @dataclass(frozen=True)
 class ChainKind:
-    """One kind of operator model: how it is called, identified, started and bounded.
+    """Kind of operator model: its name, starting points and search regions.
 
     Attributes:
         name: on the command line and in reports.
         title: in tables.
-        starts: forward operators to start from.
+        starts: forward operators to start from, of trials, extent and number of plays.
         box: by parameter, the ends between which a global search looks; numbered parameters go by their stem.
         first: the same for where it begins to look; without an entry as `box`.
         fixed: parameters that are set.
@@ -190,11 +311,11 @@ class ChainKind:
 
     name: str
     title: str
-    starts: Callable[[Sequence[Trial], Extent, Structure], list[Operator]]
-    box: Callable[[Extent, Structure], Ends]
-    first: Callable[[Extent, Structure], Ends] = lambda e, s: {}
+    starts: Callable[[Sequence[Trial], Extent, int], list[Operator]]
+    box: Callable[[Extent, int], Ends]
+    first: Callable[[Extent, int], Ends] = lambda e, plays: {}
     fixed: tuple[str, ...] = ()
-    inverse: Callable[[Operator, Structure], Operator] | None = None
+    inverse: Callable[[Operator], Operator] | None = None
     inverse_fixed: tuple[str, ...] = ()
     plays: int = 4
     rises: bool = True
@@ -202,93 +323,26 @@ class ChainKind:
     restarts: int | None = None
 
 
-def chain_task(kind: str, trials: Sequence[Trial], structure: Structure) -> ChainTask:
-    """Starts, box and fixed parameters of a chain of the kind.
-
-    Args:
-        kind: a name of `CHAIN_KINDS`; with `inverse_` before it, the inverse map, identified as its own model (the
-            "fitted inverse" of S2).
-        trials: command to angle for forward kinds; swapped (`Trial.swapped`) for the inverse ones.
-        structure: sizes of the chain.
-
-    Raises:
-        FitError: on an unknown kind, trials that are the wrong way round, unusable ones, or sizes below one.
-    """
-    known = [*CHAIN_KINDS, *(f"inverse_{name}" for name, entry in CHAIN_KINDS.items() if entry.inverse)]
-    if kind not in known:
-        raise FitError(f"no kind of chain {kind!r}, {did_you_mean(kind, known)}")
-    if min(structure.plays, structure.bands) < 1:
-        raise FitError(f"{structure.plays} plays and {structure.bands} bands, expected at least one of each")
-    check_trial_set(trials)
-    entry = CHAIN_KINDS[kind.removeprefix("inverse_")]
-    inverse = entry.inverse if kind.startswith("inverse_") else None
-    if trials[0].inverted != (inverse is not None):
-        way = "angle to command" if inverse else "command to angle"
-        raise FitError(f"{kind} maps {way}, got trials with the command in {trials[0].units.command}; swap them")
-    forward = [trial.swapped() if trial.inverted else trial for trial in trials]
-    rises = entry.rises or forward[0].units.angle == "deg"
-    extent = _ringing_extent(forward) if entry.rings else _extent(forward, rises)
-    operators = entry.starts(forward, extent, structure)
-    if inverse:
-        operators = [inverse(operator, structure) for operator in operators]
-    box = entry.box(extent, structure)
-    ends, first = (_ends(operators[0], {**box, **narrower}) for narrower in ({}, entry.first(extent, structure)))
-    fixed = entry.inverse_fixed if inverse else entry.fixed
-    lead_s = extent.ringing.lead_s if extent.ringing else 0.0
-    return ChainTask(tuple(Chain(o) for o in operators), ends, first, fixed, tuple(trials), lead_s)
-
-
-def _extent(trials: Sequence[Trial], rises: bool) -> Extent:
-    loading, unloading = (branch(trials, motion, rises) for motion in (Motion.LOADING, Motion.UNLOADING))
-    slope, offset = 0.5 * (loading + unloading)
-    middle = 0.5 * (max(t.command.max() for t in trials) + min(t.command.min() for t in trials))
-    lag = 0.5 * float(np.polyval(unloading - loading, middle))
-    return Extent(float(slope), float(offset), lag, *_ranges(trials))
-
-
-def _ringing_extent(trials: Sequence[Trial]) -> Extent:
-    """Of a device that rings: at its resonance the angle does not rise with the command."""
-    span, speed, low, high = _ranges(trials)
-    return Extent((high - low) / span, 0.5 * (low + high), 0.0, span, speed, low, high, Ringing.of(trials))
-
-
-def _ranges(trials: Sequence[Trial]) -> tuple[float, float, float, float]:
-    span = max(float(np.ptp(t.command)) for t in trials)
-    low, high = min(float(t.angle.min()) for t in trials), max(float(t.angle.max()) for t in trials)
-    return span, fastest_command(trials), low, high
-
-
-def _ends(operator: Operator, box: Ends) -> tuple[Vec, Vec]:
-    """The box in the order of the operator's parameters, within their bounds; without an entry a value is set."""
-    rows = []
-    for parameter, value in zip(operator.parameters, operator.values, strict=True):
-        stem = parameter.name.rstrip("0123456789")
-        low, high = box.get(parameter.name, box.get(stem, (value, value)))
-        rows.append((max(low, parameter.lower), min(high, parameter.upper)))
-    lower, upper = np.array(rows).T
-    return lower, upper
-
-
 def _cores(chains: Sequence[Chain]) -> list[Operator]:
     return [chain.core for chain in chains]
 
 
-def _drdpi_starts(trials: Sequence[Trial], e: Extent, structure: Structure) -> list[Operator]:
-    """The plays of each start of a `pi`, with dead zones that are spread over the angle and do nothing yet."""
-    middle, n = 0.5 * (e.low + e.high), structure.bands
+def _drdpi_starts(trials: Sequence[Trial], e: Extent, plays: int) -> list[Operator]:
+    """Plays of each start of a `pi`, with dead zones spread over the angle that change nothing yet."""
+    middle, n = 0.5 * (e.low + e.high), _BANDS
     ones, gaps = (1.0,) * n, (0.5 * (e.high - e.low) / (n + 1),) * n
     starts: list[Operator] = []
-    for chain in prandtl_ishlinskii_starts(trials, structure.plays):
-        *plays, b = chain.core.values
-        values = [*plays, b - middle, *ones, *ones, *gaps, *gaps, middle]
-        starts.append(Drdpi.template(plays=structure.plays, below=n, above=n).with_values(values))
+    for chain in prandtl_ishlinskii_starts(trials, plays):
+        *weights, b = chain.core.values
+        values = [*weights, b - middle, *ones, *ones, *gaps, *gaps, middle]
+        starts.append(Drdpi.template(plays=plays, below=n, above=n).with_values(values))
     return starts
 
 
-def _bouc_wen_starts(trials: Sequence[Trial], e: Extent, structure: Structure) -> list[Operator]:
-    """The mean line with the branches' distance, reached within 10, 30 and 80 % of the command's range."""
-    del trials
-    steepness, lag = structure.steepness_s / e.span, max(e.lag, 0.0)
+def _bouc_wen_starts(trials: Sequence[Trial], e: Extent, plays: int) -> list[Operator]:
+    """Mean line with the branches' distance, reached within 10, 30 and 80 % of the command's range."""
+    del trials, plays
+    steepness, lag = _STEEPNESS_S / e.span, max(e.lag, 0.0)
     return [
         BoucWen(-lag / (reach * e.span), 0.0, 1 / (reach * e.span), e.slope, e.slope, steepness, e.offset)
         for reach in (0.1, 0.3, 0.8)
@@ -301,7 +355,7 @@ _REACHES = (0.03, 0.1, 0.3)  # of the displacement's range, over which a frictio
 def maxwell_slip_starts(
     elements: int, slope: float, offset: float, height: float, span: float, speed: float = 0.0
 ) -> list[MaxwellSlip]:
-    """Sliders of one stiffness, the last of which breaks away within 3, 10 and 30 % of the displacement's range.
+    """Starting points of a friction force: sliders of one stiffness that slip within 3, 10 and 30 % of the range.
 
     Args:
         elements: number of sliders.
@@ -323,18 +377,18 @@ def maxwell_slip_starts(
 _LEAST_HEIGHT = 0.02  # of the output's range, from which a fit of friction starts
 
 
-def _friction_starts(e: Extent, structure: Structure, speed: float = 0.0) -> list[Operator]:
+def _friction_starts(e: Extent, plays: int, speed: float = 0.0) -> list[Operator]:
     height = max(-e.lag, _LEAST_HEIGHT * (e.high - e.low))
-    return [*maxwell_slip_starts(structure.plays, e.slope, e.offset, height, e.span, speed)]
+    return [*maxwell_slip_starts(plays, e.slope, e.offset, height, e.span, speed)]
 
 
-def _friction_box(e: Extent, structure: Structure) -> Ends:
-    """Sliders that all break away within half the range; ends `k` are those of k0, too."""
+def _friction_box(e: Extent, plays: int) -> Ends:
+    """Search region: sliders that all slip within half the range; ends `k` are those of k0, too."""
     height = e.high - e.low
     return {
         "k": (0.0, 20 * height / e.span),
         "k0": (e.slope - 2 * height / e.span, e.slope + 2 * height / e.span),
-        "spacing": (0.0, 0.5 * e.span / structure.plays),
+        "spacing": (0.0, 0.5 * e.span / plays),
         "growth": (-0.5 / e.span, 0.5 / e.span),
         "b": (e.offset - height, e.offset + height),
         "viscous": (0.0, height / e.speed),
@@ -343,35 +397,35 @@ def _friction_box(e: Extent, structure: Structure) -> Ends:
     }
 
 
-def _backlash_box(e: Extent, structure: Structure) -> Ends:
-    del structure
+def _backlash_box(e: Extent, plays: int) -> Ends:
+    del plays
     middle = e.offset / e.slope
     m, c = (0.5 * e.slope, 2.0 * e.slope), (middle - e.span, middle + e.span)
     return {"m_lo": m, "m_up": m, "c_lo": c, "c_up": c}
 
 
-def _plays_box(e: Extent, structure: Structure) -> Ends:
-    """No play wider than half the range, none that speed widens by more than a quarter of it."""
+def _plays_box(e: Extent, plays: int) -> Ends:
+    """Search region: no play wider than half the range, none that speed widens by more than a quarter of it."""
     return {
         "a": (0.0, 1.5 * e.slope),
-        "alpha": (0.0, 0.5 * e.span / structure.plays),
+        "alpha": (0.0, 0.5 * e.span / plays),
         "beta": (0.0, 0.25 * e.span / e.speed),
         "b": (e.offset - (e.high - e.low), e.offset + (e.high - e.low)),
     }
 
 
-def _plays_first(e: Extent, structure: Structure) -> Ends:
-    """Weights whose sum is the slope or twice that: of sums many times too steep no generation finds back."""
-    return {"a": (0.0, 4.0 * e.slope / (structure.plays + 1))}
+def _plays_first(e: Extent, plays: int) -> Ends:
+    """First region: weights whose sum is the slope to twice that; a search does not return from far steeper ones."""
+    return {"a": (0.0, 4.0 * e.slope / (plays + 1))}
 
 
-def _drdpi_box(e: Extent, structure: Structure) -> Ends:
-    """Plays twice as steep at most, since dead zones may flatten them; dead zones within the range of the angle."""
+def _drdpi_box(e: Extent, plays: int) -> Ends:
+    """Search region: plays at most twice as steep, since dead zones may flatten them."""
     height, middle = e.high - e.low, 0.5 * (e.low + e.high)
     sides = {f"slope_{side}_": (0.0, 3.0) for side in ("below", "above")}
-    gaps = {f"gap_{side}_": (0.0, height / structure.bands) for side in ("below", "above")}
+    gaps = {f"gap_{side}_": (0.0, height / _BANDS) for side in ("below", "above")}
     return {
-        **_plays_box(e, structure),
+        **_plays_box(e, plays),
         "a": (0.0, 2.0 * e.slope),
         "b": (e.offset - middle - 2 * height, e.offset - middle + 2 * height),
         **sides,
@@ -380,19 +434,19 @@ def _drdpi_box(e: Extent, structure: Structure) -> Ends:
     }
 
 
-def _drdpi_first(e: Extent, structure: Structure) -> Ends:
-    """Bounds of a curve: its middle piece lies near the middle of the angle, and no other piece is much steeper."""
+def _drdpi_first(e: Extent, plays: int) -> Ends:
+    """First region: the middle piece of the curve near the middle of the angle, and no other piece much steeper."""
     height, middle = e.high - e.low, 0.5 * (e.low + e.high)
     return {
-        **_plays_first(e, structure),
+        **_plays_first(e, plays),
         "b": (e.offset - middle - 0.5 * height, e.offset - middle + 0.5 * height),
         **{f"slope_{side}_": (0.0, 1.5) for side in ("below", "above")},
         "offset": (middle - 0.25 * height, middle + 0.25 * height),
     }
 
 
-def _bouc_wen_box(e: Extent, structure: Structure) -> Ends:
-    del structure
+def _bouc_wen_box(e: Extent, plays: int) -> Ends:
+    del plays
     height = e.high - e.low
     return {
         "a": (-5 * e.slope, e.slope),
@@ -402,14 +456,11 @@ def _bouc_wen_box(e: Extent, structure: Structure) -> Ends:
     }
 
 
-def _inverse_backlash(operator: Operator, structure: Structure) -> Operator:
-    return Backlash(*operator.values).inverse(
-        _DEAD_ZONE if structure.dead_zone_deg is None else structure.dead_zone_deg
-    )
+def _inverse_backlash(operator: Operator) -> Operator:
+    return Backlash(*operator.values).inverse(_DEAD_ZONE)
 
 
-def _inverse_plays(operator: Operator, structure: Structure) -> Operator:
-    del structure
+def _inverse_plays(operator: Operator) -> Operator:
     if not isinstance(operator, PrandtlIshlinskii | Drdpi):
         raise FitError(f"{operator.name} has no inverse plays, expected a pi or a drdpi")
     return operator.inverse()
@@ -422,7 +473,7 @@ CHAIN_KINDS: Mapping[str, ChainKind] = MappingProxyType(
             ChainKind(
                 "backlash",
                 "backlash",
-                lambda trials, e, s: _cores(backlash_starts(trials)),
+                lambda trials, e, plays: _cores(backlash_starts(trials)),
                 _backlash_box,
                 inverse=_inverse_backlash,
                 inverse_fixed=("dead_zone",),
@@ -430,7 +481,7 @@ CHAIN_KINDS: Mapping[str, ChainKind] = MappingProxyType(
             ChainKind(
                 "pi",
                 "PI",
-                lambda trials, e, s: _cores(prandtl_ishlinskii_starts(trials, s.plays)),
+                lambda trials, e, plays: _cores(prandtl_ishlinskii_starts(trials, plays)),
                 _plays_box,
                 _plays_first,
                 inverse=_inverse_plays,
@@ -448,30 +499,30 @@ CHAIN_KINDS: Mapping[str, ChainKind] = MappingProxyType(
             ChainKind(
                 "maxwell_slip",
                 "Maxwell slip",
-                lambda trials, e, s: _friction_starts(e, s),
+                lambda trials, e, plays: _friction_starts(e, plays),
                 _friction_box,
                 rises=False,
             ),
             ChainKind(
                 "maxwell_slip_rate",
                 "Maxwell slip, by speed",
-                lambda trials, e, s: _friction_starts(e, s, e.speed),
+                lambda trials, e, plays: _friction_starts(e, plays, e.speed),
                 _friction_box,
                 rises=False,
             ),
             ChainKind(
                 "oscillator",
                 "oscillator",
-                lambda trials, e, s: oscillator_starts(e.resonance),
-                lambda e, s: oscillator_box(e.resonance),
+                lambda trials, e, plays: oscillator_starts(e.resonance),
+                lambda e, plays: oscillator_box(e.resonance),
                 rings=True,
                 restarts=1,
             ),
             ChainKind(
                 "state_network",
                 "state network",
-                lambda trials, e, s: state_network_starts(e.resonance),
-                lambda e, s: state_network_box(e.resonance),
+                lambda trials, e, plays: state_network_starts(e.resonance),
+                lambda e, plays: state_network_box(e.resonance),
                 rings=True,
                 restarts=0,
             ),

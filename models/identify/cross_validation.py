@@ -1,4 +1,4 @@
-"""A set of causes, fitted and judged on trials that its fit did not see."""
+"""Causes of a gap, fitted jointly with the baseline and judged on trials that their fit did not use."""
 
 from __future__ import annotations
 
@@ -10,21 +10,24 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from hystmpc.trials.types import Vec
+from hystmpc.trials.types import Mat, Vec
 
 from ..effects.effect import Candidate
 from .baseline import Baseline
-from .least_squares import fit_problem
+from .least_squares import minimise, triangle_of
 from .problem import Problem, TrialTerms
-from .runs import Blocks, Run, blocks_of
+from .runs import AS_IT_IS, Blocks, Run, RunsTogether, blocks_of
 
 LARGEST_FOLDS = 3
 _LEAST_ERROR = 1e-300
+_EDGE = 1e-9
+_COMMON = 1.0  # of the samples, that the mean of the trials' own terms counts as
+_HELD = 1e-10  # of the greatest curvature: what no run determines stays where it began
 
 
 @dataclass(frozen=True, eq=False)
 class Hypothesis:
-    """Baseline and some causes, fitted to the development runs.
+    """Baseline with some causes, fitted to the development runs.
 
     Attributes:
         problem: the baseline with the causes.
@@ -38,7 +41,7 @@ class Hypothesis:
 
     @property
     def effects(self) -> frozenset[str]:
-        """Names of its causes."""
+        """Names of the causes."""
         return frozenset((*(c.effect for c in self.problem.effects), *self.problem.terms.names))
 
     @cached_property
@@ -47,14 +50,84 @@ class Hypothesis:
         return " + ".join((*(c.label for c in self.problem.effects), *self.problem.terms.names)) or "baseline"
 
 
+def fit_problem(
+    problem: Problem,
+    runs: Sequence[Run],
+    start: Vec,
+    evaluations: int = 25,
+    tolerance: float = 1e-4,
+    white: Vec = AS_IT_IS,
+) -> Hypothesis:
+    """Fit a hypothesis to runs from one start.
+
+    Args:
+        problem: what is fitted.
+        runs: trials; their counted samples weigh the same.
+        start: unknowns (Q,); brought within the bounds.
+        evaluations: greatest number of free runs over all trials.
+        tolerance: relative change of the error at which it is done.
+        white: filter of the errors whose squares are summed (`whitening`).
+    """
+    margin = _EDGE * (problem.upper - problem.lower)
+    inside = np.clip(start, problem.lower + margin, problem.upper - margin)
+    search = _CondensedSearch(problem, runs, inside, white)
+    q = minimise(
+        search.evaluate,
+        inside,
+        (problem.lower, problem.upper),
+        x_scale=1.0,
+        ftol=tolerance,
+        xtol=1e-6,
+        gtol=1e-12,
+        max_nfev=evaluations,
+    )
+    return Hypothesis(problem, q, search.mse(q))
+
+
+class _CondensedSearch:
+    """Errors and derivatives of all runs as the triangle R of a QR factorisation of (J, r)."""
+
+    def __init__(self, problem: Problem, runs: Sequence[Run], start: Vec, white: Vec) -> None:
+        self._problem, self._start, self._white, self._groups = problem, start, white, RunsTogether.groups(runs)
+        self._samples = sum(int(run.counts.sum()) for run in runs)
+        self._at: Vec | None = None
+        self._energy = 0.0
+
+    def mse(self, q: Vec) -> float:
+        """Mean square of the errors that count [deg^2]."""
+        if self._at is None or not np.array_equal(q, self._at):
+            self.evaluate(q)
+        return self._energy / self._samples
+
+    def evaluate(self, q: Vec) -> tuple[Vec, Mat]:
+        products = [self._problem.products(q, group, self._white) for group in self._groups]
+        square, common = (
+            np.sum([normal for normal, _ in products], axis=0),
+            [row for _, rows in products for row in rows],
+        )
+        self._at, self._energy = q.copy(), float(square[-1, -1])
+        square = square + self._pull(square, q)
+        if common:
+            mean = np.mean(common, axis=0)
+            square += _COMMON * self._samples * mean.T @ mean
+        triangle = triangle_of(square)
+        return triangle[:, -1], triangle[:, :-1]
+
+    def _pull(self, square: Vec, q: Vec) -> Vec:
+        """Products of derivatives and errors of the distance from the start and of roughness."""
+        away = np.column_stack([np.eye(q.size), q - self._start])
+        rough = np.column_stack([self._problem.roughness, self._problem.roughness @ q])
+        return np.asarray(_HELD * np.max(np.diag(square)[:-1], initial=0.0) * away.T @ away + rough.T @ rough)
+
+
 @dataclass(frozen=True, eq=False)
 class InParts:
-    """Energies in the blocks of a hypothesis, see `timing_rivals`.
+    """Error energies by which a lag, a delay and a rate dependence are compared, see `timing_rivals`.
 
     Attributes:
         held_out: of errors on parts of all trials, fitted to the other parts (B,) [deg^2].
         quick: of whitened errors of a fit to all trials (B,) [deg^2].
-        free: numbers of the effect in that fit.
+        free: free parameters of the effect in that fit.
     """
 
     held_out: Vec
@@ -63,23 +136,23 @@ class InParts:
 
     @property
     def expected(self) -> float:
-        """Energy of quick errors on other trials: (B + Q) / (B - Q), as for the forms of one effect [deg^2]."""
+        """Expected energy of whitened errors on other trials: (B + Q) / (B - Q) times that of the fit [deg^2]."""
         blocks = self.quick.size
         return float(self.quick.sum()) * (blocks + self.free) / max(blocks - self.free, 1)
 
     def at(self, blocks: NDArray[np.intp]) -> InParts:
-        """Those of some blocks."""
+        """Energies of some blocks."""
         return replace(self, held_out=self.held_out[blocks], quick=self.quick[blocks])
 
     def with_trials(self, energy: Vec) -> InParts:
-        """The same with the blocks of further trials, on which no quick errors were compared."""
+        """Energies with the blocks of further trials, on which no whitened errors were compared."""
         quick = np.concatenate([self.quick, np.zeros(energy.size)])
         return replace(self, held_out=np.concatenate([self.held_out, energy]), quick=quick)
 
 
 @dataclass(frozen=True, eq=False)
 class HeldOutErrors(Blocks):
-    """A hypothesis with its errors on held-out trials, in blocks.
+    """Errors of a hypothesis on held-out trials, in blocks.
 
     Attributes:
         hypothesis: what was judged.
@@ -96,7 +169,7 @@ class HeldOutErrors(Blocks):
 
 @dataclass(frozen=True, eq=False)
 class CrossValidation:
-    """Development runs and how they are split: what every hypothesis is fitted to and judged on.
+    """Development runs, split into folds, to which every hypothesis is fitted and on which it is judged.
 
     Attributes:
         baseline: of every hypothesis.
@@ -117,22 +190,20 @@ class CrossValidation:
         return tuple(tuple(range(k, len(self.runs), count)) for k in range(count))
 
     def retuned(self) -> Hypothesis:
-        """The baseline alone."""
+        """Baseline without causes, fitted to all runs."""
         problem = Problem(self.baseline)
-        fit = fit_problem(problem, self.runs, problem.start(self.baseline.nominal, []), 40, 1e-6)
-        return Hypothesis(problem, fit.q, fit.mse)
+        return fit_problem(problem, self.runs, problem.start(self.baseline.nominal, []), 40, 1e-6)
 
     def with_causes(
         self, effects: Sequence[Candidate], terms: TrialTerms, z: Vec, starts: Sequence[Sequence[Sequence[float]]]
     ) -> Hypothesis:
-        """Fit causes jointly with the baseline, from baseline values z and several values of the effects."""
+        """Causes fitted jointly with the baseline, from baseline values z and several values of the effects."""
         problem = Problem(self.baseline, effects, terms)
         fits = [fit_problem(problem, self.runs, problem.start(z, values), self.evaluations, 1e-3) for values in starts]
-        best = min(fits, key=lambda f: f.mse)
-        return Hypothesis(problem, best.q, best.mse)
+        return min(fits, key=lambda fit: fit.mse)
 
     def without(self, hypothesis: Hypothesis, dropped: AbstractSet[str]) -> Hypothesis:
-        """A hypothesis less some of its causes, fitted anew from its present values."""
+        """Hypothesis without some of its causes, fitted anew from its present values."""
         problem = hypothesis.problem
         values = [list(v.values()) for v in problem.effect_values(hypothesis.q)]
         kept = [(c, v) for c, v in zip(problem.effects, values, strict=True) if c.effect not in dropped]
@@ -145,63 +216,52 @@ class CrossValidation:
         return self.with_causes([c for c, _ in kept], terms, z, [[v for _, v in kept]])
 
     def polished(self, hypothesis: Hypothesis) -> Hypothesis:
-        """The same with its fit run to the end."""
-        fit = fit_problem(hypothesis.problem, self.runs, hypothesis.q, 60, 1e-6)
-        return Hypothesis(hypothesis.problem, fit.q, fit.mse)
+        """Hypothesis with its fit run to convergence."""
+        return fit_problem(hypothesis.problem, self.runs, hypothesis.q, 60, 1e-6)
 
     def fitted_errors(self, hypothesis: Hypothesis) -> Blocks:
         """Errors of the fit itself, in the blocks of `judge`."""
         return blocks_of([hypothesis.problem.error(hypothesis.q, run)[0] for run in self.runs], self.runs)
 
-    def judge(self, hypothesis: Hypothesis) -> HeldOutErrors:
-        """Errors on each fold of a fit to the others; with one run, on thirds of it or of the fit to it."""
-        if self._thirds:
-            return self._judged_in_time(hypothesis)
-        parts: dict[int, Vec] = {}
-        fold_q = []
-        for fold in self.folds:
-            rest = [run for k, run in enumerate(self.runs) if k not in fold]
-            q = fit_problem(hypothesis.problem, rest, hypothesis.q, self.evaluations, 1e-3).q if rest else hypothesis.q
-            fold_q.append(q)
-            parts |= {k: hypothesis.problem.held_out_error(q, self.runs[k]) for k in fold}
-        errors = tuple(parts[k] for k in range(len(self.runs)))
-        held_out = blocks_of(errors, self.runs)
-        return HeldOutErrors(held_out.energy, held_out.samples, held_out.run, hypothesis, errors, tuple(fold_q))
-
     @cached_property
-    def _thirds(self) -> tuple[tuple[Run, Run], ...]:
-        """A single run without a third of the time that counts, and that third alone."""
-        if not self.in_time or len(self.runs) != 1:
-            return ()
-        run = self.runs[0]
-        made = []
+    def _splits(self) -> tuple[tuple[tuple[Run, ...], dict[int, Run]], ...]:
+        """Of each fold the runs of its fit and, by number, those held out; of a single run in time its thirds."""
+        if len(self.runs) > 1 or not self.in_time:
+            return tuple(
+                (tuple(run for k, run in enumerate(self.runs) if k not in fold), {k: self.runs[k] for k in fold})
+                for fold in self.folds
+            )
+        (run,), splits = self.runs, []
         for part in np.array_split(np.flatnonzero(run.counts), LARGEST_FOLDS):
             third = np.zeros(run.counts.size, dtype=bool)
             third[part] = True
-            made.append((replace(run, counts=run.counts & ~third), replace(run, counts=third)))
-        return tuple(made)
+            splits.append(((replace(run, counts=run.counts & ~third),), {0: replace(run, counts=third)}))
+        return tuple(splits)
 
-    def _judged_in_time(self, hypothesis: Hypothesis) -> HeldOutErrors:
-        problem, fold_q, errors = hypothesis.problem, [], []
-        for rest, third in self._thirds:
-            fold_q.append(fit_problem(problem, [rest], hypothesis.q, self.evaluations, 1e-3).q)
-            errors.append(problem.held_out_error(fold_q[-1], third))
-        whole = (np.concatenate(errors),)
-        held_out = blocks_of(whole, self.runs)
-        return HeldOutErrors(held_out.energy, held_out.samples, held_out.run, hypothesis, whole, tuple(fold_q))
+    def judge(self, hypothesis: Hypothesis) -> HeldOutErrors:
+        """Errors on each fold of a fit to the others; of a single run that is not split, of the fit to it."""
+        problem, fold_q = hypothesis.problem, []
+        parts: list[list[Vec]] = [[] for _ in self.runs]
+        for rest, held_out in self._splits:
+            q = fit_problem(problem, rest, hypothesis.q, self.evaluations, 1e-3).q if rest else hypothesis.q
+            fold_q.append(q)
+            for k, run in held_out.items():
+                parts[k].append(problem.held_out_error(q, run))
+        errors = tuple(map(np.concatenate, parts))
+        blocks = blocks_of(errors, self.runs)
+        return HeldOutErrors(blocks.energy, blocks.samples, blocks.run, hypothesis, errors, tuple(fold_q))
 
     def left_out(self, judged: HeldOutErrors) -> tuple[Vec, ...]:
-        """Measurement less free run where it counts (C,) [deg], of every run with the fit that did not see it.
+        """Measurement less free run (C,) [deg] of every run, by the fit that it was held out of.
 
-        Nothing is taken off for what a trial has of its own. With one run, on thirds of it or of the fit to it.
+        Nothing is taken off for what a trial has of its own.
         """
-        if self._thirds:
-            thirds = [(third, q) for (_, third), q in zip(self._thirds, judged.fold_q, strict=True)]
-            apart = [(third.angle - judged.hypothesis.problem.angles(q, third))[third.counts] for third, q in thirds]
-            return (np.concatenate(apart),)
-        fits = {k: q for fold, q in zip(self.folds, judged.fold_q, strict=True) for k in fold}
-        angles = [judged.hypothesis.problem.angles(fits[k], run) for k, run in enumerate(self.runs)]
-        return tuple((run.angle - theta)[run.counts] for run, theta in zip(self.runs, angles, strict=True))
+        problem = judged.hypothesis.problem
+        parts: list[list[Vec]] = [[] for _ in self.runs]
+        for (_, held_out), q in zip(self._splits, judged.fold_q, strict=True):
+            for k, run in held_out.items():
+                parts[k].append((run.angle - problem.angles(q, run))[run.counts])
+        return tuple(map(np.concatenate, parts))
 
 
 def gain(before: Blocks, after: Blocks) -> tuple[float, float]:
@@ -212,7 +272,7 @@ def gain(before: Blocks, after: Blocks) -> tuple[float, float]:
 
 
 def sureness(before: Blocks, after: Blocks) -> float:
-    """Standard errors by which the held-out error falls, of squares or of RMS values of the blocks: what is more.
+    """Standard errors by which the held-out error falls, of squares or of RMS values of the blocks: the greater.
 
     A cause that acts in few blocks, as in fast steps alone, scatters in its squares as much as it is large, however
     sure it is. The root lets each block count by its error, not by the square of it (Bartlett, The use of
@@ -233,6 +293,6 @@ def _paired(difference: Vec, runs: NDArray[np.intp]) -> tuple[float, float]:
 
 
 def mean_square_difference(one: HeldOutErrors, other: HeldOutErrors) -> float:
-    """Mean square difference of what two hypotheses predict on held-out trials [deg^2]."""
+    """Mean square difference of the predictions of two hypotheses on held-out trials [deg^2]."""
     differences = [a - b for a, b in zip(one.errors, other.errors, strict=True)]
     return float(sum(np.sum(d**2) for d in differences) / sum(d.size for d in differences))

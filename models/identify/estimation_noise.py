@@ -1,4 +1,4 @@
-"""Noise of a model: what it leaves unexplained of trials, split into white noise and a random walk for an estimator."""
+"""Noise of a model for an estimator: white noise of the sensor, random walks, and the resolution of the sensor."""
 
 from __future__ import annotations
 
@@ -19,7 +19,6 @@ from ..decades import Decades
 from ..evaluate import started
 from ..kernels.numba_ import njit
 from ..model import LoadedModel
-from .resolution import resolution
 
 _LEAST_DEG = 1e-4  # of the sensor's noise: below it residuals are rounding, as those of simulated trials without noise
 _RATIOS = np.linspace(-18.0, 6.0, 7)  # logarithms of the walk's variance in a sample over that of the sensor
@@ -43,7 +42,7 @@ def estimation_noise(trials: Sequence[Trial], residuals: Sequence[Vec], fitted: 
     Readings of a step q are off by q^2 / 12 in mean square (Widrow, Trans. AIEE 79, 1961). Where noise below q does not
     make that error white, as at rest, the walk explains it: the sensor's variance is taken to be no less.
 
-    What neighbours have in common is the slow error of the model, since the sensor's noise is white. About the mean of
+    Slow errors of the model are what neighbours have in common, since the sensor's noise is white. About the mean of
     each trial, which a declared rest takes off, model_sigma^2 = mean (r_k - r) (r_{k+1} - r), enlarged likewise.
 
     Args:
@@ -53,7 +52,7 @@ def estimation_noise(trials: Sequence[Trial], residuals: Sequence[Vec], fitted: 
 
     Raises:
         FitError: if there are no residuals, more than samples in a trial, or they are not finite.
-    """  # in working units, where the least noise is meant
+    """
     decades = Decades.of(trials)
     output = decades.output(trials)
     return decades.log_noise(_noise(decades.trials(trials), [residual / output for residual in residuals], fitted))
@@ -88,7 +87,7 @@ def _noise(trials: Sequence[Trial], residuals: Sequence[Vec], fitted: int) -> No
 
 @final
 class ReferenceModel(LoadedModel):
-    """A model that has just been made, run by the reference of its export."""
+    """Model before its export, run by the reference of its bundle."""
 
     def __init__(self, bundle: ExportBundle) -> None:
         super().__init__(bundle.metadata, "initial")
@@ -98,7 +97,7 @@ class ReferenceModel(LoadedModel):
         return self._reference.advance(state, u)
 
     def casadi_function(self) -> Any:
-        """None is needed before the export.
+        """Refuse: a CasADi function is made by the export.
 
         Raises:
             FitError: always.
@@ -107,7 +106,7 @@ class ReferenceModel(LoadedModel):
 
 
 def with_noise(bundle: ExportBundle, trials: Sequence[Trial], fitted: int) -> ExportBundle:
-    """The bundle with the noise of its model on trials, free runs of its reference; as it is for an inverse map.
+    """Bundle with the noise of its model on trials, by free runs of its reference; unchanged for an inverse map.
 
     Args:
         trials: sampled at the model's rate, of its units.
@@ -132,7 +131,7 @@ def with_noise(bundle: ExportBundle, trials: Sequence[Trial], fitted: int) -> Ex
 
 
 def _most_likely_ratios(residuals: Vec, travel: Vec, usual: float) -> tuple[float, float]:
-    """Variance of the walk in a sample, and over one unit of travel, in variances of the sensor."""
+    """Variances of the walk in a sample and over one unit of travel, in variances of the sensor."""
     from scipy.optimize import minimize  # half a second to import
 
     def cost(logs: Vec) -> float:
@@ -183,3 +182,70 @@ def walk_likelihood(residuals: Any, travel: Any, drift: float, motion: float) ->
         count += 1
     sensor = max(squares / count, 1e-16)
     return count * math.log(sensor) + logs, sensor
+
+
+_ON_GRID, _GRID_TOLERANCE = 0.95, 0.1  # share of readings; of the step (a fifth of them is that near by chance)
+_LEAST_LEVELS, _READINGS, _MOST_VALUES = 3, 25, 20_000  # readings on a level, where levels are few
+_MANY_LEVELS = 9  # that no chance puts on a grid
+_APART = 0.5  # of the gap between levels: readings closer together than that are of one level
+
+
+def resolution(signals: Sequence[Vec]) -> float:
+    """Step of the grid that the readings of a sensor lie on, in their unit; 0 of a continuous sensor.
+
+    The grid may have any offset. It is looked for in all readings and in those that repeat the one before, which
+    linear interpolation to another rate leaves on it, and then in clusters of them, where a little noise was added
+    after rounding. A log of few digits is on a grid, too: that of its last digit.
+    """
+    values = np.concatenate(signals)
+    repeated = np.concatenate([signal[1:][np.diff(signal) == 0] for signal in signals])
+    step = max(grid_step(values), _of_many_levels(repeated, np.unique(repeated)))
+    return step or _of_many_levels(values, _clusters(values))
+
+
+def grid_step(values: Vec) -> float:
+    """Largest step of a grid with any offset that holds 95 % of the values; 0 without one."""
+    return _step(values, np.unique(values))
+
+
+def _of_many_levels(values: Vec, levels: Vec) -> float:
+    """Step of a grid with so many levels that chance does not put them on one, see `grid_step`."""
+    return _step(values, levels) if levels.size >= _MANY_LEVELS else 0.0
+
+
+def _clusters(values: Vec) -> Vec:
+    """Means of the groups of values between wide gaps; each value where no gaps stand out."""
+    ordered = np.sort(values)
+    gaps = np.diff(ordered)
+    if gaps.size < _MANY_LEVELS:
+        return ordered
+    ends = np.flatnonzero(gaps > _APART * np.partition(gaps, -_MANY_LEVELS + 1)[-_MANY_LEVELS + 1])
+    return np.array([part.mean() for part in np.split(ordered, ends + 1)])
+
+
+def _step(values: Vec, levels: Vec) -> float:
+    if levels.size < 2:
+        return 0.0
+    levels = levels[:: max(1, levels.size // _MOST_VALUES)] if levels.size > _MOST_VALUES else levels
+    gaps = np.diff(levels)
+    gaps = gaps[gaps > 1e-9 * max(float(np.abs(levels).max()), 1.0)]
+    if gaps.size + 1 < (_LEAST_LEVELS if values.size >= _READINGS * (gaps.size + 1) else _MANY_LEVELS):
+        return 0.0
+    least = float(np.percentile(gaps, 1))
+    coarse = gaps[gaps > 0.5 * float(np.median(gaps))]
+    guesses = {float(np.median(gaps)), float(np.percentile(coarse, 5)), float(np.percentile(gaps, 10)), least}
+    fits = [_grid_fit(levels, guess, values) for guess in guesses]
+    return max((step for step, share in fits if share >= _ON_GRID), default=0.0)
+
+
+def _grid_fit(levels: Vec, guess: float, values: Vec) -> tuple[float, float]:
+    """Step near the guess, by regression of levels on whole numbers, and the share of values on that grid."""
+    numbers = np.concatenate([[0.0], np.cumsum(np.rint(np.diff(levels) / guess))])
+    if numbers[-1] + 1 < min(_MANY_LEVELS, levels.size):
+        return 0.0, 0.0
+    step = float(np.polyfit(numbers, levels, 1)[0])
+    if step <= 0:
+        return 0.0, 0.0
+    turn = np.exp(2j * np.pi * values / step)
+    off = np.angle(turn * np.conj(np.mean(turn))) / (2 * np.pi)
+    return step, float(np.mean(np.abs(off) <= _GRID_TOLERANCE))

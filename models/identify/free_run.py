@@ -1,4 +1,4 @@
-"""Free runs of a chain: the one compiled engine with exact sensitivities, and its error over trials."""
+"""Free runs of a chain: compiled simulation with exact sensitivities, its states at rest, and its error over trials."""
 
 from __future__ import annotations
 
@@ -9,16 +9,109 @@ from typing import final
 import numpy as np
 
 from hystmpc.trials.errors import ModelError
-from hystmpc.trials.segments import first_flexure_end
 from hystmpc.trials.trial import Trial
-from hystmpc.trials.types import Index, Vec
+from hystmpc.trials.types import Index, Mask, Vec
 
 from ..chain import Chain
-from ..kernels.chain_kernels import DIRECTIONS, stage_kernels
+from ..kernels.chain_kernels import DIRECTIONS, StageKernels, stage_kernels
 from ..operators.dynamics import Delay
-from ..start import Runs, TrialStart, found_start, search_box, trial_start
-from .runs import angle_range, check_trial_set, command_range, end_to_end
-from .settling import Settling, Stage
+from ..rest import FLAT, nearest_shown
+from ..start import Runs, search_box
+from .runs import RunsTogether, angle_range, check_trial_set, command_range, runs_to_fit
+
+Stage = tuple[StageKernels, slice, slice]
+"""Compiled operator, and where its states and its parameters stand among those of the chain."""
+
+
+@dataclass(frozen=True, eq=False)
+class HeldRows:
+    """N rows held at their commands; D directions, the last of them the angle prescribed for the core.
+
+    Attributes:
+        state, slope: (S, N), and its derivative (S, N, D).
+        signal, by_signal: output of the last operator so far one sample later (N,), and its derivative (N, D).
+        core: angle that the core shows then (N,) [deg]; the prescribed one where it can hold it.
+    """
+
+    state: Vec
+    slope: Vec
+    signal: Vec
+    by_signal: Vec
+    core: Vec
+
+    def rows(self, n: Index) -> HeldRows:
+        """Copy of some rows."""
+        return HeldRows(self.state[:, n], self.slope[:, n], self.signal[n], self.by_signal[n], self.core[n])
+
+    def put(self, n: Index, other: HeldRows) -> None:
+        """Replace rows n by those of another."""
+        self.state[:, n], self.slope[:, n] = other.state, other.slope
+        self.signal[n], self.by_signal[n], self.core[n] = other.signal, other.by_signal, other.core
+
+    @property
+    def moves(self) -> Vec:
+        """Derivative of the output by the core's angle (N,)."""
+        return self.by_signal[:, -1]
+
+    @property
+    def leads(self) -> Mask:
+        """Rows in which that derivative is not zero (N,)."""
+        return ~(np.abs(self.moves) < FLAT)
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Settling:
+    """States at rest for one set of parameters; see `StagedChain.settled`.
+
+    Attributes:
+        stages: operators in the order of the signal.
+        core: number of the core.
+        values: parameters (P, 1).
+        kept: of every operator, what follows from parameters and sample time.
+        seeds: derivative of the parameters in each direction (P, D); zero in the last, the core's angle.
+    """
+
+    stages: Sequence[Stage]
+    core: int
+    values: Vec
+    kept: Sequence[Vec]
+    seeds: Vec
+
+    def rows(self, command: Vec, angle: Vec) -> HeldRows:
+        """Rows (N,) held at commands [cmd] that show angles [deg], or the nearest that they can."""
+        before = self._before(command)
+        return nearest_shown(angle, lambda n, at: self._held(before.rows(n), at))
+
+    def _before(self, command: Vec) -> HeldRows:
+        """Operators before the core, held at commands (N,)."""
+        states, count = self.stages[-1][1].stop, self.seeds.shape[1]
+        x, m = np.empty((states, command.size)), np.zeros((states, command.size, count))
+        signal, moving = command.copy(), np.zeros((command.size, count))
+        for k in range(self.core):
+            self._pass(k, x, m, signal, moving, signal.copy(), moving.copy())
+        return HeldRows(x, m, signal, moving, np.empty(command.size))
+
+    def _held(self, before: HeldRows, core_angle: Vec) -> HeldRows:
+        """Whole rows; the operators before the core do not depend on the core's angle, and are settled once."""
+        x, m = np.array(before.state, order="C"), np.array(before.slope, order="C")
+        signal, moving = before.signal.copy(), before.by_signal.copy()
+        by_shown = np.zeros_like(moving)
+        by_shown[:, -1] = 1.0
+        self._pass(self.core, x, m, signal, moving, core_angle, by_shown)
+        core = signal.copy()
+        for k in range(self.core + 1, len(self.stages)):
+            self._pass(k, x, m, signal, moving, signal.copy(), moving.copy())
+        return HeldRows(x, m, signal, moving, core)
+
+    def _pass(self, k: int, x: Vec, m: Vec, signal: Vec, moving: Vec, seen: Vec, by_seen: Vec) -> None:
+        """Settle one operator and replace the signal by its output."""
+        kernels, states, columns = self.stages[k]
+        state, slope, seeds = x[states], m[states], self.seeds[columns]
+        kernels.rest(signal, moving, seen, by_seen, self.values[columns], kernels.constants[2], seeds, state, slope)
+        room = np.empty((len(state) + len(seeds)) * DIRECTIONS)
+        kernels.differentiate(state, slope, signal, moving, seeds, self.kept[k], np.arange(signal.size + 1), room)
+
 
 _ROUNDING = 1e-6  # of a store: a delay that fills it but for rounding
 _LANES, _MOST_IDLE = 8, 5  # directions of one vector instruction; idle ones that cost less than a rest one by one
@@ -29,8 +122,8 @@ class StagedChain:
     """Compiled free runs of a chain, batched, with exact sensitivities to all parameters.
 
     A chain is a series connection, so its operators can pass over a whole trial one after another. Each is compiled
-    once, alone: any number of them in any order needs no further compilation, which is what a search over structures
-    lives on. Values equal the chain's `transition`, sample by sample, to rounding.
+    once, alone: any number of them in any order needs no further compilation, which a search over structures needs.
+    Values equal the chain's `transition`, sample by sample, to rounding.
 
     Args:
         chain: its operators and their order; its values count only where a call is given none.
@@ -76,7 +169,7 @@ class StagedChain:
         return x, m
 
     def simulate(self, commands: Vec, dt_s: float, states: Vec, values: Vec | None = None) -> tuple[Vec, Vec]:
-        """Run N rows freely.
+        """Simulate N rows freely.
 
         Args:
             commands: (T, N), time first [cmd].
@@ -107,15 +200,14 @@ class StagedChain:
     ) -> tuple[Vec, Vec]:
         """States (S, N) of rows that were held at a command and show an angle, and their derivatives (S, N, D).
 
-        Unlike `rest`, every operator starts at what the one before it really hands on, and the core at the angle for
-        which the whole chain shows the one that was seen: a creep, a stop or a curve behind the core is no offset.
-        Newton's method on the core's angle a; dx/dp = dx/dp|_a - dx/da (dy/dp|_a) / (dy/da) by the implicit function
-        theorem. Where that is beyond what the core can hold at the command, the search goes on from the edge of what it
-        can; and where it cannot show the angle at all it shows the nearest that it can. Rows do not depend on others.
+        Unlike `rest`, every operator starts at the output of the one before it, and the core at the angle for which the
+        whole chain shows the measured one: a creep, a stop or a curve behind the core is no offset. Newton's method on
+        the core's angle a (`nearest_shown`); dx/dp = dx/dp|_a - dx/da (dy/dp|_a) / (dy/da) by the implicit function
+        theorem.
 
         Args:
             command: held (N,) [cmd].
-            angle: seen (N,) [deg].
+            angle: measured (N,) [deg].
             dt_s: sample time [s].
             values: parameters (P,); the chain's where left out.
             seeds: see `differentiate`.
@@ -128,7 +220,7 @@ class StagedChain:
         return held.state, np.ascontiguousarray((held.slope - held.slope[:, :, -1:] * turned)[:, :, :-1])
 
     def rollouts(self, dt_s: float, values: Vec) -> Runs:
-        """Free runs of the chain with parameters (P,), as the search of a start asks for them."""
+        """Free runs of the chain with parameters (P,), for `estimated_start`."""
 
         def run(commands: Vec, angles: Vec, plans: Vec) -> Vec:
             states = self.settled(commands, angles, dt_s, values, np.empty((self.parameter_count, 0)))[0]
@@ -179,11 +271,11 @@ class StagedChain:
         return signal, moving[:, :count]
 
     def _seeds(self, seeds: Vec | None) -> Vec:
-        """Directions (P, D): those of every parameter alone where none are given."""
+        """Directions (P, D): every parameter alone where none are given."""
         return np.eye(self.parameter_count) if seeds is None else np.ascontiguousarray(seeds, dtype=np.float64)
 
     def _kept(self, dt_s: float, values: Vec | None) -> list[Vec]:
-        """Of every operator, what follows from parameters and sample time alone."""
+        """Quantities of every operator that follow from parameters and sample time alone."""
         p, slopes = self._rows(values, 1), []
         self._require_room(p, dt_s)
         for kernels, _, columns in self._stages:
@@ -202,7 +294,7 @@ class StagedChain:
         return np.ascontiguousarray(np.broadcast_to(p[:, None] if p.ndim == 1 else p, (self.parameter_count, rows)))
 
     def _require_room(self, p: Vec, dt_s: float) -> None:
-        """Refuse a delay (P, N) that is longer than its store: all its weights vanish, and its output with them."""
+        """Refuse a delay (P, N) that is longer than its store: all its weights would vanish."""
         for k, samples in self._stores:
             if (longest := float(np.max(p[k]))) > samples * dt_s * (1 + _ROUNDING):
                 raise ModelError(
@@ -218,37 +310,17 @@ class StagedChain:
             )
 
 
-@dataclass(frozen=True, eq=False)
-class ScoredRun:
-    """One trial as a fit runs it.
-
-    Attributes:
-        commands: the trial's commands behind the chain's warm-up and the approach of its start (W + T,).
-        angle: what was measured (T,).
-        warmup: samples W.
-        start: first sample of the trial that counts.
-        rest: where it begins.
-    """
-
-    commands: Vec
-    angle: Vec
-    warmup: int
-    start: int
-    rest: TrialStart
-
-
 @final
 class FreeRuns:
     """Free runs of a chain over trials, and their error; every trial has the same weight.
 
-    A run starts at rest (`StagedChain.settled`) where its trial does (`models.start`), and is compared after the
-    chain's warm-up. Of a trial that begins in motion the rest is found by `find_starts`, by samples that do not count.
+    A run starts at rest (`StagedChain.settled`) where its trial does (`models.start`), after the chain's warm-up. The
+    rest of a trial that begins in motion is estimated by `estimate_starts` from samples that do not count.
 
     Args:
         chain: its structure; parameters are given with each call.
         trials: uniformly sampled at one rate, in one pair of units.
         skip_first_flexure: score each trial from the first reversal of its command on.
-        offset_free: take the mean off the error of each trial.
         lead_s: start of each trial that is not scored [s].
 
     Raises:
@@ -260,53 +332,39 @@ class FreeRuns:
         chain: Chain,
         trials: Sequence[Trial],
         skip_first_flexure: bool = False,
-        offset_free: bool = False,
         lead_s: float = 0.0,
     ) -> None:
-        self._dt, self._staged, self._offset_free = check_trial_set(trials), StagedChain(chain), offset_free
+        dt_s, self._staged = check_trial_set(trials), StagedChain(chain)
         self._box = search_box(command_range(trials), angle_range(trials))
         self.runs = [
-            self._run(trial, chain.rest_samples, skip_first_flexure, round(lead_s / self._dt)) for trial in trials
+            replace(run, dt_s=dt_s, approach=(run.rest_command,) * chain.rest_samples)
+            for run in runs_to_fit(trials, skip_first_flexure, lead_s)
         ]
-
-    @staticmethod
-    def _run(trial: Trial, warmup: int, skip_first_flexure: bool, lead: int) -> ScoredRun:
-        rest = trial_start(trial.command, trial.angle, trial.dt, trial.inverted)
-        return ScoredRun(
-            np.concatenate([np.full(warmup, rest.command), trial.command]),
-            trial.angle,
-            warmup,
-            max(first_flexure_end(trial) if skip_first_flexure else 0, lead, rest.lead),
-            rest,
-        )
 
     @property
     def in_motion(self) -> bool:
         """Whether a trial begins in motion."""
-        return any(not run.rest.at_rest for run in self.runs)
+        return any(run.lead for run in self.runs)
 
-    def find_starts(self, p: Vec) -> None:
-        """Let each run that begins in motion begin where the chain with parameters p (P,) finds it."""
-        self.runs = [self._begun(run, p) for run in self.runs]
-
-    def _begun(self, run: ScoredRun, p: Vec) -> ScoredRun:
-        command = run.commands[run.warmup :]
-        rest = found_start(run.rest, command, run.angle, self._dt, self._box, self._staged.rollouts(self._dt, p))
-        warmup = np.concatenate([np.full(self._staged.chain.rest_samples, rest.command), rest.approach])
-        return replace(run, rest=rest, commands=np.concatenate([warmup, command]), warmup=warmup.size)
+    def estimate_starts(self, p: Vec) -> None:
+        """Estimate the start of each run that begins in motion, by the chain with parameters p (P,)."""
+        rollouts, held = self._staged.rollouts(self.runs[0].dt_s, p), self._staged.chain.rest_samples
+        self.runs = [run.begun(rollouts, self._box, held) if run.lead else run for run in self.runs]
 
     def angles(self, p: Vec) -> list[Vec]:
-        """Outputs (W + T,) of each run at parameters p (P,)."""
+        """Outputs (T,) of each run at parameters p (P,)."""
         angles = []
         for run in self.runs:
-            rest = np.array([[run.rest.command], [run.rest.angle]])
-            state = self._staged.settled(rest[0], rest[1], self._dt, p)[0]
-            angles.append(self._staged.simulate(run.commands[:, None], self._dt, state, p)[0][:, 0])
+            rest = np.array([[run.rest_command], [run.rest_angle]])
+            state = self._staged.settled(rest[0], rest[1], run.dt_s, p)[0]
+            commands = np.concatenate([run.approach, run.command])
+            angles.append(self._staged.simulate(commands[:, None], run.dt_s, state, p)[0][len(run.approach) :, 0])
         return angles
 
     def mse(self, p: Vec) -> float:
         """Mean over trials of the mean square error at parameters p (P,); infinite where a run is not finite."""
-        errors = [self._error(run, theta) for run, theta in zip(self.runs, self.angles(p), strict=True)]
+        runs = zip(self.runs, self.angles(p), strict=True)
+        errors = [(theta - run.angle)[run.scored] for run, theta in runs]
         loss = sum(float(error @ error) / error.size for error in errors) / len(self.runs)
         return loss if np.isfinite(loss) else np.inf
 
@@ -315,23 +373,13 @@ class FreeRuns:
 
         r = (theta(p) - measured) / sqrt(T_trial n_trials), so that sum r^2 is the mean square error of `mse`.
         """
-        residuals, jacobians = [], []
-        commands, first = end_to_end([run.commands for run in self.runs])
-        rests = np.array([(run.rest.command, run.rest.angle) for run in self.runs]).T
-        start = self._staged.settled(rests[0], rests[1], self._dt, p)
-        thetas, gradients = self._staged.differentiate(commands, self._dt, *start, p, first=first)
-        parts = zip(self.runs, *(np.split(part, first[1:-1]) for part in (thetas, gradients)), strict=True)
-        for run, theta, gradient in parts:
-            error = self._error(run, theta)
-            by_p = gradient[-error.size :]
-            if self._offset_free:
-                by_p = by_p - by_p.mean(axis=0)
+        together, residuals, jacobians = RunsTogether.of(self.runs), [], []
+        start = self._staged.settled(*together.rests, together.dt_s, p)
+        thetas, gradients = self._staged.differentiate(together.command, together.dt_s, *start, p, first=together.first)
+        thetas, gradients = thetas[together.recorded], gradients[together.recorded]
+        for run, at in together.each():
+            error = (thetas[at] - run.angle)[run.scored]
             scale = 1 / np.sqrt(error.size * len(self.runs))
             residuals.append(error * scale)
-            jacobians.append(by_p * scale)
+            jacobians.append(gradients[at][run.scored] * scale)
         return np.concatenate(residuals), np.vstack(jacobians)
-
-    def _error(self, run: ScoredRun, theta: Vec) -> Vec:
-        """Model less measurement over the samples that count, from theta (W + T,)."""
-        error = theta[run.warmup + run.start :] - run.angle[run.start :]
-        return error - error.mean() if self._offset_free else error

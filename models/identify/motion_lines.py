@@ -1,4 +1,4 @@
-"""Lines of periodic motions: frequencies at which a disturbance cannot be told from the motion itself."""
+"""Spectral lines of errors and motions: a disturbance at a line of the motion cannot be told from the motion."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from hystmpc.trials.types import Mask, Vec
 
 from .runs import Run
 
+_LEAKS = 2.0  # times what leaks from the motion's own frequencies: less is no line of its own
 _PURE = 0.5  # of the command's energy within one line: then it has a fundamental frequency
 _LOW_ORDERS = 5  # harmonics in which a loop has so much energy that it leaks as far as a trial resolves
 _ROUNDING = 0.01  # of a trial's resolution, by which its fundamental is known
@@ -18,7 +19,7 @@ _MOST = 0.5  # of the recorded time, in which a frequency has to be the motion's
 
 
 def fundamental_hz(command: Vec, dt_s: float) -> float:
-    """Frequency of a motion that has most of its energy in one line [Hz]; 0 where it has not."""
+    """Frequency of a motion that has most of its energy in one line [Hz]; 0 of other motions."""
     from scipy.signal import get_window  # half a second to import
 
     hz = np.fft.rfftfreq(command.size, dt_s)
@@ -31,13 +32,13 @@ def fundamental_hz(command: Vec, dt_s: float) -> float:
     return float(power[near] @ hz[near] / power[near].sum())
 
 
-def motions_own(runs: Sequence[Run], hz: Vec) -> Mask:
-    """Frequencies (F,) that are a periodic motion's own in half of the recorded time or more.
+def motion_frequencies(runs: Sequence[Run], hz: Vec) -> Mask:
+    """Frequencies (F,) that are lines of the motion itself in half of the recorded time or more.
 
-    A frequency is a motion's own where its fundamental or a harmonic lies nearer than 1 / T, with T the time of all
-    runs together. Each run has a phase of its own, and resolves no more than one over its own time: that is the limit
-    for the first five harmonics, whose size differs from run to run with the width of the loop. A few
-    slow moves are no periodic motion: of fewer than three periods only these five count, and no nearer than 1 / T.
+    These lie nearer to its fundamental or a harmonic than 1 / T, with T the time of all runs together. Each run has a
+    separate phase, and resolves no more than one over its duration: that is the limit for the first five harmonics,
+    whose size differs from run to run with the width of the loop. A few slow moves are no periodic motion: of fewer
+    than three periods only these five count, and no nearer than 1 / T.
 
     Args:
         runs: all that were recorded.
@@ -60,10 +61,11 @@ def motions_own(runs: Sequence[Run], hz: Vec) -> Mask:
 
 
 def leaked_power(power: Vec, hz: Vec, of_motion: Mask, seconds: Vec) -> Vec:
-    """Power (F,) that runs of finite length leak from the highest line within each own band to other frequencies.
+    """Power (F,) that runs of finite length leak from the lines of the motion to other frequencies.
 
-    A wave of power P that lasts T seconds has at most P / (pi d T)^2 at a distance d from its frequency, and P nearer
-    than 1 / (pi T) (Harris, On the use of windows, Proc. IEEE 66, 1978: rectangular window).
+    Of each band of the motion the highest line counts. A wave of power P that lasts T seconds has at most P / (pi d
+    T)^2 at a distance d from its frequency, and P nearer than 1 / (pi T) (Harris, On the use of windows, Proc. IEEE 66,
+    1978: rectangular window).
 
     Args:
         power: of each run (R, F).
@@ -80,3 +82,38 @@ def leaked_power(power: Vec, hz: Vec, of_motion: Mask, seconds: Vec) -> Vec:
         for height, length in zip(power[:, k], seconds, strict=True):
             leaked += height / np.maximum(1.0, (np.pi * (hz - hz[k]) * length) ** 2)
     return leaked
+
+
+def strongest_line(runs: list[Run], errors: list[Vec], lowest_hz: float, highest_hz: float) -> float:
+    """Frequency of the wave, with a phase of each trial, that explains most of the errors [Hz]; 0 for none.
+
+    Lines of the motions themselves (`motion_frequencies`) are left out: a wave there cannot be told from the loop. So
+    are those that hold no more than what leaks from there (`leaked_power`). The grid is as fine as the longest trial
+    resolves, then refined by a parabola. Its powers come from a chirp z-transform: a table of all waves at all samples
+    grows with the square of the duration, to gigabytes at ten minutes.
+    """
+    from scipy.signal import zoom_fft  # half a second to import
+
+    longest = max(error.size * run.dt_s for run, error in zip(runs, errors, strict=True))
+    step_hz = 0.25 / longest
+    grid = np.arange(step_hz, highest_hz, step_hz)  # from below `lowest_hz`, where a motion may leak from
+    power = np.empty((len(runs), grid.size))
+    stop_hz = (grid.size + 1) * step_hz
+    for row, run, error in zip(power, runs, errors, strict=True):
+        signal = np.zeros(run.counts.size)
+        signal[run.counts] = error - error.mean()
+        waves = zoom_fft(signal, [step_hz * run.dt_s, stop_hz * run.dt_s], grid.size, fs=1)
+        row[:] = np.abs(waves) ** 2 / error.size
+    seconds = np.array([error.size * run.dt_s for run, error in zip(runs, errors, strict=True)])
+    hidden = motion_frequencies(runs, grid)
+    hidden |= power.sum(axis=0) < _LEAKS * leaked_power(power, grid, hidden, seconds)
+    power = np.where(hidden | (grid < lowest_hz), 0.0, power.sum(axis=0))
+    k = int(np.argmax(power))
+    if power[k] <= 0:
+        return 0.0
+    if 0 < k < grid.size - 1:
+        left, middle, right = power[k - 1 : k + 2]
+        curve = left - 2 * middle + right
+        refined = grid[k] + 0.5 * (left - right) / curve * (grid[1] - grid[0]) if curve else grid[k]
+        return float(grid[k] if motion_frequencies(runs, np.array([refined]))[0] else refined)
+    return float(grid[k])

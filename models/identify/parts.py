@@ -1,4 +1,4 @@
-"""What a device may be made of, part by part: the alternatives between which `fit auto` chooses."""
+"""Parts that a device may consist of, each with the forms between which `fit auto` chooses."""
 
 from __future__ import annotations
 
@@ -7,13 +7,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.signal import lfilter
 
 from hystmpc.trials.segments import Motion, segment
 from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Vec
 
 from ..chain import Chain
-from ..effects.catalogue import candidates
+from ..effects.catalogue import EFFECTS
 from ..effects.effect import Candidate, Freedom, Scale
 from ..operators.curved_plays import CurvedPlays
 from ..operators.dynamics import Delay, Lag, RateLimit, Servo
@@ -23,6 +24,7 @@ from ..operators.prandtl_ishlinskii import PrandtlIshlinskii
 from ..operators.slow_changes import Creep
 from ..operators.static_curves import Line
 from .chain_kinds import falls, maxwell_slip_starts
+from .runs import Run
 
 Form = tuple[Candidate, ...]
 """One alternative of a part: effects that are added together; empty for a device without that part."""
@@ -44,11 +46,11 @@ _RADII = (0.02, 0.45)  # of the command's range: its narrowest and its widest pl
 
 @dataclass(frozen=True)
 class Part:
-    """One part of a device and its alternatives.
+    """Part of a device with its possible forms.
 
     Attributes:
         name: in tables: `drive`, `creep`, `valve`.
-        forms: the alternatives, the device without the part first.
+        forms: the forms, the device without the part first.
     """
 
     name: str
@@ -71,9 +73,9 @@ def device_parts(scale: Scale, late_s: float = 0.0) -> tuple[Part, ...]:
 
     Args:
         scale: sizes of the device and its trials.
-        late_s: about how late the device is, see `late.dead_time`; a longer delay than usual is looked for there [s].
+        late_s: approximate delay of the device, see `dead_time`; a longer delay than usual is looked for there [s].
     """
-    known = {c.label: c for c in candidates(scale, ())}
+    known = _forms_of(scale, "delay", "lag", "creep", "nonlinear_gain")
     delay = _as_late(known["delay/command"], late_s, scale)
     one = replace(known["lag/command"], variant="one pole", operators=(Lag(0.1),))
     one = replace(one, free=(_as_slow(one.free[0], scale),))
@@ -90,13 +92,18 @@ def device_parts(scale: Scale, late_s: float = 0.0) -> tuple[Part, ...]:
     return Part("drive", drives), Part("creep", creeps), Part("valve", ((), (valve,)))
 
 
+def _forms_of(scale: Scale, *effects: str) -> Mapping[str, Candidate]:
+    """Forms of some effects of the list, by label."""
+    return {c.label: c for effect in effects for c in EFFECTS[effect].forms(scale)}
+
+
 def _as_slow(tau: Freedom, scale: Scale) -> Freedom:
-    """A time constant of up to half the longest trial."""
+    """Time constant of up to half the longest trial."""
     return replace(tau, upper=max(tau.upper, 0.5 * scale.duration_s))
 
 
 def _as_late(delay: Candidate, late_s: float, scale: Scale) -> Form:
-    """A delay about that of the device, where that is more than the usual ones; by a device's list of effects else."""
+    """Delay near that of the device, where that is longer than usual; else the one of the list of effects."""
     usual = delay.free[0].upper
     if late_s <= _USUAL * usual:
         return (delay,)
@@ -104,7 +111,7 @@ def _as_late(delay: Candidate, late_s: float, scale: Scale) -> Form:
 
 
 def split_delay(delay: Candidate, about_s: float, reach_s: float, dt_s: float) -> Form:
-    """A delay of `about_s` give or take `reach_s`: one of whole samples that stays, and one that is fitted.
+    """Delay of `about_s` give or take `reach_s`: a fixed one of whole samples, and one that is fitted.
 
     A store of many samples takes minutes to compile; several short ones of whole samples in series are the same.
     """
@@ -122,7 +129,7 @@ def split_delay(delay: Candidate, about_s: float, reach_s: float, dt_s: float) -
 
 
 def straight(form: Form) -> Form:
-    """A lag behind a command that runs straight between samples, where a form has a lag with a delay; else empty.
+    """Lag behind a command that runs straight between samples, for a form of lag and delay; else empty.
 
     Behind a command in steps such a lag has half a sample of delay, which is none of the device: at another rate it is
     another one.
@@ -134,17 +141,17 @@ def straight(form: Form) -> Form:
 
 
 def whole_delay(form: Form) -> float:
-    """Delay of whole samples in a form, which its numbers leave out [s]."""
+    """Fixed delay of whole samples in a form, which its parameters leave out [s]."""
     return sum(sum(operator.values) for c in form if c.variant == WHOLE for operator in c.operators)
 
 
 def _short(delay: Form) -> Form:
-    """The delay with one start, where another form is fitted with it."""
+    """Delay with one start, where another effect is fitted with it."""
     return tuple(replace(c, starts=c.starts[:1]) for c in delay)
 
 
 def _top_speed(scale: Scale) -> Candidate:
-    """A follower with a top speed alone; it is a lag by name, as in the list of effects.
+    """Follower with a top speed alone; in the list of effects it is a lag.
 
     It is looked for from one that crosses the range in the longest trial to that of the fastest command, which is none.
     """
@@ -155,7 +162,7 @@ def _top_speed(scale: Scale) -> Candidate:
 
 
 def _creeps(creep: Candidate, scale: Scale) -> tuple[Candidate, Candidate]:
-    """One term, and a quick one with a slow one."""
+    """Creep of one term, and of a quick and a slow one."""
     share, tau = creep.free
     slowest, middle = 3.0 * scale.duration_s, 2.0
     share = replace(share, lower=-3.0, upper=0.9)
@@ -173,7 +180,7 @@ def _creeps(creep: Candidate, scale: Scale) -> tuple[Candidate, Candidate]:
 
 @dataclass(frozen=True)
 class CoreForm:
-    """One alternative of the hysteresis core.
+    """Form of the hysteresis core.
 
     Attributes:
         label: in tables, such as `pi, 6 plays`.
@@ -189,7 +196,7 @@ class CoreForm:
 
 
 def plain_of(core: CoreForm, cores: Sequence[CoreForm]) -> CoreForm:
-    """The core without its curve."""
+    """Core without its curve."""
     label = core.label.removesuffix("".join(f", {c.label}" for c in core.curve))
     return next(other for other in cores if other.label == label)
 
@@ -200,7 +207,7 @@ _SLIDERS = (4, 10)
 
 
 def core_forms(trials: Sequence[Trial], scale: Scale) -> tuple[CoreForm, ...]:
-    """Rate-independent cores, alone and with a curve, few numbers first; the richest last.
+    """Rate-independent cores, alone and with a curve, few parameters first; the richest last.
 
     The first is a line, a device without hysteresis. The richest is `CurvedPlays`, but a sum of stops where the output
     leads the command or falls with it, as friction forces do: no play does that. The start is the line through all
@@ -218,7 +225,8 @@ def core_forms(trials: Sequence[Trial], scale: Scale) -> tuple[CoreForm, ...]:
         raise falls(f"(by {-slope * span / height:.2g} of its range over that of the command)", unit)
     lead = _lead(trials)
     stops = _stops(slope, offset, max(lead, 0.0), span, scale) if lead > _LEADS * height or slope <= 0 else ()
-    line, known = CoreForm("line", (Chain(Line(slope, offset)),), 2), {c.label: c for c in candidates(scale, ())}
+    line = CoreForm("line", (Chain(Line(slope, offset)),), 2)
+    known = _forms_of(scale, "nonlinear_gain", "asymmetry", "slack", "contact")
     if slope <= 0 and float(np.corrcoef(command, angle)[0, 1]) < _FALLS:
         return line, *stops
     if slope <= 0:
@@ -229,7 +237,7 @@ def core_forms(trials: Sequence[Trial], scale: Scale) -> tuple[CoreForm, ...]:
 
 
 def _lead(trials: Sequence[Trial]) -> float:
-    """Half the distance by which the output of a rising command lies above that of a falling one [deg]."""
+    """Half the distance by which the output lies higher while the command rises than while it falls [deg]."""
     ways = [segment(trial).labels for trial in trials]
     way = np.concatenate([np.where(w == Motion.LOADING, 1.0, np.where(w == Motion.UNLOADING, -1.0, 0.0)) for w in ways])
     command = np.concatenate([trial.command for trial in trials])
@@ -250,7 +258,7 @@ def _stops(slope: float, offset: float, height: float, span: float, scale: Scale
 
 
 def _bent(core: CoreForm, curve: Candidate) -> CoreForm:
-    """A core with a curve."""
+    """Core with a curve."""
     label = f"{core.label}, {curve.label}"
     return replace(core, label=label, size=core.size + len(curve.free), curve=(curve,))
 
@@ -285,3 +293,58 @@ def _plays(slope: float, offset: float, command: Vec, known: Mapping[str, Candid
 
     gradual = curved(_MANY, 1)
     return [*made, curved(_FEW, 0), gradual, _bent(gradual, known[_SLACK]), curved(_MANY, 0)]
+
+
+LONGEST_SHARE = 0.25
+"""Of the shortest trial: a longer delay is not looked for, too little of the trial would show it."""
+
+_TAUS_S = (0.0, 0.05, 0.1, 0.2, 0.4, 0.8, 1.6, 3.2)
+_NEARER = (0.7, 0.84, 1.0, 1.19, 1.4)
+_FINEST, _FINER = 16, 1.15  # samples up to which every delay is tried, and the factor between longer ones
+
+
+def dead_time(runs: Sequence[Run]) -> float:
+    """Delay [s] of the best line behind a dead time and a lag of first order, on a coarse grid of both.
+
+        theta = a + b G u,  G = exp(-s delay) / (tau s + 1)
+
+    of all trials, each with its separate offset. It tells where a delay is to be looked for, not how long it is:
+    hysteresis delays the angle, too.
+
+    Source: first-order plus dead-time models, e.g. Astrom and Hagglund, Advanced PID Control (2006), section 2.6.
+    """
+    dt_s = runs[0].dt_s
+    most = max(1, math.floor(LONGEST_SHARE * min(run.command.size for run in runs)))
+    shifts = {round(v) for v in np.geomspace(_FINEST, most, 1 + math.ceil(max(0.0, math.log(most / _FINEST, _FINER))))}
+    delays = sorted({*range(min(_FINEST, most) + 1), *shifts}) if most > _FINEST else list(range(most + 1))
+    angles = [run.angle - run.angle.mean() for run in runs]
+    delay_samples, tau = _best(runs, angles, delays, _TAUS_S)
+    near = range(math.floor(delay_samples / _FINER), min(most, math.ceil(delay_samples * _FINER)) + 1)
+    return _best(runs, angles, near, [tau * factor for factor in _NEARER])[0] * dt_s
+
+
+def _best(
+    runs: Sequence[Run], angles: Sequence[Vec], delays: Sequence[int], taus: Sequence[float]
+) -> tuple[int, float]:
+    """Delay in samples and time constant [s] of the least squared error."""
+    best, chosen = math.inf, (0, 0.0)
+    for tau in taus:
+        kept = math.exp(-runs[0].dt_s / tau) if tau else 0.0
+        late = [np.asarray(lfilter([1 - kept], [1, -kept], run.command - run.command[0])) for run in runs]
+        for delay in delays:
+            left = _left(late, angles, delay)
+            if left < best:
+                best, chosen = left, (delay, tau)
+    return chosen
+
+
+def _left(late: Sequence[Vec], angles: Sequence[Vec], delay: int) -> float:
+    """Squared error of the best line through delayed commands."""
+    squares = products = power = 0.0
+    for command, angle in zip(late, angles, strict=True):
+        moved = np.concatenate([np.zeros(delay), command[: command.size - delay]])
+        moved -= moved.mean()
+        squares += float(moved @ moved)
+        products += float(moved @ angle)
+        power += float(angle @ angle)
+    return power - products**2 / squares if squares > 0 else power

@@ -1,9 +1,9 @@
-"""The free run of a baseline with candidate effects and terms of single trials, and its exact derivatives."""
+"""Identification problem: free runs of a baseline with candidate effects, and their derivatives."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import final
 
 import numpy as np
@@ -12,16 +12,13 @@ from hystmpc.trials.types import Vec
 
 from ..chain import Chain
 from ..effects.effect import CORE, Candidate
-from ..start import Box, found_start
+from ..start import Box
 from .baseline import Baseline
 from .free_run import StagedChain
-from .motion_lines import leaked_power, motions_own
-from .runs import Run, RunsTogether
-from .whitening import AS_IT_IS, whitened
+from .runs import AS_IT_IS, Run, RunsTogether, whitened
 
 _BLOCK_S = 4.0
 _RIDGE = 1e-9
-_LEAKS = 2.0  # times what leaks from the motion's own frequencies: less is no line of its own
 _FAINT = 1e-4  # of the working units: a start that changes less is forgotten
 _STARTS, _NUDGE = 2, 1e-4  # numbers of a start, and a small change of them
 
@@ -29,30 +26,30 @@ _STARTS, _NUDGE = 2, 1e-4  # numbers of a start, and a small change of them
 @final
 @dataclass(frozen=True)
 class TrialTerms:
-    """Linear terms with coefficients of each trial.
+    """Linear terms whose coefficients belong to single trials.
 
     Attributes:
         shift: offset, gain and width of the trial, to first order: columns 1, theta and d theta / d width.
-        own_offset: an offset alone; no effect, as sensors are zeroed anew for a trial.
-        frequency_hz: of a disturbance whose phase each trial has for itself; 0 for none.
+        trial_offset: an offset alone; no effect, as sensors are zeroed anew for a trial.
+        frequency_hz: of a disturbance with a phase of each trial; 0 for none.
         harmonics: of that disturbance.
         width: position of the baseline's width among the unknowns, -1 for none.
     """
 
     shift: bool = False
-    own_offset: bool = False
+    trial_offset: bool = False
     frequency_hz: float = 0.0
     harmonics: int = 2
     width: int = -1
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Effects that these terms stand for."""
+        """Effects that the terms represent."""
         return (*(("trial_shift",) if self.shift else ()), *(("periodic_disturbance",) if self.frequency_hz else ()))
 
     def columns(self, run: Run, theta: Vec, by_q: Vec) -> Vec:
-        """The terms (C, K) at the samples that count."""
-        made: list[Vec] = [np.ones(theta.size)] if self.own_offset else []
+        """Columns (C, K) of the terms at the samples that count."""
+        made: list[Vec] = [np.ones(theta.size)] if self.trial_offset else []
         if self.shift:
             made += [np.ones(theta.size), theta - theta.mean()]
             if self.width >= 0 and np.ptp(by_q[:, self.width]) > 0:
@@ -79,21 +76,21 @@ class TrialTerms:
 
     @property
     def apart(self) -> bool:
-        """Whether a trial has an offset of its own, which `common` finds."""
-        return self.shift or self.own_offset
+        """Whether a trial has a separate offset, see `common`."""
+        return self.shift or self.trial_offset
 
     def common(self, run: Run, theta: Vec, both: Vec) -> Vec:
-        """Offset and gain of a run against the others [deg] (2, Q + 1), the derivative first, as in `projected`.
+        """Offset and gain of a run relative to the others [deg] (2, Q + 1), the derivative first.
 
-        The gain counts by what it moves: the coefficient of theta times the spread of theta. An own offset has no gain
-        (1, Q + 1).
+        The gain counts by what it moves: the coefficient of theta times the spread of theta. A separate offset has no
+        gain (1, Q + 1).
         """
         columns = self.columns(run, theta, both)
         scale = np.array([1.0, max(float(theta.std()), 1e-9)] if self.shift else [1.0])[:, None]
         return np.asarray(scale * np.linalg.pinv(columns)[: len(scale)] @ both)
 
     def projected(self, run: Run, theta: Vec, both: Vec) -> Vec:
-        """Derivative and, in the last column, error (C, Q + 1), less what the terms explain of them."""
+        """Derivative and, in the last column, error (C, Q + 1), without the part that the terms explain."""
         columns = self.columns(run, theta, both)
         if not columns.shape[1]:
             return both
@@ -119,7 +116,7 @@ NO_TERMS = TrialTerms()
 
 
 def _from_lead(both: Vec, lead: int) -> Vec:
-    """Let derivatives and error of a run begin where its lead says, in place, and return what the angle moves by (T,).
+    """Correct derivatives and error of a run in place for its estimated start; return the change of the angle (T,).
 
     The first columns are the derivatives by the two numbers of the start. What they explain of the first `lead`
     samples, by least squares, is taken off all samples of all other columns: that start is estimated by samples that
@@ -137,41 +134,6 @@ def _from_lead(both: Vec, lead: int) -> Vec:
     return np.asarray(columns @ shares[:, -1])
 
 
-def strongest_line(runs: list[Run], errors: list[Vec], lowest_hz: float, highest_hz: float) -> float:
-    """Frequency at which waves with a phase of each trial explain most of the errors [Hz]; 0 where there is none.
-
-    Frequencies of the motions themselves (`motions_own`) are left out: a wave there cannot be told from the loop. So
-    are those that hold no more than what leaks from there (`leaked_power`).
-    The grid is as fine as the longest trial resolves, then refined by a parabola. Its powers come from a chirp
-    z-transform: a table of all waves at all samples grows with the square of the duration, to gigabytes at ten minutes.
-    """
-    from scipy.signal import zoom_fft  # half a second to import
-
-    longest = max(error.size * run.dt_s for run, error in zip(runs, errors, strict=True))
-    step_hz = 0.25 / longest
-    grid = np.arange(step_hz, highest_hz, step_hz)  # from below `lowest_hz`, where a motion may leak from
-    power = np.empty((len(runs), grid.size))
-    stop_hz = (grid.size + 1) * step_hz
-    for row, run, error in zip(power, runs, errors, strict=True):
-        signal = np.zeros(run.counts.size)
-        signal[run.counts] = error - error.mean()
-        waves = zoom_fft(signal, [step_hz * run.dt_s, stop_hz * run.dt_s], grid.size, fs=1)
-        row[:] = np.abs(waves) ** 2 / error.size
-    seconds = np.array([error.size * run.dt_s for run, error in zip(runs, errors, strict=True)])
-    hidden = motions_own(runs, grid)
-    hidden |= power.sum(axis=0) < _LEAKS * leaked_power(power, grid, hidden, seconds)
-    power = np.where(hidden | (grid < lowest_hz), 0.0, power.sum(axis=0))
-    k = int(np.argmax(power))
-    if power[k] <= 0:
-        return 0.0
-    if 0 < k < grid.size - 1:
-        left, middle, right = power[k - 1 : k + 2]
-        curve = left - 2 * middle + right
-        refined = grid[k] + 0.5 * (left - right) / curve * (grid[1] - grid[0]) if curve else grid[k]
-        return float(grid[k] if motions_own(runs, np.array([refined]))[0] else refined)
-    return float(grid[k])
-
-
 @final
 class Problem:
     """Angles of a run as a function of scaled unknowns q = (baseline, effects).
@@ -182,7 +144,7 @@ class Problem:
     Args:
         baseline: the nominal chain and what retuning may change.
         effects: candidates that are added to it.
-        terms: what each trial has of its own.
+        terms: terms of single trials.
     """
 
     def __init__(self, baseline: Baseline, effects: Sequence[Candidate] = (), terms: TrialTerms = NO_TERMS) -> None:
@@ -238,7 +200,7 @@ class Problem:
         return self.start(self.baseline.nominal, [])
 
     def scaled(self, values: Vec) -> Vec:
-        """Unknowns q from values."""
+        """Unknowns q of parameter values."""
         core = values[: self._z] / self.baseline.scale[self._active]
         effects = [
             v / f.scale if f.scale else np.log(v) for v, (f, _) in zip(values[self._z :], self._freedoms, strict=True)
@@ -246,7 +208,7 @@ class Problem:
         return np.array([*core, *effects])
 
     def plain(self, q: Vec) -> Vec:
-        """Values from unknowns q."""
+        """Parameter values of unknowns q."""
         core = q[: self._z] * self.baseline.scale[self._active]
         effects = [
             v * f.scale if f.scale else np.exp(v) for v, (f, _) in zip(q[self._z :], self._freedoms, strict=True)
@@ -254,18 +216,18 @@ class Problem:
         return np.array([*core, *effects])
 
     def retuned(self, q: Vec) -> Vec:
-        """The baseline's freedom z (Z,) at unknowns q."""
+        """Baseline unknowns z (Z,) at unknowns q."""
         z = self.baseline.nominal.copy()
         z[self._active] = self.plain(q)[: self._z]
         return z
 
     def effect_values(self, q: Vec) -> list[dict[str, float]]:
-        """Free parameters of each effect by name, in the order that `start` takes them."""
+        """Free parameters of each effect by name, in the order of `start`."""
         values = self.plain(q)[self._z :].tolist()
         return [{freedom.name: values.pop(0) for freedom in c.free} for c in self.effects]
 
     def identified(self, q: Vec) -> dict[str, dict[str, float]]:
-        """Parameters by effect and name, those of the core among them."""
+        """Parameters by effect and name, those of effects in the core included."""
         z = self.retuned(q)
         by_effect = {c.effect: dict(values) for c, values in zip(self.effects, self.effect_values(q), strict=True)}
         for name in self._in_core():
@@ -273,7 +235,7 @@ class Problem:
         return by_effect
 
     def fitted_chain(self, q: Vec) -> Chain:
-        """The chain with its numbers."""
+        """Chain with the identified parameters."""
         return self.chain.with_values(self._values(q)[0].tolist())
 
     def angles(self, q: Vec, run: Run) -> Vec:
@@ -281,7 +243,7 @@ class Problem:
         p = self._values(q)[0]
         together = RunsTogether.of([run])
         state = self._start(together, p, np.empty((p.size, 0)))[0]
-        theta = self._staged.simulate(together.command[:, None], run.dt_s, state, p)[0][together.own, 0]
+        theta = self._staged.simulate(together.command[:, None], run.dt_s, state, p)[0][together.recorded, 0]
         return np.asarray(theta + run.correction, dtype=np.float64)
 
     def linearised(self, q: Vec, run: Run) -> tuple[Vec, Vec]:
@@ -290,19 +252,19 @@ class Problem:
         return theta, both[:, :-1]
 
     def error(self, q: Vec, run: Run) -> tuple[Vec, Vec]:
-        """Angle less measurement where it counts (C,) and its derivative (C, Q), a trial's own terms projected out."""
+        """Angle less measurement where it counts (C,) and its derivative (C, Q), without terms of the trial."""
         theta, both = self._pass(q, RunsTogether.of([run]))
         left = self.terms.projected(run, theta[run.scored], both[run.scored])
         return left[:, -1], left[:, :-1]
 
     def held_out_error(self, q: Vec, run: Run) -> Vec:
-        """Angle less measurement where it counts (C,); what belongs to the trial alone is estimated on other blocks."""
+        """Angle less measurement where it counts (C,); terms of the trial are estimated on other blocks."""
         theta, both = self._pass(q, RunsTogether.of([run]))
         scored = both[run.scored]
         return self.terms.cross_fitted(run, theta[run.scored], scored[:, -1], scored[:, :-1])
 
     def products(self, q: Vec, together: RunsTogether, white: Vec = AS_IT_IS) -> tuple[Vec, list[Vec]]:
-        """What a fit needs of one pass over many runs, derivatives first and the error last.
+        """Products of derivatives and errors of one pass over many runs, derivatives first and the error last.
 
         Args:
             q: unknowns.
@@ -310,8 +272,8 @@ class Problem:
             white: filter that derivatives and error go through (`whitening`).
 
         Returns:
-            Sum over the samples that count of the products of both (Q + 1, Q + 1), a trial's own terms projected out,
-            and the trials' own offsets and gains (2, Q + 1) each [deg]; none where trials have no offset.
+            Sum over the samples that count of the products of both (Q + 1, Q + 1), the terms of trials projected out,
+            and offsets and gains of the trials (2, Q + 1) each [deg]; none where trials have no offset.
         """
         theta, both = self._pass(q, together)
         parts, common = [both[a:b] for a, b in together.spans], []
@@ -323,22 +285,11 @@ class Problem:
         return sum((part.T @ part for part in parts), np.zeros((q.size + 1, q.size + 1))), common
 
     def begun(self, q: Vec, run: Run, box: Box) -> Run:
-        """The run from where this device is found to begin, where it begins in motion; see `found_start`.
-
-        A device that rests only after a swing of its own is held before (`Chain.rest_samples`).
-        """
-        runs, measured = self._staged.rollouts(run.dt_s, self._values(q)[0]), run.angle - run.correction
-        start = found_start(run.start, run.command, measured, run.dt_s, box, runs)
-        if run.approach and start.at_rest:
-            return run
-        held = (start.command,) * self.chain.rest_samples
-        return run.begun(replace(start, approach=(*held, *start.approach)))
+        """Run with the start that the device with unknowns q estimates, where it begins in motion."""
+        return run.begun(self._staged.rollouts(run.dt_s, self._values(q)[0]), box, self.chain.rest_samples)
 
     def _pass(self, q: Vec, together: RunsTogether) -> tuple[Vec, Vec]:
-        """Angles (T,), their derivative and, in the last column, their error (T, Q + 1) over all samples.
-
-        A run that begins in motion begins where its lead says, to first order; see `_from_lead`.
-        """
+        """Angles (T,), their derivative and, in the last column, their error (T, Q + 1) over all samples."""
         p, slope = self._values(q)
         more = _STARTS * any(run.lead for run in together.runs)
         seeds = np.column_stack([np.zeros((p.size, more)), slope, np.zeros(p.size)])
@@ -348,7 +299,7 @@ class Problem:
         theta, both = self._staged.differentiate(
             together.command, together.dt_s, state, moving, p, seeds, together.first
         )
-        theta, both = theta[together.own], both[together.own]
+        theta, both = theta[together.recorded], both[together.recorded]
         theta += together.correction
         np.subtract(theta, together.angle, out=both[:, -1])
         if not more:
@@ -359,8 +310,8 @@ class Problem:
         return theta, np.ascontiguousarray(both[:, more:])
 
     def _move_starts(self, together: RunsTogether, p: Vec, state: Vec, moving: Vec) -> None:
-        """Derivative of the states by where what is before the core, and the core, rested; in the first columns."""
-        command, angle = np.array([(run.rest_command, run.rest_angle) for run in together.runs]).T
+        """Derivative of the states by the command and the angle at rest before, in the first columns."""
+        command, angle = together.rests
         none, leads = np.empty((p.size, 0)), np.array([run.lead > 0 for run in together.runs])
         for k, (du, dy) in enumerate(((_NUDGE, 0.0), (0.0, _NUDGE))):
             moved = (self._staged.settled(command + du, angle + dy, together.dt_s, p, none)[0] - state) / _NUDGE
@@ -370,10 +321,7 @@ class Problem:
             moving[index, :, :_STARTS] = 0.0
 
     def _values(self, q: Vec) -> tuple[Vec, Vec]:
-        """Parameters (P,) of the chain and their derivative by the unknowns (P, Q); the last ones are kept.
-
-        A fit runs many trials at one point.
-        """
+        """Parameters (P,) of the chain and their derivative (P, Q) by the unknowns; the last ones are stored."""
         last = self._last
         if last is None or not np.array_equal(q, last[0]):
             self._last = last = (q.copy(), *self._values_at(q))
@@ -389,11 +337,11 @@ class Problem:
         return p, slope
 
     def _in_core(self) -> list[str]:
-        """Effects that are a freedom of the core."""
+        """Effects that are free parameters of the core."""
         return [c.effect for c in self.effects if c.variant == CORE]
 
     def _indices(self, name: str, operators: Sequence[int], at: Sequence[int]) -> list[int]:
-        """Positions of a parameter of that name among the chain's, of every operator that has it."""
+        """Positions of a parameter among the chain's, of every operator that has it."""
         positions = []
         for k in operators:
             names = [p.name for p in self.chain.operators[k].parameters]
@@ -403,8 +351,7 @@ class Problem:
 
     def _start(self, together: RunsTogether, p: Vec, seeds: Vec) -> tuple[Vec, Vec]:
         """States (S, N) before the first sample of each run, and their derivatives (S, N, D)."""
-        command, angle = np.array([(run.rest_command, run.rest_angle) for run in together.runs]).T
-        state, slope = self._staged.settled(command, angle, together.dt_s, p, seeds)
+        state, slope = self._staged.settled(*together.rests, together.dt_s, p, seeds)
         for what, index in self._carried:
             state[index] = [
                 run.bent_before if what == "bend" else run.clock_s - len(run.approach) * run.dt_s

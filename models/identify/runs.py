@@ -1,4 +1,4 @@
-"""Trials as an identification uses them: runs, errors in blocks of a few seconds, checks and facts of a trial set."""
+"""Trials as runs of an identification: starts, errors in blocks of a few seconds, checks and facts of a trial set."""
 
 from __future__ import annotations
 
@@ -10,21 +10,23 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import lfilter
 
 from hystmpc.trials.check import LEAST_SAMPLES
 from hystmpc.trials.errors import FitError
+from hystmpc.trials.segments import first_flexure_end
 from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Index, Mask, Vec
 
 from ..contract.metadata import DeviceLimits, InitialRule, ModelMetadata, Range
-from ..start import TrialStart, trial_start
+from ..start import Box, Runs, TrialStart, estimated_start, trial_start
 
 _GROUP = 32768  # samples of a group of runs: some MB of derivatives
 
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """One trial, or a part of one that counts.
+    """Trial, or a part of one that counts.
 
     Attributes:
         name: of the trial.
@@ -55,21 +57,25 @@ class Run:
 
     @property
     def start(self) -> TrialStart:
-        """Where the run begins, see `models.start`."""
+        """Start of the run, see `models.start`."""
         return TrialStart(self.rest_command, self.rest_angle, self.lead, self.approach)
 
-    def begun(self, start: TrialStart) -> Run:
-        """The run from another start on."""
-        return replace(self, rest_command=start.command, rest_angle=start.angle, approach=start.approach)
+    def begun(self, runs: Runs, box: Box, held: int) -> Run:
+        """Run with the start that a model estimates (`estimated_start`), held there for `held` samples."""
+        start = estimated_start(self.start, self.command, self.angle - self.correction, self.dt_s, box, runs)
+        if self.approach and start.at_rest:
+            return self
+        approach = (*((start.command,) * held), *start.approach)
+        return replace(self, rest_command=start.command, rest_angle=start.angle, approach=approach)
 
     @cached_property
     def scored(self) -> slice | NDArray[np.bool_]:
-        """Index of the samples that are scored: a slice, which copies nothing, where they follow one another."""
+        """Index of the samples that are scored: a slice, which copies nothing, where they are contiguous."""
         spans = spans_of(self.counts)
         return slice(*spans[0]) if len(spans) == 1 else self.counts
 
     def blocks(self, seconds: float) -> NDArray[np.intp]:
-        """Number of the block that each counted sample belongs to."""
+        """Number of the block of each counted sample."""
         length = max(round(seconds / self.dt_s), 1)
         return np.flatnonzero(self.counts) // length
 
@@ -87,13 +93,13 @@ def end_to_end(signals: Sequence[Vec]) -> tuple[Vec, Index]:
 
 @dataclass(frozen=True, eq=False)
 class RunsTogether:
-    """N runs of one rate laid end to end, T samples in all, as one call of the engine takes them.
+    """N runs of one rate laid end to end for one call of the simulation, T samples in all.
 
     Attributes:
         runs: in order.
         command: of all runs with their approaches (A,).
         first: first sample of each of them, and A (N + 1,).
-        own: samples among these that belong to the trials (T,).
+        recorded: samples among these that belong to the trials (T,).
         angle, correction: of all trials (T,), see `Run`.
         begin: first sample of each trial among these, and T (N + 1,).
         spans: first sample and end of each stretch that is scored.
@@ -102,7 +108,7 @@ class RunsTogether:
     runs: tuple[Run, ...]
     command: Vec
     first: Index
-    own: slice | Mask
+    recorded: slice | Mask
     angle: Vec
     correction: Vec
     begin: Index
@@ -110,19 +116,19 @@ class RunsTogether:
 
     @classmethod
     def of(cls, runs: Sequence[Run]) -> RunsTogether:
-        """Of some runs."""
+        """Runs laid end to end."""
         command, first = end_to_end([np.concatenate([run.approach, run.command]) for run in runs])
         angle, begin = end_to_end([run.angle for run in runs])
-        own: slice | Mask = slice(None)
+        recorded: slice | Mask = slice(None)
         if command.size > angle.size:
-            own = np.concatenate([np.arange(-len(run.approach), run.command.size) >= 0 for run in runs])
+            recorded = np.concatenate([np.arange(-len(run.approach), run.command.size) >= 0 for run in runs])
         correction = np.concatenate([run.correction for run in runs])
         spans = spans_of(np.concatenate([run.counts for run in runs]))
-        return cls(tuple(runs), command, first, own, angle, correction, begin, spans)
+        return cls(tuple(runs), command, first, recorded, angle, correction, begin, spans)
 
     @classmethod
     def groups(cls, runs: Sequence[Run]) -> tuple[RunsTogether, ...]:
-        """Of all runs, in groups whose derivatives fit in a processor's cache."""
+        """All runs in groups whose derivatives fit in a processor's cache."""
         groups, size = [[runs[0]]], runs[0].command.size
         for run in runs[1:]:
             size += run.command.size
@@ -137,15 +143,21 @@ class RunsTogether:
         """Sample time [s]."""
         return self.runs[0].dt_s
 
+    @property
+    def rests(self) -> tuple[Vec, Vec]:
+        """Commands (N,) [cmd] and angles (N,) [deg] at rest before the runs."""
+        command, angle = np.array([(run.rest_command, run.rest_angle) for run in self.runs]).T
+        return command, angle
+
     def each(self) -> Iterator[tuple[Run, slice]]:
-        """Every run and its place."""
+        """Runs with their places."""
         for run, a, b in zip(self.runs, self.begin[:-1].tolist(), self.begin[1:].tolist(), strict=True):
             yield run, slice(a, b)
 
 
 @dataclass(frozen=True)
 class Before:
-    """What a device has seen when a trial begins.
+    """History of a device at the begin of a trial.
 
     Attributes:
         bent: greatest command of all trials recorded before [cmd]; minus infinity for the first.
@@ -156,12 +168,12 @@ class Before:
     clock_s: float = 0.0
 
     def scaled(self, factor: float) -> Before:
-        """The same with commands times a factor."""
+        """History with commands times a factor."""
         return Before(factor * self.bent, self.clock_s)
 
     @classmethod
     def each(cls, trials: Sequence[Trial]) -> tuple[Before, ...]:
-        """Of every trial, in recording order."""
+        """History before every trial, in recording order."""
         clocks = [cls()]
         for trial in trials:
             last = clocks[-1]
@@ -176,7 +188,7 @@ def runs_of(
     before: Sequence[Before] | None = None,
     starts: Sequence[TrialStart] | None = None,
 ) -> tuple[Run, ...]:
-    """Trials in recording order, uniformly sampled, as runs.
+    """Runs of trials in recording order, uniformly sampled.
 
     A run begins where its trial does (`models.start.trial_start`). Every sample counts, but for the first of a trial
     that begins in motion.
@@ -185,7 +197,7 @@ def runs_of(
         trials: all that were recorded, or some of them.
         corrections: see `Run.correction`.
         before: of each trial, where trials in between were left out.
-        starts: of each trial, where they are told by its samples at another rate.
+        starts: of each trial, where they are known from its samples at another rate.
     """
     runs: list[Run] = []
     before = Before.each(trials) if before is None else before
@@ -208,6 +220,15 @@ def runs_of(
             )
         )
     return tuple(runs)
+
+
+def runs_to_fit(trials: Sequence[Trial], skip_first_flexure: bool, lead_s: float = 0.0) -> tuple[Run, ...]:
+    """Runs of trials whose first `lead_s` and, where skipped, first flexure do not count."""
+    made = []
+    for trial, run in zip(trials, runs_of(trials), strict=True):
+        first = max(first_flexure_end(trial) if skip_first_flexure else 0, round(lead_s / trial.dt))
+        made.append(replace(run, counts=run.counts & (np.arange(len(trial)) >= first)))
+    return tuple(made)
 
 
 _BLOCK_S = 3.0
@@ -271,7 +292,7 @@ def fastest_command(trials: Sequence[Trial]) -> float:
 
 
 def check_trial_set(trials: Sequence[Trial]) -> float:
-    """Return the common sample time [s].
+    """Common sample time of trials that can be fitted together [s].
 
     Raises:
         FitError: if there is no trial, one is too short, sample times or units differ, or command or angle is constant.
@@ -306,7 +327,7 @@ def facts_of(
     warmup_samples: int,
     training: Mapping[str, Fact],
 ) -> ModelMetadata:
-    """Metadata of a model identified on `trials`: ranges, fingerprint and names of the logs are theirs.
+    """Metadata of a model identified on `trials`, with their ranges, fingerprint and names.
 
     Args:
         kind: name of the kind.
@@ -318,7 +339,7 @@ def facts_of(
 
     Raises:
         FitError: on unusable trials.
-        ModelError: if they are beyond what a model file may say.
+        ModelError: if they are beyond what a model file may hold.
     """
     dt, trained = check_trial_set(trials), command_range(trials)
     return ModelMetadata.of(
@@ -341,5 +362,36 @@ def facts_of(
 
 
 def fixed_rule(state: Vec) -> InitialRule:
-    """A start (S,) that does not depend on the measured angle."""
+    """Initial state (S,) that does not depend on the measured angle."""
     return InitialRule(offset=tuple(state.tolist()), slope=(0.0,) * state.size)
+
+
+AS_IT_IS: Vec = np.ones(1)
+"""The filter that changes nothing."""
+_PAST = 6
+_RIDGE = 1e-9
+
+
+def whitening(errors: Sequence[Vec]) -> Vec:
+    """Prediction-error filter (P + 1,) that leaves the part of errors which their past does not predict.
+
+    e_k - a_1 e_{k-1} - ... - a_P e_{k-P}, with a of least squares over all runs: a model-form error that follows the
+    motion slowly is taken off, and noise stays. An order of P = 6.
+
+    Source: Cochrane and Orcutt, Application of least squares regression to relationships containing auto-correlated
+    error terms, J. Am. Stat. Assoc. 44 (1949).
+    """
+    past = np.concatenate([np.lib.stride_tricks.sliding_window_view(e[:-1], _PAST)[:, ::-1] for e in errors])
+    square = past.T @ past
+    square += _RIDGE * max(float(np.trace(square)), _RIDGE) * np.eye(_PAST)
+    a = np.linalg.solve(square, past.T @ np.concatenate([e[_PAST:] for e in errors]))
+    return np.concatenate([[1.0], -a])
+
+
+def whitened(signal: Vec, white: Vec) -> Vec:
+    """Signal (T, ...) of one run through the filter; zero where its past is not known."""
+    if white.size == 1:
+        return white[0] * signal
+    left = np.asarray(lfilter(white, [1.0], signal, axis=0))
+    left[: white.size - 1] = 0.0
+    return left

@@ -1,19 +1,19 @@
-"""Which causes: forward addition, backward drop and swaps, all by joint fits and held-out free-run errors."""
+"""Selection of causes: forward addition, removal and exchange, by joint fits and free-run errors on held-out trials."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, replace
-from typing import Protocol, final
+from typing import final
 
 import numpy as np
 
 from ..effects.catalogue import EFFECTS
 from ..effects.effect import Candidate
 from .cross_validation import CrossValidation, HeldOutErrors, Hypothesis, gain, sureness
-from .motion_lines import motions_own
-from .problem import Problem, TrialTerms, strongest_line
+from .motion_lines import motion_frequencies, strongest_line
+from .problem import Problem, TrialTerms
 from .timing import TIMING, by_timing, timing_rivals
 
 RoundProgress = Callable[[float, str], None]
@@ -21,7 +21,7 @@ RoundProgress = Callable[[float, str], None]
 
 _OWN = 100
 _SAME_FIT = 1e-3  # relative fall of the error that is none: the tolerance of the fits
-OWN_TO_TRIALS = frozenset({"trial_shift", "periodic_disturbance"})  # fitted to each trial anew: has to recur
+OF_SINGLE_TRIALS = frozenset({"trial_shift", "periodic_disturbance"})  # fitted to each trial anew: has to recur
 
 
 @dataclass(frozen=True)
@@ -80,7 +80,7 @@ class SelectionSettings:
 
 @dataclass(frozen=True, eq=False)
 class Selection:
-    """What was chosen, and what it was chosen from.
+    """Result of a selection.
 
     Attributes:
         baseline: retuned alone.
@@ -93,40 +93,45 @@ class Selection:
     tried: dict[frozenset[str], HeldOutErrors]
 
 
-class Trials(Protocol):
-    """What a selection asks for: hypotheses, and their errors on trials that their fits did not see."""
+class _Judged:
+    """Hypotheses with their errors on trials that their fits did not see, by the names of their causes."""
+
+    def __init__(self, tried: Mapping[frozenset[str], HeldOutErrors]) -> None:
+        self.tried = dict(tried)
 
     def baseline(self) -> HeldOutErrors:
-        """The retuned simulator."""
-        ...
+        """Retuned simulator without causes."""
+        return self.tried[frozenset()]
 
     def additions(self, base: Hypothesis) -> Sequence[Hypothesis]:
-        """The base with one more effect each, the most promising first."""
-        ...
+        """Base with one more effect each, the most promising first."""
+        size = len(base.effects) + 1
+        return [j.hypothesis for names, j in self.tried.items() if len(names) == size and base.effects < names]
 
     def without(self, hypothesis: Hypothesis, effect: str) -> Hypothesis | None:
-        """A hypothesis less one of its effects; None where that is not known."""
-        ...
+        """Hypothesis without one of its effects; None where that was not judged."""
+        known = self.tried.get(hypothesis.effects - {effect})
+        return None if known is None else known.hypothesis
 
     def judged(self, hypothesis: Hypothesis) -> HeldOutErrors:
-        """Its errors."""
-        ...
+        """Errors of a hypothesis on held-out trials."""
+        return self.tried[hypothesis.effects]
 
     def known(self, names: frozenset[str]) -> HeldOutErrors | None:
         """Errors of the best hypothesis with these effects; None where none was judged yet."""
-        ...
+        return self.tried.get(names)
 
 
 @final
 class _Search:
-    """One selection by the rules of `select`, on whatever trials."""
+    """Selection by the rules of `select`, on any trials."""
 
-    def __init__(self, trials: Trials, settings: SelectionSettings, floor_mse: float, faults_mse: float) -> None:
+    def __init__(self, trials: _Judged, settings: SelectionSettings, floor_mse: float, faults_mse: float) -> None:
         self._trials, self._settings, self._floor, self._faults = trials, settings, floor_mse, faults_mse
         self._baseline_mse, self._strict = 0.0, False
 
     def run(self) -> tuple[HeldOutErrors, HeldOutErrors]:
-        """The baseline and the chosen hypothesis.
+        """Baseline and chosen hypothesis.
 
         First generic causes are added like others: on the way one may stand beside a partner that is exchanged later.
         Where one of them then explains no more than form errors would, it is dropped and the search goes on without.
@@ -175,14 +180,14 @@ class _Search:
             whole = 0.0  # shifts explain what it does between trials: by the whole error it would always seem small
         if new == {"trial_shift"} and "drift" in before.hypothesis.effects and self._on_a_line(after, before):
             return False
-        if new & OWN_TO_TRIALS and not _recurs(before, after, new, settings):
+        if new & OF_SINGLE_TRIALS and not _recurs(before, after, new, settings):
             return False
         least = max(share * remaining, whole, settings.form_share * self._floor)
         least = max(least, settings.beside_share * (before.mse - self._faults)) if imitates else least
         return sureness(before, after) > settings.standard_errors and useful > least
 
     def _dropped(self, current: HeldOutErrors) -> HeldOutErrors:
-        """Without each cause that is not needed any more."""
+        """Hypothesis without the causes that are no longer needed."""
         for effect in sorted(current.hypothesis.effects):
             if len(current.hypothesis.effects) < 2:
                 break
@@ -196,7 +201,7 @@ class _Search:
         return current
 
     def _swapped(self, current: HeldOutErrors, baseline: HeldOutErrors) -> HeldOutErrors:
-        """With each cause exchanged for each other one; the better is kept, all are recorded for the ambiguity."""
+        """Hypothesis with each cause exchanged for each other one, where that is better."""
         for effect in sorted(current.hypothesis.effects):
             if effect not in current.hypothesis.effects:
                 continue
@@ -238,8 +243,8 @@ class _Search:
 
 
 @final
-class _Fits:
-    """`Trials` by fits: every hypothesis is fitted to the development runs and judged in folds."""
+class _Fits(_Judged):
+    """Hypotheses that are fitted to the development runs and judged in folds when they are asked for."""
 
     def __init__(
         self,
@@ -249,9 +254,9 @@ class _Fits:
         without: Sequence[str],
         progress: RoundProgress,
     ) -> None:
+        super().__init__({})
         self._validation, self._candidates, self._settings = validation, tuple(candidates), settings
         self._without, self._progress, self._blocks = without, progress, 0.0
-        self.tried: dict[frozenset[str], HeldOutErrors] = {}
         self._added: dict[Hypothesis, list[Hypothesis]] = {}
 
     def baseline(self) -> HeldOutErrors:
@@ -260,10 +265,10 @@ class _Fits:
         return retuned
 
     def without(self, hypothesis: Hypothesis, effect: str) -> Hypothesis | None:
-        """The device without one effect, fitted again.
+        """Device without one effect, fitted anew.
 
-        A device of the same structure that was tried before is kept unless the new fit is better: its errors on trials
-        left out are already known.
+        A device of the same structure that was tried before stays unless the new fit is better: its errors on held-out
+        trials are already known.
         """
         refitted = self._validation.without(hypothesis, {effect})
         tried = self.tried.get(refitted.effects)
@@ -280,11 +285,8 @@ class _Fits:
             self.tried[hypothesis.effects] = judged
         return judged
 
-    def known(self, names: frozenset[str]) -> HeldOutErrors | None:
-        return self.tried.get(names)
-
     def additions(self, base: Hypothesis) -> list[Hypothesis]:
-        """The best variant of every effect that is not there yet, the most promising first; fitted once for a base."""
+        """Best variant of every effect that is not there yet, the most promising first; fitted once for a base."""
         if base not in self._added:
             self._added[base] = self._fitted_additions(base)
         return self._added[base]
@@ -316,7 +318,7 @@ class _Fits:
         return order[: self._settings.judged]
 
     def _expected(self, free: int) -> float:
-        """Factor from the error of a fit to that of other trials: what flexible forms of an effect gain by chance.
+        """Factor from the error of a fit to that on other trials, for what flexible forms gain by chance.
 
         (B + Q) / (B - Q) with B blocks, as neighbouring errors are correlated, and Q free parameters (Akaike, Fitting
         autoregressive models for prediction, Ann. Inst. Statist. Math. 21, 1969: final prediction error).
@@ -325,7 +327,7 @@ class _Fits:
         return (blocks + free) / max(blocks - free, 1.0)
 
     def _several_trials(self) -> bool:
-        """Folds of one trial share its samples: what changes between them is no shift from trial to trial."""
+        """Whether there are several trials: folds of one trial share its samples, and no shift from trial to trial."""
         return len({id(run.command) for run in self._validation.runs}) > 1
 
     def _terms(self, base: Hypothesis) -> list[TrialTerms]:
@@ -340,34 +342,9 @@ class _Fits:
             errors = [base.problem.error(base.q, run)[0] for run in runs]
             line = strongest_line(runs, errors, settings.lowest_hz, settings.highest_hz)
             if line > 0:
-                is_motion = bool(motions_own(runs, np.array([2 * line]))[0])
+                is_motion = bool(motion_frequencies(runs, np.array([2 * line]))[0])
                 made.append(replace(terms, frequency_hz=line, harmonics=1 if is_motion else terms.harmonics))
         return made
-
-
-@final
-class _Known:
-    """`Trials` of hypotheses that were judged before: nothing is fitted."""
-
-    def __init__(self, tried: Mapping[frozenset[str], HeldOutErrors]) -> None:
-        self._tried = tried
-
-    def baseline(self) -> HeldOutErrors:
-        return self._tried[frozenset()]
-
-    def additions(self, base: Hypothesis) -> Sequence[Hypothesis]:
-        size = len(base.effects) + 1
-        return [j.hypothesis for names, j in self._tried.items() if len(names) == size and base.effects < names]
-
-    def without(self, hypothesis: Hypothesis, effect: str) -> Hypothesis | None:
-        known = self._tried.get(hypothesis.effects - {effect})
-        return None if known is None else known.hypothesis
-
-    def judged(self, hypothesis: Hypothesis) -> HeldOutErrors:
-        return self._tried[hypothesis.effects]
-
-    def known(self, names: frozenset[str]) -> HeldOutErrors | None:
-        return self._tried.get(names)
 
 
 def _same_structure(one: Problem, other: Problem) -> bool:
@@ -375,7 +352,7 @@ def _same_structure(one: Problem, other: Problem) -> bool:
 
 
 def _favourites(reached: Mapping[Candidate, float], most: int) -> tuple[Candidate, ...]:
-    """The variants of each effect that did best alone: later rounds try no others."""
+    """Variants of each effect that did best alone: later rounds try no others."""
     kept = []
     for effect in dict.fromkeys(candidate.effect for candidate in reached):
         reached_by_effect = sorted((c for c in reached if c.effect == effect), key=lambda c: reached[c])
@@ -389,12 +366,12 @@ def _exceeds(gained: tuple[float, float]) -> bool:
 
 
 def _freedoms(hypothesis: Hypothesis) -> int:
-    """Free parameters of the causes; what each trial has of its own counts as more than any."""
+    """Number of free parameters of the causes; terms of single trials count as more than any."""
     return sum(len(c.free) for c in hypothesis.problem.effects) + _OWN * len(hypothesis.problem.terms.names)
 
 
 def _recurs(before: HeldOutErrors, after: HeldOutErrors, new: AbstractSet[str], settings: SelectionSettings) -> bool:
-    """Whether what each trial has of its own is there in most trials, and not in a single odd one alone.
+    """Whether terms of single trials explain most trials, and not a single odd one alone.
 
     The median trial gains as the mean does. Where groups of unequal size share a shift, the retuned simulator is nearer
     to the larger group, whose trials gain less: then a shift explains half of the error of every trial, and the trials
@@ -412,7 +389,7 @@ def _recurs(before: HeldOutErrors, after: HeldOutErrors, new: AbstractSet[str], 
 
 
 def line_share(neither: HeldOutErrors, shifts: HeldOutErrors, drift: HeldOutErrors) -> float:
-    """Share of what shifts of the trials explain that a drift explains: how well these shifts follow the clock.
+    """Share of the error explained by shifts of the trials that a drift explains, too.
 
     Both are compared by their fits. Held out, shifts are estimated on the trial itself and a drift on others, so that
     its random walk about the line would count against it.
@@ -435,7 +412,7 @@ def select(
     progress: RoundProgress = lambda share, what: None,
     faults_mse: float = 0.0,
 ) -> Selection:
-    """Choose the causes.
+    """Select the causes of a gap.
 
     Args:
         validation: development runs and baseline.
@@ -443,7 +420,7 @@ def select(
         settings: thresholds.
         floor_mse: error of sensor noise and model form; a fall below it does not count [deg^2].
         without: effects that are left out of the library.
-        progress: told the share of the present round and what is tried.
+        progress: called with the share of the present round and the candidate that is tried.
         faults_mse: energy of a faulty sensor's noise, which is no form error [deg^2].
     """
     fits = _Fits(validation, candidates, settings, without, progress)
@@ -457,18 +434,18 @@ def select(
     return Selection(baseline, by_timing(chosen, fits.tried, settings.standard_errors), fits.tried)
 
 
-def select_again(
+def reselect(
     tried: Mapping[frozenset[str], HeldOutErrors],
     settings: SelectionSettings,
     floor_mse: float,
     faults_mse: float = 0.0,
 ) -> Selection:
-    """Choose by the same rules among hypotheses that were judged on other trials; nothing is fitted.
+    """Select by the same rules among hypotheses that were judged on other trials; nothing is fitted.
 
     Args:
         tried: their errors by the names of their causes, the baseline's among them.
         settings: thresholds.
         floor_mse, faults_mse: see `select`.
     """
-    baseline, chosen = _Search(_Known(tried), settings, floor_mse, faults_mse).run()
+    baseline, chosen = _Search(_Judged(tried), settings, floor_mse, faults_mse).run()
     return Selection(baseline, by_timing(chosen, tried, settings.standard_errors), dict(tried))

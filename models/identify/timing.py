@@ -1,4 +1,4 @@
-"""Lag, delay or rate dependence: which one, held out in parts of all trials, and by what is quick in their errors."""
+"""Distinction of lag, delay and rate dependence, by errors on parts of all trials and by their fast components."""
 
 from __future__ import annotations
 
@@ -10,10 +10,8 @@ import numpy as np
 from hystmpc.trials.types import Vec
 
 from ..effects.effect import Candidate
-from .cross_validation import CrossValidation, HeldOutErrors, Hypothesis, InParts, sureness
-from .least_squares import fit_problem
-from .runs import Blocks, Run, blocks_of
-from .whitening import whitened, whitening
+from .cross_validation import CrossValidation, HeldOutErrors, Hypothesis, InParts, fit_problem, sureness
+from .runs import Blocks, Run, blocks_of, whitened, whitening
 
 TIMING = frozenset({"lag", "delay", "rate_dependence"})
 """Effects that leave a slow motion alone and keep the angle behind a fast one."""
@@ -24,12 +22,12 @@ _FORMS = 2  # of each effect that are compared: those that fit best
 def timing_rivals(
     validation: CrossValidation, candidates: Sequence[Candidate], chosen: Hypothesis, rest: Hypothesis | None
 ) -> dict[str, tuple[Hypothesis, InParts]]:
-    """A lag, a delay and a rate dependence, each in the place of the one that is chosen; empty unless just one is.
+    """Hypotheses with a lag, a delay and a rate dependence in place of the chosen one; empty unless just one is chosen.
 
-    Two errors of each are told:
+    Each has two errors:
 
     1. On every other part of 3 s of all trials, by a fit to the parts between. Trials held out whole are harder where
-       a single trial has the fast steps: what the others say of such a speed is extrapolated.
+       a single trial has the fast steps: what the others tell about such a speed is extrapolated.
     2. Whitened errors of a fit to them (generalised least squares). These effects differ at bends of the command, for
        a few samples; the model-form error is slow.
 
@@ -68,7 +66,7 @@ def timing_rivals(
 
 
 def _late(candidate: Candidate, late_s: float) -> tuple[float, ...]:
-    """Its first start, with the time by which the device is known to stay behind."""
+    """First start of a candidate, with the known delay of the device."""
     first = candidate.starts[0]
     named = [f.name in ("tau_s", "delay_s", "tau_up_s", "tau_down_s") for f in candidate.free]
     return tuple(late_s if late else value for late, value in zip(named, first, strict=True))
@@ -89,7 +87,7 @@ def _held_out(validation: CrossValidation, hypothesis: Hypothesis) -> Vec:
 
 
 def _parts(run: Run, odd: int) -> Run:
-    """A run of which every other part counts."""
+    """Run of which every other part counts."""
     part = np.arange(run.counts.size) * run.dt_s // _PART_S % 2 == odd
     return replace(run, counts=run.counts & part)
 
@@ -104,10 +102,10 @@ def _quick(validation: CrossValidation, hypothesis: Hypothesis, white: Vec) -> V
 def by_timing(
     chosen: HeldOutErrors, tried: Mapping[frozenset[str], HeldOutErrors], sure_errors: float
 ) -> HeldOutErrors:
-    """The chosen hypothesis, or the same with another effect of timing in the place of its own.
+    """Chosen hypothesis, or the same with another effect of timing.
 
     Of those whose error, held out in parts, is not larger than the least by so many standard errors, the one of which
-    the least quick errors are expected.
+    the least whitened errors are expected.
     """
     names = chosen.hypothesis.effects
     if len(names & TIMING) != 1 or chosen.parts is None:
@@ -123,7 +121,7 @@ def by_timing(
 
 
 def timing_errors(before: HeldOutErrors, after: HeldOutErrors) -> tuple[float, float]:
-    """Standard errors by which the second is nearer: held out in parts, and in what is quick; 0 if not compared."""
+    """Standard errors by which the second is better, held out in parts and in whitened errors; 0 if not compared."""
     if before.parts is None or after.parts is None:
         return 0.0, 0.0
     one, other = before.parts, after.parts

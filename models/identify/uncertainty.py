@@ -1,4 +1,4 @@
-"""Identified numbers with their intervals, and which of them the data do not determine."""
+"""Identified numbers with their confidence intervals, and those that the data do not determine."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _FLAT_LOG, _FLAT_RANGE = float(np.log(3.0)), 0.25  # half width of the interval:
 
 @dataclass(frozen=True, eq=False)
 class Uncertainty:
-    """How well the development errors determine the unknowns.
+    """Uncertainty of the unknowns of a fit.
 
     Attributes:
         covariance: of the unknowns q (Q, Q); zero for those at a bound.
@@ -79,7 +79,7 @@ def uncertainty(problem: Problem, q: Vec, runs: Sequence[Run]) -> Uncertainty:
 
 
 def _inverse(hessian: Vec) -> tuple[Vec, NDArray[np.bool_]]:
-    """Pseudo-inverse (Q, Q), and which unknowns have a part in what it leaves out (Q,)."""
+    """Pseudo-inverse (Q, Q), and the unknowns that it leaves out (Q,)."""
     size = np.sqrt(np.maximum(np.diag(hessian), 1e-300))
     weights, turn = np.linalg.eigh(hessian / np.outer(size, size))
     seen = weights > _TOLERANCE * max(float(weights.max(initial=0.0)), 1e-300)
@@ -95,7 +95,7 @@ def _scores(error: Vec, by_q: Vec, run: Run, seconds: float) -> list[Vec]:
 
 
 def _flat(problem: Problem, half: Vec) -> NDArray[np.bool_]:
-    """Unknowns whose interval is no narrower than a factor of three either way, or half of their range."""
+    """Unknowns whose interval is as wide as a factor of three either side, or half of their range."""
     logarithmic = np.zeros(problem.size, dtype=np.bool_)
     scales = [freedom.scale for c in problem.effects for freedom in c.free]
     if scales:
@@ -105,7 +105,7 @@ def _flat(problem: Problem, half: Vec) -> NDArray[np.bool_]:
 
 @dataclass(frozen=True)
 class ParameterRow:
-    """One identified number of the corrected simulator.
+    """Identified number of the corrected simulator.
 
     Attributes:
         owner: effect, or `baseline`.
@@ -127,7 +127,7 @@ class ParameterRow:
     unit: str = "1"
 
     def times(self, factor: float) -> ParameterRow:
-        """The number in another unit, of which the present one has `factor`."""
+        """Number in another unit, of which the present one has `factor`."""
         low, high = self.ci90
         neutral = None if self.neutral is None else self.neutral * factor
         return replace(self, value=self.value * factor, ci90=(low * factor, high * factor), neutral=neutral)
@@ -155,7 +155,7 @@ _ENDINGS = {"_deg_s": "deg/s", "_deg": "deg", "_hz": "Hz", "_s": "s"}  # longest
 def parameter_rows(
     hypothesis: Hypothesis, runs: Sequence[Run], estimated: Mapping[str, Mapping[str, float]]
 ) -> tuple[ParameterRow, ...]:
-    """Every number of the corrected simulator: the baseline's, those of operators, those estimated beside the fit.
+    """All numbers of the corrected simulator: of the baseline, of operators, and those estimated apart from the fit.
 
     Args:
         hypothesis: the corrected simulator, at its optimum.
@@ -175,7 +175,7 @@ def parameter_rows(
 
 
 def core_rows(hypothesis: Hypothesis, runs: Sequence[Run]) -> tuple[ParameterRow, ...]:
-    """Weights and widths of the core's plays, as far as retuning fits them; `neutral` is the given value.
+    """Weights and widths of the core's plays that retuning fits; `neutral` is the given value.
 
     Args:
         hypothesis: the retuned simulator, at its optimum.
@@ -235,7 +235,7 @@ def _baseline_rows(hypothesis: Hypothesis, uncertain: Uncertainty) -> Iterator[P
 
 
 def _reach(problem: Problem, name: str, q: Vec) -> float:
-    """Range of a baseline quantity where one unknown after the other goes through its bounds."""
+    """Range of a baseline quantity while one unknown after the other goes through its bounds."""
     quantity, reached = _quantity(problem, name), []
     for k in range(problem.size - sum(len(c.free) for c in problem.effects)):
         reached += [
@@ -254,17 +254,17 @@ def _unit(candidate: Candidate, name: str) -> str:
 
 
 def _unit_of_name(name: str) -> str:
-    """Unit that a name ends with, as that of `amplitude_deg`."""
+    """Unit at the end of a name, as that of `amplitude_deg`."""
     return next((unit for ending, unit in _ENDINGS.items() if name.endswith(ending)), "1")
 
 
 def _entry(problem: Problem, at: int) -> Callable[[Vec], float]:
-    """One number of the baseline's freedom by the unknowns."""
+    """Unknown of the baseline as a function of q."""
     return lambda q: float(problem.retuned(q)[at])
 
 
 def _quantity(problem: Problem, name: str) -> Callable[[Vec], float]:
-    """One quantity of the baseline by the unknowns."""
+    """Quantity of the baseline as a function of q."""
     return lambda q: problem.baseline.quantities(problem.retuned(q))[name]
 
 

@@ -8,8 +8,8 @@ from hystmpc.trials.trial import Trial, Units
 
 from ..chain import Chain
 from ..evaluate import free_run
+from ..identify.chain_fit import OperatorFitSettings, fit_chain
 from ..identify.chain_kinds import backlash_starts
-from ..identify.least_squares import OperatorFitSettings, fit_chain
 from ..model import LoadedModel
 from ..motions import probe_commands
 from ..simulator import Simulator, simulator_for

@@ -1,39 +1,70 @@
-"""The one list of model kinds: the command line, the laboratory and the tests read it."""
+"""Kinds of model by name; only the kind that is asked for is made."""
 
 from __future__ import annotations
 
-from hystmpc.trials.errors import FitError, did_you_mean
-from hystmpc.trials.from_outside import installed_objects
+from collections.abc import Mapping
+from functools import cache
 
-from .auto import AutoKind
+from hystmpc.trials.errors import FitError, did_you_mean
+from hystmpc.trials.from_outside import installed, installed_objects
+
+from ..identify.chain_kinds import CHAIN_KINDS
 from .kind import ModelKind
-from .networks import NETWORK_KINDS
-from .operator_kinds import OPERATOR_KINDS
-from .regressions import PlayKernelKind
 
 GROUP = "hystmpc.kinds"
 """Entry points by which installed packages add a kind of model; the value is MODULE:NAME of a `ModelKind`."""
 
-_OWN: tuple[ModelKind, ...] = (AutoKind(), *OPERATOR_KINDS, *NETWORK_KINDS, PlayKernelKind())
-_OTHERS = installed_objects(GROUP, "kind of model", ModelKind, [kind.name for kind in _OWN])  # type: ignore[type-abstract]
-KINDS: tuple[ModelKind, ...] = (*_OWN, *_OTHERS.values())
-"""Kinds of model, those of installed packages last."""
+
+_OWN = ("auto", *CHAIN_KINDS, "lstm", "gru", "play_kernel")
+
+
+def _own(name: str) -> ModelKind:
+    """The kind of the package with that name."""
+    if name == "play_kernel":
+        from ..play_kernel.fit import PlayKernelKind
+
+        return PlayKernelKind()
+    if name in ("lstm", "gru"):
+        from .networks import NETWORK_KINDS
+
+        return next(kind for kind in NETWORK_KINDS if kind.name == name)
+    from .operator_kinds import AutoKind, OperatorKind
+
+    return OperatorKind(CHAIN_KINDS[name]) if name in CHAIN_KINDS else AutoKind()
+
+
+@cache
+def _others() -> Mapping[str, ModelKind]:
+    """Kinds of installed packages."""
+    return installed_objects(GROUP, "kind of model", ModelKind, _OWN)  # type: ignore[type-abstract]
+
+
+def kind_names() -> tuple[str, ...]:
+    """Names of all kinds of model, those of installed packages last; none of these is imported."""
+    return (*_OWN, *installed(GROUP))
+
+
+@cache
+def all_kinds() -> tuple[ModelKind, ...]:
+    """All kinds of model, those of installed packages last."""
+    return (*map(_own, _OWN), *_others().values())
 
 
 def kind_named(name: str) -> ModelKind:
-    """The kind of that name.
+    """The kind of model with that name.
 
     Raises:
         FitError: if there is none; says what is available.
     """
-    kinds = {kind.name: kind for kind in KINDS}
-    if name not in kinds:
-        raise FitError(f"no kind of model {name!r}, {did_you_mean(name, kinds)}")
-    return kinds[name]
+    if name in _OWN:
+        return _own(name)
+    if name not in _others():
+        raise FitError(f"no kind of model {name!r}, {did_you_mean(name, [*_OWN, *_others()])}")
+    return _others()[name]
 
 
 def chosen_kind(name: str, drive: str | None = None, residual: str | None = None) -> ModelKind:
-    """The kind of that name, or a combination with it.
+    """The kind of model with that name, or a combination with it.
 
     Args:
         name: see `kind_named`.
@@ -49,12 +80,12 @@ def chosen_kind(name: str, drive: str | None = None, residual: str | None = None
         return kind
     from ..load import model_path
     from ..simulator import load_simulator
-    from .connected import DrivenKind, ResidualKind  # compiled code, which a list of kinds need not load
+    from .connected import DrivenKind, ResidualKind
 
     if drive is not None and residual is not None:
         raise FitError("got a drive and a network of what operators leave, expected one of them")
     if drive is not None:
-        return DrivenKind(kind, None if drive == AutoKind.name else load_simulator(model_path(drive)))
-    if name != AutoKind.name:
+        return DrivenKind(kind, None if drive == "auto" else load_simulator(model_path(drive)))
+    if name != "auto":
         raise FitError(f"{name}: a network of what operators leave is trained with `auto` only")
     return ResidualKind(str(residual))

@@ -1,4 +1,4 @@
-"""Kinds in combination: any kind behind the drive of a device, and a network beside the operators of one."""
+"""Combinations of kinds: any kind behind the drive of a device, and a network in parallel to its operators."""
 
 from __future__ import annotations
 
@@ -15,22 +15,22 @@ from ..connections import connected_bundle
 from ..contract.export import ExportBundle, model_bytes
 from ..contract.metadata import DeviceLimits
 from ..evaluate import free_run, started
-from ..identify.auto import AutoFit, runs_to_fit
-from ..identify.auto_search import AutoSettings
+from ..identify.auto import AutoFit
+from ..identify.auto_search import worth
 from ..identify.cross_validation import CrossValidation
-from ..identify.methods import simulator_of
-from ..identify.runs import Blocks, blocks_of, facts_of
+from ..identify.runs import Blocks, blocks_of, facts_of, runs_to_fit
+from ..identify.simulators import simulator_of
 from ..inverse.drive import Drive
 from ..model import FitProgress
 from ..simulator import ChainModel, Simulator
-from .auto import AutoKind
 from .kind import FitRequest, Identified, ModelKind
 from .networks import NETWORK_KINDS, RESIDUAL, NetworkKind
+from .operator_kinds import AutoKind
 
 
 @final
 class DrivenKind(ModelKind):
-    """A kind behind the drive of a device: theta = kind(v), v = drive(u).
+    """Kind of model behind the drive of a device: theta = kind(v), v = drive(u).
 
     The drive is that of a simulator, all up to its last lag, servo, delay or top speed; the kind is identified from the
     travel v that the drive makes of the recorded commands.
@@ -82,14 +82,14 @@ class DrivenKind(ModelKind):
 
 @final
 class ResidualKind(ModelKind):
-    """The operators of a device and a network of what they leave, behind the drive of the device.
+    """Operators of a device and a network of their residual, behind the drive of the device.
 
         theta = core(v) + network(v),  v = drive(u)
 
-    Drive and core are those of `auto`. The network is kept only if it lowers the error on trials that neither the
-    operators nor the network saw, by the rule of `auto` for any other part: the search's first fold is left out, the
-    operators are those that were fitted without it, and a network is trained on what they leave of the others. The
-    network that is kept is then trained on what is left of all trials.
+    Drive and core are those of `auto`. The network stays only if it lowers the error on trials that neither the
+    operators nor the network were fitted to, by the rule of `auto` for any other part: the search's first fold is left
+    out, the operators are those fitted without it, and a network is trained on their residual of the other trials. A
+    network that stays is then trained on the residual of all trials.
 
     Args:
         network: kind of the network, `lstm` or `gru`.
@@ -125,7 +125,7 @@ class ResidualKind(ModelKind):
             stopped = isinstance(error, KeyboardInterrupt)
             return replace(fit, interrupted=stopped, report=f"{fit.report}; {self._network.name} not kept: {why}")
         change = f"{before.mse**0.5:.4g} -> {after.mse**0.5:.4g} {trials[0].units.angle} on trials left out"
-        if not AutoSettings().worth(before, after):
+        if not worth(before, after):
             return replace(fit, report=f"{fit.report}; {self._network.name} not kept: {change}")
         device = _identified(fit)
         rest = self._network.fit(
@@ -169,13 +169,13 @@ class ResidualKind(ModelKind):
 
 
 def behind(drive: Drive, trial: Trial) -> Trial:
-    """The trial with the travel behind a drive, which rested at its first command, in the command's place."""
+    """Trial with the travel behind a drive, which rested at its first command, in place of the command."""
     predictor, u = drive.predictor, float(trial.command[0])
     return replace(trial, command=predictor.rollout(predictor.initial(u, u), trial.command[None])[0])
 
 
 def _parted(device: Simulator) -> tuple[Simulator | None, Simulator]:
-    """The drive of a device, if it has one, and what is behind it."""
+    """Drive of a device, if it has one, and the device behind it."""
     front, _, _ = split(device.chain)
     behind_it = replace(device, chain=replace(device.chain, before=device.chain.before[len(front) :]))
     if not front:
@@ -184,7 +184,7 @@ def _parted(device: Simulator) -> tuple[Simulator | None, Simulator]:
 
 
 def _left(trials: Sequence[Trial], device: Simulator, offsets: bool) -> list[Trial]:
-    """What a device leaves of trials, over the travel that its drive makes of the commands."""
+    """Residuals of a device on trials, over the travel that its drive makes of the commands."""
     front, middle = _parted(device)
     drive, model = front and Drive(front.chain.operators, front.metadata()), ChainModel(middle)
     travels = [behind(drive, trial) if drive else trial for trial in trials]
@@ -193,7 +193,7 @@ def _left(trials: Sequence[Trial], device: Simulator, offsets: bool) -> list[Tri
 
 
 def _centred(residual: Vec, offsets: bool) -> Vec:
-    """The residual less its mean where every trial has an offset of its own."""
+    """Residual without its mean where every trial has a separate offset."""
     return residual - residual.mean() if offsets else residual
 
 
@@ -204,7 +204,7 @@ def _connected(
     trials: Sequence[Trial],
     limits: DeviceLimits,
 ) -> ExportBundle:
-    """The bundle of a connection, its ranges those of the recorded trials."""
+    """Bundle of a connection, its ranges those of the recorded trials."""
     facts = rest.metadata
     rules = facts.initial, facts.conditioned
     return connected_bundle(

@@ -1,4 +1,4 @@
-"""What a kind of model is: identified from trials, forward or inverse, always into an exportable bundle."""
+"""Kind of model: identified from trials, forward or inverse, always into an exportable bundle."""
 
 from __future__ import annotations
 
@@ -7,12 +7,18 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
+import numpy as np
+
+from hystmpc.trials.check import check
+from hystmpc.trials.clock_shift import clock_shift
 from hystmpc.trials.errors import FitError, did_you_mean
+from hystmpc.trials.findings import Severity
 from hystmpc.trials.trial import Trial
 
-from ..contract.export import ExportBundle
+from ..contract.export import ExportBundle, model_bytes
 from ..contract.metadata import DeviceLimits
-from ..model import FitProgress
+from ..evaluate import evaluate
+from ..model import FitProgress, LoadedModel
 
 if TYPE_CHECKING:
     from ..identify.auto import AutoFit
@@ -21,7 +27,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class FitRequest:
-    """What an identification is asked for; a kind ignores what it has no use for.
+    """Options of an identification; a kind ignores those that it has no use for.
 
     Attributes:
         training: `best`, or `paper` for the papers' training settings; for operators the method, see each kind.
@@ -30,7 +36,7 @@ class FitRequest:
         hold_out: whole trials held out of those given to stop early; None for the training's.
         validation: trials that only judge, in place of held-out ones.
         constancy_weight: beta of the constant-in, constant-out term, S2 (RA-L 2024) eq. (12); None for the training's.
-        plays: number of plays of a Prandtl-Ishlinskii model; None for the kind's own.
+        plays: number of plays of a Prandtl-Ishlinskii model; None for the kind's default.
         skip_first_flexure: score each trial from the first reversal of its command on.
         limits: what the device may be sent.
     """
@@ -48,7 +54,7 @@ class FitRequest:
 
 @dataclass(frozen=True, eq=False)
 class Identified:
-    """The result of an identification.
+    """Result of an identification.
 
     Attributes:
         bundle: graph, facts and reference, ready for `export_onnx`; `OnnxModel` runs it.
@@ -56,7 +62,7 @@ class Identified:
         history: step and best error so far, in the unit of the output.
         report: one line on how it went.
         interrupted: stopped by the user; this is the best so far.
-        parts: of `auto`, what each part of the device bought, its numbers with intervals, and what to record.
+        parts: of `auto`, the effect of each part on the error, its numbers with intervals, and what to record.
     """
 
     bundle: ExportBundle
@@ -67,8 +73,20 @@ class Identified:
     parts: AutoFit | None = None
 
 
+def recorded(progress: FitProgress | None) -> tuple[list[tuple[int, float]], FitProgress]:
+    """Empty history of (step, least error), and a progress function that fills it and calls the given one."""
+    history: list[tuple[int, float]] = []
+
+    def show(done: int, error: float) -> None:
+        history.append((done, error))
+        if progress:
+            progress(done, error)
+
+    return history, show
+
+
 class ModelKind(ABC):
-    """One kind of model. Implementations are final, have no state, and are listed in `catalogue.KINDS`.
+    """Kind of model. Implementations are final and have no state; `catalogue` names them.
 
     Trials whose command and angle have changed places (`Trial.swapped`) ask for the inverse map.
 
@@ -93,7 +111,7 @@ class ModelKind(ABC):
     rings: bool = False
 
     def usual_training(self, inverted: bool) -> str:
-        """The training that is taken where none is named."""
+        """Default training."""
         return (inverted and self.inverse_training) or self.trainings[0]
 
     @abstractmethod
@@ -108,10 +126,10 @@ class ModelKind(ABC):
 
     @abstractmethod
     def steps(self, request: FitRequest) -> int | None:
-        """What progress counts up to; None where it is not known beforehand."""
+        """Number of steps that progress counts up to; None where it is not known beforehand."""
 
     def estimate(self, trials: Sequence[Trial], request: FitRequest) -> float | None:
-        """Seconds that `fit` will take, measured on a few of its steps; None where that cannot be said beforehand.
+        """Duration of `fit` [s], measured on a few of its steps; None where that cannot be said beforehand.
 
         Raises:
             FitError: on unusable trials or a missing extra.
@@ -120,7 +138,7 @@ class ModelKind(ABC):
         return None
 
     def check(self, trials: Sequence[Trial], request: FitRequest) -> None:
-        """Refuse what this kind cannot do, before any work.
+        """Refuse a request that this kind cannot fulfil, before any work.
 
         Raises:
             FitError: on an unknown training, or an inverse map of a kind that has none.
@@ -131,3 +149,74 @@ class ModelKind(ABC):
             )
         if trials and trials[0].inverted and not self.invertible:
             raise FitError(f"{self.name} has no inverse map; its inverse can be searched, or another kind identified")
+
+
+_SLACK = 1.02  # of the line's error: a device that is a line is identified up to this much worse
+_ROUNDING = 1e-9  # of the angle's range: trials that are a line to the last digit are identified, too
+_CAUSES = ("numbers", "clocks", "time base", "units", "sign")
+
+
+def identified(
+    kind: ModelKind, trials: Sequence[Trial], request: FitRequest, progress: FitProgress | None = None
+) -> Identified:
+    """Identify, and refuse a model whose free run errs more over these trials than one straight line.
+
+    The result of a fit that was interrupted, or had a limit of steps, is returned unchecked.
+
+    Raises:
+        FitError: as `ModelKind.fit`, or that two clocks are the cause; where a line is better, with both errors and
+            what the check of the trials says.
+    """
+    try:
+        identification = kind.fit(trials, request, progress)
+    except FitError as error:
+        for trial in trials:
+            if (shift := clock_shift(trial.t, trial.command, trial.angle)) is not None and not trial.inverted:
+                raise FitError(f"{trial.source}: {shift.text}") from error
+        raise
+    if identification.interrupted or request.steps is not None:
+        return identification
+    model, line = _errors(_opened(identification, kind.name), trials, request.skip_first_flexure)
+    if model > _SLACK * line + _ROUNDING * _span(trials):
+        unit = trials[0].units.angle
+        raise FitError(
+            f"{kind.name}: errs by {model:.3g} {unit} over these trials, a straight line by {line:.3g} {unit}: "
+            f"no model of them, and none is kept; {_why(trials)}"
+        )
+    return identification
+
+
+def _opened(identification: Identified, name: str) -> LoadedModel:
+    if identification.simulator is not None:
+        from ..simulator import ChainModel
+
+        return ChainModel(identification.simulator)
+    from ..contract.load import OnnxModel
+
+    return OnnxModel(model_bytes(identification.bundle), name)
+
+
+def _errors(model: LoadedModel, trials: Sequence[Trial], skip_first_flexure: bool) -> tuple[float, float]:
+    """Root mean square errors of the model's free run and of one line through all samples that count."""
+    runs = [evaluate(model, trial, skip_first_flexure) for trial in trials]
+    u = np.concatenate([run.trial.command[run.start :] for run in runs])
+    y = np.concatenate([run.trial.angle[run.start :] for run in runs])
+    theta = np.concatenate([run.theta[run.start :] for run in runs])
+    columns = np.column_stack([np.ones(u.size), u])
+    left = y - columns @ np.linalg.lstsq(columns, y, rcond=None)[0]
+    return float(np.sqrt(np.mean((theta - y) ** 2))), float(np.sqrt(np.mean(left**2)))
+
+
+def _span(trials: Sequence[Trial]) -> float:
+    """Greatest range of the angle in a trial."""
+    return max(float(np.ptp(trial.angle)) for trial in trials)
+
+
+def _why(trials: Sequence[Trial]) -> str:
+    """Finding of the check of the trials that may be the cause."""
+    for trial in trials:
+        forward = trial.swapped() if trial.inverted else trial
+        for finding in check(forward).findings:
+            if finding.severity in (Severity.WARNING, Severity.ERROR) and finding.topic.startswith(_CAUSES):
+                return f"`check` says: {finding.message}"
+    return "`check` finds no cause: try `auto`, or more trials"

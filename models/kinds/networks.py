@@ -1,6 +1,4 @@
-"""The kinds of model that are networks, and their trainings: as in S2 (Wu et al., RA-L 2024), as in S1 (Wu et al., RA-L
-2021), and the best that we know.
-"""
+"""Kinds of model that are networks, with trainings of S2 (Wu et al., RA-L 2024), S1 (RA-L 2021) and our best."""
 
 from __future__ import annotations
 
@@ -31,7 +29,7 @@ S1_WINDOWS = WindowTraining(epochs=50, padding_samples=49)
 def s2_settings(
     kind: str, network: NetworkForm, training: WindowTraining = S2_WINDOWS, name: str = "paper"
 ) -> NetworkSettings:
-    """S2 section III-D: windows of 50, Adam 1e-3, batch 16, at most 100 epochs, u/6 and theta/90, rest at 30 deg."""
+    """Training of S2 section III-D: windows of 50, Adam 1e-3, batch 16, at most 100 epochs, rest at 30 deg."""
     return NetworkSettings(
         kind=kind,
         name=name,
@@ -46,7 +44,7 @@ def s2_settings(
 
 
 def s1_settings(kind: str, network: NetworkForm, training: WindowTraining = S1_WINDOWS) -> NetworkSettings:
-    """S1 section II-C: windows of 50 padded on the left, ranges mapped to [-1, 1], 50 epochs over all samples.
+    """Training of S1 section II-C: windows of 50 padded on the left, ranges mapped to [-1, 1], 50 epochs.
 
     Optimiser, rate and batch stood in a table that is lost; those of S2 are taken.
     """
@@ -56,7 +54,7 @@ def s1_settings(kind: str, network: NetworkForm, training: WindowTraining = S1_W
 
 
 def by_training(*settings: NetworkSettings) -> Mapping[str, NetworkSettings]:
-    """Settings by the name, in this order."""
+    """Settings by the name of the training."""
     return MappingProxyType({each.name: each for each in settings})
 
 
@@ -76,7 +74,7 @@ _WINDOW = 50  # S2's, over which its constancy term is taken
 
 @final
 class NetworkKind(ModelKind):
-    """A kind that is a network, with trainings of its training; torch is loaded when one is trained.
+    """Kind of model that is a network; torch is loaded when one is trained.
 
     Args:
         name, title, recurrent, inverse_training: see `ModelKind`.
@@ -95,7 +93,7 @@ class NetworkKind(ModelKind):
         self.recurrent, self.inverse_training = recurrent, inverse_training
 
     def training(self, request: FitRequest) -> NetworkSettings:
-        """The settings of a training with what the request changes.
+        """Settings of a training with the changes of a request.
 
         A feed-forward network, which the papers train on single samples, is trained on windows where the constancy
         term is asked for.

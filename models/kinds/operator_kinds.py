@@ -1,4 +1,4 @@
-"""The kinds of model that are operators: one for each entry of `identify.chain_kinds.CHAIN_KINDS`."""
+"""Kinds of model that consist of operators: one operator of `CHAIN_KINDS`, or the whole device of `auto`."""
 
 from __future__ import annotations
 
@@ -6,20 +6,23 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import final
 
+from hystmpc.trials.errors import FitError
 from hystmpc.trials.trial import Trial
 
 from ..contract.metadata import DeviceLimits
-from ..identify.chain_kinds import CHAIN_KINDS, ChainKind, Structure
-from ..identify.least_squares import OperatorFitSettings
-from ..identify.methods import identify_chain, methods_by_training, simulator_of
+from ..identify.auto import AutoFit, auto_chain, identify_auto
+from ..identify.chain_fit import OperatorFitSettings, identify_chain, methods_by_training
+from ..identify.chain_kinds import ChainKind
+from ..identify.simulators import simulator_of
+from ..kernels.compiling import expecting
 from ..model import FitProgress
 from ..simulator import simulator_bundle
-from .kind import FitRequest, Identified, ModelKind
+from .kind import FitRequest, Identified, ModelKind, recorded
 
 
 @final
 class OperatorKind(ModelKind):
-    """A kind that is an operator; its inverse form is identified from swapped trials.
+    """Kind of model that is one operator; its inverse form is identified from swapped trials.
 
     Its trainings are identification methods: bounded least squares (`best`), and those of installed packages.
 
@@ -42,8 +45,8 @@ class OperatorKind(ModelKind):
         settings = method.settings_for(request.steps, request.seed, request.skip_first_flexure)
         if isinstance(settings, OperatorFitSettings) and self._entry.restarts is not None:
             settings = replace(settings, restarts=self._entry.restarts)
-        structure = Structure(plays=self._entry.plays if request.plays is None else request.plays)
-        chain, fit = identify_chain(kind, trials, method.name, settings, progress=progress, structure=structure)
+        plays = self._entry.plays if request.plays is None else request.plays
+        chain, fit = identify_chain(kind, trials, method.name, settings, plays, progress)
         # The limits of the request are those of the device's command, which an inverse map gives and does not take.
         limits = DeviceLimits() if inverted else request.limits
         words = f"{method.name}, training {request.training}"
@@ -57,4 +60,44 @@ class OperatorKind(ModelKind):
         return None
 
 
-OPERATOR_KINDS: tuple[OperatorKind, ...] = tuple(OperatorKind(entry) for entry in CHAIN_KINDS.values())
+_STEPS = 100  # of the progress
+_COMPILES_S = 150.0  # where nothing is on disk: the kernels of all operators that are tried
+
+
+@final
+class AutoKind(ModelKind):
+    """Kind of model of a whole device as a chain of operators; see `identify_auto`."""
+
+    name = "auto"
+    title = "auto"
+    trainings = ("best",)
+    readable = True
+    invertible = False
+
+    @expecting(_COMPILES_S)
+    def fit(self, trials: Sequence[Trial], request: FitRequest, progress: FitProgress | None = None) -> Identified:
+        self.check(trials, request)
+        if not trials:
+            raise FitError("got no trials, expected at least one")
+
+        history, show = recorded(progress)
+        skip = request.skip_first_flexure
+        fit = identify_auto(trials, skip, lambda share, rmse: show(round(_STEPS * share), rmse))
+        words = f"auto: {fit.choice.hypothesis.label} + {fit.choice.core.label}"
+        simulator = simulator_of(
+            auto_chain(fit), trials, request.limits, words, request.seed, request.skip_first_flexure, fit.noise
+        )
+        report = _report(fit, trials[0].units.angle)
+        bundle = simulator_bundle(simulator)
+        return Identified(bundle, simulator, tuple(history), report, fit.interrupted, fit)
+
+    def steps(self, request: FitRequest) -> int:
+        del request
+        return _STEPS
+
+
+def _report(fit: AutoFit, unit: str) -> str:
+    """Parts of the device and its error on held-out trials, in one line."""
+    parts = [c.label for form in fit.choice.forms.values() for c in form if c.free]
+    rmse = fit.choice.rmse_deg * fit.decades.angle
+    return f"{' + '.join([*parts, fit.choice.core.label])}; {rmse:.4g} {unit} on trials left out"

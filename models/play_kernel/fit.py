@@ -1,4 +1,4 @@
-"""Identification of the play-kernel model: non-negative least squares, its settings chosen by trials left out."""
+"""Identification of the play-kernel model by non-negative least squares; settings are chosen on held-out trials."""
 
 from __future__ import annotations
 
@@ -24,15 +24,17 @@ from hystmpc.trials.types import Vec
 from ..contract.export import ExportBundle
 from ..contract.metadata import DeviceLimits, Range
 from ..identify.chain_kinds import falls
+from ..identify.estimation_noise import with_noise
 from ..identify.runs import angle_range, check_trial_set, command_range, facts_of, fixed_rule
+from ..kinds.kind import FitRequest, Identified, ModelKind, recorded
 from ..model import FitProgress
-from ..motions import initialisation_flexure, probe_commands
+from ..motions import flexed, probe_commands
 from .predictor import follow_plays
 from .weights import PlayKernelStep, PlayKernelWeights, play_kernel_graph, ramps
 
 
 class PlayKernelSettings(Settings):
-    """How a play-kernel model is built and identified; see `PlayKernelWeights` and `fit_play_kernel`.
+    """Settings of a play-kernel model and its identification; see `PlayKernelWeights` and `fit_play_kernel`.
 
     Commands are counted in units of the trained command range, angles in units of the trained angle range.
 
@@ -75,7 +77,7 @@ _SOON = 500_000  # samples: a fit of fewer takes seconds and is not announced
 
 @dataclass(frozen=True)
 class Choice:
-    """One combination that is compared: time constant of the lag [s] and penalty on differences of slopes."""
+    """Time constant of the lag [s] and penalty on differences of slopes, as compared on held-out trials."""
 
     lag_s: float
     smoothness: float
@@ -83,14 +85,14 @@ class Choice:
 
 @dataclass(frozen=True, eq=False)
 class PlayKernelFit:
-    """An identified play-kernel model.
+    """Identified play-kernel model.
 
     Attributes:
         weights: the model.
-        choice: lag and smoothness that did best on trials left out.
-        judged: mean offset-free error on trials left out [unit of the output] of every choice compared; empty where
+        choice: lag and smoothness that did best on held-out trials.
+        judged: mean offset-free error on held-out trials [unit of the output] of every choice compared; empty where
             there was nothing to compare.
-        rmse: mean over the training trials of the error, their own offsets taken out [unit of the output].
+        rmse: mean over the training trials of the error without their offsets [unit of the output].
         interrupted: stopped by the user; the best choice so far.
     """
 
@@ -107,18 +109,18 @@ def fit_play_kernel(
     skip_first_flexure: bool = False,
     progress: FitProgress | None = None,
 ) -> PlayKernelFit:
-    """Identify a play-kernel model; every trial has equal weight and an offset of its own.
+    """Identify a play-kernel model; every trial has equal weight and a separate offset.
 
         min  mean_trials mean_t (theta - model(u) - b_trial)^2 + p sum b_trial^2 + q sum (s - s_neighbour)^2,  s >= 0
 
     Neighbours are the next segment of the same play and the same segment of the next play. Lag and q are those whose
-    models do best, offset-free, on trials left out; whole groups of trials, never parts of one.
+    models do best, offset-free, on held-out trials; whole groups of trials, never parts of one.
 
     Args:
         trials: uniformly sampled at one rate, in one unit; swapped ones give an inverse map, which has stops too.
         settings: see `PlayKernelSettings`.
         skip_first_flexure: leave out each trial up to the first reversal of its command.
-        progress: called with the fits so far and the least error on trials left out; KeyboardInterrupt keeps the best.
+        progress: called with the fits so far and the least error on held-out trials; KeyboardInterrupt keeps the best.
 
     Raises:
         FitError: on unusable trials, an angle that falls with the command, or a least-squares problem not solved.
@@ -191,7 +193,10 @@ def play_kernel_bundle(
         "play_kernel",
         trials,
         limits,
-        (fixed_rule(fresh).model_copy(update=moved), fixed_rule(_flexed(step, fresh, trials, warmup))),
+        (
+            fixed_rule(fresh).model_copy(update=moved),
+            fixed_rule(flexed(step, fresh, command_range(trials), check_trial_set(trials), warmup)),
+        ),
         warmup,
         {
             "preset": settings.name,
@@ -205,26 +210,18 @@ def play_kernel_bundle(
     return ExportBundle(play_kernel_graph(weights), metadata, step, probe_commands(metadata))
 
 
-def _flexed(step: PlayKernelStep, state: Vec, trials: Sequence[Trial], warmup: int) -> Vec:
-    """State (S,) after the initialisation flexure of S2 (RA-L 2024)."""
-    at = state[None]
-    for u in initialisation_flexure(command_range(trials), check_trial_set(trials), warmup):
-        _, at = step.advance(at, np.array([[u]]))
-    return at[0]
-
-
 BLOCK = 16_384
 """Samples whose features are held at once, 25 MB."""
 
 
 @dataclass(frozen=True)
 class Frame:
-    """What makes commands and angles dimensionless, and what the features are made of.
+    """Scales of commands and angles, radii and knots of the features.
 
     Attributes:
         command, angle: trained ranges [cmd], [deg].
         radii, knots: of plays and ramps, in units of the command range.
-        stops: whether what the plays leave is a feature, too.
+        stops: whether the difference of command and play is a feature, too.
         dt: sample interval [s].
     """
 
@@ -236,14 +233,13 @@ class Frame:
     dt: float
 
     def gain(self, lag_s: float) -> float:
-        """Share of the way to the command that a lag with this time constant [s] makes in a sample."""
+        """Gain of one sample of a lag with this time constant [s]."""
         return 1.0 if lag_s == 0 else 1 - math.exp(-self.dt / lag_s)
 
 
 @dataclass(frozen=True, eq=False)
 class Moments:
-    """Mean products of one trial's features (F,) with each other and with its scaled angle, from the first sample that
-    counts on: all that a fit takes from it."""
+    """Mean products of one trial's features (F,) with each other and with its scaled angle, all that a fit needs."""
 
     gram: Vec
     mean: Vec
@@ -253,7 +249,7 @@ class Moments:
 
 @final
 class Course:
-    """One trial on its way through the plays, a block of samples at a time.
+    """Features of one trial, a block of samples at a time.
 
     The features of a sample are some 200 numbers: of five million samples they would be 8 GB.
     """
@@ -274,7 +270,7 @@ class Course:
 
     @cached_property
     def moments(self) -> Moments:
-        """Of all blocks together."""
+        """Moments of all blocks together."""
         count, angle = 0, 0.0
         gram, mean, right = (np.zeros(()) for _ in range(3))
         for x, y in self.blocks():
@@ -283,7 +279,7 @@ class Course:
         return Moments(gram / count, mean / count, right / count, angle / count)
 
     def scatter(self, slopes: Vec) -> Vec:
-        """Standard deviation (S,) of the errors of models with slopes (F, S): each may have an offset of its own."""
+        """Standard deviation (S,) of the errors of models with slopes (F, S), each with a free offset."""
         count, mean, square = 0, np.zeros(slopes.shape[1]), np.zeros(slopes.shape[1])
         for x, y in self.blocks():
             errors = x @ slopes - y[:, None]
@@ -325,7 +321,7 @@ def _frame(trials: Sequence[Trial], settings: PlayKernelSettings) -> Frame:
 def _left_out(
     courses: Sequence[Course], lag_s: float, frame: Frame, settings: PlayKernelSettings
 ) -> Iterator[tuple[Choice, float]]:
-    """Mean over trials of the offset-free error of models identified without the trial's group, scaled, by choice."""
+    """Mean over trials of the scaled offset-free error on held-out trials, by choice."""
     choices = [Choice(lag_s, smoothness) for smoothness in settings.smoothness]
     moments = [course.moments for course in courses]
     count = min(settings.folds, len(courses))
@@ -339,7 +335,7 @@ def _left_out(
 
 
 def _solve(rows: Sequence[Moments], choice: Choice, frame: Frame, settings: PlayKernelSettings) -> tuple[Vec, float]:
-    """Slopes (F,) and bias, scaled: the normal equations as non-negative least squares on their Cholesky factor.
+    """Scaled slopes (F,) and bias: the normal equations as non-negative least squares on their Cholesky factor.
 
     Bias and trial offsets are free: each is the difference of two non-negative numbers.
     """
@@ -384,7 +380,7 @@ def _roughness(frame: Frame) -> NDArray[Any]:
 
 
 def _weights(slopes: Vec, bias: float, trials: Sequence[Trial], choice: Choice, frame: Frame) -> PlayKernelWeights:
-    """Back to the units of command and angle."""
+    """Model in the units of command and angle."""
     plays, segments = frame.radii.size + 1, frame.knots.size - 1
     command, angle = span(frame.command), span(frame.angle)
     physical = slopes * angle / command
@@ -403,7 +399,7 @@ def _weights(slopes: Vec, bias: float, trials: Sequence[Trial], choice: Choice, 
 
 
 def _line(trials: Sequence[Trial]) -> float:
-    """Slope of the one line through all samples [deg/cmd].
+    """Slope of the regression line through all samples [deg/cmd].
 
     Raises:
         FitError: if it does not rise.
@@ -416,3 +412,34 @@ def _line(trials: Sequence[Trial]) -> float:
         units = trials[0].units
         raise falls(f"({slope:.4g} {units.angle} per {units.command})", units.angle)
     return slope
+
+
+@final
+class PlayKernelKind(ModelKind):
+    """Monotone additive regression on plays: `best` with a first-order lag in front, or `rate_independent`.
+
+    See `PlayKernelWeights` for the equations and `PlayKernelSettings` for the choices.
+    """
+
+    name = "play_kernel"
+    title = "play kernel"
+    trainings = ("best", "rate_independent")
+
+    def fit(self, trials: Sequence[Trial], request: FitRequest, progress: FitProgress | None = None) -> Identified:
+        self.check(trials, request)
+        settings = PLAY_KERNEL_TRAININGS[request.training]
+        history, show = recorded(progress)
+        fit = fit_play_kernel(trials, settings, request.skip_first_flexure, show)
+        unit = trials[0].units.angle
+        report = f"lag {fit.choice.lag_s:g} s, {fit.rmse:.4g} {unit} on the training trials"
+        if fit.judged:
+            report += f", {fit.judged[fit.choice]:.4g} {unit} offset-free on trials left out"
+        bundle = with_noise(play_kernel_bundle(fit, trials, settings, request.limits), trials, fit.weights.state_size)
+        return Identified(bundle, None, tuple(history), report, fit.interrupted)
+
+    def estimate(self, trials: Sequence[Trial], request: FitRequest) -> float | None:
+        return play_kernel_seconds(trials, PLAY_KERNEL_TRAININGS[request.training])
+
+    def steps(self, request: FitRequest) -> int | None:
+        settings = PLAY_KERNEL_TRAININGS.get(request.training)
+        return None if settings is None else len(settings.lags_s) * len(settings.smoothness) + 1

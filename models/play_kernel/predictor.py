@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 
 def pack_play_kernel(weights: PlayKernelWeights) -> tuple[Any, ...]:
-    """Arrays for the functions below."""
+    """Model as arrays for the compiled functions."""
     levels = np.zeros_like(weights.slopes)
     levels[:, 1:] = np.cumsum(weights.slopes * np.diff(weights.knots), axis=1)[:, :-1]
     stops = np.zeros((2, weights.radii.size)) if weights.stops is None else np.array(weights.stops)
@@ -34,7 +34,7 @@ def pack_play_kernel(weights: PlayKernelWeights) -> tuple[Any, ...]:
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def tangent(model: Any, x: Any, u: float, slope: Any) -> float:
-    """Overwrite x (S,) by the next state and return the angle.
+    """Advance x (S,) to the next state and return the angle.
 
     slope (2 S + 1,) is filled: d theta / d z_i (d / d v of what is no stop first), whether play i moves (1 or 0), and
     last d theta / d u of what does not pass v.
@@ -73,7 +73,7 @@ def tangent(model: Any, x: Any, u: float, slope: Any) -> float:
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def rollout(model: Any, state: Any, plans: Any, theta: Any) -> None:
-    """N plans (N, H) from one state (S,); theta (N, H) is filled, the state kept."""
+    """Angles of N plans (N, H) from one state (S,), written into theta (N, H)."""
     x, slope = state.copy(), np.empty(2 * state.size + 1)
     for n in range(plans.shape[0]):
         x[:] = state

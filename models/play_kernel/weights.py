@@ -84,7 +84,7 @@ class PlayKernelWeights:
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> Self:
-        """Read the weights back from the named initializers of a graph that `play_kernel_graph` made.
+        """Weights from the named initializers of a graph that `play_kernel_graph` made.
 
         Raises:
             ModelError: naming the arrays that are missing, or if the weights do not fit.
@@ -195,7 +195,7 @@ def play_kernel_graph(weights: PlayKernelWeights) -> onnx.GraphProto:
 
 
 def _plays(lagged: bool) -> list[onnx.NodeProto]:
-    """From command and state to the next state."""
+    """Nodes from command and state to the next state."""
     lag = [
         node("Sub", "inside v_last", "ahead"),
         node("Mul", "ahead gain", "approach"),
@@ -215,7 +215,7 @@ def _plays(lagged: bool) -> list[onnx.NodeProto]:
 
 
 def _readout(stops: bool) -> list[onnx.NodeProto]:
-    """From the next state to the angle."""
+    """Nodes from the next state to the angle."""
     nodes = [
         node("Unsqueeze", "next_state last", "levels"),
         node("Sub", "levels knots", "beyond"),

@@ -16,9 +16,8 @@ from hystmpc.trials.types import Vec
 
 from ..chain import Chain
 from ..decades import Decades
-from ..identify.chain_fit import ChainFit
+from ..identify.chain_fit import ChainFit, OperatorFitSettings, fit_chain
 from ..identify.chain_kinds import backlash_starts
-from ..identify.least_squares import OperatorFitSettings, fit_chain
 from ..identify.runs import angle_range, command_range
 from ..networks.nodes import Scaling
 from ..operators.hysteresis import Backlash, InverseBacklash

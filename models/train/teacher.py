@@ -13,8 +13,8 @@ from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Vec
 
 from ..contract.metadata import DeviceLimits, Range
-from ..identify.methods import identify
 from ..identify.runs import check_trial_set, command_range, fastest_command
+from ..identify.simulators import identify
 from ..play_kernel.fit import PlayKernelSettings, fit_play_kernel, play_kernel_bundle
 from ..play_kernel.predictor import PlayKernelPredictor
 from ..simulator import ChainModel

@@ -10,8 +10,9 @@ import pytest
 
 from hystmpc.models.contract.export import ExportBundle, model_bytes
 from hystmpc.models.contract.metadata import ModelMetadata
+from hystmpc.models.identify.runs import fixed_rule
 from hystmpc.models.kernels.vector_emitter import host_shape
-from hystmpc.models.motions import conditioned_rule, zero_state_rule
+from hystmpc.models.motions import flexed
 from hystmpc.models.networks.nodes import Scaling, network_step_graph
 from tests.models.lstm_examples import DT, facts, random_weights
 
@@ -43,8 +44,10 @@ def small_network(kind: str, hidden: int, layers: int, folder: Path, said: str |
     about: ModelMetadata = facts(random_weights(5, 1)).model_copy(
         update={
             "kind": said or kind,
-            "initial": zero_state_rule(step.state_size),
-            "conditioned": conditioned_rule(step, facts(random_weights(5, 1)).trained_command, DT, 5),
+            "initial": fixed_rule(np.zeros(step.state_size)),
+            "conditioned": fixed_rule(
+                flexed(step, np.zeros(step.state_size), facts(random_weights(5, 1)).trained_command, DT, 5)
+            ),
         }
     )
     graph = network_step_graph(kind, net.state_size, scaling, net.write)

@@ -7,7 +7,7 @@ import pytest
 
 from hystmpc.ctrl.linearised.daqp_ import DaqpOptions
 from hystmpc.models.inverse.one_step import AccompaniedPredictor, CompanionInverse
-from hystmpc.models.kinds.catalogue import KINDS
+from hystmpc.models.kinds.catalogue import all_kinds
 from hystmpc.models.kinds.kind import ModelKind
 from hystmpc.models.load import library_file
 from hystmpc.models.model import Inverse, InvertiblePredictor, Predictor
@@ -54,7 +54,7 @@ def test_two_routes_have_one_derivative_in_motion(kind: str, moves: tuple[float,
 
 
 @pytest.mark.parametrize("blocks", [None, (1, 2, 4, 8)], ids=["free", "blocked"])
-@pytest.mark.parametrize("kind", [kind for kind in KINDS if kind.name not in KINKED], ids=lambda kind: kind.name)
+@pytest.mark.parametrize("kind", [kind for kind in all_kinds() if kind.name not in KINKED], ids=lambda kind: kind.name)
 def test_two_routes_give_one_command(kind: ModelKind, blocks: tuple[int, ...] | None) -> None:
     fast, slow = (controller_for(*pair, DaqpOptions(), blocks) for pair in routes(kind.name))
     y = float(fast.init(REST_DEG.get(kind.name, 45.0), 1.0).estimate.angles[0])

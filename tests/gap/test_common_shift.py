@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hystmpc.models.identify.least_squares import fit_problem
+from hystmpc.models.identify.cross_validation import fit_problem
 from hystmpc.models.identify.problem import Problem, TrialTerms
 from hystmpc.models.identify.runs import Run, RunsTogether
 

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hystmpc.models.effects.effect import CORE, Candidate
-from hystmpc.models.identify.least_squares import fit_problem
+from hystmpc.models.identify.cross_validation import fit_problem
 from hystmpc.models.identify.problem import Problem
 from hystmpc.models.operators.dynamics import Lag
 from hystmpc.trials.types import Vec

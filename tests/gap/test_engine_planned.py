@@ -13,11 +13,11 @@ from hystmpc.gap.next.open_hypotheses import open_hypothesis
 from hystmpc.models.chain import Chain
 from hystmpc.models.decades import Decades
 from hystmpc.models.effects.place import effect_from
-from hystmpc.models.identify.corrected_simulator import EFFECTS_FILE, corrected_simulator, network_effects, settled
 from hystmpc.models.identify.cross_validation import CrossValidation, Hypothesis
 from hystmpc.models.identify.free_run import StagedChain
 from hystmpc.models.identify.problem import Problem, TrialTerms
 from hystmpc.models.identify.runs import Run
+from hystmpc.models.identify.simulators import EFFECTS_FILE, corrected_simulator, network_effects, settled
 from hystmpc.models.identify.uncertainty import parameter_rows, uncertainty
 from hystmpc.models.operators.dynamics import Lag
 from hystmpc.models.operators.measurement import PeriodicDisturbance

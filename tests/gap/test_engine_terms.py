@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hystmpc.models.identify.problem import NO_TERMS, Problem, TrialTerms, strongest_line
+from hystmpc.models.identify.motion_lines import strongest_line
+from hystmpc.models.identify.problem import NO_TERMS, Problem, TrialTerms
 from hystmpc.models.identify.runs import Run
 from hystmpc.trials.types import Vec
 

@@ -11,8 +11,8 @@ import pytest
 from hystmpc.gap.logs.preparation import model_form_mse, nominal_noise_deg
 from hystmpc.models.chain import Chain
 from hystmpc.models.contract.metadata import DeviceLimits
-from hystmpc.models.identify.methods import simulator_of
 from hystmpc.models.identify.runs import fingerprint
+from hystmpc.models.identify.simulators import simulator_of
 from hystmpc.models.simulator import Identification, Residual, Simulator, load_simulator, save_simulator
 from hystmpc.trials.trial import Trial, resample
 

@@ -12,7 +12,7 @@ from hystmpc.gap.logs.preparation import prepare
 from hystmpc.gap.report.words import headline
 from hystmpc.gap.self_test import CASES, record
 from hystmpc.models.contract.metadata import NoiseModel
-from hystmpc.models.identify.methods import identify
+from hystmpc.models.identify.simulators import identify
 from hystmpc.models.operators.measurement import Sensor
 from hystmpc.models.simulator import Simulator
 from hystmpc.trials.trial import Trial

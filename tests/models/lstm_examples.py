@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 
 from hystmpc.models.contract.metadata import ModelMetadata, Range
+from hystmpc.models.identify.runs import fixed_rule
 from hystmpc.models.kernels.lstm_plain import PlainRoute
 from hystmpc.models.kernels.lstm_vector import VectorRoute, allowed_threads
 from hystmpc.models.kernels.network_route import NetworkRoute
 from hystmpc.models.kernels.vector_emitter import SHAPES, host_shape
-from hystmpc.models.motions import conditioned_rule, zero_state_rule
+from hystmpc.models.motions import flexed
 from hystmpc.models.networks.lstm import LstmLayer, LstmStep, LstmWeights
 from hystmpc.models.networks.nodes import Scaling
 from hystmpc.trials.trial import Trial
@@ -72,8 +73,8 @@ def _facts(weights: LstmWeights, warmup: int) -> ModelMetadata:
         trained_command=trained,
         trained_angle=Range(lower=28.0, upper=92.0),
         trained_rate=11.0,
-        initial=zero_state_rule(step.state_size),
-        conditioned=conditioned_rule(step, trained, DT, warmup),
+        initial=fixed_rule(np.zeros(step.state_size)),
+        conditioned=fixed_rule(flexed(step, np.zeros(step.state_size), trained, DT, warmup)),
         warmup_samples=warmup,
         training_data_hash="none",
     )

@@ -10,7 +10,7 @@ import pytest
 from hystmpc.models.chain import Chain
 from hystmpc.models.effects.effect import Scale
 from hystmpc.models.identify.auto import identify_auto
-from hystmpc.models.identify.auto_search import AutoSearch, AutoSettings
+from hystmpc.models.identify.auto_search import AutoSearch, worth
 from hystmpc.models.identify.baseline import FreeCoreBaseline
 from hystmpc.models.identify.cross_validation import CrossValidation, gain
 from hystmpc.models.identify.free_run import StagedChain
@@ -136,7 +136,7 @@ def test_ctrl_c_keeps_the_best_so_far() -> None:
         if share > 0.2:  # the drive is chosen
             raise KeyboardInterrupt
 
-    search = AutoSearch(trials, runs_of(trials), AutoSettings(), stop)
+    search = AutoSearch(trials, runs_of(trials), stop)
     assert search.run().rmse_deg < 2.0
     assert search.interrupted
     assert sum(share > 0.2 for share in shares) == 1
@@ -198,7 +198,7 @@ def test_parts_of_one_log_begin_where_their_first_seconds_say_and_trials_from_re
     parts = [whole.select(750 * k, 750 * (k + 1)) for k in range(2)]  # as long as four time constants of the drive
     parts = [replace(part, t=part.t - part.t[0], source=f"part_{k}.csv") for k, part in enumerate(parts)]
     for trials, own in ((parts, True), (recorded(Lag(0.15))[:2], False)):
-        search = AutoSearch(trials, runs_of(trials), AutoSettings(), lambda share, rmse: None)
+        search = AutoSearch(trials, runs_of(trials), lambda share, rmse: None)
         assert all((run.lead > 0) == own for run in search.runs)
         found = search.run()
         assert own or search.terms == TrialTerms()  # what is left of a start may look like an offset of a part
@@ -208,8 +208,8 @@ def test_parts_of_one_log_begin_where_their_first_seconds_say_and_trials_from_re
     assert max(errors.values()) < 2 * NOISE_DEG
 
 
-@pytest.mark.parametrize(("blocks", "worth"), [(8, True), (200, False)])
-def test_few_blocks_need_not_prove_what_halves_the_error(blocks: int, worth: bool) -> None:
+@pytest.mark.parametrize(("blocks", "enough"), [(8, True), (200, False)])
+def test_few_blocks_need_not_prove_what_halves_the_error(blocks: int, enough: bool) -> None:
     """All of the fall lies in one block: two standard errors are never reached, 1.25 % a block are by few blocks."""
     lower = np.ones(blocks)
     higher = lower.copy()
@@ -219,8 +219,8 @@ def test_few_blocks_need_not_prove_what_halves_the_error(blocks: int, worth: boo
     fall, error = gain(before, after)
     assert fall < 2 * error
     assert fall > 0.3 * before.mse
-    assert AutoSettings().worth(before, after) == worth
-    assert not AutoSettings().worth(after, before)
+    assert worth(before, after) == enough
+    assert not worth(after, before)
 
 
 def test_where_a_slow_drive_stood_at_the_start_is_no_error_of_its_model() -> None:

@@ -15,13 +15,19 @@ from scipy.signal import cont2discrete
 from hystmpc.models.chain import Chain
 from hystmpc.models.contract.metadata import Range
 from hystmpc.models.effects.effect import Candidate, Scale
-from hystmpc.models.identify.auto import _advice, identify_auto
-from hystmpc.models.identify.auto_search import AutoSettings, Choice
+from hystmpc.models.identify.auto import _advice, identify_auto, widened_rows, without_meaning
+from hystmpc.models.identify.auto_search import Choice, needed, stays
 from hystmpc.models.identify.baseline import FreeCoreBaseline
 from hystmpc.models.identify.cross_validation import CrossValidation
-from hystmpc.models.identify.late import SHARE, dead_time
-from hystmpc.models.identify.part_intervals import widened_rows, without_meaning
-from hystmpc.models.identify.parts import CoreForm, Form, device_parts, split_delay, whole_delay
+from hystmpc.models.identify.parts import (
+    LONGEST_SHARE,
+    CoreForm,
+    Form,
+    dead_time,
+    device_parts,
+    split_delay,
+    whole_delay,
+)
 from hystmpc.models.identify.problem import NO_TERMS
 from hystmpc.models.identify.runs import Blocks, command_range, runs_of
 from hystmpc.models.identify.uncertainty import ParameterRow
@@ -74,7 +80,7 @@ def _choice(form: Form, trials: list[Trial]) -> Choice:
 
 
 def _rows(choice: Choice, trials: list[Trial]) -> dict[str, ParameterRow]:
-    return {row.name: row for row in widened_rows(choice, runs_of(trials), [], AutoSettings())}
+    return {row.name: row for row in widened_rows(choice, runs_of(trials), [])}
 
 
 @settings(max_examples=6, deadline=None)
@@ -83,7 +89,7 @@ def test_a_delay_of_up_to_a_share_of_the_shortest_trial_lies_within_the_bounds(
     seed: int, share: float, tau: float
 ) -> None:
     t, commands = _commands(seed)
-    delay_s = share * SHARE * float(t[-1])
+    delay_s = share * LONGEST_SHARE * float(t[-1])
     travels = []
     for u in commands:
         late, kept = np.interp(t - delay_s, t, u), math.exp(-_DT / tau)
@@ -186,12 +192,12 @@ def _slack(scale: Scale) -> Candidate:
     return next(c for c in candidates(scale, ()) if c.label == "slack/sharp")
 
 
-@pytest.mark.parametrize(("fall", "stays"), [(0.001, False), (0.5, True)])
-def test_a_part_stays_only_if_it_lowers_the_error_by_more_than_its_standard_error(fall: float, stays: bool) -> None:
+@pytest.mark.parametrize(("fall", "kept"), [(0.001, False), (0.5, True)])
+def test_a_part_stays_only_if_it_lowers_the_error_by_more_than_its_standard_error(fall: float, kept: bool) -> None:
     random, samples, run = np.random.default_rng(1), np.full(20, 75.0), np.zeros(20, dtype=np.intp)
     energy = 75 * random.uniform(0.9, 1.1, 20)
     scattered = energy * (1 - fall) * (1 + 0.05 * random.standard_normal(20))
-    assert AutoSettings().stays(Blocks(energy, samples, run), Blocks(scattered, samples, run)) == stays
+    assert stays(Blocks(energy, samples, run), Blocks(scattered, samples, run)) == kept
 
 
 def test_a_part_without_which_the_error_doubles_beyond_doubt_is_needed() -> None:
@@ -200,9 +206,9 @@ def test_a_part_without_which_the_error_doubles_beyond_doubt_is_needed() -> None
     lone = energy.copy()
     lone[0] *= 40.0  # twice as much in all, in one block alone
     after = Blocks(energy, samples, run)
-    assert AutoSettings().needed(Blocks(3 * energy, samples, run), after)
-    assert not AutoSettings().needed(Blocks(1.5 * energy, samples, run), after)
-    assert not AutoSettings().needed(Blocks(lone, samples, run), after)
+    assert needed(Blocks(3 * energy, samples, run), after)
+    assert not needed(Blocks(1.5 * energy, samples, run), after)
+    assert not needed(Blocks(lone, samples, run), after)
 
 
 @pytest.mark.slow

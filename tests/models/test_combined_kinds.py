@@ -11,7 +11,7 @@ from hystmpc.models.contract.export import model_bytes
 from hystmpc.models.contract.load import OnnxModel
 from hystmpc.models.evaluate import evaluate
 from hystmpc.models.kinds import networks
-from hystmpc.models.kinds.catalogue import KINDS, chosen_kind, kind_named
+from hystmpc.models.kinds.catalogue import all_kinds, chosen_kind, kind_named
 from hystmpc.models.kinds.connected import DrivenKind, ResidualKind, behind
 from hystmpc.models.kinds.kind import FitRequest
 from hystmpc.models.operators.dynamics import Delay, Lag
@@ -25,7 +25,7 @@ def request(kind: str, **changes: object) -> FitRequest:
     return replace(FitRequest(training=kind_named(kind).trainings[0]), **changes)  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize("name", [kind.name for kind in KINDS if kind.readable])
+@pytest.mark.parametrize("name", [kind.name for kind in all_kinds() if kind.readable])
 def test_operators_have_a_drive_of_their_own(name: str) -> None:
     with pytest.raises(FitError, match="expected a network or a regression"):
         chosen_kind(name, drive="auto")

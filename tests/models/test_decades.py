@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from hystmpc.models.contract.export import export_onnx
 from hystmpc.models.decades import Decades
 from hystmpc.models.evaluate import evaluate
-from hystmpc.models.kinds.catalogue import KINDS
+from hystmpc.models.kinds.catalogue import all_kinds, kind_named
 from hystmpc.models.kinds.kind import FitRequest, Identified, ModelKind
 from hystmpc.models.load import load_model
 from hystmpc.models.operators.hysteresis import Backlash
@@ -53,7 +53,11 @@ def found(kind: ModelKind, trials: Sequence[Trial]) -> Identified:
 
 @pytest.mark.parametrize(
     "kind",
-    [pytest.param(k, marks=() if k.name in QUICK else pytest.mark.slow, id=k.name) for k in KINDS if k.name in TRIED],
+    [
+        pytest.param(k, marks=() if k.name in QUICK else pytest.mark.slow, id=k.name)
+        for k in all_kinds()
+        if k.name in TRIED
+    ],
 )
 def test_every_kind_is_free_of_units(kind: ModelKind, tmp_path: Path) -> None:
     command, angle = 1e6, 1e-6
@@ -71,7 +75,7 @@ def test_every_kind_is_free_of_units(kind: ModelKind, tmp_path: Path) -> None:
 @given(SIZES, SIZES)
 def test_the_parameters_scale_with_the_signals(command: float, angle: float) -> None:
     """theta = m (u + c) with u a times and theta b times as large: m grows by b / a, c by a."""
-    kind = next(kind for kind in KINDS if kind.name == "backlash")
+    kind = kind_named("backlash")
     plain, scaled = (found(kind, trials).simulator for trials in (recorded(), recorded(command, angle)))
     assert plain is not None
     assert scaled is not None
@@ -106,7 +110,7 @@ def test_working_units_are_those_of_a_catheter_and_lead_back(command: float, ang
 
 
 def test_a_simulator_of_another_device_is_kept_with_its_units(tmp_path: Path) -> None:
-    kind = next(kind for kind in KINDS if kind.name == "backlash")
+    kind = kind_named("backlash")
     swapped = [trial.swapped() for trial in recorded(1.0, 1e-5)]
     simulator = found(kind, swapped).simulator
     assert simulator is not None
@@ -124,7 +128,7 @@ def test_signs_are_judged_in_every_unit() -> None:
 
 
 def test_no_controller_is_built_of_an_output_that_is_no_angle(tmp_path: Path) -> None:
-    simulator = found(next(kind for kind in KINDS if kind.name == "backlash"), recorded()).simulator
+    simulator = found(kind_named("backlash"), recorded()).simulator
     assert simulator is not None
     with pytest.raises(ModelError, match="maps V to um, expected an output in deg"):
         controller_model(ChainModel(simulator, "conditioned"))

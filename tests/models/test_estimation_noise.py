@@ -10,7 +10,7 @@ import pytest
 
 from hystmpc.models.contract.metadata import DeviceLimits, ModelMetadata, NoiseModel
 from hystmpc.models.identify.estimation_noise import estimation_noise
-from hystmpc.models.identify.methods import identify
+from hystmpc.models.identify.simulators import identify
 from hystmpc.models.load import library_file, load_model
 from hystmpc.models.operators.dynamics import Lag
 from hystmpc.models.prediction.build import controller_model, predictor_for

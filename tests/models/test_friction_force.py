@@ -16,8 +16,8 @@ from hystmpc.models.identify.auto import identify_auto
 from hystmpc.models.identify.baseline import FreeCoreBaseline
 from hystmpc.models.identify.chain_kinds import FRICTION_KINDS
 from hystmpc.models.identify.cross_validation import CrossValidation
-from hystmpc.models.identify.methods import simulator_of
 from hystmpc.models.identify.runs import command_range, runs_of
+from hystmpc.models.identify.simulators import simulator_of
 from hystmpc.models.kinds.catalogue import kind_named
 from hystmpc.models.kinds.kind import FitRequest
 from hystmpc.models.operators.dynamics import Lag

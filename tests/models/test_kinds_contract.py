@@ -13,7 +13,7 @@ from hystmpc.models.contract.load import load_onnx
 from hystmpc.models.evaluate import evaluate, free_run
 from hystmpc.models.identify.chain_kinds import FRICTION_KINDS
 from hystmpc.models.identify.estimation_noise import ReferenceModel
-from hystmpc.models.kinds.catalogue import KINDS, kind_named
+from hystmpc.models.kinds.catalogue import all_kinds, kind_named
 from hystmpc.models.kinds.kind import FitRequest, ModelKind
 from hystmpc.models.prediction.build import predictor_for
 from hystmpc.trials.errors import FitError, LogError, ModelError
@@ -26,9 +26,9 @@ from .tiny_kinds import BEHIND, FORWARD, INVERSE, Example, example, kind_of, tin
 pytest.importorskip("torch", reason="torch is an extra")
 pytestmark = pytest.mark.slow
 
-BOTH = [(k.name, d) for k in KINDS for d in (FORWARD, INVERSE) if d == FORWARD or k.invertible]
-BOTH += [(k.name + BEHIND, FORWARD) for k in KINDS if not k.readable]
-every_kind = pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.name)
+BOTH = [(k.name, d) for k in all_kinds() for d in (FORWARD, INVERSE) if d == FORWARD or k.invertible]
+BOTH += [(k.name + BEHIND, FORWARD) for k in all_kinds() if not k.readable]
+every_kind = pytest.mark.parametrize("kind", all_kinds(), ids=lambda kind: kind.name)
 every_model = pytest.mark.parametrize("case", BOTH, ids=lambda case: "-".join(case))
 
 
@@ -116,7 +116,7 @@ def test_evaluation_is_finite_and_a_hold_holds_within_the_range(case: tuple[str,
 
 
 # The trials lag behind their command: what leads it, as sliders do, gets no weight.
-@pytest.mark.parametrize("kind", [k for k in KINDS if k.name not in FRICTION_KINDS], ids=lambda kind: kind.name)
+@pytest.mark.parametrize("kind", [k for k in all_kinds() if k.name not in FRICTION_KINDS], ids=lambda kind: kind.name)
 def test_a_map_without_memory_has_none(kind: ModelKind) -> None:
     one = example(kind.name, FORWARD)
     states = np.array([s for s, _ in visited(one, 8)])

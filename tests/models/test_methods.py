@@ -11,11 +11,15 @@ import pytest
 
 from hystmpc.models.chain import Chain
 from hystmpc.models.decades import size_of
-from hystmpc.models.identify.chain_fit import ConvergenceReport
-from hystmpc.models.identify.chain_kinds import CHAIN_KINDS, Structure, chain_task
+from hystmpc.models.identify.chain_fit import (
+    ConvergenceReport,
+    OperatorFitSettings,
+    chain_task,
+    identify_chain,
+    methods,
+)
+from hystmpc.models.identify.chain_kinds import CHAIN_KINDS
 from hystmpc.models.identify.free_run import FreeRuns
-from hystmpc.models.identify.least_squares import OperatorFitSettings
-from hystmpc.models.identify.methods import METHODS, identify_chain
 from hystmpc.models.operators.hysteresis import BoucWen
 from hystmpc.trials.csv_files import read_csv
 from hystmpc.trials.errors import FitError
@@ -39,7 +43,7 @@ SHORT: dict[str, Any] = {
     "cmaes": GlobalSettings(200, 12),
 }
 WITHIN = {"least_squares": 1e-6, "adam": 0.1, "iterated": 1e-6, "global": 0.1, "cmaes": 0.1}  # [deg]
-NAMES = list(METHODS)
+NAMES = list(methods())
 
 
 def fitted(method: str, kind: str = "backlash", **changes: object) -> tuple[Chain, object]:
@@ -105,8 +109,8 @@ def test_a_polish_ends_at_the_least_squares_minimum() -> None:
 @pytest.mark.parametrize("name", list(CHAINS))
 def test_the_fast_loss_is_that_of_the_residuals(name: str) -> None:
     chain = CHAINS[name]
-    for settings in (OperatorFitSettings(), OperatorFitSettings(True, True)):
-        runs = FreeRuns(chain, BACKLASH_TRIALS, settings.skip_first_flexure, settings.offset_free)
+    for skip_first_flexure in (False, True):
+        runs = FreeRuns(chain, BACKLASH_TRIALS, skip_first_flexure)
         residuals, _ = runs.residuals(chain.values)
         assert runs.mse(chain.values) == pytest.approx(float(residuals @ residuals), rel=1e-9)
 
@@ -133,7 +137,7 @@ def test_scales_of_parameters_are_the_ranges_of_the_signals() -> None:
 
 @pytest.mark.parametrize("kind", list(CHAIN_KINDS))
 def test_scales_of_parameters_follow_the_units_of_the_signals(kind: str) -> None:
-    chain = chain_task(kind, BACKLASH_TRIALS, Structure()).starts[0]
+    chain = chain_task(kind, BACKLASH_TRIALS).starts[0]
     scaled = [Trial(t.t, 7.0 * t.command, 3.0 * t.angle) for t in BACKLASH_TRIALS]
     factors = [size_of(parameter.unit, {"cmd": 7.0, "deg": 3.0}) for parameter in chain.parameters]
     np.testing.assert_allclose(parameter_scales(chain, scaled), factors * parameter_scales(chain, BACKLASH_TRIALS))
@@ -149,7 +153,7 @@ def test_the_size_of_a_unit_by_hand() -> None:
 )
 def test_starts_and_boxes_are_models(kind: str) -> None:
     data = [t.swapped() for t in BACKLASH_TRIALS] if kind.startswith("inverse") else BACKLASH_TRIALS
-    task = chain_task(kind, data, Structure())
+    task = chain_task(kind, data)
     free, (lower, upper) = task.free, task.box
     assert np.all(lower[free.index] < upper[free.index])
     for values in (lower, upper, 0.5 * (lower + upper), *(start.values for start in task.starts)):
@@ -182,13 +186,13 @@ def test_a_global_search_finds_a_drdpi_again(method: str, seed: int) -> None:
 
 def test_an_inverse_backlash_is_found_again() -> None:
     """From wishes and the commands that the inverse of the known lines gives; its dead zone is as it was set."""
-    truth = Chain(BACKLASH.inverse(0.05))
+    truth = Chain(BACKLASH.inverse(0.027))
     swapped = []
     for trial in BACKLASH_TRIALS:
         wish = 30 + 8 * trial.command
         commands = FreeRuns(truth, [Trial(trial.t, wish, trial.command, units=Units("deg", "mm"))])
         swapped.append(Trial(trial.t, wish, commands.angles(truth.values)[0][-wish.size :], units=Units("deg", "mm")))
-    chain, fit = identify_chain("inverse_backlash", swapped, structure=Structure(dead_zone_deg=0.05))
+    chain, fit = identify_chain("inverse_backlash", swapped)
     assert fit.rmse_deg < 1e-6  # mm
     np.testing.assert_allclose(chain.values, truth.values, rtol=1e-6)
 
@@ -203,7 +207,7 @@ def test_a_fitted_inverse_of_static_plays_is_the_analytic_one() -> None:
 def test_dead_zone_and_steepness_are_set_not_identified() -> None:
     swapped = [trial.swapped() for trial in BACKLASH_TRIALS]
     for kind, data, name in (("inverse_backlash", swapped, "dead_zone"), ("bouc_wen", BACKLASH_TRIALS, "steepness")):
-        task = chain_task(kind, data, Structure())
+        task = chain_task(kind, data)
         position = [p.name for p in task.starts[0].parameters].index(name)
         for method in ("least_squares", "adam", "global"):
             chain, _ = identify_chain(kind, data, method, _hasty(method))

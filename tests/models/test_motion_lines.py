@@ -9,8 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hystmpc.models.identify.motion_lines import fundamental_hz, motions_own
-from hystmpc.models.identify.problem import strongest_line
+from hystmpc.models.identify.motion_lines import fundamental_hz, motion_frequencies, strongest_line
 from hystmpc.models.identify.runs import Run
 from hystmpc.trials.types import Vec
 
@@ -68,5 +67,5 @@ def test_a_motion_of_few_trials_hides_nothing() -> None:
     moves = [np.interp(DT * np.arange(1000), [0, 3, 9, 11, 30, 40], [0, 6, 1, 5, 2, 2]) for _ in range(3)]
     assert fundamental_hz(triangle(0.2, 40.0), DT) == pytest.approx(0.2, abs=1e-3)
     hz = np.array([1.0])
-    assert not motions_own(runs_of([triangle(0.2, 40.0), *moves]), hz)[0]
-    assert motions_own(runs_of([triangle(0.2, 40.0)] * 2), hz)[0]
+    assert not motion_frequencies(runs_of([triangle(0.2, 40.0), *moves]), hz)[0]
+    assert motion_frequencies(runs_of([triangle(0.2, 40.0)] * 2), hz)[0]

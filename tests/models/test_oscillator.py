@@ -10,10 +10,9 @@ from hypothesis import strategies as st
 from hystmpc.models.chain import Chain
 from hystmpc.models.decades import Decades
 from hystmpc.models.identify import least_squares
+from hystmpc.models.identify.chain_fit import OperatorFitSettings, identify_chain
+from hystmpc.models.identify.chain_kinds import Ringing
 from hystmpc.models.identify.free_run import StagedChain
-from hystmpc.models.identify.least_squares import OperatorFitSettings
-from hystmpc.models.identify.methods import identify_chain
-from hystmpc.models.identify.ringing import Ringing
 from hystmpc.models.operators.dynamics import Servo
 from hystmpc.models.operators.oscillator import Oscillator, StateNetwork
 from hystmpc.trials.errors import ModelError

@@ -14,13 +14,12 @@ from hystmpc.models.contract.export import ExportBundle, export_onnx
 from hystmpc.models.contract.load import OnnxModel, load_onnx
 from hystmpc.models.contract.metadata import DeviceLimits, ModelMetadata
 from hystmpc.models.evaluate import evaluate, mean_errors
+from hystmpc.models.identify.chain_fit import OperatorFitSettings
 from hystmpc.models.identify.estimation_noise import ReferenceModel
-from hystmpc.models.identify.least_squares import OperatorFitSettings
-from hystmpc.models.identify.methods import identify
+from hystmpc.models.identify.simulators import identify
 from hystmpc.models.inverse.one_step import CompiledInverse
 from hystmpc.models.kinds.kind import FitRequest
-from hystmpc.models.kinds.regressions import PlayKernelKind
-from hystmpc.models.play_kernel.fit import PlayKernelSettings, fit_play_kernel, play_kernel_bundle
+from hystmpc.models.play_kernel.fit import PlayKernelKind, PlayKernelSettings, fit_play_kernel, play_kernel_bundle
 from hystmpc.models.play_kernel.predictor import PlayKernelPredictor
 from hystmpc.models.play_kernel.weights import PlayKernelStep, PlayKernelWeights
 from hystmpc.models.prediction.build import controller_model, predictor_for

@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 from hystmpc.models.kinds.kind import FitRequest
-from hystmpc.models.kinds.regressions import PlayKernelKind
 from hystmpc.models.play_kernel import fit
-from hystmpc.models.play_kernel.fit import PlayKernelSettings, fit_play_kernel
+from hystmpc.models.play_kernel.fit import PlayKernelKind, PlayKernelSettings, fit_play_kernel
 from hystmpc.models.play_kernel.predictor import follow_plays
 from hystmpc.models.play_kernel.weights import PlayKernelStep
 from hystmpc.trials.trial import Trial

@@ -11,8 +11,7 @@ from hypothesis import strategies as st
 
 from hystmpc.models.contract.metadata import NoiseModel
 from hystmpc.models.decades import Decades
-from hystmpc.models.identify.estimation_noise import estimation_noise
-from hystmpc.models.identify.resolution import resolution
+from hystmpc.models.identify.estimation_noise import estimation_noise, resolution
 from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Vec
 

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from hystmpc.models.identify.cross_validation import HeldOutErrors, Hypothesis, gain, sureness
 from hystmpc.models.identify.problem import TrialTerms
 from hystmpc.models.identify.runs import Blocks
-from hystmpc.models.identify.selection import OWN_TO_TRIALS, SelectionSettings, select, select_again
+from hystmpc.models.identify.selection import OF_SINGLE_TRIALS, SelectionSettings, reselect, select
 
 SETTINGS, FLOOR = SelectionSettings(), 0.01
 BLOCKS, SAMPLES = 24, 10
@@ -24,8 +24,8 @@ BLOCKS, SAMPLES = 24, 10
 
 def judged(names: tuple[str, ...], mse: float, uneven: float = 0.0) -> HeldOutErrors:
     """A hypothesis with errors of that size on four trials, every other block worse by `uneven` [deg^2]."""
-    effects = [SimpleNamespace(effect=name, free=()) for name in names if name not in OWN_TO_TRIALS]
-    terms = SimpleNamespace(names=tuple(name for name in names if name in OWN_TO_TRIALS))
+    effects = [SimpleNamespace(effect=name, free=()) for name in names if name not in OF_SINGLE_TRIALS]
+    terms = SimpleNamespace(names=tuple(name for name in names if name in OF_SINGLE_TRIALS))
     problem = cast("Any", SimpleNamespace(effects=effects, terms=terms))
     energy = SAMPLES * (mse + uneven * (-1.0) ** np.arange(BLOCKS))
     run = np.arange(BLOCKS) // 6
@@ -42,7 +42,7 @@ def chosen(uneven: float = 0.0, **errors: float) -> set[str]:
     for name, mse in errors.items():
         names = tuple(name.split("__")) if name != "nothing" else ()
         made.append(judged(names, mse, (-1) ** len(names) * uneven if len(names) > 1 else 0.0))
-    return set(select_again({j.hypothesis.effects: j for j in made}, SETTINGS, FLOOR).chosen.hypothesis.effects)
+    return set(reselect({j.hypothesis.effects: j for j in made}, SETTINGS, FLOOR).chosen.hypothesis.effects)
 
 
 def test_after_an_exchange_a_further_cause_is_looked_for() -> None:
@@ -129,7 +129,7 @@ def test_what_a_cause_adds_is_fitted_again_only_where_the_rest_fits_better_than_
 ) -> None:
     """The exchange of a cause starts from the other one, to which everything was added before."""
     trials, library = Fitted(refitted), [Named(name) for name in ("lag", "slack", "creep")]
-    found = select(cast("Any", trials), cast("Any", library), SETTINGS, FLOOR, sorted(OWN_TO_TRIALS))
+    found = select(cast("Any", trials), cast("Any", library), SETTINGS, FLOOR, sorted(OF_SINGLE_TRIALS))
     assert found.chosen.hypothesis.effects == {"lag", "slack"}
     assert trials.judgements["lag"] == judgements
     assert trials.fits["lag+creep"] == judgements
@@ -145,7 +145,7 @@ def by_trial(names: tuple[str, ...], *mse: float) -> HeldOutErrors:
 def shifts_chosen(before: list[float], after: list[float]) -> bool:
     """Whether shifts are chosen that lower the errors of trials so [deg^2]."""
     tried = {j.hypothesis.effects: j for j in (by_trial((), *before), by_trial(("trial_shift",), *after))}
-    return "trial_shift" in select_again(tried, SETTINGS, FLOOR).chosen.hypothesis.effects
+    return "trial_shift" in reselect(tried, SETTINGS, FLOOR).chosen.hypothesis.effects
 
 
 @given(st.floats(1.0, 10.0), st.integers(6, 8), st.integers(1, 3))

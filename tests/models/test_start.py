@@ -17,9 +17,9 @@ from hystmpc.models.contract.metadata import DeviceLimits, InitialRule, ModelMet
 from hystmpc.models.evaluate import TrialEvaluation, evaluate, evaluation_json, start_sentences, started
 from hystmpc.models.identify.baseline import FreeCoreBaseline
 from hystmpc.models.identify.free_run import FreeRuns, StagedChain
-from hystmpc.models.identify.methods import simulator_of
 from hystmpc.models.identify.problem import Problem
 from hystmpc.models.identify.runs import angle_range, command_range, runs_of
+from hystmpc.models.identify.simulators import simulator_of
 from hystmpc.models.model import LoadedModel
 from hystmpc.models.operators.dynamics import Lag
 from hystmpc.models.operators.static_curves import NonlinearGain

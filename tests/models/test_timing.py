@@ -14,9 +14,8 @@ from hypothesis import strategies as st
 from hystmpc.models.chain import Chain
 from hystmpc.models.identify.cross_validation import CrossValidation, HeldOutErrors, Hypothesis, InParts
 from hystmpc.models.identify.problem import NO_TERMS
-from hystmpc.models.identify.runs import runs_of
+from hystmpc.models.identify.runs import runs_of, whitened, whitening
 from hystmpc.models.identify.timing import TIMING, by_timing, timing_errors, timing_rivals
-from hystmpc.models.identify.whitening import whitened, whitening
 from hystmpc.models.operators.dynamics import Delay, Servo
 from hystmpc.models.operators.operator import Operator
 

@@ -15,8 +15,8 @@ from hystmpc.models.contract.metadata import Range
 from hystmpc.models.evaluate import Errors, TrialEvaluation, evaluation_json
 from hystmpc.models.inverse.one_step import MappedPredictor, TrainedInverse
 from hystmpc.models.kinds.kind import FitRequest
-from hystmpc.models.kinds.regressions import PlayKernelKind
 from hystmpc.models.operators.hysteresis import Backlash
+from hystmpc.models.play_kernel.fit import PlayKernelKind
 from hystmpc.models.prediction.build import controller_model
 from hystmpc.models.simulator import ChainModel, Identification, Simulator, save_simulator, simulator_bundle
 from hystmpc.sim.closed_loop import run_closed_loop

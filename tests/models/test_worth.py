@@ -10,8 +10,7 @@ import pytest
 
 import hystmpc
 from hystmpc.models.kinds.catalogue import kind_named
-from hystmpc.models.kinds.kind import FitRequest, Identified
-from hystmpc.models.kinds.worth import identified
+from hystmpc.models.kinds.kind import FitRequest, Identified, identified
 from hystmpc.trials.errors import FitError, LogError
 from hystmpc.trials.trial import Trial
 

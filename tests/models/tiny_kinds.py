@@ -12,7 +12,7 @@ import pytest
 from hystmpc.models.chain import Chain
 from hystmpc.models.contract.export import export_onnx
 from hystmpc.models.contract.load import OnnxModel, load_onnx
-from hystmpc.models.kinds.catalogue import KINDS, kind_named
+from hystmpc.models.kinds.catalogue import all_kinds, kind_named
 from hystmpc.models.kinds.connected import DrivenKind
 from hystmpc.models.kinds.kind import FitRequest, Identified, ModelKind
 from hystmpc.models.kinds.networks import NetworkKind
@@ -24,7 +24,7 @@ from hystmpc_lab.rivals.forms import FeedForwardSettings
 from .lstm_examples import four_trials
 from .zoo import BACKLASH, DT, simulator
 
-NETWORKS = {kind.name: kind for kind in KINDS if isinstance(kind, NetworkKind)}
+NETWORKS = {kind.name: kind for kind in all_kinds() if isinstance(kind, NetworkKind)}
 FORWARD, INVERSE = "forward", "inverse"
 STREAMS = StreamTraining(length=25, streams=4, updates=30, rounds_between_checks=1, averaging=0.5, teacher=None)
 

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 
 import pytest
 
-from hystmpc.models.identify.chain_fit import nothing_found
+from hystmpc.models.identify.chain_fit import no_result
 from hystmpc.sim.jobs.backend import InTurn
 from hystmpc.sim.jobs.runner import attempt, run_jobs
 from hystmpc.trials.errors import ConfigError
@@ -49,7 +49,7 @@ def test_an_attempt_tells_errors_of_the_package_plainly_and_others_with_their_ty
     assert attempt(raising(ConfigError("two\nlines"))).error == "two lines"
     assert attempt(raising(KeyError("x"))).error == "KeyError: 'x'"
     with pytest.raises(KeyboardInterrupt):  # a fit that Ctrl-C has ended is no failed one: the study ends, too
-        attempt(raising(nothing_found("the first core", interrupted=True)))
+        attempt(raising(no_result("the first core", interrupted=True)))
     assert attempt(raising(ConfigError(""))).value is None
     with pytest.raises(KeyboardInterrupt):
         attempt(raising(KeyboardInterrupt()))

@@ -10,7 +10,7 @@ import pytest
 
 from hystmpc.ctrl.loop import Plant
 from hystmpc.models.identify.chain_kinds import FRICTION_KINDS
-from hystmpc.models.kinds.catalogue import KINDS, kind_named
+from hystmpc.models.kinds.catalogue import all_kinds, kind_named
 from hystmpc.models.kinds.kind import FitRequest, Identified, ModelKind
 from hystmpc.models.load import load_model
 from hystmpc.models.model import Model
@@ -22,7 +22,7 @@ from hystmpc.trials.types import Vec
 
 BUILTIN = ("builtin:backlash", "builtin:pi", "builtin:auto", "builtin:tendon-catheter", "builtin:lstm")
 # Of the others fits take long, or they are of another device: a resonance, a force that leads its displacement.
-QUICK = [kind.name for kind in KINDS if kind.readable and not kind.rings and kind.name not in FRICTION_KINDS]
+QUICK = [kind.name for kind in all_kinds() if kind.readable and not kind.rings and kind.name not in FRICTION_KINDS]
 QUICK = [name for name in QUICK if name != "auto"]
 
 

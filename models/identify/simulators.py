@@ -1,39 +1,176 @@
-"""The corrected simulator: retuned, with the effects found, and with the residuals that it leaves."""
+"""Simulators of identified chains, as identified and as corrected by a diagnosis, with their residuals."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from hystmpc.trials.config import dump_yaml
-from hystmpc.trials.segments import first_flexure_end, segment
+from hystmpc.trials.errors import FitError
+from hystmpc.trials.segments import Motion, first_flexure_end, segment
 from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Vec
 
 from ..chain import Chain
+from ..contract.metadata import DeviceLimits, NoiseModel, Range
 from ..decades import Decades
 from ..effects.catalogue import EFFECTS
 from ..effects.place import PlacedEffect, effect_spec
+from ..evaluate import evaluate
+from ..model import FitProgress
 from ..operators.catalogue import operator_spec
+from ..operators.hysteresis import Backlash
 from ..operators.measurement import PeriodicDisturbance
 from ..operators.operator import Operator
 from ..operators.slow_changes import Drift, FirstFlexure
-from ..simulator import Identification, Simulator
+from ..simulator import ChainModel, Identification, Residual, Simulator
+from ..start import trial_start
 from .baseline import Baseline
+from .chain_fit import ChainFit, OperatorFitSettings, identify_chain
 from .cross_validation import Hypothesis
 from .estimation_noise import estimation_noise
 from .free_run import StagedChain
-from .methods import residual
-from .runs import Run, fingerprint
+from .least_squares import one_blas_thread
+from .runs import Run, angle_range, check_trial_set, command_range, fastest_command, fingerprint
 from .uncertainty import BASELINE_UNITS
 
 EFFECTS_FILE = "effects.yaml"
+HOLDS_SHARE = 0.2
 _FORMAT = "hystmpc-effects/1"
 _SETTLE_S, _SETTLE_DT = 1800.0, 2.0
+
+
+@one_blas_thread
+def identify(
+    kind: str,
+    trials: Sequence[Trial],
+    settings: OperatorFitSettings | None = None,
+    plays: int = 4,
+    limits: DeviceLimits | None = None,
+    progress: FitProgress | None = None,
+) -> tuple[Simulator, ChainFit]:
+    """Simulator of a kind of chain, identified by least squares; arguments and errors as of `identify_chain`.
+
+    Raises:
+        FitError: also where the lines of a backlash cross within the trained range.
+    """
+    settings = settings or OperatorFitSettings()
+    chain, fit = identify_chain(kind, trials, settings=settings, plays=plays, progress=progress)
+    words, skip = "bounded least squares on free runs", settings.skip_first_flexure
+    return simulator_of(chain, trials, limits or DeviceLimits(), words, settings.seed, skip), fit
+
+
+def simulator_of(
+    chain: Chain,
+    trials: Sequence[Trial],
+    limits: DeviceLimits,
+    method: str,
+    seed: int = 0,
+    skip_first_flexure: bool = False,
+    noise: NoiseModel | None = None,
+) -> Simulator:
+    """Simulator of an identified chain with the facts of its trials, and the residuals of its free runs.
+
+    Args:
+        chain: what was identified.
+        trials: from which.
+        limits: what the device may be sent.
+        method: how, in words.
+        seed: of what was drawn at random.
+        skip_first_flexure: whether each trial counted from the first reversal of its command on.
+        noise: of trials that the fit did not use; where left out, that of these trials.
+
+    Raises:
+        FitError: on unusable trials, or a backlash whose lines cross within the trained range.
+    """
+    _check_lines(chain, command_range(trials))
+    dt_s, box = check_trial_set(trials), limits.command or command_range(trials)
+
+    def build(residuals: tuple[Residual, ...], noise: NoiseModel | None) -> Simulator:
+        return Simulator(
+            chain=chain,
+            dt_s=dt_s,
+            command_unit=trials[0].units.command,
+            angle_unit=trials[0].units.angle,
+            inverse=trials[0].inverted,
+            rest_command=_rest_command(trials, box),
+            command_limits=box,
+            command_rate_per_s=limits.rate_per_s or fastest_command(trials),
+            trained_command=command_range(trials),
+            trained_angle_deg=angle_range(trials),
+            trained_rate_per_s=fastest_command(trials),
+            identification=Identification(
+                method=method,
+                seed=seed,
+                skip_first_flexure=skip_first_flexure,
+                training_data_hash=fingerprint(trials),
+                residuals=residuals,
+                noise=noise,
+            ),
+        ).at_sample_time(dt_s)
+
+    model = ChainModel(build((), None))
+    runs = [(trial, evaluate(model, trial, skip_first_flexure)) for trial in trials]
+    if noise is None and not model.metadata.inverted:
+        errors = [(trial.angle - run.theta)[run.start :] for trial, run in runs]
+        noise = estimation_noise(trials, errors, chain.values.size)
+    return build(tuple(residual(trial, trial, run.theta, run.start) for trial, run in runs), noise)
+
+
+def _rest_command(trials: Sequence[Trial], limits: Range) -> float | None:
+    """Command at which the device rests before its trials, None for the lower end of its range.
+
+    Trials that all begin in motion do not tell it: then the command at which they begin.
+    """
+    if trials[0].inverted:
+        return None
+    starts = [trial_start(trial.command, trial.angle, trial.dt) for trial in trials]
+    rests = [start.command for start in starts if start.at_rest] or [float(trial.command[0]) for trial in trials]
+    rest = float(np.median(rests))
+    return rest if rest > limits.lower + _FROM_BELOW * (limits.upper - limits.lower) else None
+
+
+_FROM_BELOW = 0.01  # of the command's range: trials that begin higher up begin elsewhere than at its lower end
+
+
+def residual(log: Trial, trial: Trial, theta: Vec, start: int) -> Residual:
+    """Residual of a simulator on a trial.
+
+    Args:
+        log: as recorded, for its name and fingerprint.
+        trial: at the simulator's rate.
+        theta: the simulator's free run (T,) [deg].
+        start: first sample that counts.
+    """
+    error = (theta - trial.angle)[start:]
+    around = error - error.mean()
+    power = float(np.sum(around**2))
+    held = float(np.mean(segment(trial).labels == Motion.HOLD))
+    return Residual(
+        log=Path(log.source).name,
+        motion="holds" if held >= HOLDS_SHARE else "continuous",
+        samples=error.size,
+        rmse_deg=float(np.sqrt(np.mean(error**2))),
+        bias_deg=float(np.mean(error)),
+        lag_one=float(np.clip(np.sum(around[1:] * around[:-1]) / power, -1, 1)) if power > 0 else 0.0,
+        fingerprint=fingerprint([log]),
+    )
+
+
+def _check_lines(chain: Chain, trained: Range) -> None:
+    """Refuse a backlash whose unloading line dips below its loading line: it has no inverse there."""
+    if isinstance(chain.core, Backlash):
+        for u in (trained.lower, trained.upper):
+            if chain.core.gap(u) < 0:
+                raise FitError(
+                    f"the fitted lines cross: at command {u:.4g} unloading lies {-chain.core.gap(u):.3g} deg below "
+                    "loading, expected above; is the sign of the command right?"
+                )
 
 
 def corrected_simulator(
@@ -46,12 +183,11 @@ def corrected_simulator(
     decades: Decades,
     skip_first_flexure: bool = False,
 ) -> Simulator:
-    """A simulator retuned, with the effects found.
+    """Simulator that is retuned and has the identified effects.
 
-    A disturbance has the amplitude, the frequency and the phase of the last trial. What each trial has of its own
-    (`trial_shift`) and a faulty sensor are not included, and what is carried from trial to trial begins anew; the
-    method says so. Residuals and noise are those of the file as it stands, on the development trials, as `fit` stores
-    them.
+    A disturbance has the amplitude, the frequency and the phase of the last trial. Terms of single trials
+    (`trial_shift`) and a faulty sensor are not included, and memory from trial to trial begins anew; the method says
+    so. Residuals and noise are those of the file as it stands, on the development trials, as `fit` stores them.
 
     Args:
         simulator: as given.
@@ -85,14 +221,14 @@ def corrected_simulator(
 def network_effects(
     chosen: Hypothesis, baseline: Baseline, last: Run, dt_s: float, simulator: str, decades: Decades
 ) -> dict[str, str]:
-    """The file that stands beside a network, which cannot hold effects itself; none where there are no effects.
+    """File of effects beside a network, which cannot hold them itself; none where there are no effects.
 
     Args:
         chosen: fitted, with its causes.
         baseline: the plays that stand for the network.
         last: trial recorded last.
         dt_s: sample time of the trials [s].
-        simulator: what the network is called in the file's note.
+        simulator: name of the network in the file's note.
         decades: units in which the effects were fitted; the file is in those of the log.
     """
     effects = [_spec(c.effect, c.side, decades.log_operator(operator, c.side)) for c, operator in _placed(chosen)]
@@ -119,7 +255,7 @@ def network_effects(
 
 
 def _disturbance(chosen: Hypothesis, last: Run, dt_s: float, decades: Decades) -> Operator | None:
-    """The disturbance of the last trial, for a clock of that sample time; None if there is none.
+    """Disturbance of the last trial, for a clock of that sample time; None if there is none.
 
     Terms are s_h sin(2 pi h f t) + c_h cos(2 pi h f t), taken off the error; the operator's clock has made one step
     at the first sample.
@@ -137,7 +273,7 @@ def _disturbance(chosen: Hypothesis, last: Run, dt_s: float, decades: Decades) -
 
 
 def _remarks(chosen: Hypothesis) -> str:
-    """What the file leaves out."""
+    """Text on what the file leaves out."""
     said = []
     if chosen.problem.terms.shift:
         said.append("shifts from trial to trial are not in this file")
@@ -149,10 +285,7 @@ def _remarks(chosen: Hypothesis) -> str:
 
 
 def _compared(chain: Chain, angle: Vec, trial: Trial, skip_first_flexure: bool) -> tuple[Trial, Vec, int]:
-    """A trial with the angle as repaired (T,), the chain's free run (T,), and the first sample that counts.
-
-    The chain starts anew, at rest at the first command.
-    """
+    """Trial with the angle as repaired (T,), free run (T,) of the chain from rest, and first sample that counts."""
     repaired = Trial(trial.t, trial.command, angle, units=trial.units, source=trial.source)
     state = settled(chain, float(trial.command[0]), float(angle[0]), -math.inf, 0.0)
     theta = StagedChain(chain).simulate(trial.command[:, None], trial.dt, state[:, None])[0][:, 0]
@@ -192,7 +325,7 @@ def settled(chain: Chain, command: float, angle: float, bent: float, clock_s: fl
         chain: with its numbers.
         command: held [cmd].
         angle: approximate angle of the device [deg].
-        bent: greatest command that the device has seen [cmd]; the rest command for one that forgets.
+        bent: greatest command of the device so far [cmd]; the rest command for one that forgets.
         clock_s: of the device [s].
     """
     staged = StagedChain(chain)
