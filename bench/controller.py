@@ -17,7 +17,7 @@ from hystmpc.models.simulator import load_simulator
 from hystmpc.sim.config import SimulationConfig, TuningSettings
 from hystmpc.sim.plants.simulated import SimulatedPlant
 from hystmpc.sim.study import Study, prepare
-from hystmpc.sim.tune_pid import PidLike, PidTuning, mean_square_of, tuned_gains
+from hystmpc.sim.tuning.gains import PidLike, PidTuning, mean_square_of, tuned_gains
 from hystmpc.trajectories.config import MotionSettings, PointToPointSettings
 from hystmpc.trials.config import dump_yaml
 from hystmpc.trials.files import write_atomically

@@ -30,7 +30,7 @@ def make_plant(settings: Mapping[str, Any], dt_s: float, seed: int, folder: Path
     """
     from hystmpc.models.load import model_path  # simulators take long to import, and most benches have a device
     from hystmpc.sim.config import PlantSettings
-    from hystmpc.sim.plants.make import make_plant as make
+    from hystmpc.sim.plants.device import make_plant as make
 
     noise = {"noise_deg": _NOISE_DEG} if "device" in settings else {}
     block = PlantSettings.parse(noise | dict(settings), "plant")

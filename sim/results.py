@@ -21,8 +21,8 @@ from hystmpc.trials.layouts import CANONICAL
 from hystmpc.trials.run_folder import RunFolder
 from hystmpc.trials.types import Vec
 
-from .closed_loop import ClosedLoopRun
 from .config import SimulationConfig
+from .study import ClosedLoopRun
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

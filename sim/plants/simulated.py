@@ -21,8 +21,7 @@ from hystmpc.trials.brief import in_brief
 from hystmpc.trials.errors import ConfigError, ModelError, did_you_mean
 from hystmpc.trials.types import Vec
 
-from .cascade import run_chain, settling_s
-from .computed import ComputedPlant, Sensing
+from .computed import ComputedPlant, Sensing, run_chain, settling_s
 
 
 @dataclass(frozen=True)

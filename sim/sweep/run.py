@@ -15,13 +15,21 @@ from hystmpc.trials.types import Progress
 
 from ..compare import compare
 from ..config import SimulationConfig
-from ..jobs.backend import Backend
-from ..jobs.runner import run_jobs
-from .plan import Hashes, SweepPlan, SweepRow
+from ..jobs import Backend, run_jobs
+from .plan import (
+    COST_COLUMNS,
+    RESULT_COLUMNS,
+    ROW_COLUMNS,
+    Hashes,
+    SweepPlan,
+    SweepRow,
+    metrics_columns,
+    run_row,
+    run_settings,
+)
 from .report import SweepView, sweep_report
 from .settings import SweepSettings, sweep_in
 from .table import COPY, TABLE, RunTable, rows_of
-from .worker import COST_COLUMNS, RESULT_COLUMNS, ROW_COLUMNS, metrics_columns, run_row, run_settings
 
 _NEAR = 20  # ids that an error names
 

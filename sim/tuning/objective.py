@@ -15,12 +15,11 @@ from hystmpc.trials.brief import in_brief
 from hystmpc.trials.types import Progress, Vec
 
 from ..config import SimulationConfig
-from ..jobs.backend import Backend
-from ..jobs.runner import run_jobs
+from ..jobs import Backend, run_jobs
 from ..results import result_of
 from ..study import Study, prepare
+from ..sweep.plan import shared_knowledge
 from ..sweep.settings import changed, drawn
-from ..sweep.worker import shared_knowledge
 from .settings import ObjectiveSettings, PlantsSettings, TuneSettings
 
 if TYPE_CHECKING:

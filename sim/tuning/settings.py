@@ -14,7 +14,7 @@ from hystmpc.trials.errors import ConfigError, did_you_mean
 from hystmpc.trials.json_text import json_hash
 
 from ..config import PlantSettings, SimulationConfig
-from ..plants.make import varied_parameters
+from ..plants.device import varied_parameters
 from ..sweep.settings import DrawSettings, changed, place, study_of, value_at
 
 _ESTIMATOR = {

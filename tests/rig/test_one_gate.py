@@ -63,7 +63,7 @@ NO_DEVICE = {
 # Here `apply` is that of a computed device: no wire is known to these files.
 COMPUTED = {
     "ctrl/loop.py",
-    "sim/environment/gym_.py",
+    "sim/gym_.py",
     "lab/benchmarks/endurance.py",
     "lab/benchmarks/faults.py",
     "lab/benchmarks/lstm_presets.py",

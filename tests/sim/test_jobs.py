@@ -7,8 +7,7 @@ from collections.abc import Callable, Iterator
 import pytest
 
 from hystmpc.models.identify.chain_fit import nothing_found
-from hystmpc.sim.jobs.backend import InTurn
-from hystmpc.sim.jobs.runner import attempt, run_jobs
+from hystmpc.sim.jobs import InTurn, attempt, run_jobs
 from hystmpc.trials.errors import ConfigError
 
 

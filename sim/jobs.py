@@ -1,4 +1,4 @@
-"""Where many calls of one function are made: results as they come, lost workers replaced."""
+"""Many calls of one function: in this process, in a pool of processes, or on a Dask cluster; lost workers are replaced."""
 
 from __future__ import annotations
 
@@ -6,22 +6,25 @@ import multiprocessing
 import os
 import signal
 import threading
+import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager, suppress
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from importlib.util import find_spec
 from itertools import chain, islice
 from multiprocessing.connection import Connection
 from multiprocessing.context import SpawnContext
 from multiprocessing.process import BaseProcess
-from typing import TypeVar, final
+from typing import Any, Generic, TypeVar, final
 
 from threadpoolctl import threadpool_limits
 
 from hystmpc.models.kernels.compiling import PROCESS, Compilation, joint
-from hystmpc.trials.errors import ConfigError
+from hystmpc.trials.errors import ConfigError, FitInterruptedError, HystmpcError
+from hystmpc.trials.types import Progress
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -29,6 +32,10 @@ THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_
 _DEATHS = 3  # in a row, without a result between them
 _LISTENS_S = 0.2  # between two looks at whether the workers are gone
 _AHEAD = 2  # items a worker that are handed over before they are needed
+_TIMEOUT_S = 10.0
+_CALLS_AHEAD = 4  # calls a worker thread that the scheduler has in hand
+_LEAST_AHEAD = 64  # so that workers that join later find something to do
+_ONE_AT_A_TIME = threading.Lock()
 
 
 class Backend(ABC):
@@ -203,3 +210,176 @@ def prepare_worker(told: Connection | None = None) -> None:
                 told.send((os.getpid(), found))
 
         PROCESS.observers.append(tell)
+
+
+@final
+class DaskCluster(Backend):
+    """A Dask cluster. Workers need this package, and model files where the settings name them.
+
+    Args:
+        address: of a scheduler, such as `tcp://host:8786`; `tls://` with the certificates that Dask is configured with.
+    """
+
+    def __init__(self, address: str, where: str = "") -> None:
+        self._address, self._where = address, where
+
+    def check(self) -> None:
+        """See `Backend`.
+
+        Raises:
+            ConfigError: if no scheduler answers.
+        """
+        with self._client():
+            pass
+
+    def results(self, function: Callable[[T], R], items: Iterable[T]) -> Iterator[R]:
+        """See `Backend`.
+
+        Raises:
+            ConfigError: if no scheduler answers, or a call has killed its workers four times.
+        """
+        from distributed import as_completed
+        from distributed.scheduler import KilledWorker
+
+        with self._client() as client:
+            rest = iter(items)
+            threads: Any = client.nthreads()  # a coroutine only for clients that were asked to be one
+            ahead = max(_LEAST_AHEAD, _CALLS_AHEAD * sum(threads.values()))
+            completed = as_completed()
+            for item in islice(rest, ahead):
+                completed.add(client.submit(alone, function, item, pure=False))
+            for future in completed:
+                try:
+                    result = future.result()
+                except KilledWorker as error:
+                    raise ConfigError(
+                        f"{self._where}: workers died over one call again and again, the last was "
+                        f"{error.last_worker.address} (out of memory?); the same command goes on"
+                    ) from None
+                future.release()
+                for item in islice(rest, 1):
+                    completed.add(client.submit(alone, function, item, pure=False))
+                yield result
+
+    @contextmanager
+    def _client(self) -> Iterator[Any]:
+        """A connection.
+
+        Raises:
+            ConfigError: if no scheduler answers.
+        """
+        from distributed import Client
+
+        try:
+            client = Client(self._address, timeout=_TIMEOUT_S)
+        except (OSError, ValueError) as error:  # a timeout is an OSError
+            reason = " ".join(str(error).split()) or type(error).__name__
+            raise ConfigError(f"--cluster {self._address}: no Dask scheduler answers ({reason})") from None
+        with client:
+            yield client
+
+
+def alone(function: Callable[[T], R], item: T) -> R:
+    """The call on one thread, and no other call beside it in this process, however many threads the worker has."""
+    with _ONE_AT_A_TIME, threadpool_limits(limits=1):
+        os.environ.update(dict.fromkeys(THREADS, "1"))
+        return function(item)
+
+
+def run_jobs(
+    function: Callable[[T], R],
+    jobs: Iterable[T],
+    backend: Backend,
+    *,
+    is_done: Callable[[T], bool] = lambda job: False,
+    total: int | None = None,
+    progress: Progress | None = None,
+    note: Callable[[R], str] = lambda result: "",
+) -> Iterator[R]:
+    """Results of the jobs that are not done yet, as they come, in any order.
+
+    A job whose worker dies is done again. An error of `function` ends all; see `attempt` for jobs that may fail.
+
+    Args:
+        function: does one job; of a module, so that another process finds it.
+        jobs: taken as they are needed, a few ahead of the workers; each can be pickled.
+        is_done: whether a job was done by an earlier call.
+        total: number of jobs, for `progress`; it is not called where left out.
+        progress: called after every job; jobs done earlier count.
+        note: text for `progress`.
+
+    Raises:
+        ConfigError: if workers die again and again, or there are none.
+        KeyboardInterrupt: if the user ended it; the workers are gone by then.
+    """
+    kept = 0
+
+    def open_jobs() -> Iterator[T]:
+        nonlocal kept
+        for job in jobs:
+            if is_done(job):
+                kept += 1
+            else:
+                yield job
+
+    for number, result in enumerate(backend.results(function, open_jobs()), start=1):
+        yield result
+        if progress and total is not None:
+            progress(kept + number, total, note(result))
+
+
+@dataclass(frozen=True)
+class Attempt(Generic[R]):
+    """A call that may have failed.
+
+    Attributes:
+        value: what it returned, None if it failed.
+        seconds: wall time [s].
+    """
+
+    value: R | None
+    raised: Exception | None
+    seconds: float
+
+    @property
+    def error(self) -> str:
+        """The exception as one line, with its type where it is none of this package; empty if there is none."""
+        known = self.raised is None or isinstance(self.raised, HystmpcError)
+        text = str(self.raised or "") if known else f"{type(self.raised).__name__}: {self.raised}"
+        return " ".join(text.split())
+
+
+def attempt(call: Callable[[], R]) -> Attempt[R]:
+    """Make a call whose failure must not cost the other jobs their time.
+
+    Raises:
+        KeyboardInterrupt: if the user ended it; half a job is no result.
+    """
+    start = time.perf_counter()
+    try:
+        value = call()
+    except FitInterruptedError:
+        raise KeyboardInterrupt from None
+    except Exception as raised:  # noqa: BLE001  # one job's defect must not cost the others hours
+        return Attempt(None, raised, time.perf_counter() - start)
+    return Attempt(value, None, time.perf_counter() - start)
+
+
+def backend_for(workers: int, cluster: str | None = None, where: str = "") -> Backend:
+    """The back end that a command line asks for.
+
+    Args:
+        workers: processes, each on one thread; with 1 and no cluster the calls are made in this process.
+        cluster: address of a Dask scheduler such as `tcp://host:8786`; None or `local` for processes of this machine,
+            which talk through pipes: a scheduler of our own would listen, and run what anybody on the machine sends it.
+
+    Raises:
+        ConfigError: if the address is none, or Dask is not installed.
+    """
+    if cluster is None or cluster == "local":
+        return InTurn() if workers == 1 else Processes(workers, where)
+    if "://" not in cluster:
+        raise ConfigError(f"--cluster {cluster}: expected `local` or an address such as tcp://host:8786")
+    if find_spec("distributed") is None:
+        raise ConfigError(f"--cluster {cluster}: distributed is not installed: pip install 'hystmpc[tune]'")
+    return DaskCluster(cluster, where)

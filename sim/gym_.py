@@ -18,9 +18,9 @@ from hystmpc.ctrl.loop import AnySensorSettings, ContinuousSensorSettings, Imagi
 from hystmpc.trajectories import PreviewTable, Trajectory
 from hystmpc.trials.errors import ConfigError, did_you_mean
 
-from ..config import SimulationConfig, load_simulation
-from ..plants.computed import ComputedPlant
-from ..study import prepare
+from .config import SimulationConfig, load_simulation
+from .plants.computed import ComputedPlant
+from .study import prepare
 
 Signal = Callable[[float], float]
 _ANGLE_DEG = 720.0  # observations are clipped here, so that the space is bounded

@@ -14,7 +14,7 @@ from hystmpc.ctrl.inverse_settings import InversePidControllerSettings
 from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.types import Progress, Vec
 
-from .study import Study
+from ..study import Study
 
 PidLike = PidControllerSettings | InversePidControllerSettings
 _PER_PARAMETER = 3
