@@ -20,18 +20,22 @@ from hystmpc.trials.run_folder import RunFolder, alone_in
 from hystmpc.trials.types import Progress
 
 from .config import CommissionBlock, CommissionSettings, narrowed
-from .controller import TIP_FILE, ControllerFiles, IdentifiedDevice, fresh_references, make_controllers
 from .device import Device, Open, opened_device
 from .identify import (
     FIXED_FILE,
     MODEL_FILE,
+    TIP_FILE,
+    ControllerFiles,
     FittedModel,
+    IdentifiedDevice,
     ModelDiagnosis,
     Subject,
     TrialCheck,
     check_trials,
     diagnose_model,
     fit_model,
+    fresh_references,
+    make_controllers,
     subject_of,
 )
 from .motions import CONTROLLERS, SCANS_HZ, Budget, budget, directions, recordings

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import json
 import zlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from threading import Event, Thread
-from typing import Protocol, final
+from typing import Any, Protocol, final
 
 import numpy as np
 
+from hystmpc.ctrl.loop import Plant
 from hystmpc.ctrl.planner.settings import TipSettings
 from hystmpc.rig.config import BenchSettings, RunSettings
 from hystmpc.rig.experiment.experiment import tracking_phase
@@ -27,7 +28,7 @@ from hystmpc.rig.transports.simulated import SimulatedSettings
 from hystmpc.rig.transports.transport import PlantFactory
 from hystmpc.trajectories.config import MotionSettings
 from hystmpc.trials.csv_files import format_table
-from hystmpc.trials.errors import HystmpcError, LogError
+from hystmpc.trials.errors import ConfigError, HystmpcError, LogError
 from hystmpc.trials.files import write_atomically
 from hystmpc.trials.formats import read_lines
 from hystmpc.trials.tables import read_table
@@ -36,7 +37,6 @@ from hystmpc.trials.types import Vec
 
 from .config import CommissionSettings
 from .phases import Bounded
-from .plants import plants_in
 
 TIME_FILE = "device_time.json"
 _SEEDS = 100_003
@@ -305,3 +305,43 @@ def _used(folder: Path) -> float:
         return float(json.loads((folder / TIME_FILE).read_text(encoding="utf-8"))["seconds"])
     except (OSError, ValueError, KeyError, TypeError):
         return 0.0
+
+
+_NOISE_DEG = 0.05  # default: an angle that never changes would be taken for a dead sensor
+
+
+def make_plant(settings: Mapping[str, Any], dt_s: float, seed: int, folder: Path, unit: str) -> tuple[Plant, float]:
+    """Plant of a block `plant`, and the command that it holds after a reset.
+
+    Args:
+        settings: `simulator` or `device`, parameters and effects as in a simulation file.
+        dt_s: sample time [s].
+        seed: of its noise.
+        folder: where relative file names start.
+        unit: of the command, which the plant has to have.
+
+    Raises:
+        ConfigError: on an unknown device, key or parameter, a value out of bounds, or another unit.
+        ModelError: if a simulator file is missing or unusable.
+    """
+    from hystmpc.models.load import model_path  # simulators take long to import, and most benches have a device
+    from hystmpc.sim.config import PlantSettings
+    from hystmpc.sim.plants.device import make_plant as make
+
+    noise = {"noise_deg": _NOISE_DEG} if "device" in settings else {}
+    block = PlantSettings.parse(noise | dict(settings), "plant")
+    if block.simulator is not None:
+        block = block.model_copy(update={"simulator": str(model_path(block.simulator, folder))})
+    plant = make(block, dt_s, seed=seed)
+    if plant.command_unit != unit:
+        raise ConfigError(f"plant: got a device with commands in {plant.command_unit}, expected command_unit {unit}")
+    return plant, plant.rest_command
+
+
+def plants_in(folder: Path, unit: str) -> PlantFactory:
+    """Factory of simulated devices for the transport `kind: simulated`."""
+
+    def made(settings: SimulatedSettings, dt_s: float) -> tuple[Plant, float]:
+        return make_plant(settings.plant, dt_s, settings.seed, folder, unit)
+
+    return made

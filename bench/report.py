@@ -33,9 +33,8 @@ from hystmpc.trials.report import (
 )
 from hystmpc.trials.run_folder import RunFolder
 
-from .controller import TIP_FILE, IdentifiedDevice
 from .device import Track
-from .identify import Subject, uniform_trials
+from .identify import TIP_FILE, IdentifiedDevice, Subject, uniform_trials
 from .motions import CONTROLLERS
 from .round_plan import RoundPlan
 from .rounds import DIAGNOSIS, FIRST, Ending, Investigated, Round, round_folder

@@ -17,8 +17,8 @@ from hystmpc.trajectories.config import MotionSettings
 from hystmpc.trials.brief import brief
 from hystmpc.trials.types import Vec
 
-from .controller import TIP_FILE, tip_settings
 from .device import Device, Track
+from .identify import TIP_FILE, tip_settings
 from .motions import CONTROLLERS
 from .stages import Figure
 

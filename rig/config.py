@@ -19,7 +19,6 @@ from hystmpc.trials.config import FolderName, NotNegative, Positive, Settings, l
 from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.from_outside import with_kind
 
-from .experiment.excitation import Excitation, MotionFileSettings
 from .experiment.phases import PrepareStep, PretensionSettings
 from .live.desk import LiveSettings
 from .realtime import RealtimeSettings
@@ -182,28 +181,6 @@ class RunSettings(BenchSettings):
         return self
 
 
-class RecordSettings(BenchSettings):
-    """Recordings for identification: `hystmpc record`. Every excitation becomes one trial.
-
-    Attributes:
-        excitations: motions by name, each with its `kind`; each becomes one trial.
-        settle_s: rest before each of them [s].
-        live: the local page; a recording takes no target.
-    """
-
-    excitations: Mapping[FolderName, Excitation] = Field(min_length=1)
-    settle_s: NotNegative = 1.0
-    live: LiveSettings = LiveSettings()
-
-    @model_validator(mode="after")
-    def _measures(self) -> RecordSettings:
-        if self.sensor.kind == "none":
-            raise ValueError("got sensor.kind none, expected continuous or intermittent: a trial holds angles")
-        if self.realtime.backend != "python":
-            raise ValueError(f"got realtime.backend {self.realtime.backend}, expected python: there is no controller")
-        return self
-
-
 def load_run(path: Path | str, overrides: Iterable[str] = ()) -> RunSettings:
     """Read the settings of an experiment; file names relative to its folder become absolute.
 
@@ -219,20 +196,6 @@ def load_run(path: Path | str, overrides: Iterable[str] = ()) -> RunSettings:
         motion = settings.reference
         changes["reference"] = motion.model_copy(update={"file": folder / motion.file})
     return settings.model_copy(update=changes)
-
-
-def load_record(path: Path | str, overrides: Iterable[str] = ()) -> RecordSettings:
-    """Read the settings of a recording, as `load_run`.
-
-    Raises:
-        ConfigError: on an unreadable file, an unknown key or a value out of bounds.
-    """
-    settings, folder = load_settings(RecordSettings, path, overrides), Path(path).resolve().parent
-    excitations = {
-        name: e.model_copy(update={"file": folder / e.file}) if isinstance(e, MotionFileSettings) else e
-        for name, e in settings.excitations.items()
-    }
-    return settings.model_copy(update={"excitations": excitations, **located(settings, folder)})
 
 
 def located(settings: BenchSettings, folder: Path) -> dict[str, Any]:

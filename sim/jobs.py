@@ -1,4 +1,4 @@
-"""Many calls of one function: in this process, in a pool of processes, or on a Dask cluster; lost workers are replaced."""
+"""Calls of one function for many jobs: in this process, in a pool of processes, or on a Dask cluster."""
 
 from __future__ import annotations
 

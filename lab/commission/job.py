@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 
 from hystmpc.bench.commission import Commissioned, commission_device
-from hystmpc.bench.controller import TIP_FILE, tip_settings
 from hystmpc.bench.device import BenchDevice
+from hystmpc.bench.identify import TIP_FILE, tip_settings
 from hystmpc.ctrl.command import limits_of_model
 from hystmpc.ctrl.feedback import PidControllerSettings
 from hystmpc.ctrl.guarded import build_controller

@@ -40,8 +40,7 @@ from ..transports.transport import PlantFactory, Transport
 from .phases import REMEMBERED, Decision, Past, Phase, PhaseInput
 
 if TYPE_CHECKING:
-    from ..compiled.controller import CompiledController
-    from ..compiled.loop import CompiledLoop
+    from ..compiled.controller import CompiledController, CompiledLoop
 
 LATE = "late: no time for a plan"
 """Why a sample that begins late is answered by the fallbacks."""

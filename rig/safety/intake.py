@@ -13,8 +13,7 @@ from pydantic import Field, model_validator
 from hystmpc.ctrl.estimation.observer import ANGLE_BOUND_DEG
 from hystmpc.trials.config import Count, Positive, Settings
 
-from ..transports.sessions import NEW, REPLAYED, Order
-from ..transports.transport import Reading
+from ..transports.transport import NEW, REPLAYED, Order, Reading
 from .plausibility import DriveFollowing, MotionWatch
 
 OUTSIDE = "out-of-range"

@@ -19,9 +19,8 @@ from cyclonedds.topic import Topic
 
 from hystmpc.trials.errors import ConfigError
 
-from .sessions import Admission
 from .topics import GOODBYE, GREETING, TopicMessage, TopicSettings, TopicTransport, listening, stamp
-from .transport import Conversion, DeviceLink, Incoming, Outgoing, Says
+from .transport import Admission, Conversion, DeviceLink, Incoming, Outgoing, Says
 
 # Discovery and data on one interface; unicast, so that nothing is announced beyond it.
 _XML = """<CycloneDDS><Domain><General><Interfaces><NetworkInterface name="{name}"/></Interfaces>

@@ -37,8 +37,8 @@ from pydantic import model_validator
 from hystmpc.trials.config import Port, Settings
 from hystmpc.trials.errors import ConfigError
 
-from .sessions import Admission
 from .transport import (
+    Admission,
     Conversion,
     Datagrams,
     DeviceLink,

@@ -12,10 +12,9 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from hystmpc.bench.config import narrowed
-from hystmpc.bench.device import BenchDevice, DeviceStoppedError
+from hystmpc.bench.device import BenchDevice, DeviceStoppedError, plants_in
 from hystmpc.bench.motions import recordings
 from hystmpc.bench.phases import Climb, dash
-from hystmpc.bench.plants import plants_in
 from hystmpc.ctrl.planner.settings import TipSettings
 from hystmpc.rig.experiment.phases import Past, PhaseInput
 from hystmpc.trajectories.config import SinusoidScanSettings

@@ -11,8 +11,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hystmpc.bench.controller import rounding_ignored
 from hystmpc.bench.device import Track, track_of
+from hystmpc.bench.identify import rounding_ignored
 from hystmpc.bench.motions import CONTROLLERS
 from hystmpc.bench.verify import MPC, PID, Verification, judge_tracks
 from hystmpc.ctrl.command import CommandLimits

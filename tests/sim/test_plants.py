@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hystmpc.bench.plants import make_plant as bench_plant
+from hystmpc.bench.device import make_plant as bench_plant
 from hystmpc.models.contract.metadata import Range
 from hystmpc.sim.config import PlantSettings, SimulationConfig, load_simulation
 from hystmpc.sim.devices.names import DEVICES, parameter_lines
