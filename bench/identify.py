@@ -115,11 +115,7 @@ def check_trials(subject: Subject) -> TrialCheck:
 
 
 def uniform_trials(subject: Subject) -> list[Trial]:
-    """Recordings, resampled to the rate of the device.
-
-    Raises:
-        LogError: if one cannot be read or resampled.
-    """
+    """Recordings, resampled to the rate of the device."""
     recorded = read_trials(subject.trials)
     for trial in recorded:
         require_recorded(trial)
@@ -203,9 +199,6 @@ def diagnose_model(subject: Subject, model: Path, folder: Path, progress: Progre
     """Diagnose the model's residual; write the diagnosis, and `model.fixed.yaml` where it is certified better.
 
     A model that cannot be diagnosed on these trials is no error: the verdict says why.
-
-    Raises:
-        KeyboardInterrupt: if the user ended it; nothing is kept.
     """
     trials, simulator, seed = uniform_trials(subject), load_simulator(model), subject.block.seed
     done = diagnose_trials(
@@ -245,7 +238,6 @@ def reached_angles(subject: Subject, model: Path) -> ReachedAngles:
 
     Raises:
         FitError: if nothing is left between them.
-        ModelError: if the model cannot be used.
     """
     known, limits = controller_model(str(model)), subject.limits
     trained = known.facts.trained_angle
@@ -305,12 +297,7 @@ class IdentifiedDevice:
 def make_controllers(
     subject: Subject, model: Path, sigma_deg: float, folder: Path, progress: Progress
 ) -> ControllerFiles:
-    """Write `tip.yaml` next to the stage's folder, and `pid.yaml`, `inverse.yaml` and `inverse_pid.yaml` into it.
-
-    Raises:
-        HystmpcError: if the model cannot be used.
-        KeyboardInterrupt: if the user ended the search; nothing is kept.
-    """
+    """Write `tip.yaml` next to the stage's folder, and `pid.yaml`, `inverse.yaml` and `inverse_pid.yaml` into it."""
     reached = reached_angles(subject, model)
     step = sensor_step_deg(model)
     study = tuning_study(subject, model, reached, sigma_deg, step)

@@ -79,21 +79,13 @@ class CommissionStory:
 
 
 def write_commission(story: CommissionStory, path: Path) -> Path:
-    """Write the page of a commissioning, whole or not at all.
-
-    Raises:
-        LogError: if a recording is missing.
-    """
+    """Write the page of a commissioning, whole or not at all."""
     name, subtitle = story.identified.subject.name, story.identified.fitted.report
     return Report(f"Commissioning of {name}", tuple(_commissioned(story)), subtitle).save(path)
 
 
 def write_investigation(made: Investigated, name: str, command_unit: str) -> Path:
-    """Write the page of an investigation, whole or not at all.
-
-    Raises:
-        LogError: if a file of a round is missing.
-    """
+    """Write the page of an investigation, whole or not at all."""
     subtitle = f"simulator {made.model.name}, {len(made.rounds)} rounds, {made.device_s:.0f} s of device time"
     return Report(f"Investigation of {name}", tuple(_investigated(made, command_unit)), subtitle).save(made.report)
 

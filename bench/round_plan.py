@@ -59,15 +59,13 @@ class RoundPlan:
 
     Attributes:
         motions: names of their files, in the order of recording.
-        seconds: device time that they take at most, the runs around them included [s].
-        separates: hypotheses that they are to discriminate.
-        probability: expected one of the right explanation; `bits` the same as information.
-        confirms: whether the trials so far decide already, so that the motion only puts their answer to the test.
-        undirected: whether a designed motion did not decide, or none is known that could: a kind of motion that was not
-            recorded yet, chosen as the first ones were.
-        menu: the menu's best motion, empty where none fits the device time; `menu_gain` by how much more information
-            per second is expected of this one.
-        looked_at: motions that were compared.
+        seconds: greatest device time, approach and return included [s].
+        separates: hypotheses to discriminate.
+        probability, bits: expected probability of the right hypothesis, and the same as information.
+        confirms: whether the trials decide already, and the motion only tests their answer.
+        undirected: whether the motion is of a new kind, chosen as the first ones were, for want of a designed one.
+        menu, menu_gain: best motion of the menu, and the information per second of this motion relative to it.
+        looked_at: number of motions compared.
     """
 
     motions: tuple[str, ...]
@@ -93,12 +91,7 @@ def least_seconds(bench: BenchSettings) -> float:
 
 
 def plan_first(settings: InvestigateSettings, simulator: Simulator, left_s: float, folder: Path) -> RoundPlan:
-    """Plan the first round and write its motions.
-
-    Raises:
-        ConfigError: if the device time is too short for them.
-        FitError: if no motion stays within the angle limits by the simulator.
-    """
+    """Plan the first round and write its motions."""
     count, around = settings.investigate.first_motions, run_seconds(settings, 0)
     longest = _first_longest_s(settings, left_s)
     chosen = first_motions(simulator, _family(settings, longest), count, allowed(settings), around)
@@ -106,11 +99,7 @@ def plan_first(settings: InvestigateSettings, simulator: Simulator, left_s: floa
 
 
 def first_seconds(settings: InvestigateSettings, left_s: float) -> float:
-    """Device time that the first motions take at most [s].
-
-    Raises:
-        ConfigError: if the device time is too short for them.
-    """
+    """Greatest device time of the first motions [s]."""
     count, longest = settings.investigate.first_motions, _first_longest_s(settings, left_s)
     return prepare_seconds(settings) + count * run_seconds(settings, math.ceil(longest / settings.dt_s))
 
@@ -135,11 +124,11 @@ def _first_longest_s(settings: InvestigateSettings, left_s: float) -> float:
 def plan_next(
     settings: InvestigateSettings, question: DiscriminationTask, left_s: float, number: int, longer: int, folder: Path
 ) -> RoundPlan | None:
-    """Plan a designed motion with most expected information and write it; None where none has enough.
+    """Plan the designed motion with most expected information and write it; None where none has enough.
 
     Args:
-        left_s: device time that is left [s].
-        number: of the recording that it becomes.
+        left_s: device time left [s].
+        number: of its recording.
         longer: factor on the motion's duration, where shorter ones did not decide.
     """
     longest = min(_room_s(settings, left_s), longer * settings.investigate.longest_motion_s)
@@ -180,16 +169,11 @@ def plan_more(
     question: DiscriminationTask | None,
     folder: Path,
 ) -> RoundPlan | None:
-    """Plan a motion of a kind that was not recorded yet, twice as long as the first ones.
-
-    None where the device time is too short, or no kind is left that is allowed.
+    """Plan a motion of a kind that was not recorded yet, twice as long as the first ones; None where none is allowed.
 
     Args:
-        left_s: device time that is left [s].
-        number: of the recording that it becomes.
         recorded: kinds of motion that were recorded.
-        question: its explanations, fitted to what was recorded, judge what is allowed; those of a typical size do where
-            there is none.
+        question: its fitted hypotheses judge whether a motion is allowed; those of a typical size without it.
     """
     longest = min(_room_s(settings, left_s), _FURTHER * settings.investigate.longest_motion_s)
     if longest < LEAST_MOTION_S:
@@ -227,8 +211,8 @@ def _plan_of(chosen: FirstMotions, settings: InvestigateSettings, longest_s: flo
 def allowed(settings: InvestigateSettings) -> Callable[[EvaluatedMotion], bool]:
     """Test of a motion: expected angles within the limits, and no false alarm of a blocked tip.
 
-    The angles of all explanations are tried, with 0.7 of the travel that the bench's own watch on motion allows. The
-    limits count for the median angle, since no explanation of a typical size has been seen on the device.
+    The angles of all hypotheses are tried with 0.7 of the travel that the bench's motion watch allows. The limits hold
+    for the median angle, since no hypothesis of a typical size has been observed on the device.
     """
     low, high = settings.angle_limits
     span, range_deg = (
@@ -254,16 +238,12 @@ def allowed(settings: InvestigateSettings) -> Callable[[EvaluatedMotion], bool]:
 
 
 def planned_commands(folder: Path, name: str) -> Vec:
-    """Read the commands (N,) of a planned motion.
-
-    Raises:
-        LogError: if the file is missing or no motion.
-    """
+    """Commands (N,) of a planned motion, read from its file."""
     return read_csv(folder / f"{name}.csv").command
 
 
 def _family(settings: InvestigateSettings, longest_s: float) -> MotionFamily:
-    """Family of motions at the rate at which a diagnosis simulates."""
+    """Family of motions at the sample rate of a diagnosis."""
     dt = max(settings.dt_s, 1 / MOST_HZ)
     return MotionFamily(settings.limits.build(), dt, settings.safe_command, longest_s)
 
@@ -290,10 +270,10 @@ class FirstMotions:
     """First motions of an investigation, in the order of recording.
 
     Attributes:
-        options: each with its expected result, by the name of its recording.
-        numbers: of each in the family (22,).
-        explanations: names of the hypotheses that they are to discriminate.
-        probability: expected one of the right name, chance being one over their number.
+        options: expected result of each, by the name of its recording.
+        numbers: parameters of each in the family (22,).
+        explanations: hypotheses to discriminate.
+        probability: expected one of the right hypothesis; chance is one over their number.
     """
 
     options: Mapping[str, EvaluatedMotion]
@@ -309,16 +289,16 @@ def first_motions(
     allowed: Callable[[EvaluatedMotion], bool],
     overhead_s: float,
 ) -> FirstMotions:
-    """Starts of the family with most expected information per second about which effect the simulator lacks.
+    """Starts of the family with most expected information per second about the effect that the simulator lacks.
 
-    Every effect of the library is added to the simulator at a typical size. The first motion is the one with the most
-    expected information per second, each further one that which adds most to those before it; the distances of two
-    motions add up in squares. The last motion repeats the first, since the floor and what differs between trials show
-    in a repeat alone.
+    Every effect of the library is added to the simulator at a typical size. The first motion has the most expected
+    information per second; each further one adds most to those before it. The distances of two motions add up in
+    squares. The last motion repeats the first, since only a repeat shows the noise floor and differences between
+    trials.
 
     Args:
         count: of motions, two or more.
-        allowed: whether a motion may be played, judged by the angles that the explanations expect.
+        allowed: test of a motion by the angles that the hypotheses expect.
         overhead_s: device time of a run without its motion [s].
 
     Raises:
@@ -349,14 +329,9 @@ def further_motion(
 ) -> FirstMotions | None:
     """Unrecorded start of the family with most expected information per second; None where none is allowed.
 
-    The error of an explanation's form is the same in each repeat of a motion. Only another kind of motion shows it in
-    another way.
-
-    Args:
-        recorded: names of the starts that were recorded already.
-        number: of the recording that it becomes.
-        allowed: whether a motion may be played, judged by the angles that the explanations expect.
-        overhead_s: device time of a run without its motion [s].
+    The form error of a hypothesis is equal in each repeat of a motion; only another kind of motion shows it
+    differently.
+    Arguments as of `first_motions`.
     """
     names, options = _options(simulator, family, allowed)
     known = [option for name, (option, _) in options.items() if name in recorded]
@@ -371,7 +346,7 @@ def further_motion(
 def _options(
     simulator: Simulator, family: MotionFamily, allowed: Callable[[EvaluatedMotion], bool]
 ) -> tuple[tuple[str, ...], dict[str, tuple[EvaluatedMotion, Vec]]]:
-    """Names of the hypotheses, and each allowed start of the family with its numbers, by name."""
+    """Names of the hypotheses, and each allowed start of the family with its parameters, by name."""
     everything, noise = explanations(simulator, family.limits, family.dt), prior_noise(simulator)
     fastest = [_fastest(family, name, everything, noise, allowed) for name in family.starts]
     options = {option.motion.name: (option, numbers) for option, numbers in filter(None, fastest)}
@@ -385,7 +360,7 @@ def _fastest(
     noise: Noise,
     allowed: Callable[[EvaluatedMotion], bool],
 ) -> tuple[EvaluatedMotion, Vec] | None:
-    """The start of that name, as fast as allowed, with its numbers; None where no speed is allowed."""
+    """The start of that name, as fast as allowed, with its parameters; None where no speed is allowed."""
     for factor in _SLOWER:
         numbers = family.slower(family.starts[name], factor)
         option = evaluate_motion(everything, family.motion(numbers, name), noise)
@@ -440,7 +415,7 @@ def _explanation(name: str, baseline: Baseline, candidate: Candidate | None, res
 
 
 def prior_noise(simulator: Simulator) -> Noise:
-    """Noise and model error as stated in the simulator's file, with small lower bounds."""
+    """Noise and model error stated in the simulator's file, with small lower bounds."""
     identification = simulator.identification
     noise = nominal_noise_deg(identification) or 0.0
     sizes = [residual.rmse_deg for residual in identification.residuals]

@@ -97,10 +97,6 @@ def track_all(
     Args:
         folder: of the stage, next to `tip.yaml`.
         say: called before each motion with its name.
-
-    Raises:
-        DeviceStoppedError: if a run was stopped safely; finished tracks are kept.
-        HystmpcError: if a controller cannot be built.
     """
     root = folder.parent
     files = {name: root / "6-controller" / f"{name}.yaml" for name in CONTROLLERS} | {MPC: root / TIP_FILE}

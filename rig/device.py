@@ -104,11 +104,7 @@ class ServerCounts:
 
 
 def open_link(settings: DeviceSettings) -> DeviceLink:
-    """The device's end of the wire.
-
-    Raises:
-        ConfigError: if it cannot be opened, or a package is missing for it.
-    """
+    """The device's end of the wire."""
     faults, seed = settings.faults, settings.seed
     faulty = any(fault.of_datagrams for fault in faults)
     return settings.link.listen(

@@ -379,11 +379,7 @@ def _stability(result: StudyResult) -> Iterator[Piece]:
 
 
 def _identified(result: StudyResult) -> Predictor:
-    """The model that the controllers were given, behind the lag that they were told of.
-
-    Raises:
-        ModelError: if its file is not there any more.
-    """
+    """The model that the controllers were given, behind the lag that they were told of."""
     opened = load_model(model_path(result.config.model), start="conditioned")
     model = predictor_for(opened)
     lag = result.config.actuator_lag_s

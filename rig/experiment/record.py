@@ -316,11 +316,7 @@ class MotionFileSettings(Settings):
 
     @property
     def unit(self) -> str | None:
-        """Unit that the column's name says; a bare `command` is in mm, as in every log.
-
-        Raises:
-            LogError: if the file cannot be read or lacks a column.
-        """
+        """Unit that the column's name says; a bare `command` is in mm, as in every log."""
         return CANONICAL.command[_motion_table(self.file)[1]]
 
     def commands(self, rate_hz: float, ramps: RampSettings) -> Vec:

@@ -265,9 +265,6 @@ def write_page(
     Args:
         rows: samples; None where there are too few.
         more: shown behind the advice.
-
-    Raises:
-        LogError: if the log cannot be read.
     """
     timing = _timing(run.path / "timing.json")
     outcome = timing.get("outcome", {})

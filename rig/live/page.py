@@ -70,11 +70,7 @@ class PageServer:
         self._thread = threading.Thread(target=self._work, name="hystmpc-page", daemon=True)
 
     def listen(self, host: str, port: int) -> tuple[str, int]:
-        """Start the server and return address and port.
-
-        Raises:
-            OSError, OverflowError: if the address cannot be used.
-        """
+        """Start the server and return address and port."""
         self._socket = socket.create_server((host, port), backlog=_BACKLOG)
         where = self._socket.getsockname()
         self.allowed = _hosts(host, where[1])

@@ -65,11 +65,7 @@ class RecordingMeta:
 
 
 def create_folder(folder: Path | str, config: Settings | Mapping[str, Any], meta: RecordingMeta) -> RunFolder:
-    """The run folder of a recording, with config.yaml and meta.json.
-
-    Raises:
-        ConfigError: if the folder is not new or empty or cannot be made, or a model file is missing.
-    """
+    """The run folder of a recording, with config.yaml and meta.json."""
     return RunFolder.create(folder, config, seed=meta.seed, models=meta.models, command_line=meta.command_line)
 
 
@@ -257,22 +253,14 @@ class CsvLog:
         self._rows.writerow((*(repr(float(x)) for x in numbers), *counts, *stages, *texts, int(bool(s.missed))))
 
     def flush(self) -> None:
-        """Put whole rows on the disk.
-
-        Raises:
-            OSError: if the disk is full or fails.
-        """
+        """Put whole rows on the disk."""
         self._file.write(self._text.getvalue().encode("utf-8", errors="replace"))
         self._text.seek(0)
         self._text.truncate()
         self._file.commit()
 
     def close(self) -> None:
-        """End the file.
-
-        Raises:
-            OSError: if the disk fails.
-        """
+        """End the file."""
         self._file.close()
 
     def _begin(self, first: Sample) -> None:
@@ -312,11 +300,7 @@ class GrowingFile:
         """Nothing: only `commit` writes, so that a writer of some format cannot leave half a record on the disk."""
 
     def commit(self) -> None:
-        """Append what was collected.
-
-        Raises:
-            OSError: if the disk is full or fails; the file then ends with the commit before.
-        """
+        """Append what was collected; where the disk fails (OSError), the file ends with the commit before."""
         rest = memoryview(bytes(self._pending))
         try:
             while rest:
@@ -329,11 +313,7 @@ class GrowingFile:
         self._pending.clear()
 
     def close(self) -> None:
-        """Let the disk have everything that was committed; what was not is lost.
-
-        Raises:
-            OSError: if the disk fails.
-        """
+        """Let the disk have everything that was committed; what was not is lost."""
         try:
             os.fsync(self._file.fileno())
         finally:
@@ -414,20 +394,12 @@ class McapLog:
             self._put(self._events, stamp, sample, _event(sample, stamp))
 
     def flush(self) -> None:
-        """End the chunk and put it on the disk.
-
-        Raises:
-            OSError: if the disk is full or fails.
-        """
+        """End the chunk and put it on the disk."""
         self._writer.flush()
         self._file.commit()
 
     def close(self) -> None:
-        """Write the summary and end the file.
-
-        Raises:
-            OSError: if the disk is full or fails.
-        """
+        """Write the summary and end the file."""
         try:
             self._writer.finish()
             self._file.commit()

@@ -123,21 +123,12 @@ def make_plant(
 
 
 def plant_files(settings: PlantSettings) -> tuple[Path, ...]:
-    """Files that the plant is read from.
-
-    Raises:
-        ModelError: on an unknown built-in model.
-    """
+    """Files that the plant is read from."""
     return (_file(settings),) if settings.device is None else ()
 
 
 def plant_hash(settings: PlantSettings) -> str:
-    """SHA-256 of what the settings do not hold: the simulator file, or all numbers of the device.
-
-    Raises:
-        ConfigError: if a file cannot be read, or a device's numbers are wrong.
-        ModelError: on an unknown built-in model.
-    """
+    """SHA-256 of what the settings do not hold: the simulator file, or all numbers of the device."""
     if settings.device is None:
         return file_hash(_file(settings))
     numbers = plain_parameters(settings.device, settings.parameters, settings.mismatch)
@@ -145,11 +136,7 @@ def plant_hash(settings: PlantSettings) -> str:
 
 
 def varied_parameters(settings: PlantSettings) -> tuple[str, ...]:
-    """Names under `mismatch` of what differs between specimens of the plant.
-
-    Raises:
-        ModelError: if a simulator file is missing or unusable.
-    """
+    """Names under `mismatch` of what differs between specimens of the plant."""
     if settings.device is None:
         return load_simulator(_file(settings)).chain.labels
     return DEVICES[settings.device].varied

@@ -95,10 +95,6 @@ def plant_simulator(simulator: Simulator, effects: Effects, dt_s: float) -> Simu
     """The simulator at sample time `dt_s` [s], with wrong parameters and all effects but sensors.
 
     Lag and delay of the actuator stand in front, effects of the library on either side after what is there.
-
-    Raises:
-        ConfigError: if `mismatch` names a parameter that the chain does not have.
-        ModelError: if a factor takes a parameter out of its bounds.
     """
     chain = mismatched(simulator.chain, effects.mismatch)
     own = tuple(operator for operator in chain.after if not isinstance(operator, Sensor))

@@ -49,11 +49,7 @@ class SweepRow:
     files: tuple[str, ...]
 
     def config(self) -> SimulationConfig:
-        """The settings.
-
-        Raises:
-            ConfigError: if they are none of this version.
-        """
+        """The settings."""
         return SimulationConfig.parse(json.loads(self.settings), f"row {self.id}")
 
 
@@ -104,11 +100,7 @@ class SweepPlan:
         return tuple(dict(zip(paths, point, strict=True)) for point in itertools.product(*values))
 
     def rows(self) -> Iterator[SweepRow]:
-        """Row after row, none twice.
-
-        Raises:
-            ConfigError: if a path or value does not fit the study.
-        """
+        """Row after row, none twice."""
         settings, hashes, seen = self.settings, Hashes(), set()
         for point in self.grid:
             at_point = self._at(point)
@@ -123,11 +115,7 @@ class SweepPlan:
                             yield row
 
     def check(self) -> int:
-        """Number of rows, equal ones counted apart, after every grid point and every end of a draw was tried.
-
-        Raises:
-            ConfigError: if a path or value does not fit the study; names the line.
-        """
+        """Number of rows, equal ones counted apart, after every grid point and every end of a draw was tried."""
         total = 0
         for point in self.grid:
             at_point = self._at(point)
@@ -254,11 +242,7 @@ def _figures(row: SweepRow) -> dict[str, Any]:
 
 
 def run_settings(config: SimulationConfig) -> tuple[TrackingMetrics, int]:
-    """Metrics and samples of a study with one controller and one motion.
-
-    Raises:
-        HystmpcError: what `prepare` raises.
-    """
+    """Metrics and samples of a study with one controller and one motion."""
     study = prepare(config, shared_knowledge(config))
     ((motion, _),) = study.motions.items()
     ((name, settings),) = study.config.controllers.items()
@@ -267,11 +251,7 @@ def run_settings(config: SimulationConfig) -> tuple[TrackingMetrics, int]:
 
 
 def shared_knowledge(config: SimulationConfig) -> ControllerModel:
-    """Opened models, once a process for each model, inverse and lag.
-
-    Raises:
-        HystmpcError: what `controller_model` raises.
-    """
+    """Opened models, once a process for each model, inverse and lag."""
     return _kept_knowledge(config.model, config.inverse, config.actuator_lag_s, Hashes().of_models(config))
 
 

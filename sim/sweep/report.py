@@ -54,11 +54,7 @@ class SweepView:
 
     @classmethod
     def of(cls, folder: Path, factors: Mapping[str, str], ids: set[str]) -> SweepView:
-        """Read what the report needs.
-
-        Raises:
-            LogError: if a file is damaged.
-        """
+        """Read what the report needs."""
         table = table_of(folder, dict.fromkeys([*_NAMES, *factors]))
         ours = np.array([str(identity) in ids for identity in table["id"]], dtype=bool)
         return cls(selected(table, ours), factors)

@@ -106,12 +106,7 @@ def columns_of(plan: SweepPlan) -> tuple[str, ...]:
 
 
 def open_folder(path: Path, settings: SweepSettings) -> RunFolder:
-    """A new run folder, or the one that a sweep left.
-
-    Raises:
-        ConfigError: if it holds something else, or the table of a version that wrote none in SQLite.
-        LogError: if it holds a run of another format.
-    """
+    """A new run folder, or the one that a sweep left."""
     plain = settings.model_dump(mode="json")
     plain["draw"] = {name: draw.model_dump(mode="json", exclude_none=True) for name, draw in settings.draw.items()}
 

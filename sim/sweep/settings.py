@@ -204,11 +204,7 @@ def changed(data: Any, path: str, value: Any) -> Any:
 
 
 def value_at(data: Any, path: str) -> Any:
-    """The value at a path.
-
-    Raises:
-        ConfigError: if there is none; names the nearest key.
-    """
+    """The value at a path."""
     for part in path_parts(path):
         data = data[_index(data, part, path)] if isinstance(data, list) else _blocks(data, part, path)[part]
     return data

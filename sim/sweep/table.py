@@ -55,31 +55,19 @@ class RunTable:
             base.execute(_CREATE)
 
     def done(self) -> set[str]:
-        """Ids of the rows that need no repetition.
-
-        Raises:
-            LogError: if the file is damaged.
-        """
+        """Ids of the rows that need no repetition."""
         with _opened(self._folder) as base:
             return {identity for (identity,) in base.execute("SELECT id FROM runs WHERE status = 'done'")}
 
     def add(self, row: Mapping[str, Any]) -> None:
-        """Take a row: `id`, `status`, `settings` (JSON), and figures that are numbers, texts or None.
-
-        Raises:
-            LogError: if the file is damaged or cannot be written.
-        """
+        """Take a row: `id`, `status`, `settings` (JSON), and figures that are numbers, texts or None."""
         figures = plain({name: value for name, value in row.items() if name not in ("id", "status", "settings")})
         self._rows.append((row["id"], row["status"], row.get("settings", ""), json.dumps(figures)))
         if time.monotonic() - self._written >= _PAUSE * self._cost_s:
             self.flush()
 
     def flush(self) -> None:
-        """Write the rows taken so far, all or none of them.
-
-        Raises:
-            LogError: if the file is damaged or cannot be written.
-        """
+        """Write the rows taken so far, all or none of them."""
         start = time.monotonic()
         with _opened(self._folder) as base:
             base.executemany(_PUT, self._rows)
@@ -92,9 +80,6 @@ class RunTable:
 
         Args:
             names: of the first columns; columns that only rows of earlier forms of the sweep have come after them.
-
-        Raises:
-            LogError: if the file is damaged.
         """
         self.flush()
         columns = dict.fromkeys(name for name in names if name not in _NOT_COPIED)

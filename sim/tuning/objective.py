@@ -48,11 +48,7 @@ class PlantScore:
 def plant_config(
     settings: TuneSettings, plants: PlantsSettings, number: int, controller: AnyControllerSettings
 ) -> SimulationConfig:
-    """The study of plant `number` of a set.
-
-    Raises:
-        ConfigError: if a draw does not fit the study.
-    """
+    """The study of plant `number` of a set."""
     data = settings.base
     for path, value in drawn(settings.draw, plants.seed, number).items():
         data = changed(data, path, value)
@@ -63,11 +59,7 @@ def plant_config(
 
 
 def plant_score(config: SimulationConfig) -> PlantScore:
-    """Run one controller along every motion.
-
-    Raises:
-        HystmpcError: what `prepare` raises.
-    """
+    """Run one controller along every motion."""
     study = prepare(config, shared_knowledge(config))
     ((name, controller),) = study.config.controllers.items()
     squares, travel, need, beyond = [], 0.0, 0.0, 0
@@ -204,11 +196,7 @@ def held_out(
 
 
 def run_case(case: HeldOutCase) -> tuple[str, int, PlantScore]:
-    """One controller on one held-out plant.
-
-    Raises:
-        HystmpcError: what preparing the study raises.
-    """
+    """One controller on one held-out plant."""
     settings, controller = case.settings, case.settings.with_values(case.values)
     return case.name, case.plant, plant_score(plant_config(settings, settings.held_out, case.plant, controller))
 

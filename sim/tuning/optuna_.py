@@ -68,12 +68,7 @@ def _opened(url: str, file: int) -> optuna.storages.RDBStorage:
 
 
 def run_ticket(ticket: Ticket) -> TicketOutcome:
-    """Do one trial, unless it is done or another process does it.
-
-    Raises:
-        ConfigError: if the storage cannot be opened.
-        KeyboardInterrupt: if the user ended it; the trial counts as failed and is done again later.
-    """
+    """Do one trial, unless it is done or another process does it."""
     settings, study = ticket.settings, open_search(ticket.storage, ticket.study)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ExperimentalWarning)
@@ -104,11 +99,7 @@ def run_ticket(ticket: Ticket) -> TicketOutcome:
 
 
 def trials_of(storage: str, name: str) -> tuple[SearchTrial, ...]:
-    """All trials that have come to an end, by slot.
-
-    Raises:
-        ConfigError: if the storage cannot be opened.
-    """
+    """All trials that have come to an end, by slot."""
     found = {}
     for trial in open_search(storage, name).get_trials(deepcopy=False):
         if trial.state in _ENDED and all(key in trial.user_attrs for key in ("slot", "values", *_FIGURES)):

@@ -62,11 +62,7 @@ def default_space(settings: AnyControllerSettings) -> dict[str, DrawSettings]:
 
 
 def default_draws(plant: PlantSettings) -> dict[str, DrawSettings]:
-    """Lag, noise, and each parameter that varies within a tenth.
-
-    Raises:
-        ModelError: if the plant's file is missing or unusable.
-    """
+    """Lag, noise, and each parameter that varies within a tenth."""
     draws = {"plant.lag_s": DrawSettings(uniform=_LAG_S), "plant.noise_deg": DrawSettings(uniform=_NOISE_DEG)}
     factor = DrawSettings(uniform=_FACTOR)
     return draws | {f'plant.mismatch."{label}"': factor for label in varied_parameters(plant)}
