@@ -39,13 +39,13 @@ class DeviceSettings(Settings):
         plant: `simulator` and effects as in a simulation file, or `device: tendon | muscle | rod`.
         sensor: the plant's angle in every message; frames of an imaging system, in messages of their own, stamped with
             the time at which they were taken; or none. A message without an angle has not-a-number in its place and
-            says what the device holds, in every sample.
-        limits: what the drive can do; commands beyond are clipped and counted.
+            reports the held command, in every sample.
+        limits: of the drive; commands beyond are clipped and counted.
         wire: units on the wire.
-        link: how it is reached.
+        link: address of the device.
         watchdog_s: silence of the controller after which the drive returns to its rest by itself.
         watchdog_rate_per_s: how fast it returns.
-        faults: what goes wrong, and when, counted from the first command.
+        faults: faults of the wire with their times, counted from the first command.
         realtime: scheduling of the server's process.
         log: CSV file of every sample: time, command received, angle; for tests of controllers.
         seed: of noise and faults.
@@ -86,12 +86,9 @@ class ServerCounts:
     """Counts of a device server.
 
     Attributes:
-        samples: samples computed.
-        commands: commands taken.
-        beyond: commands beyond the drive's limits of value or rate, which were clipped; the rate is that over the time
-            since the last command.
+        beyond: commands beyond the drive's limits of value or rate, which were clipped.
         watchdog: how often the controller fell silent.
-        unheard: commands that came after the watchdog had acted and before a new greeting; they were not taken.
+        unheard: commands between an action of the watchdog and a new greeting; they were not taken.
         rejected: messages rejected, by cause.
     """
 
@@ -117,9 +114,10 @@ class SimulatedDevice:
     """A simulated device with a drive, a watchdog and a sensor.
 
     Its watchdog leads the drive back to rest once the controller has been silent for `watchdog_s`. From then on no
-    command is taken until a controller greets anew; on a wire without greetings, until one lies where the drive is.
-    The return goes on until the first command that is taken. A goodbye ends the watchdog's count, but only where the
-    drive is at rest.
+    command
+    is taken until a controller greets anew; on a wire without greetings, until a command lies at the drive's position.
+    The
+    return lasts until the first command that is taken. A goodbye ends the watchdog's count, but only at rest.
 
     Args:
         held: the command that it holds after its reset, and returns to.
@@ -249,12 +247,11 @@ def serve(
     duration_s: float = math.inf,
     note: Callable[[str], None] = lambda text: None,
 ) -> ServerCounts:
-    """Open the wire and serve until SIGINT, SIGTERM or the end of the time.
+    """Open the wire and serve until SIGINT, SIGTERM or for `duration_s` [s].
 
     Args:
         held: the command that it holds after its reset.
         ready: called once the wire is open.
-        duration_s: how long at most [s].
 
     Raises:
         ConfigError: if the wire or the log cannot be opened, or the plant does not fit.
@@ -367,8 +364,7 @@ class FaultSettings(Settings):
 class FaultyLine(Generic[M]):
     """Fault injection in a stream of messages: loss, delay, repetition, reordering, changed content.
 
-    Args:
-        spoil: a fault and a message to the message with another content.
+    `spoil` maps a fault and a message to the message with another content.
     """
 
     def __init__(
@@ -460,9 +456,9 @@ class FaultyReadings:
 
 @final
 class FaultyDatagrams:
-    """A socket on which commands are lost, late, out of order, repeated or spoiled before the device sees them.
+    """Socket whose commands are lost, late, reordered, repeated or spoiled before the device gets them.
 
-    Readings can be spoiled on their way out. Time counts from the first command that comes.
+    Readings can be spoiled on their way out. Time counts from the first command.
     """
 
     def __init__(self, wire: Datagrams, faults: Sequence[FaultSettings], seed: int) -> None:

@@ -25,17 +25,16 @@ class RunOutcome:
     """Outcome of a run: cause of the stop, counts of samples, commands and faults.
 
     Attributes:
-        cause: why it was stopped; empty after a run that came to its end.
-        samples: samples with a command, and those skipped.
-        stop_s, safe_s: monotonic time since the start at which the stop began, and at which the safe command had been
-            sent and, where `confirmed`, was held [s]; NaN without a stop, or where nothing could be sent any more.
-        confirmed: whether the device has said that it holds the safe command.
-        clipped: commands that the last line has limited.
+        cause: of the stop; empty after a complete run.
+        samples: with a command, and skipped ones.
+        stop_s, safe_s: monotonic time since the start of the stop, and of the safe command sent and, where `confirmed`,
+            held [s]; NaN without a stop, or where nothing could be sent any more.
+        confirmed: whether the device has reported that it holds the safe command.
+        clipped: commands limited by the gate.
         unsent: commands that the transport did not take.
-        refused: samples on which the sink raised, which it should not.
+        refused: samples on which the sink raised.
         faults: samples by fault.
-        in_c: samples that were taken whole in C.
-        left_c: how often Python had to go on, by why.
+        in_c, left_c: samples executed wholly in C; returns to Python by reason.
     """
 
     cause: str
@@ -74,22 +73,24 @@ ToSafe = Callable[[str], SafeStop]
 class ControlLoop:
     """Real-time loop: wait for the deadline, read, decide, limit, write, record; it never raises.
 
-    `run` waits by its clock. A caller that has a clock of its own, such as a timer, calls `begin` once, then in each
-    period `sample(due())`, and `outcome` in the end; a period that it misses is to the loop a sample that ended late.
+    `run` waits by its clock. A caller with a timer calls `begin` once, `sample(due())` in each period, and `outcome` at
+    the end; a missed period is a sample that ended late.
 
-    A sample is missed when its command leaves after its end; the next one starts at once and answers without a plan.
-    Samples that have passed wholly are skipped and told to the phase. The loop stops safely on a signal or e-stop, a
-    dead sensor, a fault of a phase, a device that listens no more, and after standing still for longer than `stall_s`,
-    or where no command has left for that long, or a slow wire has put it as far behind. Whatever is raised by
-    any part, an angle's judgement included, is the cause of a safe stop and is in the log. A run ends without a cause
-    only where the safe command has been sent.
+    A sample is missed when its command leaves after its end; the next one starts at once, without a plan. Samples that
+    have passed wholly are skipped and reported to the phase. The loop stops safely on a signal or e-stop, a dead
+    sensor, a
+    fault of a phase, a device that listens no more, and after a standstill, a time without a sent command or a delay by
+    a slow wire longer than `stall_s`. Whatever any part raises is the cause of a safe stop and is in the log. A run
+    ends
+    without a cause only where the safe command has been sent.
 
-    Nothing is sent while it is not known what the device holds, see `Anchor`. The transport says goodbye only where the
-    device has said that it holds the safe command.
+    Nothing is sent while the held command is unknown, see `Anchor`. The transport says goodbye only where the device
+    has
+    reported that it holds the safe command.
 
     Args:
         to_safe: makes the last phase of every run.
-        stall_s: greatest time between two samples, and between two commands that leave [s].
+        stall_s: greatest time between two samples, and between two sent commands [s].
     """
 
     def __init__(
@@ -140,9 +141,7 @@ class ControlLoop:
     def run(self, phases: Sequence[Phase], beat_ns: int = 0) -> RunOutcome:
         """Execute the phases, then the motion to the safe command; the transport is closed in every case.
 
-        Args:
-            phases: what to do.
-            beat_ns: monotonic time from which all deadlines are whole samples away [ns].
+        `beat_ns` is a monotonic time from which all deadlines are whole samples away [ns].
         """
         self.begin(phases, beat_ns)
         going = True

@@ -24,11 +24,8 @@ class Taken(NamedTuple):
 class Reader:
     """Reads the transport until it is empty or a quarter of a sample is over; errors are named, not raised.
 
-    At least one call is made. A call that takes longer cannot be broken off here, and no other one follows it. What is
-    left comes first the next time: the oldest is read first, so that a backlog shows as age.
-
-    Args:
-        dt_ns: sample time [ns].
+    At least one call is made. A call that takes longer cannot be interrupted, and no other one follows it. The oldest
+    reading comes first, also after such a call, so that a backlog shows as age. `dt_ns` is the sample time [ns].
     """
 
     def __init__(self, transport: Transport, clock: Clock, dt_ns: int) -> None:
@@ -39,9 +36,9 @@ class Reader:
     def take(self, spared: bool = False) -> Taken:
         """Readings that have arrived.
 
-        Args:
-            spared: whether a wire on which reading lately took longer than a sample is left to the commands for most of
-                the time: it is read every 0.8 s.
+        With `spared`, a wire whose reading lately took longer than a sample is left to the commands for most of the
+        time: it is
+        read every 0.8 s.
         """
         now = self._clock.now_ns()
         slow = self._slow_ns is not None and now - self._slow_ns < _SLOW_FOR_NS

@@ -67,19 +67,17 @@ def run_bench(
     transport: Transport | None = None,
     desk: Desk | None = None,
 ) -> BenchResult:
-    """Prepare the device, go through the phases, and leave it at rest at the safe command.
+    """Prepare the device, execute the phases, and leave the device at rest at the safe command.
 
     Args:
-        settings: of the bench.
-        phases: makes what comes after preparation; called once the device answers, before anything moves.
-        sink: opens where samples go; called right before the loop, and closed after it.
+        phases: makes the phases after preparation; called once the device answers, before anything moves.
+        sink: opens the recording; called right before the loop, and closed after it.
         plants: makes the device of `kind: simulated`.
         folder: gets `timing.json`, and `latched.json` after a stop.
-        note: told what goes on, outside the loop.
-        clock: of a device that is computed faster than time passes; the process is left as it is then. None for the
-            machine's own.
-        transport: to the device, in place of the block `transport`; it is called from a thread of its own.
-        desk: where somebody asks for the start, the end or an e-stop; None where nobody does.
+        note: called with messages, outside the loop.
+        clock: of a computed device, faster than real time; the process is left as it is then.
+        transport: to the device, in place of the block `transport`; called from a thread of its own.
+        desk: source of start, end and e-stop requests.
 
     Raises:
         ConfigError: if the stop is latched, the device does not answer, or settings do not fit it; nothing has moved.
@@ -136,8 +134,8 @@ def control_loop(
     """The control loop of a bench with its sensor checks, motion watch and command gate: the only way to move a device.
 
     Args:
-        safe: where a stop leads, in place of the bench's `safe_command`; NaN stays where it is, see `SafeStop`.
-        stays: whether the safe command is to be sent on and on once it is held.
+        safe: target of a stop, in place of the bench's `safe_command`; NaN rests where it is, see `SafeStop`.
+        stays: whether the safe command is sent on once it is held.
         closed_loop: whether a controller moves the device by its angle, which then has to rise with the command.
     """
     ramps, dt_s, sensor = settings.ramps, settings.dt_s, settings.sensor
@@ -209,9 +207,8 @@ def first_contact(settings: BenchSettings, transport: Transport, clock: Clock, f
     """Wait until the device answers and accepts commands of this controller; nothing is moved.
 
     Raises:
-        ConfigError: if no plausible angle comes in time, the device listens to another controller, device and
-            `start_command` disagree, neither tells what is held, that is beyond the limits, or a signal has ended the
-            wait.
+        ConfigError: if no plausible angle comes in time, the device listens to another controller, the held command is
+            unknown, unlike `start_command` or beyond the limits, or a signal has ended the wait.
     """
     contact, deadline = FirstContact(settings, transport), clock.now_ns() + round(1e9 * settings.connect_timeout_s)
     while True:
@@ -248,7 +245,7 @@ class DeviceContact:
     def seen_at(self, now_ns: int) -> Reading:
         """The newest reading moved to the present, without its angle: same session, sequence and time of flight.
 
-        What has piled up since then is late by these, however long it lay.
+        Readings that queued since then are late relative to it, however long they lay.
         """
         later_ns, newest = now_ns - self.newest.received_ns, self.newest
         return replace(newest, angle_deg=math.nan, sent_ns=newest.sent_ns + later_ns, received_ns=now_ns)
@@ -256,9 +253,9 @@ class DeviceContact:
 
 @final
 class FirstContact:
-    """Judges readings one by one until the device has answered and listens; meanwhile it is greeted ten times a second.
+    """Judges readings until the device has answered and listens; meanwhile it is greeted ten times a second.
 
-    A bench waits for it, and a node asks in each period.
+    `run` waits for it, and a node asks in each period.
     """
 
     def __init__(self, settings: BenchSettings, transport: Transport) -> None:
@@ -271,8 +268,7 @@ class FirstContact:
         """State of the device after enough plausible readings, None until then.
 
         Raises:
-            ConfigError: if device and `start_command` disagree, neither tells what is held, or that is beyond the
-                limits.
+            ConfigError: if the held command is unknown, differs from `start_command`, or lies beyond the limits.
         """
         sensor = self._settings.sensor
         if sensor.kind == "continuous" or math.isfinite(reading.angle_deg):

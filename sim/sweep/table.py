@@ -18,7 +18,6 @@ from pathlib import Path
 from typing import Any, final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hystmpc.trials.errors import LogError
 from hystmpc.trials.json_text import plain
@@ -143,17 +142,6 @@ def texts(table: Mapping[str, Column], name: str) -> list[str]:
     return [
         "" if value is None else value if isinstance(value, str) else f"{float(value):.6g}" for value in table[name]
     ]
-
-
-def selected(table: Mapping[str, Column], rows: NDArray[np.bool_]) -> dict[str, Column]:
-    """Some rows of a table.
-
-    Args:
-        table: columns (N,).
-        rows: which, (N,).
-    """
-    where = np.flatnonzero(rows)
-    return {name: c[where] if isinstance(c, np.ndarray) else [c[k] for k in where] for name, c in table.items()}
 
 
 def _column(values: Sequence[Any]) -> Column:

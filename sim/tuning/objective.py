@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -103,16 +104,6 @@ def robust(costs: Sequence[float] | Vec, objective: ObjectiveSettings) -> float:
     return total / (objective.mean + objective.tail)
 
 
-@dataclass(frozen=True)
-class HeldOutCase:
-    """One controller on one held-out plant."""
-
-    name: str
-    plant: int
-    values: dict[str, Any]
-    settings: TuneSettings
-
-
 @dataclass(frozen=True, eq=False)
 class HeldOut:
     """Scores on the held-out plants, the same plants and noise for both."""
@@ -184,41 +175,27 @@ def held_out(
     Raises:
         ConfigError: if a draw does not fit the study.
     """
-    names: dict[str, dict[str, Any]] = {"given": {}, "tuned": values}
-    count = settings.held_out.count
-    cases = [HeldOutCase(name, number, own, settings) for number in range(count) for name, own in names.items()]
-    found: dict[str, dict[int, PlantScore]] = {name: {} for name in names}
-    done = run_jobs(run_case, cases, backend, total=len(cases), progress=progress, note=lambda _: "held-out plants")
-    for name, number, score in done:
-        found[name][number] = score
-    given, tuned = (tuple(found[name][number] for number in range(count)) for name in _NAMES)
+    cases = [(name, number) for number in range(settings.held_out.count) for name in _NAMES]
+    scored = partial(_held_out_score, settings, values)
+    found = dict(
+        run_jobs(scored, cases, backend, total=len(cases), progress=progress, note=lambda _: "held-out plants")
+    )
+    given, tuned = (tuple(found[name, number] for number in range(settings.held_out.count)) for name in _NAMES)
     return HeldOut(given, tuned, settings.objective)
 
 
-def run_case(case: HeldOutCase) -> tuple[str, int, PlantScore]:
-    """One controller on one held-out plant."""
-    settings, controller = case.settings, case.settings.with_values(case.values)
-    return case.name, case.plant, plant_score(plant_config(settings, settings.held_out, case.plant, controller))
+def _held_out_score(
+    settings: TuneSettings, tuned: Mapping[str, Any], case: tuple[str, int]
+) -> tuple[tuple[str, int], PlantScore]:
+    """Score of the given or the tuned settings on one held-out plant, with its case."""
+    name, number = case
+    controller = settings.with_values(dict(tuned) if name == "tuned" else {})
+    return case, plant_score(plant_config(settings, settings.held_out, number, controller))
 
 
 @dataclass(frozen=True)
-class Ticket:
-    """One trial of a search, to be done by whoever comes first.
-
-    Attributes:
-        slot: number of the trial; slot 0 has the settings as they were given.
-        storage: where the search is kept, as Optuna names it.
-    """
-
-    slot: int
-    storage: str
-    study: str
-    settings: TuneSettings
-
-
-@dataclass(frozen=True)
-class TicketOutcome:
-    """Outcome of a ticket; `elsewhere`: another process does it."""
+class SlotOutcome:
+    """Outcome of one trial of a search; `elsewhere`: another process executes it."""
 
     slot: int
     state: State
@@ -267,7 +244,7 @@ class Tuning:
     trials: tuple[SearchTrial, ...]
     best: SearchTrial
     check: HeldOut
-    failed: tuple[TicketOutcome, ...]
+    failed: tuple[SlotOutcome, ...]
 
     def __repr__(self) -> str:
         given, tuned = (float(self.check.costs(name).mean()) for name in ("given", "tuned"))

@@ -16,7 +16,7 @@ from optuna.trial import FrozenTrial, TrialState
 from hystmpc.trials.errors import ConfigError, HystmpcError
 
 from ..sweep.settings import DrawSettings, label, value_at
-from .objective import SearchTrial, State, Ticket, TicketOutcome, plant_config, plant_cost, plant_score, robust
+from .objective import SearchTrial, SlotOutcome, State, plant_config, plant_cost, plant_score, robust
 from .settings import TuneSettings
 
 _HEARTBEAT_S = 5
@@ -67,25 +67,25 @@ def _opened(url: str, file: int) -> optuna.storages.RDBStorage:
         )
 
 
-def run_ticket(ticket: Ticket) -> TicketOutcome:
-    """Do one trial, unless it is done or another process does it."""
-    settings, study = ticket.settings, open_search(ticket.storage, ticket.study)
+def run_slot(settings: TuneSettings, storage: str, slot: int) -> SlotOutcome:
+    """Execute one trial, unless it is finished or another process executes it; slot 0 has the given settings."""
+    study = open_search(storage, settings.search_name)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ExperimentalWarning)
         optuna.storages.fail_stale_trials(study)
-    for trial in _of_slot(study, ticket.slot):
+    for trial in _of_slot(study, slot):
         if trial.state in _ENDED:
-            return TicketOutcome(ticket.slot, "done" if trial.state is TrialState.COMPLETE else "pruned")
+            return SlotOutcome(slot, "done" if trial.state is TrialState.COMPLETE else "pruned")
         if trial.state is TrialState.RUNNING:
-            return TicketOutcome(ticket.slot, "elsewhere")
-    study.sampler, study.pruner = _sampler(settings, ticket.slot), _pruner(settings)
+            return SlotOutcome(slot, "elsewhere")
+    study.sampler, study.pruner = _sampler(settings, slot), _pruner(settings)
     problems: list[HystmpcError] = []
 
     def objective(trial: optuna.Trial) -> float:
         # Killed before the first heartbeat of Optuna's own thread, a trial would count as running for ever.
-        _storage(ticket.storage).record_heartbeat(trial._trial_id)
+        _storage(storage).record_heartbeat(trial._trial_id)
         try:
-            return _value(settings, study, trial, ticket.slot)
+            return _value(settings, study, trial, slot)
         except HystmpcError as error:
             problems.append(error)
             raise
@@ -93,9 +93,9 @@ def run_ticket(ticket: Ticket) -> TicketOutcome:
     study.optimize(objective, n_trials=1, catch=(HystmpcError,))
     if problems:
         taken = isinstance(problems[0], _TakenError)
-        return TicketOutcome(ticket.slot, "elsewhere" if taken else "failed", "" if taken else str(problems[0]))
-    ended = next(trial for trial in _of_slot(study, ticket.slot) if trial.state in _ENDED)
-    return TicketOutcome(ticket.slot, "done" if ended.state is TrialState.COMPLETE else "pruned")
+        return SlotOutcome(slot, "elsewhere" if taken else "failed", "" if taken else str(problems[0]))
+    ended = next(trial for trial in _of_slot(study, slot) if trial.state in _ENDED)
+    return SlotOutcome(slot, "done" if ended.state is TrialState.COMPLETE else "pruned")
 
 
 def trials_of(storage: str, name: str) -> tuple[SearchTrial, ...]:

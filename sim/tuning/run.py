@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -35,7 +36,7 @@ from hystmpc.trials.types import Progress, parts
 from ..jobs import Backend, run_jobs
 from ..sweep.report import plain_log
 from ..sweep.settings import value_at
-from .objective import SearchTrial, Ticket, TicketOutcome, Tuning, held_out, pareto_front
+from .objective import SearchTrial, SlotOutcome, Tuning, held_out, pareto_front
 from .settings import TuneSettings
 
 _REPORT_RUNS = 4  # runs of a plant that take as long as the report
@@ -65,7 +66,7 @@ def run_tuning(
     """
     backend.check()
     if storage is not None:
-        _optuna().open_search(storage, f"hystmpc-{settings.fingerprint}")  # before anything is written
+        _optuna().open_search(storage, settings.search_name)  # before anything is written
     folder = _folder(Path(out), settings)
     runs = settings.trials * settings.plants.count, 2 * settings.held_out.count, _REPORT_RUNS
     searching, checking, reporting = parts(progress, runs)
@@ -87,22 +88,20 @@ def run_tuning(
 
 def search(
     settings: TuneSettings, backend: Backend, storage: str, progress: Progress | None = None
-) -> tuple[tuple[SearchTrial, ...], tuple[TicketOutcome, ...]]:
+) -> tuple[tuple[SearchTrial, ...], tuple[SlotOutcome, ...]]:
     """Do the trials that are not done yet; those that others do are waited for.
 
     Raises:
         ConfigError: if the storage cannot be opened, or optuna is not installed.
     """
     optuna_ = _optuna()
-    name = f"hystmpc-{settings.fingerprint}"
-    optuna_.open_search(storage, name)  # made before the workers meet
+    optuna_.open_search(storage, settings.search_name)  # made before the workers meet
     slots: Sequence[int] = range(settings.trials)
-    failed: list[TicketOutcome] = []
+    failed: list[SlotOutcome] = []
     ended = 0
     while slots:
         later = []
-        tickets = [Ticket(slot, storage, name, settings) for slot in slots]
-        for outcome in run_jobs(optuna_.run_ticket, tickets, backend):
+        for outcome in run_jobs(partial(optuna_.run_slot, settings, storage), slots, backend):
             if outcome.state == "elsewhere":
                 later.append(outcome.slot)
                 continue
@@ -113,7 +112,7 @@ def search(
         slots = sorted(later)
         if slots:
             time.sleep(_WAIT_S)
-    return tuple(t for t in optuna_.trials_of(storage, name) if t.slot < settings.trials), tuple(failed)
+    return tuple(t for t in optuna_.trials_of(storage, settings.search_name) if t.slot < settings.trials), tuple(failed)
 
 
 def _optuna() -> Any:

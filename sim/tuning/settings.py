@@ -151,6 +151,11 @@ class TuneSettings(Settings):
         """Of everything but the number of trials, of which there may be more later; 12 hexadecimal digits."""
         return json_hash(self.model_dump(mode="json", exclude={"trials", "held_out"}))[:12]
 
+    @property
+    def search_name(self) -> str:
+        """Name of the search in its storage."""
+        return f"hystmpc-{self.fingerprint}"
+
     def with_values(self, values: dict[str, Any]) -> AnyControllerSettings:
         """The controller with some of its settings changed.
 
