@@ -310,12 +310,11 @@ def _reported(
     verified: Verification | None = None,
 ) -> Commissioned:
     """Write the report."""
-    from .report import CommissionStory, write_commission  # matplotlib takes a second to import
+    from .report import write_commission  # matplotlib takes a second to import
 
     stages.say("report")
     root, used_s = stages.root, stages.used_s
-    story = CommissionStory(identified, range_words, used_s, tracks, verified)
-    report = write_commission(story, root / REPORT_FILE)
+    report = write_commission(root / REPORT_FILE, identified, range_words, used_s, tracks or {}, verified)
     return Commissioned(root, root / TIP_FILE, identified.model, report, verified, used_s)
 
 

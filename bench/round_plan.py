@@ -330,8 +330,7 @@ def further_motion(
     """Unrecorded start of the family with most expected information per second; None where none is allowed.
 
     The form error of a hypothesis is equal in each repeat of a motion; only another kind of motion shows it
-    differently.
-    Arguments as of `first_motions`.
+    differently. Arguments as of `first_motions`.
     """
     names, options = _options(simulator, family, allowed)
     known = [option for name, (option, _) in options.items() if name in recorded]

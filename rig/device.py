@@ -114,10 +114,9 @@ class SimulatedDevice:
     """A simulated device with a drive, a watchdog and a sensor.
 
     Its watchdog leads the drive back to rest once the controller has been silent for `watchdog_s`. From then on no
-    command
-    is taken until a controller greets anew; on a wire without greetings, until a command lies at the drive's position.
-    The
-    return lasts until the first command that is taken. A goodbye ends the watchdog's count, but only at rest.
+    command is taken until a controller greets anew; on a wire without greetings, until a command lies at the drive's
+    position. The return lasts until the first command that is taken. A goodbye ends the watchdog's count, but only at
+    rest.
 
     Args:
         held: the command that it holds after its reset, and returns to.

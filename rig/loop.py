@@ -11,7 +11,6 @@ from typing import Any, NamedTuple, final
 
 from .experiment.phases import REMEMBERED, AwaitStart, Decision, Past, Phase, PhaseInput, SafeStop, place_frames
 from .histogram import Timings
-from .reader import Reader
 from .realtime import Clock
 from .recording.sample import Sample, Sink
 from .safety.gate import Anchor, Gate
@@ -78,15 +77,12 @@ class ControlLoop:
 
     A sample is missed when its command leaves after its end; the next one starts at once, without a plan. Samples that
     have passed wholly are skipped and reported to the phase. The loop stops safely on a signal or e-stop, a dead
-    sensor, a
-    fault of a phase, a device that listens no more, and after a standstill, a time without a sent command or a delay by
-    a slow wire longer than `stall_s`. Whatever any part raises is the cause of a safe stop and is in the log. A run
-    ends
-    without a cause only where the safe command has been sent.
+    sensor, a fault of a phase, a device that listens no more, and after a standstill, a time without a sent command or
+    a delay by a slow wire longer than `stall_s`. Whatever any part raises is the cause of a safe stop and is in the
+    log. A run ends without a cause only where the safe command has been sent.
 
     Nothing is sent while the held command is unknown, see `Anchor`. The transport says goodbye only where the device
-    has
-    reported that it holds the safe command.
+    has reported that it holds the safe command.
 
     Args:
         to_safe: makes the last phase of every run.
@@ -520,3 +516,63 @@ class ControlLoop:
             sequence=self._sequence,
             taken_s=_S * (woke - self._start_ns) - seen.age_s if math.isfinite(seen.angle_deg) else math.nan,
         )
+
+
+_SHARE = 4  # a quarter of a sample: judging may take as long once more, so half of it is left to decide and to send
+_MOST = 4096  # readings, where the clock stands still meanwhile
+_SPARED_NS, _SLOW_FOR_NS = 800_000_000, 3_000_000_000
+
+
+class Taken(NamedTuple):
+    """Readings in the order of arrival, the name of the error, and the time that reading took [ns]."""
+
+    readings: list[Reading]
+    fault: str
+    took_ns: int
+
+
+@final
+class Reader:
+    """Reads the transport until it is empty or a quarter of a sample is over; errors are named, not raised.
+
+    At least one call is made. A call that takes longer cannot be interrupted, and no other one follows it. The oldest
+    reading comes first, also after such a call, so that a backlog shows as age. `dt_ns` is the sample time [ns].
+    """
+
+    def __init__(self, transport: Transport, clock: Clock, dt_ns: int) -> None:
+        self._transport, self._clock, self._dt_ns = transport, clock, dt_ns
+        self._slow_ns: int | None = None  # when reading last took longer than a sample
+        self._read_ns = 0
+
+    def take(self, spared: bool = False) -> Taken:
+        """Readings that have arrived.
+
+        With `spared`, a wire whose reading lately took longer than a sample is left to the commands for most of the
+        time: it is read every 0.8 s.
+        """
+        now = self._clock.now_ns()
+        slow = self._slow_ns is not None and now - self._slow_ns < _SLOW_FOR_NS
+        if spared and slow and now - self._read_ns < _SPARED_NS:
+            return Taken([], "", 0)
+        taken = self.within(self._dt_ns // _SHARE)
+        self._read_ns = now + taken.took_ns
+        if taken.took_ns > self._dt_ns:
+            self._slow_ns = self._read_ns
+        return taken
+
+    def within(self, budget_ns: int) -> Taken:
+        """Readings that can be read within a time [ns]; none in a negative one."""
+        readings: list[Reading] = []
+        began = now = self._clock.now_ns()
+        fault = ""
+        while now - began <= budget_ns and len(readings) < _MOST:
+            try:
+                reading = self._transport.read()
+            except Exception as error:  # noqa: BLE001 - a device's driver may raise anything
+                fault = f"transport-{type(error).__name__}"
+                break
+            if reading is None:
+                break
+            readings.append(reading)
+            now = self._clock.now_ns()
+        return Taken(readings, fault, self._clock.now_ns() - began)

@@ -54,17 +54,17 @@ _REPORT_S, _RUN_REPORT_S = 3.0, 0.4  # of the page, and of a run on it
 
 
 def compare(config: SimulationConfig, out: Path | str | None = None, progress: Progress | None = None) -> StudyResult:
-    """Run a study: prepare, tune where asked, run every controller along every motion, report.
+    """Run a study: prepare, tune where requested, run every controller along every motion, report.
 
-    Below `out` stand config.yaml, meta.json and report.html of the study, and `<motion>/<controller>/` with
-    config.yaml, meta.json and log.csv of every run. Ctrl-C during a run leaves out what was not finished, and no folder
-    where nothing was.
+    `out` gets config.yaml, meta.json and report.html of the study, and `<motion>/<controller>/` with config.yaml,
+    meta.json and log.csv of every run. After Ctrl-C unfinished runs are left out, and no folder remains without a
+    finished one.
 
     Args:
         out: a new or empty folder; nothing is written where left out.
 
     Raises:
-        HystmpcError: what `prepare` raises; ConfigError also if `out` is not vacant.
+        HystmpcError: of `prepare`; ConfigError also if `out` is not vacant.
         KeyboardInterrupt: if the user ends it before the first run is finished.
     """
     study = prepare(config)
@@ -95,7 +95,7 @@ def compare(config: SimulationConfig, out: Path | str | None = None, progress: P
 
 
 def _expected_s(study: Study) -> tuple[float, float, float]:
-    """Seconds of the search of gains, of the runs and of the report; they matter by their ratios only."""
+    """Expected durations of the gain search, the runs and the report; only their ratios matter [s]."""
     config, steps = study.config, sum(study.steps(name) for name in study.motions)
     count = len(config.controllers)
     tuned = sum(isinstance(settings, PidLike) for settings in config.controllers.values())
@@ -127,7 +127,7 @@ def _folder(path: Path, study: Study) -> RunFolder:
 
 
 def _take_back(path: Path) -> None:
-    """Remove a folder in which nothing has been run, or the same command would be refused for it the next time."""
+    """Remove a folder without a finished run, so that the same command is not refused the next time."""
     for name in ("config.yaml", "meta.json"):
         (path / name).unlink(missing_ok=True)
     with suppress(OSError):
@@ -135,7 +135,7 @@ def _take_back(path: Path) -> None:
 
 
 def _write(folder: RunFolder, study: Study, result: Result) -> None:
-    """The folder of one run; its settings are the study's, narrowed to it."""
+    """Write the folder of one run; its settings are the study's, narrowed to it."""
     path = folder.path / result.motion / result.controller
     alone = study.config.narrowed(result.controller, result.motion)
     run = RunFolder.create(path, alone, seed=study.config.seed, models=study.files)
@@ -143,17 +143,12 @@ def _write(folder: RunFolder, study: Study, result: Result) -> None:
 
 
 def demo_config() -> SimulationConfig:
-    """The study that `demo` runs; `sim/demo.yaml`."""
+    """The study of `demo`; `sim/demo.yaml`."""
     return load_simulation(Path(str(files("hystmpc.sim").joinpath("demo.yaml"))))
 
 
 def demo(out: Path | str | None = None, progress: Progress | None = None) -> StudyResult:
-    """Track a point-to-point motion and a scan with every controller; see `compare`.
-
-    Raises:
-        ConfigError: if `out` is not vacant.
-        KeyboardInterrupt: if the user ends it before the first run is finished.
-    """
+    """Track a point-to-point motion and a scan with every controller; see `compare`."""
     return compare(demo_config(), out, progress)
 
 
@@ -241,7 +236,7 @@ def _stage_times(results: Sequence[Result]) -> list[tuple[str, str, Any]]:
 
 
 def study_report(result: StudyResult, more: Sequence[Piece] = ()) -> Report:
-    """The page of a study; `more` is shown before everything else."""
+    """Page of a study; `more` is shown first."""
     colour, look = colours(result.controllers), looks(result.controllers)
     pieces: list[Piece] = [*more, *_summary(result), *_set_up(result)]
     for motion in result.motions:
@@ -265,10 +260,7 @@ def study_report(result: StudyResult, more: Sequence[Piece] = ()) -> Report:
 
 
 def report_from_folder(path: Path | str, more: Sequence[Piece] = ()) -> Path:
-    """Write `report.html` of a simulation's run folder anew, from nothing but the folder.
-
-    Args:
-        more: shown before everything else.
+    """Rewrite `report.html` of a simulation's run folder from its files alone; `more` is shown first.
 
     Raises:
         LogError: if it holds no run of a simulation.
@@ -379,7 +371,7 @@ def _stability(result: StudyResult) -> Iterator[Piece]:
 
 
 def _identified(result: StudyResult) -> Predictor:
-    """The model that the controllers were given, behind the lag that they were told of."""
+    """Model of the controllers, after the actuator lag of the study."""
     opened = load_model(model_path(result.config.model), start="conditioned")
     model = predictor_for(opened)
     lag = result.config.actuator_lag_s

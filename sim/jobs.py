@@ -42,10 +42,10 @@ class Backend(ABC):
     """Calls one function for many items; every item gives one result, however often its worker dies on the way."""
 
     def check(self) -> None:  # noqa: B027  # only what is elsewhere can be missing
-        """Find out before anything is written whether there is anybody to work.
+        """Check that workers are available, before anything is written.
 
         Raises:
-            ConfigError: if there is not.
+            ConfigError: if they are not.
         """
 
     @abstractmethod
@@ -53,21 +53,20 @@ class Backend(ABC):
         """Results as they come, in any order.
 
         Args:
-            function: of a module, so that another process finds it.
+            function: of a module, so that another process can import it.
             items: taken as they are needed, a few ahead of the workers; each can be pickled.
 
         Raises:
-            ConfigError: if workers die again and again, or there are none.
+            ConfigError: if workers die repeatedly, or there are none.
             KeyboardInterrupt: if the user ended it; the workers are gone by then.
         """
 
 
 @final
 class InTurn(Backend):
-    """One call after the other in this process, on one thread."""
+    """Calls one after the other in this process, on one thread."""
 
     def results(self, function: Callable[[T], R], items: Iterable[T]) -> Iterator[R]:
-        """See `Backend`."""
         with threadpool_limits(limits=1):
             for item in items:
                 yield function(item)
@@ -75,7 +74,7 @@ class InTurn(Backend):
 
 @final
 class Processes(Backend):
-    """A process pool, one thread a process."""
+    """Pool of processes, one thread each."""
 
     def __init__(self, workers: int, where: str = "") -> None:
         self.workers = workers
@@ -106,11 +105,7 @@ class Processes(Backend):
                 rest = chain(list(pending.values()), rest)
 
     def _until_broken(self, function: Callable[[T], R], items: Iterator[T], pending: dict[Future[R], T]) -> Iterator[R]:
-        """Results of one pool; `pending` holds what has been asked for and not given.
-
-        Raises:
-            BrokenProcessPool: if a worker died.
-        """
+        """Results of one pool; `pending` holds what has been requested and not returned."""
         # Not forked: torch's and numba's threads do not survive a fork.
         context = multiprocessing.get_context("spawn")
         with _safe_path(), _compilation_told(context) as told:
@@ -140,9 +135,9 @@ class Processes(Backend):
 
 @contextmanager
 def _safe_path() -> Iterator[None]:
-    """While workers are started: a file of the working folder takes the place of no module in them.
+    """Keep files of the working folder from replacing modules in workers that are started meanwhile.
 
-    A worker is a Python of its own with a command for it to read, which would look into the working folder first.
+    A worker is a Python process with a command to read, which would look into the working folder first.
     """
     before = os.environ.get("PYTHONSAFEPATH")
     os.environ["PYTHONSAFEPATH"] = before or "1"
@@ -155,7 +150,7 @@ def _safe_path() -> Iterator[None]:
 
 @contextmanager
 def _compilation_told(context: SpawnContext) -> Iterator[Connection]:
-    """Where workers say what they compile; this process tells its own observers."""
+    """Pipe by which workers report what they compile; this process informs its own observers."""
     ears, mouth = context.Pipe(duplex=False)
     over, found = threading.Event(), dict[int, Compilation]()
 
@@ -180,7 +175,7 @@ def _compilation_told(context: SpawnContext) -> Iterator[Connection]:
 
 
 def _submitted(pool: ProcessPoolExecutor, function: Callable[[T], R], item: T) -> Future[R]:
-    """The call's future, broken already where the pool is."""
+    """The call's future, already broken where the pool is."""
     try:
         return pool.submit(function, item)
     except BrokenProcessPool as error:
@@ -195,10 +190,10 @@ def _end(children: Iterable[BaseProcess]) -> None:
 
 
 def prepare_worker(told: Connection | None = None) -> None:
-    """One thread; Ctrl-C is the main process's business, a fit that heard it would pass for a finished one.
+    """Limit the worker to one thread; it ignores Ctrl-C, which is for the main process.
 
-    Args:
-        told: where to say what is compiled. A line is shorter than what a pipe takes whole, so that workers share it.
+    `told` is the pipe for reports of compilation. A line is shorter than what a pipe takes whole, so workers can share
+    it.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     os.environ.update(dict.fromkeys(THREADS, "1"))  # for libraries that are loaded later
@@ -214,21 +209,15 @@ def prepare_worker(told: Connection | None = None) -> None:
 
 @final
 class DaskCluster(Backend):
-    """A Dask cluster. Workers need this package, and model files where the settings name them.
+    """A running Dask cluster. Workers need this package, and model files where the settings name them.
 
-    Args:
-        address: of a scheduler, such as `tcp://host:8786`; `tls://` with the certificates that Dask is configured with.
+    `address` is that of a scheduler, such as `tcp://host:8786`; `tls://` with the certificates of Dask's configuration.
     """
 
     def __init__(self, address: str, where: str = "") -> None:
         self._address, self._where = address, where
 
     def check(self) -> None:
-        """See `Backend`.
-
-        Raises:
-            ConfigError: if no scheduler answers.
-        """
         with self._client():
             pass
 
@@ -263,11 +252,7 @@ class DaskCluster(Backend):
 
     @contextmanager
     def _client(self) -> Iterator[Any]:
-        """A connection.
-
-        Raises:
-            ConfigError: if no scheduler answers.
-        """
+        """A connection; a `ConfigError` if no scheduler answers."""
         from distributed import Client
 
         try:
@@ -280,7 +265,7 @@ class DaskCluster(Backend):
 
 
 def alone(function: Callable[[T], R], item: T) -> R:
-    """The call on one thread, and no other call beside it in this process, however many threads the worker has."""
+    """Result of the call on one thread, with no parallel call in this process, however many threads the worker has."""
     with _ONE_AT_A_TIME, threadpool_limits(limits=1):
         os.environ.update(dict.fromkeys(THREADS, "1"))
         return function(item)
@@ -298,19 +283,15 @@ def run_jobs(
 ) -> Iterator[R]:
     """Results of the jobs that are not done yet, as they come, in any order.
 
-    A job whose worker dies is done again. An error of `function` ends all; see `attempt` for jobs that may fail.
+    A job whose worker dies is repeated. An error of `function` ends all; see `attempt` for jobs that may fail. Errors
+    and `function` are those of `Backend.results`.
 
     Args:
-        function: does one job; of a module, so that another process finds it.
         jobs: taken as they are needed, a few ahead of the workers; each can be pickled.
         is_done: whether a job was done by an earlier call.
         total: number of jobs, for `progress`; it is not called where left out.
         progress: called after every job; jobs done earlier count.
         note: text for `progress`.
-
-    Raises:
-        ConfigError: if workers die again and again, or there are none.
-        KeyboardInterrupt: if the user ended it; the workers are gone by then.
     """
     kept = 0
 
@@ -330,12 +311,7 @@ def run_jobs(
 
 @dataclass(frozen=True)
 class Attempt(Generic[R]):
-    """A call that may have failed.
-
-    Attributes:
-        value: what it returned, None if it failed.
-        seconds: wall time [s].
-    """
+    """Result of a call that may have failed: its value, None after a failure, and the wall time [s]."""
 
     value: R | None
     raised: Exception | None
@@ -343,14 +319,14 @@ class Attempt(Generic[R]):
 
     @property
     def error(self) -> str:
-        """The exception as one line, with its type where it is none of this package; empty if there is none."""
+        """The exception as one line, with its type where it is foreign to this package; empty if there is none."""
         known = self.raised is None or isinstance(self.raised, HystmpcError)
         text = str(self.raised or "") if known else f"{type(self.raised).__name__}: {self.raised}"
         return " ".join(text.split())
 
 
 def attempt(call: Callable[[], R]) -> Attempt[R]:
-    """Make a call whose failure must not cost the other jobs their time.
+    """Result of a call whose failure must not cost the other jobs their time.
 
     Raises:
         KeyboardInterrupt: if the user ended it; half a job is no result.
@@ -366,15 +342,13 @@ def attempt(call: Callable[[], R]) -> Attempt[R]:
 
 
 def backend_for(workers: int, cluster: str | None = None, where: str = "") -> Backend:
-    """The back end that a command line asks for.
+    """Back end for a number of processes, each on one thread; with 1 and no cluster the calls are made in this process.
 
-    Args:
-        workers: processes, each on one thread; with 1 and no cluster the calls are made in this process.
-        cluster: address of a Dask scheduler such as `tcp://host:8786`; None or `local` for processes of this machine,
-            which talk through pipes: a scheduler of our own would listen, and run what anybody on the machine sends it.
+    `cluster` is the address of a Dask scheduler such as `tcp://host:8786`. None or `local` stands for processes of this
+    machine, which use pipes: an own scheduler would listen, and execute what anybody on the machine sends it.
 
     Raises:
-        ConfigError: if the address is none, or Dask is not installed.
+        ConfigError: if the address is invalid, or Dask is not installed.
     """
     if cluster is None or cluster == "local":
         return InTurn() if workers == 1 else Processes(workers, where)

@@ -41,9 +41,9 @@ class Study:
     """A closed-loop study ready to run: plant, model, limits, motions.
 
     Attributes:
-        motions: references, each behind an approach where it starts far from the plant's rest.
-        approach_s: time of each approach, 0 for none [s]; it does not count.
-        model: predictors and inverses that the controllers work with.
+        motions: references, each after an approach where it starts far from the plant's rest.
+        approach_s: duration of each approach, 0 for none [s]; it does not count.
+        model: predictors and inverses of the controllers.
     """
 
     config: SimulationConfig
@@ -65,7 +65,7 @@ class Study:
     def run(
         self, settings: AnyControllerSettings, motion: str, on_sample: Callable[[LoopSample], None] | None = None
     ) -> ClosedLoopRun:
-        """One controller along one motion.
+        """Run of one controller along one motion.
 
         Raises:
             ControllerError: if the settings contradict each other or go beyond the limits.
@@ -80,7 +80,7 @@ class Study:
         return run
 
     def warnings(self) -> tuple[str, ...]:
-        """What of the motions the model cannot be brought to, a sentence each."""
+        """Angles of the motions beyond the reach of the model, a sentence each."""
         reach = angles_at_rest(self.model.predictive[0], self.limits, self.plant.true_angle)
         found = {name: beyond_reach(_angles(motion), reach) for name, motion in self.motions.items()}
         return tuple(f"{name} {beyond}." for name, beyond in found.items() if beyond)
@@ -91,16 +91,15 @@ class Study:
 
 
 def prepare(config: SimulationConfig, known: ControllerModel | None = None) -> Study:
-    """Open and build everything that a study needs; whatever is wrong is found here.
+    """Open and build everything that a study needs; any fault of the settings is raised here.
 
-    Args:
-        known: the `controller_model` of the same `model`, `inverse` and `actuator_lag_s`; opened where left out.
+    `known` is the `controller_model` of the same `model`, `inverse` and `actuator_lag_s`; opened where left out.
 
     Raises:
         ModelError: if a model file is missing or unusable, or `inverse` is a forward model or of another unit.
         ConfigError: if plant and model differ in the command's unit, or a mismatch names an unknown parameter.
         TrajectoryError: if a motion cannot be built.
-        ControllerError: if a controller is misconfigured, or the limits go beyond the model's unasked.
+        ControllerError: if a controller is misconfigured, or the limits exceed the model's without permission.
         FitError: if a network has no `inverse` and none can be fitted.
     """
     models = [model_path(text) for text in (config.model, config.inverse) if text is not None]
@@ -140,9 +139,9 @@ def _angles(motion: Trajectory) -> Vec:
 
 
 def _led_to(motion: Trajectory, rest_deg: float | None, dt_s: float) -> tuple[Trajectory, float]:
-    """A motion behind an approach from the rest where it starts far from it, and the time of that [s].
+    """Motion after an approach from the rest where it starts far from it, and the duration of the approach [s].
 
-    Without one, the error of the first jump would hide all others.
+    Without an approach, the error of the first jump would dominate all others.
     """
     angles = _angles(motion)
     start = float(angles[0])
@@ -157,7 +156,7 @@ def _as_settings(limits: CommandLimits) -> ModelledLimitsSettings:
 
 
 def _warm_up(study: Study, name: str, settings: AnyControllerSettings) -> None:
-    """Build it and take a step: a wrong one is found before the others have run, and kernels are compiled by then."""
+    """Build a controller and take a step, so that faults show before any run, and kernels are compiled by then."""
     try:
         controller, y = study.controller(settings), study.plant.reset()
         state = controller.init(y, study.plant.rest_command)
@@ -171,11 +170,11 @@ class ClosedLoopRun:
     """Signals of one closed-loop run.
 
     Attributes:
-        log: the loop's own log, with measured angles, N samples.
+        log: of the loop, with measured angles, N samples.
         true_deg: angles without sensor noise at the ends of the samples (N,) [deg].
-        rest_command: the command that the plant held before the first sample.
+        rest_command: command held before the first sample.
         dt: sample time [s].
-        first: number of the first sample that counts: before it the reference leads from the rest to its start.
+        first: number of the first sample that counts, after the approach.
     """
 
     log: LoopLog
@@ -208,10 +207,10 @@ def run_closed_loop(
     """Follow a motion once from the plant's rest, as fast as it computes.
 
     Args:
-        approach_s: time at the motion's beginning that does not count, a whole number of samples [s].
-        sensor: what the controller sees; the plant's own angle in every sample where left out. The frames of an imaging
-            system show the true angle with their own noise, drawn from the plant's seed; without a sensor the true
-            angle of the rest is declared.
+        sensor: of the controller; the plant's angle in every sample where left out. The frames of an imaging system
+            show the true angle with their own noise, drawn from the plant's seed; without a sensor the true rest is
+            declared.
+        approach_s: duration at the motion's beginning that does not count, a whole number of samples [s].
 
     Raises:
         ControllerError: if controller and plant differ in sample time, or the controller cannot start from the rest.

@@ -8,10 +8,9 @@ from contextlib import closing, suppress
 from dataclasses import replace
 from pathlib import Path
 from threading import Lock, Thread
-from typing import TYPE_CHECKING, Any, Protocol, final
+from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from hystmpc.ctrl.command import Command, CommandLimits, ControlInput, Source, Stopwatch, modelled_limits
 from hystmpc.ctrl.config import ControllerSettings, sensor_fault
@@ -25,7 +24,7 @@ from hystmpc.ctrl.planner.settings import TipSettings, read_settings
 from hystmpc.ctrl.planner.tip_controller import TipController
 from hystmpc.trajectories.motion import Kinematics, PiecewiseCubic
 from hystmpc.trajectories.ruckig_ import move_to_rest
-from hystmpc.trajectories.trajectory import Trajectory
+from hystmpc.trajectories.trajectory import Chain, Trajectory
 from hystmpc.trials.errors import ConfigError, ControllerError
 from hystmpc.trials.types import Vec
 
@@ -112,7 +111,7 @@ def tracking_phase(settings: RunSettings, threaded: bool = True, note: Note = la
 
     def lead_in(angle_deg: float) -> Trajectory:
         segments = move_to_rest(Kinematics(angle_deg), float(reference(0.0)), motion)
-        return LeadInTrajectory(PiecewiseCubic(segments) if segments.size else None, reference)
+        return Chain((PiecewiseCubic(segments), reference)) if segments.size else reference
 
     drill = settings.drill
     fails = None if drill is None else (drill.solver_fails_from_s, drill.solver_fails_from_s + drill.solver_fails_for_s)
@@ -145,23 +144,6 @@ def _fits(settings: RunSettings, assembly: Assembly) -> None:
         raise ConfigError(f"controller: got limits {assembly.limits}, expected them within the bench's {bench}")
 
 
-class LeadInTrajectory:
-    """A reference after a lead-in motion to its first angle; None where the tip is there already."""
-
-    def __init__(self, lead: PiecewiseCubic | None, reference: Trajectory) -> None:
-        self._lead, self._reference = lead, reference
-        self._wait = 0.0 if lead is None else lead.duration_s
-        self.duration_s = self._wait + reference.duration_s
-
-    def __call__(self, t: ArrayLike) -> Vec:
-        """Angles [deg] at times `t` [s]."""
-        time = np.asarray(t, dtype=np.float64)
-        after = self._reference(time - self._wait)
-        if self._lead is None or np.min(time, initial=self._wait) >= self._wait:
-            return after
-        return np.where(time < self._wait, self._lead(time), after)
-
-
 @final
 class Tracking(Phase):
     """A `TipController` along a reference, from where preparation has left the device.
@@ -189,7 +171,7 @@ class Tracking(Phase):
     def __init__(
         self,
         tip: TipController,
-        law: Refusing,
+        law: TimelyLaw | CompiledController,
         lead_in: LeadIn,
         watch: ModelWatch,
         monitor: ChangeMonitor,
@@ -403,12 +385,6 @@ def present_angle(tip: TipController) -> float:
     return estimate.angles[0] + estimate.disturbance if estimate.angles else estimate.measured
 
 
-class Refusing(Protocol):
-    """A control law that skips planning where `refusal` gives a reason; an empty one lets it plan."""
-
-    refusal: str
-
-
 class NoTimeError(Exception):
     """No time for a plan in this sample; caught inside the controller's step."""
 
@@ -464,7 +440,7 @@ class Steering(Phase):
             raise ConfigError(f"{config}: controller.{fault}")
         assembly = assemble(settings, folder)
         controller, law = make_timely(assembly.controller)
-        self._law: Refusing = law
+        self._law = law
         self.tip = TipController(assembly, settings, controller)
         self.limits: CommandLimits = assembly.limits
         self.unit = assembly.unit

@@ -22,12 +22,12 @@ _ROUNDING = 1e-9  # of a sample, so that a duration of whole samples is not cut 
 
 @dataclass(frozen=True)
 class EmTracker(Quantities):
-    """The electromagnetic tracker of S2 on the tip: angle, and X, Y by the quadratic map of S2.
+    """Electromagnetic tracker of S2 on the tip: angle, and X, Y by the quadratic map of S2.
 
-    S2 states an accuracy of +-0.35 deg and +-1.4 mm. Such an error is mostly distortion of the field: it depends on
-    the pose and comes back in every trial. Here it is a sine of the tip angle, of half the stated size for the angle,
-    and of 0.3 mm for the position, whose rest would be a shift of the frame. The noise is white; its size is of the
-    order that recorded logs of such a device show once they are resampled to 25 Hz.
+    S2 states an accuracy of +-0.35 deg and +-1.4 mm, which is mostly distortion of the field: it depends on the pose
+    and is equal in every trial. Here it is a sine of the tip angle, of half the stated size for the angle, and of 0.3
+    mm for the position, whose rest would be a shift of the frame. The white noise has the size of recorded logs
+    resampled to 25 Hz.
     """
 
     distortion_deg: float = quantity(0.175, "deg", 0.0, 10.0, "amplitude of the distortion of the angle")
@@ -50,7 +50,7 @@ class EmTracker(Quantities):
 
 @dataclass(frozen=True)
 class LaserSensor(Quantities):
-    """The laser distance sensor of S1 beside the tip, read by a converter: voltage from true angle (S1 eq. (2)-(4)).
+    """Laser distance sensor of S1, read by a converter: voltage from true angle (S1 eq. (2)-(4)).
 
     S1 prints neither noise nor resolution: 0.02 mm (0.04 deg near straight), and the 9.8 mV (0.04 mm) of a 10 V range
     on the 10 bits of its Arduino.
@@ -85,7 +85,7 @@ def sampled(excitation: Trajectory, rate_hz: float) -> tuple[Vec, Vec]:
 
 
 def generator(seed: int, name: str, purpose: str) -> np.random.Generator:
-    """Random numbers of one trial for one purpose; they do not depend on which other trials are made, or when."""
+    """Random numbers of one trial for one purpose, independent of all other trials."""
     return np.random.default_rng([seed, zlib.crc32(f"{purpose}:{name}".encode())])
 
 

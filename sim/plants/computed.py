@@ -25,13 +25,7 @@ from hystmpc.trials.types import Vec
 
 @dataclass(frozen=True)
 class Sensing:
-    """The angle sensor.
-
-    Attributes:
-        noise_deg: standard deviation of white noise [deg].
-        quantisation_deg: step of the angle, 0 for none [deg].
-        sensors: of the library, after both.
-    """
+    """Angle sensor: white noise, resolution (0 for continuous) [deg], and sensors of the library after both."""
 
     noise_deg: float = 0.0
     quantisation_deg: float = 0.0
@@ -41,13 +35,13 @@ class Sensing:
 class ComputedPlant(ABC):
     """A `ctrl.loop.Plant` that is computed; its state is hidden, as that of hardware is.
 
-    A reset always finds the same device: rest, random numbers and noise begin anew. A subclass says where the rest is
-    and what a sample does; its state is replaced from sample to sample and never altered, so that copies may share it.
+    A reset always returns to the same rest; random numbers and noise begin anew. A subclass defines the rest and the
+    change within a sample; its state is replaced in each sample and never altered, so that copies may share it.
 
     Args:
         dt_s: sample time [s].
         command_unit: mm or bar.
-        seed: of noise and of what is random in the device; equal seeds give the same run after every reset.
+        seed: of noise and randomness of the device; equal seeds give the same run after every reset.
 
     Raises:
         ConfigError: if the sample time is not positive.
@@ -72,17 +66,17 @@ class ComputedPlant(ABC):
 
     @property
     def seed(self) -> int:
-        """Of everything random in it."""
+        """Seed of everything random."""
         return self._seed
 
     @property
     def sensing(self) -> Sensing:
-        """Its angle sensor."""
+        """Angle sensor of the plant."""
         return self._sensing
 
     @property
     def true_angle(self) -> float:
-        """Tip angle without noise and quantisation [deg]: what metrics are made of, and no controller sees."""
+        """Tip angle without noise and quantisation [deg]: for metrics, hidden from controllers."""
         return self._angle
 
     def reset(self) -> float:
@@ -103,7 +97,7 @@ class ComputedPlant(ABC):
         return other
 
     def copied(self) -> Self:
-        """A plant that goes on from where this one is, with the same noise to come; neither touches the other."""
+        """Plant that continues from the present state with the same future noise; the two are independent."""
         other = copy(self)
         other._random = deepcopy(self._random)
         return other
@@ -164,7 +158,7 @@ def _settling_of(operator: Operator) -> float:
 
 
 def still(chain: Chain) -> Vec:
-    """Parameter values of the chain with everything that follows a clock at its neutral values."""
+    """Parameter values of the chain with every clock-driven operator at its neutral values."""
     values: list[float] = []
     for operator in chain.operators:
         effect = EFFECTS.get(operator.name)
@@ -183,11 +177,8 @@ def clocks(chain: Chain) -> NDArray[np.bool_]:
 
 @final
 class OperatorCascade:
-    """Operators in series with explicit state; none at all passes the signal on as it is.
-
-    Args:
-        operators: in the order in which the signal meets them.
-        dt_s: sample time [s].
+    """Operators in series with explicit state and sample time `dt_s` [s]; without operators the signal passes
+    unchanged.
     """
 
     def __init__(self, operators: Sequence[Operator], dt_s: float) -> None:
@@ -197,7 +188,7 @@ class OperatorCascade:
 
     @property
     def settling_s(self) -> float:
-        """Time after which a held signal leaves it at rest [s]."""
+        """Time after which the output is at rest for a held signal [s]."""
         return 0.0 if self._chain is None else settling_s(self._chain)
 
     def at_rest(self, signal: float) -> Vec:
@@ -213,7 +204,7 @@ class OperatorCascade:
         )
 
     def settle(self, state: Vec, signal: Vec) -> tuple[Vec, Vec]:
-        """As `run`, with everything that follows a clock standing still and its clock at zero afterwards."""
+        """Output and state as of `run`, with clock-driven effects frozen and their clocks at zero afterwards."""
         if self._chain is None:
             return signal, state
         return run_chain(self._chain, self._dt_s, state, signal, self._kernels, settle=True)
@@ -222,13 +213,12 @@ class OperatorCascade:
 def run_chain(
     chain: Chain, dt_s: float, state: Vec, signal: Vec, kernels: ChainKernels | None = None, settle: bool = False
 ) -> tuple[Vec, Vec]:
-    """Output of a chain (T,) for a signal (T,), and its state afterwards.
+    """Output of a chain (T,) for a signal (T,), and its state afterwards; the given state (S,) is unchanged.
 
     Args:
         dt_s: sample time [s].
-        state: before the first sample (S,); left as it is.
         kernels: of the chain, looked up where left out, which takes longer than a sample.
-        settle: let everything that follows a clock stand still, and set its clock to zero afterwards.
+        settle: whether clock-driven effects are frozen, with their clocks at zero afterwards.
     """
     kernels = kernels or compile_step(chain.transition)
     after, shown = state.reshape(1, -1).copy(), np.empty((1, signal.size))

@@ -43,10 +43,9 @@ class DevicePlant(ComputedPlant):
     the lowest one, for 5 s and as long as its effects take to settle.
 
     Args:
-        effects: what it does beyond that; 0.05 deg of noise where left out. Its numbers are the device's own, so that
-            `mismatch` has to be empty; see `devices.names.named_device`.
+        effects: in addition; 0.05 deg of noise where left out. Its `mismatch` has to be empty, see `devices.names`.
         dt_s: sample time [s].
-        commands: between which it is flexed, the lowest being its rest; all of the device's where left out.
+        commands: range of the flexure, the lowest being its rest; all of the device's where left out.
         seed: of noise and friction; equal seeds give the same run after every reset.
 
     Raises:
@@ -109,7 +108,7 @@ def make_plant(
 
     Args:
         dt_s: sample time [s]; a simulator's own, or 0.04 s, where left out.
-        commands: between which it is flexed and rests; its own limits where left out.
+        commands: range of flexure and rest; the plant's limits where left out.
 
     Raises:
         ConfigError: if a mismatch names an unknown parameter, or the commands lie beyond what a device takes.
@@ -128,7 +127,7 @@ def plant_files(settings: PlantSettings) -> tuple[Path, ...]:
 
 
 def plant_hash(settings: PlantSettings) -> str:
-    """SHA-256 of what the settings do not hold: the simulator file, or all numbers of the device."""
+    """SHA-256 of the simulator file, or of all numbers of the device."""
     if settings.device is None:
         return file_hash(_file(settings))
     numbers = plain_parameters(settings.device, settings.parameters, settings.mismatch)
@@ -136,7 +135,7 @@ def plant_hash(settings: PlantSettings) -> str:
 
 
 def varied_parameters(settings: PlantSettings) -> tuple[str, ...]:
-    """Names under `mismatch` of what differs between specimens of the plant."""
+    """Names under `mismatch` of the parameters that differ between specimens of the plant."""
     if settings.device is None:
         return load_simulator(_file(settings)).chain.labels
     return DEVICES[settings.device].varied

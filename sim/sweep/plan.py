@@ -33,8 +33,8 @@ class SweepRow:
     """One closed-loop run.
 
     Attributes:
-        id: of settings and model files, 16 hexadecimal digits.
-        factors: what was varied, by path; names of grid values, values of draws.
+        id: hash of settings and model files, 16 hexadecimal digits.
+        factors: varied settings by path: names of grid values, values of draws.
         settings: the study with this controller and motion alone, as JSON.
         files: SHA-256 of plant, model and inverse.
     """
@@ -54,29 +54,19 @@ class SweepRow:
 
 
 class Hashes:
-    """SHA-256 of model files and of a device's numbers, each made once."""
+    """SHA-256 of model files and of a device's numbers, each computed once."""
 
     def __init__(self) -> None:
         self._known: dict[str, str] = {}
 
     def of(self, config: SimulationConfig) -> tuple[str, ...]:
-        """Hashes of plant, model and inverse.
-
-        Raises:
-            ConfigError: if a file cannot be read.
-            ModelError: on an unknown built-in model.
-        """
+        """Hashes of plant, model and inverse."""
         device = config.plant.simulator
         plant = plant_hash(config.plant) if device is None else self._hash(device)
         return (plant, *self.of_models(config))
 
     def of_models(self, config: SimulationConfig) -> tuple[str, ...]:
-        """Hashes of model and inverse.
-
-        Raises:
-            ConfigError: if a file cannot be read.
-            ModelError: on an unknown built-in model.
-        """
+        """Hashes of model and inverse."""
         return tuple(self._hash(name) for name in (config.model, config.inverse) if name is not None)
 
     def _hash(self, name: str) -> str:
@@ -87,7 +77,7 @@ class Hashes:
 
 @dataclass(frozen=True)
 class SweepPlan:
-    """All rows of a sweep, made as they are asked for."""
+    """All rows of a sweep, made on demand."""
 
     settings: SweepSettings
     source: Path | None = None
@@ -100,7 +90,7 @@ class SweepPlan:
         return tuple(dict(zip(paths, point, strict=True)) for point in itertools.product(*values))
 
     def rows(self) -> Iterator[SweepRow]:
-        """Row after row, none twice."""
+        """Rows of the plan, without duplicates."""
         settings, hashes, seen = self.settings, Hashes(), set()
         for point in self.grid:
             at_point = self._at(point)
@@ -115,7 +105,11 @@ class SweepPlan:
                             yield row
 
     def check(self) -> int:
-        """Number of rows, equal ones counted apart, after every grid point and every end of a draw was tried."""
+        """Number of rows, duplicates included, after a check of every grid point and every end of a draw.
+
+        Raises:
+            ConfigError: if a path or value does not fit the study; names the line.
+        """
         total = 0
         for point in self.grid:
             at_point = self._at(point)
@@ -138,7 +132,7 @@ class SweepPlan:
         return {path: float(v) if kinds[path] == "number" else label(v) for path, v in values.items()}
 
     def _at(self, point: Mapping[str, tuple[str, Any]]) -> Any:
-        """The study at a grid point, with everything in it that a whole block among the values has left out."""
+        """The study at a grid point, with defaults for keys that a block among the values leaves out."""
         data = self._with(self.settings.base, {path: value for path, (_, value) in point.items()}, "grid")
         return self._study(data).model_dump(mode="json") if point else data
 
@@ -161,7 +155,7 @@ class SweepPlan:
         return f"{place(self.source, *keys)}{'.'.join(keys)}"
 
     def _blamed(self, at: Sequence[str]) -> tuple[str, ...]:
-        """The entry of the sweep with the longest path to a setting; marks of validators between are passed over."""
+        """Entry of the sweep with the longest path to a setting; marks of validators between are skipped."""
         found: tuple[int, tuple[str, ...]] = (0, ("base", *at))
         for block, paths in (("grid", self.settings.grid), ("draw", self.settings.draw)):
             for path in paths:
@@ -186,7 +180,7 @@ def row_id(row: SweepRow) -> str:
 
 
 def _kind(values: Iterable[Any], names: Iterable[str] | None = None) -> str:
-    """`number` if all values are, and go by no other names."""
+    """`number` if all values are numbers without other names."""
     values = list(values)
     numbers = all(isinstance(value, int | float) and not isinstance(value, bool) for value in values)
     return "number" if numbers and (names is None or list(names) == [label(value) for value in values]) else "text"
@@ -208,11 +202,7 @@ _KEPT = 4  # models a process keeps ready
 
 
 def run_row(row: SweepRow) -> dict[str, Any]:
-    """One row of the table; an error becomes a row that says so.
-
-    Raises:
-        KeyboardInterrupt: if the user ended it; half a run is no result.
-    """
+    """Row of the table for one run; an error becomes a row with its message."""
     busy = time.process_time()
     made = attempt(lambda: _figures(row))
     return {
@@ -262,7 +252,7 @@ def _kept_knowledge(model: str, inverse: str | None, actuator_lag_s: float, file
 
 
 def metrics_columns(metrics: TrackingMetrics) -> dict[str, Any]:
-    """Metrics as columns: all that a repetition gives again to the last bit, and the times of a step."""
+    """Metrics as columns: those that a repetition reproduces to the last bit, and the times of a step."""
     columns = {name: getattr(metrics, name) for name in RESULT_COLUMNS if name != "ladder"}
     times = {"step_mean_s": metrics.step_mean_s, "step_p99_s": metrics.step_p99_s}
     return columns | times | {"ladder": canonical(metrics.ladder)}

@@ -29,7 +29,7 @@ _SHORT = 28
 
 
 def plain_log(axis: Axis) -> None:
-    """Ticks of a logarithmic axis as 0.4, 1, 2 and not as powers of ten; fewer the more decades there are."""
+    """Ticks of a logarithmic axis as 0.4, 1, 2 in place of powers of ten; fewer over more decades."""
 
     def text(value: float, _: object) -> str:
         low, high = sorted(axis.get_view_interval())
@@ -43,11 +43,7 @@ def plain_log(axis: Axis) -> None:
 
 @dataclass(frozen=True, eq=False)
 class SweepView:
-    """The rows of one plan.
-
-    Attributes:
-        table: columns (N,).
-    """
+    """Rows of one plan: columns (N,) of the table, and kinds of the factors."""
 
     table: Mapping[str, Column]
     factors: Mapping[str, str]
@@ -71,7 +67,7 @@ class SweepView:
         return self.rows(np.array(self.table["status"]) == "done")
 
     def failed(self) -> list[tuple[str, str]]:
-        """Id and error of every row that has none."""
+        """Id and error of every failed row."""
         columns = (self.table[name] for name in ("id", "status", "message"))
         return [(str(i), str(message)) for i, status, message in zip(*columns, strict=True) if status != "done"]
 
@@ -80,7 +76,7 @@ class SweepView:
         return self.rows(np.array(texts(self.table, name)) == value)
 
     def names(self, name: str) -> tuple[str, ...]:
-        """The different texts of a column, in order."""
+        """Distinct texts of a column, in order."""
         return tuple(dict.fromkeys(texts(self.table, name)))
 
     def figures(self, name: str) -> Vec:
@@ -89,7 +85,7 @@ class SweepView:
 
 
 def sweep_report(view: SweepView, meta: Mapping[str, Any]) -> Report:
-    """The page of a sweep."""
+    """Page of a sweep."""
     done, failed = view.done(), view.failed()
     pieces: list[Piece] = [Heading("Runs"), KeyValues(_facts(view, done, meta))]
     if failed:

@@ -37,10 +37,9 @@ _PAUSE = 10.0  # time between two writings over the time that one takes: writing
 
 @final
 class RunTable:
-    """Rows by `id`, each written whole or not at all; of a repeated run the last successful row is kept.
+    """Rows by `id` in one SQLite file, each written whole or not at all; the last successful run of a row is kept.
 
-    Args:
-        folder: of the sweep; the file is made where there is none.
+    `folder` is that of the sweep; the file is created where it is missing.
 
     Raises:
         LogError: if the file is damaged or cannot be written.
@@ -75,10 +74,9 @@ class RunTable:
         self._cost_s = self._written - start
 
     def copy(self, names: Iterable[str]) -> Path | None:
-        """Write all rows as CSV, whole or not at all, without the settings; None where there is no row.
+        """Write all rows as CSV, whole or not at all, without the settings; None without a row.
 
-        Args:
-            names: of the first columns; columns that only rows of earlier forms of the sweep have come after them.
+        `names` are the first columns; columns of rows of earlier forms of the sweep follow.
         """
         self.flush()
         columns = dict.fromkeys(name for name in names if name not in _NOT_COPIED)
@@ -100,7 +98,7 @@ class RunTable:
 
 
 def rows_of(folder: Path, prefix: str = "", *, settings: bool = False) -> Iterator[dict[str, Any]]:
-    """Rows of a table in the order in which they came; none where there is no table.
+    """Rows of a table in the order in which they came; none without a table.
 
     Args:
         prefix: first digits of their ids.
@@ -120,7 +118,7 @@ def rows_of(folder: Path, prefix: str = "", *, settings: bool = False) -> Iterat
 
 
 def table_of(folder: Path, names: Iterable[str]) -> dict[str, Column]:
-    """Columns (N,) of a table; a missing figure is NaN among numbers, None among texts and where none has it.
+    """Columns (N,) of a table; a missing figure is NaN among numbers, None among texts and in a column without values.
 
     Raises:
         LogError: if the file is damaged.
@@ -154,11 +152,7 @@ def _column(values: Sequence[Any]) -> Column:
 
 @contextmanager
 def _opened(folder: Path) -> Iterator[sqlite3.Connection]:
-    """One transaction: all of it is kept, or none where it ends in an error.
-
-    Raises:
-        LogError: if the file is damaged, or cannot be read or written.
-    """
+    """Transaction, applied whole or not at all; a `LogError` if the file is damaged, or cannot be read or written."""
     path = folder / TABLE
     try:
         with closing(sqlite3.connect(path, timeout=_BUSY_S)) as base, base:

@@ -25,11 +25,7 @@ _DEAD_ZONE_DEG = (0.0, 0.5)
 
 @dataclass(frozen=True)
 class PidTuning:
-    """Result of a search.
-
-    Attributes:
-        rmse_deg: root of the mean over motions of the mean square true error with them [deg].
-    """
+    """Result of a search: settings, RMS true error with them and with the start over all motions [deg], number of runs."""
 
     settings: PidLike
     rmse_deg: float
@@ -38,12 +34,12 @@ class PidTuning:
 
 
 def tuned_gains(study: Study, settings: PidLike, progress: Progress | None = None) -> PidTuning:
-    """Search the gains that track all motions of a study best, by seeded differential evolution.
+    """Search of the gains that track all motions of a study best, by seeded differential evolution.
 
     J = mean over motions of mean_k (theta_k - r_k)^2 with the true angle theta, which makes the result the strongest
     opponent of a model-based controller, not a forecast for another device. The noise has the study's deviation but is
-    another realisation: gains found on the very noise of the comparison would look better in it than they are. The
-    given gains belong to the first population, so that the result is never worse than they are.
+    another realisation, so that the comparison is not biased towards these gains. The given gains belong to the first
+    population, so that the result is never worse.
 
     Args:
         settings: the controller whose `kp`, `ki`, `kd` and dead zone are searched; everything else stays.
@@ -68,12 +64,12 @@ def searched_gains(
     seed: int,
     progress: Progress | None = None,
 ) -> PidTuning:
-    """The gains of least mean square error by seeded differential evolution, never worse than the given ones.
+    """Gains of least mean square error by seeded differential evolution, never worse than the given ones.
 
     Args:
-        settings: where the search starts; everything but `kp`, `ki`, `kd` and dead zone stays.
-        mean_square: of a controller, over all that it is to track [deg^2].
-        evaluations: times that it is called, about.
+        settings: start of the search; everything but `kp`, `ki`, `kd` and dead zone stays.
+        mean_square: of a controller over all its motions [deg^2].
+        evaluations: number of calls of `mean_square`, about.
 
     Raises:
         KeyboardInterrupt: if the user ends the search; nothing is kept.
@@ -106,7 +102,7 @@ def searched_gains(
 
 
 def tuned_study(study: Study, progress: Progress | None = None) -> Study:
-    """The study with the gains of every `pid` and `inverse_pid` found, and nothing left to tune."""
+    """The study with tuned gains of every `pid` and `inverse_pid`, without a further search."""
     if study.config.tune_pid is None:
         return study
     chosen = {name: s for name, s in study.config.controllers.items() if isinstance(s, PidLike)}
@@ -140,10 +136,6 @@ def _point(settings: PidLike) -> Vec:
 
 
 def mean_square_of(study: Study, settings: AnyControllerSettings) -> float:
-    """Mean over motions of the mean square true error of a controller [deg^2].
-
-    Raises:
-        KeyboardInterrupt: if the user ends a run.
-    """
+    """Mean over motions of the mean square true error of a controller [deg^2]."""
     runs = [study.run(settings, motion) for motion in study.motions]
     return float(np.mean([np.mean(run.counted_deg**2) for run in runs]))

@@ -33,11 +33,11 @@ State = Literal["done", "pruned", "failed", "elsewhere"]
 
 @dataclass(frozen=True)
 class PlantScore:
-    """One controller on one plant, all motions.
+    """Score of one controller on one plant over all motions.
 
     Attributes:
-        error_deg: root mean square error over all motions [deg].
-        travel: command travel over the need of the motions; 1 is a command that does no more than it must.
+        error_deg: root mean square error [deg].
+        travel: command travel relative to the need of the motions; 1 is the least.
         violations: samples beyond a limit.
     """
 
@@ -49,7 +49,7 @@ class PlantScore:
 def plant_config(
     settings: TuneSettings, plants: PlantsSettings, number: int, controller: AnyControllerSettings
 ) -> SimulationConfig:
-    """The study of plant `number` of a set."""
+    """Study of plant `number` of a set."""
     data = settings.base
     for path, value in drawn(settings.draw, plants.seed, number).items():
         data = changed(data, path, value)
@@ -60,7 +60,7 @@ def plant_config(
 
 
 def plant_score(config: SimulationConfig) -> PlantScore:
-    """Run one controller along every motion."""
+    """Score of one controller along every motion."""
     study = prepare(config, shared_knowledge(config))
     ((name, controller),) = study.config.controllers.items()
     squares, travel, need, beyond = [], 0.0, 0.0, 0
@@ -106,7 +106,7 @@ def robust(costs: Sequence[float] | Vec, objective: ObjectiveSettings) -> float:
 
 @dataclass(frozen=True, eq=False)
 class HeldOut:
-    """Scores on the held-out plants, the same plants and noise for both."""
+    """Scores on the held-out plants, with the same plants and noise for both settings."""
 
     given: tuple[PlantScore, ...]
     tuned: tuple[PlantScore, ...]
@@ -142,7 +142,7 @@ class HeldOut:
 
     @property
     def better(self) -> int:
-        """Plants on which the tuned settings cost less."""
+        """Number of plants on which the tuned settings cost less."""
         return int(np.sum(self.costs("tuned") < self.costs("given")))
 
     def rows(self) -> list[tuple[str, float, float, float, float, int]]:
@@ -156,7 +156,7 @@ class HeldOut:
         return rows
 
     def columns(self) -> dict[str, Any]:
-        """A table, a row a plant."""
+        """Table with one row for each plant."""
         table: dict[str, Any] = {"plant": np.arange(len(self.given))}
         for name in _NAMES:
             scores: tuple[PlantScore, ...] = getattr(self, name)
@@ -170,11 +170,7 @@ class HeldOut:
 def held_out(
     settings: TuneSettings, values: dict[str, Any], backend: Backend, progress: Progress | None = None
 ) -> HeldOut:
-    """Run given and tuned settings on every held-out plant.
-
-    Raises:
-        ConfigError: if a draw does not fit the study.
-    """
+    """Scores of given and tuned settings on every held-out plant."""
     cases = [(name, number) for number in range(settings.held_out.count) for name in _NAMES]
     scored = partial(_held_out_score, settings, values)
     found = dict(
@@ -208,9 +204,9 @@ class SearchTrial:
 
     Attributes:
         state: `done` or `pruned`.
-        value: robust objective over the plants that it has seen [deg].
-        error_deg: robust objective of the bare errors [deg].
-        travel: mean command travel over the need.
+        value: robust objective over the plants so far [deg].
+        error_deg: robust objective of the errors alone [deg].
+        travel: mean command travel relative to the need.
     """
 
     slot: int
@@ -223,7 +219,7 @@ class SearchTrial:
 
 
 def pareto_front(trials: Sequence[SearchTrial]) -> tuple[SearchTrial, ...]:
-    """Trials than which no other has both less error and less travel, from the least error on; pruned ones left out."""
+    """Trials without another one of both less error and less travel, by rising error; pruned ones are left out."""
     front: list[SearchTrial] = []
     for trial in sorted((t for t in trials if t.state == "done"), key=lambda t: (t.error_deg, t.travel)):
         if not front or trial.travel < front[-1].travel:
@@ -233,12 +229,7 @@ def pareto_front(trials: Sequence[SearchTrial]) -> tuple[SearchTrial, ...]:
 
 @dataclass(frozen=True)
 class Tuning:
-    """Outcome of a tuning.
-
-    Attributes:
-        trials: of the search, by slot, pruned ones among them.
-        check: given and tuned settings on plants that the search has not seen.
-    """
+    """Outcome of a tuning: trials by slot, pruned ones included, and the check on the held-out plants."""
 
     settings: TuneSettings
     trials: tuple[SearchTrial, ...]

@@ -32,7 +32,7 @@ class _TakenError(HystmpcError):
 
 
 def open_search(storage: str, name: str) -> optuna.Study:
-    """The search in its storage, made where it is not there yet.
+    """Search in its storage, created where it is missing.
 
     Raises:
         ConfigError: if the storage cannot be opened.
@@ -46,7 +46,7 @@ def open_search(storage: str, name: str) -> optuna.Study:
 
 
 def _storage(url: str) -> optuna.storages.RDBStorage:
-    """The open storage; of a file that was removed since, a new one: a connection would go on in the removed file."""
+    """Open storage; a new one where the file was removed since, as a connection would continue in the removed file."""
     path = Path(url.removeprefix("sqlite:///"))
     if not url.startswith("sqlite:///"):
         return _opened(url, 0)
@@ -99,7 +99,7 @@ def run_slot(settings: TuneSettings, storage: str, slot: int) -> SlotOutcome:
 
 
 def trials_of(storage: str, name: str) -> tuple[SearchTrial, ...]:
-    """All trials that have come to an end, by slot."""
+    """All finished trials, by slot."""
     found = {}
     for trial in open_search(storage, name).get_trials(deepcopy=False):
         if trial.state in _ENDED and all(key in trial.user_attrs for key in ("slot", "values", *_FIGURES)):
@@ -139,13 +139,13 @@ def _value(settings: TuneSettings, study: optuna.Study, trial: optuna.Trial, slo
 
 
 def given_values(settings: TuneSettings) -> dict[str, Any]:
-    """The searched settings as they were given."""
+    """Searched settings at their given values."""
     given = settings.given.model_dump(mode="json")
     return {path: value_at(given, path) for path in settings.search}
 
 
 def _suggested(trial: optuna.Trial, path: str, one: DrawSettings) -> Any:
-    """A point of the search; four digits are all that anybody would write down, and what is written is what ran."""
+    """Point of the search, rounded to four digits, so that the written value is the tested one."""
     if one.choice is not None:
         named = {label(value): value for value in one.choice}
         return named[trial.suggest_categorical(path, list(named))]
@@ -157,7 +157,7 @@ def _suggested(trial: optuna.Trial, path: str, one: DrawSettings) -> Any:
 
 
 def _sampler(settings: TuneSettings, slot: int) -> optuna.samplers.BaseSampler:
-    """Random numbers that belong to the slot: equal processes would propose equal points otherwise."""
+    """Sampler with the random numbers of a slot; equal processes would propose equal points otherwise."""
     seed = int(np.random.SeedSequence([settings.seed, slot]).generate_state(1)[0])
     sampler = optuna.samplers.TPESampler(seed=seed, n_startup_trials=_STARTUP, constant_liar=True)
     if slot > 0:
@@ -168,7 +168,7 @@ def _sampler(settings: TuneSettings, slot: int) -> optuna.samplers.BaseSampler:
 
 
 def _clipped(values: Mapping[str, Any], search: Mapping[str, DrawSettings]) -> dict[str, Any]:
-    """The given settings as the sampler remembers them: inside their ranges, choices by name."""
+    """Given settings as the sampler stores them: within their ranges, choices by name."""
     clipped = {}
     for path, value in values.items():
         one = search[path]

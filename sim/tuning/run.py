@@ -50,18 +50,18 @@ def run_tuning(
     storage: str | None = None,
     progress: Progress | None = None,
 ) -> Tuning:
-    """Search, check, and leave controller.yaml, study.yaml, trials.csv, held_out.csv and report.html in `out`.
+    """Search, check, and write controller.yaml, study.yaml, trials.csv, held_out.csv and report.html to `out`.
 
     Args:
         settings: complete, as `load_tuning` gives them.
         out: a new or empty folder, or one of a tuning, whose trials are kept; one for each machine.
-        storage: of the search, as Optuna names it, such as `postgresql://...`; several machines that name the same one
-            share the trials. A file in `out` where left out.
+        storage: of the search, as Optuna names it, such as `postgresql://...`, shared by machines that name the same
+            one; a file in `out` where left out.
 
     Raises:
-        ConfigError: if the folder holds something else, the storage cannot be opened, workers die again and again, or
-            optuna is not installed.
-        FitError: if no trial came to an end.
+        ConfigError: if the folder holds something else, the storage cannot be opened, workers die repeatedly, or optuna
+            is not installed.
+        FitError: if no trial was completed.
         KeyboardInterrupt: if the user ended it; finished trials are kept.
     """
     backend.check()
@@ -89,11 +89,7 @@ def run_tuning(
 def search(
     settings: TuneSettings, backend: Backend, storage: str, progress: Progress | None = None
 ) -> tuple[tuple[SearchTrial, ...], tuple[SlotOutcome, ...]]:
-    """Do the trials that are not done yet; those that others do are waited for.
-
-    Raises:
-        ConfigError: if the storage cannot be opened, or optuna is not installed.
-    """
+    """Run the open trials; those of other processes are awaited."""
     optuna_ = _optuna()
     optuna_.open_search(storage, settings.search_name)  # made before the workers meet
     slots: Sequence[int] = range(settings.trials)
@@ -116,11 +112,7 @@ def search(
 
 
 def _optuna() -> Any:
-    """The module that needs Optuna.
-
-    Raises:
-        ConfigError: if it is not installed.
-    """
+    """Module that needs Optuna; a `ConfigError` if it is not installed."""
     try:
         from . import optuna_
     except ModuleNotFoundError as error:
@@ -144,7 +136,7 @@ def _folder(path: Path, settings: TuneSettings) -> RunFolder:
 
 
 def _changed(before: TuneSettings, now: TuneSettings) -> list[str]:
-    """Settings by which one search differs from another, so that its trials are of no use to it."""
+    """Names of settings that make the trials of one search useless to another."""
     if before.fingerprint == now.fingerprint:
         return []
     old, new = before.model_dump(mode="json"), now.model_dump(mode="json")

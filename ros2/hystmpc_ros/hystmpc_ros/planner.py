@@ -7,8 +7,7 @@ from typing import final
 from hystmpc.rig import Transport
 from hystmpc.rig.config import BenchSettings
 from hystmpc.rig.experiment.experiment import Steering
-from hystmpc.rig.loop import ControlLoop
-from hystmpc.rig.reader import Reader
+from hystmpc.rig.loop import ControlLoop, Reader
 from hystmpc.rig.realtime import Clock
 from hystmpc.rig.recording.sample import Sample
 from hystmpc.rig.run import FirstContact, control_loop
