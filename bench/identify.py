@@ -51,12 +51,10 @@ class Subject:
     """A device to be identified: limits, sample rate, recordings.
 
     Attributes:
-        name: of the device.
         command_unit: mm or bar.
-        rate_hz: samples per second.
-        limits: range and rate that are used.
-        safe_command: where the device rests.
-        angle_limits: where the tip may go [deg]; None for no limits.
+        limits: range and rate in use.
+        safe_command: rest of the device.
+        angle_limits: of the tip [deg]; None for no limits.
         trials: files of the recordings.
     """
 
@@ -71,7 +69,7 @@ class Subject:
 
 
 def subject_of(settings: CommissionSettings, limits: CommandLimits, trials: Iterable[Path]) -> Subject:
-    """Subject with these limits and recordings, all else as in the settings."""
+    """Subject with these limits and recordings, otherwise as in the settings."""
     return Subject(
         name=settings.name,
         command_unit=settings.command_unit,
@@ -131,13 +129,13 @@ class FittedModel:
     """Result of the identification.
 
     Attributes:
-        report: one line: what it consists of, and the error on trials left out.
-        parts: part, form, error without and with it on trials left out [deg].
+        report: one line: components, and the error on held-out trials.
+        parts: part, form, error without and with it on held-out trials [deg].
         numbers: name, value and ends of the interval of 90 %.
-        sensor_sigma_deg: noise of the sensor as the model has it, the error of its steps included [deg].
-        model_sigma_deg: how far its free run is off [deg], NaN where that is not known.
-        advice: what these trials do not determine, and what to record for it.
-        sensor_step_deg: step of the sensor's readings [deg]; 0 of a continuous sensor.
+        sensor_sigma_deg: noise of the sensor according to the model, quantisation included [deg].
+        model_sigma_deg: error of its free run [deg], NaN where unknown.
+        advice: quantities that these trials do not determine, and what to record for them.
+        sensor_step_deg: resolution of the sensor [deg]; 0 for a continuous one.
     """
 
     report: str
@@ -185,9 +183,9 @@ class ModelDiagnosis:
     """Result of the diagnosis of the model's residual, in words.
 
     Attributes:
-        verdict: headline, reason, sizes of the gap, and the tracking error that is expected.
-        corrected: whether the corrected simulator is used: better on trials that nothing was chosen on.
-        next: what to record, empty where nothing is open.
+        verdict: headline, reason, sizes of the gap, and the expected tracking error.
+        corrected: whether the corrected simulator is used: better on trials that influenced no choice.
+        next: recording to make, empty without an open question.
     """
 
     verdict: tuple[str, ...]
@@ -198,7 +196,10 @@ class ModelDiagnosis:
 def diagnose_model(subject: Subject, model: Path, folder: Path, progress: Progress) -> ModelDiagnosis:
     """Diagnose the model's residual; write the diagnosis, and `model.fixed.yaml` where it is certified better.
 
-    A model that cannot be diagnosed on these trials is no error: the verdict says why.
+    A model that cannot be diagnosed on these trials is no error: the verdict gives the reason.
+
+    Raises:
+        KeyboardInterrupt: if the user ended it; nothing is kept.
     """
     trials, simulator, seed = uniform_trials(subject), load_simulator(model), subject.block.seed
     done = diagnose_trials(
@@ -224,7 +225,7 @@ def diagnose_model(subject: Subject, model: Path, folder: Path, progress: Progre
 def certified(diagnosis: Diagnosis) -> bool:
     """Whether the corrected simulator is better on held-out trials, with the whole interval of 90 %.
 
-    A faulty sensor is nothing that a simulator can be corrected by.
+    A simulator cannot be corrected for a faulty sensor.
     """
     gap = diagnosis.gap
     better = gap.with_effects_rmse_deg < min(gap.nominal_rmse_deg, gap.retuned_rmse_deg)
@@ -265,7 +266,7 @@ class ControllerFiles:
     """Result of the stage that writes the controller files.
 
     Attributes:
-        reached: angles between which references may lie.
+        reached: range of angles for references.
         pid, inverse_pid: gains, tuned on the identified model with its noise.
         pid_rmse_deg, inverse_pid_rmse_deg: of the true angle on that model [deg].
     """
@@ -279,11 +280,9 @@ class ControllerFiles:
 
 @dataclass(frozen=True, eq=False)
 class IdentifiedDevice:
-    """Results of the stages without a device: model, diagnosis, controllers.
+    """Results of the stages without a device: model, diagnosis (None where left out), controllers.
 
-    Attributes:
-        checked, fitted, diagnosed, made: results of the stages; no diagnosis where it was left out.
-        model: file that the controllers use.
+    `model` is the file that the controllers use.
     """
 
     subject: Subject
@@ -297,7 +296,12 @@ class IdentifiedDevice:
 def make_controllers(
     subject: Subject, model: Path, sigma_deg: float, folder: Path, progress: Progress
 ) -> ControllerFiles:
-    """Write `tip.yaml` next to the stage's folder, and `pid.yaml`, `inverse.yaml` and `inverse_pid.yaml` into it."""
+    """Write `tip.yaml` next to the stage's folder, and `pid.yaml`, `inverse.yaml` and `inverse_pid.yaml` into it.
+
+    Raises:
+        HystmpcError: if the model cannot be used.
+        KeyboardInterrupt: if the user ended the search; nothing is kept.
+    """
     reached = reached_angles(subject, model)
     step = sensor_step_deg(model)
     study = tuning_study(subject, model, reached, sigma_deg, step)
@@ -331,8 +335,7 @@ def make_controllers(
 def predictive(subject: Subject, pid: Mapping[str, float]) -> dict[str, Any]:
     """Block `controller` of `tip.yaml`; angle limits of the user become soft limits of the plan.
 
-    Args:
-        pid: gains of the feedback that takes over where the model does not predict the angle.
+    `pid` are the gains of the feedback for a model that does not predict the angle.
     """
     block: dict[str, Any] = {"kind": "linearised_mpc", "supervisor": {"pid": dict(pid)}}
     if subject.block.angle_limits_deg is not None:
@@ -349,11 +352,7 @@ def write_tip(
     reached: ReachedAngles,
     tolerance_deg: float,
 ) -> Path:
-    """Write the file of a `TipController`; the model's name is relative to it.
-
-    Args:
-        controller: its block `controller`, without the ladder.
-    """
+    """Write the file of a `TipController` with a block `controller`; the model's name is relative to it."""
     limits = subject.limits
     data = {
         "model": os.path.relpath(model, file.parent),
@@ -368,17 +367,13 @@ def write_tip(
 
 
 def tip_settings(file: Path) -> TipSettings:
-    """Read a file of a `TipController`; the model's name becomes absolute.
-
-    Raises:
-        ConfigError: if the file is not one.
-    """
+    """Settings in a file of a `TipController`; the model's name becomes absolute."""
     settings, folder = read_settings(file)
     return settings.model_copy(update={"model": str((folder / settings.model).resolve())})
 
 
 def fresh_references(subject: Subject, reached: ReachedAngles, motion_s: float) -> dict[str, MotionSettings]:
-    """References for the verification, new to identification and tuning; those of the user where there are some."""
+    """References for the verification, new to identification and tuning; those of the user where given."""
     return references(reached, motion_s, (subject.block.seed, _FRESH), subject.block.motions)
 
 
@@ -391,7 +386,7 @@ def sensor_step_deg(model: Path) -> float:
 def rounding_ignored(tuned: PidTuning, study: Study, step_deg: float) -> PidTuning:
     """Tuned gains with a dead zone of half the sensor's resolution, and their error on the model.
 
-    Without it the command oscillates in a hold, which the search does not see: it looks at the error alone.
+    Without it the command oscillates in a hold, which the search, based on the error alone, does not detect.
     """
     gains = tuned.settings.gains.with_dead_zone(step_deg)
     if gains == tuned.settings.gains:
@@ -405,9 +400,7 @@ def tuning_study(
 ) -> Study:
     """Simulated study for the tuning: the identified model with the sensor's noise, references from its rest.
 
-    Args:
-        sigma_deg: noise of the sensor, the error of its steps included [deg].
-        step_deg: step of its readings [deg].
+    `sigma_deg` is the noise of the sensor, quantisation included, and `step_deg` its resolution [deg].
     """
     limits = subject.limits
     plant = SimulatedPlant(load_simulator(model), commands=Range(lower=limits.lower, upper=limits.upper))
@@ -429,7 +422,7 @@ def tuning_study(
 
 
 def _from_rest(motion: MotionSettings, rest_deg: float) -> MotionSettings:
-    """The reference, begun at the angle at which the device rests."""
+    """Reference that begins at the rest angle of the device."""
     if isinstance(motion, PointToPointSettings):
         targets, holds = (motion.start_deg, *motion.targets_deg), (1.0, *motion.holds_s)
         return motion.model_copy(update={"start_deg": rest_deg, "targets_deg": targets, "holds_s": holds})

@@ -41,11 +41,11 @@ class ClimbResult:
     """Result of a climb.
 
     Attributes:
-        end: the farthest command at which the tip rested within its limits.
+        end: farthest command at which the tip rested within its limits.
         angle_deg: at that command [deg], NaN if it never left the start.
         start_deg: at the start [deg].
-        why: what ended the climb.
-        still: longest travel of the command, there and back, in which the tip did not move.
+        why: end of the climb, in words.
+        still: longest travel of the command, both ways, in which the tip did not move.
     """
 
     end: float
@@ -60,12 +60,10 @@ class Bounded(Phase):
     """Safety wrapper of a phase: stop where the median of three angles passes the limits by 2 % of their range.
 
     The command's range is measured at rest; a device that overshoots in a fast motion goes farther. Angles count as
-    they are shown, also beyond the sensor's range and faster than plausible: those are beyond the limits, not missing.
+    shown, even outside the sensor's range and faster than plausible: those are beyond the limits, not missing.
 
     Args:
-        phase: that is wrapped.
-        angle_limits: where the tip may go [deg]; None for the range of the sensor.
-        sensor: that shows the angle.
+        angle_limits: of the tip [deg]; None for the range of the sensor.
     """
 
     def __init__(self, phase: Phase, angle_limits: tuple[float, float] | None, sensor: SensorSettings) -> None:
@@ -78,11 +76,9 @@ class Bounded(Phase):
 
     @property
     def closed_loop(self) -> bool:
-        """As of the wrapped phase."""
         return self._phase.closed_loop
 
     def begin(self, now: PhaseInput, past: Past) -> None:
-        """As of the wrapped phase."""
         self._recent.clear()
         self._phase.begin(now, past)
 
@@ -107,18 +103,18 @@ def keep_shown(recent: deque[float], now: PhaseInput) -> None:
 class Climb(Phase):
     """Climb from the held command towards `end` in ramps with rests, and back; it ends near the angle limits.
 
-    A step is taken only with a usable angle. The first one is a quarter; each is made smaller where the steepest slope
-    seen so far, times 1.5, would lead beyond the limits. An angle beyond them on the way turns the motion back at once;
-    the farthest command counts that was rested at before. A tip that has moved and then stays for 45 % of
-    the travel that the watch on motion allows (`plausibility.travel`) ends the climb where it was seen to move last.
-    A step is judged when the tip has come to rest: a device that lags gets the time for it.
+    A step is taken only with a usable angle. The first one is a quarter; each is made smaller where 1.5 times the
+    steepest slope so far would lead beyond the limits. An angle beyond them on the way turns the motion back at once;
+    the farthest command of an earlier rest counts. A tip that has moved and then stays for 45 % of the travel that the
+    motion watch allows (`plausibility.travel`) ends the climb at its last motion. A step is judged at rest: a lagging
+    device gets time.
 
     Args:
         bench: rate, ramps and hard limits.
-        end: where the command may go.
-        angle_limits: where the tip may go [deg].
+        end: limit of the command.
+        angle_limits: of the tip [deg].
         steps: into which the way is divided.
-        widen: whether a tip that rests beyond its limits at the start widens them; else the climb ends there.
+        widen: whether a tip that rests beyond its limits at the start widens them; otherwise the climb ends there.
     """
 
     name = "climb"
@@ -168,11 +164,11 @@ class Climb(Phase):
 
     @property
     def result(self) -> ClimbResult:
-        """Farthest command, its angle, and why the climb ended."""
+        """Farthest command, its angle, and the end of the climb."""
         return replace(self._result, still=self._still)
 
     def _settles(self, angle: float) -> bool:
-        """Whether the tip still moves after a step, and the longest rest is not over."""
+        """Whether the tip still moves after a step within the longest rest."""
         if math.isnan(self._start_deg):
             return False
         half = len(self._settling) // 2
@@ -250,9 +246,7 @@ def climb_seconds(bench: BenchSettings, end: float, steps: int) -> float:
 class Dash(Phase):
     """Dash there and back at the greatest rate, which measures the rate of a device that reports its command.
 
-    Args:
-        commands: to play (N,), the way there in the first `there` of them.
-        span: length of the way.
+    `commands` (N,) are to play, the first `there` of them on the way out, whose length is `span`.
     """
 
     name = "dash"
@@ -267,7 +261,7 @@ class Dash(Phase):
         self._reported, self._k = [now.reported], 0
 
     def step(self, now: PhaseInput) -> Decision:
-        """The next command; the command that the device reports is kept."""
+        """The next command; the reported command is recorded."""
         if self._k:
             self._reported.append(now.reported)
         u = self._commands[min(self._k, len(self._commands) - 1)]
@@ -303,7 +297,7 @@ class Dash(Phase):
 
 
 def dash(bench: BenchSettings, end: float) -> Dash:
-    """Dash over half of the way to `end`, at most 0.6 s at the greatest rate."""
+    """Dash over half of the way to `end`, for at most 0.6 s at the greatest rate."""
     safe, rate, dt = bench.safe_command, bench.limits.rate_per_s, bench.dt_s
     span = math.copysign(min(_DASH_SHARE * abs(end - safe), _DASH_S * rate), end - safe)
     moving = max(math.ceil(abs(span) / (rate * dt) - 1e-9), 1)

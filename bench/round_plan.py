@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -80,36 +80,17 @@ class RoundPlan:
     looked_at: int = 0
 
 
-def round_seconds(bench: BenchSettings, runs: Mapping[str, Vec]) -> float:
-    """Device time of a round, preparation included [s]."""
-    return prepare_seconds(bench) + sum(run_seconds(bench, commands.size) for commands in runs.values())
-
-
 def least_seconds(bench: BenchSettings) -> float:
     """Device time of the shortest round [s]."""
     return prepare_seconds(bench) + run_seconds(bench, math.ceil(LEAST_MOTION_S / bench.dt_s))
 
 
-def plan_first(settings: InvestigateSettings, simulator: Simulator, left_s: float, folder: Path) -> RoundPlan:
-    """Plan the first round and write its motions."""
-    count, around = settings.investigate.first_motions, run_seconds(settings, 0)
-    longest = _first_longest_s(settings, left_s)
-    chosen = first_motions(simulator, _family(settings, longest), count, allowed(settings), around)
-    return _plan_of(chosen, settings, longest, folder)
+def first_longest_s(settings: InvestigateSettings, left_s: float) -> float:
+    """Greatest duration of each first motion in the device time left [s].
 
-
-def first_seconds(settings: InvestigateSettings, left_s: float) -> float:
-    """Greatest device time of the first motions [s]."""
-    count, longest = settings.investigate.first_motions, _first_longest_s(settings, left_s)
-    return prepare_seconds(settings) + count * run_seconds(settings, math.ceil(longest / settings.dt_s))
-
-
-def _room_s(settings: InvestigateSettings, left_s: float) -> float:
-    """Longest motion that the device time left permits in a round of its own [s]."""
-    return left_s - prepare_seconds(settings) - run_seconds(settings, 0)
-
-
-def _first_longest_s(settings: InvestigateSettings, left_s: float) -> float:
+    Raises:
+        ConfigError: if the device time is too short for them.
+    """
     count = settings.investigate.first_motions
     longest = (_FIRST_SHARE * left_s - prepare_seconds(settings)) / count - run_seconds(settings, 0)
     longest = min(longest, settings.investigate.longest_motion_s)
@@ -121,91 +102,112 @@ def _first_longest_s(settings: InvestigateSettings, left_s: float) -> float:
     return longest
 
 
-def plan_next(
-    settings: InvestigateSettings, question: DiscriminationTask, left_s: float, number: int, longer: int, folder: Path
-) -> RoundPlan | None:
-    """Plan the designed motion with most expected information and write it; None where none has enough.
-
-    Args:
-        left_s: device time left [s].
-        number: of its recording.
-        longer: factor on the motion's duration, where shorter ones did not decide.
-    """
-    longest = min(_room_s(settings, left_s), longer * settings.investigate.longest_motion_s)
-    least = LEAST_MOTION_S if longer == 1 else 0.5 * longest
-    if longest < LEAST_MOTION_S:
-        return None
-    family, wanted = _family(settings, longest), settings.investigate.seed
-    searched = search_motion(
-        question.hypotheses,
-        family,
-        question.noise,
-        SearchSettings([wanted, number], run_seconds(settings, 0), least, allowed=allowed(settings)),
-        [motion for motion in menu(family.limits, family.dt) if motion.duration_s <= left_s],
-    )
-    if searched is None or searched.bits < LEAST_BITS:
-        return None
-    name = f"{number}-designed"
-    commands = _written(folder, name, searched.chosen, searched.numbers, settings, longest)
-    return RoundPlan(
-        motions=(name,),
-        seconds=round_seconds(settings, {name: commands}),
-        separates=tuple(hypothesis.name for hypothesis in question.hypotheses),
-        probability=searched.chosen.probability,
-        bits=searched.bits,
-        confirms=question.confirms,
-        menu=searched.menu.motion.name if searched.menu else "",
-        menu_gain=searched.gain,
-        looked_at=searched.looked_at,
-    )
+def first_seconds(settings: InvestigateSettings, left_s: float) -> float:
+    """Greatest device time of the first motions [s]."""
+    count, longest = settings.investigate.first_motions, first_longest_s(settings, left_s)
+    return prepare_seconds(settings) + count * run_seconds(settings, math.ceil(longest / settings.dt_s))
 
 
-def plan_more(
-    settings: InvestigateSettings,
-    simulator: Simulator,
-    left_s: float,
-    number: int,
-    recorded: Collection[str],
-    question: DiscriminationTask | None,
-    folder: Path,
-) -> RoundPlan | None:
-    """Plan a motion of a kind that was not recorded yet, twice as long as the first ones; None where none is allowed.
+@dataclass(frozen=True, eq=False)
+class RoundPlanner:
+    """Planner of one round's motions within the device time left [s]; it writes them into `folder`."""
 
-    Args:
-        recorded: kinds of motion that were recorded.
-        question: its fitted hypotheses judge whether a motion is allowed; those of a typical size without it.
-    """
-    longest = min(_room_s(settings, left_s), _FURTHER * settings.investigate.longest_motion_s)
-    if longest < LEAST_MOTION_S:
-        return None
-    around = run_seconds(settings, 0)
-    is_allowed, hypotheses = allowed(settings), question.hypotheses if question else ()
+    settings: InvestigateSettings
+    simulator: Simulator
+    left_s: float
+    folder: Path
 
-    def fits(option: EvaluatedMotion) -> bool:
-        motion = option.motion
-        angles = np.array([fitted.simulate(motion.command, motion.dt) for fitted in hypotheses])
-        return is_allowed(replace(option, angles=angles) if hypotheses else option)
+    def first(self) -> RoundPlan:
+        """Plan of the first round."""
+        longest = first_longest_s(self.settings, self.left_s)
+        count, around = self.settings.investigate.first_motions, run_seconds(self.settings, 0)
+        family = self._family(longest)
+        return self._plan(first_motions(self.simulator, family, count, allowed(self.settings), around), longest)
 
-    chosen = further_motion(simulator, _family(settings, longest), recorded, number, fits, around)
-    if chosen is None:
-        return None
-    return replace(_plan_of(chosen, settings, longest, folder), undirected=True)
+    def designed(self, question: DiscriminationTask, number: int, longer: int) -> RoundPlan | None:
+        """Plan of the designed motion with most expected information; None where none has enough.
 
+        `number` is that of its recording; `longer` a factor on its duration, where shorter ones did not decide.
+        """
+        settings, longest = self.settings, self._longest_s(longer)
+        if longest < LEAST_MOTION_S:
+            return None
+        family, least = self._family(longest), LEAST_MOTION_S if longer == 1 else 0.5 * longest
+        seed, around = [settings.investigate.seed, number], run_seconds(settings, 0)
+        searched = search_motion(
+            question.hypotheses,
+            family,
+            question.noise,
+            SearchSettings(seed, around, least, allowed=allowed(settings)),
+            [motion for motion in menu(family.limits, family.dt) if motion.duration_s <= self.left_s],
+        )
+        if searched is None or searched.bits < LEAST_BITS:
+            return None
+        name = f"{number}-designed"
+        return RoundPlan(
+            motions=(name,),
+            seconds=self._seconds([self._written(name, searched.chosen, searched.numbers, longest)]),
+            separates=tuple(hypothesis.name for hypothesis in question.hypotheses),
+            probability=searched.chosen.probability,
+            bits=searched.bits,
+            confirms=question.confirms,
+            menu=searched.menu.motion.name if searched.menu else "",
+            menu_gain=searched.gain,
+            looked_at=searched.looked_at,
+        )
 
-def _plan_of(chosen: FirstMotions, settings: InvestigateSettings, longest_s: float, folder: Path) -> RoundPlan:
-    """Plan of motions that were chosen among the starts of the family; writes them."""
-    runs = {
-        name: _written(folder, name, option, chosen.numbers[name], settings, longest_s)
-        for name, option in chosen.options.items()
-    }
-    return RoundPlan(
-        motions=tuple(runs),
-        seconds=round_seconds(settings, runs),
-        separates=chosen.explanations,
-        probability=chosen.probability,
-        bits=information_bits(chosen.probability, len(chosen.explanations)),
-        looked_at=len(chosen.options),
-    )
+    def further(self, question: DiscriminationTask | None, number: int, recorded: Collection[str]) -> RoundPlan | None:
+        """Plan of a motion of an unrecorded kind, twice as long as the first ones; None where none is allowed.
+
+        The fitted hypotheses of the question judge whether a motion is allowed; those of a typical size without it.
+        """
+        longest, hypotheses = self._longest_s(_FURTHER), question.hypotheses if question else ()
+        if longest < LEAST_MOTION_S:
+            return None
+        around, is_allowed = run_seconds(self.settings, 0), allowed(self.settings)
+
+        def fits(option: EvaluatedMotion) -> bool:
+            motion = option.motion
+            angles = np.array([fitted.simulate(motion.command, motion.dt) for fitted in hypotheses])
+            return is_allowed(replace(option, angles=angles) if hypotheses else option)
+
+        chosen = further_motion(self.simulator, self._family(longest), recorded, number, fits, around)
+        return None if chosen is None else replace(self._plan(chosen, longest), undirected=True)
+
+    def _longest_s(self, factor: float) -> float:
+        """Longest motion within the device time left in a round of its own [s]."""
+        room_s = self.left_s - prepare_seconds(self.settings) - run_seconds(self.settings, 0)
+        return min(room_s, factor * self.settings.investigate.longest_motion_s)
+
+    def _seconds(self, runs: Iterable[Vec]) -> float:
+        return prepare_seconds(self.settings) + sum(run_seconds(self.settings, commands.size) for commands in runs)
+
+    def _family(self, longest_s: float, dt_s: float = 1 / MOST_HZ) -> MotionFamily:
+        """Family of motions, by default at the sample rate of a diagnosis."""
+        settings = self.settings
+        return MotionFamily(settings.limits.build(), max(settings.dt_s, dt_s), settings.safe_command, longest_s)
+
+    def _plan(self, chosen: FirstMotions, longest_s: float) -> RoundPlan:
+        """Plan of motions chosen among the starts of the family."""
+        numbers = chosen.numbers
+        runs = [self._written(name, option, numbers[name], longest_s) for name, option in chosen.options.items()]
+        return RoundPlan(
+            motions=tuple(chosen.options),
+            seconds=self._seconds(runs),
+            separates=chosen.explanations,
+            probability=chosen.probability,
+            bits=information_bits(chosen.probability, len(chosen.explanations)),
+            looked_at=len(chosen.options),
+        )
+
+    def _written(self, name: str, option: EvaluatedMotion, numbers: Vec, longest_s: float) -> Vec:
+        """Write a motion at the rate of the bench with its expected angle and separation; returns its commands."""
+        motion, then = self._family(longest_s, 0.0).motion(numbers, name), option.motion.t
+        expected = np.interp(motion.t, then, option.angles.mean(axis=0))[None]
+        apart = np.interp(motion.t, then, option.separation)
+        resampled = replace(option, motion=motion, angles=expected, separation=apart)
+        write_motion(self.folder / f"{name}.csv", MotionProposal((), resampled, ()), self.settings.command_unit)
+        return planned_commands(self.folder, name)
 
 
 def allowed(settings: InvestigateSettings) -> Callable[[EvaluatedMotion], bool]:
@@ -240,24 +242,6 @@ def allowed(settings: InvestigateSettings) -> Callable[[EvaluatedMotion], bool]:
 def planned_commands(folder: Path, name: str) -> Vec:
     """Commands (N,) of a planned motion, read from its file."""
     return read_csv(folder / f"{name}.csv").command
-
-
-def _family(settings: InvestigateSettings, longest_s: float) -> MotionFamily:
-    """Family of motions at the sample rate of a diagnosis."""
-    dt = max(settings.dt_s, 1 / MOST_HZ)
-    return MotionFamily(settings.limits.build(), dt, settings.safe_command, longest_s)
-
-
-def _written(
-    folder: Path, name: str, option: EvaluatedMotion, numbers: Vec, settings: InvestigateSettings, longest_s: float
-) -> Vec:
-    """Write a motion at the rate of the bench with its expected angle and separation; returns its commands."""
-    family = MotionFamily(settings.limits.build(), settings.dt_s, settings.safe_command, longest_s)
-    motion, then = family.motion(numbers, name), option.motion.t
-    expected = np.interp(motion.t, then, option.angles.mean(axis=0))[None]
-    resampled = replace(option, motion=motion, angles=expected, separation=np.interp(motion.t, then, option.separation))
-    write_motion(folder / f"{name}.csv", MotionProposal((), resampled, ()), settings.command_unit)
-    return planned_commands(folder, name)
 
 
 _LEAST_NOISE_DEG, _FORM_SHARE = 0.02, 0.01  # where the simulator's file says nothing; of the angle's range

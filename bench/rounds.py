@@ -18,7 +18,7 @@ from hystmpc.trials.read import read_trials
 from hystmpc.trials.types import Progress
 
 from .config import InvestigateSettings
-from .round_plan import RoundPlan, least_seconds, plan_more, plan_next
+from .round_plan import RoundPlan, RoundPlanner, least_seconds
 from .stages import Figure
 
 Ending = Literal["", "named", "no_gap", "nothing_gained", "budget"]
@@ -188,16 +188,18 @@ def judge_round(
     repeats, number = _equal_count([*before, judged]), len(files) + 1
     longer = _LONGER ** (repeats - 1) if sought else 1
 
+    planner = RoundPlanner(settings, simulator, left_s, folder)
+
     def planned() -> RoundPlan | None:
-        open_question, recorded = discrimination_task(findings), {file.stem.partition("-")[2] for file in files}
+        question, recorded = discrimination_task(findings), {file.stem.partition("-")[2] for file in files}
         undecided = repeats > 1  # the last motion was to decide, and did not
-        if undecided and (further := plan_more(settings, simulator, left_s, number, recorded, open_question, folder)):
+        if undecided and (further := planner.further(question, number, recorded)):
             return further
-        if open_question is not None and repeats < _STUCK:
-            designed = plan_next(settings, open_question, left_s, number, longer, folder)
+        if question is not None and repeats < _STUCK:
+            designed = planner.designed(question, number, longer)
             if designed is not None:
                 return designed
-        return None if undecided else plan_more(settings, simulator, left_s, number, recorded, open_question, folder)
+        return None if undecided else planner.further(question, number, recorded)
 
     return with_next(judged, before, planned, left_s, least_seconds(settings))
 

@@ -47,12 +47,12 @@ class ControllerScore:
     """Score of one controller over all references.
 
     Attributes:
-        rms_deg: of measured less wanted angle, sensor noise included [deg].
+        rms_deg: of measured minus wanted angle, sensor noise included [deg].
         by_motion: the same by reference [deg].
         greatest_deg: greatest absolute error [deg].
-        rest_share: of the settled samples of holds, those in which the command did not move; NaN without holds.
-        fallback_share: of the samples, those that a fallback has answered.
-        late_share: of the samples, those that a fallback has answered after a missed deadline, or that were skipped.
+        rest_share: share of the settled samples of holds with a resting command; NaN without holds.
+        fallback_share: share of the samples answered by a fallback.
+        late_share: share of the samples answered by a fallback after a missed deadline, or skipped.
         beyond: samples beyond a limit of the command.
     """
 
@@ -71,9 +71,8 @@ class Verification:
 
     Attributes:
         verified: whether the predictive controller is better than the PID, beyond chance.
-        verdict: in words.
-        steps: what to do next.
-        sensor_sigma_deg: noise of the sensor, as the model has it [deg].
+        steps: next steps.
+        sensor_sigma_deg: noise of the sensor according to the model [deg].
         scores: by controller.
     """
 
@@ -94,9 +93,9 @@ def track_all(
 ) -> Tracks:
     """Track every reference with every controller; existing tracks are kept.
 
-    Args:
-        folder: of the stage, next to `tip.yaml`.
-        say: called before each motion with its name.
+    Raises:
+        DeviceStoppedError: if a run was stopped safely; finished tracks are kept.
+        HystmpcError: if a controller cannot be built.
     """
     root = folder.parent
     files = {name: root / "6-controller" / f"{name}.yaml" for name in CONTROLLERS} | {MPC: root / TIP_FILE}
@@ -114,11 +113,7 @@ def track_all(
 
 
 def load_tracks(folder: Path) -> Tracks:
-    """Read the tracks of a complete stage.
-
-    Raises:
-        LogError: if one cannot be read.
-    """
+    """Tracks of a complete stage."""
     tracks = dict[str, dict[str, Track]]()
     for file in sorted((folder / "tracks").glob("*.csv")):
         motion, _, name = file.stem.rpartition(".")
@@ -132,11 +127,10 @@ def judge_tracks(
     """Compare the controllers: scores, and whether the predictive one is better than the PID.
 
     Square errors are compared in blocks of one second of the same reference: verified is a mean difference of more than
-    two standard errors and 5 %. The errors hold the noise of the sensor, which is the same for all, and that of its
-    steps. Where deadlines were missed, fallbacks are compared, and nothing is said of the controllers.
+    two standard errors and 5 %. The errors contain the noise and quantisation of the sensor, equal for all. Where
+    deadlines were missed, fallbacks are compared, and the controllers are not judged.
 
-    Args:
-        sigma_deg, model_sigma_deg: noise of the sensor, and how far the model's free run is off [deg].
+    `sigma_deg` is the noise of the sensor, `model_sigma_deg` the error of the model's free run [deg].
     """
     scores = {name: _scored({m: t[name] for m, t in tracks.items()}, limits, dt_s) for name in CONTROLLERS}
     mpc, pid = scores[MPC], scores[PID]
@@ -213,7 +207,7 @@ def _scored(tracks: Mapping[str, Track], limits: CommandLimits, dt_s: float) -> 
 
 
 def _gains(pid: Track, mpc: Track, dt_s: float) -> Vec:
-    """Mean square error of the PID less that of the predictive controller, in blocks of a second (B,) [deg^2]."""
+    """Mean square error of the PID minus that of the predictive controller, in blocks of a second (B,) [deg^2]."""
     count = min(pid.t.size, mpc.t.size)
     difference = pid.error_deg[:count] ** 2 - mpc.error_deg[:count] ** 2
     blocks = np.array_split(difference, max(int(count * dt_s / _BLOCK_S), 1))

@@ -57,12 +57,12 @@ _BETWEEN_FRAMES = (
 class Recorded(Phase):
     """Phase that plays commands (N,) and records the commands sent and the angles measured.
 
-    An angle belongs to the end of its sample: it is read at the beginning of the next one, so one sample more is
-    spent at the last command. A frame belongs to the sample at whose end it was taken, and `late` samples more are
-    spent there until those of the last ones have come.
+    An angle belongs to the end of its sample: it is read at the beginning of the next one, so the last command is held
+    for one sample more. A frame belongs to the sample at whose end it was taken; the last command is held for `late`
+    further samples until the last frames have come.
 
     Args:
-        commands: to play, from the command held on (N,).
+        commands: to play, from the held command on (N,).
         dt_s: sample time [s].
         late: age of the oldest frame [samples]; None for a continuous sensor.
     """
@@ -100,7 +100,7 @@ class Recorded(Phase):
     def write(self, folder: Path, unit: str) -> Path | None:
         """Write the trial as CSV; None without a file where fewer than two angles were measured.
 
-        Samples without an angle are left out; between frames they stay, with an empty cell: the commands count.
+        Samples without an angle are left out; between frames they stay, with an empty cell, for their commands.
         """
         trial, file = self.trial(unit), folder / f"{self.name}.csv"
         if trial is None:
@@ -123,7 +123,7 @@ class Recorded(Phase):
 
     @property
     def whole(self) -> bool:
-        """Whether it was played to its end."""
+        """Whether all commands were played."""
         return math.isfinite(self.times[-1])
 
 
@@ -146,15 +146,14 @@ def record(
     transport: Transport | None = None,
     desk: Desk | None = None,
 ) -> RecordResult:
-    """Play every excitation and write `trials/NAME.csv` in canonical columns and a manifest.
+    """Play every excitation and write `trials/NAME.csv` in canonical columns and a manifest. Arguments as of
+    `run_bench`.
 
-    Arguments as of `run_bench`.
-
-    Trials by frames have empty cells between them, which no identification reads: `note` is told so first.
+    Trials by frames have empty cells between them, which no identification reads: `note` is called with that first.
 
     Raises:
-        HystmpcError: of any kind, before anything moves; `ConfigError` if an excitation is in another unit or
-            beyond the limits.
+        HystmpcError: of any kind, before anything moves; `ConfigError` if an excitation is in another unit or beyond
+            the limits.
     """
     phases: list[Phase] = []
     recorded: list[Recorded] = []
@@ -316,14 +315,14 @@ class MotionFileSettings(Settings):
 
     @property
     def unit(self) -> str | None:
-        """Unit that the column's name says; a bare `command` is in mm, as in every log."""
+        """Unit of the command's column; a bare `command` is in mm, as in every log."""
         return CANONICAL.command[_motion_table(self.file)[1]]
 
     def commands(self, rate_hz: float, ramps: RampSettings) -> Vec:
         """Commands (N,), interpolated linearly.
 
         Raises:
-            LogError: if the file cannot be read, lacks a column, or holds numbers that are not finite or in order.
+            LogError: if the file cannot be read, lacks a column, or has numbers that are not finite or in order.
         """
         del ramps
         table, column = _motion_table(self.file)

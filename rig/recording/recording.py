@@ -44,10 +44,10 @@ class RecordingMeta:
 
     Attributes:
         unit: of the command.
-        seed: of the run's random numbers, None where it draws none.
-        models: model files of the run; their SHA-256 is kept.
-        command_line: how the run was started; the process's own where None.
-        stages: names of the stages that get a column in log.csv; the first sample's where empty.
+        seed: of the run's random numbers, None without any.
+        models: model files of the run; their SHA-256 is recorded.
+        command_line: that started the run; the process's own where None.
+        stages: names of the stages with a column in log.csv; the first sample's where empty.
 
     Raises:
         ConfigError: on a unit that a log cannot name.
@@ -84,9 +84,8 @@ def open_recording(
     Args:
         folder: a new or empty folder.
         config: resolved settings of the run.
-        meta: what else the folder says.
         rate_hz: rate of the loop [Hz].
-        tell: takes one line when recording has to stop; a warning of the `logging` module where None.
+        tell: called with one line when recording has to stop; a warning of the `logging` module where None.
         report: whether to write report.html at the end.
 
     Raises:
@@ -100,14 +99,14 @@ class Recording(ThreadedSink):
     """Writes log.csv and, where `mcap` is installed, log.mcap of a run folder; report.html at the end.
 
     Every 0.5 s whole rows and a whole chunk go to the disk. When the disk is full or fails, recording ends, the files
-    keep what was flushed, the user is told once, and the run goes on.
+    keep the flushed samples, the user gets one message, and the run continues.
 
     Args:
         tell: see `open_recording`.
         flushed: called after every flush with the number of samples on the disk.
 
     Raises:
-        ConfigError: if the logs cannot be made.
+        ConfigError: if the logs cannot be created.
     """
 
     def __init__(
@@ -141,7 +140,7 @@ class Recording(ThreadedSink):
 
     @property
     def on_disk(self) -> int:
-        """Samples on the disk, which a kill of this process cannot lose."""
+        """Samples on the disk, safe from a kill of this process."""
         return self._on_disk
 
     def close(self) -> None:
@@ -187,7 +186,7 @@ class Recording(ThreadedSink):
         self._on_flush(self._on_disk)
 
     def _stop(self, error: OSError) -> None:
-        """Recording is over; the run is not."""
+        """End the recording; the run continues."""
         self._waiting.closed = True
         self.unwritable += len(self._waiting.take()) + self._written - self._on_disk
         self.problem = (
@@ -226,10 +225,10 @@ class CsvLog:
 
     Args:
         command: name of the command's column, such as `command_mm`.
-        stages: names of the stages that get a column; the first sample's where empty.
+        stages: names of the stages with a column; the first sample's where empty.
 
     Raises:
-        OSError: if the file cannot be made.
+        OSError: if the file cannot be created, or the disk is full or fails.
     """
 
     def __init__(self, path: Path, command: str, stages: tuple[str, ...]) -> None:
@@ -272,13 +271,13 @@ class CsvLog:
 
 @final
 class GrowingFile:
-    """Bytes are collected in memory and appended to the file by `commit`.
+    """File to which `commit` appends the bytes collected in memory.
 
     After a commit the operating system holds the data: it survives the death of the process (kill -9), though not a
     power cut until the system writes it out or `close` does.
 
     Raises:
-        OSError: if the file exists or cannot be made.
+        OSError: if the file exists or cannot be created.
     """
 
     def __init__(self, path: Path) -> None:
@@ -313,7 +312,7 @@ class GrowingFile:
         self._pending.clear()
 
     def close(self) -> None:
-        """Let the disk have everything that was committed; what was not is lost."""
+        """Write all commits to the disk; uncommitted bytes are lost."""
         try:
             os.fsync(self._file.fileno())
         finally:
@@ -326,12 +325,12 @@ def stage_column(name: str) -> str:
 
 
 def one_line(text: str) -> str:
-    """A text without line breaks and control characters, that a row stays a row."""
+    """Text without line breaks and control characters, so that a row stays a row."""
     return " ".join("".join(sign if sign.isprintable() else " " for sign in str(text)).split())
 
 
 def _cell(text: str) -> str:
-    """A text that no reader takes for a number or for a missing one: a column's first cell tells its kind."""
+    """Text that no reader takes for a number or for a missing one: a column's first cell determines its kind."""
     line = one_line(text)
     try:
         float(line)
@@ -356,7 +355,7 @@ class McapLog:
         command: name of the command's field, such as `command_mm`.
 
     Raises:
-        OSError: if the file cannot be made.
+        OSError: if the file cannot be created, or the disk is full or fails.
     """
 
     def __init__(self, path: Path, command: str) -> None:

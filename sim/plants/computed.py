@@ -54,25 +54,10 @@ class ComputedPlant(ABC):
     def __init__(self, dt_s: float, rest_command: float, command_unit: str, sensing: Sensing, seed: int) -> None:
         if not (np.isfinite(dt_s) and dt_s > 0):
             raise ConfigError(f"dt_s: got {dt_s}, expected a positive number")
-        self._dt, self._seed, self._sensing = dt_s, seed, sensing
+        self.dt, self.seed, self.sensing = dt_s, seed, sensing
         self.rest_command, self.command_unit = rest_command, command_unit
         self._sensors = OperatorCascade(sensing.sensors, 1.0)  # sensors have no time in them
         self._restart()
-
-    @property
-    def dt(self) -> float:
-        """Sample time [s]."""
-        return self._dt
-
-    @property
-    def seed(self) -> int:
-        """Seed of everything random."""
-        return self._seed
-
-    @property
-    def sensing(self) -> Sensing:
-        """Angle sensor of the plant."""
-        return self._sensing
 
     @property
     def true_angle(self) -> float:
@@ -92,7 +77,7 @@ class ComputedPlant(ABC):
     def reseeded(self, seed: int) -> Self:
         """The same device with another realisation of everything random."""
         other = copy(self)
-        other._seed = seed
+        other.seed = seed
         other.reset()
         return other
 
@@ -114,14 +99,14 @@ class ComputedPlant(ABC):
         """True angle [deg] and state after command `u` for one sample."""
 
     def _restart(self) -> None:
-        self._random = np.random.default_rng(self._seed)
+        self._random = np.random.default_rng(self.seed)
         self._angle, self._state = self._at_rest(self._random)
-        self._shown = sensors_at_rest(self._sensing.sensors, self._angle, self._seed)
+        self._shown = sensors_at_rest(self.sensing.sensors, self._angle, self.seed)
 
     def _measured(self) -> float:
-        angle = self._angle + self._sensing.noise_deg * float(self._random.standard_normal())
-        if self._sensing.quantisation_deg:
-            angle = round(angle / self._sensing.quantisation_deg) * self._sensing.quantisation_deg
+        angle = self._angle + self.sensing.noise_deg * float(self._random.standard_normal())
+        if self.sensing.quantisation_deg:
+            angle = round(angle / self.sensing.quantisation_deg) * self.sensing.quantisation_deg
         shown, self._shown = self._sensors.run(self._shown, np.array([angle]))
         return float(shown[0])
 

@@ -80,20 +80,20 @@ class DevicePlant(ComputedPlant):
 
     def _at_rest(self, random: np.random.Generator) -> tuple[float, DeviceState]:
         rest_s = _REST_S + self._before.settling_s + self._after.settling_s
-        commands = np.full(round(rest_s / self._dt), self._commands.lower)
+        commands = np.full(round(rest_s / self.dt), self._commands.lower)
         if not self._virgin:
             flexure = s2_initialisation()
-            wave = flexure(np.arange(0.0, flexure.duration_s, self._dt))
+            wave = flexure(np.arange(0.0, flexure.duration_s, self.dt))
             span = self._commands.upper - self._commands.lower
             commands = np.concatenate([self._commands.lower + span * wave / wave.max(), commands])
         sent, before = self._before.settle(self._before.at_rest(self._commands.lower), commands)
-        done = self._device.advance(self._device.virgin(), sent, self._dt, random)
+        done = self._device.advance(self._device.virgin(), sent, self.dt, random)
         shown, after = self._after.settle(self._after.at_rest(float(done.angle[0])), done.angle)
         return float(shown[-1]), DeviceState(before, done.state, after)
 
     def _advanced(self, state: DeviceState, u: float, random: np.random.Generator) -> tuple[float, DeviceState]:
         sent, before = self._before.run(state.command, np.array([u]))
-        done = self._device.advance(state.device, sent, self._dt, random)
+        done = self._device.advance(state.device, sent, self.dt, random)
         shown, after = self._after.run(state.output, done.angle)
         return float(shown[-1]), DeviceState(before, done.state, after)
 

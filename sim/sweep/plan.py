@@ -7,7 +7,7 @@ import json
 import platform
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any
@@ -188,15 +188,7 @@ def _kind(values: Iterable[Any], names: Iterable[str] | None = None) -> str:
 
 # Columns of every row besides the factors, in the order of the table.
 ROW_COLUMNS = ("id", "status", "message", "controller", "motion", "draw", "seed")
-RESULT_COLUMNS = (
-    "rmse_deg",
-    "max_abs_deg",
-    "hold_error_deg",
-    "hold_command_range",
-    "command_travel",
-    "limit_violations",
-    "ladder",
-)
+RESULT_COLUMNS = tuple(f.name for f in fields(TrackingMetrics) if not f.name.startswith("step_"))
 COST_COLUMNS = ("samples", "step_mean_s", "step_p99_s", "wall_s", "cpu_s", "host", "files", "settings")
 _KEPT = 4  # models a process keeps ready
 

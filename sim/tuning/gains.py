@@ -25,7 +25,7 @@ _DEAD_ZONE_DEG = (0.0, 0.5)
 
 @dataclass(frozen=True)
 class PidTuning:
-    """Result of a search: settings, RMS true error with them and with the start over all motions [deg], number of runs."""
+    """Result of a search: settings, RMS true error [deg] with them and at the start, number of runs."""
 
     settings: PidLike
     rmse_deg: float
