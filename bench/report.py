@@ -1,4 +1,4 @@
-"""report.html of a commissioning and of an investigation: the verdict first, then how it was reached."""
+"""report.html of a commissioning and of an investigation: the verdict first, then its derivation."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Runner of stages: each has a folder, a fingerprint of what it depends on, and a result that is loaded on resume."""
+"""Runner of stages: each has a folder, a fingerprint of its inputs, and a result that is loaded on resume."""
 
 from __future__ import annotations
 

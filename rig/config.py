@@ -1,4 +1,4 @@
-"""Settings of everything that moves a device: what `run` and `record` have in common, and what each adds."""
+"""Settings of benches, experiments and simulated transports: the common part of `run` and `record`, and `run`'s own."""
 
 from __future__ import annotations
 
@@ -121,7 +121,7 @@ class BenchSettings(Settings):
 
 
 class ReviewSettings(Settings):
-    """Block `review`: bar of the model's free-run error above which a new identification or diagnosis is due.
+    """Block `review`: greatest free-run error of the model without a new identification or diagnosis.
 
     Attributes:
         due_above_deg: RMS error of the free run [deg].
@@ -131,11 +131,11 @@ class ReviewSettings(Settings):
 
 
 class DrillSettings(Settings):
-    """Block `drill`: an exercise in which the controller's law fails for a time; counted from the tracking's start.
+    """Block `drill`: an exercise in which the controller's law fails for a time, counted from the start of tracking.
 
     Attributes:
-        solver_fails_from_s: when it begins [s].
-        solver_fails_for_s: how long it lasts [s].
+        solver_fails_from_s: start [s].
+        solver_fails_for_s: duration [s].
     """
 
     solver_fails_from_s: NotNegative
@@ -218,7 +218,7 @@ def _file(text: str, folder: Path) -> str:
 
 
 def _may_latch(file: Path) -> bool:
-    """Whether a file may be a latch's: it is one, it is empty, or nothing is there."""
+    """Whether a file may be a latch: a latch, an empty file, or a missing one."""
     try:
         text = file.read_text(encoding="utf-8")
         content = json.loads(text) if text.strip() else {"cause": ""}

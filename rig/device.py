@@ -161,7 +161,7 @@ class SimulatedDevice:
         return ServerCounts(*counts, dict(self._link.counters))
 
     def sample(self, t_s: float) -> None:
-        """One sample: receive commands, move, measure, send the readings that the faults leave."""
+        """One sample: receive commands, move, measure, send the readings after fault injection."""
         received = self._receive()
         if math.isfinite(received):
             self._first = t_s if math.isnan(self._first) else self._first
@@ -191,7 +191,7 @@ class SimulatedDevice:
         return [*((frame.angle_deg, frame.taken_s) for frame in frames), (math.nan, t_s)]
 
     def _receive(self) -> float:
-        """The newest command of this sample that is taken, NaN where there is none."""
+        """The newest accepted command of this sample, NaN without one."""
         newest = math.nan
         for _ in range(_MESSAGES):
             message = self._link.receive()
@@ -206,12 +206,12 @@ class SimulatedDevice:
         return newest
 
     def _goodbye(self) -> None:
-        """The watchdog rests where the drive does; anywhere else it goes on to count, or to return."""
+        """End the watchdog's count where the drive is at rest; elsewhere it continues."""
         if abs(self._held - self._rest) <= _AT_REST * (self._limits.upper - self._limits.lower):
             self._silent = math.inf
 
     def _taken(self, command: float, newest: float) -> float:
-        """The command, which is the new target; `newest` where the watchdog has acted and nobody has greeted since."""
+        """New target command; `newest` after an action of the watchdog without a new greeting."""
         low, high = self._limits.lower, self._limits.upper
         if self._awaits_greeting and not self._link.greeted:
             self._awaits_greeting = abs(command - self._held) > self._limits.rate * self._dt
@@ -323,15 +323,15 @@ class FaultSettings(Settings):
 
     Attributes:
         fault: `dropout` sends nothing; `delay` sends `delay_s` late; `jitter` up to `delay_s` late; `reorder` holds a
-            message back behind the next; `duplicate` sends it twice; `replay` sends an old one again; `corrupt` spoils
-            one byte of a datagram. Of readings only: `freeze` repeats the last angle; `blocked` sends the last angle
-            plus noise, as of a tip that cannot move; `dislodged` the same shifted by `size_deg`, as of a sensor that
-            has come off; `nan`; `outlier` adds `size_deg` with a random sign; `stamp_jump` shifts the sender's clock by
-            `delay_s`, of either sign; `out_of_range` sends 10 000 deg.
-        of: which way the messages go that it hits.
-        start_s: when it begins, counted from the first command.
-        duration_s: how long it lasts.
-        share: of the messages that it hits.
+            message back behind the next; `duplicate` sends it twice; `replay` repeats an old one; `corrupt` spoils one
+            byte of a datagram. Of readings only: `freeze` repeats the last angle; `blocked` sends the last angle plus
+            noise, as of a tip that cannot move; `dislodged` the same shifted by `size_deg`, as of a loose sensor;
+            `nan`; `outlier` adds `size_deg` with a random sign; `stamp_jump` shifts the sender's clock by `delay_s`, of
+            either sign; `out_of_range` sends 10 000 deg.
+        of: direction of the affected messages.
+        start_s: start, counted from the first command.
+        duration_s: duration.
+        share: of the messages that are affected.
         size_deg: of an outlier, or of the shift of a dislodged sensor.
         noise_deg: standard deviation of the angle of a blocked tip or a dislodged sensor.
         delay_s: see `fault`.
@@ -376,7 +376,7 @@ class FaultyLine(Generic[M]):
         self._count = 0
 
     def active(self, t_s: float) -> list[FaultSettings]:
-        """The faults that there are at `t_s` [s] after the first command."""
+        """Active faults at `t_s` [s] after the first command."""
         return [f for f in self._faults if f.start_s <= t_s < f.start_s + f.duration_s]
 
     def put(self, message: M, t_s: float) -> None:
@@ -404,7 +404,7 @@ class FaultyLine(Generic[M]):
         return self._random.uniform(0.0, abs(fault.delay_s)) if fault.fault == "jitter" else 0.0
 
     def _changed(self, fault: FaultSettings, message: M) -> list[M]:
-        """What a fault makes of one message."""
+        """Messages that a fault makes of one message."""
         name = fault.fault
         if name in ("delay", "jitter"):
             return [message]
@@ -488,7 +488,7 @@ class FaultyDatagrams:
         return self._arrived.popleft()
 
     def sendto(self, data: bytes, peer: Peer) -> int:
-        """Send a datagram, or what the faults leave of it."""
+        """Send a datagram after fault injection."""
         self._out.put(data, self._elapsed_s())
         for one in self._out.due(self._elapsed_s()):
             self._wire.sendto(one, peer)

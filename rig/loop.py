@@ -222,7 +222,7 @@ class ControlLoop:
         return int(view.deadline_ns)
 
     def _book(self, done: Any, raw: Sequence[tuple[bytes, int]], decision: Decision) -> None:
-        """Check and record a sample that was executed in C by the rules of Python; a finding ends the loop in C."""
+        """Check and record a sample that was executed in C by the rules of Python; a fault ends the loop in C."""
         self._in_c, self._wire_ns = self._in_c + 1, 0
         self._skip(done.skipped)
         readings = (self._transport.reading(*one) for one in raw)
@@ -286,7 +286,7 @@ class ControlLoop:
         return True
 
     def _finished(self) -> None:
-        """End the phase; the return motion, if it is next, is computed now, in the rest of the sample."""
+        """End the phase; a return motion that follows is computed now, in the rest of the sample."""
         self._phase = None
         if not self._rest:
             phase = self._to_safe("")
@@ -312,7 +312,7 @@ class ControlLoop:
         return not (over and self._given_up(over, stop))
 
     def _given_up(self, over: str, stop: str) -> bool:
-        """Always True: nothing more is sent, for the cause of a stop and for what has hindered it."""
+        """Record that nothing more is sent, with the cause of the stop and its obstacle; always True."""
         if not self._cause:
             self._cause, self._stop_s = stop or over, _S * (self._clock.now_ns() - self._start_ns)
         if over not in self._cause:
@@ -485,12 +485,12 @@ class ControlLoop:
             self._flag.set(f"no command has left for {_S * (now - self._refused_ns):.2f} s")
 
     def _advance_to(self, deadline: int) -> None:
-        """The next sample is due then; those before it have passed wholly."""
+        """Set the deadline of the next sample; those before it have passed wholly."""
         self._skip(max(0, (deadline - self._deadline_ns) // self._dt_ns - 1))
         self._deadline_ns = deadline
 
     def _skip(self, samples: int) -> None:
-        """So many samples have passed wholly."""
+        """Count samples that have passed wholly."""
         self._skipped = samples
         self.timings.skipped += samples
         self._sequence += samples

@@ -179,7 +179,7 @@ def _open_latched(latch: Latch, sink: Callable[[], Sink]) -> Sink:
 
 
 def _close(transport: Transport) -> None:
-    """Close the transport without a goodbye; an error of its driver must not hide why the run has ended."""
+    """Close the transport without a goodbye; an error of its driver must not hide the end of the run."""
     with suppress(Exception):
         transport.stop()
 

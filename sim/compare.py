@@ -104,7 +104,7 @@ def _expected_s(study: Study) -> tuple[float, float, float]:
 
 
 def _runs(study: Study, progress: Progress) -> Iterator[Result]:
-    """Run after run, until the last or until Ctrl-C."""
+    """Runs one after another, until the last or until Ctrl-C."""
     pairs = [(motion, name) for motion in study.motions for name in study.config.controllers]
     lengths = {name: study.steps(name) for name in study.motions}
     total, done = sum(lengths[motion] for motion, _ in pairs), 0
@@ -182,7 +182,7 @@ def error_figure(results: Sequence[Result], colour: Mapping[str, str]) -> Figure
 
 
 def _loops(results: Sequence[Result], colour: Mapping[str, str], unit: str) -> Figure:
-    """Angle over command: the hysteresis that each controller went through."""
+    """Angle over command of each controller: its hysteresis loops."""
     panels = []
     for result in results:
         look = {"color": colour[result.controller], "linewidth": 0.8}

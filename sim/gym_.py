@@ -1,4 +1,4 @@
-"""A gymnasium environment around the simulated device, with its whole state to be saved and put back."""
+"""A gymnasium environment around the simulated device, with its whole state to be saved and restored."""
 
 from __future__ import annotations
 

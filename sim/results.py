@@ -73,7 +73,7 @@ class TrackingMetrics:
 
 
 def tracking_metrics(run: ClosedLoopRun, limits: CommandLimits) -> TrackingMetrics:
-    """Metrics of one run under the limits that its controller had."""
+    """Metrics of one run under the limits of its controller."""
     error, command = run.counted_deg, run.log.command[run.first :]
     halves = [(a + (b - a) // 2, b) for a, b in holds(run.log.reference_deg[run.first :], run.dt)]
     still = np.concatenate([np.abs(error[a:b]) for a, b in halves]) if halves else np.array([math.nan])
@@ -158,7 +158,7 @@ def _numbers(column: Column) -> Vec:
 
 @dataclass(frozen=True, eq=False)
 class Result:
-    """One controller along one motion: names, the limits that it had, the run and its metrics."""
+    """One controller along one motion: names, its limits, the run and its metrics."""
 
     motion: str
     controller: str
@@ -299,7 +299,7 @@ def controllers_figure(results: Sequence[Result], look: Mapping[str, Mapping[str
 
 
 def result_of(config: SimulationConfig, motion: str, controller: str, run: ClosedLoopRun) -> Result:
-    """A run with its metrics under the limits that its controller had."""
+    """A run with its metrics under the limits of its controller."""
     limits = limits_of(config, controller)
     return Result(motion, controller, limits, run, tracking_metrics(run, limits))
 

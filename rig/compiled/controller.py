@@ -115,16 +115,17 @@ def _difference(python: GuardedController[Any], compiled: CompiledController) ->
 class CompiledController(PlannersController):
     """A controller compiled from C with the commands, sources and status lines of the Python one; states are snapshots.
 
-    Of the estimate there is what the rig looks at: angle of now, disturbance, learned part, counts. Of the plan there
-    is its first angle. `refusal` says why the next steps have no time for a plan, as that of `TimelyLaw`.
+    The estimate contains only the parts that the rig reads: present angle, disturbance, learned part, counts. Of the
+    plan there is the first angle. `refusal` is the reason for which the next steps have no time for a plan, as of
+    `TimelyLaw`.
 
     Args:
         python: the same controller in Python; it judges whether the start makes sense.
-        library: the compiled export, with the loop where the system has what that calls.
-        fixed: what the loop is given once, see `CompiledLoop`.
+        library: the compiled export, with the loop where the system supports it.
+        fixed: constants of the loop, see `CompiledLoop`.
 
     Attributes:
-        loop: steps this controller in C; None where the system has not what it calls.
+        loop: steps this controller in C; None on a system without its functions.
     """
 
     def __init__(
@@ -172,11 +173,11 @@ class CompiledController(PlannersController):
         return self._state(replayed, FallbackState())
 
     def sigma_deg(self, state: GuardedState[Any]) -> float:
-        """Standard deviation of the error of the estimated angle [deg]; not-a-number where it is not known."""
+        """Standard deviation of the error of the estimated angle [deg]; not-a-number where unknown."""
         return self._python.sigma_deg(state)
 
     def sigma_ahead_deg(self, state: GuardedState[Any], commands: Vec) -> Vec:
-        """Not-a-number: the noises that the estimator has found stay in the memory of the C."""
+        """Not-a-number: the estimated noises stay in the memory of the C."""
         del state
         return np.full(commands.size, np.nan)
 
@@ -338,14 +339,14 @@ def source() -> str:
 class CompiledLoop:
     """Takes samples on the memory of a compiled controller, by a thread that never waits for the interpreter.
 
-    `view` is the struct `hystmpc_loop` of loop.c. A sample is written down whole before it is counted, and its place is
-    used again only after Python has looked at it.
+    `view` is the struct `hystmpc_loop` of loop.c. A sample is written whole before it is counted, and its place is
+    reused only after Python has read it.
 
     Args:
         library: the controller's, compiled with `source()`.
         controller: address of the struct that is stepped.
-        preview: reference samples that a step looks at.
-        fixed: fields of the struct that stay as they are.
+        preview: reference samples of a step.
+        fixed: constant fields of the struct.
     """
 
     def __init__(self, library: Path, controller: int, preview: int, fixed: Mapping[str, float | int]) -> None:
@@ -366,11 +367,7 @@ class CompiledLoop:
         self._ahead = preview + min(max(round(_AHEAD_S / dt_s), 4), _MOST_AHEAD)
 
     def begin(self, numbers: Mapping[str, Any]) -> None:
-        """Initialise the struct for the next sample.
-
-        Args:
-            numbers: fields of the struct.
-        """
+        """Initialise the struct, with these fields, for the next sample."""
         view = self.view
         view.written = view.read = view.asked = view.late = view.skipped = view.unread = view.reason = 0
         self._put(numbers)
@@ -378,10 +375,11 @@ class CompiledLoop:
     def samples(
         self, numbers: Mapping[str, Any], wanted: Callable[[Vec], Vec], end: int, flag: StopFlag
     ) -> Generator[Any]:
-        """Execute samples in C and yield the struct `hystmpc_sample` of each; `view` says afterwards how it ended.
+        """Execute samples in C and yield the struct `hystmpc_sample` of each; `view` afterwards has the reason of the
+        end.
 
         Args:
-            numbers: further fields of the struct as they are now, `steps` among them.
+            numbers: further fields of the struct at present, `steps` among them.
             wanted: numbers of samples to the angles (N,) wanted at their ends [deg]; where it raises, the loop ends.
             end: number of steps after which the loop ends.
             flag: ends the loop at the next sample.
@@ -418,7 +416,7 @@ class CompiledLoop:
         return _ENDINGS[self.view.reason]
 
     def unread(self) -> list[tuple[bytes, int]]:
-        """Bytes and time of receipt [ns] of what was read for the sample that was left to Python."""
+        """Bytes and time of receipt [ns] of the readings of the sample that was left to Python."""
         return _received(self.view.pending, self.view.unread)
 
     @staticmethod

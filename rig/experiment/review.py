@@ -1,4 +1,4 @@
-"""Review of a run: predicted against measured angle, what is due, and the page report.html of the run folder."""
+"""Review of a run: predicted and measured angle, due work, and the page report.html of the run folder."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The last seconds of a run as views show them, and the thread that updates a view."""
+"""State of a run over the last seconds for the live views, and the thread that updates a view."""
 
 from __future__ import annotations
 
@@ -31,14 +31,12 @@ class LiveSnapshot:
 
     Attributes:
         last: the newest sample.
-        t, reference, angle, command: the last 20 s, thinned out, (P,); not-a-number without an angle.
-        rms_deg: tracking error over these 20 s.
-        rate_hz: rate that the loop really has, over these 20 s.
-        late, total: histograms of lateness and of the whole work of a sample, since the start.
+        t, reference, angle, command: the last 20 s, decimated, (P,); not-a-number without an angle.
+        rms_deg, rate_hz: tracking error and real rate of the loop over these 20 s.
+        late, total: histograms of lateness and of the execution time of a sample, since the start.
         missed: deadlines missed since the start.
-        faults: samples with each fault since the start.
-        fault_s: when each fault was last seen [s].
-        notes: lines from elsewhere, such as that recording has stopped.
+        faults, fault_s: samples with each fault since the start, and the time of the last one [s].
+        notes: messages from elsewhere, such as an end of the recording.
     """
 
     last: Sample
@@ -117,7 +115,7 @@ class LiveState:
 
 
 class LiveView(ThreadedSink):
-    """Shows a snapshot 8 times a second by a thread of its own; what that raises ends the view, never the run.
+    """Shows a snapshot 8 times a second by a thread of its own; an error ends the view, never the run.
 
     Raises:
         ConfigError: if the rate of the loop [Hz] is not positive.
@@ -129,7 +127,7 @@ class LiveView(ThreadedSink):
         self._thread.start()
 
     def tell(self, text: str) -> None:
-        """Show a line, such as that recording has stopped."""
+        """Show a message, such as an end of the recording."""
         self._state.notes.append(text)
 
     def close(self) -> None:

@@ -45,9 +45,9 @@ def limits_of(*curves: Vec, least_span: float) -> tuple[float, float]:
 
 
 def raster(t: Vec, y: Vec, low: float, high: float, width: int, height: int) -> NDArray[np.int64]:
-    """Dots of one curve as character codes, (height, width); 0 where there is none.
+    """Braille dots of a curve y (T,) over t (T,) as character codes, (height, width); 0 without a dot.
 
-    The curve is y (T,) over t (T,); values that are not finite leave a hole. `low` and `high` bound the vertical axis.
+    Values that are not finite leave a hole. `low` and `high` bound the vertical axis.
     """
     cells = np.zeros((height, width), dtype=np.int64)
     known = np.isfinite(y) & np.isfinite(t)
@@ -61,7 +61,7 @@ def raster(t: Vec, y: Vec, low: float, high: float, width: int, height: int) -> 
 
 
 def curves(fields: list[tuple[NDArray[np.int64], str]]) -> Text:
-    """Rasters over each other as text; of several in one character the last one gives the colour."""
+    """Superposed rasters as text; within one character the last one determines the colour."""
     text = Text(no_wrap=True)
     height, width = fields[0][0].shape
     for row in range(height):
@@ -94,14 +94,10 @@ def columns_of(counts: NDArray[np.int64], width: int) -> str:
 
 @final
 class TerminalView(LiveView):
-    """Draws the state of the run 8 times a second; on an output that is no terminal a line every 10 s.
+    """Draws the state of the run 8 times a second; without a terminal it prints a line every 10 s.
 
-    Drawing takes 10 to 30 ms of Python each time, so it belongs into another process than the loop: see
-    `open_recorder_process`.
-
-    Args:
-        page: address of the local page, to be named; empty without one.
-        console: where to draw; standard error where None.
+    Drawing takes 10 to 30 ms of Python each time, so it belongs into another process than the loop, see
+    `open_recorder_process`. `page` is the address of the local page, empty without one.
 
     Raises:
         ConfigError: if the rate is not positive.

@@ -22,11 +22,11 @@ class Reading:
     Attributes:
         angle_deg: measured tip angle, possibly not a number [deg].
         sequence: the sender's count, rising by one a measurement.
-        session: chosen by the sender at its start; another one means that it has been restarted.
+        session: chosen by the sender at its start; a new one means a restart.
         sent_ns: the sender's monotonic clock, of any origin [ns].
         received_ns: this process's monotonic clock at receipt [ns].
-        held: the command that the device holds; NaN where it does not tell.
-        listens: whether the device takes commands of this session; True where it does not tell.
+        held: the command that the device holds; NaN where it does not report.
+        listens: whether the device takes commands of this session; True where it does not report.
     """
 
     angle_deg: float
@@ -39,12 +39,12 @@ class Reading:
 
     @classmethod
     def now(cls, angle_deg: float, sequence: int, held: float = math.nan) -> Reading:
-        """A measurement that has just come, of a device without sessions and stamps.
+        """A measurement that has just arrived, of a device without sessions and stamps.
 
         Args:
             angle_deg: measured angle, in the unit of the block `wire` [deg].
             sequence: rises by one a measurement.
-            held: command that the device holds; NaN where it does not tell.
+            held: command that the device holds; NaN where it does not report.
         """
         now_ns = time.monotonic_ns()
         return cls(angle_deg, sequence, 0, now_ns, now_ns, held)
@@ -65,15 +65,14 @@ class Transport(Protocol):
         ...
 
     def greet(self) -> None:
-        """Ask the device to take commands of this session, again after its watchdog has acted; nothing is moved."""
+        """Ask the device to take commands of this session, repeated after its watchdog has acted; nothing is moved."""
         ...
 
     def stop(self, goodbye: bool = False) -> None:
         """Close; may be called twice.
 
-        Args:
-            goodbye: whether to tell the device that nobody will command it any more, so that its watchdog may rest.
-                Only for a device that has said that it holds the safe command.
+        With `goodbye`, the device learns that nobody will command it any more, so that its watchdog may rest: only for
+        a device that has reported that it holds the safe command.
         """
         ...
 
@@ -92,11 +91,9 @@ class Transport(Protocol):
         return None
 
     def take_back(self, unread: Sequence[tuple[bytes, int]], sent: int) -> None:
-        """Resume after such a loop: what it has received and not used is read first.
+        """Resume after such a loop: its unused messages (bytes, time of receipt [ns]) are read first.
 
-        Args:
-            unread: bytes and monotonic time of receipt [ns].
-            sent: sequence number of the last message that it has sent.
+        `sent` is the sequence number of its last message.
         """
         del unread, sent
 
@@ -106,10 +103,10 @@ class Outgoing:
     """A measurement in the wire's units, as a device sends it.
 
     Attributes:
-        angle, held: raw angle and held command in the wire's units.
+        angle, held: raw angle and held command.
         sequence: rises by one a measurement.
         stamp_ns: sender's clock [ns].
-        listens: whether commands are taken now, or a new greeting is wanted first.
+        listens: whether commands are taken now, or a new greeting is needed first.
     """
 
     angle: float
@@ -326,11 +323,8 @@ ANOTHER, NO_GREETING, OLD = "another controller", "no greeting", "replayed-or-re
 class Admission:
     """Exclusive access of one controller: its greeting opens a session, its goodbye or a silence frees the device.
 
-    After a silence another greeting ends the session. What others send meanwhile is refused, whatever it is, and
-    changes nothing. A session that has ended is not taken up again.
-
-    Args:
-        silence_s: how long the pinned session has to be silent before another may greet [s].
+    After a silence of `silence_s` [s] another greeting ends the session. Messages of others are refused meanwhile and
+    change nothing. A session that has ended is not resumed.
     """
 
     def __init__(self, silence_s: float) -> None:
@@ -342,19 +336,14 @@ class Admission:
 
     @property
     def session(self) -> int | None:
-        """The session that is listened to."""
+        """Session in charge."""
         return None if self._pinned is None else self._pinned[1]
 
     def admit(self, says: Says, sender: object, session: int, sequence: int, now_ns: int) -> str:
         """Reason for refusing a message, empty where it is admitted.
 
-        The goodbye of a session that has never commanded ends the session and is refused.
-
-        Args:
-            says: what it says.
-            sender: where it comes from: an address, or the writer of a topic.
-            session, sequence: of the message.
-            now_ns: monotonic time now [ns].
+        The goodbye of a session that has never commanded ends the session and is refused. `sender` is an address, or
+        the writer of a topic.
         """
         known = self._pinned == (sender, session)
         if says == "greeting":

@@ -91,10 +91,10 @@ def generator(seed: int, name: str, purpose: str) -> np.random.Generator:
 
 @dataclass(frozen=True, kw_only=True)
 class TrackedBench(Quantities, ABC):
-    """The bench of S2, whatever device is on it.
+    """The bench of S2 with any device.
 
-    Every trial begins with a virgin device, the initialisation flexure (0.1 Hz to the end of the travel and back)
-    and a rest at 0 mm, which are discarded as S2's protocol says unless `keep_flexure`.
+    Every trial begins with a virgin device, the initialisation flexure (0.1 Hz to the end of the travel and back) and a
+    rest at 0 mm, which are discarded as S2's protocol says unless `keep_flexure`.
 
     Attributes:
         command_rate_hz: rate of command and log [Hz].
@@ -111,12 +111,12 @@ class TrackedBench(Quantities, ABC):
 
     @abstractmethod
     def mounted(self, random: np.random.Generator) -> Device:
-        """The device of one trial, varied as devices vary from trial to trial."""
+        """The device of one trial, varied as devices vary between trials."""
 
     def record(self, excitation: Trajectory, seed: int, source: str) -> Trial:
-        """One trial; equal seed and source give equal trials, either of them another gives another device and noise.
+        """One trial; equal seed and source give equal trials, another seed or source another device and noise.
 
-        Channels: `x_mm`, `y_mm` of the tip, `displacement_mm` that the drive reached, `tension_n`.
+        Channels: `x_mm`, `y_mm` of the tip, `displacement_mm` of the drive, `tension_n`.
 
         Raises:
             ConfigError: through `resample`, if the log's rate is too low for the trial's.
