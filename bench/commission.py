@@ -78,21 +78,14 @@ class RecordedTrials:
 
 @dataclass(frozen=True, eq=False)
 class Commissioned:
-    """Result of a commissioning.
-
-    Attributes:
-        tip: file for `TipController.from_config`.
-        model: simulator that the controller predicts with.
-        verified: the verdict; None after a commissioning from logs.
-        device_s: device time used [s].
-    """
+    """Result of a commissioning."""
 
     folder: Path
-    tip: Path
-    model: Path
+    tip: Path  # file for `TipController.from_config`
+    model: Path  # simulator that the controller predicts with
     report: Path
-    verified: Verification | None
-    device_s: float
+    verified: Verification | None  # the verdict; None after a commissioning from logs
+    device_s: float  # device time used [s]
     __repr__ = brief
 
 

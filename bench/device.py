@@ -59,18 +59,15 @@ class Track:
     """Record of a tracked reference, one row for each sample (N,), without the lead-in.
 
     Attributes:
-        t: end of the sample since the reference's start [s].
         reference_deg, measured_deg: wanted and measured angle at the end of the sample, NaN without a usable one.
-        command: sent at its beginning.
-        source: origin of the command.
         late: whether the sample had no time for the controller, after a missed deadline or skipped samples.
     """
 
-    t: Vec
+    t: Vec  # end of the sample since the reference's start [s]
     reference_deg: Vec
     measured_deg: Vec
-    command: Vec
-    source: tuple[str, ...]
+    command: Vec  # sent at its beginning
+    source: tuple[str, ...]  # origin of the command
     late: tuple[bool, ...] = ()
 
     @property

@@ -48,23 +48,15 @@ _KIND = "auto"
 
 @dataclass(frozen=True)
 class Subject:
-    """A device to be identified: limits, sample rate, recordings.
-
-    Attributes:
-        command_unit: mm or bar.
-        limits: range and rate in use.
-        safe_command: rest of the device.
-        angle_limits: of the tip [deg]; None for no limits.
-        trials: files of the recordings.
-    """
+    """A device to be identified: limits, sample rate, recordings."""
 
     name: str
-    command_unit: str
+    command_unit: str  # mm or bar
     rate_hz: float
-    limits: CommandLimits
-    safe_command: float
-    angle_limits: tuple[float, float] | None
-    trials: tuple[Path, ...]
+    limits: CommandLimits  # range and rate in use
+    safe_command: float  # rest of the device
+    angle_limits: tuple[float, float] | None  # of the tip [deg]; None for no limits
+    trials: tuple[Path, ...]  # files of the recordings
     block: CommissionBlock
 
 
@@ -126,25 +118,15 @@ Number = tuple[str, Figure, Figure, Figure]
 
 @dataclass(frozen=True)
 class FittedModel:
-    """Result of the identification.
+    """Result of the identification."""
 
-    Attributes:
-        report: one line: components, and the error on held-out trials.
-        parts: part, form, error without and with it on held-out trials [deg].
-        numbers: name, value and ends of the interval of 90 %.
-        sensor_sigma_deg: noise of the sensor according to the model, quantisation included [deg].
-        model_sigma_deg: error of its free run [deg], NaN where unknown.
-        advice: quantities that these trials do not determine, and what to record for them.
-        sensor_step_deg: resolution of the sensor [deg]; 0 for a continuous one.
-    """
-
-    report: str
-    parts: tuple[Row, ...]
-    numbers: tuple[Number, ...]
-    sensor_sigma_deg: Figure
-    model_sigma_deg: Figure
-    advice: tuple[str, ...]
-    sensor_step_deg: Figure = 0.0
+    report: str  # one line: components, and the error on held-out trials
+    parts: tuple[Row, ...]  # part, form, error without and with it on held-out trials [deg]
+    numbers: tuple[Number, ...]  # name, value and ends of the interval of 90 %
+    sensor_sigma_deg: Figure  # noise of the sensor according to the model, quantisation included [deg]
+    model_sigma_deg: Figure  # error of its free run [deg], NaN where unknown
+    advice: tuple[str, ...]  # quantities that these trials do not determine, and what to record for them
+    sensor_step_deg: Figure = 0.0  # resolution of the sensor [deg]; 0 for a continuous one
 
 
 def fit_model(subject: Subject, folder: Path, progress: Progress) -> FittedModel:
@@ -180,17 +162,11 @@ def fit_model(subject: Subject, folder: Path, progress: Progress) -> FittedModel
 
 @dataclass(frozen=True)
 class ModelDiagnosis:
-    """Result of the diagnosis of the model's residual, in words.
+    """Result of the diagnosis of the model's residual, in words."""
 
-    Attributes:
-        verdict: headline, reason, sizes of the gap, and the expected tracking error.
-        corrected: whether the corrected simulator is used: better on trials that influenced no choice.
-        next: recording to make, empty without an open question.
-    """
-
-    verdict: tuple[str, ...]
-    corrected: bool
-    next: str
+    verdict: tuple[str, ...]  # headline, reason, sizes of the gap, and the expected tracking error
+    corrected: bool  # whether the corrected simulator is used: better on trials that influenced no choice
+    next: str  # recording to make, empty without an open question
 
 
 def diagnose_model(subject: Subject, model: Path, folder: Path, progress: Progress) -> ModelDiagnosis:
@@ -266,12 +242,11 @@ class ControllerFiles:
     """Result of the stage that writes the controller files.
 
     Attributes:
-        reached: range of angles for references.
         pid, inverse_pid: gains, tuned on the identified model with its noise.
         pid_rmse_deg, inverse_pid_rmse_deg: of the true angle on that model [deg].
     """
 
-    reached: ReachedAngles
+    reached: ReachedAngles  # range of angles for references
     pid: Mapping[str, float]
     pid_rmse_deg: Figure
     inverse_pid: Mapping[str, float]

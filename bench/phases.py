@@ -38,21 +38,13 @@ _CAREFUL = 0.9  # of the rate at which a device that does not follow has moved
 
 @dataclass(frozen=True)
 class ClimbResult:
-    """Result of a climb.
+    """Result of a climb."""
 
-    Attributes:
-        end: farthest command at which the tip rested within its limits.
-        angle_deg: at that command [deg], NaN if it never left the start.
-        start_deg: at the start [deg].
-        why: end of the climb, in words.
-        still: longest travel of the command, both ways, in which the tip did not move.
-    """
-
-    end: float
-    angle_deg: float
-    start_deg: float
-    why: str
-    still: float = 0.0
+    end: float  # farthest command at which the tip rested within its limits
+    angle_deg: float  # at that command [deg], NaN if it never left the start
+    start_deg: float  # at the start [deg]
+    why: str  # end of the climb, in words
+    still: float = 0.0  # longest travel of the command, both ways, in which the tip did not move
 
 
 @final

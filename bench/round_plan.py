@@ -58,26 +58,21 @@ class RoundPlan:
     """Plan of a round: its motions and their expected information.
 
     Attributes:
-        motions: names of their files, in the order of recording.
-        seconds: greatest device time, approach and return included [s].
-        separates: hypotheses to discriminate.
         probability, bits: expected probability of the right hypothesis, and the same as information.
-        confirms: whether the trials decide already, and the motion only tests their answer.
         undirected: whether the motion is of a new kind, chosen as the first ones were, for want of a designed one.
         menu, menu_gain: best motion of the menu, and the information per second of this motion relative to it.
-        looked_at: number of motions compared.
     """
 
-    motions: tuple[str, ...]
-    seconds: float
-    separates: tuple[str, ...]
+    motions: tuple[str, ...]  # names of their files, in the order of recording
+    seconds: float  # greatest device time, approach and return included [s]
+    separates: tuple[str, ...]  # hypotheses to discriminate
     probability: Figure
     bits: Figure
-    confirms: bool = False
+    confirms: bool = False  # whether the trials decide already, and the motion only tests their answer
     undirected: bool = False
     menu: str = ""
     menu_gain: Figure = np.nan
-    looked_at: int = 0
+    looked_at: int = 0  # number of motions compared
 
 
 def least_seconds(bench: BenchSettings) -> float:
@@ -251,19 +246,12 @@ _NUDGE = 0.3  # of the unknowns' typical changes
 
 @dataclass(frozen=True, eq=False)
 class FirstMotions:
-    """First motions of an investigation, in the order of recording.
+    """First motions of an investigation, in the order of recording."""
 
-    Attributes:
-        options: expected result of each, by the name of its recording.
-        numbers: parameters of each in the family (22,).
-        explanations: hypotheses to discriminate.
-        probability: expected one of the right hypothesis; chance is one over their number.
-    """
-
-    options: Mapping[str, EvaluatedMotion]
-    numbers: Mapping[str, Vec]
-    explanations: tuple[str, ...]
-    probability: float
+    options: Mapping[str, EvaluatedMotion]  # expected result of each, by the name of its recording
+    numbers: Mapping[str, Vec]  # parameters of each in the family (22,)
+    explanations: tuple[str, ...]  # hypotheses to discriminate
+    probability: float  # expected one of the right hypothesis; chance is one over their number
 
 
 def first_motions(

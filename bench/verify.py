@@ -44,43 +44,26 @@ Tracks = Mapping[str, Mapping[str, Track]]
 
 @dataclass(frozen=True)
 class ControllerScore:
-    """Score of one controller over all references.
+    """Score of one controller over all references."""
 
-    Attributes:
-        rms_deg: of measured minus wanted angle, sensor noise included [deg].
-        by_motion: the same by reference [deg].
-        greatest_deg: greatest absolute error [deg].
-        rest_share: share of the settled samples of holds with a resting command; NaN without holds.
-        fallback_share: share of the samples answered by a fallback.
-        late_share: share of the samples answered by a fallback after a missed deadline, or skipped.
-        beyond: samples beyond a limit of the command.
-    """
-
-    rms_deg: Figure
-    by_motion: Mapping[str, Figure]
-    greatest_deg: Figure
-    rest_share: Figure
-    fallback_share: Figure
-    beyond: int
-    late_share: Figure = 0.0
+    rms_deg: Figure  # of measured minus wanted angle, sensor noise included [deg]
+    by_motion: Mapping[str, Figure]  # the same by reference [deg]
+    greatest_deg: Figure  # greatest absolute error [deg]
+    rest_share: Figure  # share of the settled samples of holds with a resting command; NaN without holds
+    fallback_share: Figure  # share of the samples answered by a fallback
+    beyond: int  # samples beyond a limit of the command
+    late_share: Figure = 0.0  # share of the samples answered by a fallback after a missed deadline, or skipped
 
 
 @dataclass(frozen=True)
 class Verification:
-    """Result of the verification.
+    """Result of the verification."""
 
-    Attributes:
-        verified: whether the predictive controller is better than the PID, beyond chance.
-        steps: next steps.
-        sensor_sigma_deg: noise of the sensor according to the model [deg].
-        scores: by controller.
-    """
-
-    verified: bool
+    verified: bool  # whether the predictive controller is better than the PID, beyond chance
     verdict: str
-    steps: tuple[str, ...]
-    sensor_sigma_deg: Figure
-    scores: Mapping[str, ControllerScore]
+    steps: tuple[str, ...]  # next steps
+    sensor_sigma_deg: Figure  # noise of the sensor according to the model [deg]
+    scores: Mapping[str, ControllerScore]  # by controller
     __repr__ = brief
 
 

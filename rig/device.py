@@ -83,21 +83,14 @@ class DeviceSettings(Settings):
 
 @dataclass(frozen=True)
 class ServerCounts:
-    """Counts of a device server.
-
-    Attributes:
-        beyond: commands beyond the drive's limits of value or rate, which were clipped.
-        watchdog: how often the controller fell silent.
-        unheard: commands between an action of the watchdog and a new greeting; they were not taken.
-        rejected: messages rejected, by cause.
-    """
+    """Counts of a device server."""
 
     samples: int
     commands: int
-    beyond: int
-    watchdog: int
-    unheard: int
-    rejected: dict[str, int]
+    beyond: int  # commands beyond the drive's limits of value or rate, which were clipped
+    watchdog: int  # how often the controller fell silent
+    unheard: int  # commands between an action of the watchdog and a new greeting; they were not taken
+    rejected: dict[str, int]  # messages rejected, by cause
 
 
 def open_link(settings: DeviceSettings) -> DeviceLink:

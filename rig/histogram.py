@@ -19,12 +19,11 @@ class TimingSummary:
     """Statistics of one time; quantiles are upper edges of their bins, NaN without a sample.
 
     Attributes:
-        count: samples.
         mean_s, greatest_s: mean and greatest [s].
         median_s, p99_s, p999_s: quantiles [s].
     """
 
-    count: int
+    count: int  # samples
     mean_s: float
     greatest_s: float
     median_s: float

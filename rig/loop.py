@@ -24,27 +24,20 @@ class RunOutcome:
     """Outcome of a run: cause of the stop, counts of samples, commands and faults.
 
     Attributes:
-        cause: of the stop; empty after a complete run.
-        samples: with a command, and skipped ones.
         stop_s, safe_s: monotonic time since the start of the stop, and of the safe command sent and, where `confirmed`,
             held [s]; NaN without a stop, or where nothing could be sent any more.
-        confirmed: whether the device has reported that it holds the safe command.
-        clipped: commands limited by the gate.
-        unsent: commands that the transport did not take.
-        refused: samples on which the sink raised.
-        faults: samples by fault.
         in_c, left_c: samples executed wholly in C; returns to Python by reason.
     """
 
-    cause: str
-    samples: int
+    cause: str  # of the stop; empty after a complete run
+    samples: int  # with a command, and skipped ones
     stop_s: float
     safe_s: float
-    confirmed: bool
-    clipped: int
-    unsent: int
-    refused: int
-    faults: dict[str, int]
+    confirmed: bool  # whether the device has reported that it holds the safe command
+    clipped: int  # commands limited by the gate
+    unsent: int  # commands that the transport did not take
+    refused: int  # samples on which the sink raised
+    faults: dict[str, int]  # samples by fault
     in_c: int = 0
     left_c: dict[str, int] = field(default_factory=dict)
 

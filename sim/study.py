@@ -38,20 +38,14 @@ from .plants.device import make_plant, plant_files
 
 @dataclass(frozen=True, eq=False)
 class Study:
-    """A closed-loop study ready to run: plant, model, limits, motions.
-
-    Attributes:
-        motions: references, each after an approach where it starts far from the plant's rest.
-        approach_s: duration of each approach, 0 for none [s]; it does not count.
-        model: predictors and inverses of the controllers.
-    """
+    """A closed-loop study ready to run: plant, model, limits, motions."""
 
     config: SimulationConfig
     plant: ComputedPlant
-    model: ControllerModel
+    model: ControllerModel  # predictors and inverses of the controllers
     limits: CommandLimits
-    motions: Mapping[str, Trajectory]
-    approach_s: Mapping[str, float]
+    motions: Mapping[str, Trajectory]  # references, each after an approach where it starts far from the plant's rest
+    approach_s: Mapping[str, float]  # duration of each approach, 0 for none [s]; it does not count
     files: tuple[Path, ...]
 
     def controller(self, settings: AnyControllerSettings) -> GuardedController[Any]:
@@ -167,22 +161,14 @@ def _warm_up(study: Study, name: str, settings: AnyControllerSettings) -> None:
 
 @dataclass(frozen=True, eq=False)
 class ClosedLoopRun:
-    """Signals of one closed-loop run.
+    """Signals of one closed-loop run."""
 
-    Attributes:
-        log: of the loop, with measured angles, N samples.
-        true_deg: angles without sensor noise at the ends of the samples (N,) [deg].
-        rest_command: command held before the first sample.
-        dt: sample time [s].
-        first: number of the first sample that counts, after the approach.
-    """
-
-    log: LoopLog
-    true_deg: Vec
-    rest_command: float
-    dt: float
+    log: LoopLog  # of the loop, with measured angles, N samples
+    true_deg: Vec  # angles without sensor noise at the ends of the samples (N,) [deg]
+    rest_command: float  # command held before the first sample
+    dt: float  # sample time [s]
     unit: str
-    first: int = 0
+    first: int = 0  # number of the first sample that counts, after the approach
     __repr__ = brief
 
     @property

@@ -39,22 +39,18 @@ class Decision:
     """Command and status that a phase returns for a sample.
 
     Attributes:
-        u: wanted command; the gate decides.
         source, status: as in `Sample`.
         reference_deg, predicted_deg: for the end of the sample, NaN without one.
-        stages_s: name and time of stages.
-        finished: whether this was the phase's last sample.
-        fault: cause of a stop, empty without one.
     """
 
-    u: float
+    u: float  # wanted command; the gate decides
     source: str
     status: str = "ok"
     reference_deg: float = math.nan
     predicted_deg: float = math.nan
-    stages_s: tuple[tuple[str, float], ...] = ()
-    finished: bool = False
-    fault: str = ""
+    stages_s: tuple[tuple[str, float], ...] = ()  # name and time of stages
+    finished: bool = False  # whether this was the phase's last sample
+    fault: str = ""  # cause of a stop, empty without one
 
 
 @dataclass(frozen=True, slots=True)

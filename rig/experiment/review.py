@@ -41,21 +41,17 @@ class ReviewedRun:
     """A run, one row for each sample (N,): the command of the sample and everything else at its end.
 
     Attributes:
-        t: end of the sample [s].
         measured_deg, reference_deg, predicted_deg: angle measured, wanted, and predicted one sample before [deg].
-        free_deg: the model's free run over the commands, without any measurement [deg].
-        counted: samples that are judged: with an angle, after the first flexure.
-        monitor: of the model.
     """
 
-    t: Vec
+    t: Vec  # end of the sample [s]
     command: Vec
     measured_deg: Vec
     reference_deg: Vec
     predicted_deg: Vec
-    free_deg: Vec
-    counted: NDArray[np.bool_]
-    monitor: ChangeMonitor
+    free_deg: Vec  # the model's free run over the commands, without any measurement [deg]
+    counted: NDArray[np.bool_]  # samples that are judged: with an angle, after the first flexure
+    monitor: ChangeMonitor  # of the model
 
 
 @dataclass(frozen=True)
@@ -63,22 +59,18 @@ class Review:
     """Assessment of a model by a run: tracking error, prediction errors, and the advice.
 
     Attributes:
-        advice: one line: nothing is due, a new identification, or a diagnosis.
         tracking_deg, greatest_deg: RMS and greatest measured minus wanted angle [deg]; NaN without a reference.
-        one_step_deg: RMS of measured minus the angle predicted one sample before, measurements included [deg].
-        free_run_deg: RMS of measured minus the model's free run [deg].
         offset_deg, gain: of the line from the free run to the measured angle.
-        corrected_deg: rest of `free_run_deg` after that line: the shape that the model does not have.
         change: sentence on a change of the device since identification; empty with too little data.
     """
 
-    advice: str
+    advice: str  # one line: nothing is due, a new identification, or a diagnosis
     tracking_deg: float
-    one_step_deg: float
-    free_run_deg: float
+    one_step_deg: float  # RMS of measured minus the angle predicted one sample before, measurements included [deg]
+    free_run_deg: float  # RMS of measured minus the model's free run [deg]
     offset_deg: float
     gain: float
-    corrected_deg: float
+    corrected_deg: float  # rest of `free_run_deg` after that line: the shape that the model does not have
     change: str = field(default="", kw_only=True)
     greatest_deg: float = field(default=math.nan, kw_only=True)
 

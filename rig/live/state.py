@@ -30,16 +30,13 @@ class LiveSnapshot:
     """State of a run for the live views.
 
     Attributes:
-        last: the newest sample.
         t, reference, angle, command: the last 20 s, decimated, (P,); not-a-number without an angle.
         rms_deg, rate_hz: tracking error and real rate of the loop over these 20 s.
         late, total: histograms of lateness and of the execution time of a sample, since the start.
-        missed: deadlines missed since the start.
         faults, fault_s: samples with each fault since the start, and the time of the last one [s].
-        notes: messages from elsewhere, such as an end of the recording.
     """
 
-    last: Sample
+    last: Sample  # the newest sample
     t: Vec
     reference: Vec
     angle: Vec
@@ -48,10 +45,10 @@ class LiveSnapshot:
     rate_hz: float
     late: Histogram
     total: Histogram
-    missed: int
+    missed: int  # deadlines missed since the start
     faults: dict[str, int]
     fault_s: dict[str, float]
-    notes: tuple[str, ...]
+    notes: tuple[str, ...]  # messages from elsewhere, such as an end of the recording
 
 
 @final

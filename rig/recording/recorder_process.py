@@ -88,19 +88,12 @@ def _plain(s: Sample) -> tuple[object, ...]:
 
 @dataclass(frozen=True)
 class Views:
-    """Live views of a run.
+    """Live views of a run."""
 
-    Attributes:
-        terminal: the terminal view, on standard error.
-        page: whether the local page is served.
-        host: address of the page; only this machine reaches the default.
-        port: of the page; 0 takes a free one.
-    """
-
-    terminal: bool = False
-    page: bool = False
-    host: str = "127.0.0.1"
-    port: int = 8765
+    terminal: bool = False  # the terminal view, on standard error
+    page: bool = False  # whether the local page is served
+    host: str = "127.0.0.1"  # address of the page; only this machine reaches the default
+    port: int = 8765  # of the page; 0 takes a free one
 
 
 def open_recorder_process(

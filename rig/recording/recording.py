@@ -42,22 +42,15 @@ class _Log(Protocol):
 class RecordingMeta:
     """Metadata of a run folder.
 
-    Attributes:
-        unit: of the command.
-        seed: of the run's random numbers, None without any.
-        models: model files of the run; their SHA-256 is recorded.
-        command_line: that started the run; the process's own where None.
-        stages: names of the stages with a column in log.csv; the first sample's where empty.
-
     Raises:
         ConfigError: on a unit that a log cannot name.
     """
 
-    unit: str
-    seed: int | None = None
-    models: tuple[Path, ...] = ()
-    command_line: tuple[str, ...] | None = None
-    stages: tuple[str, ...] = ()
+    unit: str  # of the command
+    seed: int | None = None  # of the run's random numbers, None without any
+    models: tuple[Path, ...] = ()  # model files of the run; their SHA-256 is recorded
+    command_line: tuple[str, ...] | None = None  # that started the run; the process's own where None
+    stages: tuple[str, ...] = ()  # names of the stages with a column in log.csv; the first sample's where empty
 
     def __post_init__(self) -> None:
         if self.unit not in COMMAND_UNITS:

@@ -22,38 +22,25 @@ class Sample:
     """One sample of the loop at a bench; the angle is the one at which the controller chose the command.
 
     Attributes:
-        t_s: monotonic time since the start of the run [s].
-        wall_ns: wall clock [ns since 1970]; it may jump, `t_s` may not.
-        reference_deg: wanted angle at the end of the sample [deg].
-        measured_deg: measured angle, NaN without a usable one [deg].
         command: command really sent, in the unit of the run's configuration; of the source `wait`, the one that the
             device reports, since nothing was sent.
-        source: origin: mpc, shifted plan, inverse, hold, stop, wait, return, await start, or a preparation step.
-        status: one line of explanation.
-        predicted_deg: angle predicted for the end of the sample, NaN without one [deg].
-        stages_s: name and duration of every stage, such as estimate, plan, total [s].
-        period_s: time since the previous sample's start [s].
-        lateness_s: delay of the sample's start after its deadline [s].
-        missed: whether the command was sent after the end of the sample.
-        faults: names of the faults in this sample.
-        sequence: number of the sample, counted from 0.
         taken_s: when the measured angle was taken, on the clock of `t_s`: earlier for a frame; NaN without one [s].
     """
 
-    t_s: float
-    wall_ns: int
-    reference_deg: float
-    measured_deg: float
+    t_s: float  # monotonic time since the start of the run [s]
+    wall_ns: int  # wall clock [ns since 1970]; it may jump, `t_s` may not
+    reference_deg: float  # wanted angle at the end of the sample [deg]
+    measured_deg: float  # measured angle, NaN without a usable one [deg]
     command: float
-    source: str
-    status: str
-    predicted_deg: float
-    stages_s: tuple[tuple[str, float], ...]
-    period_s: float
-    lateness_s: float
-    missed: bool
-    faults: tuple[str, ...]
-    sequence: int
+    source: str  # origin: mpc, shifted plan, inverse, hold, stop, wait, return, await start, or a preparation step
+    status: str  # one line of explanation
+    predicted_deg: float  # angle predicted for the end of the sample, NaN without one [deg]
+    stages_s: tuple[tuple[str, float], ...]  # name and duration of every stage, such as estimate, plan, total [s]
+    period_s: float  # time since the previous sample's start [s]
+    lateness_s: float  # delay of the sample's start after its deadline [s]
+    missed: bool  # whether the command was sent after the end of the sample
+    faults: tuple[str, ...]  # names of the faults in this sample
+    sequence: int  # number of the sample, counted from 0
     taken_s: float = math.nan
 
     def motion(self, command: str) -> dict[str, float]:

@@ -113,25 +113,20 @@ class Observation:
     """Checked measurements of one sample.
 
     Attributes:
-        angle_deg: the newest accepted angle, NaN where none is new.
-        faults: names of rejected or missing measurements.
-        dead: cause of a stop, empty without one.
         held: the command that the device holds, from a new reading that is not stale, whatever its angle; NaN without
             one, or where the device does not listen to this session.
-        follows: whether the device holds the commands sent lately; True where it does not report.
         frames: accepted in this sample, in the order of arrival; none of a continuous sensor.
-        age_s: of `angle_deg`: 0 of a continuous sensor, which shows the present [s].
         shown_deg: the newest angle that is not stale, accepted or not; NaN without one [deg]. Limits of the tip are
             judged by it: an implausible angle may be true.
     """
 
-    angle_deg: float
-    faults: tuple[str, ...]
-    dead: str
+    angle_deg: float  # the newest accepted angle, NaN where none is new
+    faults: tuple[str, ...]  # names of rejected or missing measurements
+    dead: str  # cause of a stop, empty without one
     held: float = math.nan
-    follows: bool = True
+    follows: bool = True  # whether the device holds the commands sent lately; True where it does not report
     frames: tuple[ObservedFrame, ...] = ()
-    age_s: float = 0.0
+    age_s: float = 0.0  # of `angle_deg`: 0 of a continuous sensor, which shows the present [s]
     shown_deg: float = math.nan
 
 

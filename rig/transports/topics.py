@@ -66,23 +66,14 @@ class TopicSettings(TransportBase):
 
 @dataclass(frozen=True, slots=True)
 class TopicMessage:
-    """A measurement on its topic.
+    """A measurement on its topic."""
 
-    Attributes:
-        data: raw angle.
-        sequence: the sender's count.
-        sent_ns: the sender's clock [ns].
-        session: of the sender; 0 without one.
-        held: raw command that the device holds; NaN where it does not report.
-        note: `frame_id`, empty without one.
-    """
-
-    data: float
-    sequence: int
-    sent_ns: int
-    session: int = 0
-    held: float = math.nan
-    note: str = ""
+    data: float  # raw angle
+    sequence: int  # the sender's count
+    sent_ns: int  # the sender's clock [ns]
+    session: int = 0  # of the sender; 0 without one
+    held: float = math.nan  # raw command that the device holds; NaN where it does not report
+    note: str = ""  # `frame_id`, empty without one
 
     @classmethod
     def of(cls, stamped: Any) -> Self:

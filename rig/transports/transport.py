@@ -104,16 +104,13 @@ class Outgoing:
 
     Attributes:
         angle, held: raw angle and held command.
-        sequence: rises by one a measurement.
-        stamp_ns: sender's clock [ns].
-        listens: whether commands are taken now, or a new greeting is needed first.
     """
 
     angle: float
     held: float
-    sequence: int
-    stamp_ns: int
-    listens: bool = True
+    sequence: int  # rises by one a measurement
+    stamp_ns: int  # sender's clock [ns]
+    listens: bool = True  # whether commands are taken now, or a new greeting is needed first
 
 
 Says = Literal["command", "greeting", "goodbye"]

@@ -100,14 +100,13 @@ class TrackedBench(Quantities, ABC):
         command_rate_hz: rate of command and log [Hz].
         rate_hz: rate of the trial, by linear interpolation [Hz].
         rest_s: rest between flexure and motion [s].
-        keep_flexure: leave flexure and rest in the trial.
     """
 
     tracker: EmTracker = field(default_factory=EmTracker)
     command_rate_hz: float = quantity(100.0, "Hz", 1.0, 10_000.0, "rate of command and log (S2's code)")
     rate_hz: float = quantity(25.0, "Hz", 1.0, 10_000.0, "rate of the trial (S2)")
     rest_s: float = quantity(2.0, "s", 0.0, 1000.0, "rest between flexure and motion")
-    keep_flexure: bool = False
+    keep_flexure: bool = False  # leave flexure and rest in the trial
 
     @abstractmethod
     def mounted(self, random: np.random.Generator) -> Device:

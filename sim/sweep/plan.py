@@ -30,23 +30,16 @@ _ID_DIGITS = 16
 
 @dataclass(frozen=True)
 class SweepRow:
-    """One closed-loop run.
+    """One closed-loop run."""
 
-    Attributes:
-        id: hash of settings and model files, 16 hexadecimal digits.
-        factors: varied settings by path: names of grid values, values of draws.
-        settings: the study with this controller and motion alone, as JSON.
-        files: SHA-256 of plant, model and inverse.
-    """
-
-    id: str
+    id: str  # hash of settings and model files, 16 hexadecimal digits
     controller: str
     motion: str
-    factors: Mapping[str, Any]
+    factors: Mapping[str, Any]  # varied settings by path: names of grid values, values of draws
     draw: int
     seed: int
-    settings: str
-    files: tuple[str, ...]
+    settings: str  # the study with this controller and motion alone, as JSON
+    files: tuple[str, ...]  # SHA-256 of plant, model and inverse
 
     def config(self) -> SimulationConfig:
         """The settings."""

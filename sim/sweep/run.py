@@ -40,7 +40,6 @@ class SweepOutcome:
 
     Attributes:
         failed, message: rows whose run failed, with the first error.
-        others: rows of the table outside this plan, made by an earlier form of the sweep.
     """
 
     table: Path
@@ -49,7 +48,7 @@ class SweepOutcome:
     kept: int
     failed: int
     message: str
-    others: int
+    others: int  # rows of the table outside this plan, made by an earlier form of the sweep
 
 
 def run_sweep(

@@ -33,17 +33,11 @@ State = Literal["done", "pruned", "failed", "elsewhere"]
 
 @dataclass(frozen=True)
 class PlantScore:
-    """Score of one controller on one plant over all motions.
+    """Score of one controller on one plant over all motions."""
 
-    Attributes:
-        error_deg: root mean square error [deg].
-        travel: command travel relative to the need of the motions; 1 is the least.
-        violations: samples beyond a limit.
-    """
-
-    error_deg: float
-    travel: float
-    violations: int
+    error_deg: float  # root mean square error [deg]
+    travel: float  # command travel relative to the need of the motions; 1 is the least
+    violations: int  # samples beyond a limit
 
 
 def plant_config(
@@ -200,21 +194,14 @@ class SlotOutcome:
 
 @dataclass(frozen=True)
 class SearchTrial:
-    """A trial of a search.
-
-    Attributes:
-        state: `done` or `pruned`.
-        value: robust objective over the plants so far [deg].
-        error_deg: robust objective of the errors alone [deg].
-        travel: mean command travel relative to the need.
-    """
+    """A trial of a search."""
 
     slot: int
-    state: State
-    value: float
+    state: State  # `done` or `pruned`
+    value: float  # robust objective over the plants so far [deg]
     values: Mapping[str, Any]
-    error_deg: float
-    travel: float
+    error_deg: float  # robust objective of the errors alone [deg]
+    travel: float  # mean command travel relative to the need
     plants: int
 
 
