@@ -39,7 +39,7 @@ from .identify import (
     subject_of,
 )
 from .motions import CONTROLLERS, SCANS_HZ, Budget, budget, directions, recordings
-from .phases import Bounded, Climb, ClimbResult, dash
+from .phases import Bounded, Climb, ClimbResult, Dash
 from .stages import Figure, Stages, begun, differing, fingerprint
 from .verify import MPC, Tracks, Verification, judge_tracks, load_tracks, track_all
 
@@ -263,7 +263,7 @@ def _ranged(settings: CommissionSettings, stages: Stages) -> CommandRange:
 def _dashed(
     bench: BenchSettings, end: float, device: Device, angle_limits: tuple[float, float] | None
 ) -> tuple[float, str]:
-    phase = dash(bench, end)
+    phase = Dash(bench, end)
     device.explore(f"{RANGE}/dash", Bounded(phase, angle_limits, bench.sensor), bench)
     rate, limit = float(f"{phase.rate_per_s:.4g}"), bench.limits.rate_per_s
     rate = min(rate, limit)

@@ -18,7 +18,7 @@ from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.types import Vec
 
 from .config import CommissionSettings
-from .phases import climb_seconds, dash
+from .phases import Dash, climb_seconds
 
 CONTROLLERS = ("mpc", "inverse", "pid")
 """What is verified, in the order of the runs along each motion."""
@@ -118,7 +118,7 @@ def budget(settings: CommissionSettings) -> Budget:
     whole, prepare = 60.0 * settings.commission.minutes, prepare_seconds(settings)
     ways = directions(settings)
     first = sum(climb_seconds(settings, end, settings.commission.range_steps) + away_seconds(settings) for end in ways)
-    first += dash(settings, ways[0]).seconds + away_seconds(settings)
+    first += Dash(settings, ways[0]).seconds + away_seconds(settings)
     left = whole - 3 * prepare - first
     ways_s = recordings_seconds(settings, 0.0)
     share = min((_RECORD_SHARE * left - ways_s) / WHOLE_S, 1.0)

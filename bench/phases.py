@@ -11,6 +11,7 @@ import numpy as np
 
 from hystmpc.rig.config import BenchSettings
 from hystmpc.rig.experiment.phases import Decision, Past, Phase, PhaseInput
+from hystmpc.rig.experiment.record import Recorded
 from hystmpc.rig.safety.intake import SensorSettings
 from hystmpc.rig.safety.plausibility import SMOOTH_S, MotionWatch
 from hystmpc.rig.safety.ramp import stop_commands, waypoint_commands
@@ -235,30 +236,21 @@ def climb_seconds(bench: BenchSettings, end: float, steps: int) -> float:
 
 
 @final
-class Dash(Phase):
-    """Dash there and back at the greatest rate, which measures the rate of a device that reports its command.
+class Dash(Recorded):
+    """Dash over half of the way to `end` and back, for at most 0.6 s at the greatest rate.
 
-    `commands` (N,) are to play, the first `there` of them on the way out, whose length is `span`.
+    It measures the rate of a device that reports its command.
     """
 
-    name = "dash"
-
-    def __init__(self, commands: Vec, there: int, span: float, bench: BenchSettings) -> None:
-        self._commands, self._there, self._span, self._bench = commands.tolist(), there, span, bench
-        self._reported: list[float] = []
-        self._k = 0
-
-    def begin(self, now: PhaseInput, past: Past) -> None:
-        del past
-        self._reported, self._k = [now.reported], 0
-
-    def step(self, now: PhaseInput) -> Decision:
-        """The next command; the reported command is recorded."""
-        if self._k:
-            self._reported.append(now.reported)
-        u = self._commands[min(self._k, len(self._commands) - 1)]
-        self._k += 1
-        return Decision(u, self.name, finished=self._k > len(self._commands))
+    def __init__(self, bench: BenchSettings, end: float) -> None:
+        safe, rate, dt = bench.safe_command, bench.limits.rate_per_s, bench.dt_s
+        span = math.copysign(min(_DASH_SHARE * abs(end - safe), _DASH_S * rate), end - safe)
+        moving = max(math.ceil(abs(span) / (rate * dt) - 1e-9), 1)
+        way = safe + span * np.minimum(np.arange(moving + 1) * rate * dt / abs(span), 1.0)
+        rest = round(2 * HOLD_S / dt)
+        there, back = np.append(way, np.full(rest, way[-1])), np.append(way[::-1], np.full(rest, safe))
+        super().__init__("dash", np.append(there, back), dt)
+        self._there, self._span, self._bench = there, span, bench
 
     @property
     def seconds(self) -> float:
@@ -268,15 +260,14 @@ class Dash(Phase):
     @property
     def tells(self) -> bool:
         """Whether the device reports the command that it holds."""
-        return bool(np.isfinite(self._reported).any())
+        return bool(np.isfinite(self.reported).any())
 
     @property
     def rate_per_s(self) -> float:
         """Rate to use: the limit where the device followed it or reports nothing, else 90 % of the measured rate."""
         limit = self._bench.limits.rate_per_s
-        reported = np.array(self._reported[1 : self._there + 1])
-        sent = np.array(self._commands[: self._there])
-        if not self.tells or not np.isfinite(reported).any():
+        sent, reported = self._there, np.array(self.reported[: self._there.size])
+        if not np.isfinite(reported).any():
             return limit
         lasts, wanted = _ten_to_ninety(reported, sent[0], self._span), _ten_to_ninety(sent, sent[0], self._span)
         if math.isnan(lasts):  # it did not even come to nine tenths of the way
@@ -286,18 +277,6 @@ class Dash(Phase):
         if lasts <= wanted + _FOLLOWS:
             return limit
         return _CAREFUL * min(limit, 0.8 * abs(self._span) / (lasts * self._bench.dt_s))
-
-
-def dash(bench: BenchSettings, end: float) -> Dash:
-    """Dash over half of the way to `end`, for at most 0.6 s at the greatest rate."""
-    safe, rate, dt = bench.safe_command, bench.limits.rate_per_s, bench.dt_s
-    span = math.copysign(min(_DASH_SHARE * abs(end - safe), _DASH_S * rate), end - safe)
-    moving = max(math.ceil(abs(span) / (rate * dt) - 1e-9), 1)
-    way = safe + span * np.minimum(np.arange(moving + 1) * rate * dt / abs(span), 1.0)
-    rest = round(2 * HOLD_S / dt)
-    there = np.concatenate([way, np.full(rest, way[-1])])
-    back = np.concatenate([way[::-1], np.full(rest, safe)])
-    return Dash(np.concatenate([there, back]), there.size, span, bench)
 
 
 def _ten_to_ninety(values: Vec, start: float, span: float) -> float:

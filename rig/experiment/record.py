@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Annotated, ClassVar, Literal, final
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -53,9 +53,8 @@ _BETWEEN_FRAMES = (
 )
 
 
-@final
 class Recorded(Phase):
-    """Phase that plays commands (N,) and records the commands sent and the angles measured.
+    """Phase that plays commands (N,) and records the commands sent and reported, and the angles measured.
 
     An angle belongs to the end of its sample: it is read at the beginning of the next one, so the last command is held
     for one sample more. A frame belongs to the sample at whose end it was taken; the last command is held for `late`
@@ -72,6 +71,7 @@ class Recorded(Phase):
         self._dt, self._late = dt_s, late
         self._commands = commands.tolist()
         self.sent = [math.nan] * commands.size
+        self.reported = [math.nan] * commands.size
         self.angles_deg = [math.nan] * commands.size
         self.times = [math.nan] * commands.size
         self._k, self._skipped = 0, 0
@@ -86,7 +86,7 @@ class Recorded(Phase):
         self._skipped += now.skipped
         count = len(self._commands)
         if 0 < k <= count:
-            self.sent[k - 1] = now.held
+            self.sent[k - 1], self.reported[k - 1] = now.held, now.reported
             self.angles_deg[k - 1] = now.angle_deg if self._late is None else math.nan
             self.times[k - 1] = k + self._skipped
         for frame in now.frames:

@@ -18,7 +18,7 @@ from hystmpc.trials.errors import ConfigError
 
 from ..transports.udp import is_loopback
 from .desk import MOST_BYTES, Controls
-from .state import LiveSnapshot, LiveView
+from .state import LiveState, LiveView
 
 _MOST_CLIENTS = 200  # the oldest that is no stream gives way to the next one
 _LEAST_CLIENTS = 16
@@ -370,15 +370,15 @@ class LivePage(LiveView):
         super().close()
         self._server.close()
 
-    def _show(self, snapshot: LiveSnapshot) -> None:
-        self._server.publish(json.dumps(message(snapshot, self._unit, self._rate_hz), allow_nan=False).encode())
+    def _show(self, state: LiveState) -> None:
+        self._server.publish(json.dumps(message(state, self._unit, self._rate_hz), allow_nan=False).encode())
 
 
-def message(snapshot: LiveSnapshot, unit: str, rate_hz: float) -> dict[str, Any]:
+def message(state: LiveState, unit: str, rate_hz: float) -> dict[str, Any]:
     """Message to the browsers: figures, and the curves of the last 20 s."""
-    last = snapshot.last
+    last = state.last
     timings = {}
-    for name, histogram in (("late", snapshot.late), ("work", snapshot.total)):
+    for name, histogram in (("late", state.late), ("work", state.total)):
         figures = histogram.summary()
         counts = histogram.counts.reshape(50, -1).sum(axis=1).tolist()
         timings[name] = {
@@ -387,21 +387,21 @@ def message(snapshot: LiveSnapshot, unit: str, rate_hz: float) -> dict[str, Any]
             "p99_ms": _number(1e3 * figures.p99_s),
             "greatest_ms": _number(1e3 * figures.greatest_s),
         }
-    curves = {"t": snapshot.t, "reference": snapshot.reference, "angle": snapshot.angle, "command": snapshot.command}
+    curves = {"t": state.t, "reference": state.reference, "angle": state.angle, "command": state.command}
     return {
         "unit": unit,
         "rate_hz": rate_hz,
-        "real_rate_hz": _number(snapshot.rate_hz),
+        "real_rate_hz": _number(state.rate_hz),
         "t_s": _number(last.t_s),
         "angle_deg": _number(last.measured_deg),
         "reference_deg": _number(last.reference_deg),
-        "rms_deg": _number(snapshot.rms_deg),
+        "rms_deg": _number(state.rms_deg),
         "command": _number(last.command),
         "source": str(last.source),
         "status": str(last.status),
-        "missed": snapshot.missed,
-        "faults": [[str(k), count, _number(last.t_s - snapshot.fault_s[k])] for k, count in snapshot.faults.items()],
-        "notes": list(snapshot.notes),
+        "missed": state.missed,
+        "faults": [[str(k), count, _number(last.t_s - state.fault_s[k])] for k, count in state.faults.items()],
+        "notes": list(state.notes),
         "timing": timings,
         "curves": {name: [_number(value) for value in values.tolist()] for name, values in curves.items()},
     }
