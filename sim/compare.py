@@ -86,12 +86,12 @@ def compare(config: SimulationConfig, out: Path | str | None = None, progress: P
         if folder is not None and not results:
             _take_back(folder.path)
         raise
-    found = StudyResult(study.config, tuple(results), {} if folder is None else folder.meta, study.warnings())
+    done = StudyResult(study.config, tuple(results), {} if folder is None else folder.meta, study.warnings())
     if folder is not None:
         reporting(0, 1, "writing the report")
-        folder.write_report(study_report(found))
+        folder.write_report(study_report(done))
         reporting(1, 1, "writing the report")
-    return found
+    return done
 
 
 def _expected_s(study: Study) -> tuple[float, float, float]:
@@ -315,8 +315,8 @@ def _set_up(result: StudyResult) -> Iterator[Piece]:
     yield KeyValues(rows)
     gains = [_gains(name, s) for name, s in config.controllers.items() if isinstance(s, _WITH_GAINS)]
     if gains:
-        found = ", ".join(config.tuned)
-        note = f" Found by search on this plant and these motions: {found}." if found else ""
+        tuned = ", ".join(config.tuned)
+        note = f" Found by search on this plant and these motions: {tuned}." if tuned else ""
         columns = ("controller", f"kp [{unit}/deg]", f"ki [{unit}/(deg s)]", f"kd [{unit} s/deg]", "dead zone [deg]")
         yield Table(columns, gains, f"PID gains.{note}")
 
@@ -360,14 +360,14 @@ def _stability(result: StudyResult) -> Iterator[Piece]:
     except ModelError as error:
         yield Paragraph(f"Not analysed: {error}")
         return
-    found = [(name, analyse_pid(model, s.gains, limits_of(config, name), delay)) for name, s in with_gains.items()]
+    analyses = [(name, analyse_pid(model, s.gains, limits_of(config, name), delay)) for name, s in with_gains.items()]
     columns = ("controller", "prediction", "frequency [Hz]", "angle [deg]", f"command [{unit}]", "greatest loop gain")
     caption = (
         "By harmonic balance of the controller with the describing function of the identified model, the lag and delay "
         "that controllers are told of included; amplitudes about the middle of the command. Below a loop gain of 1 at "
         "-180 degrees nothing oscillates; near 1 the method is uncertain."
     )
-    yield Table(columns, [_loop_row(name, analysis) for name, analysis in found], caption)
+    yield Table(columns, [_loop_row(name, analysis) for name, analysis in analyses], caption)
 
 
 def _identified(result: StudyResult) -> Predictor:

@@ -108,8 +108,8 @@ class Processes(Backend):
         """Results of one pool; `pending` holds what has been requested and not returned."""
         # Not forked: torch's and numba's threads do not survive a fork.
         context = multiprocessing.get_context("spawn")
-        with _safe_path(), _compilation_told(context) as told:
-            pool = ProcessPoolExecutor(self.workers, context, prepare_worker, (told,))
+        with _safe_path(), _compilation_reports(context) as reports:
+            pool = ProcessPoolExecutor(self.workers, context, prepare_worker, (reports,))
             yield from self._asked(pool, function, items, pending)
 
     def _asked(
@@ -149,17 +149,17 @@ def _safe_path() -> Iterator[None]:
 
 
 @contextmanager
-def _compilation_told(context: SpawnContext) -> Iterator[Connection]:
+def _compilation_reports(context: SpawnContext) -> Iterator[Connection]:
     """Pipe by which workers report what they compile; this process informs its own observers."""
     ears, mouth = context.Pipe(duplex=False)
-    over, found = threading.Event(), dict[int, Compilation]()
+    over, latest = threading.Event(), dict[int, Compilation]()
 
     def listen() -> None:
         while not over.is_set():
             if ears.poll(_LISTENS_S):
-                worker, told = ears.recv()
-                found[worker] = told
-                PROCESS.tell(joint(found.values()))
+                worker, compilation = ears.recv()
+                latest[worker] = compilation
+                PROCESS.tell(joint(latest.values()))
 
     listener = threading.Thread(target=listen, name="compilation of workers", daemon=True)
     listener.start()
@@ -168,8 +168,8 @@ def _compilation_told(context: SpawnContext) -> Iterator[Connection]:
     finally:
         over.set()
         listener.join()
-        if found:
-            PROCESS.tell(replace(joint(found.values()), busy=False))  # whatever a worker was at, it is gone
+        if latest:
+            PROCESS.tell(replace(joint(latest.values()), busy=False))  # whatever a worker was at, it is gone
         mouth.close()
         ears.close()
 
@@ -189,20 +189,19 @@ def _end(children: Iterable[BaseProcess]) -> None:
         child.terminate()
 
 
-def prepare_worker(told: Connection | None = None) -> None:
+def prepare_worker(reports: Connection | None = None) -> None:
     """Limit the worker to one thread; it ignores Ctrl-C, which is for the main process.
 
-    `told` is the pipe for reports of compilation. A line is shorter than what a pipe takes whole, so workers can share
-    it.
+    `reports` is the pipe for reports of compilation, whose lines are short enough to be written whole by each worker.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     os.environ.update(dict.fromkeys(THREADS, "1"))  # for libraries that are loaded later
     threadpool_limits(limits=1)
-    if told is not None:
+    if reports is not None:
 
-        def tell(found: Compilation) -> None:
+        def tell(compilation: Compilation) -> None:
             with suppress(OSError):  # nobody listens any more
-                told.send((os.getpid(), found))
+                reports.send((os.getpid(), compilation))
 
         PROCESS.observers.append(tell)
 

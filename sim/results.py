@@ -244,9 +244,9 @@ def conclusion(result: StudyResult) -> str:
     """
     errors: dict[str, float] = {}
     for name in result.controllers:
-        found = [run.metrics.rmse_deg for run in result.results if run.controller == name]
-        if len(found) == len(result.motions):
-            errors[name] = math.sqrt(sum(value**2 for value in found) / len(found))
+        rmse_deg = [run.metrics.rmse_deg for run in result.results if run.controller == name]
+        if len(rmse_deg) == len(result.motions):
+            errors[name] = math.sqrt(sum(value**2 for value in rmse_deg) / len(rmse_deg))
     if len(errors) < 2:
         return ""
     best = min(errors, key=errors.__getitem__)
@@ -258,8 +258,8 @@ def conclusion(result: StudyResult) -> str:
         return f"{said}."
     rival = min(rivals, key=errors.__getitem__)
     sort = "with prediction" if predicts[rival] else "without prediction"
-    less = 100 * (1 - errors[best] / errors[rival])
-    return f"{said}, {less:.0f} % less than the best {sort} ({rival}, {errors[rival]:.3g} deg)."
+    percent = 100 * (1 - errors[best] / errors[rival])
+    return f"{said}, {percent:.0f} % less than the best {sort} ({rival}, {errors[rival]:.3g} deg)."
 
 
 def approach_sentence(result: StudyResult) -> str:

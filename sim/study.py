@@ -76,8 +76,8 @@ class Study:
     def warnings(self) -> tuple[str, ...]:
         """Angles of the motions beyond the reach of the model, a sentence each."""
         reach = angles_at_rest(self.model.predictive[0], self.limits, self.plant.true_angle)
-        found = {name: beyond_reach(_angles(motion), reach) for name, motion in self.motions.items()}
-        return tuple(f"{name} {beyond}." for name, beyond in found.items() if beyond)
+        sentences = {name: beyond_reach(_angles(motion), reach) for name, motion in self.motions.items()}
+        return tuple(f"{name} {beyond}." for name, beyond in sentences.items() if beyond)
 
     def steps(self, motion: str) -> int:
         """Samples that a motion takes."""

@@ -120,9 +120,9 @@ def sensors_at_rest(sensors: Sequence[Sensor], angle: float, seed: int) -> Vec:
     return np.concatenate([np.empty(0), *states])
 
 
-def _mixed(own: int, seed: int, k: int) -> int:
+def _mixed(sensor_seed: int, seed: int, k: int) -> int:
     """A seed for sensor number `k`; the generator mixes neighbouring seeds itself."""
-    return (own + 1_000_003 * (seed + 7919 * k)) % 2**63
+    return (sensor_seed + 1_000_003 * (seed + 7919 * k)) % 2**63
 
 
 _SETTLED = 20.0  # time constants after which nothing is left of a step: e^-20 of 100 deg is 2e-7 deg
@@ -153,11 +153,11 @@ def still(chain: Chain) -> Vec:
 
 def clocks(chain: Chain) -> NDArray[np.bool_]:
     """Mask of the state's entries that are clocks."""
-    found = []
+    mask = []
     for operator in chain.operators:
         effect = EFFECTS.get(operator.name)
-        found += [effect is not None and name in effect.clocks for name in operator.states]
-    return np.array(found, dtype=bool)
+        mask += [effect is not None and name in effect.clocks for name in operator.states]
+    return np.array(mask, dtype=bool)
 
 
 @final

@@ -97,8 +97,8 @@ def plant_simulator(simulator: Simulator, effects: Effects, dt_s: float) -> Simu
     Lag and delay of the actuator stand in front, effects of the library on either side after the existing ones.
     """
     chain = mismatched(simulator.chain, effects.mismatch)
-    own = tuple(operator for operator in chain.after if not isinstance(operator, Sensor))
-    chain = replace(chain, before=(*effects.actuator, *chain.before), after=own)
+    after = tuple(operator for operator in chain.after if not isinstance(operator, Sensor))
+    chain = replace(chain, before=(*effects.actuator, *chain.before), after=after)
     for placed in effects.placed:
         chain = with_effect(chain, placed.operator, placed.side)
     return replace(simulator, chain=chain).at_sample_time(dt_s)
@@ -150,8 +150,8 @@ class SimulatedPlant(ComputedPlant):
         self._model = CompiledPredictor.of_simulator(self.simulator)
         self._rest = (fresh if effects.virgin else conditioned)(self.simulator, commands)
         self.command_limits = simulator.command_limits
-        own = tuple(o for o in simulator.chain.after if isinstance(o, Sensor))
-        super().__init__(dt_s, rest_of(simulator, commands), simulator.command_unit, effects.sensing(own), seed)
+        sensors = tuple(o for o in simulator.chain.after if isinstance(o, Sensor))
+        super().__init__(dt_s, rest_of(simulator, commands), simulator.command_unit, effects.sensing(sensors), seed)
 
     def __repr__(self) -> str:
         return in_brief(self, repr(self.simulator))

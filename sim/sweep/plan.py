@@ -149,13 +149,13 @@ class SweepPlan:
 
     def _blamed(self, at: Sequence[str]) -> tuple[str, ...]:
         """Entry of the sweep with the longest path to a setting; marks of validators between are skipped."""
-        found: tuple[int, tuple[str, ...]] = (0, ("base", *at))
+        longest: tuple[int, tuple[str, ...]] = (0, ("base", *at))
         for block, paths in (("grid", self.settings.grid), ("draw", self.settings.draw)):
             for path in paths:
                 parts, left = path_parts(path), iter(at)
-                if len(parts) > found[0] and all(part in left for part in parts):
-                    found = len(parts), (block, path)
-        return found[1]
+                if len(parts) > longest[0] and all(part in left for part in parts):
+                    longest = len(parts), (block, path)
+        return longest[1]
 
 
 def _rows(config: SimulationConfig, factors: Mapping[str, Any], number: int, hashes: Hashes) -> Iterator[SweepRow]:

@@ -84,10 +84,10 @@ def run_sweep(
             return row.id in done
 
         try:
-            for found in run_jobs(
+            for row_done in run_jobs(
                 run_row, plan.rows(), backend, is_done=is_done, total=total, progress=progress, note=lambda r: r["id"]
             ):
-                table.add(found)
+                table.add(row_done)
         finally:
             copy = table.copy(columns_of(plan))
         if copy is None:
@@ -154,9 +154,9 @@ def reproduce(folder: Path | str, identity: str, out: Path | str | None = None) 
         metrics = compare(config, out).results[0].metrics
     else:
         metrics, _ = run_settings(config)
-    again = metrics_columns(metrics)
+    repeated = metrics_columns(metrics)
     before = {name: math.nan if row[name] is None else row[name] for name in RESULT_COLUMNS}
-    return tuple(ReproducedFigure(name, before[name], again[name]) for name in RESULT_COLUMNS)
+    return tuple(ReproducedFigure(name, before[name], repeated[name]) for name in RESULT_COLUMNS)
 
 
 def _row(folder: Path, identity: str) -> dict[str, Any]:

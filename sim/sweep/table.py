@@ -113,8 +113,8 @@ def rows_of(folder: Path, prefix: str = "", *, settings: bool = False) -> Iterat
     query = f"SELECT id, status, {text}, figures FROM runs WHERE substr(id, 1, ?) = ? ORDER BY rowid"
     with _opened(folder) as base:
         for identity, status, held, figures in base.execute(query, (len(prefix), prefix)):
-            own = {"settings": held} if settings else {}
-            yield {"id": identity, "status": status, **json.loads(figures), **own}
+            more = {"settings": held} if settings else {}
+            yield {"id": identity, "status": status, **json.loads(figures), **more}
 
 
 def table_of(folder: Path, names: Iterable[str]) -> dict[str, Column]:

@@ -87,7 +87,7 @@ def searched_gains(
             progress(min(done, total), total)
         return mean_square(with_gains(settings, x))
 
-    found: OptimizeResult = differential_evolution(
+    optimum: OptimizeResult = differential_evolution(
         cost,
         bounds,
         x0=np.clip(_point(settings), *bounds.T),
@@ -98,7 +98,9 @@ def searched_gains(
         rng=np.random.default_rng(seed),
     )
     start = mean_square(settings)
-    return PidTuning(with_gains(settings, found.x), float(np.sqrt(found.fun)), float(np.sqrt(start)), int(found.nfev))
+    return PidTuning(
+        with_gains(settings, optimum.x), float(np.sqrt(optimum.fun)), float(np.sqrt(start)), int(optimum.nfev)
+    )
 
 
 def tuned_study(study: Study, progress: Progress | None = None) -> Study:
@@ -106,16 +108,16 @@ def tuned_study(study: Study, progress: Progress | None = None) -> Study:
     if study.config.tune_pid is None:
         return study
     chosen = {name: s for name, s in study.config.controllers.items() if isinstance(s, PidLike)}
-    found: dict[str, AnyControllerSettings] = {}
+    tuned: dict[str, AnyControllerSettings] = {}
     for k, (name, settings) in enumerate(chosen.items()):
 
         def overall(done: float, total: float, note: str = "", before: int = k) -> None:
             if progress is not None:
                 progress(before * total + done, len(chosen) * total, note)
 
-        found[name] = tuned_gains(study, settings, overall).settings
-    controllers = {**study.config.controllers, **found}
-    changes = {"controllers": controllers, "tune_pid": None, "tuned": tuple(found)}
+        tuned[name] = tuned_gains(study, settings, overall).settings
+    controllers = {**study.config.controllers, **tuned}
+    changes = {"controllers": controllers, "tune_pid": None, "tuned": tuple(tuned)}
     return replace(study, config=study.config.model_copy(update=changes))
 
 

@@ -167,10 +167,10 @@ def held_out(
     """Scores of given and tuned settings on every held-out plant."""
     cases = [(name, number) for number in range(settings.held_out.count) for name in _NAMES]
     scored = partial(_held_out_score, settings, values)
-    found = dict(
+    scores = dict(
         run_jobs(scored, cases, backend, total=len(cases), progress=progress, note=lambda _: "held-out plants")
     )
-    given, tuned = (tuple(found[name, number] for number in range(settings.held_out.count)) for name in _NAMES)
+    given, tuned = (tuple(scores[name, number] for number in range(settings.held_out.count)) for name in _NAMES)
     return HeldOut(given, tuned, settings.objective)
 
 

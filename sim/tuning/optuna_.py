@@ -100,15 +100,15 @@ def run_slot(settings: TuneSettings, storage: str, slot: int) -> SlotOutcome:
 
 def trials_of(storage: str, name: str) -> tuple[SearchTrial, ...]:
     """All finished trials, by slot."""
-    found = {}
+    trials = {}
     for trial in open_search(storage, name).get_trials(deepcopy=False):
         if trial.state in _ENDED and all(key in trial.user_attrs for key in ("slot", "values", *_FIGURES)):
             attrs = trial.user_attrs
             state: State = "done" if trial.state is TrialState.COMPLETE else "pruned"
             seen = trial.value if state == "done" else trial.intermediate_values[max(trial.intermediate_values)]
             figures = (attrs["error_deg"], attrs["travel"], int(attrs["plants"]))
-            found[attrs["slot"]] = SearchTrial(attrs["slot"], state, float(seen or 0.0), attrs["values"], *figures)
-    return tuple(found[slot] for slot in sorted(found))
+            trials[attrs["slot"]] = SearchTrial(attrs["slot"], state, float(seen or 0.0), attrs["values"], *figures)
+    return tuple(trials[slot] for slot in sorted(trials))
 
 
 def _value(settings: TuneSettings, study: optuna.Study, trial: optuna.Trial, slot: int) -> float:

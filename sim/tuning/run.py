@@ -79,11 +79,11 @@ def run_tuning(
             raise FitError(f"{folder.path}: no trial came to an end ({reason})")
         best = min(done, key=lambda trial: (trial.value, trial.slot))
         check = held_out(settings, dict(best.values), backend, checking)
-        found = Tuning(settings, trials, best, check, failed)
+        tuning = Tuning(settings, trials, best, check, failed)
         reporting(0, 1, "writing the report")
-        _write(folder, found)
+        _write(folder, tuning)
         reporting(1, 1, "writing the report")
-    return found
+    return tuning
 
 
 def search(
@@ -143,35 +143,35 @@ def _changed(before: TuneSettings, now: TuneSettings) -> list[str]:
     return [name for name in new if name not in ("trials", "held_out") and old[name] != new[name]]
 
 
-def _write(folder: RunFolder, found: Tuning) -> None:
-    settings, check = found.settings, found.check
-    tuned = settings.with_values(dict(found.best.values))
-    head = f"# Tuned by hystmpc over {settings.plants.count} plants: trial {found.best.slot} of {settings.trials}.\n"
+def _write(folder: RunFolder, tuning: Tuning) -> None:
+    settings, check = tuning.settings, tuning.check
+    tuned = settings.with_values(dict(tuning.best.values))
+    head = f"# Tuned by hystmpc over {settings.plants.count} plants: trial {tuning.best.slot} of {settings.trials}.\n"
     write_atomically(folder.path / "controller.yaml", head + dump_yaml(tuned.model_dump(mode="json")))
     study = settings.study.model_copy(update={"controllers": {"given": settings.given, "tuned": tuned}})
     write_atomically(folder.path / "study.yaml", dump_yaml(study.model_dump(mode="json")))
     paths = list(settings.search)
     columns: dict[str, Any] = {
-        "slot": np.array([trial.slot for trial in found.trials]),
-        "state": tuple(trial.state for trial in found.trials),
-        "objective_deg": np.array([trial.value for trial in found.trials]),
-        "error_deg": np.array([trial.error_deg for trial in found.trials]),
-        "travel": np.array([trial.travel for trial in found.trials]),
-        "plants": np.array([trial.plants for trial in found.trials]),
-        **{path: tuple(str(trial.values[path]) for trial in found.trials) for path in paths},
+        "slot": np.array([trial.slot for trial in tuning.trials]),
+        "state": tuple(trial.state for trial in tuning.trials),
+        "objective_deg": np.array([trial.value for trial in tuning.trials]),
+        "error_deg": np.array([trial.error_deg for trial in tuning.trials]),
+        "travel": np.array([trial.travel for trial in tuning.trials]),
+        "plants": np.array([trial.plants for trial in tuning.trials]),
+        **{path: tuple(str(trial.values[path]) for trial in tuning.trials) for path in paths},
     }
     write_atomically(folder.path / "trials.csv", format_table(columns))
     write_atomically(folder.path / "held_out.csv", format_table(check.columns()))
-    folder.write_report(tuning_report(found, folder.meta))
+    folder.write_report(tuning_report(tuning, folder.meta))
 
 
 _COLUMNS = ("settings", "objective [deg]", "mean error [deg]", "worst plant [deg]", "travel", "plants with violations")
 _PER_ROW = 3
 
 
-def tuning_report(found: Tuning, meta: Mapping[str, Any]) -> Report:
+def tuning_report(tuning: Tuning, meta: Mapping[str, Any]) -> Report:
     """The page of a tuning."""
-    settings, check = found.settings, found.check
+    settings, check = tuning.settings, tuning.check
     low, high = check.interval()
     verdict = (
         f"On {len(check.given)} plants that the search has not seen the objective falls by {100 * check.gain:.1f} % "
@@ -181,29 +181,29 @@ def tuning_report(found: Tuning, meta: Mapping[str, Any]) -> Report:
         Heading("Plants not seen"),
         Paragraph(verdict),
         Table(_COLUMNS, check.rows(), "Error: RMSE of the true tip angle over all motions. Travel: over the need."),
-        Plot(found.plot(), "Cost of every held-out plant; below the line the tuned settings win."),
+        Plot(tuning.plot(), "Cost of every held-out plant; below the line the tuned settings win."),
         Heading("Settings found"),
-        _values(found),
+        _values(tuning),
         Heading("Search"),
-        KeyValues(_facts(found, meta)),
-        Plot(_history(found.trials), "Every trial over the plants it has seen; line: best of the whole ones."),
+        KeyValues(_facts(tuning, meta)),
+        Plot(_history(tuning.trials), "Every trial over the plants it has seen; line: best of the whole ones."),
         Heading("Error against effort"),
-        Plot(_front(found.trials, found.best), "Trials that saw all plants; line: no other has both less."),
-        _front_table(found),
+        Plot(_front(tuning.trials, tuning.best), "Trials that saw all plants; line: no other has both less."),
+        _front_table(tuning),
         Heading("By setting"),
-        Plot(_slices(found), "Objective over every searched setting; vertical: the setting taken."),
+        Plot(_slices(tuning), "Objective over every searched setting; vertical: the setting taken."),
     ]
-    if found.failed:
-        rows = [(outcome.slot, outcome.message) for outcome in found.failed]
+    if tuning.failed:
+        rows = [(outcome.slot, outcome.message) for outcome in tuning.failed]
         pieces.append(Table(("trial", "error"), rows, "Trials that raised; the same command tries them again."))
     return Report(f"Tuning of {settings.controller}", tuple(pieces), f"{settings.given.kind}, simulated plants")
 
 
-def _facts(found: Tuning, meta: Mapping[str, Any]) -> dict[str, object]:
-    settings, objective = found.settings, found.settings.objective
-    pruned = sum(trial.state == "pruned" for trial in found.trials)
+def _facts(tuning: Tuning, meta: Mapping[str, Any]) -> dict[str, object]:
+    settings, objective = tuning.settings, tuning.settings.objective
+    pruned = sum(trial.state == "pruned" for trial in tuning.trials)
     return {
-        "trials": f"{len(found.trials)} of {settings.trials}, {pruned} of them pruned",
+        "trials": f"{len(tuning.trials)} of {settings.trials}, {pruned} of them pruned",
         "plants": f"{settings.plants.count} to search on, {settings.held_out.count} held out",
         "drawn": ", ".join(settings.draw),
         "objective": f"{objective.mean:g} x mean + {objective.tail:g} x worst {100 * objective.tail_share:g} %",
@@ -213,11 +213,11 @@ def _facts(found: Tuning, meta: Mapping[str, Any]) -> dict[str, object]:
     }
 
 
-def _values(found: Tuning) -> Table:
-    given = found.settings.given.model_dump(mode="json")
+def _values(tuning: Tuning) -> Table:
+    given = tuning.settings.given.model_dump(mode="json")
     rows = []
-    for path, value in found.best.values.items():
-        one = found.settings.search[path]
+    for path, value in tuning.best.values.items():
+        one = tuning.settings.search[path]
         rows.append(
             (
                 path,
@@ -226,7 +226,7 @@ def _values(found: Tuning) -> Table:
                 " to ".join(f"{end}" for end in one.ends[:: max(1, len(one.ends) - 1)]),
             )
         )
-    return Table(("setting", "given", "tuned", "searched"), rows, f"Trial {found.best.slot}; controller.yaml has all.")
+    return Table(("setting", "given", "tuned", "searched"), rows, f"Trial {tuning.best.slot}; controller.yaml has all.")
 
 
 def _history(trials: tuple[SearchTrial, ...]) -> Figure:
@@ -260,25 +260,25 @@ def _front(trials: tuple[SearchTrial, ...], best: SearchTrial) -> Figure:
     return figure
 
 
-def _front_table(found: Tuning) -> Table:
-    paths = list(found.settings.search)
-    rows = [(t.slot, t.error_deg, t.travel, *(t.values[path] for path in paths)) for t in pareto_front(found.trials)]
+def _front_table(tuning: Tuning) -> Table:
+    paths = list(tuning.settings.search)
+    rows = [(t.slot, t.error_deg, t.travel, *(t.values[path] for path in paths)) for t in pareto_front(tuning.trials)]
     return Table(("trial", "robust error [deg]", "travel", *paths), rows, "The front; `trials.csv` has all trials.")
 
 
-def _slices(found: Tuning) -> Figure:
-    paths = list(found.settings.search)
-    done = [trial for trial in found.trials if trial.state == "done"]
+def _slices(tuning: Tuning) -> Figure:
+    paths = list(tuning.settings.search)
+    done = [trial for trial in tuning.trials if trial.state == "done"]
     lines = -(-len(paths) // _PER_ROW)
     with new_figure(7.0, 0.3 + 1.9 * lines) as figure:
         grid = figure.subplots(lines, _PER_ROW, sharey=True, squeeze=False)
         for axes, path in zip(grid.ravel(), paths, strict=False):
-            one = found.settings.search[path]
+            one = tuning.settings.search[path]
             value = (lambda v: v) if one.choice is None else str
             shown = [t for t in done if t.values[path] is not None]  # settings that were left out have no number
             axes.plot([value(t.values[path]) for t in shown], [t.value for t in shown], "o", color=MEASURED, ms=3)
-            if found.best.values[path] is not None:
-                axes.axvline(value(found.best.values[path]), color=MODEL, lw=1.0)
+            if tuning.best.values[path] is not None:
+                axes.axvline(value(tuning.best.values[path]), color=MODEL, lw=1.0)
             axes.set_xlabel(path.rpartition(".")[2], fontsize=7.0)
             axes.set(yscale="log")
             plain_log(axes.yaxis)

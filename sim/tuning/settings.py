@@ -186,7 +186,7 @@ def complete(settings: TuneSettings, path: Path) -> TuneSettings:
         study = study.model_copy(update={"tune_pid": None})
     name = _chosen(settings.controller, study, path)
     alone = study.model_copy(update={"controllers": {name: study.controllers[name]}, "tuned": ()})
-    found = settings.model_copy(
+    completed = settings.model_copy(
         update={
             "base": alone.model_dump(mode="json"),
             "controller": name,
@@ -194,8 +194,8 @@ def complete(settings: TuneSettings, path: Path) -> TuneSettings:
             "draw": settings.draw or default_draws(alone.plant),
         }
     )
-    _check(found, path)
-    return found
+    _check(completed, path)
+    return completed
 
 
 def _chosen(name: str | None, study: SimulationConfig, path: Path) -> str:
