@@ -182,17 +182,11 @@ class OperatorCascade:
             return np.empty(0)
         return np.asarray(self._chain.rest(signal, signal, self._chain.values), dtype=np.float64).ravel()
 
-    def run(self, state: Vec, signal: Vec) -> tuple[Vec, Vec]:
-        """Output for a signal (T,), and the state after it."""
-        return (
-            (signal, state) if self._chain is None else run_chain(self._chain, self._dt_s, state, signal, self._kernels)
-        )
-
-    def settle(self, state: Vec, signal: Vec) -> tuple[Vec, Vec]:
-        """Output and state as of `run`, with clock-driven effects frozen and their clocks at zero afterwards."""
+    def run(self, state: Vec, signal: Vec, settle: bool = False) -> tuple[Vec, Vec]:
+        """Output for a signal (T,), and the state after it; `settle` as of `run_chain`."""
         if self._chain is None:
             return signal, state
-        return run_chain(self._chain, self._dt_s, state, signal, self._kernels, settle=True)
+        return run_chain(self._chain, self._dt_s, state, signal, self._kernels, settle)
 
 
 def run_chain(

@@ -86,9 +86,9 @@ class DevicePlant(ComputedPlant):
             wave = flexure(np.arange(0.0, flexure.duration_s, self.dt))
             span = self._commands.upper - self._commands.lower
             commands = np.concatenate([self._commands.lower + span * wave / wave.max(), commands])
-        sent, before = self._before.settle(self._before.at_rest(self._commands.lower), commands)
+        sent, before = self._before.run(self._before.at_rest(self._commands.lower), commands, settle=True)
         done = self._device.advance(self._device.virgin(), sent, self.dt, random)
-        shown, after = self._after.settle(self._after.at_rest(float(done.angle[0])), done.angle)
+        shown, after = self._after.run(self._after.at_rest(float(done.angle[0])), done.angle, settle=True)
         return float(shown[-1]), DeviceState(before, done.state, after)
 
     def _advanced(self, state: DeviceState, u: float, random: np.random.Generator) -> tuple[float, DeviceState]:

@@ -46,26 +46,18 @@ class SweepRow:
         return SimulationConfig.parse(json.loads(self.settings), f"row {self.id}")
 
 
-class Hashes:
-    """SHA-256 of model files and of a device's numbers, each computed once."""
+def file_hashes(config: SimulationConfig, known: dict[str, str] | None = None) -> tuple[str, ...]:
+    """SHA-256 of plant, model and inverse; `known` stores those of files by name."""
+    known = {} if known is None else known
 
-    def __init__(self) -> None:
-        self._known: dict[str, str] = {}
+    def of(name: str) -> str:
+        if name not in known:
+            known[name] = file_hash(model_path(name))
+        return known[name]
 
-    def of(self, config: SimulationConfig) -> tuple[str, ...]:
-        """Hashes of plant, model and inverse."""
-        device = config.plant.simulator
-        plant = plant_hash(config.plant) if device is None else self._hash(device)
-        return (plant, *self.of_models(config))
-
-    def of_models(self, config: SimulationConfig) -> tuple[str, ...]:
-        """Hashes of model and inverse."""
-        return tuple(self._hash(name) for name in (config.model, config.inverse) if name is not None)
-
-    def _hash(self, name: str) -> str:
-        if name not in self._known:
-            self._known[name] = file_hash(model_path(name))
-        return self._known[name]
+    simulator = config.plant.simulator
+    plant = plant_hash(config.plant) if simulator is None else of(simulator)
+    return (plant, *(of(name) for name in (config.model, config.inverse) if name is not None))
 
 
 @dataclass(frozen=True)
@@ -84,7 +76,8 @@ class SweepPlan:
 
     def rows(self) -> Iterator[SweepRow]:
         """Rows of the plan, without duplicates."""
-        settings, hashes, seen = self.settings, Hashes(), set()
+        settings, seen = self.settings, set()
+        hashes: dict[str, str] = {}
         for point in self.grid:
             at_point = self._at(point)
             for number in range(settings.count):
@@ -158,8 +151,10 @@ class SweepPlan:
         return longest[1]
 
 
-def _rows(config: SimulationConfig, factors: Mapping[str, Any], number: int, hashes: Hashes) -> Iterator[SweepRow]:
-    files = hashes.of(config)
+def _rows(
+    config: SimulationConfig, factors: Mapping[str, Any], number: int, hashes: dict[str, str]
+) -> Iterator[SweepRow]:
+    files = file_hashes(config, hashes)
     for motion in config.motions:
         for controller in config.controllers:
             text = canonical(config.narrowed(controller, motion).model_dump(mode="json"))
@@ -210,7 +205,7 @@ def run_row(row: SweepRow) -> dict[str, Any]:
 
 
 def _figures(row: SweepRow) -> dict[str, Any]:
-    if Hashes().of(row.config()) != row.files:
+    if file_hashes(row.config()) != row.files:
         raise ConfigError("a model file has changed since the row was planned")
     metrics, samples = run_settings(row.config())
     return {"samples": samples} | metrics_columns(metrics)
@@ -227,7 +222,7 @@ def run_settings(config: SimulationConfig) -> tuple[TrackingMetrics, int]:
 
 def shared_knowledge(config: SimulationConfig) -> ControllerModel:
     """Opened models, once a process for each model, inverse and lag."""
-    return _kept_knowledge(config.model, config.inverse, config.actuator_lag_s, Hashes().of_models(config))
+    return _kept_knowledge(config.model, config.inverse, config.actuator_lag_s, file_hashes(config)[1:])
 
 
 @lru_cache(maxsize=_KEPT)

@@ -20,9 +20,9 @@ from .plan import (
     COST_COLUMNS,
     RESULT_COLUMNS,
     ROW_COLUMNS,
-    Hashes,
     SweepPlan,
     SweepRow,
+    file_hashes,
     metrics_columns,
     run_row,
     run_settings,
@@ -148,7 +148,7 @@ def reproduce(folder: Path | str, identity: str, out: Path | str | None = None) 
     """
     row = _row(Path(folder), identity)
     config = SimulationConfig.parse(json.loads(str(row["settings"])), f"{folder}: row {row['id']}")
-    if list(Hashes().of(config)) != json.loads(str(row["files"])):
+    if list(file_hashes(config)) != json.loads(str(row["files"])):
         raise ConfigError(f"{folder}: row {row['id']}: a model file has changed since, expected those of the sweep")
     if out is not None:
         metrics = compare(config, out).results[0].metrics
