@@ -120,7 +120,11 @@ class Device(Protocol):
         ...
 
     def play(self, name: str, commands: Vec, bench: BenchSettings) -> Trial:
-        """Play commands (N,) that start at the safe command, and record them; a `LogError` without any angle."""
+        """Play commands (N,) that start at the safe command, and record them.
+
+        Raises:
+            LogError: without any angle.
+        """
         ...
 
     def track(self, name: str, tip: TipSettings, reference: MotionSettings, bench: BenchSettings) -> Track:
