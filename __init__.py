@@ -30,8 +30,8 @@ if TYPE_CHECKING:
     from hystmpc.models.effects.place import with_effect
     from hystmpc.models.operators.operator import Number, Operator
     from hystmpc.models.simulator import Simulator
-    from hystmpc.sim.closed_loop import run_closed_loop
     from hystmpc.sim.plants.simulated import Effects, SimulatedPlant
+    from hystmpc.sim.study import run_closed_loop
     from hystmpc.tasks.check import check
     from hystmpc.tasks.commission import commission
     from hystmpc.tasks.controller import build_controller
@@ -104,7 +104,7 @@ if not TYPE_CHECKING:  # a type checker knows the names above and no others
         ("hystmpc.models.effects.place", "with_effect"),
         ("hystmpc.models.operators.operator", "Number Operator"),
         ("hystmpc.models.simulator", "Simulator"),
-        ("hystmpc.sim.closed_loop", "run_closed_loop"),
+        ("hystmpc.sim.study", "run_closed_loop"),
         ("hystmpc.sim.plants.simulated", "Effects SimulatedPlant"),
         ("hystmpc.tasks.check", "check"),
         ("hystmpc.tasks.commission", "commission"),

@@ -20,22 +20,26 @@ from hystmpc.trials.run_folder import RunFolder, alone_in
 from hystmpc.trials.types import Progress
 
 from .config import CommissionBlock, CommissionSettings, narrowed
-from .controller import TIP_FILE, ControllerFiles, IdentifiedDevice, fresh_references, make_controllers
 from .device import Device, Open, opened_device
 from .identify import (
     FIXED_FILE,
     MODEL_FILE,
+    TIP_FILE,
+    ControllerFiles,
     FittedModel,
+    IdentifiedDevice,
     ModelDiagnosis,
     Subject,
     TrialCheck,
     check_trials,
     diagnose_model,
     fit_model,
+    fresh_references,
+    make_controllers,
     subject_of,
 )
 from .motions import CONTROLLERS, SCANS_HZ, Budget, budget, directions, recordings
-from .phases import Bounded, Climb, ClimbResult, dash
+from .phases import Bounded, Climb, ClimbResult, Dash
 from .stages import Figure, Stages, begun, differing, fingerprint
 from .verify import MPC, Tracks, Verification, judge_tracks, load_tracks, track_all
 
@@ -51,14 +55,9 @@ _COMPUTING_S = {FIT: 60.0, DIAGNOSE: 150.0, CONTROLLER: 40.0, "report": 10.0}  #
 
 @dataclass(frozen=True)
 class CommandRange:
-    """Range and rate of the command that all further stages use.
+    """Range and rate of the command for all further stages, with the angles at rest within it [deg].
 
-    Attributes:
-        lower, upper: of the command.
-        rate_per_s: greatest change of the command.
-        low_deg, high_deg: angles at rest within the range [deg].
-        words: how they were determined.
-        still: longest travel of the command in which the tip did not move.
+    `words` says how they were determined; `still` is the longest travel of the command in which the tip did not move.
     """
 
     lower: float
@@ -79,23 +78,14 @@ class RecordedTrials:
 
 @dataclass(frozen=True, eq=False)
 class Commissioned:
-    """Result of a commissioning.
-
-    Attributes:
-        folder: of the run.
-        tip: file for `TipController.from_config`.
-        model: that it predicts with.
-        report: the page.
-        verified: the verdict; None after a commissioning from logs.
-        device_s: device time used [s].
-    """
+    """Result of a commissioning."""
 
     folder: Path
-    tip: Path
-    model: Path
+    tip: Path  # file for `TipController.from_config`
+    model: Path  # simulator that the controller predicts with
     report: Path
-    verified: Verification | None
-    device_s: float
+    verified: Verification | None  # the verdict; None after a commissioning from logs
+    device_s: float  # device time used [s]
     __repr__ = brief
 
 
@@ -128,20 +118,18 @@ def commission_device(
 ) -> Commissioned:
     """Commission a device: safe range and rate, recordings, model, controller, verification, report.
 
-    The same call goes on after the last complete stage, and within recordings and verification after the last complete
-    motion.
+    The same call resumes after the last complete stage, and within recordings and verification after the last motion.
 
     Args:
-        device: opens the device, given the folder and what to tell while a motion lasts.
+        device: opens the device, given the folder and the callback for progress within a motion.
         out: a new or empty folder, or one in which the same commissioning was begun.
-        progress: called with seconds done, seconds expected in all, and what is being done.
+        progress: called with seconds done, seconds expected in all, and a note.
 
     Raises:
-        ConfigError: before anything moves: on a folder that holds something else, minutes that are too few, a device
-            that does not answer, or a latched stop.
+        ConfigError: before anything moves: on a foreign folder, too few minutes, a silent device, or a latched stop.
         DeviceStoppedError: if a motion was stopped safely; complete trials are kept.
         EndedEarlyError: if a stage cannot be completed after the device has moved.
-        KeyboardInterrupt: if the user ended it while something was computed.
+        KeyboardInterrupt: if the user ended a computation.
     """
     planned, block = budget(settings), settings.commission
     with begun(out, "commissioning", settings.model_dump(mode="json"), block.seed, device, progress) as stages:
@@ -178,8 +166,8 @@ def rewrite_report(folder: Path | str) -> Commissioned:
     """Rewrite the report of a complete commissioning from the results of its stages, without moving the device.
 
     Raises:
-        ConfigError: if a stage was begun after other results than those before it, or another process works in it.
-        LogError: if the folder holds no complete commissioning, or a recording that it was made from has changed.
+        ConfigError: if a stage follows other results than those before it, or another process works in the folder.
+        LogError: if the folder holds no complete commissioning, or a recording has changed.
     """
     run = RunFolder.open(folder)
     config = run.config()
@@ -210,7 +198,7 @@ def _computing_s(block: CommissionBlock) -> float:
 
 
 def _on_device(settings: CommissionSettings, stages: Stages, planned: Budget) -> Commissioned:
-    """Go through all stages; complete ones are loaded."""
+    """Execute all stages; complete ones are loaded."""
     seconds = planned.range_s + planned.prepare_s
     ranged = stages.complete(RANGE, CommandRange, lambda folder: _ranged(settings, stages), device_s=seconds)
     bench = narrowed(settings, ranged.lower, ranged.upper, ranged.rate_per_s, ranged.still)
@@ -275,7 +263,7 @@ def _ranged(settings: CommissionSettings, stages: Stages) -> CommandRange:
 def _dashed(
     bench: BenchSettings, end: float, device: Device, angle_limits: tuple[float, float] | None
 ) -> tuple[float, str]:
-    phase = dash(bench, end)
+    phase = Dash(bench, end)
     device.explore(f"{RANGE}/dash", Bounded(phase, angle_limits, bench.sensor), bench)
     rate, limit = float(f"{phase.rate_per_s:.4g}"), bench.limits.rate_per_s
     rate = min(rate, limit)
@@ -285,7 +273,7 @@ def _dashed(
 
 
 def _identified(subject: Subject, stages: Stages) -> IdentifiedDevice:
-    """Stages without a device: check, identification, diagnosis, controllers."""
+    """Execute the stages without a device: check, identification, diagnosis, controllers."""
     checked = stages.complete(CHECK, TrialCheck, lambda folder: check_trials(subject))
 
     def fit(folder: Path) -> FittedModel:
@@ -315,22 +303,16 @@ def _reported(
     verified: Verification | None = None,
 ) -> Commissioned:
     """Write the report."""
-    from .report import CommissionStory, write_commission  # matplotlib takes a second to import
+    from .report import write_commission  # matplotlib takes a second to import
 
     stages.say("report")
     root, used_s = stages.root, stages.used_s
-    story = CommissionStory(identified, range_words, used_s, tracks, verified)
-    report = write_commission(story, root / REPORT_FILE)
+    report = write_commission(root / REPORT_FILE, identified, range_words, used_s, tracks or {}, verified)
     return Commissioned(root, root / TIP_FILE, identified.model, report, verified, used_s)
 
 
 def _from_logs(files: Sequence[Path], settings: CommissionSettings | None) -> tuple[Subject, str]:
-    """Subject of an identification from logs, and the origin of its limits in words.
-
-    Raises:
-        ConfigError: if the logs are beyond the limits of the bench, or in another unit.
-        LogError: if a log cannot be read.
-    """
+    """Subject of an identification from logs, and the origin of its limits in words."""
     trials = read_trials(files)
     low = min(float(trial.command.min()) for trial in trials)
     high = max(float(trial.command.max()) for trial in trials)

@@ -23,13 +23,13 @@ class CommissionBlock(Settings):
 
     Attributes:
         minutes: of device time, all motions together [min]; a motion that is repeated after an interruption adds to it.
-        angle_limits_deg: where the tip may go [deg]; the sensor's range less 5 % at either end where left out.
+        angle_limits_deg: of the tip [deg]; the sensor's range less 5 % at either end where left out.
         range_steps: steps of the first climb, each with a rest.
         motions: references of the verification by name; drawn within the reached angles where left out.
-        diagnose: whether what the model leaves is diagnosed; takes minutes of computing time.
-        tune_evaluations: closed-loop runs over all tuning motions, about, for the gains of the PID; above 50 Hz
-            fewer, in proportion.
-        seed: of everything drawn at random.
+        diagnose: whether the model's residual is diagnosed; takes minutes of computing time.
+        tune_evaluations: closed-loop runs over all tuning motions, about, for the gains of the PID; above 50 Hz fewer,
+            in proportion.
+        seed: of everything random.
     """
 
     minutes: Annotated[float, Field(gt=0, le=MOST_MINUTES)] = MOST_MINUTES
@@ -45,13 +45,13 @@ class InvestigateBlock(Settings):
     """Block `investigate` of a bench file; every key has a default.
 
     Attributes:
-        minutes: of device time, which all motions together never exceed [min].
-        model: simulator to be judged: a file of `fit` (`.yaml`), or `builtin:NAME`; one is identified first from
-            recordings of the device where left out.
+        minutes: greatest device time of all motions together [min].
+        model: simulator to be judged: a file of `fit` (`.yaml`), or `builtin:NAME`; identified first from recordings of
+            the device where left out.
         first_motions: recorded before the first diagnosis; the last one repeats the first.
-        longest_motion_s: duration that a motion does not exceed [s]; twice as long where shorter ones left the verdict
-            as it was.
-        seed: of everything drawn at random.
+        longest_motion_s: greatest duration of a motion [s]; twice as long where shorter ones left the verdict
+            unchanged.
+        seed: of everything random.
     """
 
     minutes: Annotated[float, Field(gt=0, le=30)] = 5.0
@@ -113,7 +113,7 @@ C = TypeVar("C", bound=CommissionSettings)
 
 
 def load_commission(path: Path | str, overrides: Iterable[str] = ()) -> CommissionSettings:
-    """Read a bench file with the block `commission`; its file names are relative to it and become absolute.
+    """Settings in a bench file with the block `commission`; its file names are relative to it and become absolute.
 
     Raises:
         ConfigError: on an unreadable file, an unknown key or a value out of bounds.
@@ -136,7 +136,7 @@ def located_commission(settings: C, folder: Path) -> C:
 
 
 def load_investigation(path: Path | str, overrides: Iterable[str] = ()) -> InvestigateSettings:
-    """Read a bench file with the block `investigate`; its file names are relative to it and become absolute.
+    """Settings in a bench file with the block `investigate`; its file names are relative to it and become absolute.
 
     Raises:
         ConfigError: on an unreadable file, an unknown key or a value out of bounds.
@@ -149,11 +149,9 @@ def load_investigation(path: Path | str, overrides: Iterable[str] = ()) -> Inves
 def located_investigation(
     settings: InvestigateSettings, folder: Path, model: Path | str | None = None, minutes: float | None = None
 ) -> InvestigateSettings:
-    """Settings with absolute file names; relative ones start at `folder`.
+    """Settings with absolute file names; relative ones start at `folder`, those of `model` at the present folder.
 
-    Args:
-        model: taken in place of the file's; starts at the present folder.
-        minutes: taken in place of the file's.
+    `model` and `minutes` replace the file's.
 
     Raises:
         ConfigError: if the minutes are out of bounds.
@@ -175,13 +173,12 @@ def narrowed(
 ) -> BenchSettings:
     """Settings of the bench with narrower limits of the command.
 
-    How far a stop may go on stays as it was. The travel without a motion of the tip that is implausible is never more
-    than nine tenths of the narrower range, since over all of it the tip was seen to move:
+    The overshoot of a stop stays as it was. The implausible travel without a motion of the tip is at most nine tenths
+    of the narrower range, over all of which the tip has moved:
 
         travel = min(0.9 range, plausibility.travel, or where that is not given max(range / 2, 1.5 still))
 
-    Args:
-        still: longest travel in which the tip was seen not to move.
+    with `still`, the longest travel in which the tip did not move.
 
     Raises:
         ConfigError: if the safe command lies outside.

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import json
 import zlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from threading import Event, Thread
-from typing import Protocol, final
+from typing import Any, Protocol, final
 
 import numpy as np
 
+from hystmpc.ctrl.loop import Plant
 from hystmpc.ctrl.planner.settings import TipSettings
 from hystmpc.rig.config import BenchSettings, RunSettings
 from hystmpc.rig.experiment.experiment import tracking_phase
@@ -27,7 +28,7 @@ from hystmpc.rig.transports.simulated import SimulatedSettings
 from hystmpc.rig.transports.transport import PlantFactory
 from hystmpc.trajectories.config import MotionSettings
 from hystmpc.trials.csv_files import format_table
-from hystmpc.trials.errors import HystmpcError, LogError
+from hystmpc.trials.errors import ConfigError, HystmpcError, LogError
 from hystmpc.trials.files import write_atomically
 from hystmpc.trials.formats import read_lines
 from hystmpc.trials.tables import read_table
@@ -36,7 +37,6 @@ from hystmpc.trials.types import Vec
 
 from .config import CommissionSettings
 from .phases import Bounded
-from .plants import plants_in
 
 TIME_FILE = "device_time.json"
 _SEEDS = 100_003
@@ -47,12 +47,7 @@ Tick = Callable[[float], None]
 
 
 class DeviceStoppedError(HystmpcError):
-    """The run was stopped safely; the stop is latched.
-
-    Attributes:
-        result: how it ended.
-        settings: of the bench.
-    """
+    """Error of a run that was stopped safely; the stop is latched."""
 
     def __init__(self, result: BenchResult, settings: BenchSettings) -> None:
         super().__init__(f"stopped: {result.outcome.cause}; latched until a reset")
@@ -61,21 +56,18 @@ class DeviceStoppedError(HystmpcError):
 
 @dataclass(frozen=True, eq=False)
 class Track:
-    """Record of a tracked reference, one row a sample (N,), without the lead-in.
+    """Record of a tracked reference, one row for each sample (N,), without the lead-in.
 
     Attributes:
-        t: end of the sample since the reference's start [s].
         reference_deg, measured_deg: wanted and measured angle at the end of the sample, NaN without a usable one.
-        command: sent at its beginning.
-        source: what gave the command.
-        late: whether the sample had no time for the controller: the one before missed its deadline, or was skipped.
+        late: whether the sample had no time for the controller, after a missed deadline or skipped samples.
     """
 
-    t: Vec
+    t: Vec  # end of the sample since the reference's start [s]
     reference_deg: Vec
     measured_deg: Vec
-    command: Vec
-    source: tuple[str, ...]
+    command: Vec  # sent at its beginning
+    source: tuple[str, ...]  # origin of the command
     late: tuple[bool, ...] = ()
 
     @property
@@ -97,7 +89,7 @@ class Track:
 
     @classmethod
     def load(cls, path: Path) -> Track:
-        """Read the CSV of `save`.
+        """Record from the CSV of `save`.
 
         Raises:
             LogError: if it is no such file.
@@ -113,8 +105,8 @@ class Track:
 class Device(Protocol):
     """A device that can be moved; each call starts and ends at rest at the safe command.
 
-    All of them raise `DeviceStoppedError` where the run was stopped safely, and `ConfigError` where the device does not
-    answer or a stop is latched; nothing has moved then.
+    Calls raise `DeviceStoppedError` after a safe stop, and `ConfigError` where the device does not answer or a stop is
+    latched; nothing has moved then.
     """
 
     in_real_time: bool
@@ -124,14 +116,14 @@ class Device(Protocol):
     """Device time that all calls took together [s]."""
 
     def explore(self, name: str, phase: Phase, bench: BenchSettings) -> None:
-        """Run a phase that chooses its commands and keeps the angle limits itself."""
+        """Run a phase that chooses its commands and observes the angle limits itself."""
         ...
 
     def play(self, name: str, commands: Vec, bench: BenchSettings) -> Trial:
         """Play commands (N,) that start at the safe command, and record them.
 
         Raises:
-            LogError: if no angle has come.
+            LogError: without any angle.
         """
         ...
 
@@ -148,15 +140,15 @@ Open = Callable[[Path, Tick], Device]
 class BenchDevice(Device):
     """A device behind a transport of the bench, with all safety of `run_bench`.
 
-    A transport of another process is run in real time, each motion with a run folder of its own under `folder/runs`. It
-    is prepared before the first motion of every stage. A device in this process (`kind: simulated`) is run on a
-    simulated clock; each motion finds it after a reset, with noise that follows from its seed and the motion's name.
+    A transport of another process is run in real time, each motion with its run folder under `folder/runs`, and
+    prepared before the first motion of every stage. A device in this process (`kind: simulated`) is run on a simulated
+    clock; each motion starts after a reset, with noise from its seed and the motion's name.
 
     Args:
         plants: makes devices of `kind: simulated`.
         folder: of the commissioning or investigation.
-        angle_limits: beyond which recordings and tracks are stopped safely [deg]; None for those of the sensor.
-        views: what is shown while a motion lasts.
+        angle_limits: for a safe stop of recordings and tracks [deg]; None for those of the sensor.
+        views: live views of each motion.
         note: called with messages of the loop's process.
         tick: called once a second with the seconds of the present motion, from a thread outside the loop.
     """
@@ -252,19 +244,16 @@ def opened_device(
 ) -> Open:
     """Opener of the device that the settings describe.
 
-    Args:
-        folder: where file names of a simulated plant start.
-        views: what is shown while a motion lasts.
-        note: called with messages of the loop's process.
+    `folder` is the start of file names of a simulated plant; `views` and `note` as of `BenchDevice`.
     """
     plants, limits = plants_in(folder, settings.command_unit), settings.commission.angle_limits_deg
     return lambda root, tick: BenchDevice(settings, plants, root, limits, views, note, tick)
 
 
 def track_of(samples: Sequence[Sample], duration_s: float, dt_s: float) -> Track:
-    """Record of a reference of that duration [s] from the samples of its run, without the lead-in.
+    """Record of a reference of `duration_s` [s] from the samples of its run, without the lead-in.
 
-    The reference is the end of the run. The angle at the end of a sample is what the next one has measured; NaN where
+    The reference is the end of the run. The angle at the end of a sample is that measured by the next one; NaN where
     that was skipped.
 
     Raises:
@@ -291,7 +280,7 @@ def track_of(samples: Sequence[Sample], duration_s: float, dt_s: float) -> Track
 
 
 def _free(folder: Path, name: str) -> Path:
-    """A new folder of that name, numbered where a run that was cut short has left one."""
+    """New folder with that name, numbered after interrupted runs."""
     free, number = folder / name, 1
     while free.exists():
         number += 1
@@ -305,3 +294,39 @@ def _used(folder: Path) -> float:
         return float(json.loads((folder / TIME_FILE).read_text(encoding="utf-8"))["seconds"])
     except (OSError, ValueError, KeyError, TypeError):
         return 0.0
+
+
+_NOISE_DEG = 0.05  # default: an angle that never changes would be taken for a dead sensor
+
+
+def make_plant(settings: Mapping[str, Any], dt_s: float, seed: int, folder: Path, unit: str) -> tuple[Plant, float]:
+    """Plant of a block `plant` with `simulator` or `device`, parameters and effects, and its held command after a
+    reset.
+
+    Relative file names start at `folder`; `seed` is that of the noise, `unit` the required one of the command.
+
+    Raises:
+        ConfigError: on an unknown device, key or parameter, a value out of bounds, or another unit.
+        ModelError: if a simulator file is missing or unusable.
+    """
+    from hystmpc.models.load import model_path  # simulators take long to import, and most benches have a device
+    from hystmpc.sim.config import PlantSettings
+    from hystmpc.sim.plants.device import make_plant as make
+
+    noise = {"noise_deg": _NOISE_DEG} if "device" in settings else {}
+    block = PlantSettings.parse(noise | dict(settings), "plant")
+    if block.simulator is not None:
+        block = block.model_copy(update={"simulator": str(model_path(block.simulator, folder))})
+    plant = make(block, dt_s, seed=seed)
+    if plant.command_unit != unit:
+        raise ConfigError(f"plant: got a device with commands in {plant.command_unit}, expected command_unit {unit}")
+    return plant, plant.rest_command
+
+
+def plants_in(folder: Path, unit: str) -> PlantFactory:
+    """Factory of simulated devices for the transport `kind: simulated`."""
+
+    def made(settings: SimulatedSettings, dt_s: float) -> tuple[Plant, float]:
+        return make_plant(settings.plant, dt_s, settings.seed, folder, unit)
+
+    return made

@@ -1,16 +1,21 @@
-"""From recorded trials to a model: quality check, identification, diagnosis of the residual."""
+"""From recorded trials to a model and its controllers: check, identification, diagnosis, controller files."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
-from dataclasses import dataclass
+import os
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from hystmpc.ctrl.command import CommandLimits
+from hystmpc.ctrl.feedback import PidControllerSettings
+from hystmpc.ctrl.inverse_settings import InversePidControllerSettings
 from hystmpc.ctrl.planner.reach import angles_at_rest
+from hystmpc.ctrl.planner.settings import TipSettings, read_settings
 from hystmpc.gap.diagnose import diagnose_trials
 from hystmpc.gap.diagnosis import Diagnosis
 from hystmpc.gap.report.words import closed_sentence, headline, tracking_sentence
@@ -19,15 +24,22 @@ from hystmpc.models.kinds.catalogue import chosen_kind
 from hystmpc.models.kinds.kind import FitRequest
 from hystmpc.models.prediction.build import controller_model
 from hystmpc.models.simulator import load_simulator, save_simulator
+from hystmpc.sim.config import SimulationConfig, TuningSettings
+from hystmpc.sim.plants.simulated import SimulatedPlant
+from hystmpc.sim.study import Study, prepare
+from hystmpc.sim.tuning.gains import PidLike, PidTuning, mean_square_of, tuned_gains
+from hystmpc.trajectories.config import MotionSettings, PointToPointSettings
 from hystmpc.trials.check import Severity, check
+from hystmpc.trials.config import dump_yaml
 from hystmpc.trials.errors import FitError, LogError
+from hystmpc.trials.files import write_atomically
 from hystmpc.trials.read import at_rate, read_trials
 from hystmpc.trials.recording import require_recorded
 from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Progress
 
 from .config import CommissionBlock, CommissionSettings
-from .motions import ReachedAngles
+from .motions import ReachedAngles, references
 from .stages import Figure
 
 MODEL_FILE, FIXED_FILE = "model.yaml", "model.fixed.yaml"
@@ -36,30 +48,20 @@ _KIND = "auto"
 
 @dataclass(frozen=True)
 class Subject:
-    """A device to be identified: limits, sample rate, recordings.
-
-    Attributes:
-        name: of the device.
-        command_unit: mm or bar.
-        rate_hz: samples per second.
-        limits: range and rate that are used.
-        safe_command: where the device rests.
-        angle_limits: where the tip may go [deg]; None for no limits.
-        trials: files of the recordings.
-    """
+    """A device to be identified: limits, sample rate, recordings."""
 
     name: str
-    command_unit: str
+    command_unit: str  # mm or bar
     rate_hz: float
-    limits: CommandLimits
-    safe_command: float
-    angle_limits: tuple[float, float] | None
-    trials: tuple[Path, ...]
+    limits: CommandLimits  # range and rate in use
+    safe_command: float  # rest of the device
+    angle_limits: tuple[float, float] | None  # of the tip [deg]; None for no limits
+    trials: tuple[Path, ...]  # files of the recordings
     block: CommissionBlock
 
 
 def subject_of(settings: CommissionSettings, limits: CommandLimits, trials: Iterable[Path]) -> Subject:
-    """Subject with these limits and recordings, all else as in the settings."""
+    """Subject with these limits and recordings, otherwise as in the settings."""
     return Subject(
         name=settings.name,
         command_unit=settings.command_unit,
@@ -103,11 +105,7 @@ def check_trials(subject: Subject) -> TrialCheck:
 
 
 def uniform_trials(subject: Subject) -> list[Trial]:
-    """Recordings, resampled to the rate of the device.
-
-    Raises:
-        LogError: if one cannot be read or resampled.
-    """
+    """Recordings, resampled to the rate of the device."""
     recorded = read_trials(subject.trials)
     for trial in recorded:
         require_recorded(trial)
@@ -120,25 +118,15 @@ Number = tuple[str, Figure, Figure, Figure]
 
 @dataclass(frozen=True)
 class FittedModel:
-    """Result of the identification.
+    """Result of the identification."""
 
-    Attributes:
-        report: one line: what it consists of, and the error on trials left out.
-        parts: part, form, error without and with it on trials left out [deg].
-        numbers: name, value and ends of the interval of 90 %.
-        sensor_sigma_deg: noise of the sensor as the model has it, the error of its steps included [deg].
-        model_sigma_deg: how far its free run is off [deg], NaN where that is not known.
-        advice: what these trials do not determine, and what to record for it.
-        sensor_step_deg: step of the sensor's readings [deg]; 0 of a continuous sensor.
-    """
-
-    report: str
-    parts: tuple[Row, ...]
-    numbers: tuple[Number, ...]
-    sensor_sigma_deg: Figure
-    model_sigma_deg: Figure
-    advice: tuple[str, ...]
-    sensor_step_deg: Figure = 0.0
+    report: str  # one line: components, and the error on held-out trials
+    parts: tuple[Row, ...]  # part, form, error without and with it on held-out trials [deg]
+    numbers: tuple[Number, ...]  # name, value and ends of the interval of 90 %
+    sensor_sigma_deg: Figure  # noise of the sensor according to the model, quantisation included [deg]
+    model_sigma_deg: Figure  # error of its free run [deg], NaN where unknown
+    advice: tuple[str, ...]  # quantities that these trials do not determine, and what to record for them
+    sensor_step_deg: Figure = 0.0  # resolution of the sensor [deg]; 0 for a continuous one
 
 
 def fit_model(subject: Subject, folder: Path, progress: Progress) -> FittedModel:
@@ -174,23 +162,17 @@ def fit_model(subject: Subject, folder: Path, progress: Progress) -> FittedModel
 
 @dataclass(frozen=True)
 class ModelDiagnosis:
-    """Result of the diagnosis of the model's residual, in words.
+    """Result of the diagnosis of the model's residual, in words."""
 
-    Attributes:
-        verdict: headline, reason, sizes of the gap, and the tracking error that is expected.
-        corrected: whether the corrected simulator is used: better on trials that nothing was chosen on.
-        next: what to record, empty where nothing is open.
-    """
-
-    verdict: tuple[str, ...]
-    corrected: bool
-    next: str
+    verdict: tuple[str, ...]  # headline, reason, sizes of the gap, and the expected tracking error
+    corrected: bool  # whether the corrected simulator is used: better on trials that influenced no choice
+    next: str  # recording to make, empty without an open question
 
 
 def diagnose_model(subject: Subject, model: Path, folder: Path, progress: Progress) -> ModelDiagnosis:
     """Diagnose the model's residual; write the diagnosis, and `model.fixed.yaml` where it is certified better.
 
-    A model that cannot be diagnosed on these trials is no error: the verdict says why.
+    A model that cannot be diagnosed on these trials is no error: the verdict gives the reason.
 
     Raises:
         KeyboardInterrupt: if the user ended it; nothing is kept.
@@ -219,7 +201,7 @@ def diagnose_model(subject: Subject, model: Path, folder: Path, progress: Progre
 def certified(diagnosis: Diagnosis) -> bool:
     """Whether the corrected simulator is better on held-out trials, with the whole interval of 90 %.
 
-    A faulty sensor is nothing that a simulator can be corrected by.
+    A simulator cannot be corrected for a faulty sensor.
     """
     gap = diagnosis.gap
     better = gap.with_effects_rmse_deg < min(gap.nominal_rmse_deg, gap.retuned_rmse_deg)
@@ -233,7 +215,6 @@ def reached_angles(subject: Subject, model: Path) -> ReachedAngles:
 
     Raises:
         FitError: if nothing is left between them.
-        ModelError: if the model cannot be used.
     """
     known, limits = controller_model(str(model)), subject.limits
     trained = known.facts.trained_angle
@@ -246,3 +227,178 @@ def reached_angles(subject: Subject, model: Path) -> ReachedAngles:
             f"{trained.upper:.2f} deg, expected angles in common within the limits"
         )
     return ReachedAngles(low, high, (high - low) / (limits.upper - limits.lower) * limits.rate)
+
+
+TIP_FILE = "tip.yaml"
+_TUNING, _FRESH = 3, 4  # draws of references: those of the tuning, and those of the verification
+_TUNED_S = 10.0  # of each tuning motion
+_FULL_HZ = 50.0  # above it the search has fewer evaluations, so that it takes no longer
+_INVERSE_SHARE = 4  # the search with an inverse costs more, and its result is not verified: a share of the evaluations
+_TOLERANCE_DEG, _TOLERANCE_SIGMAS = 0.5, 3.0
+
+
+@dataclass(frozen=True)
+class ControllerFiles:
+    """Result of the stage that writes the controller files.
+
+    Attributes:
+        pid, inverse_pid: gains, tuned on the identified model with its noise.
+        pid_rmse_deg, inverse_pid_rmse_deg: of the true angle on that model [deg].
+    """
+
+    reached: ReachedAngles  # range of angles for references
+    pid: Mapping[str, float]
+    pid_rmse_deg: Figure
+    inverse_pid: Mapping[str, float]
+    inverse_pid_rmse_deg: Figure
+
+
+@dataclass(frozen=True, eq=False)
+class IdentifiedDevice:
+    """Results of the stages without a device: model, diagnosis (None where left out), controllers.
+
+    `model` is the file that the controllers use.
+    """
+
+    subject: Subject
+    checked: TrialCheck
+    fitted: FittedModel
+    diagnosed: ModelDiagnosis | None
+    made: ControllerFiles
+    model: Path
+
+
+def make_controllers(
+    subject: Subject, model: Path, sigma_deg: float, folder: Path, progress: Progress
+) -> ControllerFiles:
+    """Write `tip.yaml` next to the stage's folder, and `pid.yaml`, `inverse.yaml` and `inverse_pid.yaml` into it.
+
+    Raises:
+        HystmpcError: if the model cannot be used.
+        KeyboardInterrupt: if the user ended the search; nothing is kept.
+    """
+    reached = reached_angles(subject, model)
+    step = sensor_step_deg(model)
+    study = tuning_study(subject, model, reached, sigma_deg, step)
+    whole = max(round(subject.block.tune_evaluations * min(1.0, _FULL_HZ / subject.rate_hz)), 24)
+    shares = {"pid": whole, "inverse_pid": max(whole // _INVERSE_SHARE, 24)}
+    starts: dict[str, PidLike] = {"pid": PidControllerSettings(), "inverse_pid": InversePidControllerSettings()}
+    total, before, tuned = sum(shares.values()), 0, dict[str, PidTuning]()
+    for name, start in starts.items():
+
+        def report(done: float, of: float, note: str = "", before: int = before, share: int = shares[name]) -> None:
+            progress(before + share * done / of, total, f"gains {note}".strip())
+
+        config = study.config.model_copy(update={"tune_pid": TuningSettings(evaluations=shares[name])})
+        tuned[name] = rounding_ignored(tuned_gains(replace(study, config=config), start, report), study, step)
+        before += shares[name]
+    gains = {name: one.settings.gains.model_dump() for name, one in tuned.items()}
+    tolerance = max(_TOLERANCE_DEG, _TOLERANCE_SIGMAS * sigma_deg)
+    files: dict[Path, dict[str, Any]] = {
+        folder / "pid.yaml": {"kind": "pid", "gains": gains["pid"]},
+        folder / "inverse_pid.yaml": {"kind": "inverse_pid", "gains": gains["inverse_pid"]},
+        folder / "inverse.yaml": {"kind": "inverse"},
+        folder.parent / TIP_FILE: predictive(subject, gains["pid"]),
+    }
+    for file, controller in files.items():
+        write_tip(file, model, controller, subject, reached, tolerance)
+    return ControllerFiles(
+        reached, gains["pid"], tuned["pid"].rmse_deg, gains["inverse_pid"], tuned["inverse_pid"].rmse_deg
+    )
+
+
+def predictive(subject: Subject, pid: Mapping[str, float]) -> dict[str, Any]:
+    """Block `controller` of `tip.yaml`; angle limits of the user become soft limits of the plan.
+
+    `pid` are the gains of the feedback for a model that does not predict the angle.
+    """
+    block: dict[str, Any] = {"kind": "linearised_mpc", "supervisor": {"pid": dict(pid)}}
+    if subject.block.angle_limits_deg is not None:
+        low, high = subject.block.angle_limits_deg
+        block["weights"] = {"angle_lower_deg": low, "angle_upper_deg": high}
+    return block
+
+
+def write_tip(
+    file: Path,
+    model: Path,
+    controller: Mapping[str, Any],
+    subject: Subject,
+    reached: ReachedAngles,
+    tolerance_deg: float,
+) -> Path:
+    """Write the file of a `TipController` with a block `controller`; the model's name is relative to it."""
+    limits = subject.limits
+    data = {
+        "model": os.path.relpath(model, file.parent),
+        "controller": {**controller, "ladder": {"safe_command": subject.safe_command}},
+        "limits": {"lower": limits.lower, "upper": limits.upper, "rate_per_s": limits.rate},
+        "motion": reached.motion.model_dump(),
+        "start_command": subject.safe_command,
+        "tolerance_deg": float(f"{tolerance_deg:.3g}"),
+    }
+    TipSettings.parse(data, str(file))
+    return write_atomically(file, dump_yaml(data))
+
+
+def tip_settings(file: Path) -> TipSettings:
+    """Settings in a file of a `TipController`; the model's name becomes absolute."""
+    settings, folder = read_settings(file)
+    return settings.model_copy(update={"model": str((folder / settings.model).resolve())})
+
+
+def fresh_references(subject: Subject, reached: ReachedAngles, motion_s: float) -> dict[str, MotionSettings]:
+    """References for the verification, new to identification and tuning; those of the user where given."""
+    return references(reached, motion_s, (subject.block.seed, _FRESH), subject.block.motions)
+
+
+def sensor_step_deg(model: Path) -> float:
+    """Resolution of the sensor according to the model's file [deg]; 0 for a continuous sensor."""
+    noise = load_simulator(model).identification.noise
+    return 0.0 if noise is None else noise.sensor_resolution_deg
+
+
+def rounding_ignored(tuned: PidTuning, study: Study, step_deg: float) -> PidTuning:
+    """Tuned gains with a dead zone of half the sensor's resolution, and their error on the model.
+
+    Without it the command oscillates in a hold, which the search, based on the error alone, does not detect.
+    """
+    gains = tuned.settings.gains.with_dead_zone(step_deg)
+    if gains == tuned.settings.gains:
+        return tuned
+    settings = tuned.settings.model_copy(update={"gains": gains})
+    return replace(tuned, settings=settings, rmse_deg=math.sqrt(mean_square_of(study, settings)))
+
+
+def tuning_study(
+    subject: Subject, model: Path, reached: ReachedAngles, sigma_deg: float, step_deg: float = 0.0
+) -> Study:
+    """Simulated study for the tuning: the identified model with the sensor's noise, references from its rest.
+
+    `sigma_deg` is the noise of the sensor, quantisation included, and `step_deg` its resolution [deg].
+    """
+    limits = subject.limits
+    plant = SimulatedPlant(load_simulator(model), commands=Range(lower=limits.lower, upper=limits.upper))
+    motions = references(reached, _TUNED_S, (subject.block.seed, _TUNING))
+    data: dict[str, Any] = {
+        "plant": {
+            "simulator": str(model),
+            "noise_deg": math.sqrt(max(sigma_deg**2 - step_deg**2 / 12.0, 0.0)) if step_deg else sigma_deg,
+            "quantisation_deg": step_deg,
+        },
+        "model": str(model),
+        "motions": {name: _from_rest(motion, plant.true_angle).model_dump() for name, motion in motions.items()},
+        "controllers": {"pid": {"kind": "pid"}},
+        "limits": {"lower": limits.lower, "upper": limits.upper, "rate_per_s": limits.rate},
+        "tune_pid": {"evaluations": subject.block.tune_evaluations},
+        "seed": subject.block.seed,
+    }
+    return prepare(SimulationConfig.parse(data, "tuning"))
+
+
+def _from_rest(motion: MotionSettings, rest_deg: float) -> MotionSettings:
+    """Reference that begins at the rest angle of the device."""
+    if isinstance(motion, PointToPointSettings):
+        targets, holds = (motion.start_deg, *motion.targets_deg), (1.0, *motion.holds_s)
+        return motion.model_copy(update={"start_deg": rest_deg, "targets_deg": targets, "holds_s": holds})
+    return motion.model_copy(update={"start_deg": rest_deg})

@@ -19,7 +19,7 @@ from .config import InvestigateSettings
 from .device import Open
 from .identify import MODEL_FILE, FittedModel, check_trials, fit_model, subject_of
 from .motions import LEAST_SHARE, prepare_seconds, recordings, recordings_seconds
-from .round_plan import RoundPlan, first_seconds, plan_first, planned_commands
+from .round_plan import RoundPlan, RoundPlanner, first_seconds, planned_commands
 from .rounds import DIAGNOSIS, FIRST, Investigated, RecordedRound, Round, RoundVerdict, judge_round, round_folder
 from .stages import Stages, begun, fingerprint
 
@@ -37,20 +37,19 @@ def investigate_device(
 ) -> Investigated:
     """Investigate the gap between a simulator and its device, until the verdict is stable or the time is spent.
 
-    The same call goes on after the last complete part, and within the recordings after the last complete motion.
+    The same call resumes after the last complete part, and within the recordings after the last complete motion.
 
     Args:
-        device: opens the device, given the folder and what to tell while a motion lasts.
+        device: opens the device, given the folder and the callback for progress within a motion.
         out: a new or empty folder, or one in which the same investigation was begun.
-        progress: called with the time passed, that expected at most [s], and what is being done.
+        progress: called with the time passed, the time expected at most [s], and a note.
 
     Raises:
-        ConfigError: before anything moves: on a folder that holds something else, minutes that are too few, a device
-            that does not answer, or a latched stop.
+        ConfigError: before anything moves: on a foreign folder, too few minutes, a silent device, or a latched stop.
         ModelError: if the simulator cannot be used.
         DeviceStoppedError: if a motion was stopped safely; complete recordings are kept.
         EndedEarlyError: if a part cannot be completed after the device has moved.
-        KeyboardInterrupt: if the user ended it while something was computed.
+        KeyboardInterrupt: if the user ended a computation.
     """
     plain = settings.model_dump(mode="json") | {"model_hash": _model_hash(settings)}
     identification_share(settings)
@@ -76,9 +75,8 @@ def plan_rows(settings: InvestigateSettings) -> tuple[tuple[str, str, float], ..
         first, what = first_seconds(settings, settings.budget_s - spent), f"{count} motions chosen by the simulator"
     else:
         with TemporaryDirectory() as folder:
-            plan = plan_first(
-                settings, load_simulator(settings.investigate.model or ""), settings.budget_s, Path(folder)
-            )
+            simulator = load_simulator(settings.investigate.model or "")
+            plan = RoundPlanner(settings, simulator, settings.budget_s, Path(folder)).first()
         first = plan.seconds
         what = ", ".join(name.partition("-")[2].replace("_", " ") for name in plan.motions)
     rows.append(("round 1", what, first))
@@ -121,10 +119,10 @@ def _model_hash(settings: InvestigateSettings) -> str:
 
 
 def _investigated(settings: InvestigateSettings, stages: Stages) -> Investigated:
-    """Go through all rounds; complete stages are loaded."""
+    """Execute all rounds; complete stages are loaded."""
     model, rounds = _model(settings, stages), list[Round]()
     plan = stages.complete(
-        FIRST, RoundPlan, lambda folder: plan_first(settings, load_simulator(model), stages.left_s, folder)
+        FIRST, RoundPlan, lambda folder: RoundPlanner(settings, load_simulator(model), stages.left_s, folder).first()
     )
     planned_in = stages.root / FIRST
     while True:
@@ -159,7 +157,7 @@ def _round(
 
 
 def _model(settings: InvestigateSettings, stages: Stages) -> Path:
-    """The simulator under test: given, or identified first from recordings of the device."""
+    """Simulator under test: given, or identified first from recordings of the device."""
     if settings.investigate.model is not None:
         return Path(settings.investigate.model)
     motions = recordings(settings, identification_share(settings), settings.investigate.seed)
@@ -178,7 +176,7 @@ def _model(settings: InvestigateSettings, stages: Stages) -> Path:
 
 
 def _record(stages: Stages, settings: InvestigateSettings, runs: Mapping[str, Vec], folder: Path) -> RecordedRound:
-    """Record as much as is certain to end within the device time."""
+    """Record as many motions as certainly end within the device time."""
     return RecordedRound(tuple(stages.record(runs, settings, folder, limited=True)), stages.used_s)
 
 

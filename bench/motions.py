@@ -18,7 +18,7 @@ from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.types import Vec
 
 from .config import CommissionSettings
-from .phases import climb_seconds, dash
+from .phases import Dash, climb_seconds
 
 CONTROLLERS = ("mpc", "inverse", "pid")
 """What is verified, in the order of the runs along each motion."""
@@ -40,11 +40,8 @@ LEAST_SHARE = 0.15
 
 @dataclass(frozen=True)
 class ReachedAngles:
-    """Range of angles that the device reaches at rest, and its speed.
-
-    Attributes:
-        low_deg, high_deg: least and greatest [deg].
-        speed_deg_s: mean slope times the greatest rate of the command [deg/s].
+    """Range of angles that the device reaches at rest, and its speed: mean slope times the greatest command rate
+    [deg/s].
     """
 
     low_deg: float
@@ -65,8 +62,7 @@ class ReachedAngles:
 def recordings(bench: BenchSettings, share: float, seed: int) -> dict[str, Vec]:
     """Commands (N,) of each recording, from rest at the safe command and back, within the limits of the bench.
 
-    Args:
-        share: of the full three minutes.
+    `share` is that of the full three minutes.
     """
     limits, dt, safe = bench.limits.build(), bench.dt_s, bench.safe_command
     random = np.random.default_rng([seed, 1])
@@ -93,13 +89,9 @@ def _rest(at: float, dt: float) -> Vec:
 
 @dataclass(frozen=True)
 class Budget:
-    """Device time by stage [s].
+    """Device time by stage, without preparation, which comes once in each of three stages [s].
 
-    Attributes:
-        prepare_s: of the bench's own preparation, once in each of three stages.
-        range_s, record_s, verify_s: of the stages, preparation left out.
-        share: of the full recordings.
-        motion_s: of each reference, approach and return left out.
+    `share` is that of the full recordings; `motion_s` the duration of each reference without approach and return.
     """
 
     prepare_s: float
@@ -118,15 +110,15 @@ class Budget:
 def budget(settings: CommissionSettings) -> Budget:
     """Division of the device time: preparation and range as needed, the rest to recordings and verification.
 
-    The range is taken to be that of the limits, so that a narrower one takes less.
+    The range is assumed to be that of the limits; a narrower one takes less.
 
     Raises:
-        ConfigError: if the minutes are too few for what has to be done.
+        ConfigError: if the minutes are too few.
     """
     whole, prepare = 60.0 * settings.commission.minutes, prepare_seconds(settings)
     ways = directions(settings)
     first = sum(climb_seconds(settings, end, settings.commission.range_steps) + away_seconds(settings) for end in ways)
-    first += dash(settings, ways[0]).seconds + away_seconds(settings)
+    first += Dash(settings, ways[0]).seconds + away_seconds(settings)
     left = whole - 3 * prepare - first
     ways_s = recordings_seconds(settings, 0.0)
     share = min((_RECORD_SHARE * left - ways_s) / WHOLE_S, 1.0)
@@ -210,10 +202,7 @@ def references(
 ) -> dict[str, MotionSettings]:
     """References over random ranges of the reached angles: point to point with holds, scans at 0.2 and 0.6 Hz.
 
-    Args:
-        motion_s: of each, about [s].
-        seed: of the draw.
-        given: taken instead.
+    `motion_s` is the duration of each, about [s]; `given` ones replace them.
     """
     if given is not None:
         return dict(given)

@@ -11,6 +11,7 @@ import numpy as np
 
 from hystmpc.rig.config import BenchSettings
 from hystmpc.rig.experiment.phases import Decision, Past, Phase, PhaseInput
+from hystmpc.rig.experiment.record import Recorded
 from hystmpc.rig.safety.intake import SensorSettings
 from hystmpc.rig.safety.plausibility import SMOOTH_S, MotionWatch
 from hystmpc.rig.safety.ramp import stop_commands, waypoint_commands
@@ -38,21 +39,13 @@ _CAREFUL = 0.9  # of the rate at which a device that does not follow has moved
 
 @dataclass(frozen=True)
 class ClimbResult:
-    """Result of a climb.
+    """Result of a climb."""
 
-    Attributes:
-        end: the farthest command at which the tip rested within its limits.
-        angle_deg: at that command [deg], NaN if it never left the start.
-        start_deg: at the start [deg].
-        why: what ended the climb.
-        still: longest travel of the command, there and back, in which the tip did not move.
-    """
-
-    end: float
-    angle_deg: float
-    start_deg: float
-    why: str
-    still: float = 0.0
+    end: float  # farthest command at which the tip rested within its limits
+    angle_deg: float  # at that command [deg], NaN if it never left the start
+    start_deg: float  # at the start [deg]
+    why: str  # end of the climb, in words
+    still: float = 0.0  # longest travel of the command, both ways, in which the tip did not move
 
 
 @final
@@ -60,12 +53,10 @@ class Bounded(Phase):
     """Safety wrapper of a phase: stop where the median of three angles passes the limits by 2 % of their range.
 
     The command's range is measured at rest; a device that overshoots in a fast motion goes farther. Angles count as
-    they are shown, also beyond the sensor's range and faster than plausible: those are beyond the limits, not missing.
+    shown, even outside the sensor's range and faster than plausible: those are beyond the limits, not missing.
 
     Args:
-        phase: that is wrapped.
-        angle_limits: where the tip may go [deg]; None for the range of the sensor.
-        sensor: that shows the angle.
+        angle_limits: of the tip [deg]; None for the range of the sensor.
     """
 
     def __init__(self, phase: Phase, angle_limits: tuple[float, float] | None, sensor: SensorSettings) -> None:
@@ -78,11 +69,9 @@ class Bounded(Phase):
 
     @property
     def closed_loop(self) -> bool:
-        """As of the wrapped phase."""
         return self._phase.closed_loop
 
     def begin(self, now: PhaseInput, past: Past) -> None:
-        """As of the wrapped phase."""
         self._recent.clear()
         self._phase.begin(now, past)
 
@@ -107,18 +96,18 @@ def keep_shown(recent: deque[float], now: PhaseInput) -> None:
 class Climb(Phase):
     """Climb from the held command towards `end` in ramps with rests, and back; it ends near the angle limits.
 
-    A step is taken only with a usable angle. The first one is a quarter; each is made smaller where the steepest slope
-    seen so far, times 1.5, would lead beyond the limits. An angle beyond them on the way turns the motion back at once;
-    the farthest command counts that was rested at before. A tip that has moved and then stays for 45 % of
-    the travel that the watch on motion allows (`plausibility.travel`) ends the climb where it was seen to move last.
-    A step is judged when the tip has come to rest: a device that lags gets the time for it.
+    A step is taken only with a usable angle. The first one is a quarter; each is made smaller where 1.5 times the
+    steepest slope so far would lead beyond the limits. An angle beyond them on the way turns the motion back at once;
+    the farthest command of an earlier rest counts. A tip that has moved and then stays for 45 % of the travel that the
+    motion watch allows (`plausibility.travel`) ends the climb at its last motion. A step is judged at rest: a lagging
+    device gets time.
 
     Args:
         bench: rate, ramps and hard limits.
-        end: where the command may go.
-        angle_limits: where the tip may go [deg].
+        end: limit of the command.
+        angle_limits: of the tip [deg].
         steps: into which the way is divided.
-        widen: whether a tip that rests beyond its limits at the start widens them; else the climb ends there.
+        widen: whether a tip that rests beyond its limits at the start widens them; otherwise the climb ends there.
     """
 
     name = "climb"
@@ -168,11 +157,11 @@ class Climb(Phase):
 
     @property
     def result(self) -> ClimbResult:
-        """Farthest command, its angle, and why the climb ended."""
+        """Farthest command, its angle, and the end of the climb."""
         return replace(self._result, still=self._still)
 
     def _settles(self, angle: float) -> bool:
-        """Whether the tip still moves after a step, and the longest rest is not over."""
+        """Whether the tip still moves after a step within the longest rest."""
         if math.isnan(self._start_deg):
             return False
         half = len(self._settling) // 2
@@ -247,32 +236,21 @@ def climb_seconds(bench: BenchSettings, end: float, steps: int) -> float:
 
 
 @final
-class Dash(Phase):
-    """Dash there and back at the greatest rate, which measures the rate of a device that reports its command.
+class Dash(Recorded):
+    """Dash over half of the way to `end` and back, for at most 0.6 s at the greatest rate.
 
-    Args:
-        commands: to play (N,), the way there in the first `there` of them.
-        span: length of the way.
+    It measures the rate of a device that reports its command.
     """
 
-    name = "dash"
-
-    def __init__(self, commands: Vec, there: int, span: float, bench: BenchSettings) -> None:
-        self._commands, self._there, self._span, self._bench = commands.tolist(), there, span, bench
-        self._reported: list[float] = []
-        self._k = 0
-
-    def begin(self, now: PhaseInput, past: Past) -> None:
-        del past
-        self._reported, self._k = [now.reported], 0
-
-    def step(self, now: PhaseInput) -> Decision:
-        """The next command; the command that the device reports is kept."""
-        if self._k:
-            self._reported.append(now.reported)
-        u = self._commands[min(self._k, len(self._commands) - 1)]
-        self._k += 1
-        return Decision(u, self.name, finished=self._k > len(self._commands))
+    def __init__(self, bench: BenchSettings, end: float) -> None:
+        safe, rate, dt = bench.safe_command, bench.limits.rate_per_s, bench.dt_s
+        span = math.copysign(min(_DASH_SHARE * abs(end - safe), _DASH_S * rate), end - safe)
+        moving = max(math.ceil(abs(span) / (rate * dt) - 1e-9), 1)
+        way = safe + span * np.minimum(np.arange(moving + 1) * rate * dt / abs(span), 1.0)
+        rest = round(2 * HOLD_S / dt)
+        there, back = np.append(way, np.full(rest, way[-1])), np.append(way[::-1], np.full(rest, safe))
+        super().__init__("dash", np.append(there, back), dt)
+        self._there, self._span, self._bench = there, span, bench
 
     @property
     def seconds(self) -> float:
@@ -282,15 +260,14 @@ class Dash(Phase):
     @property
     def tells(self) -> bool:
         """Whether the device reports the command that it holds."""
-        return bool(np.isfinite(self._reported).any())
+        return bool(np.isfinite(self.reported).any())
 
     @property
     def rate_per_s(self) -> float:
         """Rate to use: the limit where the device followed it or reports nothing, else 90 % of the measured rate."""
         limit = self._bench.limits.rate_per_s
-        reported = np.array(self._reported[1 : self._there + 1])
-        sent = np.array(self._commands[: self._there])
-        if not self.tells or not np.isfinite(reported).any():
+        sent, reported = self._there, np.array(self.reported[: self._there.size])
+        if not np.isfinite(reported).any():
             return limit
         lasts, wanted = _ten_to_ninety(reported, sent[0], self._span), _ten_to_ninety(sent, sent[0], self._span)
         if math.isnan(lasts):  # it did not even come to nine tenths of the way
@@ -300,18 +277,6 @@ class Dash(Phase):
         if lasts <= wanted + _FOLLOWS:
             return limit
         return _CAREFUL * min(limit, 0.8 * abs(self._span) / (lasts * self._bench.dt_s))
-
-
-def dash(bench: BenchSettings, end: float) -> Dash:
-    """Dash over half of the way to `end`, at most 0.6 s at the greatest rate."""
-    safe, rate, dt = bench.safe_command, bench.limits.rate_per_s, bench.dt_s
-    span = math.copysign(min(_DASH_SHARE * abs(end - safe), _DASH_S * rate), end - safe)
-    moving = max(math.ceil(abs(span) / (rate * dt) - 1e-9), 1)
-    way = safe + span * np.minimum(np.arange(moving + 1) * rate * dt / abs(span), 1.0)
-    rest = round(2 * HOLD_S / dt)
-    there = np.concatenate([way, np.full(rest, way[-1])])
-    back = np.concatenate([way[::-1], np.full(rest, safe)])
-    return Dash(np.concatenate([there, back]), there.size, span, bench)
 
 
 def _ten_to_ninety(values: Vec, start: float, span: float) -> float:

@@ -1,10 +1,9 @@
-"""report.html of a commissioning and of an investigation: the verdict first, then how it was reached."""
+"""report.html of a commissioning and of an investigation: the verdict first, then its derivation."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -33,9 +32,8 @@ from hystmpc.trials.report import (
 )
 from hystmpc.trials.run_folder import RunFolder
 
-from .controller import TIP_FILE, IdentifiedDevice
 from .device import Track
-from .identify import Subject, uniform_trials
+from .identify import TIP_FILE, IdentifiedDevice, Subject, uniform_trials
 from .motions import CONTROLLERS
 from .round_plan import RoundPlan
 from .rounds import DIAGNOSIS, FIRST, Ending, Investigated, Round, round_folder
@@ -62,54 +60,36 @@ _ANGLES = (
 )
 
 
-@dataclass(frozen=True, eq=False)
-class CommissionStory:
-    """Content of the report of a commissioning.
-
-    Attributes:
-        range_words: how the range was determined, or where the limits come from.
-        used_s: device time, motions that were cut short included [s].
-        tracks, verified: None after a commissioning from logs.
-    """
-
-    identified: IdentifiedDevice
-    range_words: str
-    used_s: float
-    tracks: Tracks | None
-    verified: Verification | None
-
-
-def write_commission(story: CommissionStory, path: Path) -> Path:
+def write_commission(
+    path: Path,
+    identified: IdentifiedDevice,
+    range_words: str,
+    used_s: float,
+    tracks: Tracks,
+    verified: Verification | None,
+) -> Path:
     """Write the page of a commissioning, whole or not at all.
 
-    Raises:
-        LogError: if a recording is missing.
+    Args:
+        range_words: origin of the range, or of the limits.
+        used_s: device time, interrupted motions included [s].
+        tracks, verified: none after a commissioning from logs.
     """
-    name, subtitle = story.identified.subject.name, story.identified.fitted.report
-    return Report(f"Commissioning of {name}", tuple(_commissioned(story)), subtitle).save(path)
+    pieces = *_verdict(tracks, verified, identified.subject.command_unit), *_device(identified, range_words, used_s)
+    title = f"Commissioning of {identified.subject.name}"
+    return Report(title, (*pieces, *_controller(identified)), identified.fitted.report).save(path)
 
 
 def write_investigation(made: Investigated, name: str, command_unit: str) -> Path:
-    """Write the page of an investigation, whole or not at all.
-
-    Raises:
-        LogError: if a file of a round is missing.
-    """
+    """Write the page of an investigation, whole or not at all."""
     subtitle = f"simulator {made.model.name}, {len(made.rounds)} rounds, {made.device_s:.0f} s of device time"
     return Report(f"Investigation of {name}", tuple(_investigated(made, command_unit)), subtitle).save(made.report)
 
 
-def before_and_after(
-    tracks: Tracks, unit: str, motions: tuple[str, ...] = SHOWN, width: float = 9.0, height: float = 5.2
-) -> Figure:
-    """Angle, error and command of each controller over time, a column a reference.
-
-    Args:
-        unit: of the command.
-        motions: to show; those of the tracks where none of them is among these.
-    """
-    names = [name for name in motions if name in tracks] or list(tracks)[:2]
-    with new_figure(width, height) as figure:
+def before_and_after(tracks: Tracks, unit: str) -> Figure:
+    """Angle, error and command [unit] of each controller over time, a column for each shown reference."""
+    names = [name for name in SHOWN if name in tracks] or list(tracks)[:2]
+    with new_figure(9.0, 5.2) as figure:
         grid = figure.subplots(3, len(names), sharex="col", height_ratios=(2, 1.3, 1.3), squeeze=False)
         for column, name in zip(grid.T, names, strict=True):
             _column(column, name, tracks[name])
@@ -135,30 +115,30 @@ def _column(column: Sequence[Axes], name: str, runs: Mapping[str, Track]) -> Non
     command.set_xlabel("time [s]")
 
 
-def _commissioned(story: CommissionStory) -> Iterator[Piece]:
-    identified, verified = story.identified, story.verified
-    subject, made = identified.subject, identified.made
+def _verdict(tracks: Tracks, verified: Verification | None, unit: str) -> Iterator[Piece]:
     if verified is None:
         yield Paragraph(
             "Made from logs alone: nothing was verified. The controller has not moved the device yet; "
             "begin with `hystmpc commission CONFIG --out DIR` at the bench, or with `hystmpc run` and slow references."
         )
-    else:
-        yield Paragraph(verified.verdict)
-        for step in verified.steps:
-            yield Paragraph(f"Next: {step}.")
-    if story.tracks is not None and verified is not None:
-        yield Heading("Before and after")
-        yield Plot(
-            before_and_after(story.tracks, subject.command_unit),
-            "Fresh references with the PID and the inverse alone, and with the controller that was made; the error is "
-            "measured less wanted angle, the sensor's noise included.",
-            zoom=True,
-        )
-        yield _scores(verified)
-    yield from _device(story)
-    yield Heading("Controller")
+        return
+    yield Paragraph(verified.verdict)
+    for step in verified.steps:
+        yield Paragraph(f"Next: {step}.")
+    yield Heading("Before and after")
+    yield Plot(
+        before_and_after(tracks, unit),
+        "Fresh references with the PID and the inverse alone, and with the controller that was made; the error is "
+        "measured less wanted angle, the sensor's noise included.",
+        zoom=True,
+    )
+    yield _scores(verified)
+
+
+def _controller(identified: IdentifiedDevice) -> Iterator[Piece]:
+    subject, made = identified.subject, identified.made
     limits, motion = subject.limits, made.reached.motion
+    yield Heading("Controller")
     yield KeyValues(
         {
             "file": TIP_FILE,
@@ -206,19 +186,18 @@ def _scores(verified: Verification) -> Table:
     )
 
 
-def _device(story: CommissionStory) -> Iterator[Piece]:
-    identified = story.identified
+def _device(identified: IdentifiedDevice, range_words: str, used_s: float) -> Iterator[Piece]:
     fitted, checked, diagnosed = identified.fitted, identified.checked, identified.diagnosed
     yield Heading("What the device is")
     facts: dict[str, object] = {
-        "range": story.range_words,
+        "range": range_words,
         "recordings": f"{checked.trials} trials, {checked.seconds:.0f} s",
         "sensor's noise [deg]": fitted.sensor_sigma_deg,
         **({"steps of its readings [deg]": fitted.sensor_step_deg} if fitted.sensor_step_deg else {}),
         "model's free run is off by [deg]": fitted.model_sigma_deg,
     }
-    if story.used_s:
-        facts["device time"] = f"{story.used_s / 60:.1f} min, motions that were cut short included"
+    if used_s:
+        facts["device time"] = f"{used_s / 60:.1f} min, motions that were cut short included"
     yield KeyValues(facts)
     if fitted.parts:
         rows = [(part, form, _or_dash(without), _or_dash(rmse)) for part, form, without, rmse in fitted.parts]

@@ -1,34 +1,44 @@
-"""Planning of a round: motions within the limits and the remaining device time, and the reason for them."""
+"""Planning of rounds: motions within limits and device time; the first ones from the simulator alone."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
+from hystmpc.ctrl.command import CommandLimits
+from hystmpc.gap.logs.preparation import nominal_noise_deg
 from hystmpc.gap.logs.trial_choice import MOST_HZ
 from hystmpc.gap.next.motion_design import (
     EvaluatedMotion,
     MotionProposal,
+    Noise,
+    OpenHypothesis,
     SearchSettings,
+    evaluate_motion,
+    expected_probability,
     information_bits,
     search_motion,
     write_motion,
 )
 from hystmpc.gap.next.motions import MotionFamily, menu
-from hystmpc.gap.next.open_hypotheses import DiscriminationTask
+from hystmpc.gap.next.open_hypotheses import NOTHING, DiscriminationTask, free_run
+from hystmpc.models.contract.metadata import Range
+from hystmpc.models.effects.catalogue import candidates
+from hystmpc.models.effects.effect import Candidate, Scale
+from hystmpc.models.identify.baseline import Baseline, baseline_of
+from hystmpc.models.identify.problem import Problem
 from hystmpc.models.simulator import Simulator
 from hystmpc.rig.config import BenchSettings
 from hystmpc.rig.safety.plausibility import MotionWatch
 from hystmpc.trials.csv_files import read_csv
-from hystmpc.trials.errors import ConfigError
+from hystmpc.trials.errors import ConfigError, FitError
 from hystmpc.trials.types import Vec
 
 from .config import InvestigateSettings
-from .first_motions import FirstMotions, first_motions, further_motion
 from .motions import prepare_seconds, run_seconds
 from .stages import Figure
 
@@ -48,33 +58,21 @@ class RoundPlan:
     """Plan of a round: its motions and their expected information.
 
     Attributes:
-        motions: names of their files, in the order of recording.
-        seconds: device time that they take at most, the runs around them included [s].
-        separates: hypotheses that they are to discriminate.
-        probability: expected one of the right explanation; `bits` the same as information.
-        confirms: whether the trials so far decide already, so that the motion only puts their answer to the test.
-        undirected: whether a designed motion did not decide, or none is known that could: a kind of motion that was not
-            recorded yet, chosen as the first ones were.
-        menu: the menu's best motion, empty where none fits the device time; `menu_gain` by how much more information
-            per second is expected of this one.
-        looked_at: motions that were compared.
+        probability, bits: expected probability of the right hypothesis, and the same as information.
+        undirected: whether the motion is of a new kind, chosen as the first ones were, for want of a designed one.
+        menu, menu_gain: best motion of the menu, and the information per second of this motion relative to it.
     """
 
-    motions: tuple[str, ...]
-    seconds: float
-    separates: tuple[str, ...]
+    motions: tuple[str, ...]  # names of their files, in the order of recording
+    seconds: float  # greatest device time, approach and return included [s]
+    separates: tuple[str, ...]  # hypotheses to discriminate
     probability: Figure
     bits: Figure
-    confirms: bool = False
+    confirms: bool = False  # whether the trials decide already, and the motion only tests their answer
     undirected: bool = False
     menu: str = ""
     menu_gain: Figure = np.nan
-    looked_at: int = 0
-
-
-def round_seconds(bench: BenchSettings, runs: Mapping[str, Vec]) -> float:
-    """Device time of a round, preparation included [s]."""
-    return prepare_seconds(bench) + sum(run_seconds(bench, commands.size) for commands in runs.values())
+    looked_at: int = 0  # number of motions compared
 
 
 def least_seconds(bench: BenchSettings) -> float:
@@ -82,35 +80,12 @@ def least_seconds(bench: BenchSettings) -> float:
     return prepare_seconds(bench) + run_seconds(bench, math.ceil(LEAST_MOTION_S / bench.dt_s))
 
 
-def plan_first(settings: InvestigateSettings, simulator: Simulator, left_s: float, folder: Path) -> RoundPlan:
-    """Plan the first round and write its motions.
-
-    Raises:
-        ConfigError: if the device time is too short for them.
-        FitError: if no motion stays within the angle limits by the simulator.
-    """
-    count, around = settings.investigate.first_motions, run_seconds(settings, 0)
-    longest = _first_longest_s(settings, left_s)
-    chosen = first_motions(simulator, _family(settings, longest), count, allowed(settings), around)
-    return _plan_of(chosen, settings, longest, folder)
-
-
-def first_seconds(settings: InvestigateSettings, left_s: float) -> float:
-    """Device time that the first motions take at most [s].
+def first_longest_s(settings: InvestigateSettings, left_s: float) -> float:
+    """Greatest duration of each first motion in the device time left [s].
 
     Raises:
         ConfigError: if the device time is too short for them.
     """
-    count, longest = settings.investigate.first_motions, _first_longest_s(settings, left_s)
-    return prepare_seconds(settings) + count * run_seconds(settings, math.ceil(longest / settings.dt_s))
-
-
-def _room_s(settings: InvestigateSettings, left_s: float) -> float:
-    """Longest motion that the device time left permits in a round of its own [s]."""
-    return left_s - prepare_seconds(settings) - run_seconds(settings, 0)
-
-
-def _first_longest_s(settings: InvestigateSettings, left_s: float) -> float:
     count = settings.investigate.first_motions
     longest = (_FIRST_SHARE * left_s - prepare_seconds(settings)) / count - run_seconds(settings, 0)
     longest = min(longest, settings.investigate.longest_motion_s)
@@ -122,103 +97,119 @@ def _first_longest_s(settings: InvestigateSettings, left_s: float) -> float:
     return longest
 
 
-def plan_next(
-    settings: InvestigateSettings, question: DiscriminationTask, left_s: float, number: int, longer: int, folder: Path
-) -> RoundPlan | None:
-    """Plan a designed motion with most expected information and write it; None where none has enough.
-
-    Args:
-        left_s: device time that is left [s].
-        number: of the recording that it becomes.
-        longer: factor on the motion's duration, where shorter ones did not decide.
-    """
-    longest = min(_room_s(settings, left_s), longer * settings.investigate.longest_motion_s)
-    least = LEAST_MOTION_S if longer == 1 else 0.5 * longest
-    if longest < LEAST_MOTION_S:
-        return None
-    family, wanted = _family(settings, longest), settings.investigate.seed
-    searched = search_motion(
-        question.hypotheses,
-        family,
-        question.noise,
-        SearchSettings([wanted, number], run_seconds(settings, 0), least, allowed=allowed(settings)),
-        [motion for motion in menu(family.limits, family.dt) if motion.duration_s <= left_s],
-    )
-    if searched is None or searched.bits < LEAST_BITS:
-        return None
-    name = f"{number}-designed"
-    commands = _written(folder, name, searched.chosen, searched.numbers, settings, longest)
-    return RoundPlan(
-        motions=(name,),
-        seconds=round_seconds(settings, {name: commands}),
-        separates=tuple(hypothesis.name for hypothesis in question.hypotheses),
-        probability=searched.chosen.probability,
-        bits=searched.bits,
-        confirms=question.confirms,
-        menu=searched.menu.motion.name if searched.menu else "",
-        menu_gain=searched.gain,
-        looked_at=searched.looked_at,
-    )
+def first_seconds(settings: InvestigateSettings, left_s: float) -> float:
+    """Greatest device time of the first motions [s]."""
+    count, longest = settings.investigate.first_motions, first_longest_s(settings, left_s)
+    return prepare_seconds(settings) + count * run_seconds(settings, math.ceil(longest / settings.dt_s))
 
 
-def plan_more(
-    settings: InvestigateSettings,
-    simulator: Simulator,
-    left_s: float,
-    number: int,
-    recorded: Collection[str],
-    question: DiscriminationTask | None,
-    folder: Path,
-) -> RoundPlan | None:
-    """Plan a motion of a kind that was not recorded yet, twice as long as the first ones.
+@dataclass(frozen=True, eq=False)
+class RoundPlanner:
+    """Planner of one round's motions within the device time left [s]; it writes them into `folder`."""
 
-    None where the device time is too short, or no kind is left that is allowed.
+    settings: InvestigateSettings
+    simulator: Simulator
+    left_s: float
+    folder: Path
 
-    Args:
-        left_s: device time that is left [s].
-        number: of the recording that it becomes.
-        recorded: kinds of motion that were recorded.
-        question: its explanations, fitted to what was recorded, judge what is allowed; those of a typical size do where
-            there is none.
-    """
-    longest = min(_room_s(settings, left_s), _FURTHER * settings.investigate.longest_motion_s)
-    if longest < LEAST_MOTION_S:
-        return None
-    around = run_seconds(settings, 0)
-    is_allowed, hypotheses = allowed(settings), question.hypotheses if question else ()
+    def first(self) -> RoundPlan:
+        """Plan of the first round."""
+        longest = first_longest_s(self.settings, self.left_s)
+        count, around = self.settings.investigate.first_motions, run_seconds(self.settings, 0)
+        family = self._family(longest)
+        return self._plan(first_motions(self.simulator, family, count, allowed(self.settings), around), longest)
 
-    def fits(option: EvaluatedMotion) -> bool:
-        motion = option.motion
-        angles = np.array([fitted.simulate(motion.command, motion.dt) for fitted in hypotheses])
-        return is_allowed(replace(option, angles=angles) if hypotheses else option)
+    def designed(self, question: DiscriminationTask, number: int, longer: int) -> RoundPlan | None:
+        """Plan of the designed motion with most expected information; None where none has enough.
 
-    chosen = further_motion(simulator, _family(settings, longest), recorded, number, fits, around)
-    if chosen is None:
-        return None
-    return replace(_plan_of(chosen, settings, longest, folder), undirected=True)
+        `number` is that of its recording; `longer` a factor on its duration, where shorter ones did not decide.
+        """
+        settings, longest = self.settings, self._longest_s(longer)
+        if longest < LEAST_MOTION_S:
+            return None
+        family, least = self._family(longest), LEAST_MOTION_S if longer == 1 else 0.5 * longest
+        seed, around = [settings.investigate.seed, number], run_seconds(settings, 0)
+        searched = search_motion(
+            question.hypotheses,
+            family,
+            question.noise,
+            SearchSettings(seed, around, least, allowed=allowed(settings)),
+            [motion for motion in menu(family.limits, family.dt) if motion.duration_s <= self.left_s],
+        )
+        if searched is None or searched.bits < LEAST_BITS:
+            return None
+        name = f"{number}-designed"
+        return RoundPlan(
+            motions=(name,),
+            seconds=self._seconds([self._written(name, searched.chosen, searched.numbers, longest)]),
+            separates=tuple(hypothesis.name for hypothesis in question.hypotheses),
+            probability=searched.chosen.probability,
+            bits=searched.bits,
+            confirms=question.confirms,
+            menu=searched.menu.motion.name if searched.menu else "",
+            menu_gain=searched.gain,
+            looked_at=searched.looked_at,
+        )
 
+    def further(self, question: DiscriminationTask | None, number: int, recorded: Collection[str]) -> RoundPlan | None:
+        """Plan of a motion of an unrecorded kind, twice as long as the first ones; None where none is allowed.
 
-def _plan_of(chosen: FirstMotions, settings: InvestigateSettings, longest_s: float, folder: Path) -> RoundPlan:
-    """Plan of motions that were chosen among the starts of the family; writes them."""
-    runs = {
-        name: _written(folder, name, option, chosen.numbers[name], settings, longest_s)
-        for name, option in chosen.options.items()
-    }
-    return RoundPlan(
-        motions=tuple(runs),
-        seconds=round_seconds(settings, runs),
-        separates=chosen.explanations,
-        probability=chosen.probability,
-        bits=information_bits(chosen.probability, len(chosen.explanations)),
-        looked_at=len(chosen.options),
-    )
+        The fitted hypotheses of the question judge whether a motion is allowed; those of a typical size without it.
+        """
+        longest, hypotheses = self._longest_s(_FURTHER), question.hypotheses if question else ()
+        if longest < LEAST_MOTION_S:
+            return None
+        around, is_allowed = run_seconds(self.settings, 0), allowed(self.settings)
+
+        def fits(option: EvaluatedMotion) -> bool:
+            motion = option.motion
+            angles = np.array([fitted.simulate(motion.command, motion.dt) for fitted in hypotheses])
+            return is_allowed(replace(option, angles=angles) if hypotheses else option)
+
+        chosen = further_motion(self.simulator, self._family(longest), recorded, number, fits, around)
+        return None if chosen is None else replace(self._plan(chosen, longest), undirected=True)
+
+    def _longest_s(self, factor: float) -> float:
+        """Longest motion within the device time left in a round of its own [s]."""
+        room_s = self.left_s - prepare_seconds(self.settings) - run_seconds(self.settings, 0)
+        return min(room_s, factor * self.settings.investigate.longest_motion_s)
+
+    def _seconds(self, runs: Iterable[Vec]) -> float:
+        return prepare_seconds(self.settings) + sum(run_seconds(self.settings, commands.size) for commands in runs)
+
+    def _family(self, longest_s: float, dt_s: float = 1 / MOST_HZ) -> MotionFamily:
+        """Family of motions, by default at the sample rate of a diagnosis."""
+        settings = self.settings
+        return MotionFamily(settings.limits.build(), max(settings.dt_s, dt_s), settings.safe_command, longest_s)
+
+    def _plan(self, chosen: FirstMotions, longest_s: float) -> RoundPlan:
+        """Plan of motions chosen among the starts of the family."""
+        numbers = chosen.numbers
+        runs = [self._written(name, option, numbers[name], longest_s) for name, option in chosen.options.items()]
+        return RoundPlan(
+            motions=tuple(chosen.options),
+            seconds=self._seconds(runs),
+            separates=chosen.explanations,
+            probability=chosen.probability,
+            bits=information_bits(chosen.probability, len(chosen.explanations)),
+            looked_at=len(chosen.options),
+        )
+
+    def _written(self, name: str, option: EvaluatedMotion, numbers: Vec, longest_s: float) -> Vec:
+        """Write a motion at the rate of the bench with its expected angle and separation; returns its commands."""
+        motion, then = self._family(longest_s, 0.0).motion(numbers, name), option.motion.t
+        expected = np.interp(motion.t, then, option.angles.mean(axis=0))[None]
+        apart = np.interp(motion.t, then, option.separation)
+        resampled = replace(option, motion=motion, angles=expected, separation=apart)
+        write_motion(self.folder / f"{name}.csv", MotionProposal((), resampled, ()), self.settings.command_unit)
+        return planned_commands(self.folder, name)
 
 
 def allowed(settings: InvestigateSettings) -> Callable[[EvaluatedMotion], bool]:
     """Test of a motion: expected angles within the limits, and no false alarm of a blocked tip.
 
-    The angles of all explanations are tried, with 0.7 of the travel that the bench's own watch on motion allows. The
-    limits count for the median angle, since no explanation of a typical size has been seen on the device.
+    The angles of all hypotheses are tried with 0.7 of the travel that the bench's motion watch allows. The limits hold
+    for the median angle, since no hypothesis of a typical size has been observed on the device.
     """
     low, high = settings.angle_limits
     span, range_deg = (
@@ -244,27 +235,161 @@ def allowed(settings: InvestigateSettings) -> Callable[[EvaluatedMotion], bool]:
 
 
 def planned_commands(folder: Path, name: str) -> Vec:
-    """Read the commands (N,) of a planned motion.
-
-    Raises:
-        LogError: if the file is missing or no motion.
-    """
+    """Commands (N,) of a planned motion, read from its file."""
     return read_csv(folder / f"{name}.csv").command
 
 
-def _family(settings: InvestigateSettings, longest_s: float) -> MotionFamily:
-    """Family of motions at the rate at which a diagnosis simulates."""
-    dt = max(settings.dt_s, 1 / MOST_HZ)
-    return MotionFamily(settings.limits.build(), dt, settings.safe_command, longest_s)
+_LEAST_NOISE_DEG, _FORM_SHARE = 0.02, 0.01  # where the simulator's file says nothing; of the angle's range
+_SLOWER = (1.0, 0.5, 0.25, 0.1)  # of the speeds of a start
+_NUDGE = 0.3  # of the unknowns' typical changes
 
 
-def _written(
-    folder: Path, name: str, option: EvaluatedMotion, numbers: Vec, settings: InvestigateSettings, longest_s: float
-) -> Vec:
-    """Write a motion at the rate of the bench with its expected angle and separation; returns its commands."""
-    family = MotionFamily(settings.limits.build(), settings.dt_s, settings.safe_command, longest_s)
-    motion, then = family.motion(numbers, name), option.motion.t
-    expected = np.interp(motion.t, then, option.angles.mean(axis=0))[None]
-    resampled = replace(option, motion=motion, angles=expected, separation=np.interp(motion.t, then, option.separation))
-    write_motion(folder / f"{name}.csv", MotionProposal((), resampled, ()), settings.command_unit)
-    return planned_commands(folder, name)
+@dataclass(frozen=True, eq=False)
+class FirstMotions:
+    """First motions of an investigation, in the order of recording."""
+
+    options: Mapping[str, EvaluatedMotion]  # expected result of each, by the name of its recording
+    numbers: Mapping[str, Vec]  # parameters of each in the family (22,)
+    explanations: tuple[str, ...]  # hypotheses to discriminate
+    probability: float  # expected one of the right hypothesis; chance is one over their number
+
+
+def first_motions(
+    simulator: Simulator,
+    family: MotionFamily,
+    count: int,
+    allowed: Callable[[EvaluatedMotion], bool],
+    overhead_s: float,
+) -> FirstMotions:
+    """Starts of the family with most expected information per second about the effect that the simulator lacks.
+
+    Every effect of the library is added to the simulator at a typical size. The first motion has the most expected
+    information per second; each further one adds most to those before it. The distances of two motions add up in
+    squares. The last motion repeats the first, since only a repeat shows the noise floor and differences between
+    trials.
+
+    Args:
+        count: of motions, two or more.
+        allowed: test of a motion by the angles that the hypotheses expect.
+        overhead_s: device time of a run without its motion [s].
+
+    Raises:
+        FitError: if no motion is allowed.
+    """
+    names, options = _options(simulator, family, allowed)
+    if not options:
+        raise FitError(
+            "investigate: by the simulator every first motion leaves the angle limits, or moves the command without "
+            f"the tip, expected limits of the command ({family.limits}) that keep the tip within, and a travel "
+            "(plausibility.travel) wider than the play"
+        )
+    chosen = _greedy([option for option, _ in options.values()], (), len(names), count - 1, overhead_s)
+    chosen.append(chosen[0])
+    squares = sum(option.distances**2 for option in chosen)
+    named = {f"{k + 1}-{option.motion.name}": option for k, option in enumerate(chosen)}
+    numbers = {name: options[option.motion.name][1] for name, option in named.items()}
+    return FirstMotions(named, numbers, names, expected_probability(np.sqrt(squares)))
+
+
+def further_motion(
+    simulator: Simulator,
+    family: MotionFamily,
+    recorded: Collection[str],
+    number: int,
+    allowed: Callable[[EvaluatedMotion], bool],
+    overhead_s: float,
+) -> FirstMotions | None:
+    """Unrecorded start of the family with most expected information per second; None where none is allowed.
+
+    The form error of a hypothesis is equal in each repeat of a motion; only another kind of motion shows it
+    differently. Arguments as of `first_motions`.
+    """
+    names, options = _options(simulator, family, allowed)
+    known = [option for name, (option, _) in options.items() if name in recorded]
+    left = [option for name, (option, _) in options.items() if name not in recorded]
+    if not left:
+        return None
+    (chosen,) = _greedy(left, known, len(names), 1, overhead_s)
+    name, numbers = f"{number}-{chosen.motion.name}", options[chosen.motion.name][1]
+    return FirstMotions({name: chosen}, {name: numbers}, names, chosen.probability)
+
+
+def _options(
+    simulator: Simulator, family: MotionFamily, allowed: Callable[[EvaluatedMotion], bool]
+) -> tuple[tuple[str, ...], dict[str, tuple[EvaluatedMotion, Vec]]]:
+    """Names of the hypotheses, and each allowed start of the family with its parameters, by name."""
+    everything, noise = explanations(simulator, family.limits, family.dt), prior_noise(simulator)
+    fastest = [_fastest(family, name, everything, noise, allowed) for name in family.starts]
+    options = {option.motion.name: (option, numbers) for option, numbers in filter(None, fastest)}
+    return tuple(explanation.name for explanation in everything), options
+
+
+def _fastest(
+    family: MotionFamily,
+    name: str,
+    everything: Sequence[OpenHypothesis],
+    noise: Noise,
+    allowed: Callable[[EvaluatedMotion], bool],
+) -> tuple[EvaluatedMotion, Vec] | None:
+    """The start of that name, as fast as allowed, with its parameters; None where no speed is allowed."""
+    for factor in _SLOWER:
+        numbers = family.slower(family.starts[name], factor)
+        option = evaluate_motion(everything, family.motion(numbers, name), noise)
+        if option is not None and allowed(option):
+            return option, numbers
+    return None
+
+
+def _greedy(
+    options: Sequence[EvaluatedMotion], known: Sequence[EvaluatedMotion], names: int, count: int, overhead_s: float
+) -> list[EvaluatedMotion]:
+    """At most `count` options, chosen one by one for most additional information per second."""
+    chosen: list[EvaluatedMotion] = []
+    squares = sum((option.distances**2 for option in known), np.zeros((names, names)))
+    bits = information_bits(expected_probability(np.sqrt(squares)), names)
+    for _ in range(min(count, len(options))):
+        left = [option for option in options if option not in chosen]
+
+        def gain(option: EvaluatedMotion, squares: np.ndarray = squares, bits: float = bits) -> float:
+            more = information_bits(expected_probability(np.sqrt(squares + option.distances**2)), names) - bits
+            return more / (option.motion.duration_s + overhead_s)
+
+        best = max(left, key=gain)
+        chosen.append(best)
+        squares = squares + best.distances**2
+        bits = information_bits(expected_probability(np.sqrt(squares)), names)
+    return chosen
+
+
+def explanations(simulator: Simulator, limits: CommandLimits, dt: float) -> tuple[OpenHypothesis, ...]:
+    """Hypotheses: the simulator as it is, and with each effect of the library at a typical size."""
+    angles = simulator.trained_angle_deg
+    scale = Scale(limits.lower, limits.upper, angles.lower, angles.upper, 20.0, 100.0, dt)
+    baseline = baseline_of(simulator.at_sample_time(dt).chain, Range(lower=limits.lower, upper=limits.upper))
+    hypotheses = {NOTHING: _explanation(NOTHING, baseline, None, angles.lower)}
+    for candidate in candidates(scale, baseline.effects):
+        if candidate.effect not in hypotheses and candidate.operators:
+            hypotheses[candidate.effect] = _explanation(candidate.effect, baseline, candidate, angles.lower)
+    return tuple(hypotheses.values())
+
+
+def _explanation(name: str, baseline: Baseline, candidate: Candidate | None, rest_deg: float) -> OpenHypothesis:
+    problem = Problem(baseline, () if candidate is None else (candidate,))
+    q = problem.start(baseline.nominal, [] if candidate is None else [candidate.starts[-1]])
+    if candidate is not None:
+        sizes = q[problem.size - len(candidate.free) :]
+        sizes[:] = np.where(sizes == 0.0, 1.0, sizes)  # a size of none is one typical change
+    q = np.clip(q, problem.lower, problem.upper)
+    nudged = [np.clip(q + _NUDGE * row, problem.lower, problem.upper) for row in np.eye(problem.size)]
+    runs = [free_run(problem.fitted_chain(p), rest_deg) for p in (q, *nudged)]
+    return OpenHypothesis(name, runs[0], runs[1:])
+
+
+def prior_noise(simulator: Simulator) -> Noise:
+    """Noise and model error stated in the simulator's file, with small lower bounds."""
+    identification = simulator.identification
+    noise = nominal_noise_deg(identification) or 0.0
+    sizes = [residual.rmse_deg for residual in identification.residuals]
+    span = simulator.trained_angle_deg.upper - simulator.trained_angle_deg.lower
+    form = float(np.sqrt(np.mean(np.square(sizes)))) if sizes else _FORM_SHARE * span
+    return Noise(max(noise, _LEAST_NOISE_DEG), white=1.0, form_deg=form)

@@ -18,7 +18,7 @@ from hystmpc.trials.read import read_trials
 from hystmpc.trials.types import Progress
 
 from .config import InvestigateSettings
-from .round_plan import RoundPlan, least_seconds, plan_more, plan_next
+from .round_plan import RoundPlan, RoundPlanner, least_seconds
 from .stages import Figure
 
 Ending = Literal["", "named", "no_gap", "nothing_gained", "budget"]
@@ -37,19 +37,18 @@ _MOST_OF_IT = 0.5  # of the structural gap: a name that leaves more of it than i
 
 @dataclass(frozen=True)
 class RoundVerdict:
-    """Verdict of a round: the diagnosis of all trials so far, and what follows.
+    """Verdict of a round: the diagnosis of all trials so far, and the decision on a further round.
 
     Attributes:
-        verdict, effects, ambiguity, reason: of the diagnosis; effects by name, the most probable first.
-        headline, closed: the verdict, and in words the closed share and the tracking error that is expected.
+        effects: names, the most probable first.
+        headline, closed: the verdict; the closed share and the expected tracking error, in words.
         probability: of the first effect; NaN without one.
         closed_share: of the structural gap on the final trials.
-        flips: whether verdict and names come out on too few other splits of the trials.
         retuned_deg, left_deg: RMSE on the final trials without and with the effects [deg].
-        trials: that were diagnosed.
+        trials: number of diagnosed trials.
+        flips: whether other splits of the trials give another verdict.
         next: motions of the next round; None where the investigation ends.
-        ended: why it ends, empty where it goes on.
-        why: that in one sentence.
+        ended, why: reason of the end, and the same in one sentence; empty where it goes on.
     """
 
     verdict: Verdict
@@ -70,9 +69,8 @@ class RoundVerdict:
 
     @property
     def result(self) -> tuple[str, frozenset[str], frozenset[frozenset[str]]]:
-        """Verdict, effects and indistinguishable sets, by which rounds are compared.
-
-        Without a gap it is the same whether numbers have moved: that is a matter of size.
+        """Verdict, effects and indistinguishable sets, by which rounds are compared; `none` and `retuned` count as
+        equal.
         """
         verdict = _NO_GAP[0] if self.verdict in _NO_GAP else self.verdict
         return verdict, frozenset(self.effects), frozenset(frozenset(names) for names in self.ambiguity)
@@ -80,12 +78,7 @@ class RoundVerdict:
 
 @dataclass(frozen=True)
 class RecordedRound:
-    """Recordings of a round.
-
-    Attributes:
-        names: of the motions that were played; fewer than planned where the device time did not suffice.
-        device_s: device time used since the beginning, motions that were cut short included [s].
-    """
+    """Names of the played motions, and the device time used since the beginning [s]."""
 
     names: tuple[str, ...]
     device_s: Figure
@@ -93,14 +86,7 @@ class RecordedRound:
 
 @dataclass(frozen=True)
 class Round:
-    """One round of an investigation.
-
-    Attributes:
-        number: from 1.
-        plan: what was to be recorded, and why.
-        recorded: what was.
-        judged: the verdict on all trials so far.
-    """
+    """One round of an investigation: number from 1, plan, recordings, verdict."""
 
     number: int
     plan: RoundPlan
@@ -114,14 +100,10 @@ class Investigated:
     """Result of an investigation.
 
     Attributes:
-        folder: of the run.
-        rounds: in their order, one at least.
-        ended, why: what ended it, and that in one sentence.
+        ended, why: reason of the end, and the same in one sentence.
         model: simulator that was judged.
-        fixed: corrected by the effects of the diagnosis; None where the diagnosis made none.
-        report: the page.
-        device_s: device time used, motions that were cut short included [s].
-        budget_s: device time allowed [s].
+        fixed: corrected by the effects of the diagnosis; None where there is none.
+        device_s, budget_s: device time used, interrupted motions included, and allowed [s].
     """
 
     folder: Path
@@ -182,11 +164,9 @@ def judge_round(
     """Diagnose all trials, write the diagnosis, and plan the next round where one follows.
 
     Args:
-        model: simulator that is judged.
         files: recordings in their order.
         before: verdicts of earlier rounds.
-        left_s: device time that is left [s].
-        folder: of this stage.
+        left_s: device time left [s].
 
     Raises:
         GapError: if the recordings cannot be compared with the simulator.
@@ -208,16 +188,18 @@ def judge_round(
     repeats, number = _equal_count([*before, judged]), len(files) + 1
     longer = _LONGER ** (repeats - 1) if sought else 1
 
+    planner = RoundPlanner(settings, simulator, left_s, folder)
+
     def planned() -> RoundPlan | None:
-        open_question, recorded = discrimination_task(findings), {file.stem.partition("-")[2] for file in files}
+        question, recorded = discrimination_task(findings), {file.stem.partition("-")[2] for file in files}
         undecided = repeats > 1  # the last motion was to decide, and did not
-        if undecided and (further := plan_more(settings, simulator, left_s, number, recorded, open_question, folder)):
+        if undecided and (further := planner.further(question, number, recorded)):
             return further
-        if open_question is not None and repeats < _STUCK:
-            designed = plan_next(settings, open_question, left_s, number, longer, folder)
+        if question is not None and repeats < _STUCK:
+            designed = planner.designed(question, number, longer)
             if designed is not None:
                 return designed
-        return None if undecided else plan_more(settings, simulator, left_s, number, recorded, open_question, folder)
+        return None if undecided else planner.further(question, number, recorded)
 
     return with_next(judged, before, planned, left_s, least_seconds(settings))
 
@@ -251,14 +233,12 @@ def with_next(
     """Verdict with its consequence: the end of the investigation and its reason, or the next round.
 
     Ends, in this order: the same effect named in two rounds in a row, or several in three, where they close at least
-    half of the gap; no gap in four rounds in a row; too little device time for one more motion; no motion that tells
-    enough. A verdict that flips between splits of the trials is not stable, however often it came.
+    half of the gap; no gap in four rounds in a row; too little device time for one more motion; no informative motion.
+    A verdict that flips between splits of the trials is not stable, whatever its count.
 
     Args:
-        before: verdicts of earlier rounds.
-        planned: makes the plan of the next round; None where no motion tells enough.
-        left_s: device time that is left [s].
-        least_s: that the shortest round takes [s].
+        planned: makes the plan of the next round; None where no motion is informative enough.
+        left_s, least_s: device time left, and that of the shortest round [s].
     """
     repeats = _equal_count([*before, judged])
     names = " and ".join(name.replace("_", " ") for name in judged.effects)

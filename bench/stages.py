@@ -1,4 +1,4 @@
-"""Runner of stages: each has a folder, a fingerprint of what it depends on, and a result that is loaded on resume."""
+"""Runner of stages: each has a folder, a fingerprint of its inputs, and a result that is loaded on resume."""
 
 from __future__ import annotations
 
@@ -38,16 +38,16 @@ class EndedEarlyError(HystmpcError):
 
 @final
 class Stages:
-    """Stages of one folder in their order: done, or loaded where complete after the same settings and results.
+    """Stages of one folder in their order: executed, or loaded where complete after the same settings and results.
 
-    Device time and computing time add up to one bar; a computed device counts with 5 % of its time.
+    Device time and computing time add up to one progress bar; a computed device counts with 5 % of its time.
 
     Args:
         root: of the commissioning or investigation.
         settings: plain data that all results depend on.
         opens: opens the device; None where nothing is moved.
-        progress: called with the time passed, that expected [s], and what is being done.
-        closed: whether a stage without a result is an error, instead of being done.
+        progress: called with the time passed, the time expected [s], and a note.
+        closed: whether a stage without a result is an error.
     """
 
     def __init__(
@@ -67,7 +67,7 @@ class Stages:
 
     @property
     def device(self) -> Device:
-        """The device that is moved.
+        """Device that is moved.
 
         Raises:
             ConfigError: if everything is made from recordings.
@@ -78,32 +78,32 @@ class Stages:
 
     @property
     def used_s(self) -> float:
-        """Device time used, motions that were cut short included [s]."""
+        """Device time used, interrupted motions included [s]."""
         return 0.0 if self._device is None else self._device.used_s
 
     @property
     def left_s(self) -> float:
-        """Device time that is left [s]."""
+        """Device time left [s]."""
         return self._device_s - self.used_s
 
     def expect(self, device_s: float, computing_s: float) -> None:
-        """Set what the bar expects: device time in all, and computing time [s]."""
+        """Set the device time and the computing time that the progress bar expects [s]."""
         self._device_s, self._expected_s = device_s, computing_s
 
     def complete(
         self, name: str, kind: type[R], do: Callable[[Path], R], computing_s: float = 0.0, device_s: float = 0.0
     ) -> R:
-        """Result of a stage: loaded where it is complete, else done now.
+        """Result of a stage: loaded where it is complete, otherwise computed by `do`.
 
         Args:
             name: of its folder under `root`.
             kind: dataclass of the result.
-            do: does the stage in its folder; where it raises, the folder keeps what is there.
-            computing_s, device_s: computing time and device time that are expected, for the bar [s].
+            do: executes the stage in its folder; where it raises, the folder keeps its files.
+            computing_s, device_s: expected computing and device time, for the progress bar [s].
 
         Raises:
             ConfigError: if the folder holds the stage of other settings or results.
-            LogError: if its result is damaged, or missing where no stage may be done.
+            LogError: if its result is damaged, or missing in a closed folder.
         """
         folder, adapter, used_s = self.root / name, TypeAdapter(kind), self.used_s
         begun = folder / BEGUN
@@ -131,14 +131,13 @@ class Stages:
         return result
 
     def record(self, runs: Mapping[str, Vec], bench: BenchSettings, folder: Path, limited: bool = False) -> list[str]:
-        """Play commands (N,) and write each recording into `folder/trials`; existing recordings are kept.
+        """Play commands (N,) and write each recording into `folder/trials`; returns the names of the recordings in
+        order.
+
+        Existing recordings are kept.
 
         Args:
-            folder: of the stage.
-            limited: whether a motion is left out, with those after it, that might not end within the device time.
-
-        Returns:
-            Names of the recordings, in their order.
+            limited: whether a motion that might not end within the device time is left out, with those after it.
 
         Raises:
             DeviceStoppedError: if a motion was stopped safely; complete recordings are kept.
@@ -164,11 +163,7 @@ class Stages:
         return names
 
     def say(self, note: str, moving_s: float = 0.0) -> None:
-        """Report the time passed, that expected, and what is being done.
-
-        Args:
-            moving_s: since the present motion began [s].
-        """
+        """Report the progress with a note, `moving_s` seconds after the present motion began."""
         self._note = note
         if self._progress is None:
             return
@@ -179,7 +174,7 @@ class Stages:
         self._progress(min(passed, total), total, note)
 
     def tick(self, moving_s: float) -> None:
-        """Report the progress while a motion lasts."""
+        """Report the progress within a motion."""
         self.say(self._note, moving_s)
 
     def computing(self, what: str) -> Progress:
@@ -210,7 +205,7 @@ def begun(
 
     Raises:
         ConfigError: if the folder holds something else, was begun with other settings, or another process works in it.
-        EndedEarlyError: where an error comes after the device has moved, in place of that error.
+        EndedEarlyError: in place of another error after the device has moved.
     """
     plain = {kind: 1, **settings}
 

@@ -17,8 +17,8 @@ from hystmpc.trajectories.config import MotionSettings
 from hystmpc.trials.brief import brief
 from hystmpc.trials.types import Vec
 
-from .controller import TIP_FILE, tip_settings
 from .device import Device, Track
+from .identify import TIP_FILE, tip_settings
 from .motions import CONTROLLERS
 from .stages import Figure
 
@@ -44,44 +44,26 @@ Tracks = Mapping[str, Mapping[str, Track]]
 
 @dataclass(frozen=True)
 class ControllerScore:
-    """Score of one controller over all references.
+    """Score of one controller over all references."""
 
-    Attributes:
-        rms_deg: of measured less wanted angle, sensor noise included [deg].
-        by_motion: the same by reference [deg].
-        greatest_deg: greatest absolute error [deg].
-        rest_share: of the settled samples of holds, those in which the command did not move; NaN without holds.
-        fallback_share: of the samples, those that a fallback has answered.
-        late_share: of the samples, those that a fallback has answered after a missed deadline, or that were skipped.
-        beyond: samples beyond a limit of the command.
-    """
-
-    rms_deg: Figure
-    by_motion: Mapping[str, Figure]
-    greatest_deg: Figure
-    rest_share: Figure
-    fallback_share: Figure
-    beyond: int
-    late_share: Figure = 0.0
+    rms_deg: Figure  # of measured minus wanted angle, sensor noise included [deg]
+    by_motion: Mapping[str, Figure]  # the same by reference [deg]
+    greatest_deg: Figure  # greatest absolute error [deg]
+    rest_share: Figure  # share of the settled samples of holds with a resting command; NaN without holds
+    fallback_share: Figure  # share of the samples answered by a fallback
+    beyond: int  # samples beyond a limit of the command
+    late_share: Figure = 0.0  # share of the samples answered by a fallback after a missed deadline, or skipped
 
 
 @dataclass(frozen=True)
 class Verification:
-    """Result of the verification.
+    """Result of the verification."""
 
-    Attributes:
-        verified: whether the predictive controller is better than the PID, beyond chance.
-        verdict: in words.
-        steps: what to do next.
-        sensor_sigma_deg: noise of the sensor, as the model has it [deg].
-        scores: by controller.
-    """
-
-    verified: bool
+    verified: bool  # whether the predictive controller is better than the PID, beyond chance
     verdict: str
-    steps: tuple[str, ...]
-    sensor_sigma_deg: Figure
-    scores: Mapping[str, ControllerScore]
+    steps: tuple[str, ...]  # next steps
+    sensor_sigma_deg: Figure  # noise of the sensor according to the model [deg]
+    scores: Mapping[str, ControllerScore]  # by controller
     __repr__ = brief
 
 
@@ -93,10 +75,6 @@ def track_all(
     say: Callable[[str], None],
 ) -> Tracks:
     """Track every reference with every controller; existing tracks are kept.
-
-    Args:
-        folder: of the stage, next to `tip.yaml`.
-        say: called before each motion with its name.
 
     Raises:
         DeviceStoppedError: if a run was stopped safely; finished tracks are kept.
@@ -118,11 +96,7 @@ def track_all(
 
 
 def load_tracks(folder: Path) -> Tracks:
-    """Read the tracks of a complete stage.
-
-    Raises:
-        LogError: if one cannot be read.
-    """
+    """Tracks of a complete stage."""
     tracks = dict[str, dict[str, Track]]()
     for file in sorted((folder / "tracks").glob("*.csv")):
         motion, _, name = file.stem.rpartition(".")
@@ -136,11 +110,10 @@ def judge_tracks(
     """Compare the controllers: scores, and whether the predictive one is better than the PID.
 
     Square errors are compared in blocks of one second of the same reference: verified is a mean difference of more than
-    two standard errors and 5 %. The errors hold the noise of the sensor, which is the same for all, and that of its
-    steps. Where deadlines were missed, fallbacks are compared, and nothing is said of the controllers.
+    two standard errors and 5 %. The errors contain the noise and quantisation of the sensor, equal for all. Where
+    deadlines were missed, fallbacks are compared, and the controllers are not judged.
 
-    Args:
-        sigma_deg, model_sigma_deg: noise of the sensor, and how far the model's free run is off [deg].
+    `sigma_deg` is the noise of the sensor, `model_sigma_deg` the error of the model's free run [deg].
     """
     scores = {name: _scored({m: t[name] for m, t in tracks.items()}, limits, dt_s) for name in CONTROLLERS}
     mpc, pid = scores[MPC], scores[PID]
@@ -217,7 +190,7 @@ def _scored(tracks: Mapping[str, Track], limits: CommandLimits, dt_s: float) -> 
 
 
 def _gains(pid: Track, mpc: Track, dt_s: float) -> Vec:
-    """Mean square error of the PID less that of the predictive controller, in blocks of a second (B,) [deg^2]."""
+    """Mean square error of the PID minus that of the predictive controller, in blocks of a second (B,) [deg^2]."""
     count = min(pid.t.size, mpc.t.size)
     difference = pid.error_deg[:count] ** 2 - mpc.error_deg[:count] ** 2
     blocks = np.array_split(difference, max(int(count * dt_s / _BLOCK_S), 1))

@@ -20,7 +20,7 @@ def device(
     seconds: Annotated[float, typer.Option(min=0, help="End after this time; 0 for Ctrl-C.")] = 0.0,
 ) -> None:
     """Serve a simulated device until Ctrl-C; it listens on the loopback unless told otherwise."""
-    from hystmpc.bench.plants import make_plant
+    from hystmpc.bench.device import make_plant
     from hystmpc.rig.device import serve
 
     settings = load_settings(DeviceSettings, config, overrides or ())

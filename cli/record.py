@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from hystmpc.rig.config import load_record
+from hystmpc.rig.experiment.record import load_record
 from hystmpc.tasks.inputs import allow_classes
 
 from .console import out, say
@@ -25,7 +25,7 @@ def record(
     allow: AllowPython = False,
 ) -> None:
     """Play every excitation and write trials that `check`, `fit` and `diagnose` read. Exit code 3 after a stop."""
-    from hystmpc.bench.plants import plants_in
+    from hystmpc.bench.device import plants_in
     from hystmpc.rig.experiment.record import record as play
     from hystmpc.rig.live.desk import Desk
     from hystmpc.rig.recording.recording import RecordingMeta

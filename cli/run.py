@@ -25,7 +25,7 @@ def run(
     allow: AllowPython = False,
 ) -> None:
     """Prepare the device, track the reference, return to the safe command; exit code 3 after a safe stop."""
-    from hystmpc.bench.plants import plants_in
+    from hystmpc.bench.device import plants_in
     from hystmpc.rig.experiment.experiment import run_experiment
     from hystmpc.rig.live.desk import Desk
     from hystmpc.rig.recording.recording import RecordingMeta

@@ -23,7 +23,7 @@ FILES: Mapping[str, tuple[str, str]] = MappingProxyType(
         "tip": ("hystmpc.ctrl.planner.settings:TipSettings", "a `TipController`"),
         "controller": ("hystmpc.ctrl.config:ControllerSettings", "one controller, of `hystmpc simulate --controller`"),
         "run": ("hystmpc.rig.config:RunSettings", "an experiment of `hystmpc run`"),
-        "record": ("hystmpc.rig.config:RecordSettings", "recordings of `hystmpc record`"),
+        "record": ("hystmpc.rig.experiment.record:RecordSettings", "recordings of `hystmpc record`"),
         "commission": ("hystmpc.bench.config:CommissionSettings", "a device of `hystmpc commission`"),
         "investigate": ("hystmpc.bench.config:InvestigateSettings", "a device of `hystmpc investigate`"),
         "device": ("hystmpc.rig.device:DeviceSettings", "a simulated device of `hystmpc device`"),

@@ -18,9 +18,9 @@ from hystmpc.models.contract.metadata import NoiseModel
 from hystmpc.models.prediction.build import controller_model
 from hystmpc.models.prediction.compiled import CompiledPredictor
 from hystmpc.models.simulator import ChainModel, Simulator
-from hystmpc.sim.closed_loop import ClosedLoopRun, run_closed_loop
 from hystmpc.sim.plants.computed import ComputedPlant, Sensing
 from hystmpc.sim.plants.simulated import conditioned, rest_of
+from hystmpc.sim.study import ClosedLoopRun, run_closed_loop
 from hystmpc.trajectories.drawn import CountedMotion, drawn_motions
 from hystmpc.trials.errors import GapError, HystmpcError
 from hystmpc.trials.types import Progress, Vec, no_progress

@@ -11,8 +11,7 @@ from typing import Any, Generic, Literal, Protocol, TypeVar, final
 
 from pydantic import TypeAdapter
 
-from hystmpc.sim.jobs.backend import Backend
-from hystmpc.sim.jobs.runner import run_jobs
+from hystmpc.sim.jobs import Backend, run_jobs
 from hystmpc.trials.errors import LogError
 from hystmpc.trials.files import write_atomically
 from hystmpc.trials.types import Progress

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Generic, Literal, Se
 import numpy as np
 from pydantic import BeforeValidator
 
-from hystmpc.sim.jobs.runner import attempt, backend_for
+from hystmpc.sim.jobs import attempt, backend_for
 from hystmpc.trials.config import Settings
 from hystmpc.trials.files import write_atomically
 from hystmpc.trials.json_text import file_text, json_hash, plain

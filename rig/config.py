@@ -1,4 +1,4 @@
-"""Settings of everything that moves a device: what `run` and `record` have in common, and what each adds."""
+"""Settings of benches, experiments and simulated transports: the common part of `run` and `record`, and `run`'s own."""
 
 from __future__ import annotations
 
@@ -19,7 +19,6 @@ from hystmpc.trials.config import FolderName, NotNegative, Positive, Settings, l
 from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.from_outside import with_kind
 
-from .experiment.excitation import Excitation, MotionFileSettings
 from .experiment.phases import PrepareStep, PretensionSettings
 from .live.desk import LiveSettings
 from .realtime import RealtimeSettings
@@ -122,7 +121,7 @@ class BenchSettings(Settings):
 
 
 class ReviewSettings(Settings):
-    """Block `review`: bar of the model's free-run error above which a new identification or diagnosis is due.
+    """Block `review`: greatest free-run error of the model without a new identification or diagnosis.
 
     Attributes:
         due_above_deg: RMS error of the free run [deg].
@@ -132,11 +131,11 @@ class ReviewSettings(Settings):
 
 
 class DrillSettings(Settings):
-    """Block `drill`: an exercise in which the controller's law fails for a time; counted from the tracking's start.
+    """Block `drill`: an exercise in which the controller's law fails for a time, counted from the start of tracking.
 
     Attributes:
-        solver_fails_from_s: when it begins [s].
-        solver_fails_for_s: how long it lasts [s].
+        solver_fails_from_s: start [s].
+        solver_fails_for_s: duration [s].
     """
 
     solver_fails_from_s: NotNegative
@@ -182,28 +181,6 @@ class RunSettings(BenchSettings):
         return self
 
 
-class RecordSettings(BenchSettings):
-    """Recordings for identification: `hystmpc record`. Every excitation becomes one trial.
-
-    Attributes:
-        excitations: motions by name, each with its `kind`; each becomes one trial.
-        settle_s: rest before each of them [s].
-        live: the local page; a recording takes no target.
-    """
-
-    excitations: Mapping[FolderName, Excitation] = Field(min_length=1)
-    settle_s: NotNegative = 1.0
-    live: LiveSettings = LiveSettings()
-
-    @model_validator(mode="after")
-    def _measures(self) -> RecordSettings:
-        if self.sensor.kind == "none":
-            raise ValueError("got sensor.kind none, expected continuous or intermittent: a trial holds angles")
-        if self.realtime.backend != "python":
-            raise ValueError(f"got realtime.backend {self.realtime.backend}, expected python: there is no controller")
-        return self
-
-
 def load_run(path: Path | str, overrides: Iterable[str] = ()) -> RunSettings:
     """Read the settings of an experiment; file names relative to its folder become absolute.
 
@@ -219,20 +196,6 @@ def load_run(path: Path | str, overrides: Iterable[str] = ()) -> RunSettings:
         motion = settings.reference
         changes["reference"] = motion.model_copy(update={"file": folder / motion.file})
     return settings.model_copy(update=changes)
-
-
-def load_record(path: Path | str, overrides: Iterable[str] = ()) -> RecordSettings:
-    """Read the settings of a recording, as `load_run`.
-
-    Raises:
-        ConfigError: on an unreadable file, an unknown key or a value out of bounds.
-    """
-    settings, folder = load_settings(RecordSettings, path, overrides), Path(path).resolve().parent
-    excitations = {
-        name: e.model_copy(update={"file": folder / e.file}) if isinstance(e, MotionFileSettings) else e
-        for name, e in settings.excitations.items()
-    }
-    return settings.model_copy(update={"excitations": excitations, **located(settings, folder)})
 
 
 def located(settings: BenchSettings, folder: Path) -> dict[str, Any]:
@@ -255,7 +218,7 @@ def _file(text: str, folder: Path) -> str:
 
 
 def _may_latch(file: Path) -> bool:
-    """Whether a file may be a latch's: it is one, it is empty, or nothing is there."""
+    """Whether a file may be a latch: a latch, an empty file, or a missing one."""
     try:
         text = file.read_text(encoding="utf-8")
         content = json.loads(text) if text.strip() else {"cause": ""}

@@ -19,12 +19,11 @@ class TimingSummary:
     """Statistics of one time; quantiles are upper edges of their bins, NaN without a sample.
 
     Attributes:
-        count: samples.
         mean_s, greatest_s: mean and greatest [s].
         median_s, p99_s, p999_s: quantiles [s].
     """
 
-    count: int
+    count: int  # samples
     mean_s: float
     greatest_s: float
     median_s: float
@@ -34,7 +33,7 @@ class TimingSummary:
 
 @final
 class Histogram:
-    """Counts of times from 0 to `span_s` in equal bins; what lies beyond goes to the last one.
+    """Counts of times from 0 to `span_s` in equal bins; larger times count in the last one.
 
     Raises:
         ConfigError: if the span is not positive.
@@ -66,7 +65,7 @@ class Histogram:
         return self._width * np.arange(BINS + 1, dtype=np.float64)
 
     def quantile(self, share: float) -> float:
-        """Upper edge of the bin below which `share` of the samples lie [s], not above the greatest; NaN without any."""
+        """Upper edge of the bin of a quantile [s], not above the greatest time; NaN without a sample."""
         if not self._count:
             return math.nan
         k = int(np.searchsorted(np.cumsum(self._counts), share * self._count))

@@ -11,7 +11,6 @@ from typing import Any, NamedTuple, final
 
 from .experiment.phases import REMEMBERED, AwaitStart, Decision, Past, Phase, PhaseInput, SafeStop, place_frames
 from .histogram import Timings
-from .reader import Reader
 from .realtime import Clock
 from .recording.sample import Sample, Sink
 from .safety.gate import Anchor, Gate
@@ -25,28 +24,20 @@ class RunOutcome:
     """Outcome of a run: cause of the stop, counts of samples, commands and faults.
 
     Attributes:
-        cause: why it was stopped; empty after a run that came to its end.
-        samples: samples with a command, and those skipped.
-        stop_s, safe_s: monotonic time since the start at which the stop began, and at which the safe command had been
-            sent and, where `confirmed`, was held [s]; NaN without a stop, or where nothing could be sent any more.
-        confirmed: whether the device has said that it holds the safe command.
-        clipped: commands that the last line has limited.
-        unsent: commands that the transport did not take.
-        refused: samples on which the sink raised, which it should not.
-        faults: samples by fault.
-        in_c: samples that were taken whole in C.
-        left_c: how often Python had to go on, by why.
+        stop_s, safe_s: monotonic time since the start of the stop, and of the safe command sent and, where `confirmed`,
+            held [s]; NaN without a stop, or where nothing could be sent any more.
+        in_c, left_c: samples executed wholly in C; returns to Python by reason.
     """
 
-    cause: str
-    samples: int
+    cause: str  # of the stop; empty after a complete run
+    samples: int  # with a command, and skipped ones
     stop_s: float
     safe_s: float
-    confirmed: bool
-    clipped: int
-    unsent: int
-    refused: int
-    faults: dict[str, int]
+    confirmed: bool  # whether the device has reported that it holds the safe command
+    clipped: int  # commands limited by the gate
+    unsent: int  # commands that the transport did not take
+    refused: int  # samples on which the sink raised
+    faults: dict[str, int]  # samples by fault
     in_c: int = 0
     left_c: dict[str, int] = field(default_factory=dict)
 
@@ -74,22 +65,21 @@ ToSafe = Callable[[str], SafeStop]
 class ControlLoop:
     """Real-time loop: wait for the deadline, read, decide, limit, write, record; it never raises.
 
-    `run` waits by its clock. A caller that has a clock of its own, such as a timer, calls `begin` once, then in each
-    period `sample(due())`, and `outcome` in the end; a period that it misses is to the loop a sample that ended late.
+    `run` waits by its clock. A caller with a timer calls `begin` once, `sample(due())` in each period, and `outcome` at
+    the end; a missed period is a sample that ended late.
 
-    A sample is missed when its command leaves after its end; the next one starts at once and answers without a plan.
-    Samples that have passed wholly are skipped and told to the phase. The loop stops safely on a signal or e-stop, a
-    dead sensor, a fault of a phase, a device that listens no more, and after standing still for longer than `stall_s`,
-    or where no command has left for that long, or a slow wire has put it as far behind. Whatever is raised by
-    any part, an angle's judgement included, is the cause of a safe stop and is in the log. A run ends without a cause
-    only where the safe command has been sent.
+    A sample is missed when its command leaves after its end; the next one starts at once, without a plan. Samples that
+    have passed wholly are skipped and reported to the phase. The loop stops safely on a signal or e-stop, a dead
+    sensor, a fault of a phase, a device that listens no more, and after a standstill, a time without a sent command or
+    a delay by a slow wire longer than `stall_s`. Whatever any part raises is the cause of a safe stop and is in the
+    log. A run ends without a cause only where the safe command has been sent.
 
-    Nothing is sent while it is not known what the device holds, see `Anchor`. The transport says goodbye only where the
-    device has said that it holds the safe command.
+    Nothing is sent while the held command is unknown, see `Anchor`. The transport says goodbye only where the device
+    has reported that it holds the safe command.
 
     Args:
         to_safe: makes the last phase of every run.
-        stall_s: greatest time between two samples, and between two commands that leave [s].
+        stall_s: greatest time between two samples, and between two sent commands [s].
     """
 
     def __init__(
@@ -140,9 +130,7 @@ class ControlLoop:
     def run(self, phases: Sequence[Phase], beat_ns: int = 0) -> RunOutcome:
         """Execute the phases, then the motion to the safe command; the transport is closed in every case.
 
-        Args:
-            phases: what to do.
-            beat_ns: monotonic time from which all deadlines are whole samples away [ns].
+        `beat_ns` is a monotonic time from which all deadlines are whole samples away [ns].
         """
         self.begin(phases, beat_ns)
         going = True
@@ -227,7 +215,7 @@ class ControlLoop:
         return int(view.deadline_ns)
 
     def _book(self, done: Any, raw: Sequence[tuple[bytes, int]], decision: Decision) -> None:
-        """Check and record a sample that was executed in C by the rules of Python; a finding ends the loop in C."""
+        """Check and record a sample that was executed in C by the rules of Python; a fault ends the loop in C."""
         self._in_c, self._wire_ns = self._in_c + 1, 0
         self._skip(done.skipped)
         readings = (self._transport.reading(*one) for one in raw)
@@ -291,7 +279,7 @@ class ControlLoop:
         return True
 
     def _finished(self) -> None:
-        """End the phase; the return motion, if it is next, is computed now, in the rest of the sample."""
+        """End the phase; a return motion that follows is computed now, in the rest of the sample."""
         self._phase = None
         if not self._rest:
             phase = self._to_safe("")
@@ -317,7 +305,7 @@ class ControlLoop:
         return not (over and self._given_up(over, stop))
 
     def _given_up(self, over: str, stop: str) -> bool:
-        """Always True: nothing more is sent, for the cause of a stop and for what has hindered it."""
+        """Record that nothing more is sent, with the cause of the stop and its obstacle; always True."""
         if not self._cause:
             self._cause, self._stop_s = stop or over, _S * (self._clock.now_ns() - self._start_ns)
         if over not in self._cause:
@@ -490,12 +478,12 @@ class ControlLoop:
             self._flag.set(f"no command has left for {_S * (now - self._refused_ns):.2f} s")
 
     def _advance_to(self, deadline: int) -> None:
-        """The next sample is due then; those before it have passed wholly."""
+        """Set the deadline of the next sample; those before it have passed wholly."""
         self._skip(max(0, (deadline - self._deadline_ns) // self._dt_ns - 1))
         self._deadline_ns = deadline
 
     def _skip(self, samples: int) -> None:
-        """So many samples have passed wholly."""
+        """Count samples that have passed wholly."""
         self._skipped = samples
         self.timings.skipped += samples
         self._sequence += samples
@@ -521,3 +509,63 @@ class ControlLoop:
             sequence=self._sequence,
             taken_s=_S * (woke - self._start_ns) - seen.age_s if math.isfinite(seen.angle_deg) else math.nan,
         )
+
+
+_SHARE = 4  # a quarter of a sample: judging may take as long once more, so half of it is left to decide and to send
+_MOST = 4096  # readings, where the clock stands still meanwhile
+_SPARED_NS, _SLOW_FOR_NS = 800_000_000, 3_000_000_000
+
+
+class Taken(NamedTuple):
+    """Readings in the order of arrival, the name of the error, and the time that reading took [ns]."""
+
+    readings: list[Reading]
+    fault: str
+    took_ns: int
+
+
+@final
+class Reader:
+    """Reads the transport until it is empty or a quarter of a sample is over; errors are named, not raised.
+
+    At least one call is made. A call that takes longer cannot be interrupted, and no other one follows it. The oldest
+    reading comes first, also after such a call, so that a backlog shows as age. `dt_ns` is the sample time [ns].
+    """
+
+    def __init__(self, transport: Transport, clock: Clock, dt_ns: int) -> None:
+        self._transport, self._clock, self._dt_ns = transport, clock, dt_ns
+        self._slow_ns: int | None = None  # when reading last took longer than a sample
+        self._read_ns = 0
+
+    def take(self, spared: bool = False) -> Taken:
+        """Readings that have arrived.
+
+        With `spared`, a wire whose reading lately took longer than a sample is left to the commands for most of the
+        time: it is read every 0.8 s.
+        """
+        now = self._clock.now_ns()
+        slow = self._slow_ns is not None and now - self._slow_ns < _SLOW_FOR_NS
+        if spared and slow and now - self._read_ns < _SPARED_NS:
+            return Taken([], "", 0)
+        taken = self.within(self._dt_ns // _SHARE)
+        self._read_ns = now + taken.took_ns
+        if taken.took_ns > self._dt_ns:
+            self._slow_ns = self._read_ns
+        return taken
+
+    def within(self, budget_ns: int) -> Taken:
+        """Readings that can be read within a time [ns]; none in a negative one."""
+        readings: list[Reading] = []
+        began = now = self._clock.now_ns()
+        fault = ""
+        while now - began <= budget_ns and len(readings) < _MOST:
+            try:
+                reading = self._transport.read()
+            except Exception as error:  # noqa: BLE001 - a device's driver may raise anything
+                fault = f"transport-{type(error).__name__}"
+                break
+            if reading is None:
+                break
+            readings.append(reading)
+            now = self._clock.now_ns()
+        return Taken(readings, fault, self._clock.now_ns() - began)

@@ -39,17 +39,13 @@ class Clock(Protocol):
         ...
 
     def wait_until(self, deadline_ns: int) -> None:
-        """Return at the deadline or, where it has passed, at once."""
+        """Return at the deadline, or at once where it has passed."""
         ...
 
 
 @final
 class MonotonicClock(Clock):
-    """The system's monotonic clock: sleep to shortly before the deadline, then spin.
-
-    Args:
-        spin_s: how long before the deadline sleeping ends [s]; 0 never spins.
-    """
+    """The system's monotonic clock: sleep to `spin_s` [s] before the deadline, then spin; 0 never spins."""
 
     def __init__(self, spin_s: float = 0.0005) -> None:
         self._spin_ns = round(1e9 * spin_s)
@@ -59,7 +55,7 @@ class MonotonicClock(Clock):
         return time.monotonic_ns()
 
     def boot_ns(self) -> int:
-        """Monotonic time that also counts while the machine is suspended, where the system has it [ns]."""
+        """Monotonic time with the suspension of the machine, where the system has it [ns]."""
         return time.monotonic_ns() if _BOOT is None else time.clock_gettime_ns(_BOOT)
 
     def wall_ns(self) -> int:
@@ -76,7 +72,7 @@ class MonotonicClock(Clock):
 
 @final
 class SimulatedClock(Clock):
-    """Time that passes by waiting alone, so that a computed device is as fast as it computes."""
+    """Time that passes by waiting alone, without a date, so that a computed device is as fast as it computes."""
 
     def __init__(self) -> None:
         self._ns = 1_000_000_000
@@ -90,11 +86,11 @@ class SimulatedClock(Clock):
         return self._ns
 
     def wall_ns(self) -> int:
-        """The same [ns]: it has no date."""
+        """The same [ns]."""
         return self._ns
 
     def wait_until(self, deadline_ns: int) -> None:
-        """The deadline is now."""
+        """Advance to the deadline."""
         self._ns = max(self._ns, deadline_ns)
 
 
@@ -131,7 +127,7 @@ def scheduled(settings: SchedulingSettings) -> Iterator[list[str]]:
     """Set CPU affinity, scheduling class and locked memory of this process, and restore them.
 
     Yields:
-        One line for everything that the system did not permit, and how to permit it.
+        One line for each setting that the system refused, and how to permit it.
     """
     notes: list[str] = []
     undo: list[Callable[[], object]] = []
@@ -150,12 +146,9 @@ def scheduled(settings: SchedulingSettings) -> Iterator[list[str]]:
 
 @contextmanager
 def control_process(settings: RealtimeSettings) -> Iterator[list[str]]:
-    """Set up the process for the control loop, and restore it.
+    """Set up the process for the control loop, and restore it; yields the lines of `scheduled`.
 
-    What exists is frozen and the collector is off, so that nothing is collected in the loop; one BLAS thread.
-
-    Yields:
-        The lines of `scheduled`.
+    Existing objects are frozen and the collector is off, so that nothing is collected in the loop; one BLAS thread.
     """
     stack = ExitStack()
     notes = stack.enter_context(scheduled(settings))
@@ -224,10 +217,9 @@ def _schedule(priority: int, notes: list[str], undo: list[Callable[[], object]])
 
 
 def _lifted(thread: threading.Thread, priority: int) -> Callable[[], object]:
-    """Another thread of the interpreter, scheduled like the loop but after it; how to put it back.
+    """Schedule another thread of the interpreter like the loop but after it; returns how to restore it.
 
-    A thread under normal scheduling may lose its core to any other program while it holds the interpreter's lock, and
-    the loop would have to wait until it gets one again.
+    A thread under normal scheduling may lose its core while it holds the interpreter's lock, and the loop would wait.
     """
     number = thread.native_id
     if number is None or number == threading.get_native_id():

@@ -1,4 +1,4 @@
-"""One run on a device: transport, first contact, control loop, safe stop, latch; its motions are given as phases."""
+"""A run on a device: first contact, control loop, safe stop, latch; its motions are given as phases."""
 
 from __future__ import annotations
 
@@ -6,15 +6,15 @@ import json
 import math
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import nullcontext, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import final
 
 from hystmpc.trials.errors import ConfigError, TrajectoryError
 from hystmpc.trials.files import write_atomically
 from hystmpc.trials.types import Vec
 
 from .config import BenchSettings
-from .contact import DeviceContact, FirstContact
 from .experiment.phases import AwaitStart, Phase, SafeStop
 from .histogram import Timings
 from .live.desk import Desk
@@ -27,7 +27,7 @@ from .safety.plausibility import MotionWatch
 from .safety.ramp import stop_commands
 from .safety.stop import RUNNING, Latch, StopFlag, latch_text, stopping_on_signals
 from .transports.from_outside import PythonSettings
-from .transports.transport import Conversion, PlantFactory, RunContext, Transport
+from .transports.transport import Conversion, PlantFactory, Reading, RunContext, Transport
 
 _PAUSE_NS = 1_000_000
 
@@ -67,19 +67,17 @@ def run_bench(
     transport: Transport | None = None,
     desk: Desk | None = None,
 ) -> BenchResult:
-    """Prepare the device, go through the phases, and leave it at rest at the safe command.
+    """Prepare the device, execute the phases, and leave the device at rest at the safe command.
 
     Args:
-        settings: of the bench.
-        phases: makes what comes after preparation; called once the device answers, before anything moves.
-        sink: opens where samples go; called right before the loop, and closed after it.
+        phases: makes the phases after preparation; called once the device answers, before anything moves.
+        sink: opens the recording; called right before the loop, and closed after it.
         plants: makes the device of `kind: simulated`.
         folder: gets `timing.json`, and `latched.json` after a stop.
-        note: told what goes on, outside the loop.
-        clock: of a device that is computed faster than time passes; the process is left as it is then. None for the
-            machine's own.
-        transport: to the device, in place of the block `transport`; it is called from a thread of its own.
-        desk: where somebody asks for the start, the end or an e-stop; None where nobody does.
+        note: called with messages, outside the loop.
+        clock: of a computed device, faster than real time; the process is left as it is then.
+        transport: to the device, in place of the block `transport`; called from a thread of its own.
+        desk: source of start, end and e-stop requests.
 
     Raises:
         ConfigError: if the stop is latched, the device does not answer, or settings do not fit it; nothing has moved.
@@ -136,8 +134,8 @@ def control_loop(
     """The control loop of a bench with its sensor checks, motion watch and command gate: the only way to move a device.
 
     Args:
-        safe: where a stop leads, in place of the bench's `safe_command`; NaN stays where it is, see `SafeStop`.
-        stays: whether the safe command is to be sent on and on once it is held.
+        safe: target of a stop, in place of the bench's `safe_command`; NaN rests where it is, see `SafeStop`.
+        stays: whether the safe command is sent on once it is held.
         closed_loop: whether a controller moves the device by its angle, which then has to rise with the command.
     """
     ramps, dt_s, sensor = settings.ramps, settings.dt_s, settings.sensor
@@ -181,7 +179,7 @@ def _open_latched(latch: Latch, sink: Callable[[], Sink]) -> Sink:
 
 
 def _close(transport: Transport) -> None:
-    """Close the transport without a goodbye; an error of its driver must not hide why the run has ended."""
+    """Close the transport without a goodbye; an error of its driver must not hide the end of the run."""
     with suppress(Exception):
         transport.stop()
 
@@ -209,9 +207,8 @@ def first_contact(settings: BenchSettings, transport: Transport, clock: Clock, f
     """Wait until the device answers and accepts commands of this controller; nothing is moved.
 
     Raises:
-        ConfigError: if no plausible angle comes in time, the device listens to another controller, device and
-            `start_command` disagree, neither tells what is held, that is beyond the limits, or a signal has ended the
-            wait.
+        ConfigError: if no plausible angle comes in time, the device listens to another controller, the held command is
+            unknown, unlike `start_command` or beyond the limits, or a signal has ended the wait.
     """
     contact, deadline = FirstContact(settings, transport), clock.now_ns() + round(1e9 * settings.connect_timeout_s)
     while True:
@@ -227,3 +224,96 @@ def first_contact(settings: BenchSettings, transport: Transport, clock: Clock, f
             clock.wait_until(clock.now_ns() + _PAUSE_NS)
         elif answered := contact.judge(reading):
             return answered
+
+
+_GREET_NS = 100_000_000
+_ENOUGH = 3  # plausible angles before anything is believed
+
+
+@dataclass(frozen=True)
+class DeviceContact:
+    """State of a device that has answered: held command and newest reading."""
+
+    held: float  # the command that it holds, as it says or as `start_command` does
+    newest: Reading  # the loop keeps half a sample's distance from its receipt, and goes by its time of flight
+
+    @property
+    def reports_held(self) -> bool:
+        """Whether the device reports the command that it holds."""
+        return math.isfinite(self.newest.held)
+
+    def seen_at(self, now_ns: int) -> Reading:
+        """The newest reading moved to the present, without its angle: same session, sequence and time of flight.
+
+        Readings that queued since then are late relative to it, however long they lay.
+        """
+        later_ns, newest = now_ns - self.newest.received_ns, self.newest
+        return replace(newest, angle_deg=math.nan, sent_ns=newest.sent_ns + later_ns, received_ns=now_ns)
+
+
+@final
+class FirstContact:
+    """Judges readings until the device has answered and listens; meanwhile it is greeted ten times a second.
+
+    `run` waits for it, and a node asks in each period.
+    """
+
+    def __init__(self, settings: BenchSettings, transport: Transport) -> None:
+        self._settings, self._transport = settings, transport
+        self._seen, self._plausible = 0, settings.sensor.kind == "none"
+        self._enough = 1 if settings.transport.in_process else _ENOUGH
+        self._angle, self._listens, self._greeted_ns = math.nan, True, 0
+
+    def judge(self, reading: Reading) -> DeviceContact | None:
+        """State of the device after enough plausible readings, None until then.
+
+        Raises:
+            ConfigError: if the held command is unknown, differs from `start_command`, or lies beyond the limits.
+        """
+        sensor = self._settings.sensor
+        if sensor.kind == "continuous" or math.isfinite(reading.angle_deg):
+            self._angle = reading.angle_deg
+        self._listens = reading.listens
+        if not self._listens and reading.received_ns - self._greeted_ns > _GREET_NS:
+            self._greeted_ns = reading.received_ns
+            with suppress(Exception):
+                self._transport.greet()
+        inside = sensor.lower_deg <= self._angle <= sensor.upper_deg
+        self._plausible = self._plausible or inside
+        self._seen += self._listens and (inside or sensor.kind != "continuous")
+        if self._seen < self._enough or not self._plausible:
+            return None
+        return DeviceContact(_start(self._settings, reading.held), reading)
+
+    def missing(self) -> str:
+        """Error line for a device that has not answered as required."""
+        settings, sensor = self._settings, self._settings.sensor
+        if not self._listens:
+            return f"{settings.name}: the device listens to another controller, expected that one to have ended"
+        got = "no angle" if math.isnan(self._angle) else f"angle {self._angle:.3f} deg"
+        wanted = f"expected one within {sensor.lower_deg} to {sensor.upper_deg} deg"
+        if sensor.kind == "none":
+            got, wanted = "nothing", "expected to be told what it holds"
+        rejected = "".join(f"; {cause}, {n} times" for cause, n in self._transport.counters.items())
+        return (
+            f"{settings.name}: got {got} from {settings.transport.place} within {settings.connect_timeout_s:g} s"
+            f"{rejected}, {wanted}; is the device on?"
+        )
+
+
+def _start(settings: BenchSettings, held: float) -> float:
+    wanted = settings.start_command
+    if not math.isfinite(held):
+        if wanted is None:
+            raise ConfigError(f"{settings.name}: the device does not tell its command, expected the key start_command")
+        return wanted
+    if wanted is not None and abs(held - wanted) > 1e-3 * (settings.limits.upper - settings.limits.lower):
+        raise ConfigError(f"{settings.name}: the device holds command {held:.6g}, expected start_command {wanted:.6g}")
+    low, high = settings.limits.lower, settings.limits.upper
+    slack = 1e-9 * (high - low)  # of a conversion of units
+    if not low - slack <= held <= high + slack:
+        raise ConfigError(
+            f"start: the device holds command {held:.6g}, expected one within {low} to {high}; move it there by hand "
+            "or correct the limits"
+        )
+    return min(max(held, low), high)

@@ -1,7 +1,7 @@
 """Closed loop in simulation: plants with injectable effects, sweeps, tuning, metrics, reports.
 
 A study is a `config.SimulationConfig`; `study.prepare` makes it ready, `compare.compare` runs every controller along
-every motion and leaves a run folder, `report.report_from_folder` writes its page anew. `compare.demo` runs the study
+every motion and leaves a run folder, `compare.report_from_folder` writes its page anew. `compare.demo` runs the study
 that ships with the package.
 """
 
@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING
 from hystmpc.trials import lazily
 
 if TYPE_CHECKING:
-    from .closed_loop import run_closed_loop
     from .config import SimulationConfig
     from .devices.rod import RodParameters, simulate_rod
-    from .environment.gym_ import Disturbance, EnvironmentState, HysteresisEnv
+    from .gym_ import Disturbance, EnvironmentState, HysteresisEnv
     from .plants.simulated import Effects, SimulatedPlant
+    from .study import run_closed_loop
 
 __all__ = [
     "Disturbance",
@@ -33,9 +33,9 @@ __all__ = [
 if not TYPE_CHECKING:  # the environment needs gymnasium, an extra
     __getattr__ = lazily(
         __name__,
-        ("hystmpc.sim.closed_loop", "run_closed_loop"),
+        ("hystmpc.sim.study", "run_closed_loop"),
         ("hystmpc.sim.config", "SimulationConfig"),
         ("hystmpc.sim.devices.rod", "RodParameters simulate_rod"),
-        ("hystmpc.sim.environment.gym_", "Disturbance EnvironmentState HysteresisEnv"),
+        ("hystmpc.sim.gym_", "Disturbance EnvironmentState HysteresisEnv"),
         ("hystmpc.sim.plants.simulated", "Effects SimulatedPlant"),
     )

@@ -1,39 +1,70 @@
-"""Every controller of a study along every motion, with a run folder for each; and the study that ships as `demo`."""
+"""Comparison of all controllers of a study along all motions: run folders, report, and the study `demo`."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import math
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from importlib.resources import files
 from pathlib import Path
+from typing import Any
 
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from hystmpc.ctrl.analysis import LoopAnalysis, analyse_pid
+from hystmpc.ctrl.estimation.observer import EstimatorSettings
+from hystmpc.ctrl.feedback import PidControllerSettings
+from hystmpc.ctrl.inverse_settings import InversePidControllerSettings
+from hystmpc.models.inverse.drive import Drive
+from hystmpc.models.load import load_model, model_path
+from hystmpc.models.model import Predictor
+from hystmpc.models.operators.dynamics import Lag
+from hystmpc.models.prediction.build import predictor_for
+from hystmpc.models.prediction.connected import SeriesPredictor
 from hystmpc.trials.config import dump_yaml
+from hystmpc.trials.errors import ModelError
+from hystmpc.trials.figures import LIMIT_LOOK, LoopPanel, loop_figure
 from hystmpc.trials.files import write_atomically
+from hystmpc.trials.report import REFERENCE, Heading, KeyValues, Paragraph, Piece, Plot, Report, Table, new_figure
 from hystmpc.trials.run_folder import RunFolder
 from hystmpc.trials.types import Progress, parts
 
 from .config import SimulationConfig, load_simulation
-from .report import study_report
-from .results import Result, StudyResult, log_columns, result_of
+from .results import (
+    Result,
+    StudyResult,
+    approach_sentence,
+    best_figures,
+    colours,
+    conclusion,
+    controllers_figure,
+    limits_of,
+    load_results,
+    log_columns,
+    looks,
+    result_of,
+)
 from .study import Study, prepare
-from .tune_pid import PidLike, tuned_study
+from .tuning.gains import PidLike, tuned_study
 
 _STEP_S, _PID_STEP_S = 2e-3, 3e-4  # of a closed loop, with the mean controller and with one that is tuned
 _REPORT_S, _RUN_REPORT_S = 3.0, 0.4  # of the page, and of a run on it
 
 
 def compare(config: SimulationConfig, out: Path | str | None = None, progress: Progress | None = None) -> StudyResult:
-    """Run a study: prepare, tune where asked, run every controller along every motion, report.
+    """Run a study: prepare, tune where requested, run every controller along every motion, report.
 
-    Below `out` stand config.yaml, meta.json and report.html of the study, and `<motion>/<controller>/` with
-    config.yaml, meta.json and log.csv of every run. Ctrl-C during a run leaves out what was not finished, and no folder
-    where nothing was.
+    `out` gets config.yaml, meta.json and report.html of the study, and `<motion>/<controller>/` with config.yaml,
+    meta.json and log.csv of every run. After Ctrl-C unfinished runs are left out, and no folder remains without a
+    finished one.
 
     Args:
         out: a new or empty folder; nothing is written where left out.
 
     Raises:
-        HystmpcError: what `prepare` raises; ConfigError also if `out` is not vacant.
+        HystmpcError: of `prepare`; ConfigError also if `out` is not vacant.
         KeyboardInterrupt: if the user ends it before the first run is finished.
     """
     study = prepare(config)
@@ -55,16 +86,16 @@ def compare(config: SimulationConfig, out: Path | str | None = None, progress: P
         if folder is not None and not results:
             _take_back(folder.path)
         raise
-    found = StudyResult(study.config, tuple(results), {} if folder is None else folder.meta, study.warnings())
+    done = StudyResult(study.config, tuple(results), {} if folder is None else folder.meta, study.warnings())
     if folder is not None:
         reporting(0, 1, "writing the report")
-        folder.write_report(study_report(found))
+        folder.write_report(study_report(done))
         reporting(1, 1, "writing the report")
-    return found
+    return done
 
 
 def _expected_s(study: Study) -> tuple[float, float, float]:
-    """Seconds of the search of gains, of the runs and of the report; they matter by their ratios only."""
+    """Expected durations of the gain search, the runs and the report; only their ratios matter [s]."""
     config, steps = study.config, sum(study.steps(name) for name in study.motions)
     count = len(config.controllers)
     tuned = sum(isinstance(settings, PidLike) for settings in config.controllers.values())
@@ -73,7 +104,7 @@ def _expected_s(study: Study) -> tuple[float, float, float]:
 
 
 def _runs(study: Study, progress: Progress) -> Iterator[Result]:
-    """Run after run, until the last or until Ctrl-C."""
+    """Runs one after another, until the last or until Ctrl-C."""
     pairs = [(motion, name) for motion in study.motions for name in study.config.controllers]
     lengths = {name: study.steps(name) for name in study.motions}
     total, done = sum(lengths[motion] for motion, _ in pairs), 0
@@ -96,7 +127,7 @@ def _folder(path: Path, study: Study) -> RunFolder:
 
 
 def _take_back(path: Path) -> None:
-    """Remove a folder in which nothing has been run, or the same command would be refused for it the next time."""
+    """Remove a folder without a finished run, so that the same command is not refused the next time."""
     for name in ("config.yaml", "meta.json"):
         (path / name).unlink(missing_ok=True)
     with suppress(OSError):
@@ -104,7 +135,7 @@ def _take_back(path: Path) -> None:
 
 
 def _write(folder: RunFolder, study: Study, result: Result) -> None:
-    """The folder of one run; its settings are the study's, narrowed to it."""
+    """Write the folder of one run; its settings are the study's, narrowed to it."""
     path = folder.path / result.motion / result.controller
     alone = study.config.narrowed(result.controller, result.motion)
     run = RunFolder.create(path, alone, seed=study.config.seed, models=study.files)
@@ -112,15 +143,257 @@ def _write(folder: RunFolder, study: Study, result: Result) -> None:
 
 
 def demo_config() -> SimulationConfig:
-    """The study that `demo` runs; `sim/demo.yaml`."""
+    """The study of `demo`; `sim/demo.yaml`."""
     return load_simulation(Path(str(files("hystmpc.sim").joinpath("demo.yaml"))))
 
 
 def demo(out: Path | str | None = None, progress: Progress | None = None) -> StudyResult:
-    """Track a point-to-point motion and a scan with every controller; see `compare`.
+    """Track a point-to-point motion and a scan with every controller; see `compare`."""
+    return compare(demo_config(), out, progress)
+
+
+_BINS = 61
+_COLUMNS = (
+    "controller",
+    "RMSE [deg]",
+    "max abs [deg]",
+    "hold error [deg]",
+    "hold command range [{unit}]",
+    "command travel [{unit}]",
+    "limit violations",
+    "step mean [ms]",
+    "step p99 [ms]",
+)
+_WITH_GAINS = (PidControllerSettings, InversePidControllerSettings)
+
+
+def error_figure(results: Sequence[Result], colour: Mapping[str, str]) -> Figure:
+    """Error over time, one row for each controller on one scale."""
+    with new_figure(7.0, 0.8 + 0.8 * len(results)) as figure:
+        rows = figure.subplots(len(results), 1, sharex=True, sharey=True, squeeze=False)[:, 0]
+        for axes, result in zip(rows, results, strict=True):
+            t, error = result.run.log.time_s, result.run.error_deg
+            axes.fill_between(t, error, color=colour[result.controller], linewidth=0.0)
+            axes.axhline(0.0, color=REFERENCE, linewidth=0.6)
+            axes.set_title(f"{result.controller}: RMSE {result.metrics.rmse_deg:.2f} deg")
+        figure.supylabel("error [deg]", fontsize=9.0)
+        rows[-1].set_xlabel("time [s]")
+    return figure
+
+
+def _loops(results: Sequence[Result], colour: Mapping[str, str], unit: str) -> Figure:
+    """Angle over command of each controller: its hysteresis loops."""
+    panels = []
+    for result in results:
+        look = {"color": colour[result.controller], "linewidth": 0.8}
+        panels.append(LoopPanel(result.controller, [(result.run.log.command, result.run.true_deg, look)]))
+    return loop_figure(panels, unit, "deg")
+
+
+def histogram_figure(results: Sequence[Result], look: Mapping[str, Mapping[str, Any]]) -> Figure:
+    """Share of samples by error; the outermost bins hold what lies beyond them."""
+    errors = [result.run.counted_deg for result in results]
+    reach = float(np.quantile(np.abs(np.concatenate(errors)), 0.995))
+    edges = np.linspace(-reach, reach, _BINS)
+    with new_figure(7.0, 2.8) as figure:
+        axes: Axes = figure.subplots()
+        for result, error in zip(results, errors, strict=True):
+            share = np.histogram(np.clip(error, -reach, reach), edges)[0] / error.size
+            axes.stairs(100 * share, edges, label=result.controller, linewidth=1.2, **look[result.controller])
+        axes.set(xlabel="error [deg]", ylabel="samples [%]", xlim=(-reach, reach))
+        axes.legend()
+    return figure
+
+
+def timing_figure(results: Sequence[Result], colour: Mapping[str, str], dt_s: float) -> Figure:
+    """Execution time a stage over all runs: bar to the median, line to the 99th percentile; dotted the sample time."""
+    rows = _stage_times(results)
+    with new_figure(7.0, 0.9 + 0.2 * len(rows)) as figure:
+        axes: Axes = figure.subplots()
+        for k, (controller, _, seconds) in enumerate(rows):
+            median, slow = 1e3 * np.median(seconds), 1e3 * np.quantile(seconds, 0.99)
+            axes.barh(k, median, height=0.7, color=colour[controller])
+            axes.plot((median, slow), (k, k), color=REFERENCE, linewidth=0.9)
+            axes.plot(slow, k, color=REFERENCE, marker="|", markersize=6)
+        axes.axvline(1e3 * dt_s, **LIMIT_LOOK)
+        axes.set(xscale="log", xlabel="execution time [ms]", ylim=(len(rows) - 0.4, -0.6))
+        axes.set_yticks(range(len(rows)), [f"{controller}: {stage}" for controller, stage, _ in rows])
+        axes.grid(visible=False, axis="y")
+    return figure
+
+
+def _stage_times(results: Sequence[Result]) -> list[tuple[str, str, Any]]:
+    """Controller, stage and times [s] of the samples in which the stage ran; all stages together come last."""
+    rows: list[tuple[str, str, Any]] = []
+    for controller in dict.fromkeys(result.controller for result in results):
+        logs = [result.run.log for result in results if result.controller == controller]
+        for stage in dict.fromkeys(stage for log in logs for stage in log.stage_s):
+            times = np.concatenate([log.stage_s[stage] for log in logs if stage in log.stage_s])
+            if np.any(times > 0):
+                rows.append((controller, stage, times[times > 0]))
+        rows.append((controller, "whole step", np.concatenate([log.step_s for log in logs])))
+    return rows
+
+
+def study_report(result: StudyResult, more: Sequence[Piece] = ()) -> Report:
+    """Page of a study; `more` is shown first."""
+    colour, look = colours(result.controllers), looks(result.controllers)
+    pieces: list[Piece] = [*more, *_summary(result), *_set_up(result)]
+    for motion in result.motions:
+        runs = result.of_motion(motion)
+        pieces += [
+            Heading(f"Motion: {motion}"),
+            _metrics_table(runs, result.unit),
+            Plot(
+                controllers_figure(runs, look, result.unit),
+                "Tip angle without sensor noise, and the command; grey dots: command limits.",
+                True,
+            ),
+            Plot(error_figure(runs, colour), "Error: tip angle without sensor noise less reference."),
+            Plot(_loops(runs, colour, result.unit), "Tip angle over command."),
+            Plot(histogram_figure(runs, look), "Distribution of the error; the outermost bins hold all beyond them."),
+        ]
+    pieces += [*_stability(result), *_timing(result, colour)]
+    plant = result.config.plant
+    subtitle = f"plant {_short(plant.name)}, model {_short(result.config.model)}"
+    return Report("Closed loop in simulation", tuple(pieces), subtitle)
+
+
+def report_from_folder(path: Path | str, more: Sequence[Piece] = ()) -> Path:
+    """Rewrite `report.html` of a simulation's run folder from its files alone; `more` is shown first.
 
     Raises:
-        ConfigError: if `out` is not vacant.
-        KeyboardInterrupt: if the user ends it before the first run is finished.
+        LogError: if it holds no run of a simulation.
+        ConfigError: if its settings are not those of a simulation.
     """
-    return compare(demo_config(), out, progress)
+    return study_report(load_results(path), more).save(Path(path) / "report.html")
+
+
+def _summary(result: StudyResult) -> Iterator[Piece]:
+    by_pair = {(r.motion, r.controller): r.metrics.rmse_deg for r in result.results}
+    rows = [
+        (controller, *(by_pair.get((motion, controller), math.nan) for motion in result.motions))
+        for controller in result.controllers
+    ]
+    yield Heading("Tracking error")
+    for sentence in (*result.warnings, conclusion(result), approach_sentence(result)):
+        if sentence:
+            yield Paragraph(sentence)
+    marked = {
+        (result.controllers.index(controller), j)
+        for j, motion in enumerate(result.motions, 1)
+        for controller, name in best_figures(result.of_motion(motion))
+        if name == "rmse_deg"
+    }
+    caption = "RMSE of the tip angle without sensor noise [deg]; bold: the least, to 0.001 deg."
+    yield Table(("controller", *result.motions), rows, caption, marked)
+    violations = sum(r.metrics.limit_violations for r in result.results)
+    yield Paragraph(f"Commands beyond their limits in {len(result.results)} runs: {violations}.")
+
+
+def _set_up(result: StudyResult) -> Iterator[Piece]:
+    config, limits, unit = result.config, result.config.limits, result.unit
+    beyond = config.plant.model_dump(exclude={"simulator", "device"})
+    plant = {name: value for name, value in beyond.items() if value}
+    yield Heading("Set-up")
+    rows: dict[str, object] = {
+        "plant": _short(config.plant.name),
+        "effects": ", ".join(f"{name} {value}" for name, value in plant.items()) or "none",
+        "model": _short(config.model),
+        "inverse": _short(config.inverse) if config.inverse else "the model's own, or a backlash fitted to a network",
+        "actuator lag told to controllers": f"{config.actuator_lag_s:g} s" if config.actuator_lag_s else "none",
+        "sample time": f"{result.results[0].run.dt:g} s",
+        "seed": config.seed,
+    }
+    if config.sensor.kind != "continuous":
+        rows["angle sensor"] = ", ".join(f"{name} {value}" for name, value in config.sensor.model_dump().items())
+    if limits is not None:
+        rows["command limits"] = f"{limits.lower:g} to {limits.upper:g} {unit}, {limits.rate_per_s:.4g} {unit}/s"
+    if result.meta:
+        rows["hystmpc"] = result.meta["versions"].get("hystmpc")
+        rows["started"] = result.meta["start"]
+    yield KeyValues(rows)
+    gains = [_gains(name, s) for name, s in config.controllers.items() if isinstance(s, _WITH_GAINS)]
+    if gains:
+        tuned = ", ".join(config.tuned)
+        note = f" Found by search on this plant and these motions: {tuned}." if tuned else ""
+        columns = ("controller", f"kp [{unit}/deg]", f"ki [{unit}/(deg s)]", f"kd [{unit} s/deg]", "dead zone [deg]")
+        yield Table(columns, gains, f"PID gains.{note}")
+
+
+def _gains(name: str, settings: PidControllerSettings | InversePidControllerSettings) -> tuple[object, ...]:
+    gains = settings.gains
+    return name, gains.kp_per_deg, gains.ki_per_deg_s, gains.kd_s_per_deg, gains.dead_zone_deg
+
+
+def _metrics_table(runs: tuple[Result, ...], unit: str) -> Table:
+    rows, best = [], best_figures(runs)
+    names = ("rmse_deg", "max_abs_deg", "hold_error_deg")
+    marked = {(i, j) for i, run in enumerate(runs) for j, name in enumerate(names, 1) if (run.controller, name) in best}
+    for run in runs:
+        m = run.metrics
+        held = [value if math.isfinite(value) else "no hold" for value in (m.hold_error_deg, m.hold_command_range)]
+        times = 1e3 * m.step_mean_s, 1e3 * m.step_p99_s
+        rows.append((run.controller, m.rmse_deg, m.max_abs_deg, *held, m.command_travel, m.limit_violations, *times))
+    caption = (
+        "Errors of the tip angle without sensor noise; hold figures over the last half of every hold; "
+        "bold: the least, to 0.001 deg."
+    )
+    return Table([column.format(unit=unit) for column in _COLUMNS], rows, caption, marked)
+
+
+def _stability(result: StudyResult) -> Iterator[Piece]:
+    """Limit cycles of every loop with a PID, predicted by the describing function of the identified model."""
+    config, unit = result.config, result.unit
+    loops = {name: config.controllers[name] for name in result.controllers}
+    known = [s.resolved().estimator for s in loops.values()]
+    delay = max((e.delay_samples for e in known if isinstance(e, EstimatorSettings)), default=0)
+    with_gains = {name: s for name, s in loops.items() if isinstance(s, _WITH_GAINS)}
+    if not with_gains:
+        return
+    yield Heading("Limit cycles of the PID loops")
+    if config.sensor.kind != "continuous":
+        yield Paragraph(f"Not analysed: the sensor is {config.sensor.kind}, expected continuous.")
+        return
+    try:
+        model = _identified(result)
+    except ModelError as error:
+        yield Paragraph(f"Not analysed: {error}")
+        return
+    analyses = [(name, analyse_pid(model, s.gains, limits_of(config, name), delay)) for name, s in with_gains.items()]
+    columns = ("controller", "prediction", "frequency [Hz]", "angle [deg]", f"command [{unit}]", "greatest loop gain")
+    caption = (
+        "By harmonic balance of the controller with the describing function of the identified model, the lag and delay "
+        "that controllers are told of included; amplitudes about the middle of the command. Below a loop gain of 1 at "
+        "-180 degrees nothing oscillates; near 1 the method is uncertain."
+    )
+    yield Table(columns, [_loop_row(name, analysis) for name, analysis in analyses], caption)
+
+
+def _identified(result: StudyResult) -> Predictor:
+    """Model of the controllers, after the actuator lag of the study."""
+    opened = load_model(model_path(result.config.model), start="conditioned")
+    model = predictor_for(opened)
+    lag = result.config.actuator_lag_s
+    return SeriesPredictor(Drive((Lag(lag),), opened.metadata), model) if lag > 0 else model
+
+
+def _loop_row(name: str, analysis: LoopAnalysis) -> tuple[object, ...]:
+    cycle = analysis.cycle
+    values = ("none",) * 3 if cycle is None else (cycle.frequency_hz, cycle.angle_deg, cycle.command)
+    return name, str(analysis), *values, analysis.gain
+
+
+def _timing(result: StudyResult, colour: dict[str, str]) -> Iterator[Piece]:
+    dt = result.results[0].run.dt
+    yield Heading("Execution time and fallbacks")
+    caption = "Time per stage over all motions: bar to the median, line to the 99th percentile; dotted: sample time."
+    yield Plot(timing_figure(result.results, colour, dt), caption)
+    sources = tuple(dict.fromkeys(source for r in result.results for source in r.metrics.ladder))
+    rows = [(r.motion, r.controller, *(r.metrics.ladder.get(s, 0) for s in sources)) for r in result.results]
+    yield Table(("motion", "controller", *sources), rows, "Samples by the fallback level that gave the command.")
+
+
+def _short(file: str) -> str:
+    """A built-in name, or a file without its folder."""
+    return file if file.startswith("builtin:") else Path(file).name

@@ -57,19 +57,19 @@ class EffectSettings(Settings):
 
 
 class PlantSettings(Settings):
-    """The simulated device: a simulator or a device, and what it does beyond that; see `make_plant` and `Effects`.
+    """The simulated device: a simulator or a device, with effects in addition; see `make_plant` and `Effects`.
 
     Attributes:
         simulator: a simulator file, or `builtin:NAME`.
         device: in its place, a device whose physics is not made of operators: tendon, muscle or rod.
         parameters: numbers of the device other than its defaults, by name.
         mismatch: factors on parameters, of a simulator by label such as `prandtl_ishlinskii.a0`, of a device by name.
-        effects: effects of the library beside the shorthands before them.
+        effects: effects of the library in addition to lag, delay, noise and quantisation.
         virgin: start without the initialisation flexure.
         lag_s: first-order lag of the command [s].
         delay_s: delay of the command [s].
         noise_deg: standard deviation of the sensor's white noise [deg].
-        quantisation_deg: step of the sensor's numbers [deg]; 0 for none.
+        quantisation_deg: resolution of the sensor [deg]; 0 for none.
     """
 
     simulator: str | None = None
@@ -109,7 +109,7 @@ class PlantSettings(Settings):
 
 
 class TuningSettings(Settings):
-    """Settings of the search for PID gains; see `tune_pid`.
+    """Settings of the search for PID gains: number of closed-loop runs over all motions, about, for each controller.
 
     Attributes:
         evaluations: closed-loop runs over all motions, about, for each controller.
@@ -197,9 +197,6 @@ _SENSORS: TypeAdapter[AnySensorSettings] = TypeAdapter(SimulatedSensor)
 def load_simulation(path: Path | str, overrides: Iterable[str] = ()) -> SimulationConfig:
     """Read a study; file names in it start at its own folder and come out absolute.
 
-    Args:
-        overrides: changes such as `plant.lag_s=0.1`.
-
     Raises:
         ConfigError: on an unreadable file, a malformed override, an unknown key or a value out of bounds.
         ModelError: on an unknown built-in model.
@@ -212,7 +209,7 @@ def load_simulation(path: Path | str, overrides: Iterable[str] = ()) -> Simulati
 def located(
     config: SimulationConfig, folder: Path, where: Callable[[Sequence[str | int]], str] | None = None
 ) -> SimulationConfig:
-    """The study with every file name absolute, relative ones starting at `folder`; built-in models keep their names.
+    """The study with absolute file names, relative ones starting at `folder`; built-in models keep their names.
 
     Raises:
         ModelError: on an unknown built-in model.

@@ -21,8 +21,8 @@ from hystmpc.trials.layouts import CANONICAL
 from hystmpc.trials.run_folder import RunFolder
 from hystmpc.trials.types import Vec
 
-from .closed_loop import ClosedLoopRun
 from .config import SimulationConfig
+from .study import ClosedLoopRun
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -47,13 +47,12 @@ _REST = "held_before"  # the command before the first sample
 
 @dataclass(frozen=True)
 class TrackingMetrics:
-    """Figures of one run. Errors are true angle less reference; a hold is a reference at rest for 0.5 s or longer.
+    """Metrics of one run. Errors are true angle minus reference; a hold is a reference at rest for 0.5 s or longer.
 
     Errors and holds of an approach do not count; commands and times do.
 
     Attributes:
-        rmse_deg: root mean square error [deg].
-        max_abs_deg: greatest absolute error [deg].
+        rmse_deg, max_abs_deg: root mean square and greatest absolute error [deg].
         hold_error_deg: mean absolute error over the last halves of all holds; NaN without a hold [deg].
         hold_command_range: greatest range of the command over the last half of a hold; NaN without a hold [cmd].
         command_travel: sum of all command changes [cmd].
@@ -74,7 +73,7 @@ class TrackingMetrics:
 
 
 def tracking_metrics(run: ClosedLoopRun, limits: CommandLimits) -> TrackingMetrics:
-    """Metrics of one run under the limits that its controller had."""
+    """Metrics of one run under the limits of its controller."""
     error, command = run.counted_deg, run.log.command[run.first :]
     halves = [(a + (b - a) // 2, b) for a, b in holds(run.log.reference_deg[run.first :], run.dt)]
     still = np.concatenate([np.abs(error[a:b]) for a, b in halves]) if halves else np.array([math.nan])
@@ -121,12 +120,12 @@ def log_columns(run: ClosedLoopRun) -> dict[str, Sequence[str] | Vec]:
 
 
 def run_from(columns: Mapping[str, Column], lowest: float, where: str) -> ClosedLoopRun:
-    """The run whose log this is.
+    """Run of a log.
 
     Args:
         columns: of `log.csv`.
-        lowest: command at which the plant rested, in logs of older versions, which do not say it.
-        where: of messages.
+        lowest: rest command of the plant, for logs of older versions, which lack it.
+        where: prefix of messages.
 
     Raises:
         LogError: if a column is missing.
@@ -159,7 +158,7 @@ def _numbers(column: Column) -> Vec:
 
 @dataclass(frozen=True, eq=False)
 class Result:
-    """One controller along one motion: names, the limits that it had, the run and its metrics."""
+    """One controller along one motion: names, its limits, the run and its metrics."""
 
     motion: str
     controller: str
@@ -179,9 +178,9 @@ class StudyResult:
 
     Attributes:
         config: the settings as they ran: files, limits and tuned gains.
-        results: motion by motion, in the order of the settings; without those that were not reached; at least one.
-        meta: versions, host, start and model hashes; empty where no folder was written.
-        warnings: what of the motions the model cannot be brought to, a sentence each.
+        results: finished runs, motion by motion, in the order of the settings; at least one.
+        meta: versions, host, start and model hashes; empty without a folder.
+        warnings: angles of the motions beyond the reach of the model, a sentence each.
     """
 
     config: SimulationConfig
@@ -239,15 +238,15 @@ def best_figures(runs: Sequence[Result]) -> frozenset[tuple[str, str]]:
 
 
 def conclusion(result: StudyResult) -> str:
-    """Which controller tracks best over all motions, and how much better than the best of the other sort; one sentence.
+    """Sentence on the controller with the least error over all motions, relative to the best of the other sort.
 
-    The sorts are controllers that predict and those that do not. Empty where there is nothing to compare.
+    The sorts are controllers with and without prediction. Empty where there is nothing to compare.
     """
     errors: dict[str, float] = {}
     for name in result.controllers:
-        found = [run.metrics.rmse_deg for run in result.results if run.controller == name]
-        if len(found) == len(result.motions):
-            errors[name] = math.sqrt(sum(value**2 for value in found) / len(found))
+        rmse_deg = [run.metrics.rmse_deg for run in result.results if run.controller == name]
+        if len(rmse_deg) == len(result.motions):
+            errors[name] = math.sqrt(sum(value**2 for value in rmse_deg) / len(rmse_deg))
     if len(errors) < 2:
         return ""
     best = min(errors, key=errors.__getitem__)
@@ -259,12 +258,12 @@ def conclusion(result: StudyResult) -> str:
         return f"{said}."
     rival = min(rivals, key=errors.__getitem__)
     sort = "with prediction" if predicts[rival] else "without prediction"
-    less = 100 * (1 - errors[best] / errors[rival])
-    return f"{said}, {less:.0f} % less than the best {sort} ({rival}, {errors[rival]:.3g} deg)."
+    percent = 100 * (1 - errors[best] / errors[rival])
+    return f"{said}, {percent:.0f} % less than the best {sort} ({rival}, {errors[rival]:.3g} deg)."
 
 
 def approach_sentence(result: StudyResult) -> str:
-    """What does not count; empty where everything does."""
+    """Sentence on the approaches, which do not count; empty without one."""
     led = {run.motion: run.run.first * run.run.dt for run in result.results if run.run.first}
     times = ", ".join(f"{seconds:.1f} s of {motion}" for motion, seconds in led.items())
     return f"The first {times} lead from the rest to the start of the reference and do not count." if led else ""
@@ -278,7 +277,7 @@ def colours(controllers: Sequence[str]) -> dict[str, str]:
 
 
 def looks(controllers: Sequence[str]) -> dict[str, dict[str, Any]]:
-    """Colour and dashes for each controller: lines that lie on each other are told apart, in grey too."""
+    """Colour and dashes for each controller, so that overlapping lines can be distinguished, in grey too."""
     from hystmpc.trials.report import DASHES
 
     colour = colours(controllers)
@@ -300,16 +299,16 @@ def controllers_figure(results: Sequence[Result], look: Mapping[str, Mapping[str
 
 
 def result_of(config: SimulationConfig, motion: str, controller: str, run: ClosedLoopRun) -> Result:
-    """A run with its metrics under the limits that its controller had."""
+    """A run with its metrics under the limits of its controller."""
     limits = limits_of(config, controller)
     return Result(motion, controller, limits, run, tracking_metrics(run, limits))
 
 
 def limits_of(config: SimulationConfig, controller: str) -> CommandLimits:
-    """The device's limits, or the narrower ones of the controller.
+    """Limits of the device, or the narrower ones of the controller.
 
     Raises:
-        ConfigError: if the settings are not those of a run and leave the limits out.
+        ConfigError: if the settings leave the limits out.
     """
     limits: LimitsSettings | None = config.controllers[controller].resolved().limits or config.limits
     if limits is None:
@@ -319,7 +318,7 @@ def limits_of(config: SimulationConfig, controller: str) -> CommandLimits:
 
 @only_reads()
 def load_results(path: Path | str) -> StudyResult:
-    """Read the run folder of a study, or of one run of a study; nothing outside the folder is opened.
+    """Results in the run folder of a study, or of one run of a study; nothing outside the folder is opened.
 
     Raises:
         LogError: if it holds no run of a simulation.

@@ -1,4 +1,4 @@
-"""A closed-loop study made ready: files opened, models compiled, controllers built; nothing runs yet."""
+"""A closed-loop study: files opened, models compiled, controllers built; one controller along one motion."""
 
 from __future__ import annotations
 
@@ -12,38 +12,40 @@ import numpy as np
 from hystmpc.ctrl.command import CommandLimits, ModelledLimitsSettings, limits_of_model, modelled_limits
 from hystmpc.ctrl.config import AnyControllerSettings
 from hystmpc.ctrl.guarded import GuardedController, build_controller, pair_for
-from hystmpc.ctrl.loop import LoopSample
+from hystmpc.ctrl.loop import (
+    AnySensorSettings,
+    ContinuousSensorSettings,
+    Controller,
+    LoopLog,
+    LoopSample,
+    Viewer,
+    run_loop,
+)
 from hystmpc.ctrl.planner.reach import angles_at_rest, beyond_reach
 from hystmpc.models.contract.metadata import Range
 from hystmpc.models.load import model_path
 from hystmpc.models.prediction.build import ControllerModel, controller_model
 from hystmpc.trajectories import PreviewTable, Trajectory
 from hystmpc.trajectories.drawn import approached
+from hystmpc.trials.brief import brief
 from hystmpc.trials.errors import ConfigError, ControllerError
 from hystmpc.trials.types import Vec
 
-from .closed_loop import ClosedLoopRun, run_closed_loop
 from .config import SimulationConfig
 from .plants.computed import ComputedPlant
-from .plants.make import make_plant, plant_files
+from .plants.device import make_plant, plant_files
 
 
 @dataclass(frozen=True, eq=False)
 class Study:
-    """A closed-loop study ready to run: plant, model, limits, motions.
-
-    Attributes:
-        motions: references, each behind an approach where it starts far from the plant's rest.
-        approach_s: time of each approach, 0 for none [s]; it does not count.
-        model: predictors and inverses that the controllers work with.
-    """
+    """A closed-loop study ready to run: plant, model, limits, motions."""
 
     config: SimulationConfig
     plant: ComputedPlant
-    model: ControllerModel
+    model: ControllerModel  # predictors and inverses of the controllers
     limits: CommandLimits
-    motions: Mapping[str, Trajectory]
-    approach_s: Mapping[str, float]
+    motions: Mapping[str, Trajectory]  # references, each after an approach where it starts far from the plant's rest
+    approach_s: Mapping[str, float]  # duration of each approach, 0 for none [s]; it does not count
     files: tuple[Path, ...]
 
     def controller(self, settings: AnyControllerSettings) -> GuardedController[Any]:
@@ -57,7 +59,7 @@ class Study:
     def run(
         self, settings: AnyControllerSettings, motion: str, on_sample: Callable[[LoopSample], None] | None = None
     ) -> ClosedLoopRun:
-        """One controller along one motion.
+        """Run of one controller along one motion.
 
         Raises:
             ControllerError: if the settings contradict each other or go beyond the limits.
@@ -72,10 +74,10 @@ class Study:
         return run
 
     def warnings(self) -> tuple[str, ...]:
-        """What of the motions the model cannot be brought to, a sentence each."""
+        """Angles of the motions beyond the reach of the model, a sentence each."""
         reach = angles_at_rest(self.model.predictive[0], self.limits, self.plant.true_angle)
-        found = {name: beyond_reach(_angles(motion), reach) for name, motion in self.motions.items()}
-        return tuple(f"{name} {beyond}." for name, beyond in found.items() if beyond)
+        sentences = {name: beyond_reach(_angles(motion), reach) for name, motion in self.motions.items()}
+        return tuple(f"{name} {beyond}." for name, beyond in sentences.items() if beyond)
 
     def steps(self, motion: str) -> int:
         """Samples that a motion takes."""
@@ -83,16 +85,15 @@ class Study:
 
 
 def prepare(config: SimulationConfig, known: ControllerModel | None = None) -> Study:
-    """Open and build everything that a study needs; whatever is wrong is found here.
+    """Open and build everything that a study needs; any fault of the settings is raised here.
 
-    Args:
-        known: the `controller_model` of the same `model`, `inverse` and `actuator_lag_s`; opened where left out.
+    `known` is the `controller_model` of the same `model`, `inverse` and `actuator_lag_s`; opened where left out.
 
     Raises:
         ModelError: if a model file is missing or unusable, or `inverse` is a forward model or of another unit.
         ConfigError: if plant and model differ in the command's unit, or a mismatch names an unknown parameter.
         TrajectoryError: if a motion cannot be built.
-        ControllerError: if a controller is misconfigured, or the limits go beyond the model's unasked.
+        ControllerError: if a controller is misconfigured, or the limits exceed the model's without permission.
         FitError: if a network has no `inverse` and none can be fitted.
     """
     models = [model_path(text) for text in (config.model, config.inverse) if text is not None]
@@ -132,9 +133,9 @@ def _angles(motion: Trajectory) -> Vec:
 
 
 def _led_to(motion: Trajectory, rest_deg: float | None, dt_s: float) -> tuple[Trajectory, float]:
-    """A motion behind an approach from the rest where it starts far from it, and the time of that [s].
+    """Motion after an approach from the rest where it starts far from it, and the duration of the approach [s].
 
-    Without one, the error of the first jump would hide all others.
+    Without an approach, the error of the first jump would dominate all others.
     """
     angles = _angles(motion)
     start = float(angles[0])
@@ -149,10 +150,69 @@ def _as_settings(limits: CommandLimits) -> ModelledLimitsSettings:
 
 
 def _warm_up(study: Study, name: str, settings: AnyControllerSettings) -> None:
-    """Build it and take a step: a wrong one is found before the others have run, and kernels are compiled by then."""
+    """Build a controller and take a step, so that faults show before any run, and kernels are compiled by then."""
     try:
         controller, y = study.controller(settings), study.plant.reset()
         state = controller.init(y, study.plant.rest_command)
         controller.step(state, y, np.full(controller.horizon, y + 1.0))  # a reference at rest would plan nothing
     except ControllerError as error:
         raise ControllerError(f"controllers.{name}: {error}") from None
+
+
+@dataclass(frozen=True, eq=False)
+class ClosedLoopRun:
+    """Signals of one closed-loop run."""
+
+    log: LoopLog  # of the loop, with measured angles, N samples
+    true_deg: Vec  # angles without sensor noise at the ends of the samples (N,) [deg]
+    rest_command: float  # command held before the first sample
+    dt: float  # sample time [s]
+    unit: str
+    first: int = 0  # number of the first sample that counts, after the approach
+    __repr__ = brief
+
+    @property
+    def error_deg(self) -> Vec:
+        """True angle less reference (N,) [deg]."""
+        return self.true_deg - self.log.reference_deg
+
+    @property
+    def counted_deg(self) -> Vec:
+        """The part of `error_deg` that counts [deg]."""
+        return self.error_deg[self.first :]
+
+
+def run_closed_loop(
+    controller: Controller[Any],
+    plant: ComputedPlant,
+    motion: Trajectory,
+    on_sample: Callable[[LoopSample], None] | None = None,
+    sensor: AnySensorSettings | None = None,
+    approach_s: float = 0.0,
+) -> ClosedLoopRun:
+    """Follow a motion once from the plant's rest, as fast as it computes.
+
+    Args:
+        sensor: of the controller; the plant's angle in every sample where left out. The frames of an imaging system
+            show the true angle with their own noise, drawn from the plant's seed; without a sensor the true rest is
+            declared.
+        approach_s: duration at the motion's beginning that does not count, a whole number of samples [s].
+
+    Raises:
+        ControllerError: if controller and plant differ in sample time, or the controller cannot start from the rest.
+    """
+    preview = PreviewTable(motion, plant.dt, controller.horizon)
+    angles: list[float] = []
+
+    def note(sample: LoopSample) -> None:
+        angles.append(plant.true_angle)
+        if on_sample is not None:
+            on_sample(sample)
+
+    viewer = None
+    if not (sensor is None or isinstance(sensor, ContinuousSensorSettings)):
+        viewer = Viewer(sensor, plant.seed, lambda: plant.true_angle)
+    rest = plant.rest_command
+    log = run_loop(controller, plant, preview.at, preview.steps, u_start=rest, on_sample=note, viewer=viewer)
+    first = round(approach_s / plant.dt)
+    return ClosedLoopRun(log, np.array(angles), plant.rest_command, plant.dt, plant.command_unit, first)

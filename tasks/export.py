@@ -132,7 +132,7 @@ def _plant(source: Simulator | SimulatedPlant | Path | str) -> SimulatedPlant:
     Raises:
         ExportError: if it is not made of operators.
     """
-    from hystmpc.sim.plants.make import make_plant
+    from hystmpc.sim.plants.device import make_plant
     from hystmpc.sim.plants.simulated import SimulatedPlant
 
     if isinstance(source, SimulatedPlant):

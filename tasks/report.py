@@ -70,7 +70,7 @@ def report(
             from hystmpc.rig.recording.report import write_report
 
             return WrittenReport(write_report(RunFolder.open(folder)), lines)
-        from hystmpc.sim.report import report_from_folder
+        from hystmpc.sim.compare import report_from_folder
 
         return WrittenReport(report_from_folder(folder, more), lines)
 

@@ -83,7 +83,7 @@ def sweep(
     Raises:
         HystmpcError: if a setting is wrong, or the folder holds something else.
     """
-    from hystmpc.sim.jobs.runner import backend_for
+    from hystmpc.sim.jobs import backend_for
     from hystmpc.sim.sweep.run import run_sweep
     from hystmpc.sim.sweep.settings import load_sweep
 

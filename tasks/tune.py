@@ -41,7 +41,7 @@ def tune(
     Raises:
         HystmpcError: if a setting is wrong, the folder holds something else, or no trial came to an end.
     """
-    from hystmpc.sim.jobs.runner import backend_for
+    from hystmpc.sim.jobs import backend_for
     from hystmpc.sim.tuning.run import run_tuning
     from hystmpc.sim.tuning.settings import TuneSettings, complete, load_tuning
 

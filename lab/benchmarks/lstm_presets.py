@@ -24,10 +24,9 @@ from hystmpc.models.contract.export import ExportBundle, export_onnx
 from hystmpc.models.contract.load import load_onnx
 from hystmpc.models.contract.metadata import DeviceLimits, Range
 from hystmpc.models.evaluate import evaluate, free_run
-from hystmpc.sim.closed_loop import run_closed_loop
 from hystmpc.sim.config import PlantSettings, SimulationConfig
-from hystmpc.sim.plants.make import make_plant
-from hystmpc.sim.study import prepare
+from hystmpc.sim.plants.device import make_plant
+from hystmpc.sim.study import prepare, run_closed_loop
 from hystmpc.trajectories.excitation import s2_point_to_point, s2_sinusoid
 from hystmpc.trajectories.trajectory import Trajectory
 from hystmpc.trials.trial import Trial

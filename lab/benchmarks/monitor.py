@@ -25,7 +25,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from hystmpc.bench.controller import TIP_FILE, tip_settings
+from hystmpc.bench.identify import TIP_FILE, tip_settings
 from hystmpc.ctrl.monitor import Change, ChangeMonitor
 from hystmpc.models.load import load_model, model_path
 from hystmpc.models.prediction.build import controller_model

@@ -20,8 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from hystmpc.sim.jobs.backend import Processes
-from hystmpc.sim.jobs.runner import backend_for
+from hystmpc.sim.jobs import Processes, backend_for
 from hystmpc.sim.sweep.run import run_sweep
 from hystmpc.sim.sweep.settings import SweepSettings, with_base
 from hystmpc.sim.sweep.table import numbers, table_of

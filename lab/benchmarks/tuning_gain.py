@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from hystmpc.sim.jobs.runner import backend_for
+from hystmpc.sim.jobs import backend_for
 from hystmpc.sim.tuning.run import run_tuning
 from hystmpc.sim.tuning.settings import load_tuning
 

@@ -19,7 +19,7 @@ from hystmpc.ctrl.planner.settings import TipSettings
 from hystmpc.models.simulator import Simulator
 from hystmpc.rig.config import BenchSettings
 from hystmpc.rig.experiment.phases import Phase
-from hystmpc.sim.jobs.runner import attempt
+from hystmpc.sim.jobs import attempt
 from hystmpc.trajectories.config import MotionSettings
 from hystmpc.trials.errors import LogError
 from hystmpc.trials.files import write_atomically

@@ -10,7 +10,7 @@ from typing import get_args
 
 import numpy as np
 
-from hystmpc.sim.jobs.runner import backend_for, run_jobs
+from hystmpc.sim.jobs import backend_for, run_jobs
 from hystmpc.trials.errors import ConfigError, did_you_mean
 from hystmpc.trials.read import read_trials
 from hystmpc.trials.run_folder import require_vacant

@@ -13,7 +13,7 @@ import numpy as np
 
 from hystmpc.gap.decide.attribution import Findings
 from hystmpc.models.simulator import Simulator
-from hystmpc.sim.jobs.runner import attempt, backend_for, run_jobs
+from hystmpc.sim.jobs import attempt, backend_for, run_jobs
 from hystmpc.trials.csv_files import write_csv
 from hystmpc.trials.errors import ConfigError, HystmpcError, LogError, did_you_mean
 from hystmpc.trials.files import write_atomically

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 
 from hystmpc.bench.commission import Commissioned, commission_device
-from hystmpc.bench.controller import TIP_FILE, tip_settings
 from hystmpc.bench.device import BenchDevice
+from hystmpc.bench.identify import TIP_FILE, tip_settings
 from hystmpc.ctrl.command import limits_of_model
 from hystmpc.ctrl.feedback import PidControllerSettings
 from hystmpc.ctrl.guarded import build_controller
@@ -27,9 +27,9 @@ from hystmpc.gap.expected_tracking import DEFAULT_CONTROLLER, covered_motions
 from hystmpc.models.kinds.catalogue import kind_named
 from hystmpc.models.prediction.build import ControllerModel, controller_model
 from hystmpc.models.simulator import ChainModel, load_simulator
-from hystmpc.sim.closed_loop import ClosedLoopRun
 from hystmpc.sim.plants.computed import ComputedPlant
-from hystmpc.sim.tune_pid import searched_gains
+from hystmpc.sim.study import ClosedLoopRun
+from hystmpc.sim.tuning.gains import searched_gains
 from hystmpc.trajectories.drawn import CountedMotion
 
 from ..devices.drawn import DrawnDevice, DrawnPlant, draw_devices, worn

@@ -10,8 +10,8 @@ from functools import cached_property
 import numpy as np
 
 from hystmpc.ctrl.command import CommandLimits, Source
-from hystmpc.sim.closed_loop import ClosedLoopRun
 from hystmpc.sim.results import holds, tracking_metrics
+from hystmpc.sim.study import ClosedLoopRun
 from hystmpc.trials.types import Vec
 
 from ..study import Outcome

@@ -19,12 +19,11 @@ from hystmpc.ctrl.loop import Controller
 from hystmpc.models.model import Predictor
 from hystmpc.models.motions import initialisation_flexure
 from hystmpc.models.simulator import save_simulator
-from hystmpc.sim.closed_loop import run_closed_loop
 from hystmpc.sim.config import SimulationConfig, TuningSettings
 from hystmpc.sim.plants.computed import ComputedPlant
 from hystmpc.sim.plants.simulated import Effects
-from hystmpc.sim.study import Study, prepare
-from hystmpc.sim.tune_pid import tuned_gains
+from hystmpc.sim.study import Study, prepare, run_closed_loop
+from hystmpc.sim.tuning.gains import tuned_gains
 from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.files import write_atomically
 from hystmpc.trials.types import Vec

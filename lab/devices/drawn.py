@@ -268,7 +268,7 @@ class DrawnPlant(ComputedPlant):
 
     def noise(self, samples: int) -> Vec:
         """Noise of the measurement at rest and of as many samples after it as a run would meet (samples + 1,) [deg]."""
-        return self._sensing.noise_deg * np.random.default_rng(self._seed).standard_normal(samples + 1)
+        return self.sensing.noise_deg * np.random.default_rng(self.seed).standard_normal(samples + 1)
 
     def _at_rest(self, random: np.random.Generator) -> tuple[float, Vec]:
         del random

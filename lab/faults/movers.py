@@ -15,9 +15,8 @@ import numpy as np
 
 from hystmpc.bench.commission import commission_device
 from hystmpc.bench.config import CommissionSettings, InvestigateSettings, located_investigation
-from hystmpc.bench.device import BenchDevice, Device, DeviceStoppedError, Tick, Track
+from hystmpc.bench.device import BenchDevice, Device, DeviceStoppedError, Tick, Track, plants_in
 from hystmpc.bench.investigate import investigate_device
-from hystmpc.bench.plants import plants_in
 from hystmpc.ctrl import TipController
 from hystmpc.ctrl.planner.settings import TipSettings
 from hystmpc.rig.config import BenchSettings, RunSettings

@@ -20,8 +20,8 @@ from hystmpc.models.kinds.catalogue import chosen_kind, kind_named
 from hystmpc.models.kinds.kind import FitRequest, Identified, ModelKind
 from hystmpc.models.prediction.build import ControllerModel, controller_model
 from hystmpc.models.simulator import save_simulator
-from hystmpc.sim.closed_loop import run_closed_loop
-from hystmpc.sim.tune_pid import PidLike, searched_gains
+from hystmpc.sim.study import run_closed_loop
+from hystmpc.sim.tuning.gains import PidLike, searched_gains
 from hystmpc.trajectories.drawn import CountedMotion
 from hystmpc.trials.trial import Trial
 

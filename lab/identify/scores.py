@@ -14,9 +14,9 @@ from hystmpc.ctrl.law import LawSettings
 from hystmpc.ctrl.loop import Controller, ImagingSettings, NoSensorSettings
 from hystmpc.models.contract.metadata import Range
 from hystmpc.models.prediction.build import ControllerModel
-from hystmpc.sim.closed_loop import ClosedLoopRun, run_closed_loop
 from hystmpc.sim.plants.computed import ComputedPlant, Sensing
 from hystmpc.sim.results import holds, violations
+from hystmpc.sim.study import ClosedLoopRun, run_closed_loop
 from hystmpc.trajectories.drawn import CountedMotion
 from hystmpc.trials.types import Vec
 

@@ -1,1 +1,1 @@
-"""What is done in a run: its phases, experiments, recordings for identification, and the review afterwards."""
+"""Phases of a run, experiments, recordings for identification, and the review of a run."""

@@ -8,10 +8,9 @@ from contextlib import closing, suppress
 from dataclasses import replace
 from pathlib import Path
 from threading import Lock, Thread
-from typing import TYPE_CHECKING, Any, Protocol, final
+from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from hystmpc.ctrl.command import Command, CommandLimits, ControlInput, Source, Stopwatch, modelled_limits
 from hystmpc.ctrl.config import ControllerSettings, sensor_fault
@@ -25,7 +24,7 @@ from hystmpc.ctrl.planner.settings import TipSettings, read_settings
 from hystmpc.ctrl.planner.tip_controller import TipController
 from hystmpc.trajectories.motion import Kinematics, PiecewiseCubic
 from hystmpc.trajectories.ruckig_ import move_to_rest
-from hystmpc.trajectories.trajectory import Trajectory
+from hystmpc.trajectories.trajectory import Chain, Trajectory
 from hystmpc.trials.errors import ConfigError, ControllerError
 from hystmpc.trials.types import Vec
 
@@ -40,8 +39,7 @@ from ..transports.transport import PlantFactory, Transport
 from .phases import REMEMBERED, Decision, Past, Phase, PhaseInput
 
 if TYPE_CHECKING:
-    from ..compiled.controller import CompiledController
-    from ..compiled.loop import CompiledLoop
+    from ..compiled.controller import CompiledController, CompiledLoop
 
 LATE = "late: no time for a plan"
 """Why a sample that begins late is answered by the fallbacks."""
@@ -64,10 +62,10 @@ def run_experiment(
 ) -> BenchResult:
     """Run the experiment; settings and model are checked before anything moves. Arguments as of `run_bench`.
 
-    With a desk the run takes targets too; after the first one it goes on until somebody ends it.
+    With a desk the run also takes targets; after the first one it continues until somebody ends it.
 
     Raises:
-        HystmpcError: of any kind, see `tracking_phase` and `run_bench`.
+        HystmpcError: of `tracking_phase` and `run_bench`.
     """
     tracking = tracking_phase(settings, note=note)
     if desk is not None:
@@ -82,14 +80,14 @@ def tracking_phase(settings: RunSettings, threaded: bool = True, note: Note = la
 
     Args:
         threaded: whether the transfer to the controller runs in a thread, see `Tracking`.
-        note: told where the reference goes beyond the model's reach.
+        note: called where the reference is beyond the model's reach.
 
     Raises:
-        ConfigError: if model and bench differ in rate or unit, or the controller's limits go beyond the bench's.
+        ConfigError: if model and bench differ in rate or unit, or the controller's limits exceed the bench's.
         ModelError: if a model file is missing, corrupt or unusable.
-        ControllerError: if the settings of the controller contradict each other or the model, or limits go beyond the
-            model's unasked.
-        TrajectoryError: if the reference cannot be made.
+        ControllerError: if the settings of the controller contradict each other or the model, or limits exceed the
+            model's without permission.
+        TrajectoryError: if the reference cannot be built.
     """
     limits, tip_settings = settings.limits, settings.controller
     law = tip_settings.controller
@@ -113,7 +111,7 @@ def tracking_phase(settings: RunSettings, threaded: bool = True, note: Note = la
 
     def lead_in(angle_deg: float) -> Trajectory:
         segments = move_to_rest(Kinematics(angle_deg), float(reference(0.0)), motion)
-        return LeadInTrajectory(PiecewiseCubic(segments) if segments.size else None, reference)
+        return Chain((PiecewiseCubic(segments), reference)) if segments.size else reference
 
     drill = settings.drill
     fails = None if drill is None else (drill.solver_fails_from_s, drill.solver_fails_from_s + drill.solver_fails_for_s)
@@ -146,43 +144,24 @@ def _fits(settings: RunSettings, assembly: Assembly) -> None:
         raise ConfigError(f"controller: got limits {assembly.limits}, expected them within the bench's {bench}")
 
 
-class LeadInTrajectory:
-    """A reference after a lead-in motion to its first angle; None where the tip is there already."""
-
-    def __init__(self, lead: PiecewiseCubic | None, reference: Trajectory) -> None:
-        self._lead, self._reference = lead, reference
-        self._wait = 0.0 if lead is None else lead.duration_s
-        self.duration_s = self._wait + reference.duration_s
-
-    def __call__(self, t: ArrayLike) -> Vec:
-        """Angles [deg] at times `t` [s]."""
-        time = np.asarray(t, dtype=np.float64)
-        after = self._reference(time - self._wait)
-        if self._lead is None or np.min(time, initial=self._wait) >= self._wait:
-            return after
-        return np.where(time < self._wait, self._lead(time), after)
-
-
 @final
 class Tracking(Phase):
     """A `TipController` along a reference, from where preparation has left the device.
 
-    The controller takes up what was sent and measured so far, hysteresis included. That takes longer than a sample, so
-    it is done beside the loop while the command is held. A sample that follows a missed deadline is answered from
-    the fallbacks (shifted plan, inverse, hold); samples in which nothing was sent are told to the controller as holds.
+    The controller replays the commands and angles so far, hysteresis included. That takes longer than a sample, so a
+    thread does it while the command is held. A sample after a missed deadline is answered by the fallbacks (shifted
+    plan, inverse, hold); samples without a sent command count as holds for the controller.
 
-    A frame of an intermittent sensor is told with the time at which it was taken. Then, and without a sensor, the
-    samples that the hand-over takes are told as holds too, since an old frame belongs before them, and the model has
-    nothing else to go by.
+    A frame of an intermittent sensor is used at the time at which it was taken. Then, and without a sensor, the samples
+    of the hand-over count as holds too, since an old frame belongs before them, and the model has no other input.
 
     Args:
         lead_in: measured angle to the reference to follow.
-        monitor: says in the status that the device has changed since identification.
-        drill_s: from when until when the law is made to fail, as an exercise [s]; None for never.
+        monitor: reports in the status that the device has changed since identification.
+        drill_s: start and end of an exercise in which the law fails [s]; None for never.
         sensor: of the bench; continuous where left out.
-        threaded: whether the transfer runs in a thread of its own; False where a sample takes no time, so that each run
-            of a computed device is the same.
-        compiled: the controller, where it is one in C: it may take whole samples.
+        threaded: whether the transfer has its own thread; False for a computed device, so that each run is the same.
+        compiled: the controller in C, which may execute whole samples.
     """
 
     name = "track"
@@ -190,7 +169,7 @@ class Tracking(Phase):
     def __init__(
         self,
         tip: TipController,
-        law: Refusing,
+        law: TimelyLaw | CompiledController,
         lead_in: LeadIn,
         watch: ModelWatch,
         monitor: ChangeMonitor,
@@ -220,7 +199,7 @@ class Tracking(Phase):
 
     @property
     def reach_deg(self) -> tuple[float, float]:
-        """Least and greatest angle that the controller can be sent to [deg]."""
+        """Least and greatest target angle of the controller [deg]."""
         reach = self._tip.reachable(math.nan)
         return reach.low_deg, reach.high_deg
 
@@ -272,7 +251,7 @@ class Tracking(Phase):
         return self._decision(command, math.nan if control is None else control.due)
 
     def compiled(self) -> CompiledLoop | None:
-        """The loop in C, once the controller tracks and before the reference ends."""
+        """Loop in C, once the controller tracks and before the reference ends."""
         if self._compiled is None or not self._tracks or self._kind != "continuous" or self._drill is not None:
             return None
         return self._compiled.loop
@@ -371,10 +350,7 @@ class Tracking(Phase):
 def decision_of(command: Command, due_deg: float, watch: ModelWatch, note: str = "") -> Decision:
     """Decision from a controller's command; a stop of the controller and a large model error are faults.
 
-    Args:
-        due_deg: wanted angle at the end of the sample [deg].
-        watch: told of the sample.
-        note: follows the status.
+    `due_deg` is the wanted angle at the end of the sample [deg]; `note` is appended to the status.
     """
     predicted = float(command.predicted[0]) if command.predicted.size else math.nan
     stopped = command.source is Source.STOP
@@ -404,19 +380,13 @@ def present_angle(tip: TipController) -> float:
     return estimate.angles[0] + estimate.disturbance if estimate.angles else estimate.measured
 
 
-class Refusing(Protocol):
-    """A control law that skips planning where `refusal` gives a reason; an empty one lets it plan."""
-
-    refusal: str
-
-
 class NoTimeError(Exception):
     """No time for a plan in this sample; caught inside the controller's step."""
 
 
 @final
 class TimelyLaw(Law[Any]):
-    """A control law that fails at once while `refusal` is set, so that the fallback ladder answers the sample."""
+    """A control law that fails at once while `refusal` is set, so that the fallbacks answer the sample."""
 
     def __init__(self, law: Law[Any]) -> None:
         self._law = law
@@ -440,20 +410,20 @@ def make_timely(controller: GuardedController[Any]) -> tuple[GuardedController[A
 
 @final
 class Steering(Phase):
-    """A `TipController` that starts at rest where the device is found, and takes targets at any time, by any thread.
+    """A `TipController` that starts at rest where the device is, and takes targets at any time, by any thread.
 
-    It steps as `Tracking` does: samples in which nothing was sent are told as holds, a sample that begins late is
-    answered by the fallbacks, and a device that leaves its model is a fault. It never ends by itself.
+    It steps as `Tracking` does: samples without a sent command count as holds, a late sample is answered by the
+    fallbacks, and a device that leaves its model is a fault. It never ends by itself.
 
     Attributes:
         tip: the controller, for targets, its state and its stop.
         limits: of the command.
         unit: of the command, mm or bar.
-        safe_command: where a stop leads; NaN where it stays.
+        safe_command: target of a stop; NaN rests in place.
 
     Raises:
         ConfigError: if the controller's file cannot be used or its controller wants no continuous sensor.
-        HystmpcError: of any other kind, see `assemble`.
+        HystmpcError: of `assemble`.
     """
 
     name = "steer"
@@ -465,7 +435,7 @@ class Steering(Phase):
             raise ConfigError(f"{config}: controller.{fault}")
         assembly = assemble(settings, folder)
         controller, law = make_timely(assembly.controller)
-        self._law: Refusing = law
+        self._law = law
         self.tip = TipController(assembly, settings, controller)
         self.limits: CommandLimits = assembly.limits
         self.unit = assembly.unit

@@ -16,7 +16,7 @@ from ..safety.intake import ObservedFrame
 from ..safety.ramp import RampSettings, ramp_commands, waypoint_commands
 
 if TYPE_CHECKING:
-    from ..compiled.loop import CompiledLoop
+    from ..compiled.controller import CompiledLoop
     from ..safety.stop import StopFlag
 
 
@@ -39,22 +39,18 @@ class Decision:
     """Command and status that a phase returns for a sample.
 
     Attributes:
-        u: wanted command; the gate has the last word.
         source, status: as in `Sample`.
-        reference_deg, predicted_deg: for the end of the sample, NaN where there is none.
-        stages_s: name and time of stages.
-        finished: whether this was the phase's last sample.
-        fault: why the run has to stop, empty while it has not.
+        reference_deg, predicted_deg: for the end of the sample, NaN without one.
     """
 
-    u: float
+    u: float  # wanted command; the gate decides
     source: str
     status: str = "ok"
     reference_deg: float = math.nan
     predicted_deg: float = math.nan
-    stages_s: tuple[tuple[str, float], ...] = ()
-    finished: bool = False
-    fault: str = ""
+    stages_s: tuple[tuple[str, float], ...] = ()  # name and time of stages
+    finished: bool = False  # whether this was the phase's last sample
+    fault: str = ""  # cause of a stop, empty without one
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,7 +78,7 @@ def place_frames(angles: MutableSequence[float], frames: Sequence[ObservedFrame]
 
 
 class Phase(Protocol):
-    """One part of a run. It may raise: the loop then stops safely and says what was raised."""
+    """One part of a run. It may raise: the loop then stops safely and reports the error."""
 
     name: str  # as logs show it
 
@@ -111,11 +107,7 @@ class Phase(Protocol):
 
 @final
 class CommandMotion(Phase):
-    """Open-loop motion: commands computed from the held command when the phase begins.
-
-    Args:
-        commands: held command to the commands (N,) to send.
-    """
+    """Open-loop motion: commands (N,) computed from the held command when the phase begins."""
 
     def __init__(self, name: str, commands: Callable[[float], Vec]) -> None:
         self.name, self._plan = name, commands
@@ -127,7 +119,7 @@ class CommandMotion(Phase):
         self._commands, self._k = self._plan(now.held).tolist(), 0
 
     def step(self, now: PhaseInput) -> Decision:
-        """The next command; samples that were skipped are not left out, the motion is late by them."""
+        """The next command; after skipped samples the motion is late, and no command is left out."""
         del now
         u = self._commands[self._k]
         self._k += 1
@@ -136,10 +128,9 @@ class CommandMotion(Phase):
 
 @final
 class AwaitStart(Phase):
-    """Hold the command until a person starts the run; sending it keeps the device's watchdog from acting.
+    """Holds the command until a person starts the run; sending it keeps the device's watchdog from acting.
 
-    Args:
-        started: asked once a sample.
+    `started` is called once a sample.
     """
 
     name = "await start"
@@ -148,22 +139,20 @@ class AwaitStart(Phase):
         self._started = started
 
     def begin(self, now: PhaseInput, past: Past) -> None:
-        """Nothing to prepare."""
         del now, past
 
     def step(self, now: PhaseInput) -> Decision:
-        """The command held."""
         started = self._started()
         return Decision(now.held, self.name, "ok" if started else "waits for Start", finished=started)
 
 
 @final
 class PretensionCheck(Phase):
-    """Ramps the command up and back and checks that the angle is there and moves with it.
+    """Ramps the command up and back and checks that the angle exists and moves with it.
 
     Args:
         commands: held command to the commands (N,) of the way up, and of the way back.
-        least_deg, most_deg: what the angle has to move, with its sign: negative where more command means less angle.
+        least_deg, most_deg: bounds of the angle's motion; negative where more command means less angle.
     """
 
     name = "pretension check"
@@ -206,19 +195,18 @@ class SafeStop(Phase):
     """Motion to rest at the safe command; it ends once the device reports that it holds that command.
 
     Every run ends with it: after its last phase, and after a stop. The safe command is sent `repeats` times at least,
-    since a wire may lose some; where the device does not say that it is there, `patience` times.
+    since a wire may lose some; to a device that does not report it, `patience` times.
 
     Args:
         commands: held command and its velocity to the commands (N,) to send; where it fails, the safe command itself is
             wanted, and the gate lets the device there as fast as the limits allow.
-        safe: the safe command; NaN where there is none: it then rests where it comes to rest, which is never confirmed,
-            so that the device's watchdog stays armed.
-        tolerance: how far beside it the device may be, in the command's unit.
-        cause: why; empty at the regular end of a run.
-        repeats: how often it is sent at the end.
-        patience: how often it is sent to a device that does not say that it holds it.
-        attempts: how often the way out may begin; a device that follows none of them is left to its watchdog.
-        stays: asked where it could finish; True sends the safe command on.
+        safe: the safe command; NaN rests where the motion ends, which is never confirmed, so that the device's watchdog
+            stays armed.
+        tolerance: greatest deviation of the reported command, in its unit.
+        cause: of the stop; empty at the regular end of a run.
+        repeats, patience: numbers of safe commands at the end.
+        attempts: number of starts of the motion; a device that follows none of them is left to its watchdog.
+        stays: called where it could finish; True sends the safe command on.
     """
 
     def __init__(
@@ -277,7 +265,7 @@ class MoveSettings(Settings):
     to: float
 
     def phase(self, ramps: RampSettings, dt_s: float) -> Phase:
-        """The phase of this step."""
+        """Phase of this step."""
         return CommandMotion("move", lambda held: ramp_commands(held, 0.0, self.to, ramps, dt_s))
 
 
@@ -298,7 +286,7 @@ class FlexureSettings(Settings):
     hold_s: NotNegative = 0.0
 
     def phase(self, ramps: RampSettings, dt_s: float) -> Phase:
-        """The phase of this step."""
+        """Phase of this step."""
         stops = [self.upper, self.lower] * self.cycles
         holds = [self.hold_s] * len(stops)
         return CommandMotion("flexure", lambda held: waypoint_commands(held, stops, holds, ramps, dt_s))
@@ -315,7 +303,7 @@ class RelaxationSettings(Settings):
     duration_s: Positive
 
     def phase(self, ramps: RampSettings, dt_s: float) -> Phase:
-        """The phase of this step."""
+        """Phase of this step."""
         return CommandMotion("relaxation", lambda held: waypoint_commands(held, [held], [self.duration_s], ramps, dt_s))
 
 
@@ -344,7 +332,7 @@ class PretensionSettings(Settings):
         return self
 
     def phase(self, ramps: RampSettings, dt_s: float) -> Phase:
-        """The phase of this step."""
+        """Phase of this step."""
         return PretensionCheck(
             lambda held: (
                 waypoint_commands(held, [held + self.by], [self.hold_s], ramps, dt_s),

@@ -1,30 +1,47 @@
-"""Recordings for identification: each excitation is played by the control loop and becomes one trial."""
+"""Recordings for identification: excitations, their settings, and one trial of each by the control loop.
+
+S1 is Wu et al., RA-L 2021 (DOI 10.1109/LRA.2021.3061069), S2 RA-L 2024, PMC11633443.
+"""
 
 from __future__ import annotations
 
 import math
+from abc import abstractmethod
 from bisect import bisect_right
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import final
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
+from pydantic import Field, model_validator
 
+from hystmpc.trajectories.excitation import (
+    Offset,
+    Split,
+    s1_raised_baseline,
+    s1_zero_baseline,
+    s2_point_to_point,
+    s2_sinusoid,
+)
+from hystmpc.trajectories.trajectory import Trajectory, sample
+from hystmpc.trials.config import FolderName, NotNegative, Positive, Settings, load_settings
 from hystmpc.trials.csv_files import format_table, write_csv
-from hystmpc.trials.errors import ConfigError
+from hystmpc.trials.errors import ConfigError, LogError
 from hystmpc.trials.files import write_atomically
+from hystmpc.trials.formats import read_lines
 from hystmpc.trials.layouts import CANONICAL
 from hystmpc.trials.recording import write_manifest
+from hystmpc.trials.tables import LogTable, read_table
 from hystmpc.trials.trial import Trial, Units
 from hystmpc.trials.types import Vec
 
-from ..config import RecordSettings
-from ..live.desk import Desk
+from ..config import BenchSettings, located
+from ..live.desk import Desk, LiveSettings
 from ..recording.sample import Sink
 from ..run import BenchResult, Note, run_bench
-from ..safety.ramp import waypoint_commands
+from ..safety.ramp import RampSettings, waypoint_commands
 from ..transports.transport import PlantFactory, Transport
 from .phases import CommandMotion, Decision, Past, Phase, PhaseInput
 
@@ -36,16 +53,15 @@ _BETWEEN_FRAMES = (
 )
 
 
-@final
 class Recorded(Phase):
-    """Phase that plays commands (N,) and records the commands sent and the angles measured.
+    """Phase that plays commands (N,) and records the commands sent and reported, and the angles measured.
 
-    An angle belongs to the end of its sample: it is read at the beginning of the next one, so one sample more is
-    spent at the last command. A frame belongs to the sample at whose end it was taken, and `late` samples more are
-    spent there until those of the last ones have come.
+    An angle belongs to the end of its sample: it is read at the beginning of the next one, so the last command is held
+    for one sample more. A frame belongs to the sample at whose end it was taken; the last command is held for `late`
+    further samples until the last frames have come.
 
     Args:
-        commands: to play, from the command held on (N,).
+        commands: to play, from the held command on (N,).
         dt_s: sample time [s].
         late: age of the oldest frame [samples]; None for a continuous sensor.
     """
@@ -55,6 +71,7 @@ class Recorded(Phase):
         self._dt, self._late = dt_s, late
         self._commands = commands.tolist()
         self.sent = [math.nan] * commands.size
+        self.reported = [math.nan] * commands.size
         self.angles_deg = [math.nan] * commands.size
         self.times = [math.nan] * commands.size
         self._k, self._skipped = 0, 0
@@ -69,7 +86,7 @@ class Recorded(Phase):
         self._skipped += now.skipped
         count = len(self._commands)
         if 0 < k <= count:
-            self.sent[k - 1] = now.held
+            self.sent[k - 1], self.reported[k - 1] = now.held, now.reported
             self.angles_deg[k - 1] = now.angle_deg if self._late is None else math.nan
             self.times[k - 1] = k + self._skipped
         for frame in now.frames:
@@ -83,7 +100,7 @@ class Recorded(Phase):
     def write(self, folder: Path, unit: str) -> Path | None:
         """Write the trial as CSV; None without a file where fewer than two angles were measured.
 
-        Samples without an angle are left out; between frames they stay, with an empty cell: the commands count.
+        Samples without an angle are left out; between frames they stay, with an empty cell, for their commands.
         """
         trial, file = self.trial(unit), folder / f"{self.name}.csv"
         if trial is None:
@@ -106,7 +123,7 @@ class Recorded(Phase):
 
     @property
     def whole(self) -> bool:
-        """Whether it was played to its end."""
+        """Whether all commands were played."""
         return math.isfinite(self.times[-1])
 
 
@@ -129,15 +146,14 @@ def record(
     transport: Transport | None = None,
     desk: Desk | None = None,
 ) -> RecordResult:
-    """Play every excitation and write `trials/NAME.csv` in canonical columns and a manifest.
+    """Play every excitation and write `trials/NAME.csv` in canonical columns and a manifest. Arguments as of
+    `run_bench`.
 
-    Arguments as of `run_bench`.
-
-    Trials by frames have empty cells between them, which no identification reads: `note` is told so first.
+    Trials by frames have empty cells between them, which no identification reads: `note` is called with that first.
 
     Raises:
-        HystmpcError: of any kind, before anything moves; `ConfigError` if an excitation is in another unit or
-            beyond the limits.
+        HystmpcError: of any kind, before anything moves; `ConfigError` if an excitation is in another unit or beyond
+            the limits.
     """
     phases: list[Phase] = []
     recorded: list[Recorded] = []
@@ -186,3 +202,187 @@ def _within(settings: RecordSettings, name: str, commands: Vec) -> None:
             f"excitations.{name}: got commands from {low:.6g} to {high:.6g} {settings.command_unit} at up to "
             f"{rate:.4g} per s, expected them within limits {limits.lower} to {limits.upper} at {limits.rate_per_s}"
         )
+
+
+class TrajectoryExcitation(Settings):
+    """An excitation that is a trajectory of commands in one unit."""
+
+    unit: ClassVar[str]
+
+    @abstractmethod
+    def trajectory(self) -> Trajectory:
+        """Commands over time."""
+
+    def commands(self, rate_hz: float, ramps: RampSettings) -> Vec:
+        """Commands (N,)."""
+        del ramps
+        return sample(self.trajectory(), rate_hz)[1]
+
+
+class S1SinusoidSettings(TrajectoryExcitation):
+    """`kind: s1_sinusoid`: a decaying sinusoid of pressure, S1 eq. (5) (`zero`) or (6) (`raised`) [bar].
+
+    Attributes:
+        baseline: `zero`: the decaying sinusoid has its lowest points at 0 bar; `raised`: it decays towards 1.5 bar.
+        frequency_hz: of the sinusoid [Hz].
+    """
+
+    unit: ClassVar[str] = "bar"
+
+    kind: Literal["s1_sinusoid"]
+    baseline: Literal["zero", "raised"] = "zero"
+    frequency_hz: Positive
+
+    def trajectory(self) -> Trajectory:
+        wave = s1_zero_baseline if self.baseline == "zero" else s1_raised_baseline
+        return wave(self.frequency_hz)
+
+
+class S2SinusoidSettings(TrajectoryExcitation):
+    """`kind: s2_sinusoid`: seven decaying periods of tendon travel, S2 eq. (9), (10) [mm].
+
+    Attributes:
+        frequency_hz: of the sinusoid [Hz].
+        offset: `0BL`: lowest points at the pretension; `MidBL`: about 3 mm; `EndBL`: highest points at 6 mm.
+    """
+
+    unit: ClassVar[str] = "mm"
+
+    kind: Literal["s2_sinusoid"]
+    frequency_hz: Positive
+    offset: Offset
+
+    def trajectory(self) -> Trajectory:
+        return s2_sinusoid(self.frequency_hz, self.offset)
+
+
+class S2PointToPointSettings(TrajectoryExcitation):
+    """`kind: s2_point_to_point`: ten moves and holds drawn from a seed, S2 eq. (11) [mm].
+
+    Attributes:
+        seed: of the random numbers.
+        split: part of the paper's data from whose distribution moves and holds are drawn.
+    """
+
+    unit: ClassVar[str] = "mm"
+
+    kind: Literal["s2_point_to_point"]
+    seed: int = Field(ge=0)
+    split: Split = "train"
+
+    def trajectory(self) -> Trajectory:
+        return s2_point_to_point(self.seed, self.split)
+
+
+class StopsSettings(Settings):
+    """`kind: ramps`: jerk-limited ramps to commands, each with its hold; the first starts at `start`.
+
+    Attributes:
+        start: command at the start [mm or bar].
+        stops: commands to reach, in order [mm or bar].
+        holds_s: rest at each stop [s]; as many as stops.
+    """
+
+    unit: ClassVar[str | None] = None  # the numbers are in that of the bench
+
+    kind: Literal["ramps"]
+    start: float
+    stops: tuple[float, ...] = Field(min_length=1)
+    holds_s: tuple[NotNegative, ...]
+
+    @model_validator(mode="after")
+    def _as_many(self) -> StopsSettings:
+        if len(self.stops) != len(self.holds_s):
+            raise ValueError(f"got {len(self.stops)} stops and {len(self.holds_s)} holds_s, expected as many")
+        return self
+
+    def commands(self, rate_hz: float, ramps: RampSettings) -> Vec:
+        """Commands (N,)."""
+        return np.concatenate(
+            [[self.start], waypoint_commands(self.start, self.stops, self.holds_s, ramps, 1 / rate_hz)]
+        )
+
+
+class MotionFileSettings(Settings):
+    """`kind: file`: columns `time_s` and `command` (or `command_mm`, ...), as `diagnose` writes next_motion.csv.
+
+    Attributes:
+        file: its name; a relative name starts at the folder of the configuration.
+    """
+
+    kind: Literal["file"]
+    file: Path
+
+    @property
+    def unit(self) -> str | None:
+        """Unit of the command's column; a bare `command` is in mm, as in every log."""
+        return CANONICAL.command[_motion_table(self.file)[1]]
+
+    def commands(self, rate_hz: float, ramps: RampSettings) -> Vec:
+        """Commands (N,), interpolated linearly.
+
+        Raises:
+            LogError: if the file cannot be read, lacks a column, or has numbers that are not finite or in order.
+        """
+        del ramps
+        table, column = _motion_table(self.file)
+        t, u = table.numbers["time_s"], table.numbers[column]
+        if t.size < 2 or not np.isfinite([t, u]).all() or not (np.diff(t) > 0).all():
+            raise LogError(
+                f"{self.file}: got {t.size} rows, expected at least 2 with finite numbers and increasing time_s"
+            )
+        steps = int(np.ceil((t[-1] - t[0]) * rate_hz - 1e-9))
+        return np.interp(t[0] + np.arange(steps + 1) / rate_hz, t, u)
+
+
+Excitation = Annotated[
+    S1SinusoidSettings | S2SinusoidSettings | S2PointToPointSettings | StopsSettings | MotionFileSettings,
+    Field(discriminator="kind"),
+]
+
+
+def _motion_table(path: Path | str) -> tuple[LogTable, str]:
+    """Table of a motion file, and the name of its command column."""
+    table = read_table(read_lines(path), str(path))
+    names = [name for name in table.header if name in CANONICAL.command]
+    if "time_s" not in table.numbers or len(names) != 1 or names[0] not in table.numbers:
+        raise LogError(
+            f"{path}: got columns {', '.join(table.header)}, expected time_s and one of {', '.join(CANONICAL.command)}"
+        )
+    return table, names[0]
+
+
+class RecordSettings(BenchSettings):
+    """Recordings for identification: `hystmpc record`. Every excitation becomes one trial.
+
+    Attributes:
+        excitations: motions by name, each with its `kind`; each becomes one trial.
+        settle_s: rest before each of them [s].
+        live: the local page; a recording takes no target.
+    """
+
+    excitations: Mapping[FolderName, Excitation] = Field(min_length=1)
+    settle_s: NotNegative = 1.0
+    live: LiveSettings = LiveSettings()
+
+    @model_validator(mode="after")
+    def _measures(self) -> RecordSettings:
+        if self.sensor.kind == "none":
+            raise ValueError("got sensor.kind none, expected continuous or intermittent: a trial holds angles")
+        if self.realtime.backend != "python":
+            raise ValueError(f"got realtime.backend {self.realtime.backend}, expected python: there is no controller")
+        return self
+
+
+def load_record(path: Path | str, overrides: Iterable[str] = ()) -> RecordSettings:
+    """Read the settings of a recording, as `load_run`.
+
+    Raises:
+        ConfigError: on an unreadable file, an unknown key or a value out of bounds.
+    """
+    settings, folder = load_settings(RecordSettings, path, overrides), Path(path).resolve().parent
+    excitations = {
+        name: e.model_copy(update={"file": folder / e.file}) if isinstance(e, MotionFileSettings) else e
+        for name, e in settings.excitations.items()
+    }
+    return settings.model_copy(update={"excitations": excitations, **located(settings, folder)})

@@ -1,4 +1,4 @@
-"""Review of a run: predicted against measured angle, what is due, and the page report.html of the run folder."""
+"""Review of a run: predicted and measured angle, due work, and the page report.html of the run folder."""
 
 from __future__ import annotations
 
@@ -38,49 +38,39 @@ _PREPARATION = ("move", "flexure")  # the first flexure differs from all later o
 
 @dataclass(frozen=True, eq=False)
 class ReviewedRun:
-    """A run, one row a sample (N,): the command of the sample and everything else at its end.
+    """A run, one row for each sample (N,): the command of the sample and everything else at its end.
 
     Attributes:
-        t: end of the sample [s].
-        command: sent.
         measured_deg, reference_deg, predicted_deg: angle measured, wanted, and predicted one sample before [deg].
-        free_deg: the model's free run over the commands, without any measurement [deg].
-        counted: samples that are judged: with an angle, after the first flexure.
-        monitor: of the model.
     """
 
-    t: Vec
+    t: Vec  # end of the sample [s]
     command: Vec
     measured_deg: Vec
     reference_deg: Vec
     predicted_deg: Vec
-    free_deg: Vec
-    counted: NDArray[np.bool_]
-    monitor: ChangeMonitor
+    free_deg: Vec  # the model's free run over the commands, without any measurement [deg]
+    counted: NDArray[np.bool_]  # samples that are judged: with an angle, after the first flexure
+    monitor: ChangeMonitor  # of the model
 
 
 @dataclass(frozen=True)
 class Review:
-    """Assessment of a model by a run: tracking error, prediction errors, and what is due.
+    """Assessment of a model by a run: tracking error, prediction errors, and the advice.
 
     Attributes:
-        advice: one line: nothing is due, a new identification, or a diagnosis.
-        tracking_deg: RMS of measured less wanted angle [deg]; NaN without a reference.
-        one_step_deg: RMS of measured less the angle predicted one sample before, measurements included [deg].
-        free_run_deg: RMS of measured less the model's free run [deg].
-        offset_deg, gain: of the line that leads from the free run to the measured angle.
-        corrected_deg: what is left of `free_run_deg` behind that line: the shape that the model does not have.
-        change: whether the device has changed since identification, in a sentence; empty where too little was seen.
-        greatest_deg: greatest distance of the measured from the wanted angle [deg]; NaN without a reference.
+        tracking_deg, greatest_deg: RMS and greatest measured minus wanted angle [deg]; NaN without a reference.
+        offset_deg, gain: of the line from the free run to the measured angle.
+        change: sentence on a change of the device since identification; empty with too little data.
     """
 
-    advice: str
+    advice: str  # one line: nothing is due, a new identification, or a diagnosis
     tracking_deg: float
-    one_step_deg: float
-    free_run_deg: float
+    one_step_deg: float  # RMS of measured minus the angle predicted one sample before, measurements included [deg]
+    free_run_deg: float  # RMS of measured minus the model's free run [deg]
     offset_deg: float
     gain: float
-    corrected_deg: float
+    corrected_deg: float  # rest of `free_run_deg` after that line: the shape that the model does not have
     change: str = field(default="", kw_only=True)
     greatest_deg: float = field(default=math.nan, kw_only=True)
 
@@ -95,11 +85,11 @@ class Review:
 
 
 def compare_with_model(run: RunFolder, settings: RunSettings) -> ReviewedRun:
-    """Predict the run with its model: the log's samples with the model's free run.
+    """Samples of the log with the model's free run.
 
     Raises:
         LogError: if the log lacks a column or is too short.
-        ModelError: if the model is not there any more.
+        ModelError: if the model is missing.
     """
     log = run.log()
     wanted = ("time_s", "angle_deg", "reference_deg", "predicted_deg", "sequence", "source")
@@ -131,9 +121,9 @@ def compare_with_model(run: RunFolder, settings: RunSettings) -> ReviewedRun:
 def review(rows: ReviewedRun, due_above_deg: float) -> Review:
     """Tracking and prediction errors of a run, and the advice that follows from them.
 
-    The free run r over the commands sent is rows with the measured angle y. Up to `due_above_deg` nothing is due.
+    The free run r over the commands sent is compared with the measured angle y. Up to `due_above_deg` nothing is due.
     Beyond it, the line y = offset + gain r decides: where it takes the error below the bar the model has the right
-    shape and wants new numbers, otherwise something is missing in it.
+    shape and needs new numbers, otherwise an effect is missing in it.
 
     Raises:
         LogError: if too few samples can be judged.
@@ -173,7 +163,7 @@ def _angles_when_taken(log: Mapping[str, Column]) -> Vec:
 
 
 def _change(rows: ReviewedRun, free_deg: Vec, measured_deg: Vec) -> str:
-    """Test for a change of the device, as a sentence; empty without the model's noise or with too few samples."""
+    """Sentence on a change of the device; empty without the model's noise or with too few samples."""
     change, when_s = rows.monitor.along(free_deg, measured_deg)
     if math.isnan(change.probability):
         return ""
@@ -197,7 +187,7 @@ def _free_run(model: LoadedModel, settings: RunSettings, command: Vec, sequence:
 
 
 def _lagged(u: Vec, share: float) -> Vec:
-    """Commands behind a first-order lag that makes `share` of every step within a sample."""
+    """Commands after a first-order lag that makes `share` of every step within a sample."""
     out, now = np.empty_like(u), float(u[0])
     for k, target in enumerate(u.tolist()):
         now += share * (target - now)
@@ -228,10 +218,7 @@ def _rms(values: Vec) -> float:
 def review_run(folder: Path, more: Sequence[Piece] = ()) -> Review:
     """Review a run folder and write its `trial.csv` (for `fit` and `diagnose`) and `report.html`.
 
-    A run that is too short to be judged gets a report all the same.
-
-    Args:
-        more: shown behind the advice.
+    A run that is too short to be judged gets a report all the same; `more` is shown after the advice.
 
     Raises:
         LogError: if the folder holds no readable run.
@@ -260,15 +247,7 @@ def review_run(folder: Path, more: Sequence[Piece] = ()) -> Review:
 def write_page(
     run: RunFolder, settings: RunSettings, rows: ReviewedRun | None, verdict: Review, more: Sequence[Piece] = ()
 ) -> Path:
-    """Write report.html of a run.
-
-    Args:
-        rows: samples; None where there are too few.
-        more: shown behind the advice.
-
-    Raises:
-        LogError: if the log cannot be read.
-    """
+    """Write report.html of a run; `rows` is None with too few samples, `more` is shown after the advice."""
     timing = _timing(run.path / "timing.json")
     outcome = timing.get("outcome", {})
     pieces: list[Piece] = []

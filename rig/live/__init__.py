@@ -1,1 +1,1 @@
-"""What a person beside the bench looks at while a run goes on: a terminal view and a local page."""
+"""Live views of a run: the terminal view and the local page."""

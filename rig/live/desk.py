@@ -26,12 +26,12 @@ Action = Literal["estop", "stop", "start", "target"]
 
 
 class LiveSettings(Settings):
-    """Block `live`: the local page, and what may be asked of the run from it.
+    """Block `live`: the local page, and its remote control of the run.
 
     Attributes:
         control: whether the page has a target, Start, Stop and an e-stop; it is then served without `--page`.
         wait_for_start: whether the run waits for Start on the page before anything moves.
-        host: address that the page is served on; only this machine reaches the default.
+        host: address of the page; only this machine reaches the default.
         port: of the page; 0 takes a free one.
     """
 
@@ -49,12 +49,7 @@ class LiveSettings(Settings):
 
 @dataclass(frozen=True)
 class Reply:
-    """Reply of a run to a request.
-
-    Attributes:
-        done: whether it does as asked; nothing has changed where it does not.
-        text: one line, empty where there is nothing to say.
-    """
+    """Reply of a run to a request: whether it is executed (nothing has changed where not), and one line."""
 
     done: bool
     text: str = ""
@@ -62,12 +57,7 @@ class Reply:
 
 @dataclass(frozen=True)
 class Access:
-    """Access token of the live page, and the range of targets that it offers.
-
-    Attributes:
-        token: what a request has to carry.
-        target_deg: least and greatest angle that the model reaches [deg]; None where no target can be set.
-    """
+    """Access token of the live page, and the range of its targets [deg]; None where no target can be set."""
 
     token: str
     target_deg: tuple[float, float] | None = None
@@ -81,10 +71,7 @@ SetTarget = Callable[[float], Reply]
 class Desk:
     """Executes the requests of a person at the live page: start, stop, emergency stop, targets.
 
-    A run looks at `flag` and `started` once a sample. Requests come by any thread. An e-stop is never refused.
-
-    Args:
-        settings: of the page.
+    A run reads `flag` and `started` once a sample. Requests come by any thread. An e-stop is never refused.
     """
 
     def __init__(self, settings: LiveSettings = LiveSettings()) -> None:
@@ -105,12 +92,7 @@ class Desk:
         self._set_target, self._target_deg = set_target, (low_deg, high_deg)
 
     def ask(self, action: str, value: float = 0.0) -> Reply:
-        """Execute a request or refuse it with a reason; never raises.
-
-        Args:
-            action: an `Action`.
-            value: of a target [deg].
-        """
+        """Execute a request or refuse it with a reason; never raises. `value` is that of a target [deg]."""
         if not self.settings.control:
             return Reply(False, "the page only shows this run (live.control is false)")
         if action == "estop":
@@ -148,14 +130,12 @@ _SCHEME = "Bearer "
 class Controls:
     """Authorises requests to the page and forwards the admitted ones to the run; used by many threads.
 
-    Nothing is done for a request that does not carry the token, that another site's page has made, or that was sent to
-    a foreign name. A foreign page can have its own name point here, but not a number, so only numbers and this
-    machine's own names are taken.
+    A request is refused without the token, from another site's page, or to a foreign host name. A foreign page can have
+    its own name point here, but not a number, so only numbers and this machine's own names are accepted.
 
     Args:
-        access: what a request has to carry.
-        ask: hands a request to the run.
-        host: the name that the page is served on, where it is one.
+        ask: passes a request to the run.
+        host: the name of the page's address, where it is one.
     """
 
     def __init__(self, access: Access, ask: Ask, host: str = "") -> None:
@@ -198,7 +178,7 @@ class Controls:
             return _http(self._ask(_PATHS[path], value))
 
     def _is_ours(self, host: str) -> bool:
-        """Whether a browser that asks this host asks us for certain: a number, or a name of this machine."""
+        """Whether the host of a request is certainly this machine: a number, or one of its names."""
         name = host.rpartition(":")[0] if ":" in host and not host.endswith("]") else host
         try:
             ipaddress.ip_address(name.strip("[]"))
@@ -216,13 +196,13 @@ def _http(said: Reply) -> tuple[HTTPStatus, str]:
 
 
 def _same_origin(said: Mapping[str, str]) -> bool:
-    """Whether no other site's page has made the request; programs say nothing of it, and need the token alone."""
+    """Whether no other site's page has made the request; programs name no origin, and need the token alone."""
     origin, site = said.get("origin"), said.get("sec-fetch-site", "same-origin")
     return site == "same-origin" and origin in (None, f"http://{said.get('host', '')}")
 
 
 def _angle(body: bytes) -> float | None:
-    """The angle of a target [deg], None where there is none."""
+    """Angle of a target [deg], None without one."""
     try:
         data = json.loads(body)
     except (ValueError, RecursionError):

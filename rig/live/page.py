@@ -1,4 +1,4 @@
-"""The live page: one HTML file, a stream of server-sent events, and the HTTP server that sends them by one thread."""
+"""The live page: one HTML file, a stream of server-sent events, and their HTTP server in one thread."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from hystmpc.trials.errors import ConfigError
 
 from ..transports.udp import is_loopback
 from .desk import MOST_BYTES, Controls
-from .state import LiveSnapshot, LiveView
+from .state import LiveState, LiveView
 
 _MOST_CLIENTS = 200  # the oldest that is no stream gives way to the next one
 _LEAST_CLIENTS = 16
@@ -51,12 +51,7 @@ class BadRequestError(Exception):
 
 @final
 class PageServer:
-    """Serves one page, a stream of messages, and requests to `controls`.
-
-    Args:
-        page: the HTML.
-        controls: takes requests; None, and the page only shows.
-    """
+    """Serves one page, a stream of messages, and requests to `controls`; without controls the page only shows."""
 
     def __init__(self, page: bytes, controls: Controls | None) -> None:
         self.page, self.controls = page, controls
@@ -70,11 +65,7 @@ class PageServer:
         self._thread = threading.Thread(target=self._work, name="hystmpc-page", daemon=True)
 
     def listen(self, host: str, port: int) -> tuple[str, int]:
-        """Start the server and return address and port.
-
-        Raises:
-            OSError, OverflowError: if the address cannot be used.
-        """
+        """Start the server and return address and port."""
         self._socket = socket.create_server((host, port), backlog=_BACKLOG)
         where = self._socket.getsockname()
         self.allowed = _hosts(host, where[1])
@@ -82,7 +73,7 @@ class PageServer:
         return str(where[0]), int(where[1])
 
     def publish(self, message: bytes) -> None:
-        """Send a message to every stream that has taken what it was sent before; by any thread."""
+        """Send a message to every stream without a backlog; by any thread."""
         self.latest = b"data: " + message + b"\n\n"
         self.call(self._publish)
 
@@ -98,7 +89,7 @@ class PageServer:
             self._thread.join(2 * _CLOSE_S)
 
     def admit(self, client: _Client) -> None:
-        """Take a connection in; where there are many, the oldest that only waits has to go."""
+        """Accept a connection; beyond the limit the oldest idle one is aborted."""
         self.clients[client] = None
         if len(self.clients) > _most_clients():
             oldest = next((one for one in self.clients if one not in self.streams and not one.asks), client)
@@ -185,7 +176,7 @@ class _Client(asyncio.Protocol):
         self._answer(status, "text/plain; charset=utf-8", text.encode())
 
     def send(self, message: bytes) -> None:
-        """Write to a stream; one whose client takes nothing is passed over, and ended when its time is up."""
+        """Write to a stream; a client with a backlog is skipped, and ended after a time limit."""
         if self._transport.get_write_buffer_size() > _UNSENT // 2:
             return
         self._timer.cancel()
@@ -193,7 +184,7 @@ class _Client(asyncio.Protocol):
         self._transport.write(message)
 
     def finish(self, last: bytes = b"") -> None:
-        """Write the last bytes; the connection ends when the client has taken them, or its time is up."""
+        """Write the last bytes; the connection ends when the client has read them, or after a time limit."""
         self._answered = True
         self._timer.cancel()
         self._timer = self._later(_TAKES_S)
@@ -205,11 +196,7 @@ class _Client(asyncio.Protocol):
         return asyncio.get_running_loop().call_later(seconds, self.abort)
 
     def _complete(self) -> bool:
-        """Whether the whole request is there; no more of it is kept than may be.
-
-        Raises:
-            BadRequestError: if it is none, or too long.
-        """
+        """Whether the whole request is there; `BadRequestError` where it is malformed or too long."""
         if self._head is None:
             head, blank, rest = bytes(self._got).partition(b"\r\n\r\n")
             if len(head) > _LARGEST_HEAD:
@@ -241,7 +228,7 @@ class _Client(asyncio.Protocol):
             self._ask(server.controls, path, headers, bytes(self._got[: self._length]))
 
     def _ask(self, controls: Controls, path: str, headers: Mapping[str, str], body: bytes) -> None:
-        """Hand a request that may pass to the run, by a thread of its own: the answer may take seconds."""
+        """Forward an admitted request to the run in a thread of its own, since the reply may take seconds."""
         server = self._server
         if refused := controls.refusal(path, headers, body):
             self.answer(*refused)
@@ -266,7 +253,7 @@ class _Client(asyncio.Protocol):
         threading.Thread(target=ask, name="hystmpc-page-request", daemon=True).start()
 
     def _watch(self) -> None:
-        """The stream, where there are not too many."""
+        """Start a stream, up to the limit of their number."""
         if len(self._server.streams) >= _MOST_STREAMS:
             self.answer(HTTPStatus.SERVICE_UNAVAILABLE, "too many pages are open")
             return
@@ -282,7 +269,7 @@ def _parsed(head: bytes) -> tuple[str, str, dict[str, str]]:
     """Method, path and headers of a request.
 
     Raises:
-        BadRequestError: if it is none, or says twice who asks or how much.
+        BadRequestError: if it is malformed, or repeats a header of identity or length.
     """
     first, *lines = head.decode("latin-1").split("\r\n")
     words = first.split(" ")
@@ -302,7 +289,7 @@ def _length(headers: Mapping[str, str]) -> int:
     """Bytes of the body.
 
     Raises:
-        BadRequestError: if it is not said in decimal digits, or is more than any request needs.
+        BadRequestError: if it is not in decimal digits, or exceeds the needs of any request.
     """
     if "transfer-encoding" in headers:
         raise BadRequestError(HTTPStatus.LENGTH_REQUIRED)
@@ -321,7 +308,7 @@ def _head(status: HTTPStatus, kind: str, length: int | None) -> bytes:
 
 
 def _most_clients() -> int:
-    """Connections that are kept at a time: far fewer than the files that this process may open."""
+    """Limit of simultaneous connections: far fewer than the files that this process may open."""
     if sys.platform == "win32":
         return _MOST_CLIENTS
     import resource
@@ -331,7 +318,9 @@ def _most_clients() -> int:
 
 
 def _hosts(host: str, port: int) -> frozenset[str]:
-    """What a browser on this machine calls a page on the loopback; empty, any name will do, for other addresses."""
+    """Names of a page on the loopback in a browser on this machine; empty for other addresses, where any name is
+    accepted.
+    """
     names = (host.lower(), "127.0.0.1", "localhost", "[::1]") if is_loopback(host) else ()
     return frozenset(f"{name}:{port}" for name in names)
 
@@ -341,9 +330,9 @@ class LivePage(LiveView):
     """Live view for browsers; all input but authorised requests to `controls` is ignored.
 
     Args:
-        host: address to listen on; the loopback, unless others are to see the page.
+        host: address of the page; the loopback, unless others are to see it.
         port: 0 takes a free one.
-        controls: takes requests; None, and the page only shows.
+        controls: takes requests; without them the page only shows.
 
     Raises:
         ConfigError: if the address cannot be used, or the rate is not positive.
@@ -371,7 +360,7 @@ class LivePage(LiveView):
 
     @property
     def address(self) -> str:
-        """URL of the page; with the token in the fragment, which browsers do not send, where it takes requests."""
+        """URL of the page; the token is in the fragment, which browsers do not send."""
         host, port = self._where
         token = "" if self._controls is None else f"#{self._controls.access.token}"
         return f"http://{host}:{port}/{token}"
@@ -381,15 +370,15 @@ class LivePage(LiveView):
         super().close()
         self._server.close()
 
-    def _show(self, snapshot: LiveSnapshot) -> None:
-        self._server.publish(json.dumps(message(snapshot, self._unit, self._rate_hz), allow_nan=False).encode())
+    def _show(self, state: LiveState) -> None:
+        self._server.publish(json.dumps(message(state, self._unit, self._rate_hz), allow_nan=False).encode())
 
 
-def message(snapshot: LiveSnapshot, unit: str, rate_hz: float) -> dict[str, Any]:
+def message(state: LiveState, unit: str, rate_hz: float) -> dict[str, Any]:
     """Message to the browsers: figures, and the curves of the last 20 s."""
-    last = snapshot.last
+    last = state.last
     timings = {}
-    for name, histogram in (("late", snapshot.late), ("work", snapshot.total)):
+    for name, histogram in (("late", state.late), ("work", state.total)):
         figures = histogram.summary()
         counts = histogram.counts.reshape(50, -1).sum(axis=1).tolist()
         timings[name] = {
@@ -398,21 +387,21 @@ def message(snapshot: LiveSnapshot, unit: str, rate_hz: float) -> dict[str, Any]
             "p99_ms": _number(1e3 * figures.p99_s),
             "greatest_ms": _number(1e3 * figures.greatest_s),
         }
-    curves = {"t": snapshot.t, "reference": snapshot.reference, "angle": snapshot.angle, "command": snapshot.command}
+    curves = {"t": state.t, "reference": state.reference, "angle": state.angle, "command": state.command}
     return {
         "unit": unit,
         "rate_hz": rate_hz,
-        "real_rate_hz": _number(snapshot.rate_hz),
+        "real_rate_hz": _number(state.rate_hz),
         "t_s": _number(last.t_s),
         "angle_deg": _number(last.measured_deg),
         "reference_deg": _number(last.reference_deg),
-        "rms_deg": _number(snapshot.rms_deg),
+        "rms_deg": _number(state.rms_deg),
         "command": _number(last.command),
         "source": str(last.source),
         "status": str(last.status),
-        "missed": snapshot.missed,
-        "faults": [[str(k), count, _number(last.t_s - snapshot.fault_s[k])] for k, count in snapshot.faults.items()],
-        "notes": list(snapshot.notes),
+        "missed": state.missed,
+        "faults": [[str(k), count, _number(last.t_s - state.fault_s[k])] for k, count in state.faults.items()],
+        "notes": list(state.notes),
         "timing": timings,
         "curves": {name: [_number(value) for value in values.tolist()] for name, values in curves.items()},
     }
@@ -423,7 +412,7 @@ def _number(value: float) -> float | None:
 
 
 def _page(controls: Controls | None) -> str:
-    """The page with its scripts; buttons are shown where they do something."""
+    """The page with its scripts; buttons without an effect are hidden."""
     here = files("hystmpc.rig.live")
     parts = {"link.js": here.joinpath("link.js"), "zoom.js": files("hystmpc.trials").joinpath("zoom.js")}
     text = here.joinpath("page.html").read_text(encoding="utf-8")

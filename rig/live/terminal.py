@@ -15,7 +15,7 @@ from rich.text import Text
 
 from hystmpc.trials.types import Vec
 
-from .state import WINDOW_S, LiveSnapshot, LiveView
+from .state import WINDOW_S, LiveState, LiveView
 
 _DOTS = np.array([[0x01, 0x08], [0x02, 0x10], [0x04, 0x20], [0x40, 0x80]])
 
@@ -45,9 +45,9 @@ def limits_of(*curves: Vec, least_span: float) -> tuple[float, float]:
 
 
 def raster(t: Vec, y: Vec, low: float, high: float, width: int, height: int) -> NDArray[np.int64]:
-    """Dots of one curve as character codes, (height, width); 0 where there is none.
+    """Braille dots of a curve y (T,) over t (T,) as character codes, (height, width); 0 without a dot.
 
-    The curve is y (T,) over t (T,); values that are not finite leave a hole. `low` and `high` bound the vertical axis.
+    Values that are not finite leave a hole. `low` and `high` bound the vertical axis.
     """
     cells = np.zeros((height, width), dtype=np.int64)
     known = np.isfinite(y) & np.isfinite(t)
@@ -61,7 +61,7 @@ def raster(t: Vec, y: Vec, low: float, high: float, width: int, height: int) -> 
 
 
 def curves(fields: list[tuple[NDArray[np.int64], str]]) -> Text:
-    """Rasters over each other as text; of several in one character the last one gives the colour."""
+    """Superposed rasters as text; within one character the last one determines the colour."""
     text = Text(no_wrap=True)
     height, width = fields[0][0].shape
     for row in range(height):
@@ -94,14 +94,10 @@ def columns_of(counts: NDArray[np.int64], width: int) -> str:
 
 @final
 class TerminalView(LiveView):
-    """Draws the state of the run 8 times a second; on an output that is no terminal a line every 10 s.
+    """Draws the state of the run 8 times a second; without a terminal it prints a line every 10 s.
 
-    Drawing takes 10 to 30 ms of Python each time, so it belongs into another process than the loop: see
-    `open_recorder_process`.
-
-    Args:
-        page: address of the local page, to be named; empty without one.
-        console: where to draw; standard error where None.
+    Drawing takes 10 to 30 ms of Python each time, so it belongs into another process than the loop, see
+    `open_recorder_process`. `page` is the address of the local page, empty without one.
 
     Raises:
         ConfigError: if the rate is not positive.
@@ -123,32 +119,32 @@ class TerminalView(LiveView):
         if self._live is not None:
             self._live.stop()
 
-    def _show(self, snapshot: LiveSnapshot) -> None:
+    def _show(self, state: LiveState) -> None:
         self._calls += 1
         if self._live is not None:
-            self._live.update(self.render(snapshot), refresh=True)
+            self._live.update(self.render(state), refresh=True)
         elif self._calls % _LINE_EVERY == 1:
-            self._console.print(headline(snapshot, self._unit), soft_wrap=True)
+            self._console.print(headline(state, self._unit), soft_wrap=True)
 
-    def render(self, snapshot: LiveSnapshot) -> Panel:
+    def render(self, state: LiveState) -> Panel:
         """Panel of the whole view."""
         width = max(min(self._console.width, 110) - 14, 20)
-        parts: list[RenderableType] = [headline(snapshot, self._unit), Text(), _plot(snapshot, width), Text()]
-        parts += [_command(snapshot, self._unit, width), *_timing(snapshot, self._rate_hz, width), *_faults(snapshot)]
-        parts += [Text(note, style="bold red") for note in snapshot.notes]
+        parts: list[RenderableType] = [headline(state, self._unit), Text(), _plot(state, width), Text()]
+        parts += [_command(state, self._unit, width), *_timing(state, self._rate_hz, width), *_faults(state)]
+        parts += [Text(note, style="bold red") for note in state.notes]
         return Panel(Group(*parts), title="hystmpc", subtitle=self._page or None, expand=False)
 
 
-def headline(snapshot: LiveSnapshot, unit: str) -> Text:
+def headline(state: LiveState, unit: str) -> Text:
     """One line of the run's state: time, source, angle, reference, error, command."""
-    last = snapshot.last
+    last = state.last
     error = last.reference_deg - last.measured_deg
     text = Text(f"{last.t_s:8.1f} s  ", no_wrap=True)
     text.append(f" {last.source.upper()} ", _STATE_COLOURS.get(last.source, "cyan"))
     text.append(f"  angle {_angle(last.measured_deg)} deg", "bold cyan")
     text.append(f"  reference {_angle(last.reference_deg)}", "yellow")
     if math.isfinite(error):
-        text.append(f"  error {error:+6.2f} (rms {snapshot.rms_deg:.2f})")
+        text.append(f"  error {error:+6.2f} (rms {state.rms_deg:.2f})")
     elif not math.isfinite(last.measured_deg):
         text.append("  no angle")
     text.append(f"  command {last.command:.3f} {unit}", "magenta")
@@ -161,50 +157,50 @@ def _angle(value: float) -> str:
     return f"{value:7.2f}" if math.isfinite(value) else "     --"
 
 
-def _plot(snapshot: LiveSnapshot, width: int) -> Table:
-    low, high = limits_of(snapshot.reference, snapshot.angle, least_span=2.0)
+def _plot(state: LiveState, width: int) -> Table:
+    low, high = limits_of(state.reference, state.angle, least_span=2.0)
     shape = low, high, width, _PLOT_ROWS
     fields = [
-        (raster(snapshot.t, snapshot.reference, *shape), "yellow"),
-        (raster(snapshot.t, snapshot.angle, *shape), "bold cyan"),
+        (raster(state.t, state.reference, *shape), "yellow"),
+        (raster(state.t, state.angle, *shape), "bold cyan"),
     ]
     axis = [f"{high:6.1f}°", *[""] * (_PLOT_ROWS - 2), f"{low:6.1f}°"]
     grid = Table.grid(padding=(0, 1))
     grid.add_row(Text("\n".join(axis)), curves(fields))
-    legend = Text(f"last {min(float(snapshot.t[-1] - snapshot.t[0]), WINDOW_S):.0f} s  ", style="dim")
+    legend = Text(f"last {min(float(state.t[-1] - state.t[0]), WINDOW_S):.0f} s  ", style="dim")
     grid.add_row("", legend.append("━ reference  ", "not dim yellow").append("━ measured angle", "not dim bold cyan"))
     return grid
 
 
-def _command(snapshot: LiveSnapshot, unit: str, width: int) -> Text:
-    low, high = limits_of(snapshot.command, least_span=1e-3)
+def _command(state: LiveState, unit: str, width: int) -> Text:
+    low, high = limits_of(state.command, least_span=1e-3)
     text = Text("command ", no_wrap=True)
-    text.append(bar(snapshot.last.command, low, high, max(width - 24, 8)), "magenta")
+    text.append(bar(state.last.command, low, high, max(width - 24, 8)), "magenta")
     text.append(f" {low:.2f} to {high:.2f} {unit}", "dim")
     return text
 
 
-def _timing(snapshot: LiveSnapshot, rate_hz: float, width: int) -> list[Text]:
+def _timing(state: LiveState, rate_hz: float, width: int) -> list[Text]:
     lines = []
     half = max(width // 2, 12)
-    for name, histogram in (("late   ", snapshot.late), ("work   ", snapshot.total)):
+    for name, histogram in (("late   ", state.late), ("work   ", state.total)):
         figures = histogram.summary()
         line = Text(f"{name} ", no_wrap=True)
         line.append(columns_of(histogram.counts, half), "blue")
         line.append(f" 0 to {2e3 / rate_hz:.0f} ms; median {1e3 * figures.median_s:.2f}, ")
         line.append(f"greatest {1e3 * figures.greatest_s:.2f} ms")
         lines.append(line)
-    missed = Text(f"rate    {snapshot.rate_hz:.1f} of {rate_hz:g} Hz, deadlines missed ")
-    missed.append(str(snapshot.missed), "bold red" if snapshot.missed else "green")
+    missed = Text(f"rate    {state.rate_hz:.1f} of {rate_hz:g} Hz, deadlines missed ")
+    missed.append(str(state.missed), "bold red" if state.missed else "green")
     return [*lines, missed]
 
 
-def _faults(snapshot: LiveSnapshot) -> list[Text]:
-    if not snapshot.faults:
+def _faults(state: LiveState) -> list[Text]:
+    if not state.faults:
         return [Text("faults  none", style="green")]
     line = Text("faults  ")
-    for name, count in snapshot.faults.items():
-        ago = snapshot.last.t_s - snapshot.fault_s[name]
+    for name, count in state.faults.items():
+        ago = state.last.t_s - state.fault_s[name]
         present = ago < _RECENT_S
         line.append(f"{name} ×{count}" + ("" if present else f" ({ago:.0f} s ago)"), "bold red" if present else "dim")
         line.append("  ")

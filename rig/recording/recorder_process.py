@@ -51,8 +51,8 @@ Replies = Iterable[tuple[int, bool, str]]
 def pack(samples: Iterable[Sample], replies: Replies = ()) -> bytes:
     """Serialise samples and replies as one block.
 
-    `marshal` is the fastest way to bytes that the interpreter has; the reader is the same interpreter, started by the
-    writer, so its limits (one version, trusted data) are none here.
+    `marshal` is the fastest way to bytes in the interpreter; the reader is the same interpreter, started by the writer,
+    so its limits (one version, trusted data) do not matter here.
 
     Raises:
         ValueError, TypeError, AttributeError: on a sample whose fields are of other types than `Sample` says.
@@ -62,10 +62,9 @@ def pack(samples: Iterable[Sample], replies: Replies = ()) -> bytes:
 
 
 def unpack(pipe: BinaryIO, take_replies: Callable[[Replies], object] = lambda replies: None) -> Iterator[list[Sample]]:
-    """Blocks of samples until the other side has closed the pipe or died; a block cut off by that is left out.
+    """Blocks of samples until the other side has closed the pipe or died; an incomplete block is left out.
 
-    Args:
-        take_replies: takes the replies of each block.
+    `take_replies` takes the replies of each block.
     """
     while len(head := pipe.read(_LENGTH.size)) == _LENGTH.size:
         length = _LENGTH.unpack(head)[0]
@@ -78,7 +77,7 @@ def unpack(pipe: BinaryIO, take_replies: Callable[[Replies], object] = lambda re
 
 
 def _plain(s: Sample) -> tuple[object, ...]:
-    """The fields in order, as types that `marshal` knows: a controller may hand over numpy's."""
+    """Fields of a sample in order, as types that `marshal` supports: a controller may return numpy's."""
     angles = float(s.reference_deg), float(s.measured_deg)
     stages = tuple((str(name), float(spent)) for name, spent in s.stages_s)
     chosen = float(s.command), str(s.source), str(s.status), float(s.predicted_deg), stages
@@ -89,19 +88,12 @@ def _plain(s: Sample) -> tuple[object, ...]:
 
 @dataclass(frozen=True)
 class Views:
-    """Live views of a run.
+    """Live views of a run."""
 
-    Attributes:
-        terminal: the terminal view, on standard error.
-        page: serve the local page.
-        host: address that the page is served on; only this machine reaches the default.
-        port: of the page; 0 takes a free one.
-    """
-
-    terminal: bool = False
-    page: bool = False
-    host: str = "127.0.0.1"
-    port: int = 8765
+    terminal: bool = False  # the terminal view, on standard error
+    page: bool = False  # whether the local page is served
+    host: str = "127.0.0.1"  # address of the page; only this machine reaches the default
+    port: int = 8765  # of the page; 0 takes a free one
 
 
 def open_recorder_process(
@@ -114,12 +106,11 @@ def open_recorder_process(
     report: bool = True,
     desk: Desk | None = None,
 ) -> RecorderProcess:
-    """Start a recording, and the views asked for, in a process of their own. Arguments as of `open_recording`.
+    """Start a recording, and the views, in a process of their own. Arguments as of `open_recording`.
 
-    Why a process: writing and drawing are Python code that holds the interpreter's lock for milliseconds at a time,
-    up to a whole period of a loop at 250 Hz. Here the control process only packs tuples and writes them to a pipe. It
-    also means that the log is ended properly when the controller is killed. What somebody asks at the page comes back
-    the same way, to `desk`.
+    Writing and drawing are Python code that holds the interpreter's lock for milliseconds at a time, up to a whole
+    period of a loop at 250 Hz. Here the control process only packs tuples and writes them to a pipe, and the log is
+    ended properly when the controller is killed. Requests at the page come back the same way, to `desk`.
 
     Raises:
         ConfigError: on a folder that is not new or empty, a missing model file, or a process that does not start (a
@@ -138,7 +129,7 @@ def open_recorder_process(
 
 
 def _take_back(folder: Path, made: bool) -> None:
-    """Leave the folder as it was found: empty, or not there."""
+    """Restore the folder to its earlier state: empty, or missing."""
     with suppress(OSError):
         for name in ("config.yaml", "meta.json", "log.csv", "log.mcap"):
             (folder / name).unlink(missing_ok=True)
@@ -177,7 +168,7 @@ class RecorderProcess(ThreadedSink):
 
     @property
     def dropped(self) -> int:
-        """Samples that were not handed over."""
+        """Samples that did not reach the process."""
         return super().dropped + self.lost
 
     @property
@@ -241,7 +232,7 @@ class RecorderProcess(ThreadedSink):
             return b"".join(self._packed([sample]) for sample in samples)
 
     def _receive(self) -> None:
-        """The thread that reads what the process says."""
+        """Read the messages of the process, in a thread."""
         for raw in self._from:
             answer = _line(raw)
             self.on_disk = int(answer.get("on_disk", self.on_disk))
@@ -336,7 +327,7 @@ def _sinks(order: dict[str, Any], requests: _Requests) -> tuple[Sink, str]:
 
 
 def _say(**answer: object) -> None:
-    """One line to the controller; one that has died is told nothing."""
+    """Send one line to the controller; a dead one is ignored."""
     with _lock, suppress(OSError):
         sys.stdout.write(json.dumps(answer) + "\n")
         sys.stdout.flush()

@@ -1,13 +1,18 @@
-"""Recording of a run folder by a thread."""
+"""Recording of a run folder by a thread: log.csv, and log.mcap for Foxglove and PlotJuggler."""
 
 from __future__ import annotations
 
+import csv
+import io
+import json
 import logging
+import math
+import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from time import monotonic
-from typing import Any, Protocol, final
+from typing import IO, Any, Protocol, cast, final
 
 from hystmpc.trials import mcap_
 from hystmpc.trials.config import Settings
@@ -15,8 +20,7 @@ from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.layouts import COMMAND_UNITS
 from hystmpc.trials.run_folder import RunFolder
 
-from .csv_log import CsvLog
-from .sample import Sample, ThreadedSink
+from .sample import TAKEN, Sample, ThreadedSink
 
 FLUSH_S = 0.5
 """Time between flushes [s]: what a kill may cost at most, beside what was waiting."""
@@ -38,22 +42,15 @@ class _Log(Protocol):
 class RecordingMeta:
     """Metadata of a run folder.
 
-    Attributes:
-        unit: of the command.
-        seed: of the run's random numbers, None where it draws none.
-        models: model files of the run; their SHA-256 is kept.
-        command_line: how the run was started; the process's own where None.
-        stages: names of the stages that get a column in log.csv; the first sample's where empty.
-
     Raises:
         ConfigError: on a unit that a log cannot name.
     """
 
-    unit: str
-    seed: int | None = None
-    models: tuple[Path, ...] = ()
-    command_line: tuple[str, ...] | None = None
-    stages: tuple[str, ...] = ()
+    unit: str  # of the command
+    seed: int | None = None  # of the run's random numbers, None without any
+    models: tuple[Path, ...] = ()  # model files of the run; their SHA-256 is recorded
+    command_line: tuple[str, ...] | None = None  # that started the run; the process's own where None
+    stages: tuple[str, ...] = ()  # names of the stages with a column in log.csv; the first sample's where empty
 
     def __post_init__(self) -> None:
         if self.unit not in COMMAND_UNITS:
@@ -61,11 +58,7 @@ class RecordingMeta:
 
 
 def create_folder(folder: Path | str, config: Settings | Mapping[str, Any], meta: RecordingMeta) -> RunFolder:
-    """The run folder of a recording, with config.yaml and meta.json.
-
-    Raises:
-        ConfigError: if the folder is not new or empty or cannot be made, or a model file is missing.
-    """
+    """The run folder of a recording, with config.yaml and meta.json."""
     return RunFolder.create(folder, config, seed=meta.seed, models=meta.models, command_line=meta.command_line)
 
 
@@ -84,9 +77,8 @@ def open_recording(
     Args:
         folder: a new or empty folder.
         config: resolved settings of the run.
-        meta: what else the folder says.
         rate_hz: rate of the loop [Hz].
-        tell: takes one line when recording has to stop; a warning of the `logging` module where None.
+        tell: called with one line when recording has to stop; a warning of the `logging` module where None.
         report: whether to write report.html at the end.
 
     Raises:
@@ -100,14 +92,14 @@ class Recording(ThreadedSink):
     """Writes log.csv and, where `mcap` is installed, log.mcap of a run folder; report.html at the end.
 
     Every 0.5 s whole rows and a whole chunk go to the disk. When the disk is full or fails, recording ends, the files
-    keep what was flushed, the user is told once, and the run goes on.
+    keep the flushed samples, the user gets one message, and the run continues.
 
     Args:
         tell: see `open_recording`.
         flushed: called after every flush with the number of samples on the disk.
 
     Raises:
-        ConfigError: if the logs cannot be made.
+        ConfigError: if the logs cannot be created.
     """
 
     def __init__(
@@ -141,7 +133,7 @@ class Recording(ThreadedSink):
 
     @property
     def on_disk(self) -> int:
-        """Samples on the disk, which a kill of this process cannot lose."""
+        """Samples on the disk, safe from a kill of this process."""
         return self._on_disk
 
     def close(self) -> None:
@@ -187,7 +179,7 @@ class Recording(ThreadedSink):
         self._on_flush(self._on_disk)
 
     def _stop(self, error: OSError) -> None:
-        """Recording is over; the run is not."""
+        """End the recording; the run continues."""
         self._waiting.closed = True
         self.unwritable += len(self._waiting.take()) + self._written - self._on_disk
         self.problem = (
@@ -214,7 +206,239 @@ def _open_logs(folder: Path, meta: RecordingMeta) -> tuple[_Log, ...]:
     command = f"command_{meta.unit}"
     logs: list[_Log] = [CsvLog(folder / "log.csv", command, meta.stages)]
     if mcap_.available():
-        from .mcap_log_ import McapLog
-
         logs.append(McapLog(folder / "log.mcap", command))
     return tuple(logs)
+
+
+@final
+class CsvLog:
+    """Writes log.csv in canonical columns, then the rest of a sample.
+
+    The last column is one character wide: a row that was cut off by a kill lacks it, and readers leave that row out.
+
+    Args:
+        command: name of the command's column, such as `command_mm`.
+        stages: names of the stages with a column; the first sample's where empty.
+
+    Raises:
+        OSError: if the file cannot be created, or the disk is full or fails.
+    """
+
+    def __init__(self, path: Path, command: str, stages: tuple[str, ...]) -> None:
+        self._file = GrowingFile(path)
+        self._command = command
+        self._stages = stages
+        self._text = io.StringIO()
+        self._rows = csv.writer(self._text, lineterminator="\n")
+        self._begun = False
+
+    def add(self, sample: Sample) -> None:
+        """Collect one row; stages without a column are left to the MCAP log."""
+        if not self._begun:
+            self._begin(sample)
+        spent = dict(sample.stages_s)
+        s = sample
+        numbers = *s.motion(self._command).values(), s.period_s, s.lateness_s
+        stages = (repr(float(spent[name])) if name in spent else "" for name in self._stages)
+        texts = _cell(s.source), _cell(s.status), _cell(" ".join(s.faults))
+        counts = int(s.sequence), int(s.wall_ns)
+        self._rows.writerow((*(repr(float(x)) for x in numbers), *counts, *stages, *texts, int(bool(s.missed))))
+
+    def flush(self) -> None:
+        """Put whole rows on the disk."""
+        self._file.write(self._text.getvalue().encode("utf-8", errors="replace"))
+        self._text.seek(0)
+        self._text.truncate()
+        self._file.commit()
+
+    def close(self) -> None:
+        """End the file."""
+        self._file.close()
+
+    def _begin(self, first: Sample) -> None:
+        self._begun = True
+        self._stages = self._stages or tuple(name for name, _ in first.stages_s)
+        numbers = (*first.motion(self._command), "period_s", "lateness_s", "sequence", "wall_ns")
+        self._rows.writerow((*numbers, *map(stage_column, self._stages), "source", "status", "faults", "missed"))
+
+
+@final
+class GrowingFile:
+    """File to which `commit` appends the bytes collected in memory.
+
+    After a commit the operating system holds the data: it survives the death of the process (kill -9), though not a
+    power cut until the system writes it out or `close` does.
+
+    Raises:
+        OSError: if the file exists or cannot be created.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self._file = path.open("xb", buffering=0)
+        self._pending = bytearray()
+        self._committed = 0
+
+    def write(self, data: bytes | bytearray | memoryview) -> int:
+        """Collect bytes."""
+        self._pending += data
+        return len(data)
+
+    def tell(self) -> int:
+        """Length of the file once everything is committed."""
+        return self._committed + len(self._pending)
+
+    def flush(self) -> None:
+        """Nothing: only `commit` writes, so that a writer of some format cannot leave half a record on the disk."""
+
+    def commit(self) -> None:
+        """Append what was collected; where the disk fails (OSError), the file ends with the commit before."""
+        rest = memoryview(bytes(self._pending))
+        try:
+            while rest:
+                rest = rest[self._file.write(rest) or 0 :]
+        except OSError:
+            os.ftruncate(self._file.fileno(), self._committed)
+            self._file.seek(self._committed)
+            raise
+        self._committed += len(self._pending)
+        self._pending.clear()
+
+    def close(self) -> None:
+        """Write all commits to the disk; uncommitted bytes are lost."""
+        try:
+            os.fsync(self._file.fileno())
+        finally:
+            self._file.close()
+
+
+def stage_column(name: str) -> str:
+    """Column of a stage's duration [s]."""
+    return f"stage_{name.replace(' ', '_')}_s"
+
+
+def one_line(text: str) -> str:
+    """Text without line breaks and control characters, so that a row stays a row."""
+    return " ".join("".join(sign if sign.isprintable() else " " for sign in str(text)).split())
+
+
+def _cell(text: str) -> str:
+    """Text that no reader takes for a number or for a missing one: a column's first cell determines its kind."""
+    line = one_line(text)
+    try:
+        float(line)
+    except ValueError:
+        return line or "-"
+    return f"({line})"
+
+
+TIP, TIMING, EVENTS = "/tip", "/timing", "/events"
+_INFO, _WARNING, _ERROR = 2, 3, 4  # levels of foxglove.Log
+_CHUNK_BYTES = 1 << 22  # a chunk ends with a flush, long before this
+
+
+@final
+class McapLog:
+    """Writes log.mcap: `/tip` (time, command, angles) and `/timing` of every sample, `/events` on changes.
+
+    Messages are stamped with the wall clock of the first sample plus the monotonic time since then, so that a clock
+    that jumps does not tear the plot; the wall clock itself is the publish time.
+
+    Args:
+        command: name of the command's field, such as `command_mm`.
+
+    Raises:
+        OSError: if the file cannot be created, or the disk is full or fails.
+    """
+
+    def __init__(self, path: Path, command: str) -> None:
+        from mcap.writer import Writer  # an extra
+
+        self._file = GrowingFile(path)
+        self._command = command
+        self._writer: Any = Writer(cast(IO[bytes], self._file), chunk_size=_CHUNK_BYTES)
+        self._writer.start(profile="", library="hystmpc")
+        tip = ("time_s", command, "angle_deg", TAKEN, "reference_deg", "predicted_deg")
+        self._tip = self._channel(TIP, "hystmpc.Tip", {name: ["number", "null"] for name in tip})
+        timing = {"period_s": ["number", "null"], "lateness_s": ["number", "null"], "missed": ["boolean"]}
+        self._timing = self._channel(TIMING, "hystmpc.Timing", timing)
+        self._events = self._channel(EVENTS, "foxglove.Log", _LOG_FIELDS)
+        self._start_ns: int | None = None
+        self._before: tuple[str, tuple[str, ...]] | None = None
+
+    def add(self, sample: Sample) -> None:
+        """Collect the messages of one sample."""
+        elapsed = round(1e9 * sample.t_s)
+        if self._start_ns is None:
+            self._start_ns = max(int(sample.wall_ns) - elapsed, 0)
+        stamp = max(self._start_ns + elapsed, 0)
+        self._put(self._tip, stamp, sample, {name: _number(x) for name, x in sample.motion(self._command).items()})
+        timing: dict[str, Any] = {
+            "period_s": _number(sample.period_s),
+            "lateness_s": _number(sample.lateness_s),
+            "missed": bool(sample.missed),
+        }
+        timing |= {stage_column(name): _number(spent) for name, spent in sample.stages_s}
+        self._put(self._timing, stamp, sample, timing)
+        now = sample.source, tuple(sample.faults)
+        if now != self._before or sample.missed:
+            self._before = now
+            self._put(self._events, stamp, sample, _event(sample, stamp))
+
+    def flush(self) -> None:
+        """End the chunk and put it on the disk."""
+        self._writer.flush()
+        self._file.commit()
+
+    def close(self) -> None:
+        """Write the summary and end the file."""
+        try:
+            self._writer.finish()
+            self._file.commit()
+        finally:
+            self._file.close()
+
+    def _channel(self, topic: str, name: str, fields: dict[str, Any]) -> int:
+        properties = {field: kind if isinstance(kind, dict) else {"type": kind} for field, kind in fields.items()}
+        text = json.dumps({"title": name, "type": "object", "properties": properties})
+        schema = self._writer.register_schema(name, "jsonschema", text.encode())
+        return self._writer.register_channel(topic, "json", schema)
+
+    def _put(self, channel: int, stamp: int, sample: Sample, message: dict[str, Any]) -> None:
+        data = json.dumps(message, allow_nan=False).encode()
+        publish = min(max(int(sample.wall_ns), 0), (1 << 64) - 1)
+        self._writer.add_message(channel, stamp, data, publish, int(sample.sequence) & 0xFFFFFFFF)
+
+
+_TIME = {"type": "object", "properties": {"sec": {"type": "integer"}, "nsec": {"type": "integer"}}}
+_LOG_FIELDS = {
+    "timestamp": _TIME,
+    "level": ["integer"],
+    "message": ["string"],
+    "name": ["string"],
+    "file": ["string"],
+    "line": ["integer"],
+    "faults": {"type": "array", "items": {"type": "string"}},
+}
+
+
+def _event(sample: Sample, stamp: int) -> dict[str, Any]:
+    """A line of Foxglove's log panel."""
+    text = ": ".join(part for part in (one_line(sample.source), one_line(sample.status)) if part)
+    faults = [one_line(fault) for fault in sample.faults]
+    parts = [text, f"faults: {', '.join(faults)}" if faults else "", "deadline missed" if sample.missed else ""]
+    level = _ERROR if sample.source == "stop" else _WARNING if faults or sample.missed else _INFO
+    return {
+        "timestamp": {"sec": stamp // 1_000_000_000, "nsec": stamp % 1_000_000_000},
+        "level": level,
+        "message": "; ".join(part for part in parts if part),
+        "name": "hystmpc",
+        "file": "",
+        "line": 0,
+        "faults": faults,
+    }
+
+
+def _number(value: float) -> float | None:
+    number = float(value)
+    return number if math.isfinite(number) else None

@@ -21,8 +21,7 @@ Log = Mapping[str, Column]
 def write_report(run: RunFolder, dropped: int = 0, problem: str = "") -> Path:
     """Write report.html from the folder's log.csv.
 
-    Args:
-        problem: why recording ended early; empty if it did not.
+    `problem` is the cause of an early end of recording, empty without one.
 
     Raises:
         LogError: if the log cannot be read.

@@ -19,41 +19,28 @@ _QUEUE_S = 30.0  # how long a disk, a terminal or another process may be stuck b
 
 @dataclass(frozen=True, slots=True)
 class Sample:
-    """One sample of the loop at a bench; the angle is what the controller saw when it chose the command.
+    """One sample of the loop at a bench; the angle is the one at which the controller chose the command.
 
     Attributes:
-        t_s: monotonic time since the start of the run [s].
-        wall_ns: wall clock [ns since 1970]; it may jump, `t_s` may not.
-        reference_deg: wanted angle at the end of the sample [deg].
-        measured_deg: measured angle, NaN without a usable one [deg].
-        command: command really sent, in the unit that the run's configuration names; of the source `wait`, the one that
-            the device says it holds, since nothing was sent.
-        source: what chose it: mpc, shifted plan, inverse, hold, stop, wait, return, await start, or a preparation step.
-        status: one line on what happened.
-        predicted_deg: angle predicted for the end of the sample, NaN without one [deg].
-        stages_s: name and duration of every stage, such as estimate, plan, total [s].
-        period_s: time since the previous sample's start [s].
-        lateness_s: how late the sample started behind its deadline [s].
-        missed: whether the command was sent after the end of the sample.
-        faults: names of the faults seen in this sample.
-        sequence: number of the sample, counted from 0.
+        command: command really sent, in the unit of the run's configuration; of the source `wait`, the one that the
+            device reports, since nothing was sent.
         taken_s: when the measured angle was taken, on the clock of `t_s`: earlier for a frame; NaN without one [s].
     """
 
-    t_s: float
-    wall_ns: int
-    reference_deg: float
-    measured_deg: float
+    t_s: float  # monotonic time since the start of the run [s]
+    wall_ns: int  # wall clock [ns since 1970]; it may jump, `t_s` may not
+    reference_deg: float  # wanted angle at the end of the sample [deg]
+    measured_deg: float  # measured angle, NaN without a usable one [deg]
     command: float
-    source: str
-    status: str
-    predicted_deg: float
-    stages_s: tuple[tuple[str, float], ...]
-    period_s: float
-    lateness_s: float
-    missed: bool
-    faults: tuple[str, ...]
-    sequence: int
+    source: str  # origin: mpc, shifted plan, inverse, hold, stop, wait, return, await start, or a preparation step
+    status: str  # one line of explanation
+    predicted_deg: float  # angle predicted for the end of the sample, NaN without one [deg]
+    stages_s: tuple[tuple[str, float], ...]  # name and duration of every stage, such as estimate, plan, total [s]
+    period_s: float  # time since the previous sample's start [s]
+    lateness_s: float  # delay of the sample's start after its deadline [s]
+    missed: bool  # whether the command was sent after the end of the sample
+    faults: tuple[str, ...]  # names of the faults in this sample
+    sequence: int  # number of the sample, counted from 0
     taken_s: float = math.nan
 
     def motion(self, command: str) -> dict[str, float]:
@@ -84,8 +71,8 @@ class Sink(Protocol):
 class SampleQueue:
     """A bounded queue with one thread that puts and one that takes.
 
-    `deque.append` and `popleft` are single steps of the interpreter, so no lock is taken that the control thread could
-    have to wait for. A full queue refuses the newest sample: what is recorded has no hole before the one at its end.
+    `deque.append` and `popleft` are single steps of the interpreter, so the control thread never waits for a lock. A
+    full queue refuses the newest sample, so that a recording has no hole before the one at its end.
     """
 
     def __init__(self, most: int) -> None:
@@ -128,14 +115,14 @@ class ThreadedSink(Sink, ABC):
 
     @property
     def dropped(self) -> int:
-        """Samples that were not handed over to the thread: the queue was full, or had ended."""
+        """Samples that did not reach the thread, as the queue was full or closed."""
         return self._waiting.dropped
 
     def put(self, sample: Sample) -> None:
         self._waiting.put(sample)
 
     def _finish(self, patience_s: float) -> bool:
-        """Let the thread take what waits and end; False where it has been asked to before."""
+        """Let the thread take the waiting samples and end; False after an earlier call."""
         if self._end.is_set():
             return False
         self._waiting.closed = True
@@ -145,7 +132,7 @@ class ThreadedSink(Sink, ABC):
 
     @abstractmethod
     def _turn(self, samples: list[Sample], ending: bool) -> bool:
-        """Take the samples that waited, in the thread; False ends it."""
+        """Process the samples that waited, in the thread; False ends it."""
 
     def _work(self) -> None:
         ending, going = False, True
@@ -164,13 +151,12 @@ class SampleList(Sink):
     def put(self, sample: Sample) -> None:
         self.samples.append(sample)
 
-    def close(self) -> None:
-        """Nothing to do."""
+    def close(self) -> None: ...
 
 
 @final
 class Tee(Sink):
-    """Gives every sample to every sink."""
+    """Sink that passes every sample to several sinks."""
 
     def __init__(self, *sinks: Sink) -> None:
         self._sinks = sinks
@@ -184,7 +170,7 @@ class Tee(Sink):
                 self.broken += 1
 
     def close(self) -> None:
-        """Close every sink, the last one first, also where another one fails."""
+        """Close every sink, the last one first, even where another one fails."""
         faults = []
         for sink in reversed(self._sinks):
             try:

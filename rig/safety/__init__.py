@@ -1,1 +1,1 @@
-"""Safety of a device: what may be sent, what is believed, when and how a run stops."""
+"""Safety of a device: command gate, checks of measurements, watches of motion, stop and latch."""

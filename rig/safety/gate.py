@@ -80,21 +80,21 @@ class Gate:
 class Anchor:
     """Synchronises the gate with the command that the device holds, before the first command and after every gap.
 
-    A gap is a time without commands that is longer than `gap_s` (a stalled loop, a suspended machine), a command that
-    did not leave, or a device that does not hold what it was sent. After it, nothing is sent until fresh readings tell
-    a held command that stands still, since a device on its way back to rest is left alone. Where nothing is told for
-    `silence_s`, nothing is sent any more, and the device's watchdog is left to act.
+    A gap is a time without commands longer than `gap_s` (a stalled loop, a suspended machine), a command that did not
+    leave, or a device that does not hold the sent command. After it, nothing is sent until fresh readings report a held
+    command that stands still, since a device on its way back to rest is left alone. Without a report for `silence_s`,
+    nothing is sent any more, and the device's watchdog is left to act.
 
-    What is told is not always true. Without a command for less than `watchdog_s` nothing can have led the device away
-    from the last command: only that one, give or take `tolerance`, is a place to start from. Later the watchdog of the
-    device may have acted: anything between the last command and the safe one is. A device that says for two seconds
-    that it holds anything else is left alone.
+    Reports are not always true. Without a command for less than `watchdog_s` nothing can have led the device away from
+    the last command: only that one, within `tolerance`, is a place to start from. Later the watchdog of the device may
+    have acted: anything between the last command and the safe one is. A device that reports anything else for two
+    seconds is left alone.
 
-    A device that never tells what it holds is taken to hold the last command for `gap_s`, and never longer.
+    A device that never reports its command is taken to hold the last command for `gap_s`, and never longer.
 
     Args:
-        gate: to be anchored; anchored already where the user has said what a silent device holds.
-        tolerance: how far the held command may lie beside the one sent, in the command's unit.
+        gate: to be anchored; anchored already where the user has declared the command of a silent device.
+        tolerance: greatest deviation of the held command from the sent one, in the command's unit.
         gap_s: shortest time without commands that counts as a gap [s].
         silence_s: time without a fresh held command after which it is given up [s].
         safe: the safe command, to which the watchdog of the device may lead; NaN where it may lead anywhere.
@@ -119,12 +119,9 @@ class Anchor:
     def judge(self, seen: Observation, boot_ns: int) -> bool:
         """Whether a command may be sent in this sample.
 
-        `moved` then says, in the first sample after a gap, that the device holds something else than it was sent;
-        `given_up` says why nothing will be sent any more.
-
-        Args:
-            seen: what the sample saw.
-            boot_ns: time now, suspension included [ns].
+        `moved` is then, in the first sample after a gap, the report that the device holds another command than the sent
+        one; `given_up` the reason for which nothing will be sent any more. `boot_ns` is the time now, suspension
+        included [ns].
         """
         self._reports_held = self._reports_held or math.isfinite(seen.held)
         self._judged_ns = boot_ns

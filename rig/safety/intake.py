@@ -13,8 +13,7 @@ from pydantic import Field, model_validator
 from hystmpc.ctrl.estimation.observer import ANGLE_BOUND_DEG
 from hystmpc.trials.config import Count, Positive, Settings
 
-from ..transports.sessions import NEW, REPLAYED, Order
-from ..transports.transport import Reading
+from ..transports.transport import NEW, REPLAYED, Order, Reading
 from .plausibility import DriveFollowing, MotionWatch
 
 OUTSIDE = "out-of-range"
@@ -103,7 +102,7 @@ class SensorSettings(Settings):
 
 @dataclass(frozen=True, slots=True)
 class ObservedFrame:
-    """The angle of a frame [deg], and how long ago it was taken [s]."""
+    """Angle of a frame [deg] and its age [s]."""
 
     angle_deg: float
     age_s: float
@@ -114,25 +113,20 @@ class Observation:
     """Checked measurements of one sample.
 
     Attributes:
-        angle_deg: the newest accepted angle, NaN where none is new.
-        faults: names of what was rejected or missing.
-        dead: why the run has to stop, empty while it has not.
-        held: the command that the device holds, told by a new reading that is not stale, whatever its angle; NaN where
-            there is none or the device does not listen to this session.
-        follows: whether the device holds what it was sent lately; True where it does not tell.
+        held: the command that the device holds, from a new reading that is not stale, whatever its angle; NaN without
+            one, or where the device does not listen to this session.
         frames: accepted in this sample, in the order of arrival; none of a continuous sensor.
-        age_s: of `angle_deg`: 0 of a continuous sensor, which shows the present [s].
-        shown_deg: the newest angle that is not stale, accepted or not; NaN where there is none [deg]. Where the tip may
-            not go is judged by it: an implausible angle may be true.
+        shown_deg: the newest angle that is not stale, accepted or not; NaN without one [deg]. Limits of the tip are
+            judged by it: an implausible angle may be true.
     """
 
-    angle_deg: float
-    faults: tuple[str, ...]
-    dead: str
+    angle_deg: float  # the newest accepted angle, NaN where none is new
+    faults: tuple[str, ...]  # names of rejected or missing measurements
+    dead: str  # cause of a stop, empty without one
     held: float = math.nan
-    follows: bool = True
+    follows: bool = True  # whether the device holds the commands sent lately; True where it does not report
     frames: tuple[ObservedFrame, ...] = ()
-    age_s: float = 0.0
+    age_s: float = 0.0  # of `angle_deg`: 0 of a continuous sensor, which shows the present [s]
     shown_deg: float = math.nan
 
 
@@ -140,13 +134,10 @@ class Observation:
 class DropoutMonitor:
     """Sums the times without an angle over the last 10 s: a sensor with frequent dropouts counts as failed.
 
-    Two sums over the last 10 s: times in which all readings lay beyond the plausible range, single samples left out;
-    and silences, times since an accepted angle, that are longer than `age_limit_s` while readings come and are
-    rejected, or than half of `longest_s` while none come.
-
-    Args:
-        longest_s: silence that is allowed at once [s]; so much time beyond the range is allowed in all, and twice as
-            much of silences.
+    Two sums: times in which all readings lay beyond the plausible range, single samples left out; and silences, times
+    since an accepted angle, that are longer than `age_limit_s` while readings are rejected, or than half of `longest_s`
+    without readings. `longest_s` is the allowed single silence [s], the allowed sum beyond the range, and half the
+    allowed sum of silences.
     """
 
     def __init__(self, age_limit_s: float, longest_s: float) -> None:
@@ -157,10 +148,10 @@ class DropoutMonitor:
         self._was_outside, self._added_s = False, 0.0
 
     def judge(self, readings: int, faults: Sequence[str], silent_s: float, now_ns: int) -> str:
-        """Why the run has to stop, empty while it has not; called once a sample.
+        """Cause of a stop, empty without one; called once a sample.
 
         Args:
-            readings: that have come in this sample.
+            readings: number in this sample.
             faults: of them.
             silent_s: time since the last accepted angle [s].
         """
@@ -193,14 +184,14 @@ def _sum(times: deque[tuple[int, float]], more_s: float, now_ns: int) -> float:
 class Intake:
     """Checks readings in the order of arrival.
 
-    The age of an angle is the time since its receipt plus its excess time of flight: arrival less sender's stamp,
-    less the least such difference seen, which rises by the drift of two clocks and no faster. That needs no common
-    clock, finds packets that queued on the way and a delay that grows, and sees a sender's clock that jumps back as
+    The age of an angle is the time since its receipt plus its excess time of flight: arrival minus sender's stamp,
+    minus the least such difference so far, which rises by the drift of two clocks and no faster. That needs no common
+    clock, detects packets that queued on the way and a growing delay, and takes a sender's clock that jumps back for
     age, which is the safe side.
 
-    The excess of a frame is that over other frames, since a frame is under way for longer than a message that only says
-    what the device holds, and its age is `latency_s` more. It is compared with the frame taken before it, and with the
-    command of the moment at which it was taken.
+    The excess of a frame is that over other frames, since a frame travels longer than a message with the held command
+    alone, and its age is `latency_s` more. It is compared with the frame taken before it, and with the command of the
+    moment at which it was taken.
 
     Args:
         start_ns: monotonic time from which silence counts [ns].
@@ -229,10 +220,8 @@ class Intake:
     def judge(self, readings: list[Reading], now_ns: int, command: float) -> Observation:
         """Newest plausible angle among the readings that have arrived, with the faults of the others.
 
-        Args:
-            readings: in the order of arrival.
-            now_ns: monotonic time now [ns].
-            command: the command sent last; its travel tells a frozen sensor from a resting one. NaN before the first.
+        `command` is the one sent last: its travel distinguishes a frozen sensor from a resting one; NaN before the
+        first.
         """
         faults: list[str] = []
         frames: list[ObservedFrame] = []
@@ -264,11 +253,8 @@ class Intake:
         )
 
     def numbers(self, dt_s: float, recent: int) -> Mapping[str, Any] | None:
-        """Initial state of the same checks in C; None for a sensor or a state that the C does not support.
-
-        Args:
-            dt_s: sample time [s].
-            recent: commands that it has room for.
+        """Initial state of the same checks in C, with room for `recent` commands; None for a sensor or a state without
+        C.
         """
         settings, watch, rated = self._settings, self._watch, self._rated
         if settings.kind != "continuous" or watch is None or rated is None:
@@ -301,7 +287,9 @@ class Intake:
         return self._order.lost
 
     def _judged(self, reading: Reading, now_ns: int) -> tuple[str, int | None]:
-        """Why it is rejected, empty where it is not; and when its angle was taken [ns], None where it shows none."""
+        """Cause of a rejection, empty without one; and the time at which the angle was taken [ns], None without an
+        angle.
+        """
         verdict = self._order.judge(reading.session, reading.sequence)
         if verdict == REPLAYED:
             return verdict, None
@@ -328,7 +316,7 @@ class Intake:
         return "", None
 
     def _is_frame(self, reading: Reading) -> bool:
-        """Whether it shows a frame, and not the one before once more."""
+        """Whether the reading shows a new frame."""
         if self._settings.kind != "intermittent" or not math.isfinite(reading.angle_deg):
             return False
         before, self._shown = self._shown, (reading.sent_ns, reading.angle_deg)
@@ -392,7 +380,7 @@ class Intake:
         return self._watch.judge(angle, then, seen_ns)
 
     def _remember(self, command: float, now_ns: int) -> None:
-        """Keep the commands that a frame still to come may belong to; each was in force until `now_ns`."""
+        """Store the commands that a later frame may belong to; each was in force until `now_ns`."""
         if self._settings.kind != "intermittent":
             return
         self._past.append((now_ns, command))

@@ -19,19 +19,18 @@ _ANGLE_SHARE = 0.025  # of the sensor's plausible range
 
 
 class PlausibilitySettings(Settings):
-    """Block `plausibility`: how far commanded and measured motion may disagree before the run is stopped safely.
+    """Block `plausibility`: greatest disagreement of commanded and measured motion before the run is stopped safely.
 
     Attributes:
         travel: the command has to travel this far, in its unit, while the angle stays within `moves_deg`. It has to be
             wider than the play of the device. Null takes half of the range of `limits`, and 30 % of it for travel in
             the direction of the last motion, in which no play is left.
-        moves_deg: an angle that moves by less than this counts as one that does not move; null takes 2.5 % of the
-            sensor's plausible range.
-        travel_s: the device may lag behind the command by this time constant: only what the command, lagged by it, has
-            travelled counts [s].
-        model_error_deg: the estimated disturbance (measured angle less the model's) that counts as a disagreement; or
-            the estimator's own limit, where that is lower.
-        model_error_s: how long it has to last.
+        moves_deg: a smaller change of the angle counts as no motion; null takes 2.5 % of the sensor's plausible range.
+        travel_s: the device may lag behind the command by this time constant: only the travel of the lagged command
+            counts [s].
+        model_error_deg: estimated disturbance (measured angle minus the model's) that counts as a disagreement; or the
+            estimator's own limit, where that is lower.
+        model_error_s: duration of a disagreement that stops the run.
         watch_motion: whether travel without motion stops a run or a recording.
         watch_direction: whether an angle that falls while the command rises, or the reverse, stops a closed loop.
         watch_model: whether a disagreement with the model stops a run.
@@ -47,11 +46,7 @@ class PlausibilitySettings(Settings):
     watch_model: bool = True
 
     def travel_of(self, command_range: float, onward: bool = False) -> float:
-        """Travel without motion that is implausible, for a range of the command [mm or bar].
-
-        Args:
-            onward: in the direction of the last motion.
-        """
+        """Implausible travel without motion in a range of the command, `onward` in the direction of the last motion."""
         return self.travel or (_ONWARD_SHARE if onward else _REVERSED_SHARE) * command_range
 
     def moves_of(self, angle_range_deg: float) -> float:
@@ -63,7 +58,7 @@ class PlausibilitySettings(Settings):
 class MotionWatch:
     """Detects commanded travel without angular travel, or with angular travel in the opposite direction.
 
-    The angle is smoothed over 0.2 s. The command u is followed as a device of the slowest lag allowed would do:
+    The angle is smoothed over 0.2 s. The command u is followed as a device of the slowest allowed lag would do:
 
         dv/dt = (u - v) / travel_s
 
@@ -73,7 +68,7 @@ class MotionWatch:
     may not be `travel` either.
 
     Args:
-        command_range: greatest less least command of the limits [mm or bar].
+        command_range: greatest minus least command of the limits [mm or bar].
         angle_range_deg: of the sensor's plausible range [deg].
         rises: whether the angle has to rise with the command: in a closed loop.
     """
@@ -95,7 +90,7 @@ class MotionWatch:
         self._opposed = 0.0
 
     def judge(self, angle_deg: float, command: float, now_ns: int) -> str:
-        """Why the run has to stop, empty while it has not."""
+        """Cause of a stop, empty without one."""
         if math.isnan(command) or math.isnan(angle_deg):
             return ""
         elapsed_s, self._seen_ns = _S * max(now_ns - self._seen_ns, 0), now_ns
@@ -117,7 +112,7 @@ class MotionWatch:
 
     @property
     def _onward_travel(self) -> float:
-        """How far v has gone on in the direction of the last motion, where no play is left."""
+        """Travel of v in the direction of the last motion, where no play is left."""
         beyond = self._most - self._engaged if self._direction > 0 else self._engaged - self._least
         return beyond if self._direction else 0.0
 
@@ -169,7 +164,7 @@ class MotionWatch:
 
 
 def _followed(lagged: float, value: float, share: float) -> float:
-    """First-order lag behind a value after a time of `share` time constants; the value itself at first."""
+    """First-order lag of a value after a time of `share` time constants; the value itself at first."""
     return value if math.isnan(lagged) else lagged + (1.0 - math.exp(-share)) * (value - lagged)
 
 
@@ -177,8 +172,7 @@ def _followed(lagged: float, value: float, share: float) -> float:
 class ModelWatch:
     """Detects a device that has left its model: an estimated disturbance that is too large for too long.
 
-    Args:
-        limit_deg: bound of the estimator's disturbance; infinite without an estimator [deg].
+    `limit_deg` is the bound of the estimator's disturbance; infinite without an estimator [deg].
     """
 
     def __init__(self, settings: PlausibilitySettings, limit_deg: float, dt_s: float) -> None:
@@ -197,7 +191,7 @@ class ModelWatch:
         }
 
     def judge(self, disturbance_deg: float) -> str:
-        """Why the run has to stop, empty while it has not; called once a sample."""
+        """Cause of a stop, empty without one; called once a sample."""
         self._samples = self._samples + 1 if self._on and abs(disturbance_deg) >= self._bound else 0
         if self._samples < self._longest:
             return ""
@@ -212,13 +206,13 @@ class ModelWatch:
 class DriveFollowing:
     """Detects a drive that does not follow: compares the reported held command with the commands sent lately.
 
-    A device follows while what it holds lies within the least and the greatest command of the last `window_s`, or
-    between them and the commands lagged by `window_s`, give or take `tolerance`. So a drive that is late or lags by as
-    much is no fault, one that is behind by more is. Samples in which it is not told what is held change nothing.
+    A device follows while its held command lies within the least and the greatest command of the last `window_s`, or
+    between them and the commands lagged by `window_s`, within `tolerance`. A drive that is late or lags by as much is
+    no fault, one that is behind by more is. Samples without a reported command change nothing.
 
     Args:
-        tolerance: in the command's unit; None does not look.
-        window_s: how far back, and how long it may go on [s].
+        tolerance: in the command's unit; None disables the check.
+        window_s: length of the memory, and greatest duration of a deviation [s].
     """
 
     def __init__(self, tolerance: float | None, window_s: float) -> None:
@@ -243,7 +237,7 @@ class DriveFollowing:
         }
 
     def judge(self, held: float, sent: float, now_ns: int) -> tuple[bool, str]:
-        """Whether the device follows, and why the run has to stop, empty while it has not."""
+        """Whether the device follows, and the cause of a stop, empty without one."""
         if math.isnan(sent):
             return True, ""
         low, high = self._allowed(sent, now_ns)

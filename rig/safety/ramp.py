@@ -17,14 +17,14 @@ from hystmpc.trials.types import Vec
 class RampSettings(Settings):
     """Velocity, acceleration and jerk of the command in preparation, lead-in and return, in command units.
 
-    A stop brakes first, see `stop_commands`: as gently as `acceleration_per_s2` where that keeps within the overshoot
-    allowed, else with the deceleration that the overshoot needs, or with `brake_per_s2` where it is given.
+    A stop brakes first, see `stop_commands`: with `acceleration_per_s2` where that keeps within the allowed overshoot,
+    else with the deceleration that the overshoot needs, or with `brake_per_s2` where it is given.
 
     Attributes:
         velocity_per_s: greatest velocity [mm/s or bar/s].
         acceleration_per_s2: greatest acceleration [mm/s^2 or bar/s^2].
         jerk_per_s3: greatest jerk [mm/s^3 or bar/s^3].
-        brake_per_s2: deceleration of a stop [mm/s^2 or bar/s^2]; null for what the overshoot allowed needs.
+        brake_per_s2: deceleration of a stop [mm/s^2 or bar/s^2]; null for the one that the allowed overshoot needs.
     """
 
     velocity_per_s: Positive = 2.0
@@ -63,14 +63,10 @@ def stop_commands(
 ) -> Vec:
     """Commands (N,) of a stop: from `start`, moving at `velocity`, to rest at `safe`.
 
-    The jerk-limited ramp where it stays between `start` and `safe` but for `overshoot`. Otherwise it brakes first, in a
-    straight line of velocity over time, which takes |v| / a and travels v^2 / (2 a), and ramps from rest:
+    The jerk-limited ramp where it stays between `start` and `safe` within `overshoot` at either end. Otherwise it
+    brakes first, with a linear velocity, which takes |v| / a and travels v^2 / (2 a), and ramps from rest:
 
         a = max(acceleration_per_s2, v^2 / (2 overshoot)), or brake_per_s2
-
-    Args:
-        velocity: of the command [unit/s].
-        overshoot: how far the command may go beyond the way from `start` to `safe`, at either end.
 
     Raises:
         TrajectoryError: if ruckig finds no motion.

@@ -30,9 +30,9 @@ class StopFlag:
     """Stop request by a signal or another thread, read once a sample; the first cause stays.
 
     Attributes:
-        cause: why a safe stop is asked for, empty while none is.
+        cause: of a requested safe stop, empty without one.
         ending: whether the run is to end, or ends already.
-        word: 1 where either is so, for a loop that looks at memory alone.
+        word: 1 after any request, for a loop that reads memory alone.
     """
 
     def __init__(self) -> None:
@@ -58,7 +58,7 @@ def cause_of(error: BaseException) -> str:
 
 @contextmanager
 def stopping_on_signals(flag: StopFlag) -> Iterator[None]:
-    """SIGINT (Ctrl-C), SIGTERM and SIGHUP set the flag while the block runs; once more changes nothing.
+    """Set the flag on SIGINT (Ctrl-C), SIGTERM and SIGHUP within the block; repetitions change nothing.
 
     Outside the main thread, where Python has no signals, nothing is changed.
     """
@@ -81,10 +81,10 @@ def stopping_on_signals(flag: StopFlag) -> Iterator[None]:
 
 @final
 class Latch:
-    """Latch of a stopped device: a file that exists while a run lasts, so that a killed program leaves it set.
+    """Latch of a stopped device: a file that exists during a run, so that a killed program leaves it set.
 
-    Beside it lies a lock of the operating system. A run holds it from before it looks at the latch until after it has
-    released it: two programs never share a device, and the lock of one that was killed is free.
+    Next to it is a lock of the operating system, held from before the latch is read until after its release: two
+    programs never share a device, and the lock of a killed one is free.
     """
 
     def __init__(self, file: Path) -> None:

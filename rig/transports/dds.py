@@ -1,4 +1,4 @@
-"""The DDS transport by its settings; `dds_` holds what needs Cyclone DDS (extra `rig`)."""
+"""Settings of the DDS transport; `dds_` contains the part that needs Cyclone DDS (extra `rig`)."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class DdsSettings(TopicSettings):
         return dds_transport(self, run.conversion)
 
     def listen(self, silence_s: float, through: SocketWrapper | None) -> DeviceLink:
-        """The device's end; datagrams, which faults could be put before, are out of reach.
+        """The device's end; faults cannot be injected in front of DDS.
 
         Raises:
             ConfigError: if it cannot be opened, or a package is missing for it.
@@ -41,7 +41,7 @@ class DdsSettings(TopicSettings):
 
 
 def require_dds() -> None:
-    """Say how to get DDS where it is not installed.
+    """Check that Cyclone DDS is installed.
 
     Raises:
         ConfigError: if `cyclonedds` is not installed.

@@ -19,9 +19,8 @@ from cyclonedds.topic import Topic
 
 from hystmpc.trials.errors import ConfigError
 
-from .sessions import Admission
 from .topics import GOODBYE, GREETING, TopicMessage, TopicSettings, TopicTransport, listening, stamp
-from .transport import Conversion, DeviceLink, Incoming, Outgoing, Says
+from .transport import Admission, Conversion, DeviceLink, Incoming, Outgoing, Says
 
 # Discovery and data on one interface; unicast, so that nothing is announced beyond it.
 _XML = """<CycloneDDS><Domain><General><Interfaces><NetworkInterface name="{name}"/></Interfaces>
@@ -73,7 +72,7 @@ HASHES: dict[type[Float64 | Float64Stamped], str] = {
 
 
 class _Wire:
-    """One topic to write and one to read."""
+    """Writer of one topic and reader of another."""
 
     def __init__(self, settings: TopicSettings, out: str, into: str) -> None:
         local = settings.interface is None
@@ -191,7 +190,9 @@ class DdsLink(DeviceLink):
         self._wire.close()
 
     def _said(self, message: Any) -> Incoming | str:
-        """What an admitted message says, or why it is refused; it has to come from the writer that has greeted."""
+        """Content of an admitted message, or the reason of its refusal; it has to come from the writer that has
+        greeted.
+        """
         writer = message.sample_info.publication_handle
         come = writer, message.session, message.sequence, time.monotonic_ns()
         note = message.header.frame_id

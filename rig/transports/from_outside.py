@@ -92,19 +92,19 @@ def _end() -> None:
 class GuardedTransport(Transport):
     """A transport from outside the package, made and called in a thread of its own.
 
-    A call that does not come back within 0.1 s raises; until it does come back, every other call raises at once. So a
-    wire that hangs looks like one that is silent, and the run ends by the loop's own rules. What `read` returns is
-    checked, counted where it is no measurement, and converted from the units of the block `wire`.
+    A call without a result within 0.1 s raises; until it returns, every other call raises at once. A blocked wire thus
+    looks like a silent one, and the run ends by the loop's own rules. The results of `read` are checked, counted where
+    they are no measurement, and converted from the units of the block `wire`.
 
-    Readings are fetched several at a time, since a thread's answer takes longer than most drivers do. Those of a call
-    that comes back too late are kept; after them the wire is left to a command before it is read again.
+    Readings are fetched several at a time, since a thread's answer takes longer than most drivers do. Those of a late
+    call are kept; after them the wire is left to a command before it is read again.
 
     Args:
         make: makes the transport.
         name: of it, in messages.
 
     Raises:
-        ConfigError: if it cannot be made within 10 s, or lacks what a transport has.
+        ConfigError: if it cannot be made within 10 s, or lacks methods of a transport.
     """
 
     def __init__(self, make: Callable[[], Any], name: str, run: RunContext) -> None:
@@ -194,7 +194,7 @@ class GuardedTransport(Transport):
         self._call("write", lambda: self._device.write(raw))
 
     def greet(self) -> None:
-        """Ask the device to listen, where it knows such a thing."""
+        """Ask the device to listen, where its class supports it."""
         self._call("greet", lambda: self._device.greet())
 
     def stop(self, goodbye: bool = False) -> None:
@@ -221,7 +221,7 @@ def missing_methods(device: object) -> list[str]:
 
 
 def missing_text(missing: list[str]) -> str:
-    """The end of an error line."""
+    """End of an error line on missing methods."""
     return f"lacks {', '.join(missing)}, expected the methods {', '.join(METHODS)} and the mapping counters"
 
 
@@ -246,7 +246,7 @@ def reading_fault(value: object, now_ns: int) -> str:
 
 
 def _is_number(value: object) -> bool:
-    """Whether it is a real number or not-a-number, which a sensor may well show."""
+    """Whether the value is a real number or not-a-number, which a sensor may show."""
     try:
         return isinstance(value, Real) and not isinstance(value, bool) and not math.isinf(float(value))
     except OverflowError:
@@ -262,10 +262,10 @@ GROUP = "hystmpc.transports"
 
 
 class PythonSettings(TransportBase):
-    """`python: MODULE:CLASS`: a class of yours; every further key is a keyword argument of it.
+    """`python: MODULE:CLASS`: a class of the user; every further key is a keyword argument of it.
 
     Attributes:
-        kind: says which block this is; may be left out.
+        kind: of this block; may be left out.
         python: module and class, such as `mylab.bus:Bus`, of an installed package or of the working folder.
     """
 
@@ -278,7 +278,7 @@ class PythonSettings(TransportBase):
     @model_validator(mode="before")
     @classmethod
     def _known_keys(cls, data: Any) -> Any:
-        """Every key may be an argument; `open` knows which the class takes."""
+        """Accept every key as an argument; `open` checks them against the class."""
         return data
 
     @classmethod
@@ -299,7 +299,7 @@ class PythonSettings(TransportBase):
         return GuardedTransport(self._make(), self.python, run)
 
     def _make(self) -> Callable[[], Any]:
-        """Makes the transport; class, methods and arguments are checked already."""
+        """Factory of the transport; class, methods and arguments are checked already."""
 
         def made() -> Any:
             with working_folder():  # a class may import more when it is made

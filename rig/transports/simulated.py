@@ -106,12 +106,12 @@ class RecordedPlant:
         self._angles, self.dt, self._k = angles_deg.tolist(), dt_s, 0
 
     def reset(self) -> float:
-        """Back to the first row; its angle [deg]."""
+        """Return to the first row; its angle [deg]."""
         self._k = 0
         return self._angle()
 
     def apply(self, u: float) -> float:
-        """On to the next row; its angle [deg]."""
+        """Advance to the next row; its angle [deg]."""
         del u
         self._k += 1
         return self._angle()

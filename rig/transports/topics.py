@@ -1,4 +1,4 @@
-"""Two topics, one of angles and one of commands: their settings, and the controller's end of them.
+"""Two topics, one of angles and one of commands: settings, and the controller's end.
 
 The wire is that of Cyclone DDS (`dds_`) or of a ROS 2 node.
 """
@@ -25,7 +25,7 @@ _LISTENS = "listens:"
 
 
 def listening(session: int | None) -> str:
-    """The note of a device that listens to a session, or to none."""
+    """Note of a device that listens to a session, or to none."""
     return f"{_LISTENS}none" if session is None else f"{_LISTENS}{session:08x}"
 
 
@@ -66,38 +66,29 @@ class TopicSettings(TransportBase):
 
 @dataclass(frozen=True, slots=True)
 class TopicMessage:
-    """A measurement as it was on its topic.
+    """A measurement on its topic."""
 
-    Attributes:
-        data: raw angle.
-        sequence: the sender's count.
-        sent_ns: the sender's clock [ns].
-        session: of the sender; 0 where it has none.
-        held: raw command that the device holds; NaN where it does not tell.
-        note: `frame_id`, empty where there is none.
-    """
-
-    data: float
-    sequence: int
-    sent_ns: int
-    session: int = 0
-    held: float = math.nan
-    note: str = ""
+    data: float  # raw angle
+    sequence: int  # the sender's count
+    sent_ns: int  # the sender's clock [ns]
+    session: int = 0  # of the sender; 0 without one
+    held: float = math.nan  # raw command that the device holds; NaN where it does not report
+    note: str = ""  # `frame_id`, empty without one
 
     @classmethod
     def of(cls, stamped: Any) -> Self:
-        """Of a hystmpc_msgs/msg/Float64Stamped, of whatever binding."""
+        """Message from a hystmpc_msgs/msg/Float64Stamped of any binding."""
         header = stamped.header
         sent = header.stamp.sec * _NS + header.stamp.nanosec
         return cls(stamped.data, stamped.sequence, sent, stamped.session, stamped.held, header.frame_id)
 
 
 class TopicWire(Protocol):
-    """A topic to write and one to read; nothing blocks."""
+    """Writer of one topic and reader of another; nothing blocks."""
 
     @property
     def session(self) -> int:
-        """Of this end, chosen at random."""
+        """Session of this end, chosen at random."""
         ...
 
     def read(self) -> TopicMessage | None:
@@ -149,12 +140,12 @@ class TopicTransport(Transport):
             self._wire.write(self._conversion.raw_command(command), 0.0)
 
     def greet(self) -> None:
-        """Ask the device to listen; one that has no sessions would take this for a command."""
+        """Ask the device to listen; one without sessions would take this for a command."""
         if self._wire is not None and self._device_has_sessions:
             self._wire.write(math.nan, 0.0, note=GREETING)
 
     def stop(self, goodbye: bool = False) -> None:
-        """Leave the topics; say goodbye before where that is wanted and the device has sessions."""
+        """Leave the topics, after a goodbye where that is wanted and the device has sessions."""
         wire, self._wire = self._wire, None
         if wire is not None:
             if goodbye and self._device_has_sessions:

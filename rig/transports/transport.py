@@ -1,4 +1,4 @@
-"""Interfaces of transports and of the device's end, and the conversion of units, which is done nowhere else."""
+"""Interfaces of transports and of the device end, conversion of units, sessions and sequence numbers."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from abc import abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar, Literal, Protocol, Self
+from typing import Any, ClassVar, Literal, Protocol, Self, final
 
 from hystmpc.ctrl.loop import Plant
 from hystmpc.trials.config import Settings
@@ -22,11 +22,11 @@ class Reading:
     Attributes:
         angle_deg: measured tip angle, possibly not a number [deg].
         sequence: the sender's count, rising by one a measurement.
-        session: chosen by the sender at its start; another one means that it has been restarted.
+        session: chosen by the sender at its start; a new one means a restart.
         sent_ns: the sender's monotonic clock, of any origin [ns].
         received_ns: this process's monotonic clock at receipt [ns].
-        held: the command that the device holds; NaN where it does not tell.
-        listens: whether the device takes commands of this session; True where it does not tell.
+        held: the command that the device holds; NaN where it does not report.
+        listens: whether the device takes commands of this session; True where it does not report.
     """
 
     angle_deg: float
@@ -39,12 +39,12 @@ class Reading:
 
     @classmethod
     def now(cls, angle_deg: float, sequence: int, held: float = math.nan) -> Reading:
-        """A measurement that has just come, of a device without sessions and stamps.
+        """A measurement that has just arrived, of a device without sessions and stamps.
 
         Args:
             angle_deg: measured angle, in the unit of the block `wire` [deg].
             sequence: rises by one a measurement.
-            held: command that the device holds; NaN where it does not tell.
+            held: command that the device holds; NaN where it does not report.
         """
         now_ns = time.monotonic_ns()
         return cls(angle_deg, sequence, 0, now_ns, now_ns, held)
@@ -65,15 +65,14 @@ class Transport(Protocol):
         ...
 
     def greet(self) -> None:
-        """Ask the device to take commands of this session, again after its watchdog has acted; nothing is moved."""
+        """Ask the device to take commands of this session, repeated after its watchdog has acted; nothing is moved."""
         ...
 
     def stop(self, goodbye: bool = False) -> None:
         """Close; may be called twice.
 
-        Args:
-            goodbye: whether to tell the device that nobody will command it any more, so that its watchdog may rest.
-                Only for a device that has said that it holds the safe command.
+        With `goodbye`, the device learns that nobody will command it any more, so that its watchdog may rest: only for
+        a device that has reported that it holds the safe command.
         """
         ...
 
@@ -92,11 +91,9 @@ class Transport(Protocol):
         return None
 
     def take_back(self, unread: Sequence[tuple[bytes, int]], sent: int) -> None:
-        """Resume after such a loop: what it has received and not used is read first.
+        """Resume after such a loop: its unused messages (bytes, time of receipt [ns]) are read first.
 
-        Args:
-            unread: bytes and monotonic time of receipt [ns].
-            sent: sequence number of the last message that it has sent.
+        `sent` is the sequence number of its last message.
         """
         del unread, sent
 
@@ -106,17 +103,14 @@ class Outgoing:
     """A measurement in the wire's units, as a device sends it.
 
     Attributes:
-        angle, held: raw angle and held command in the wire's units.
-        sequence: rises by one a measurement.
-        stamp_ns: sender's clock [ns].
-        listens: whether commands are taken now, or a new greeting is wanted first.
+        angle, held: raw angle and held command.
     """
 
     angle: float
     held: float
-    sequence: int
-    stamp_ns: int
-    listens: bool = True
+    sequence: int  # rises by one a measurement
+    stamp_ns: int  # sender's clock [ns]
+    listens: bool = True  # whether commands are taken now, or a new greeting is needed first
 
 
 Says = Literal["command", "greeting", "goodbye"]
@@ -280,3 +274,90 @@ class TransportBase(Settings):
             ConfigError: if the wire cannot be opened, or a package is missing for it.
             LogError: if a run to replay cannot be read.
         """
+
+
+NEW, RESTARTED, REPLAYED = "", "restarted", "replayed-or-reordered"
+_HALF = 1 << 31
+_REMEMBERED = 64  # sessions that have ended; what claims to come from one of them is a replay
+
+
+@final
+class Order:
+    """Detects repeated, reordered and replayed messages; sequence numbers wrap at 2^32."""
+
+    def __init__(self) -> None:
+        self._session: int | None = None
+        self._sequence = 0
+        self._ended: list[int] = []
+        self.lost = 0
+
+    def numbers(self) -> Mapping[str, int]:
+        """Session and sequence number of the newest message."""
+        return {"session": self._session or 0, "sequence": self._sequence}
+
+    def judge(self, session: int, sequence: int) -> str:
+        """`NEW`, `RESTARTED` (new as well) or `REPLAYED`; messages that never came are added to `lost`."""
+        if session == self._session:
+            ahead = (sequence - self._sequence) & 0xFFFFFFFF
+            if not 0 < ahead < _HALF:
+                return REPLAYED
+            self.lost += ahead - 1
+            self._sequence = sequence
+            return NEW
+        if session in self._ended:
+            return REPLAYED
+        first = self._session is None
+        if self._session is not None:
+            self._ended = [*self._ended, self._session][-_REMEMBERED:]
+        self._session, self._sequence = session, sequence
+        return NEW if first else RESTARTED
+
+
+ANOTHER, NO_GREETING, OLD = "another controller", "no greeting", "replayed-or-reordered"
+
+
+@final
+class Admission:
+    """Exclusive access of one controller: its greeting opens a session, its goodbye or a silence frees the device.
+
+    After a silence of `silence_s` [s] another greeting ends the session. Messages of others are refused meanwhile and
+    change nothing. A session that has ended is not resumed.
+    """
+
+    def __init__(self, silence_s: float) -> None:
+        self._silence_ns = round(1e9 * silence_s)
+        self._order = Order()
+        self._pinned: tuple[object, int] | None = None
+        self._heard_ns = 0
+        self._commanded = False
+
+    @property
+    def session(self) -> int | None:
+        """Session in charge."""
+        return None if self._pinned is None else self._pinned[1]
+
+    def admit(self, says: Says, sender: object, session: int, sequence: int, now_ns: int) -> str:
+        """Reason for refusing a message, empty where it is admitted.
+
+        The goodbye of a session that has never commanded ends the session and is refused. `sender` is an address, or
+        the writer of a topic.
+        """
+        known = self._pinned == (sender, session)
+        if says == "greeting":
+            if not known and self._pinned is not None and now_ns - self._heard_ns <= self._silence_ns:
+                return ANOTHER
+        elif self._pinned is None:
+            return NO_GREETING
+        elif not known:
+            return ANOTHER
+        if self._order.judge(session, sequence) not in (NEW, RESTARTED):
+            return OLD
+        self._heard_ns = now_ns
+        if says == "goodbye":
+            self._pinned = None
+            return "" if self._commanded else "goodbye without a command"
+        if says == "command":
+            self._commanded = True
+        if says == "greeting" and not known:
+            self._pinned, self._commanded = (sender, session), False
+        return ""

@@ -37,8 +37,8 @@ from pydantic import model_validator
 from hystmpc.trials.config import Port, Settings
 from hystmpc.trials.errors import ConfigError
 
-from .sessions import Admission
 from .transport import (
+    Admission,
     Conversion,
     Datagrams,
     DeviceLink,
@@ -179,7 +179,7 @@ class UdpTransport(Transport):
         return None
 
     def reading(self, data: bytes, received_ns: int) -> Reading | None:
-        """The reading of a datagram; one that is none is counted."""
+        """The reading of a datagram; an invalid one is counted."""
         message = decode(data)
         if isinstance(message, str):
             self._counters[message] += 1
@@ -211,7 +211,7 @@ class UdpTransport(Transport):
         self._send(Kind.COMMAND, self._conversion.raw_command(command))
 
     def greet(self) -> None:
-        """Ask the device to listen; one that is not there is counted."""
+        """Ask the device to listen; a missing one is counted."""
         self._greeted_ns = time.monotonic_ns()
         try:
             self._send(Kind.HELLO, 0.0)
@@ -219,7 +219,7 @@ class UdpTransport(Transport):
             self._counters["nobody listens"] += 1
 
     def stop(self, goodbye: bool = False) -> None:
-        """Close; say goodbye before where that is wanted, more than once since one may be lost."""
+        """Close, after several goodbyes where that is wanted, since one may be lost."""
         if not self._open:
             return
         self._open = False
@@ -291,7 +291,7 @@ class UdpLink(DeviceLink):
         self._wire.close()
 
     def _admitted(self, message: Datagram, peer: Peer) -> Incoming | str:
-        """What an admitted message says, or why it is refused."""
+        """Content of an admitted message, or the reason of its refusal."""
         says = _SAYS.get(message.kind)
         if says is None:
             return "not a command"
@@ -334,7 +334,7 @@ class UdpSettings(TransportBase):
 
 
 class UdpListenSettings(Settings):
-    """`kind: udp`: where the device listens; port 0 takes a free one and says which.
+    """`kind: udp`: address of the device; port 0 takes a free one, which is printed.
 
     Attributes:
         bind_host: address where it listens.

@@ -14,19 +14,12 @@ from hystmpc.trials.types import Vec
 
 @dataclass(frozen=True, eq=False)
 class DeviceMotion:
-    """Motion of a device under T commands, without any sensor.
+    """Motion of a device under T commands, without any sensor."""
 
-    Attributes:
-        angle: true tip angle at the end of each sample [deg], (T,).
-        actuator: what the drive reached: tendon displacement [mm] or muscle pressure [bar], (T,).
-        tension: of the tendon [N], (T,); not-a-number where the device has none.
-        state: after the last sample, (S,).
-    """
-
-    angle: Vec
-    actuator: Vec
-    tension: Vec
-    state: Vec
+    angle: Vec  # true tip angle at the end of each sample [deg], (T,)
+    actuator: Vec  # what the drive reached: tendon displacement [mm] or muscle pressure [bar], (T,)
+    tension: Vec  # of the tendon [N], (T,); not-a-number where the device has none
+    state: Vec  # after the last sample, (S,)
 
 
 class Device(Protocol):

@@ -22,12 +22,12 @@ _ROUNDING = 1e-9  # of a sample, so that a duration of whole samples is not cut 
 
 @dataclass(frozen=True)
 class EmTracker(Quantities):
-    """The electromagnetic tracker of S2 on the tip: angle, and X, Y by the quadratic map of S2.
+    """Electromagnetic tracker of S2 on the tip: angle, and X, Y by the quadratic map of S2.
 
-    S2 states an accuracy of +-0.35 deg and +-1.4 mm. Such an error is mostly distortion of the field: it depends on
-    the pose and comes back in every trial. Here it is a sine of the tip angle, of half the stated size for the angle,
-    and of 0.3 mm for the position, whose rest would be a shift of the frame. The noise is white; its size is of the
-    order that recorded logs of such a device show once they are resampled to 25 Hz.
+    S2 states an accuracy of +-0.35 deg and +-1.4 mm, which is mostly distortion of the field: it depends on the pose
+    and is equal in every trial. Here it is a sine of the tip angle, of half the stated size for the angle, and of 0.3
+    mm for the position, whose rest would be a shift of the frame. The white noise has the size of recorded logs
+    resampled to 25 Hz.
     """
 
     distortion_deg: float = quantity(0.175, "deg", 0.0, 10.0, "amplitude of the distortion of the angle")
@@ -50,7 +50,7 @@ class EmTracker(Quantities):
 
 @dataclass(frozen=True)
 class LaserSensor(Quantities):
-    """The laser distance sensor of S1 beside the tip, read by a converter: voltage from true angle (S1 eq. (2)-(4)).
+    """Laser distance sensor of S1, read by a converter: voltage from true angle (S1 eq. (2)-(4)).
 
     S1 prints neither noise nor resolution: 0.02 mm (0.04 deg near straight), and the 9.8 mV (0.04 mm) of a 10 V range
     on the 10 bits of its Arduino.
@@ -85,38 +85,37 @@ def sampled(excitation: Trajectory, rate_hz: float) -> tuple[Vec, Vec]:
 
 
 def generator(seed: int, name: str, purpose: str) -> np.random.Generator:
-    """Random numbers of one trial for one purpose; they do not depend on which other trials are made, or when."""
+    """Random numbers of one trial for one purpose, independent of all other trials."""
     return np.random.default_rng([seed, zlib.crc32(f"{purpose}:{name}".encode())])
 
 
 @dataclass(frozen=True, kw_only=True)
 class TrackedBench(Quantities, ABC):
-    """The bench of S2, whatever device is on it.
+    """The bench of S2 with any device.
 
-    Every trial begins with a virgin device, the initialisation flexure (0.1 Hz to the end of the travel and back)
-    and a rest at 0 mm, which are discarded as S2's protocol says unless `keep_flexure`.
+    Every trial begins with a virgin device, the initialisation flexure (0.1 Hz to the end of the travel and back) and a
+    rest at 0 mm, which are discarded as S2's protocol says unless `keep_flexure`.
 
     Attributes:
         command_rate_hz: rate of command and log [Hz].
         rate_hz: rate of the trial, by linear interpolation [Hz].
         rest_s: rest between flexure and motion [s].
-        keep_flexure: leave flexure and rest in the trial.
     """
 
     tracker: EmTracker = field(default_factory=EmTracker)
     command_rate_hz: float = quantity(100.0, "Hz", 1.0, 10_000.0, "rate of command and log (S2's code)")
     rate_hz: float = quantity(25.0, "Hz", 1.0, 10_000.0, "rate of the trial (S2)")
     rest_s: float = quantity(2.0, "s", 0.0, 1000.0, "rest between flexure and motion")
-    keep_flexure: bool = False
+    keep_flexure: bool = False  # leave flexure and rest in the trial
 
     @abstractmethod
     def mounted(self, random: np.random.Generator) -> Device:
-        """The device of one trial, varied as devices vary from trial to trial."""
+        """The device of one trial, varied as devices vary between trials."""
 
     def record(self, excitation: Trajectory, seed: int, source: str) -> Trial:
-        """One trial; equal seed and source give equal trials, either of them another gives another device and noise.
+        """One trial; equal seed and source give equal trials, another seed or source another device and noise.
 
-        Channels: `x_mm`, `y_mm` of the tip, `displacement_mm` that the drive reached, `tension_n`.
+        Channels: `x_mm`, `y_mm` of the tip, `displacement_mm` of the drive, `tension_n`.
 
         Raises:
             ConfigError: through `resample`, if the log's rate is too low for the trial's.

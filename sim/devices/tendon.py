@@ -20,7 +20,7 @@ EXTRA_STATES = 5
 
 
 class TendonNumbers(NamedTuple):
-    """Parameters as the recursion reads them; see `tendon.TendonParameters`."""
+    """Parameters of the recursion; see `tendon.TendonParameters`."""
 
     drive_share: float  # 1 - exp(-dt / drive_lag)
     middle_slope: float
@@ -118,7 +118,7 @@ class TendonParameters(Quantities):
             raise ConfigError(f"core_from: got {self.core_from}, expected at most core_to = {self.core_to}")
 
     def gap(self, x_mm: float) -> float:
-        """Unloading line less loading line at `x_mm` [deg]."""
+        """Unloading line minus loading line at `x_mm` [deg]."""
         return self.unloading_deg - self.loading_deg + (self.unloading_slope - self.loading_slope) * x_mm
 
     @property

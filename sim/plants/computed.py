@@ -1,4 +1,4 @@
-"""Interface of simulated plants: what closed loops, sweeps, tunings and environments ask of any of them."""
+"""Base class of simulated plants, and operators in series with explicit state."""
 
 from __future__ import annotations
 
@@ -6,27 +6,26 @@ from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from copy import copy, deepcopy
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import Any, Self, final
 
 import numpy as np
+from numpy.typing import NDArray
 
+from hystmpc.models.chain import Chain
 from hystmpc.models.contract.metadata import Range
+from hystmpc.models.effects.catalogue import EFFECTS
+from hystmpc.models.kernels.chain_kernels import ChainKernels, compile_step
+from hystmpc.models.operators.dynamics import Delay, Lag
 from hystmpc.models.operators.measurement import Sensor
+from hystmpc.models.operators.operator import Operator
+from hystmpc.models.operators.slow_changes import Creep
 from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.types import Vec
-
-from .cascade import OperatorCascade
 
 
 @dataclass(frozen=True)
 class Sensing:
-    """The angle sensor.
-
-    Attributes:
-        noise_deg: standard deviation of white noise [deg].
-        quantisation_deg: step of the angle, 0 for none [deg].
-        sensors: of the library, after both.
-    """
+    """Angle sensor: white noise, resolution (0 for continuous) [deg], and sensors of the library after both."""
 
     noise_deg: float = 0.0
     quantisation_deg: float = 0.0
@@ -36,13 +35,13 @@ class Sensing:
 class ComputedPlant(ABC):
     """A `ctrl.loop.Plant` that is computed; its state is hidden, as that of hardware is.
 
-    A reset always finds the same device: rest, random numbers and noise begin anew. A subclass says where the rest is
-    and what a sample does; its state is replaced from sample to sample and never altered, so that copies may share it.
+    A reset always returns to the same rest; random numbers and noise begin anew. A subclass defines the rest and the
+    change within a sample; its state is replaced in each sample and never altered, so that copies may share it.
 
     Args:
         dt_s: sample time [s].
         command_unit: mm or bar.
-        seed: of noise and of what is random in the device; equal seeds give the same run after every reset.
+        seed: of noise and randomness of the device; equal seeds give the same run after every reset.
 
     Raises:
         ConfigError: if the sample time is not positive.
@@ -55,29 +54,14 @@ class ComputedPlant(ABC):
     def __init__(self, dt_s: float, rest_command: float, command_unit: str, sensing: Sensing, seed: int) -> None:
         if not (np.isfinite(dt_s) and dt_s > 0):
             raise ConfigError(f"dt_s: got {dt_s}, expected a positive number")
-        self._dt, self._seed, self._sensing = dt_s, seed, sensing
+        self.dt, self.seed, self.sensing = dt_s, seed, sensing
         self.rest_command, self.command_unit = rest_command, command_unit
         self._sensors = OperatorCascade(sensing.sensors, 1.0)  # sensors have no time in them
         self._restart()
 
     @property
-    def dt(self) -> float:
-        """Sample time [s]."""
-        return self._dt
-
-    @property
-    def seed(self) -> int:
-        """Of everything random in it."""
-        return self._seed
-
-    @property
-    def sensing(self) -> Sensing:
-        """Its angle sensor."""
-        return self._sensing
-
-    @property
     def true_angle(self) -> float:
-        """Tip angle without noise and quantisation [deg]: what metrics are made of, and no controller sees."""
+        """Tip angle without noise and quantisation [deg]: for metrics, hidden from controllers."""
         return self._angle
 
     def reset(self) -> float:
@@ -93,12 +77,12 @@ class ComputedPlant(ABC):
     def reseeded(self, seed: int) -> Self:
         """The same device with another realisation of everything random."""
         other = copy(self)
-        other._seed = seed
+        other.seed = seed
         other.reset()
         return other
 
     def copied(self) -> Self:
-        """A plant that goes on from where this one is, with the same noise to come; neither touches the other."""
+        """Plant that continues from the present state with the same future noise; the two are independent."""
         other = copy(self)
         other._random = deepcopy(self._random)
         return other
@@ -115,14 +99,14 @@ class ComputedPlant(ABC):
         """True angle [deg] and state after command `u` for one sample."""
 
     def _restart(self) -> None:
-        self._random = np.random.default_rng(self._seed)
+        self._random = np.random.default_rng(self.seed)
         self._angle, self._state = self._at_rest(self._random)
-        self._shown = sensors_at_rest(self._sensing.sensors, self._angle, self._seed)
+        self._shown = sensors_at_rest(self.sensing.sensors, self._angle, self.seed)
 
     def _measured(self) -> float:
-        angle = self._angle + self._sensing.noise_deg * float(self._random.standard_normal())
-        if self._sensing.quantisation_deg:
-            angle = round(angle / self._sensing.quantisation_deg) * self._sensing.quantisation_deg
+        angle = self._angle + self.sensing.noise_deg * float(self._random.standard_normal())
+        if self.sensing.quantisation_deg:
+            angle = round(angle / self.sensing.quantisation_deg) * self.sensing.quantisation_deg
         shown, self._shown = self._sensors.run(self._shown, np.array([angle]))
         return float(shown[0])
 
@@ -136,6 +120,87 @@ def sensors_at_rest(sensors: Sequence[Sensor], angle: float, seed: int) -> Vec:
     return np.concatenate([np.empty(0), *states])
 
 
-def _mixed(own: int, seed: int, k: int) -> int:
+def _mixed(sensor_seed: int, seed: int, k: int) -> int:
     """A seed for sensor number `k`; the generator mixes neighbouring seeds itself."""
-    return (own + 1_000_003 * (seed + 7919 * k)) % 2**63
+    return (sensor_seed + 1_000_003 * (seed + 7919 * k)) % 2**63
+
+
+_SETTLED = 20.0  # time constants after which nothing is left of a step: e^-20 of 100 deg is 2e-7 deg
+_LONGEST_REST_S = 600.0  # slower creep has not settled when an experiment begins
+
+
+def settling_s(chain: Chain) -> float:
+    """Time after which a held command leaves the chain at rest [s]."""
+    return sum(_settling_of(operator) for operator in chain.operators)
+
+
+def _settling_of(operator: Operator) -> float:
+    if isinstance(operator, Lag):
+        return _SETTLED * max(operator.tau_s, *operator.tau_down_s, 0.0)
+    if isinstance(operator, Creep):
+        return min(_SETTLED * max(operator.taus_s), _LONGEST_REST_S)
+    return operator.delay_s if isinstance(operator, Delay) else 0.0
+
+
+def still(chain: Chain) -> Vec:
+    """Parameter values of the chain with every clock-driven operator at its neutral values."""
+    values: list[float] = []
+    for operator in chain.operators:
+        effect = EFFECTS.get(operator.name)
+        values += effect.neutral_values(operator) if effect is not None and effect.clocks else operator.values
+    return np.array(values)
+
+
+def clocks(chain: Chain) -> NDArray[np.bool_]:
+    """Mask of the state's entries that are clocks."""
+    mask = []
+    for operator in chain.operators:
+        effect = EFFECTS.get(operator.name)
+        mask += [effect is not None and name in effect.clocks for name in operator.states]
+    return np.array(mask, dtype=bool)
+
+
+@final
+class OperatorCascade:
+    """Operators in series with explicit state and sample time `dt_s` [s]; without operators the signal passes
+    unchanged.
+    """
+
+    def __init__(self, operators: Sequence[Operator], dt_s: float) -> None:
+        self._chain = Chain(operators[0], after=tuple(operators[1:])) if operators else None
+        self._kernels = compile_step(self._chain.transition) if self._chain else None
+        self._dt_s = dt_s
+
+    @property
+    def settling_s(self) -> float:
+        """Time after which the output is at rest for a held signal [s]."""
+        return 0.0 if self._chain is None else settling_s(self._chain)
+
+    def at_rest(self, signal: float) -> Vec:
+        """State (S,) after a signal that has been held for long."""
+        if self._chain is None:
+            return np.empty(0)
+        return np.asarray(self._chain.rest(signal, signal, self._chain.values), dtype=np.float64).ravel()
+
+    def run(self, state: Vec, signal: Vec, settle: bool = False) -> tuple[Vec, Vec]:
+        """Output for a signal (T,), and the state after it; `settle` as of `run_chain`."""
+        if self._chain is None:
+            return signal, state
+        return run_chain(self._chain, self._dt_s, state, signal, self._kernels, settle)
+
+
+def run_chain(
+    chain: Chain, dt_s: float, state: Vec, signal: Vec, kernels: ChainKernels | None = None, settle: bool = False
+) -> tuple[Vec, Vec]:
+    """Output of a chain (T,) for a signal (T,), and its state afterwards; the given state (S,) is unchanged.
+
+    Args:
+        dt_s: sample time [s].
+        kernels: of the chain, looked up where left out, which takes longer than a sample.
+        settle: whether clock-driven effects are frozen, with their clocks at zero afterwards.
+    """
+    kernels = kernels or compile_step(chain.transition)
+    after, shown = state.reshape(1, -1).copy(), np.empty((1, signal.size))
+    row, values = np.ascontiguousarray(signal, dtype=np.float64)[None], still(chain) if settle else chain.values
+    kernels.simulate(after, row, values, np.array([dt_s]), kernels.step_constants, shown)
+    return shown[0], np.where(clocks(chain), 0.0, after[0]) if settle else after[0]

@@ -1,22 +1,27 @@
-"""A device with physics of its own as a plant."""
+"""Plants from settings: a simulator file, or a device with its own physics by name."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import final
 
 import numpy as np
 
 from hystmpc.models.contract.metadata import Range
+from hystmpc.models.load import model_path
 from hystmpc.models.operators.dynamics import stored
+from hystmpc.models.simulator import load_simulator
 from hystmpc.trajectories.excitation import s2_initialisation
 from hystmpc.trials.errors import ConfigError
+from hystmpc.trials.json_text import file_hash, json_hash
 from hystmpc.trials.types import Vec
 
+from ..config import PlantSettings
 from ..devices.device import Device
-from .cascade import OperatorCascade
-from .computed import ComputedPlant
-from .simulated import Effects
+from ..devices.names import DEVICES, named_device, plain_parameters
+from .computed import ComputedPlant, OperatorCascade
+from .simulated import Effects, SimulatedPlant
 
 _REST_S = 5.0
 
@@ -38,10 +43,9 @@ class DevicePlant(ComputedPlant):
     the lowest one, for 5 s and as long as its effects take to settle.
 
     Args:
-        effects: what it does beyond that; 0.05 deg of noise where left out. Its numbers are the device's own, so that
-            `mismatch` has to be empty; see `devices.names.named_device`.
+        effects: in addition; 0.05 deg of noise where left out. Its `mismatch` has to be empty, see `devices.names`.
         dt_s: sample time [s].
-        commands: between which it is flexed, the lowest being its rest; all of the device's where left out.
+        commands: range of the flexure, the lowest being its rest; all of the device's where left out.
         seed: of noise and friction; equal seeds give the same run after every reset.
 
     Raises:
@@ -76,19 +80,66 @@ class DevicePlant(ComputedPlant):
 
     def _at_rest(self, random: np.random.Generator) -> tuple[float, DeviceState]:
         rest_s = _REST_S + self._before.settling_s + self._after.settling_s
-        commands = np.full(round(rest_s / self._dt), self._commands.lower)
+        commands = np.full(round(rest_s / self.dt), self._commands.lower)
         if not self._virgin:
             flexure = s2_initialisation()
-            wave = flexure(np.arange(0.0, flexure.duration_s, self._dt))
+            wave = flexure(np.arange(0.0, flexure.duration_s, self.dt))
             span = self._commands.upper - self._commands.lower
             commands = np.concatenate([self._commands.lower + span * wave / wave.max(), commands])
-        sent, before = self._before.settle(self._before.at_rest(self._commands.lower), commands)
-        done = self._device.advance(self._device.virgin(), sent, self._dt, random)
-        shown, after = self._after.settle(self._after.at_rest(float(done.angle[0])), done.angle)
+        sent, before = self._before.run(self._before.at_rest(self._commands.lower), commands, settle=True)
+        done = self._device.advance(self._device.virgin(), sent, self.dt, random)
+        shown, after = self._after.run(self._after.at_rest(float(done.angle[0])), done.angle, settle=True)
         return float(shown[-1]), DeviceState(before, done.state, after)
 
     def _advanced(self, state: DeviceState, u: float, random: np.random.Generator) -> tuple[float, DeviceState]:
         sent, before = self._before.run(state.command, np.array([u]))
-        done = self._device.advance(state.device, sent, self._dt, random)
+        done = self._device.advance(state.device, sent, self.dt, random)
         shown, after = self._after.run(state.output, done.angle)
         return float(shown[-1]), DeviceState(before, done.state, after)
+
+
+_NAMES = {"simulator", "device", "parameters"}
+
+
+def make_plant(
+    settings: PlantSettings, dt_s: float | None = None, commands: Range | None = None, seed: int = 0
+) -> ComputedPlant:
+    """The plant of a study.
+
+    Args:
+        dt_s: sample time [s]; a simulator's own, or 0.04 s, where left out.
+        commands: range of flexure and rest; the plant's limits where left out.
+
+    Raises:
+        ConfigError: if a mismatch names an unknown parameter, or the commands lie beyond what a device takes.
+        ModelError: if a simulator file is missing or unusable, or a mismatch takes a parameter out of its bounds.
+    """
+    effects = settings.model_dump(exclude=_NAMES)
+    if settings.device is None:
+        return SimulatedPlant(load_simulator(_file(settings)), Effects(**effects), dt_s, commands, seed)
+    device = named_device(settings.device, settings.parameters, effects.pop("mismatch"))
+    return DevicePlant(device, Effects(**effects), 0.04 if dt_s is None else dt_s, commands, seed)
+
+
+def plant_files(settings: PlantSettings) -> tuple[Path, ...]:
+    """Files that the plant is read from."""
+    return (_file(settings),) if settings.device is None else ()
+
+
+def plant_hash(settings: PlantSettings) -> str:
+    """SHA-256 of the simulator file, or of all numbers of the device."""
+    if settings.device is None:
+        return file_hash(_file(settings))
+    numbers = plain_parameters(settings.device, settings.parameters, settings.mismatch)
+    return json_hash([settings.device, numbers])
+
+
+def varied_parameters(settings: PlantSettings) -> tuple[str, ...]:
+    """Names under `mismatch` of the parameters that differ between specimens of the plant."""
+    if settings.device is None:
+        return load_simulator(_file(settings)).chain.labels
+    return DEVICES[settings.device].varied
+
+
+def _file(settings: PlantSettings) -> Path:
+    return model_path(str(settings.simulator))

@@ -21,8 +21,7 @@ from hystmpc.trials.brief import in_brief
 from hystmpc.trials.errors import ConfigError, ModelError, did_you_mean
 from hystmpc.trials.types import Vec
 
-from .cascade import run_chain, settling_s
-from .computed import ComputedPlant, Sensing
+from .computed import ComputedPlant, Sensing, run_chain, settling_s
 
 
 @dataclass(frozen=True)
@@ -33,12 +32,12 @@ class Effects:
         lag_s: time constant of a first-order lag of the actuator, 0 for none [s].
         delay_s: transport delay of the command, fractions of a sample allowed [s].
         noise_deg: standard deviation of the angle sensor's white noise [deg].
-        quantisation_deg: step of the angle sensor, 0 for none [deg].
+        quantisation_deg: resolution of the angle sensor, 0 for none [deg].
         mismatch: factors on parameters of the simulator, by label, such as `prandtl_ishlinskii.a0`.
-        effects: effects of the library, as objects or as `{effect, side, parameters}`, in the order in which the signal
-            meets them: those on the command after delay and lag and the simulator's own, those on the output last.
-            Sensors act on what is measured.
-        virgin: start without the initialisation flexure, so that a first flexure is still to come.
+        effects: effects of the library, as objects or as `{effect, side, parameters}`, in the order of the signal:
+            those on the command after lag, delay and the simulator's own, those on the output last. Sensors act on the
+            reading.
+        virgin: start without the initialisation flexure.
 
     Raises:
         ConfigError: if a number is negative or not finite, or an effect is not one of the library.
@@ -70,7 +69,7 @@ class Effects:
         return tuple(e.operator for e in self._placed() if isinstance(e.operator, Sensor))
 
     def sensing(self, before: tuple[Sensor, ...] = ()) -> Sensing:
-        """The angle sensor; `before` are sensors that the device has of its own."""
+        """Angle sensor; `before` are sensors of the device itself."""
         return Sensing(self.noise_deg, self.quantisation_deg, (*before, *self.sensors))
 
     @property
@@ -95,15 +94,11 @@ def _placed(spec: PlacedEffect | Mapping[str, Any], k: int) -> PlacedEffect:
 def plant_simulator(simulator: Simulator, effects: Effects, dt_s: float) -> Simulator:
     """The simulator at sample time `dt_s` [s], with wrong parameters and all effects but sensors.
 
-    Lag and delay of the actuator stand in front, effects of the library on either side after what is there.
-
-    Raises:
-        ConfigError: if `mismatch` names a parameter that the chain does not have.
-        ModelError: if a factor takes a parameter out of its bounds.
+    Lag and delay of the actuator stand in front, effects of the library on either side after the existing ones.
     """
     chain = mismatched(simulator.chain, effects.mismatch)
-    own = tuple(operator for operator in chain.after if not isinstance(operator, Sensor))
-    chain = replace(chain, before=(*effects.actuator, *chain.before), after=own)
+    after = tuple(operator for operator in chain.after if not isinstance(operator, Sensor))
+    chain = replace(chain, before=(*effects.actuator, *chain.before), after=after)
     for placed in effects.placed:
         chain = with_effect(chain, placed.operator, placed.side)
     return replace(simulator, chain=chain).at_sample_time(dt_s)
@@ -127,13 +122,12 @@ class SimulatedPlant(ComputedPlant):
     """A chain of operators as a plant.
 
     Before every run the device does its initialisation flexure (S2: one period of 0.1 Hz to the highest command and
-    back). It then rests at the simulator's `rest_command`, at the lowest one where that has none, so that a reset
-    always finds the same device. Drift and periodic disturbance count from the reset on, sensors start their random
-    numbers anew.
+    back) and rests at the simulator's `rest_command`, at the lowest one without it. Drift and periodic disturbance
+    count from the reset on, sensors restart their random numbers.
 
     Args:
         dt_s: sample time [s]; the simulator's own where left out.
-        commands: commands between which it is flexed and rests; the simulator's limits where left out.
+        commands: range of flexure and rest; the simulator's limits where left out.
         seed: of the sensor noise, mixed into the seed of every sensor among the effects; equal seeds give equal noise
             after every reset.
 
@@ -156,8 +150,8 @@ class SimulatedPlant(ComputedPlant):
         self._model = CompiledPredictor.of_simulator(self.simulator)
         self._rest = (fresh if effects.virgin else conditioned)(self.simulator, commands)
         self.command_limits = simulator.command_limits
-        own = tuple(o for o in simulator.chain.after if isinstance(o, Sensor))
-        super().__init__(dt_s, rest_of(simulator, commands), simulator.command_unit, effects.sensing(own), seed)
+        sensors = tuple(o for o in simulator.chain.after if isinstance(o, Sensor))
+        super().__init__(dt_s, rest_of(simulator, commands), simulator.command_unit, effects.sensing(sensors), seed)
 
     def __repr__(self) -> str:
         return in_brief(self, repr(self.simulator))
@@ -177,15 +171,15 @@ class SimulatedPlant(ComputedPlant):
 
 
 def rest_of(simulator: Simulator, commands: Range) -> float:
-    """Command at which the device rests within some commands: that of its file, their lower end where it has none."""
+    """Rest command within a range: that of the simulator's file, or the lower end without one."""
     return rest_within(simulator.rest_command, commands.lower, commands.upper)
 
 
 def conditioned(simulator: Simulator, commands: Range) -> tuple[float, Vec]:
-    """Angle [deg] and state at the command of rest after the initialisation flexure and a rest.
+    """Angle [deg] and state at the rest command after the initialisation flexure and a rest.
 
-    The rest lasts until lags have settled, and creep within ten minutes. What follows a clock stands still meanwhile:
-    the clock starts with the run. Before the flexure the device is at its lowest command.
+    The rest lasts until lags have settled, and creep within ten minutes. Clock-driven effects are frozen meanwhile: the
+    clock starts with the run. Before the flexure the device is at its lowest command.
     """
     rest = rest_of(simulator, commands)
     flexure = initialisation_flexure(commands, simulator.dt_s, warmup_samples=1, rest=rest)
@@ -194,14 +188,14 @@ def conditioned(simulator: Simulator, commands: Range) -> tuple[float, Vec]:
 
 
 def fresh(simulator: Simulator, commands: Range) -> tuple[float, Vec]:
-    """Angle [deg] and state at the command of rest of a device that was never bent further."""
+    """Angle [deg] and state at the rest command of a device without any earlier flexure."""
     rest = rest_of(simulator, commands)
     samples = round(settling_s(simulator.chain) / simulator.dt_s) if rest > commands.lower else 0
     return _run(simulator, _lowest(simulator, commands), np.full(1 + samples, rest))
 
 
 def _lowest(simulator: Simulator, commands: Range) -> Vec:
-    """State (S,) at rest at the lowest command, where the device shows the least angle that was seen, or nearly so."""
+    """State (S,) at rest at the lowest command and nearly the least trained angle."""
     return CompiledPredictor.of_simulator(simulator).initial(simulator.trained_angle_deg.lower, commands.lower)
 
 

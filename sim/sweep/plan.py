@@ -1,21 +1,27 @@
-"""The rows of a sweep: settings of each run, and an identity that depends on nothing else."""
+"""Rows of a sweep: settings and identity of each run, and the run itself in a worker process."""
 
 from __future__ import annotations
 
 import itertools
 import json
+import platform
+import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import dataclass, fields, replace
+from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any
 
 from hystmpc.models.load import model_path
+from hystmpc.models.prediction.build import ControllerModel, controller_model
 from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.json_text import canonical, file_hash, json_hash
 
 from ..config import SimulationConfig
-from ..plants.make import plant_hash
+from ..jobs import attempt
+from ..plants.device import plant_hash
+from ..results import TrackingMetrics, result_of
+from ..study import prepare
 from .settings import SweepSettings, changed, drawn, label, path_parts, place
 
 _KNOWLEDGE = ("model", "inverse", "actuator_lag_s")  # costly to open, so that they change last
@@ -24,68 +30,39 @@ _ID_DIGITS = 16
 
 @dataclass(frozen=True)
 class SweepRow:
-    """One closed-loop run.
+    """One closed-loop run."""
 
-    Attributes:
-        id: of settings and model files, 16 hexadecimal digits.
-        factors: what was varied, by path; names of grid values, values of draws.
-        settings: the study with this controller and motion alone, as JSON.
-        files: SHA-256 of plant, model and inverse.
-    """
-
-    id: str
+    id: str  # hash of settings and model files, 16 hexadecimal digits
     controller: str
     motion: str
-    factors: Mapping[str, Any]
+    factors: Mapping[str, Any]  # varied settings by path: names of grid values, values of draws
     draw: int
     seed: int
-    settings: str
-    files: tuple[str, ...]
+    settings: str  # the study with this controller and motion alone, as JSON
+    files: tuple[str, ...]  # SHA-256 of plant, model and inverse
 
     def config(self) -> SimulationConfig:
-        """The settings.
-
-        Raises:
-            ConfigError: if they are none of this version.
-        """
+        """The settings."""
         return SimulationConfig.parse(json.loads(self.settings), f"row {self.id}")
 
 
-class Hashes:
-    """SHA-256 of model files and of a device's numbers, each made once."""
+def file_hashes(config: SimulationConfig, known: dict[str, str] | None = None) -> tuple[str, ...]:
+    """SHA-256 of plant, model and inverse; `known` stores those of files by name."""
+    known = {} if known is None else known
 
-    def __init__(self) -> None:
-        self._known: dict[str, str] = {}
+    def of(name: str) -> str:
+        if name not in known:
+            known[name] = file_hash(model_path(name))
+        return known[name]
 
-    def of(self, config: SimulationConfig) -> tuple[str, ...]:
-        """Hashes of plant, model and inverse.
-
-        Raises:
-            ConfigError: if a file cannot be read.
-            ModelError: on an unknown built-in model.
-        """
-        device = config.plant.simulator
-        plant = plant_hash(config.plant) if device is None else self._hash(device)
-        return (plant, *self.of_models(config))
-
-    def of_models(self, config: SimulationConfig) -> tuple[str, ...]:
-        """Hashes of model and inverse.
-
-        Raises:
-            ConfigError: if a file cannot be read.
-            ModelError: on an unknown built-in model.
-        """
-        return tuple(self._hash(name) for name in (config.model, config.inverse) if name is not None)
-
-    def _hash(self, name: str) -> str:
-        if name not in self._known:
-            self._known[name] = file_hash(model_path(name))
-        return self._known[name]
+    simulator = config.plant.simulator
+    plant = plant_hash(config.plant) if simulator is None else of(simulator)
+    return (plant, *(of(name) for name in (config.model, config.inverse) if name is not None))
 
 
 @dataclass(frozen=True)
 class SweepPlan:
-    """All rows of a sweep, made as they are asked for."""
+    """All rows of a sweep, made on demand."""
 
     settings: SweepSettings
     source: Path | None = None
@@ -98,12 +75,9 @@ class SweepPlan:
         return tuple(dict(zip(paths, point, strict=True)) for point in itertools.product(*values))
 
     def rows(self) -> Iterator[SweepRow]:
-        """Row after row, none twice.
-
-        Raises:
-            ConfigError: if a path or value does not fit the study.
-        """
-        settings, hashes, seen = self.settings, Hashes(), set()
+        """Rows of the plan, without duplicates."""
+        settings, seen = self.settings, set()
+        hashes: dict[str, str] = {}
         for point in self.grid:
             at_point = self._at(point)
             for number in range(settings.count):
@@ -117,7 +91,7 @@ class SweepPlan:
                             yield row
 
     def check(self) -> int:
-        """Number of rows, equal ones counted apart, after every grid point and every end of a draw was tried.
+        """Number of rows, duplicates included, after a check of every grid point and every end of a draw.
 
         Raises:
             ConfigError: if a path or value does not fit the study; names the line.
@@ -144,7 +118,7 @@ class SweepPlan:
         return {path: float(v) if kinds[path] == "number" else label(v) for path, v in values.items()}
 
     def _at(self, point: Mapping[str, tuple[str, Any]]) -> Any:
-        """The study at a grid point, with everything in it that a whole block among the values has left out."""
+        """The study at a grid point, with defaults for keys that a block among the values leaves out."""
         data = self._with(self.settings.base, {path: value for path, (_, value) in point.items()}, "grid")
         return self._study(data).model_dump(mode="json") if point else data
 
@@ -167,18 +141,20 @@ class SweepPlan:
         return f"{place(self.source, *keys)}{'.'.join(keys)}"
 
     def _blamed(self, at: Sequence[str]) -> tuple[str, ...]:
-        """The entry of the sweep with the longest path to a setting; marks of validators between are passed over."""
-        found: tuple[int, tuple[str, ...]] = (0, ("base", *at))
+        """Entry of the sweep with the longest path to a setting; marks of validators between are skipped."""
+        longest: tuple[int, tuple[str, ...]] = (0, ("base", *at))
         for block, paths in (("grid", self.settings.grid), ("draw", self.settings.draw)):
             for path in paths:
                 parts, left = path_parts(path), iter(at)
-                if len(parts) > found[0] and all(part in left for part in parts):
-                    found = len(parts), (block, path)
-        return found[1]
+                if len(parts) > longest[0] and all(part in left for part in parts):
+                    longest = len(parts), (block, path)
+        return longest[1]
 
 
-def _rows(config: SimulationConfig, factors: Mapping[str, Any], number: int, hashes: Hashes) -> Iterator[SweepRow]:
-    files = hashes.of(config)
+def _rows(
+    config: SimulationConfig, factors: Mapping[str, Any], number: int, hashes: dict[str, str]
+) -> Iterator[SweepRow]:
+    files = file_hashes(config, hashes)
     for motion in config.motions:
         for controller in config.controllers:
             text = canonical(config.narrowed(controller, motion).model_dump(mode="json"))
@@ -192,7 +168,71 @@ def row_id(row: SweepRow) -> str:
 
 
 def _kind(values: Iterable[Any], names: Iterable[str] | None = None) -> str:
-    """`number` if all values are, and go by no other names."""
+    """`number` if all values are numbers without other names."""
     values = list(values)
     numbers = all(isinstance(value, int | float) and not isinstance(value, bool) for value in values)
     return "number" if numbers and (names is None or list(names) == [label(value) for value in values]) else "text"
+
+
+# Columns of every row besides the factors, in the order of the table.
+ROW_COLUMNS = ("id", "status", "message", "controller", "motion", "draw", "seed")
+RESULT_COLUMNS = tuple(f.name for f in fields(TrackingMetrics) if not f.name.startswith("step_"))
+COST_COLUMNS = ("samples", "step_mean_s", "step_p99_s", "wall_s", "cpu_s", "host", "files", "settings")
+_KEPT = 4  # models a process keeps ready
+
+
+def run_row(row: SweepRow) -> dict[str, Any]:
+    """Row of the table for one run; an error becomes a row with its message."""
+    busy = time.process_time()
+    made = attempt(lambda: _figures(row))
+    return {
+        **dict.fromkeys((*RESULT_COLUMNS, "samples", "step_mean_s", "step_p99_s")),
+        **(made.value or {}),
+        "status": "failed" if made.value is None else "done",
+        "message": made.error,
+        "id": row.id,
+        "controller": row.controller,
+        "motion": row.motion,
+        "draw": row.draw,
+        "seed": row.seed,
+        **row.factors,
+        "wall_s": made.seconds,
+        "cpu_s": time.process_time() - busy,
+        "host": platform.node(),
+        "files": json.dumps(row.files),
+        "settings": row.settings,
+    }
+
+
+def _figures(row: SweepRow) -> dict[str, Any]:
+    if file_hashes(row.config()) != row.files:
+        raise ConfigError("a model file has changed since the row was planned")
+    metrics, samples = run_settings(row.config())
+    return {"samples": samples} | metrics_columns(metrics)
+
+
+def run_settings(config: SimulationConfig) -> tuple[TrackingMetrics, int]:
+    """Metrics and samples of a study with one controller and one motion."""
+    study = prepare(config, shared_knowledge(config))
+    ((motion, _),) = study.motions.items()
+    ((name, settings),) = study.config.controllers.items()
+    run = study.run(settings, motion)
+    return result_of(study.config, motion, name, run).metrics, len(run.true_deg)
+
+
+def shared_knowledge(config: SimulationConfig) -> ControllerModel:
+    """Opened models, once a process for each model, inverse and lag."""
+    return _kept_knowledge(config.model, config.inverse, config.actuator_lag_s, file_hashes(config)[1:])
+
+
+@lru_cache(maxsize=_KEPT)
+def _kept_knowledge(model: str, inverse: str | None, actuator_lag_s: float, files: tuple[str, ...]) -> ControllerModel:
+    del files  # of the key: a file that has changed is opened again
+    return controller_model(model, inverse, actuator_lag_s)
+
+
+def metrics_columns(metrics: TrackingMetrics) -> dict[str, Any]:
+    """Metrics as columns: those that a repetition reproduces to the last bit, and the times of a step."""
+    columns = {name: getattr(metrics, name) for name in RESULT_COLUMNS if name != "ladder"}
+    times = {"step_mean_s": metrics.step_mean_s, "step_p99_s": metrics.step_p99_s}
+    return columns | times | {"ladder": canonical(metrics.ladder)}

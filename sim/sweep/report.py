@@ -18,7 +18,7 @@ from hystmpc.trials.report import REFERENCE, Heading, KeyValues, Paragraph, Piec
 from hystmpc.trials.types import Vec
 
 from ..results import colours
-from .table import Column, numbers, selected, table_of, texts
+from .table import Column, numbers, table_of, texts
 
 _FEW = ((100.0, (1,)), (8.0, (1, 2, 5)))  # from this ratio of the ends on only these leading digits are shown
 _FIGURES = ("rmse_deg", "max_abs_deg", "hold_error_deg", "command_travel", "limit_violations", "step_mean_s", "cpu_s")
@@ -29,7 +29,7 @@ _SHORT = 28
 
 
 def plain_log(axis: Axis) -> None:
-    """Ticks of a logarithmic axis as 0.4, 1, 2 and not as powers of ten; fewer the more decades there are."""
+    """Ticks of a logarithmic axis as 0.4, 1, 2 in place of powers of ten; fewer over more decades."""
 
     def text(value: float, _: object) -> str:
         low, high = sorted(axis.get_view_interval())
@@ -43,41 +43,40 @@ def plain_log(axis: Axis) -> None:
 
 @dataclass(frozen=True, eq=False)
 class SweepView:
-    """The rows of one plan.
-
-    Attributes:
-        table: columns (N,).
-    """
+    """Rows of one plan: columns (N,) of the table, and kinds of the factors."""
 
     table: Mapping[str, Column]
     factors: Mapping[str, str]
 
     @classmethod
     def of(cls, folder: Path, factors: Mapping[str, str], ids: set[str]) -> SweepView:
-        """Read what the report needs.
-
-        Raises:
-            LogError: if a file is damaged.
-        """
+        """Columns of the report for the rows with these ids."""
         table = table_of(folder, dict.fromkeys([*_NAMES, *factors]))
-        ours = np.array([str(identity) in ids for identity in table["id"]], dtype=bool)
-        return cls(selected(table, ours), factors)
+        return cls(table, factors).rows(np.array([str(identity) in ids for identity in table["id"]], dtype=bool))
+
+    def rows(self, chosen: NDArray[np.bool_]) -> SweepView:
+        """Rows of a mask (N,)."""
+        k = np.flatnonzero(chosen)
+        columns = self.table.items()
+        return SweepView(
+            {name: c[k] if isinstance(c, np.ndarray) else [c[j] for j in k] for name, c in columns}, self.factors
+        )
 
     def done(self) -> SweepView:
-        """The rows that have figures."""
-        return SweepView(selected(self.table, np.array(self.table["status"]) == "done"), self.factors)
+        """Rows that have figures."""
+        return self.rows(np.array(self.table["status"]) == "done")
 
     def failed(self) -> list[tuple[str, str]]:
-        """Id and error of every row that has none."""
+        """Id and error of every failed row."""
         columns = (self.table[name] for name in ("id", "status", "message"))
         return [(str(i), str(message)) for i, status, message in zip(*columns, strict=True) if status != "done"]
 
     def where(self, name: str, value: str) -> SweepView:
-        """The rows whose text is this."""
-        return SweepView(selected(self.table, np.array(texts(self.table, name)) == value), self.factors)
+        """Rows with this text in a column."""
+        return self.rows(np.array(texts(self.table, name)) == value)
 
     def names(self, name: str) -> tuple[str, ...]:
-        """The different texts of a column, in order."""
+        """Distinct texts of a column, in order."""
         return tuple(dict.fromkeys(texts(self.table, name)))
 
     def figures(self, name: str) -> Vec:
@@ -86,7 +85,7 @@ class SweepView:
 
 
 def sweep_report(view: SweepView, meta: Mapping[str, Any]) -> Report:
-    """The page of a sweep."""
+    """Page of a sweep."""
     done, failed = view.done(), view.failed()
     pieces: list[Piece] = [Heading("Runs"), KeyValues(_facts(view, done, meta))]
     if failed:
@@ -173,7 +172,7 @@ def _by_factor(done: SweepView) -> Iterator[Piece]:
     for path, kind in done.factors.items():
         rows = []
         for level, rows_of in _levels(done, path, kind):
-            part = SweepView(selected(done.table, rows_of), done.factors)
+            part = done.rows(rows_of)
             errors = [part.where("controller", name).figures("rmse_deg") for name in controllers]
             rows.append((level, len(part.table["id"]), *(_pair(e) for e in errors)))
         yield Table((path, "runs", *controllers), rows)

@@ -15,24 +15,31 @@ from hystmpc.trials.types import Progress
 
 from ..compare import compare
 from ..config import SimulationConfig
-from ..jobs.backend import Backend
-from ..jobs.runner import run_jobs
-from .plan import Hashes, SweepPlan, SweepRow
+from ..jobs import Backend, run_jobs
+from .plan import (
+    COST_COLUMNS,
+    RESULT_COLUMNS,
+    ROW_COLUMNS,
+    SweepPlan,
+    SweepRow,
+    file_hashes,
+    metrics_columns,
+    run_row,
+    run_settings,
+)
 from .report import SweepView, sweep_report
 from .settings import SweepSettings, sweep_in
 from .table import COPY, TABLE, RunTable, rows_of
-from .worker import COST_COLUMNS, RESULT_COLUMNS, ROW_COLUMNS, metrics_columns, run_row, run_settings
 
 _NEAR = 20  # ids that an error names
 
 
 @dataclass(frozen=True)
 class SweepOutcome:
-    """Outcome of a sweep.
+    """Outcome of a sweep: files and counts of rows.
 
     Attributes:
-        failed: rows whose run could not be made, with the first error.
-        others: rows of the table that are none of this plan, made by an earlier form of the sweep.
+        failed, message: rows whose run failed, with the first error.
     """
 
     table: Path
@@ -41,7 +48,7 @@ class SweepOutcome:
     kept: int
     failed: int
     message: str
-    others: int
+    others: int  # rows of the table outside this plan, made by an earlier form of the sweep
 
 
 def run_sweep(
@@ -51,14 +58,14 @@ def run_sweep(
     progress: Progress | None = None,
     source: Path | None = None,
 ) -> SweepOutcome:
-    """Run every row that is not done yet, keep all of them in one table, and report.
+    """Run every row that is not done yet, collect all of them in one table, and report.
 
     Args:
         settings: with the study in them, as `load_sweep` gives them.
         out: a new or empty folder, or one of a sweep, whose rows are kept; the sweep may have grown or changed.
 
     Raises:
-        ConfigError: if settings do not fit the study, the folder holds something else, or workers die again and again.
+        ConfigError: if settings do not fit the study, the folder holds something else, or workers die repeatedly.
         LogError: if the table is damaged.
         ModelError: on an unknown built-in model.
         KeyboardInterrupt: if the user ended it; finished rows are kept.
@@ -77,10 +84,10 @@ def run_sweep(
             return row.id in done
 
         try:
-            for found in run_jobs(
+            for row_done in run_jobs(
                 run_row, plan.rows(), backend, is_done=is_done, total=total, progress=progress, note=lambda r: r["id"]
             ):
-                table.add(found)
+                table.add(row_done)
         finally:
             copy = table.copy(columns_of(plan))
         if copy is None:
@@ -98,12 +105,7 @@ def columns_of(plan: SweepPlan) -> tuple[str, ...]:
 
 
 def open_folder(path: Path, settings: SweepSettings) -> RunFolder:
-    """A new run folder, or the one that a sweep left.
-
-    Raises:
-        ConfigError: if it holds something else, or the table of a version that wrote none in SQLite.
-        LogError: if it holds a run of another format.
-    """
+    """Run folder, new or of an earlier call; a `ConfigError` if it holds something else."""
     plain = settings.model_dump(mode="json")
     plain["draw"] = {name: draw.model_dump(mode="json", exclude_none=True) for name, draw in settings.draw.items()}
 
@@ -120,7 +122,7 @@ def open_folder(path: Path, settings: SweepSettings) -> RunFolder:
 
 @dataclass(frozen=True)
 class ReproducedFigure:
-    """One figure of a row: as the table has it, as it came out again."""
+    """Figure of a row in the table and in its repetition."""
 
     name: str
     before: Any
@@ -128,40 +130,37 @@ class ReproducedFigure:
 
     @property
     def equal(self) -> bool:
-        """Whether they are the same to the last bit; both missing is the same."""
+        """Whether both are equal to the last bit; both missing counts as equal."""
         both_nan = all(isinstance(v, float) and math.isnan(v) for v in (self.before, self.again))
         return both_nan or bool(self.before == self.again)
 
 
 def reproduce(folder: Path | str, identity: str, out: Path | str | None = None) -> tuple[ReproducedFigure, ...]:
-    """Run one row from nothing but what the table says of it.
+    """Repetition of one row from the table alone; returns every figure that does not depend on the machine's speed.
 
     Args:
-        identity: of the row, or its first digits where no other begins with them.
-
-    Returns:
-        Every figure that does not depend on how fast the machine is.
+        identity: of the row, or its first digits where they are unique.
 
     Raises:
         ConfigError: if there is no such row, a model file has changed, or `out` is not vacant.
-        LogError: if the folder holds no table, or the row's run could not be made before.
-        HystmpcError: if it cannot be made now.
+        LogError: if the folder holds no table, or the row failed before.
+        HystmpcError: if it cannot be run now.
     """
     row = _row(Path(folder), identity)
     config = SimulationConfig.parse(json.loads(str(row["settings"])), f"{folder}: row {row['id']}")
-    if list(Hashes().of(config)) != json.loads(str(row["files"])):
+    if list(file_hashes(config)) != json.loads(str(row["files"])):
         raise ConfigError(f"{folder}: row {row['id']}: a model file has changed since, expected those of the sweep")
     if out is not None:
         metrics = compare(config, out).results[0].metrics
     else:
         metrics, _ = run_settings(config)
-    again = metrics_columns(metrics)
+    repeated = metrics_columns(metrics)
     before = {name: math.nan if row[name] is None else row[name] for name in RESULT_COLUMNS}
-    return tuple(ReproducedFigure(name, before[name], again[name]) for name in RESULT_COLUMNS)
+    return tuple(ReproducedFigure(name, before[name], repeated[name]) for name in RESULT_COLUMNS)
 
 
 def _row(folder: Path, identity: str) -> dict[str, Any]:
-    """The row of an id, or of the only id that begins so."""
+    """Row with an id, or with the only id that begins so."""
     if not (folder / TABLE).exists():
         raise LogError(f"{folder}: no table of runs in it, expected the folder of a sweep")
     rows = list(rows_of(folder, identity, settings=True))

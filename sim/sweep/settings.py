@@ -28,9 +28,9 @@ class DrawSettings(Settings):
 
     Attributes:
         log_uniform: lower and upper end, both positive; the logarithm is uniform.
-        uniform: lower and upper end; every number between is as likely.
-        integer: lowest and highest whole number, both included.
-        choice: the values there are; each is as likely.
+        uniform: lower and upper end.
+        integer: lowest and highest whole number, both included; equally likely.
+        choice: values; equally likely.
     """
 
     uniform: tuple[float, float] | None = None
@@ -54,7 +54,7 @@ class DrawSettings(Settings):
 
     @property
     def ends(self) -> tuple[Any, ...]:
-        """Values that any draw lies between, or all that there are."""
+        """Bounds of any draw, or all values of a choice."""
         return next(v for v in (self.choice, self.uniform, self.log_uniform, self.integer) if v is not None)
 
     def sample(self, random: np.random.Generator) -> Any:
@@ -72,7 +72,7 @@ class DrawSettings(Settings):
 def drawn(draws: Mapping[str, DrawSettings], seed: int, number: int) -> dict[str, Any]:
     """Draw number `number` of every path.
 
-    Each path has random numbers of its own, so that neither a further path nor more draws change those there are.
+    Each path has its own random numbers, so that neither a further path nor more draws change the others.
     """
     return {
         path: draw.sample(np.random.default_rng([seed, number, crc32(path.encode())])) for path, draw in draws.items()
@@ -121,12 +121,12 @@ class SweepSettings(Settings):
 
 
 def label(value: Any) -> str:
-    """A value as text: itself where it is one, JSON where it is not."""
+    """Value as text: itself where it is one, JSON otherwise."""
     return value if isinstance(value, str) else json.dumps(value)
 
 
 def load_sweep(path: Path | str, overrides: Iterable[str] = ()) -> SweepSettings:
-    """Read a sweep; its study is read too and stands in it, every file name absolute.
+    """Settings of a sweep with its study, every file name absolute.
 
     Raises:
         ConfigError: on an unreadable file, a malformed override, an unknown key or a value out of bounds.
@@ -136,23 +136,13 @@ def load_sweep(path: Path | str, overrides: Iterable[str] = ()) -> SweepSettings
 
 
 def with_base(settings: SweepSettings, path: Path) -> SweepSettings:
-    """The sweep with its study in it.
-
-    Raises:
-        ConfigError: if the study is wrong.
-        ModelError: on an unknown built-in model.
-    """
+    """The sweep with its study in it."""
     study = study_of(settings.base, path)
     return settings.model_copy(update={"base": study.model_dump(mode="json")})
 
 
 def study_of(base: str | dict[str, Any], path: Path) -> SimulationConfig:
-    """The study that another settings file names or holds.
-
-    Raises:
-        ConfigError: if it cannot be read or is wrong.
-        ModelError: on an unknown built-in model.
-    """
+    """Study that another settings file names or contains."""
     folder = path.resolve().parent
     if isinstance(base, str):
         return load_simulation(folder / base)
@@ -164,7 +154,7 @@ def study_of(base: str | dict[str, Any], path: Path) -> SimulationConfig:
 
 
 def sweep_in(folder: Path) -> SweepSettings | None:
-    """The sweep of a run folder, None where it holds another kind of run.
+    """Sweep of a run folder, None where it holds another kind of run.
 
     Raises:
         ConfigError: if its settings are damaged.
@@ -180,7 +170,7 @@ def sweep_in(folder: Path) -> SweepSettings | None:
 
 
 def path_parts(path: str) -> tuple[str, ...]:
-    """Keys of a dotted path; a key with dots in it stands in double quotes.
+    """Keys of a dotted path; a key with dots stands in double quotes.
 
     Raises:
         ConfigError: if it is no path.
@@ -191,19 +181,18 @@ def path_parts(path: str) -> tuple[str, ...]:
 
 
 def changed(data: Any, path: str, value: Any) -> Any:
-    """A copy of plain data with one value in another's place; the given data stays as it is.
+    """Copy of plain data with one value replaced.
 
-    The block that holds the value has to be there, so that a wrong name is found; whether it takes the key is for the
-    settings to say. A block that is null counts as empty.
+    The block of the value has to exist, so that a wrong name is detected; a block that is null counts as empty.
 
     Raises:
-        ConfigError: if a block is not there; names the nearest key.
+        ConfigError: if a block does not exist; names the nearest key.
     """
     return _changed(data, path_parts(path), value, path)
 
 
 def value_at(data: Any, path: str) -> Any:
-    """The value at a path.
+    """Value at a path.
 
     Raises:
         ConfigError: if there is none; names the nearest key.
@@ -243,9 +232,5 @@ def _index(data: list[Any], part: str, path: str) -> int:
 
 
 def place(file: Path | str | None, *keys: str) -> str:
-    """`FILE, line N: ` of a key in a YAML file, to begin a message with; less where the file does not tell.
-
-    Args:
-        file: that was read, None for settings that came from none.
-    """
+    """`FILE, line N: ` of a key in a YAML file as a prefix of messages; empty for settings without a file."""
     return "" if file is None else f"{place_in(file)(keys)}: "

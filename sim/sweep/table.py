@@ -18,7 +18,6 @@ from pathlib import Path
 from typing import Any, final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hystmpc.trials.errors import LogError
 from hystmpc.trials.json_text import plain
@@ -38,10 +37,9 @@ _PAUSE = 10.0  # time between two writings over the time that one takes: writing
 
 @final
 class RunTable:
-    """Rows by `id`, each written whole or not at all; of a repeated run the last successful row is kept.
+    """Rows by `id` in one SQLite file, each written whole or not at all; the last successful run of a row is kept.
 
-    Args:
-        folder: of the sweep; the file is made where there is none.
+    `folder` is that of the sweep; the file is created where it is missing.
 
     Raises:
         LogError: if the file is damaged or cannot be written.
@@ -55,31 +53,19 @@ class RunTable:
             base.execute(_CREATE)
 
     def done(self) -> set[str]:
-        """Ids of the rows that need no repetition.
-
-        Raises:
-            LogError: if the file is damaged.
-        """
+        """Ids of the rows that need no repetition."""
         with _opened(self._folder) as base:
             return {identity for (identity,) in base.execute("SELECT id FROM runs WHERE status = 'done'")}
 
     def add(self, row: Mapping[str, Any]) -> None:
-        """Take a row: `id`, `status`, `settings` (JSON), and figures that are numbers, texts or None.
-
-        Raises:
-            LogError: if the file is damaged or cannot be written.
-        """
+        """Take a row: `id`, `status`, `settings` (JSON), and figures that are numbers, texts or None."""
         figures = plain({name: value for name, value in row.items() if name not in ("id", "status", "settings")})
         self._rows.append((row["id"], row["status"], row.get("settings", ""), json.dumps(figures)))
         if time.monotonic() - self._written >= _PAUSE * self._cost_s:
             self.flush()
 
     def flush(self) -> None:
-        """Write the rows taken so far, all or none of them.
-
-        Raises:
-            LogError: if the file is damaged or cannot be written.
-        """
+        """Write the rows taken so far, all or none of them."""
         start = time.monotonic()
         with _opened(self._folder) as base:
             base.executemany(_PUT, self._rows)
@@ -88,13 +74,9 @@ class RunTable:
         self._cost_s = self._written - start
 
     def copy(self, names: Iterable[str]) -> Path | None:
-        """Write all rows as CSV, whole or not at all, without the settings; None where there is no row.
+        """Write all rows as CSV, whole or not at all, without the settings; None without a row.
 
-        Args:
-            names: of the first columns; columns that only rows of earlier forms of the sweep have come after them.
-
-        Raises:
-            LogError: if the file is damaged.
+        `names` are the first columns; columns of rows of earlier forms of the sweep follow.
         """
         self.flush()
         columns = dict.fromkeys(name for name in names if name not in _NOT_COPIED)
@@ -116,7 +98,7 @@ class RunTable:
 
 
 def rows_of(folder: Path, prefix: str = "", *, settings: bool = False) -> Iterator[dict[str, Any]]:
-    """Rows of a table in the order in which they came; none where there is no table.
+    """Rows of a table in the order in which they came; none without a table.
 
     Args:
         prefix: first digits of their ids.
@@ -131,12 +113,12 @@ def rows_of(folder: Path, prefix: str = "", *, settings: bool = False) -> Iterat
     query = f"SELECT id, status, {text}, figures FROM runs WHERE substr(id, 1, ?) = ? ORDER BY rowid"
     with _opened(folder) as base:
         for identity, status, held, figures in base.execute(query, (len(prefix), prefix)):
-            own = {"settings": held} if settings else {}
-            yield {"id": identity, "status": status, **json.loads(figures), **own}
+            more = {"settings": held} if settings else {}
+            yield {"id": identity, "status": status, **json.loads(figures), **more}
 
 
 def table_of(folder: Path, names: Iterable[str]) -> dict[str, Column]:
-    """Columns (N,) of a table; a missing figure is NaN among numbers, None among texts and where none has it.
+    """Columns (N,) of a table; a missing figure is NaN among numbers, None among texts and in a column without values.
 
     Raises:
         LogError: if the file is damaged.
@@ -160,17 +142,6 @@ def texts(table: Mapping[str, Column], name: str) -> list[str]:
     ]
 
 
-def selected(table: Mapping[str, Column], rows: NDArray[np.bool_]) -> dict[str, Column]:
-    """Some rows of a table.
-
-    Args:
-        table: columns (N,).
-        rows: which, (N,).
-    """
-    where = np.flatnonzero(rows)
-    return {name: c[where] if isinstance(c, np.ndarray) else [c[k] for k in where] for name, c in table.items()}
-
-
 def _column(values: Sequence[Any]) -> Column:
     """Numbers as an array (N,), NaN where there is none; with a text among them, or without any value, texts."""
     kinds = {type(value) for value in values} - {type(None)}
@@ -181,11 +152,7 @@ def _column(values: Sequence[Any]) -> Column:
 
 @contextmanager
 def _opened(folder: Path) -> Iterator[sqlite3.Connection]:
-    """One transaction: all of it is kept, or none where it ends in an error.
-
-    Raises:
-        LogError: if the file is damaged, or cannot be read or written.
-    """
+    """Transaction, applied whole or not at all; a `LogError` if the file is damaged, or cannot be read or written."""
     path = folder / TABLE
     try:
         with closing(sqlite3.connect(path, timeout=_BUSY_S)) as base, base:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -15,12 +16,11 @@ from hystmpc.trials.brief import in_brief
 from hystmpc.trials.types import Progress, Vec
 
 from ..config import SimulationConfig
-from ..jobs.backend import Backend
-from ..jobs.runner import run_jobs
+from ..jobs import Backend, run_jobs
 from ..results import result_of
 from ..study import Study, prepare
+from ..sweep.plan import shared_knowledge
 from ..sweep.settings import changed, drawn
-from ..sweep.worker import shared_knowledge
 from .settings import ObjectiveSettings, PlantsSettings, TuneSettings
 
 if TYPE_CHECKING:
@@ -33,27 +33,17 @@ State = Literal["done", "pruned", "failed", "elsewhere"]
 
 @dataclass(frozen=True)
 class PlantScore:
-    """One controller on one plant, all motions.
+    """Score of one controller on one plant over all motions."""
 
-    Attributes:
-        error_deg: root mean square error over all motions [deg].
-        travel: command travel over the need of the motions; 1 is a command that does no more than it must.
-        violations: samples beyond a limit.
-    """
-
-    error_deg: float
-    travel: float
-    violations: int
+    error_deg: float  # root mean square error [deg]
+    travel: float  # command travel relative to the need of the motions; 1 is the least
+    violations: int  # samples beyond a limit
 
 
 def plant_config(
     settings: TuneSettings, plants: PlantsSettings, number: int, controller: AnyControllerSettings
 ) -> SimulationConfig:
-    """The study of plant `number` of a set.
-
-    Raises:
-        ConfigError: if a draw does not fit the study.
-    """
+    """Study of plant `number` of a set."""
     data = settings.base
     for path, value in drawn(settings.draw, plants.seed, number).items():
         data = changed(data, path, value)
@@ -64,11 +54,7 @@ def plant_config(
 
 
 def plant_score(config: SimulationConfig) -> PlantScore:
-    """Run one controller along every motion.
-
-    Raises:
-        HystmpcError: what `prepare` raises.
-    """
+    """Score of one controller along every motion."""
     study = prepare(config, shared_knowledge(config))
     ((name, controller),) = study.config.controllers.items()
     squares, travel, need, beyond = [], 0.0, 0.0, 0
@@ -112,19 +98,9 @@ def robust(costs: Sequence[float] | Vec, objective: ObjectiveSettings) -> float:
     return total / (objective.mean + objective.tail)
 
 
-@dataclass(frozen=True)
-class HeldOutCase:
-    """One controller on one held-out plant."""
-
-    name: str
-    plant: int
-    values: dict[str, Any]
-    settings: TuneSettings
-
-
 @dataclass(frozen=True, eq=False)
 class HeldOut:
-    """Scores on the held-out plants, the same plants and noise for both."""
+    """Scores on the held-out plants, with the same plants and noise for both settings."""
 
     given: tuple[PlantScore, ...]
     tuned: tuple[PlantScore, ...]
@@ -160,7 +136,7 @@ class HeldOut:
 
     @property
     def better(self) -> int:
-        """Plants on which the tuned settings cost less."""
+        """Number of plants on which the tuned settings cost less."""
         return int(np.sum(self.costs("tuned") < self.costs("given")))
 
     def rows(self) -> list[tuple[str, float, float, float, float, int]]:
@@ -174,7 +150,7 @@ class HeldOut:
         return rows
 
     def columns(self) -> dict[str, Any]:
-        """A table, a row a plant."""
+        """Table with one row for each plant."""
         table: dict[str, Any] = {"plant": np.arange(len(self.given))}
         for name in _NAMES:
             scores: tuple[PlantScore, ...] = getattr(self, name)
@@ -188,50 +164,28 @@ class HeldOut:
 def held_out(
     settings: TuneSettings, values: dict[str, Any], backend: Backend, progress: Progress | None = None
 ) -> HeldOut:
-    """Run given and tuned settings on every held-out plant.
-
-    Raises:
-        ConfigError: if a draw does not fit the study.
-    """
-    names: dict[str, dict[str, Any]] = {"given": {}, "tuned": values}
-    count = settings.held_out.count
-    cases = [HeldOutCase(name, number, own, settings) for number in range(count) for name, own in names.items()]
-    found: dict[str, dict[int, PlantScore]] = {name: {} for name in names}
-    done = run_jobs(run_case, cases, backend, total=len(cases), progress=progress, note=lambda _: "held-out plants")
-    for name, number, score in done:
-        found[name][number] = score
-    given, tuned = (tuple(found[name][number] for number in range(count)) for name in _NAMES)
+    """Scores of given and tuned settings on every held-out plant."""
+    cases = [(name, number) for number in range(settings.held_out.count) for name in _NAMES]
+    scored = partial(_held_out_score, settings, values)
+    scores = dict(
+        run_jobs(scored, cases, backend, total=len(cases), progress=progress, note=lambda _: "held-out plants")
+    )
+    given, tuned = (tuple(scores[name, number] for number in range(settings.held_out.count)) for name in _NAMES)
     return HeldOut(given, tuned, settings.objective)
 
 
-def run_case(case: HeldOutCase) -> tuple[str, int, PlantScore]:
-    """One controller on one held-out plant.
-
-    Raises:
-        HystmpcError: what preparing the study raises.
-    """
-    settings, controller = case.settings, case.settings.with_values(case.values)
-    return case.name, case.plant, plant_score(plant_config(settings, settings.held_out, case.plant, controller))
-
-
-@dataclass(frozen=True)
-class Ticket:
-    """One trial of a search, to be done by whoever comes first.
-
-    Attributes:
-        slot: number of the trial; slot 0 has the settings as they were given.
-        storage: where the search is kept, as Optuna names it.
-    """
-
-    slot: int
-    storage: str
-    study: str
-    settings: TuneSettings
+def _held_out_score(
+    settings: TuneSettings, tuned: Mapping[str, Any], case: tuple[str, int]
+) -> tuple[tuple[str, int], PlantScore]:
+    """Score of the given or the tuned settings on one held-out plant, with its case."""
+    name, number = case
+    controller = settings.with_values(dict(tuned) if name == "tuned" else {})
+    return case, plant_score(plant_config(settings, settings.held_out, number, controller))
 
 
 @dataclass(frozen=True)
-class TicketOutcome:
-    """Outcome of a ticket; `elsewhere`: another process does it."""
+class SlotOutcome:
+    """Outcome of one trial of a search; `elsewhere`: another process executes it."""
 
     slot: int
     state: State
@@ -240,26 +194,19 @@ class TicketOutcome:
 
 @dataclass(frozen=True)
 class SearchTrial:
-    """A trial of a search.
-
-    Attributes:
-        state: `done` or `pruned`.
-        value: robust objective over the plants that it has seen [deg].
-        error_deg: robust objective of the bare errors [deg].
-        travel: mean command travel over the need.
-    """
+    """A trial of a search."""
 
     slot: int
-    state: State
-    value: float
+    state: State  # `done` or `pruned`
+    value: float  # robust objective over the plants so far [deg]
     values: Mapping[str, Any]
-    error_deg: float
-    travel: float
+    error_deg: float  # robust objective of the errors alone [deg]
+    travel: float  # mean command travel relative to the need
     plants: int
 
 
 def pareto_front(trials: Sequence[SearchTrial]) -> tuple[SearchTrial, ...]:
-    """Trials than which no other has both less error and less travel, from the least error on; pruned ones left out."""
+    """Trials without another one of both less error and less travel, by rising error; pruned ones are left out."""
     front: list[SearchTrial] = []
     for trial in sorted((t for t in trials if t.state == "done"), key=lambda t: (t.error_deg, t.travel)):
         if not front or trial.travel < front[-1].travel:
@@ -269,18 +216,13 @@ def pareto_front(trials: Sequence[SearchTrial]) -> tuple[SearchTrial, ...]:
 
 @dataclass(frozen=True)
 class Tuning:
-    """Outcome of a tuning.
-
-    Attributes:
-        trials: of the search, by slot, pruned ones among them.
-        check: given and tuned settings on plants that the search has not seen.
-    """
+    """Outcome of a tuning: trials by slot, pruned ones included, and the check on the held-out plants."""
 
     settings: TuneSettings
     trials: tuple[SearchTrial, ...]
     best: SearchTrial
     check: HeldOut
-    failed: tuple[TicketOutcome, ...]
+    failed: tuple[SlotOutcome, ...]
 
     def __repr__(self) -> str:
         given, tuned = (float(self.check.costs(name).mean()) for name in ("given", "tuned"))

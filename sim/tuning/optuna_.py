@@ -16,7 +16,7 @@ from optuna.trial import FrozenTrial, TrialState
 from hystmpc.trials.errors import ConfigError, HystmpcError
 
 from ..sweep.settings import DrawSettings, label, value_at
-from .objective import SearchTrial, State, Ticket, TicketOutcome, plant_config, plant_cost, plant_score, robust
+from .objective import SearchTrial, SlotOutcome, State, plant_config, plant_cost, plant_score, robust
 from .settings import TuneSettings
 
 _HEARTBEAT_S = 5
@@ -32,7 +32,7 @@ class _TakenError(HystmpcError):
 
 
 def open_search(storage: str, name: str) -> optuna.Study:
-    """The search in its storage, made where it is not there yet.
+    """Search in its storage, created where it is missing.
 
     Raises:
         ConfigError: if the storage cannot be opened.
@@ -46,7 +46,7 @@ def open_search(storage: str, name: str) -> optuna.Study:
 
 
 def _storage(url: str) -> optuna.storages.RDBStorage:
-    """The open storage; of a file that was removed since, a new one: a connection would go on in the removed file."""
+    """Open storage; a new one where the file was removed since, as a connection would continue in the removed file."""
     path = Path(url.removeprefix("sqlite:///"))
     if not url.startswith("sqlite:///"):
         return _opened(url, 0)
@@ -67,30 +67,25 @@ def _opened(url: str, file: int) -> optuna.storages.RDBStorage:
         )
 
 
-def run_ticket(ticket: Ticket) -> TicketOutcome:
-    """Do one trial, unless it is done or another process does it.
-
-    Raises:
-        ConfigError: if the storage cannot be opened.
-        KeyboardInterrupt: if the user ended it; the trial counts as failed and is done again later.
-    """
-    settings, study = ticket.settings, open_search(ticket.storage, ticket.study)
+def run_slot(settings: TuneSettings, storage: str, slot: int) -> SlotOutcome:
+    """Execute one trial, unless it is finished or another process executes it; slot 0 has the given settings."""
+    study = open_search(storage, settings.search_name)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ExperimentalWarning)
         optuna.storages.fail_stale_trials(study)
-    for trial in _of_slot(study, ticket.slot):
+    for trial in _of_slot(study, slot):
         if trial.state in _ENDED:
-            return TicketOutcome(ticket.slot, "done" if trial.state is TrialState.COMPLETE else "pruned")
+            return SlotOutcome(slot, "done" if trial.state is TrialState.COMPLETE else "pruned")
         if trial.state is TrialState.RUNNING:
-            return TicketOutcome(ticket.slot, "elsewhere")
-    study.sampler, study.pruner = _sampler(settings, ticket.slot), _pruner(settings)
+            return SlotOutcome(slot, "elsewhere")
+    study.sampler, study.pruner = _sampler(settings, slot), _pruner(settings)
     problems: list[HystmpcError] = []
 
     def objective(trial: optuna.Trial) -> float:
         # Killed before the first heartbeat of Optuna's own thread, a trial would count as running for ever.
-        _storage(ticket.storage).record_heartbeat(trial._trial_id)
+        _storage(storage).record_heartbeat(trial._trial_id)
         try:
-            return _value(settings, study, trial, ticket.slot)
+            return _value(settings, study, trial, slot)
         except HystmpcError as error:
             problems.append(error)
             raise
@@ -98,26 +93,22 @@ def run_ticket(ticket: Ticket) -> TicketOutcome:
     study.optimize(objective, n_trials=1, catch=(HystmpcError,))
     if problems:
         taken = isinstance(problems[0], _TakenError)
-        return TicketOutcome(ticket.slot, "elsewhere" if taken else "failed", "" if taken else str(problems[0]))
-    ended = next(trial for trial in _of_slot(study, ticket.slot) if trial.state in _ENDED)
-    return TicketOutcome(ticket.slot, "done" if ended.state is TrialState.COMPLETE else "pruned")
+        return SlotOutcome(slot, "elsewhere" if taken else "failed", "" if taken else str(problems[0]))
+    ended = next(trial for trial in _of_slot(study, slot) if trial.state in _ENDED)
+    return SlotOutcome(slot, "done" if ended.state is TrialState.COMPLETE else "pruned")
 
 
 def trials_of(storage: str, name: str) -> tuple[SearchTrial, ...]:
-    """All trials that have come to an end, by slot.
-
-    Raises:
-        ConfigError: if the storage cannot be opened.
-    """
-    found = {}
+    """All finished trials, by slot."""
+    trials = {}
     for trial in open_search(storage, name).get_trials(deepcopy=False):
         if trial.state in _ENDED and all(key in trial.user_attrs for key in ("slot", "values", *_FIGURES)):
             attrs = trial.user_attrs
             state: State = "done" if trial.state is TrialState.COMPLETE else "pruned"
             seen = trial.value if state == "done" else trial.intermediate_values[max(trial.intermediate_values)]
             figures = (attrs["error_deg"], attrs["travel"], int(attrs["plants"]))
-            found[attrs["slot"]] = SearchTrial(attrs["slot"], state, float(seen or 0.0), attrs["values"], *figures)
-    return tuple(found[slot] for slot in sorted(found))
+            trials[attrs["slot"]] = SearchTrial(attrs["slot"], state, float(seen or 0.0), attrs["values"], *figures)
+    return tuple(trials[slot] for slot in sorted(trials))
 
 
 def _value(settings: TuneSettings, study: optuna.Study, trial: optuna.Trial, slot: int) -> float:
@@ -148,13 +139,13 @@ def _value(settings: TuneSettings, study: optuna.Study, trial: optuna.Trial, slo
 
 
 def given_values(settings: TuneSettings) -> dict[str, Any]:
-    """The searched settings as they were given."""
+    """Searched settings at their given values."""
     given = settings.given.model_dump(mode="json")
     return {path: value_at(given, path) for path in settings.search}
 
 
 def _suggested(trial: optuna.Trial, path: str, one: DrawSettings) -> Any:
-    """A point of the search; four digits are all that anybody would write down, and what is written is what ran."""
+    """Point of the search, rounded to four digits, so that the written value is the tested one."""
     if one.choice is not None:
         named = {label(value): value for value in one.choice}
         return named[trial.suggest_categorical(path, list(named))]
@@ -166,7 +157,7 @@ def _suggested(trial: optuna.Trial, path: str, one: DrawSettings) -> Any:
 
 
 def _sampler(settings: TuneSettings, slot: int) -> optuna.samplers.BaseSampler:
-    """Random numbers that belong to the slot: equal processes would propose equal points otherwise."""
+    """Sampler with the random numbers of a slot; equal processes would propose equal points otherwise."""
     seed = int(np.random.SeedSequence([settings.seed, slot]).generate_state(1)[0])
     sampler = optuna.samplers.TPESampler(seed=seed, n_startup_trials=_STARTUP, constant_liar=True)
     if slot > 0:
@@ -177,7 +168,7 @@ def _sampler(settings: TuneSettings, slot: int) -> optuna.samplers.BaseSampler:
 
 
 def _clipped(values: Mapping[str, Any], search: Mapping[str, DrawSettings]) -> dict[str, Any]:
-    """The given settings as the sampler remembers them: inside their ranges, choices by name."""
+    """Given settings as the sampler stores them: within their ranges, choices by name."""
     clipped = {}
     for path, value in values.items():
         one = search[path]

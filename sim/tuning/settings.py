@@ -14,7 +14,7 @@ from hystmpc.trials.errors import ConfigError, did_you_mean
 from hystmpc.trials.json_text import json_hash
 
 from ..config import PlantSettings, SimulationConfig
-from ..plants.make import varied_parameters
+from ..plants.device import varied_parameters
 from ..sweep.settings import DrawSettings, changed, place, study_of, value_at
 
 _ESTIMATOR = {
@@ -54,7 +54,7 @@ def default_space(settings: AnyControllerSettings) -> dict[str, DrawSettings]:
     """Ranges by dotted path below a controller.
 
     Raises:
-        ConfigError: for a controller from outside the package, of which no ranges are known.
+        ConfigError: for a controller from outside the package, which has no known ranges.
     """
     if settings.kind not in SPACES:
         raise ConfigError(f"search: got none for {settings.kind}, expected ranges: only {', '.join(SPACES)} have some")
@@ -62,11 +62,7 @@ def default_space(settings: AnyControllerSettings) -> dict[str, DrawSettings]:
 
 
 def default_draws(plant: PlantSettings) -> dict[str, DrawSettings]:
-    """Lag, noise, and each parameter that varies within a tenth.
-
-    Raises:
-        ModelError: if the plant's file is missing or unusable.
-    """
+    """Lag, noise, and a tenth either way for each parameter that varies."""
     draws = {"plant.lag_s": DrawSettings(uniform=_LAG_S), "plant.noise_deg": DrawSettings(uniform=_NOISE_DEG)}
     factor = DrawSettings(uniform=_FACTOR)
     return draws | {f'plant.mismatch."{label}"': factor for label in varied_parameters(plant)}
@@ -89,9 +85,9 @@ class ObjectiveSettings(Settings):
 
     Attributes:
         mean, tail: weights of the mean over the plants and of the mean over the worst of them.
-        tail_share: share of the plants that are the worst.
-        violation_deg: added to the error of a plant on which a command was beyond a limit.
-        chatter_deg: added per command travel beyond what the motion needs, over that need.
+        tail_share: share of the plants that count as the worst.
+        violation_deg: added to the error of a plant with a command beyond a limit.
+        chatter_deg: added per command travel beyond the need of the motion, relative to that need.
     """
 
     mean: NotNegative = 0.5
@@ -112,14 +108,14 @@ class TuneSettings(Settings):
 
     Attributes:
         base: the study: plant, model, motions; a file, or the settings themselves.
-        controller: name of the one that is tuned; may be left out where the study has only one.
+        controller: name of the tuned one; may be left out where the study has only one.
         search: range by dotted path below the controller; `default_space` of its kind where left out.
-        draw: distribution by dotted path of what differs between plants; `default_draws` where left out.
-        held_out: to judge by; drawn with another seed.
+        draw: distribution by dotted path of the differences between plants; `default_draws` where left out.
+        held_out: plants for the final check; drawn with another seed.
         trials: points of the search, the given settings being the first.
-        pruner: what ends a trial before it has seen all plants.
-        plants: to search on.
-        objective: weights of what is made small.
+        pruner: rule that ends a trial before it has run on all plants.
+        plants: of the search.
+        objective: weights of the cost.
         seed: of the search.
     """
 
@@ -152,15 +148,16 @@ class TuneSettings(Settings):
 
     @property
     def fingerprint(self) -> str:
-        """Of everything but the number of trials, of which there may be more later; 12 hexadecimal digits."""
+        """Hash of everything but the number of trials, which may grow later; 12 hexadecimal digits."""
         return json_hash(self.model_dump(mode="json", exclude={"trials", "held_out"}))[:12]
 
-    def with_values(self, values: dict[str, Any]) -> AnyControllerSettings:
-        """The controller with some of its settings changed.
+    @property
+    def search_name(self) -> str:
+        """Name of the search in its storage."""
+        return f"hystmpc-{self.fingerprint}"
 
-        Raises:
-            ConfigError: if a path or value does not fit it.
-        """
+    def with_values(self, values: dict[str, Any]) -> AnyControllerSettings:
+        """The controller with some changed settings."""
         data: Any = self.given.model_dump(mode="json")
         for path, value in values.items():
             data = changed(data, path, value)
@@ -168,7 +165,7 @@ class TuneSettings(Settings):
 
 
 def load_tuning(path: Path | str, overrides: Iterable[str] = ()) -> TuneSettings:
-    """Read a tuning, with the study, the search space and the draws in it.
+    """Settings of a tuning, with the study, the search space and the draws in it.
 
     Raises:
         ConfigError: on an unreadable file, an unknown key, a value out of bounds, or a path that leads nowhere.
@@ -178,7 +175,7 @@ def load_tuning(path: Path | str, overrides: Iterable[str] = ()) -> TuneSettings
 
 
 def complete(settings: TuneSettings, path: Path) -> TuneSettings:
-    """The tuning with everything in it that was left out, checked.
+    """The tuning with all defaults filled in, checked.
 
     Raises:
         ConfigError: if study, controller or a path is wrong; names the line.
@@ -189,7 +186,7 @@ def complete(settings: TuneSettings, path: Path) -> TuneSettings:
         study = study.model_copy(update={"tune_pid": None})
     name = _chosen(settings.controller, study, path)
     alone = study.model_copy(update={"controllers": {name: study.controllers[name]}, "tuned": ()})
-    found = settings.model_copy(
+    completed = settings.model_copy(
         update={
             "base": alone.model_dump(mode="json"),
             "controller": name,
@@ -197,8 +194,8 @@ def complete(settings: TuneSettings, path: Path) -> TuneSettings:
             "draw": settings.draw or default_draws(alone.plant),
         }
     )
-    _check(found, path)
-    return found
+    _check(completed, path)
+    return completed
 
 
 def _chosen(name: str | None, study: SimulationConfig, path: Path) -> str:
@@ -212,7 +209,7 @@ def _chosen(name: str | None, study: SimulationConfig, path: Path) -> str:
 
 
 def _check(settings: TuneSettings, path: Path) -> None:
-    """Try both ends of every range."""
+    """Check both ends of every range."""
     given = settings.given.model_dump(mode="json")
     for block, ranges in (("search", settings.search), ("draw", settings.draw)):
         for key, one in ranges.items():

@@ -10,11 +10,10 @@ from typing import Any
 
 import pytest
 
-from hystmpc.bench import commission, controller, identify, motions
+from hystmpc.bench import commission, identify, motions
 from hystmpc.bench.commission import Commissioned, commission_device
 from hystmpc.bench.config import CommissionBlock, CommissionSettings
-from hystmpc.bench.device import BenchDevice, Device
-from hystmpc.bench.plants import plants_in
+from hystmpc.bench.device import BenchDevice, Device, plants_in
 from hystmpc.ctrl.loop import Plant
 from hystmpc.rig.config import BenchSettings
 
@@ -49,7 +48,7 @@ def make_quick(patch: pytest.MonkeyPatch) -> None:
     """Short recordings, a quick kind of model, short tuning motions: the order of things stays the same."""
     patch.setattr(motions, "LEAST_SHARE", 0.05)
     patch.setattr(identify, "_KIND", "pi")
-    patch.setattr(controller, "_TUNED_S", 2.0)
+    patch.setattr(identify, "_TUNED_S", 2.0)
     patch.setattr(motions, "SCANS_HZ", {"fast_scan": 0.6})
     patch.setattr(commission, "CommissionBlock", partial(CommissionBlock, diagnose=False, tune_evaluations=24))
 

@@ -6,9 +6,8 @@ from pathlib import Path
 from typing import Any
 
 from hystmpc.bench.config import InvestigateSettings, located_investigation
-from hystmpc.bench.device import BenchDevice, Device
+from hystmpc.bench.device import BenchDevice, Device, plants_in
 from hystmpc.bench.investigate import investigate_device
-from hystmpc.bench.plants import plants_in
 from hystmpc.bench.rounds import Investigated
 from hystmpc.ctrl.loop import Plant
 

@@ -13,7 +13,7 @@ import pytest
 from hystmpc.bench import round_plan, stages
 from hystmpc.bench.config import InvestigateSettings
 from hystmpc.bench.investigate import identification_share, plan_rows
-from hystmpc.bench.round_plan import plan_first, plan_more
+from hystmpc.bench.round_plan import RoundPlanner
 from hystmpc.bench.rounds import Investigated
 from hystmpc.gap.next.motion_design import Noise, OpenHypothesis, SearchSettings
 from hystmpc.gap.next.motions import TEMPLATES
@@ -104,7 +104,7 @@ def test_the_plan_is_within_limits_and_time_and_needs_no_angle(tmp_path: Path) -
     assert rows[-1] == ("all", "at most", 1.0)
     assert sum(minutes for _, _, minutes in rows[:-1]) == pytest.approx(1.0)
     made = settings(tmp_path, safe_command=1.0)
-    first = plan_first(made, SIMULATOR, 60.0, tmp_path)
+    first = RoundPlanner(made, SIMULATOR, 60.0, tmp_path).first()
     assert 0 < first.seconds <= 0.6 * 60.0
     assert first.probability > 2 / len(first.separates)
     for name in first.motions:
@@ -117,17 +117,17 @@ def test_the_plan_is_within_limits_and_time_and_needs_no_angle(tmp_path: Path) -
 def test_a_further_motion_is_of_a_kind_that_was_not_recorded_and_what_was_fitted_allows_it(tmp_path: Path) -> None:
     made, left = settings(tmp_path, investigate={"minutes": 5.0}), "dwell_near_lowest"
     kinds = {template.name for template in TEMPLATES}
-    further = plan_more(made, SIMULATOR, 200.0, 4, kinds - {left}, None, tmp_path)
+    further = RoundPlanner(made, SIMULATOR, 200.0, tmp_path).further(None, 4, kinds - {left})
     assert further is not None
     assert further.motions == (f"4-{left}",)
     assert further.undirected
     assert further.seconds <= 200.0
     assert within(read_csv(tmp_path / f"4-{left}.csv").command.tolist(), made)
-    assert plan_more(made, SIMULATOR, 200.0, 4, kinds, None, tmp_path) is None
-    assert plan_more(made, SIMULATOR, 5.0, 4, (), None, tmp_path) is None
+    assert RoundPlanner(made, SIMULATOR, 200.0, tmp_path).further(None, 4, kinds) is None
+    assert RoundPlanner(made, SIMULATOR, 5.0, tmp_path).further(None, 4, ()) is None
     outside = OpenHypothesis("outside", lambda command, dt: np.full(command.size, 1e3))
     asked = DiscriminationTask((outside, outside), Noise(0.1))
-    assert plan_more(made, SIMULATOR, 200.0, 4, kinds - {left}, asked, tmp_path) is None
+    assert RoundPlanner(made, SIMULATOR, 200.0, tmp_path).further(asked, 4, kinds - {left}) is None
 
 
 def test_without_a_simulator_time_is_kept_for_recordings_to_identify_one(tmp_path: Path) -> None:

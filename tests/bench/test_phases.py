@@ -12,10 +12,9 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from hystmpc.bench.config import narrowed
-from hystmpc.bench.device import BenchDevice, DeviceStoppedError
+from hystmpc.bench.device import BenchDevice, DeviceStoppedError, plants_in
 from hystmpc.bench.motions import recordings
-from hystmpc.bench.phases import Climb, dash
-from hystmpc.bench.plants import plants_in
+from hystmpc.bench.phases import Climb, Dash
 from hystmpc.ctrl.planner.settings import TipSettings
 from hystmpc.rig.experiment.phases import Past, PhaseInput
 from hystmpc.trajectories.config import SinusoidScanSettings
@@ -46,7 +45,7 @@ def test_whatever_the_device_answers_it_gets_no_command_beyond_a_limit(
     climb = Climb(bench, 6.0, (6.0, 114.0), 5)
     try:
         device.explore("1-range/climb", climb, bench)
-        device.explore("1-range/dash", dash(bench, 6.0), bench)
+        device.explore("1-range/dash", Dash(bench, 6.0), bench)
     except (DeviceStoppedError, ConfigError):
         pass
     assert within(sent, bench)
@@ -180,7 +179,7 @@ def test_a_tip_that_rests_beyond_limits_that_were_given_is_not_moved(tmp_path: P
 def test_a_device_slower_than_its_limit_is_found(own: float, tmp_path: Path) -> None:
     """What it tells that it holds moves at a rate of its own, and is a sample late."""
     bench = bench_settings(tmp_path)
-    phase, held, told = dash(bench, 6.0), 0.0, 0.0
+    phase, held, told = Dash(bench, 6.0), 0.0, 0.0
     phase.begin(PhaseInput(30.0, 0.0, reported=0.0), Past([], []))
     while True:
         decision = phase.step(PhaseInput(30.0, held, reported=told))
@@ -197,7 +196,7 @@ def test_a_device_slower_than_its_limit_is_found(own: float, tmp_path: Path) -> 
 
 def test_a_device_that_tells_nothing_keeps_the_rate_of_its_limits(tmp_path: Path) -> None:
     bench = bench_settings(tmp_path)
-    phase = dash(bench, 6.0)
+    phase = Dash(bench, 6.0)
     phase.begin(PhaseInput(30.0, 0.0), Past([], []))
     while not phase.step(PhaseInput(30.0, 0.0)).finished:
         pass

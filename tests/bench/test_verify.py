@@ -11,14 +11,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hystmpc.bench.controller import rounding_ignored
 from hystmpc.bench.device import Track, track_of
+from hystmpc.bench.identify import rounding_ignored
 from hystmpc.bench.motions import CONTROLLERS
 from hystmpc.bench.verify import MPC, PID, Verification, judge_tracks
 from hystmpc.ctrl.command import CommandLimits
 from hystmpc.ctrl.feedback import PidControllerSettings
 from hystmpc.rig.recording.sample import Sample
-from hystmpc.sim.tune_pid import PidTuning
+from hystmpc.sim.tuning.gains import PidTuning
 
 DT, SAMPLES = 0.04, 500
 LIMITS = CommandLimits(0.0, 6.0, 10.0)

@@ -11,7 +11,7 @@ from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
 from hystmpc.bench.device import DeviceStoppedError
-from hystmpc.bench.phases import Bounded, Climb, dash
+from hystmpc.bench.phases import Bounded, Climb, Dash
 from hystmpc.ctrl.planner.settings import TipSettings
 from hystmpc.trajectories.config import SinusoidScanSettings
 from hystmpc.trials.errors import ConfigError
@@ -53,7 +53,7 @@ def test_a_healthy_device_passes_the_climb_and_the_dash(
     assert climb.result.still >= 0.8 * play - 0.3
     assert max(tip.true_deg) <= 110.0 + 2.5
     assert within(sent, bench)
-    device.explore("1-range/dash", Bounded(dash(bench, climb.result.end), (20.0, 110.0), bench.sensor), bench)
+    device.explore("1-range/dash", Bounded(Dash(bench, climb.result.end), (20.0, 110.0), bench.sensor), bench)
     if 40.0 + gain * 6.0 < 100.0:
         assert climb.result.end == 6.0
 
@@ -86,7 +86,7 @@ def test_an_angle_beyond_the_range_of_the_sensor_is_beyond_the_limits(
     """A gain that has become several times larger: whether it is shown within the range or beyond, it stops at once."""
     bench, sent, tip = bench_settings(tmp_path), list[float](), Tip(gain)
     device = spied_device(bench, tmp_path, sent, tip)
-    play = Bounded(dash(bench, 6.0), limits, bench.sensor)
+    play = Bounded(Dash(bench, 6.0), limits, bench.sensor)
     with pytest.raises(DeviceStoppedError, match="beyond"):
         device.explore("1-range/dash", play, bench)
     per_sample = gain * 10.0 * DT_S

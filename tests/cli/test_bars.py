@@ -13,7 +13,7 @@ from rich.console import Console
 from hystmpc.cli.bars import EVERY_S, FIRST_S, Screen
 from hystmpc.cli.time_left import EVEN
 from hystmpc.models.kernels.compiling import Compilation, watching
-from hystmpc.sim.jobs.backend import Processes
+from hystmpc.sim.jobs import Processes
 
 
 class Seen:

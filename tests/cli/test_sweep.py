@@ -14,6 +14,7 @@ from typing import Any
 
 import pytest
 
+from hystmpc.sim import jobs
 from hystmpc.sim.results import load_results
 from hystmpc.sim.sweep.settings import load_sweep
 from hystmpc.sim.sweep.table import table_of
@@ -122,9 +123,9 @@ def test_an_unknown_built_in_model_is_told_with_its_line(tmp_path: Path, capsys:
 def test_a_cluster_that_does_not_answer_leaves_nothing_behind(
     verb: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    dask_ = pytest.importorskip("hystmpc.sim.jobs.dask_", reason="dask is an extra")
+    pytest.importorskip("distributed", reason="dask is an extra")
     pytest.importorskip("optuna", reason="optuna is an extra")
-    monkeypatch.setattr(dask_, "_TIMEOUT_S", 0.5)
+    monkeypatch.setattr(jobs, "_TIMEOUT_S", 0.5)
     folder, search = tmp_path / "x", {"base": BASE, "draw": SWEEP["draw"]}
     what = ["--sweep", written(tmp_path, SWEEP)] if verb == "simulate" else [written(tmp_path, search)]
     code, _, err = run(capsys, verb, *what, "--out", folder, "--cluster", "tcp://127.0.0.1:9")

@@ -10,7 +10,7 @@ import pytest
 
 from hystmpc.ctrl.command import CommandLimits
 from hystmpc.ctrl.loop import LoopLog
-from hystmpc.sim.closed_loop import ClosedLoopRun
+from hystmpc.sim.study import ClosedLoopRun
 from hystmpc.trajectories.config import parse_motion
 from hystmpc.trials.errors import ConfigError
 from hystmpc_lab.control.bars import BARS, BarVerdict, ControlOutcome, control_figures, exact, limit_cycle, verdicts

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from typer.testing import CliRunner
 
 from hystmpc.bench import phases
-from hystmpc.bench.plants import plants_in
+from hystmpc.bench.device import plants_in
 from hystmpc.cli.main import app
 from hystmpc.rig.realtime import SimulatedClock
 from hystmpc.rig.safety.gate import Anchor, Gate

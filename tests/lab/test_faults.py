@@ -11,9 +11,8 @@ from pathlib import Path
 import pytest
 
 from hystmpc.rig.config import load_run
-from hystmpc.rig.device import DeviceSettings
+from hystmpc.rig.device import DeviceSettings, FaultSettings, FaultyReadings
 from hystmpc.rig.transports.transport import Outgoing
-from hystmpc.rig.wire_faults import FaultSettings, FaultyReadings
 from hystmpc.trials.config import load_settings
 from hystmpc.trials.run_folder import RunFolder
 from hystmpc_lab.faults.cases import CASES, KINDS, FaultCase, Kind, Link, SecondRun, write_device, write_run

@@ -12,7 +12,7 @@ import pytest
 from hystmpc.ctrl.feedback import PidControllerSettings, PidSettings
 from hystmpc.ctrl.guarded import build_controller
 from hystmpc.ctrl.mpc_settings import LinearisedMpcSettings
-from hystmpc.sim.closed_loop import run_closed_loop
+from hystmpc.sim.study import run_closed_loop
 from hystmpc.trials.errors import FitError
 from hystmpc_lab.devices import kernels
 from hystmpc_lab.devices.drawn import FAMILIES, DrawnDevice, DrawnPlant, draw_devices

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from hystmpc.sim.jobs.backend import InTurn
+from hystmpc.sim.jobs import InTurn
 from hystmpc.trials.errors import LogError
 from hystmpc_lab.result_files import ResultFiles, Status, wall_minutes
 

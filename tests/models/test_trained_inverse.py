@@ -19,9 +19,8 @@ from hystmpc.models.operators.hysteresis import Backlash
 from hystmpc.models.play_kernel.fit import PlayKernelKind
 from hystmpc.models.prediction.build import controller_model
 from hystmpc.models.simulator import ChainModel, Identification, Simulator, save_simulator, simulator_bundle
-from hystmpc.sim.closed_loop import run_closed_loop
 from hystmpc.sim.config import SimulationConfig
-from hystmpc.sim.study import prepare
+from hystmpc.sim.study import prepare, run_closed_loop
 from hystmpc.trials.errors import ModelError
 from hystmpc.trials.trial import Trial
 

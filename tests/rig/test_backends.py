@@ -20,9 +20,10 @@ from hystmpc.ctrl import TipController
 from hystmpc.ctrl.planner.assembly import assemble
 from hystmpc.ctrl.planner.settings import TipSettings
 from hystmpc.rig.compiled.controller import compiled_controller
-from hystmpc.rig.config import RecordSettings, RunSettings, load_run
+from hystmpc.rig.config import RunSettings, load_run
 from hystmpc.rig.experiment.experiment import make_timely, tracking_phase
 from hystmpc.rig.experiment.phases import Past, PhaseInput
+from hystmpc.rig.experiment.record import RecordSettings
 from hystmpc.rig.loop import RunOutcome
 from hystmpc.rig.recording.sample import Sample
 from hystmpc.trials.errors import ConfigError

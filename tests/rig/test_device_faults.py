@@ -8,10 +8,9 @@ from typing import Any
 
 import pytest
 
-from hystmpc.rig.device import DeviceSettings
+from hystmpc.rig.device import DeviceSettings, FaultSettings, FaultyDatagrams
 from hystmpc.rig.transports.transport import Conversion, Outgoing
 from hystmpc.rig.transports.udp import UdpLink, UdpSettings, UdpTransport
-from hystmpc.rig.wire_faults import FaultSettings, FaultyDatagrams
 from hystmpc.trials.errors import ConfigError
 
 SENT = [0.1 * k for k in range(40)]

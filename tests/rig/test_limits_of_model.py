@@ -14,9 +14,10 @@ from hypothesis import strategies as st
 from hystmpc.cli.main import main
 from hystmpc.ctrl import CommandLimits, TipController
 from hystmpc.ctrl.command import ModelledLimitsSettings, modelled_limits
-from hystmpc.rig.config import RecordSettings, RunSettings
+from hystmpc.rig.config import RunSettings
 from hystmpc.rig.device import DeviceSettings
 from hystmpc.rig.experiment.experiment import tracking_phase
+from hystmpc.rig.experiment.record import RecordSettings
 from hystmpc.sim.config import SimulationConfig
 from hystmpc.sim.study import prepare
 from hystmpc.trials.config import dump_yaml

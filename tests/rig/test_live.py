@@ -48,8 +48,7 @@ def test_figures_are_those_of_the_run() -> None:
         sample(k, RATE, faults=("frozen",) if k in (5, 7) else (), missed=k == 9, lateness_s=1e-3 * (k % 4))
         for k in range(3000)
     )
-    shown = live.snapshot()
-    assert shown is not None
+    shown = live
     assert shown.last == sample(2999, RATE, lateness_s=3e-3)
     assert (shown.missed, shown.faults, shown.fault_s) == (1, {"frozen": 2}, {"frozen": 0.07})
     assert shown.rate_hz == pytest.approx(RATE)
@@ -67,17 +66,14 @@ def test_figures_are_those_of_the_run() -> None:
 def test_a_point_once_shown_stays_where_it_was(first: int, more: int) -> None:
     """The plot is thinned out; thinning that began anew at every update would make it flicker."""
     live = state(first)
-    before = live.snapshot()
+    before = live.t
     live.update(sample(k, RATE) for k in range(first, first + more))
-    after = live.snapshot()
-    assert before is not None
-    assert after is not None
-    kept = before.t[before.t >= after.t[0]] if after.t.size else before.t[:0]
-    np.testing.assert_array_equal(kept, after.t[: kept.size])
+    kept = before[before >= live.t[0]] if live.t.size else before[:0]
+    np.testing.assert_array_equal(kept, live.t[: kept.size])
 
 
 def test_without_a_sample_nothing_is_shown() -> None:
-    assert LiveState(RATE).snapshot() is None
+    assert not LiveState(RATE).update(())
     with pytest.raises(ConfigError, match="rate of 0"):
         LiveState(0)
 
@@ -138,8 +134,7 @@ def test_the_terminal_may_be_narrow_or_wide(width: int) -> None:
 
 
 def test_an_angle_without_a_reference_is_no_fault() -> None:
-    shown = state(3, reference_deg=math.nan).snapshot()
-    assert shown is not None
+    shown = state(3, reference_deg=math.nan)
     text = headline(shown, "mm").plain
     assert "reference      --" in text
     assert "no angle" not in text
@@ -155,8 +150,7 @@ def test_without_a_terminal_it_says_so_in_plain_lines() -> None:
     terminal = TerminalView("bar", RATE, console=Console(file=out, width=200))
     terminal.put(sample(0, RATE))
     terminal.close()
-    shown = state(1).snapshot()
-    assert shown is not None
+    shown = state(1)
     assert out.getvalue().strip() == headline(shown, "bar").plain.strip()
 
 
@@ -199,8 +193,7 @@ def test_the_page_gets_figures_and_curves(page: LivePage) -> None:
     text = answer.read().decode()
     assert answer.status == 200
     assert "connect-src 'self'" in str(answer.getheader("Content-Security-Policy"))
-    shown = state(3).snapshot()
-    assert shown is not None
+    shown = state(3)
     used = set(re.findall(r"\bm\.(\w+)", text))
     assert used <= set(message(shown, "mm", RATE))
 

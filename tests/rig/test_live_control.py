@@ -15,7 +15,7 @@ from urllib.parse import urlsplit
 import numpy as np
 import pytest
 
-from hystmpc.bench.plants import plants_in
+from hystmpc.bench.device import plants_in
 from hystmpc.ctrl.loop import Plant
 from hystmpc.rig.config import BenchSettings, RunSettings
 from hystmpc.rig.experiment.experiment import tracking_phase

@@ -19,7 +19,7 @@ import pytest
 from hystmpc.codegen.compiler import EXPECTED, compiler
 from hystmpc.models.load import library_file
 from hystmpc.models.simulator import load_simulator, save_simulator
-from hystmpc.rig.compiled.loop import available
+from hystmpc.rig.compiled.controller import available
 from hystmpc.rig.config import RunSettings
 from hystmpc.rig.experiment.experiment import run_experiment
 from hystmpc.rig.live.desk import E_STOP, Desk, LiveSettings

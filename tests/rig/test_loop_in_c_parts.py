@@ -16,7 +16,7 @@ import pytest
 
 from hystmpc.codegen.build import FLAGS
 from hystmpc.codegen.compiler import EXPECTED, compiler, shared_library
-from hystmpc.rig.compiled.loop import CompiledLoop, available, source
+from hystmpc.rig.compiled.controller import CompiledLoop, available, source
 from hystmpc.rig.transports.udp import Datagram, Kind, decode, encode
 
 pytestmark = pytest.mark.slow

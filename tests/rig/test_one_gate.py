@@ -44,7 +44,7 @@ BEHIND_IT = {
 # The device's own end of a wire: what it does with a command that has come, and what it says.
 THE_DEVICE = {
     "rig/device.py: self._plant.apply": 1,
-    "rig/wire_faults.py: self._wire.sendto": 1,
+    "rig/device.py: self._wire.sendto": 1,
     "rig/transports/udp.py: self._wire.sendto": 1,
     "rig/transports/dds_.py: self._wire.write": 1,
     "testing/line_device.py: os.write": 1,
@@ -63,7 +63,7 @@ NO_DEVICE = {
 # Here `apply` is that of a computed device: no wire is known to these files.
 COMPUTED = {
     "ctrl/loop.py",
-    "sim/environment/gym_.py",
+    "sim/gym_.py",
     "lab/benchmarks/endurance.py",
     "lab/benchmarks/faults.py",
     "lab/benchmarks/lstm_presets.py",

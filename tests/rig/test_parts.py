@@ -16,15 +16,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hystmpc.ctrl.command import CommandLimits
-from hystmpc.rig.config import load_record, load_run
+from hystmpc.rig.config import load_run
+from hystmpc.rig.device import FaultSettings, FaultyReadings
+from hystmpc.rig.experiment.record import load_record
 from hystmpc.rig.histogram import BINS, Histogram
 from hystmpc.rig.realtime import RealtimeSettings, SchedulingSettings, control_process, scheduled
 from hystmpc.rig.safety.gate import Gate
 from hystmpc.rig.safety.intake import Intake, SensorSettings
 from hystmpc.rig.safety.stop import Latch
-from hystmpc.rig.transports.sessions import NEW, REPLAYED, RESTARTED, Order
-from hystmpc.rig.transports.transport import Conversion, Outgoing, Reading, WireUnits
-from hystmpc.rig.wire_faults import FaultSettings, FaultyReadings
+from hystmpc.rig.transports.transport import NEW, REPLAYED, RESTARTED, Conversion, Order, Outgoing, Reading, WireUnits
 from hystmpc.trials.errors import ConfigError
 
 from ..conftest import ROOT

@@ -18,10 +18,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hystmpc.rig.recording.csv_log import CsvLog, GrowingFile
-from hystmpc.rig.recording.mcap_log_ import McapLog
 from hystmpc.rig.recording.recorder_process import open_recorder_process
-from hystmpc.rig.recording.recording import RecordingMeta, open_recording
+from hystmpc.rig.recording.recording import CsvLog, GrowingFile, McapLog, RecordingMeta, open_recording
 from hystmpc.trials.check import check
 from hystmpc.trials.errors import LogError
 from hystmpc.trials.mcap_ import open_mcap

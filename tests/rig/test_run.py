@@ -206,7 +206,7 @@ def test_no_more_is_claimed_than_the_device_has_said(safe_s: float, confirmed: b
 @pytest.mark.parametrize(("bound", "cause"), [(2.0, "implausible: the device is"), (90.0, "")])
 def test_a_device_that_leaves_its_model_stops_the_run(bound: float, cause: str, tmp_path: Path) -> None:
     """A sensor that is 10 deg off what the model says, against a bound below it and one above."""
-    from hystmpc.bench.plants import plants_in
+    from hystmpc.bench.device import plants_in
     from hystmpc.rig.config import load_run
 
     class Off:

@@ -14,13 +14,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hystmpc.bench.plants import make_plant
+from hystmpc.bench.device import make_plant
 from hystmpc.ctrl.loop import ImagingSettings
-from hystmpc.rig.config import RecordSettings, RunSettings
+from hystmpc.rig.config import RunSettings
 from hystmpc.rig.device import DeviceSettings, SimulatedDevice, open_link
 from hystmpc.rig.experiment.experiment import run_experiment
 from hystmpc.rig.experiment.phases import Past, PhaseInput, place_frames
-from hystmpc.rig.experiment.record import Recorded, record
+from hystmpc.rig.experiment.record import Recorded, RecordSettings, record
 from hystmpc.rig.safety.intake import Intake, Observation, ObservedFrame, SensorSettings
 from hystmpc.rig.safety.plausibility import MotionWatch, PlausibilitySettings
 from hystmpc.rig.safety.stop import StopFlag

@@ -17,8 +17,7 @@ from hypothesis import strategies as st
 
 from hystmpc.rig.device import DeviceSettings, SimulatedDevice
 from hystmpc.rig.transports.dds import DdsSettings
-from hystmpc.rig.transports.sessions import ANOTHER, NO_GREETING, OLD, Admission
-from hystmpc.rig.transports.transport import Conversion, Incoming, Outgoing, Says
+from hystmpc.rig.transports.transport import ANOTHER, NO_GREETING, OLD, Admission, Conversion, Incoming, Outgoing, Says
 from hystmpc.rig.transports.udp import UdpLink, UdpSettings, UdpTransport
 
 SAME = Conversion(1.0, 0.0, 1.0)

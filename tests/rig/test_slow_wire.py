@@ -14,8 +14,7 @@ from hypothesis import strategies as st
 
 from hystmpc.rig.config import BenchSettings
 from hystmpc.rig.experiment.phases import CommandMotion
-from hystmpc.rig.loop import RunOutcome
-from hystmpc.rig.reader import Reader
+from hystmpc.rig.loop import Reader, RunOutcome
 from hystmpc.rig.run import control_loop, first_contact
 from hystmpc.rig.safety.ramp import waypoint_commands
 from hystmpc.rig.safety.stop import StopFlag

@@ -17,8 +17,8 @@ import yaml
 
 from hystmpc.models.load import load_model
 from hystmpc.models.prediction.build import predictor_for
-from hystmpc.rig.transports.sessions import Admission
 from hystmpc.rig.transports.topics import GOODBYE, GREETING, listening
+from hystmpc.rig.transports.transport import Admission
 
 from ..codegen.compiled import EXAMPLES
 from ..rig.bench_parts import FakeClock

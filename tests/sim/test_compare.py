@@ -13,12 +13,10 @@ from hypothesis import strategies as st
 
 from hystmpc.ctrl.config import CONTROLLERS
 from hystmpc.ctrl.feedback import PidControllerSettings
-from hystmpc.sim.closed_loop import run_closed_loop
-from hystmpc.sim.compare import compare
-from hystmpc.sim.report import report_from_folder
+from hystmpc.sim.compare import compare, report_from_folder
 from hystmpc.sim.results import load_results, tracking_metrics
-from hystmpc.sim.study import prepare
-from hystmpc.sim.tune_pid import tuned_gains
+from hystmpc.sim.study import prepare, run_closed_loop
+from hystmpc.sim.tuning.gains import tuned_gains
 from hystmpc.trials.config import load_settings
 from hystmpc.trials.errors import ConfigError, LogError
 from hystmpc.trials.run_folder import RunFolder

@@ -10,7 +10,6 @@ import pytest
 from hystmpc.ctrl.command import CommandLimits
 from hystmpc.ctrl.loop import LoopLog
 from hystmpc.gap.measured_tracking import measured_runs
-from hystmpc.sim.closed_loop import ClosedLoopRun
 from hystmpc.sim.compare import compare
 from hystmpc.sim.results import (
     Result,
@@ -21,7 +20,7 @@ from hystmpc.sim.results import (
     load_results,
     tracking_metrics,
 )
-from hystmpc.sim.study import prepare
+from hystmpc.sim.study import ClosedLoopRun, prepare
 
 from .small import MOVE, SCAN, study
 

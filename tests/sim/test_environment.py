@@ -19,7 +19,7 @@ from hystmpc.trials.errors import ConfigError
 
 from .small import MOVE, SCAN, study, study_data
 
-gym_ = pytest.importorskip("hystmpc.sim.environment.gym_", reason="gymnasium is an extra")
+gym_ = pytest.importorskip("hystmpc.sim.gym_", reason="gymnasium is an extra")
 
 STUDY = SimulationConfig.parse(
     study_data(

@@ -6,9 +6,8 @@ from collections.abc import Callable, Iterator
 
 import pytest
 
-from hystmpc.models.identify.chain_fit import no_result
-from hystmpc.sim.jobs.backend import InTurn
-from hystmpc.sim.jobs.runner import attempt, run_jobs
+from hystmpc.models.identify.chain_fit import nothing_found
+from hystmpc.sim.jobs import InTurn, attempt, run_jobs
 from hystmpc.trials.errors import ConfigError
 
 

@@ -9,8 +9,8 @@ import pytest
 
 from hystmpc.ctrl.command import CommandLimits
 from hystmpc.ctrl.loop import LoopLog
-from hystmpc.sim.closed_loop import ClosedLoopRun
 from hystmpc.sim.results import holds, tracking_metrics, violations
+from hystmpc.sim.study import ClosedLoopRun
 
 DT = 0.1
 LIMITS = CommandLimits(0.0, 6.0, 10.0)

@@ -11,16 +11,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hystmpc.bench.plants import make_plant as bench_plant
+from hystmpc.bench.device import make_plant as bench_plant
 from hystmpc.models.contract.metadata import Range
 from hystmpc.sim.config import PlantSettings, SimulationConfig, load_simulation
 from hystmpc.sim.devices.names import DEVICES, parameter_lines
 from hystmpc.sim.plants.computed import ComputedPlant
-from hystmpc.sim.plants.make import make_plant
+from hystmpc.sim.plants.device import make_plant
 from hystmpc.sim.study import prepare
-from hystmpc.sim.sweep.plan import SweepPlan
+from hystmpc.sim.sweep.plan import SweepPlan, run_row
 from hystmpc.sim.sweep.settings import SweepSettings
-from hystmpc.sim.sweep.worker import run_row
 from hystmpc.sim.tuning.settings import default_draws
 from hystmpc.trials.config import dump_yaml
 from hystmpc.trials.errors import ConfigError
@@ -228,7 +227,7 @@ def test_parameters_in_words(name: str) -> None:
 @given(before=st.lists(st.floats(-1, 1, width=32), max_size=10), after=st.lists(st.floats(-1, 1, width=32), min_size=1))
 @settings(max_examples=5)
 def test_the_environment_on_the_rod(before: list[float], after: list[float]) -> None:
-    gym_ = pytest.importorskip("hystmpc.sim.environment.gym_", reason="gymnasium is an extra")
+    gym_ = pytest.importorskip("hystmpc.sim.gym_", reason="gymnasium is an extra")
     env = gym_.HysteresisEnv.from_config(SimulationConfig.parse(study_data(plant={**ROD, "effects": [CREEP, SHOWN]})))
     env.reset(seed=1)
 

@@ -11,10 +11,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hystmpc.sim.closed_loop import ClosedLoopRun, run_closed_loop
 from hystmpc.sim.config import SimulationConfig
 from hystmpc.sim.results import holds
-from hystmpc.sim.study import Study, prepare
+from hystmpc.sim.study import ClosedLoopRun, Study, prepare, run_closed_loop
 
 pytestmark = pytest.mark.slow
 

@@ -10,12 +10,11 @@ import pytest
 
 from hystmpc.ctrl.config import CONTROLLERS
 from hystmpc.ctrl.feedback import PidControllerSettings
-from hystmpc.sim.closed_loop import ClosedLoopRun, run_closed_loop
 from hystmpc.sim.compare import compare
 from hystmpc.sim.config import SimulationConfig, load_simulation
 from hystmpc.sim.results import load_results
-from hystmpc.sim.study import prepare
-from hystmpc.sim.tune_pid import tuned_gains
+from hystmpc.sim.study import ClosedLoopRun, prepare, run_closed_loop
+from hystmpc.sim.tuning.gains import tuned_gains
 from hystmpc.trials.errors import ConfigError
 
 from .small import study

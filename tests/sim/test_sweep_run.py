@@ -13,13 +13,13 @@ from typing import Any
 
 import pytest
 
-from hystmpc.sim.jobs.backend import Backend, InTurn, Processes
-from hystmpc.sim.jobs.runner import backend_for
+from hystmpc.sim import jobs
+from hystmpc.sim.jobs import Backend, InTurn, Processes, backend_for
 from hystmpc.sim.results import load_results
+from hystmpc.sim.sweep.plan import RESULT_COLUMNS
 from hystmpc.sim.sweep.run import SweepOutcome, reproduce, run_sweep
 from hystmpc.sim.sweep.settings import SweepSettings, with_base
 from hystmpc.sim.sweep.table import table_of, texts
-from hystmpc.sim.sweep.worker import RESULT_COLUMNS
 from hystmpc.trials.errors import ConfigError, LogError
 
 from ..trials.test_html import Page
@@ -221,8 +221,8 @@ def test_workers_that_die_again_and_again_end_it() -> None:
     [("localhost:8786", "expected `local` or an address"), ("tcp://127.0.0.1:9", "no Dask scheduler answers")],
 )
 def test_a_wrong_cluster_is_one_line(address: str, message: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    dask_ = pytest.importorskip("hystmpc.sim.jobs.dask_", reason="dask is an extra")
-    monkeypatch.setattr(dask_, "_TIMEOUT_S", 0.5)
+    pytest.importorskip("distributed", reason="dask is an extra")
+    monkeypatch.setattr(jobs, "_TIMEOUT_S", 0.5)
     with pytest.raises(ConfigError, match=message) as error:
         list(backend_for(2, address).results(abs, [-1]))
     assert "\n" not in str(error.value)

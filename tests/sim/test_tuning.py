@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from hystmpc.ctrl.config import CONTROLLERS, parse_controller
 from hystmpc.sim.compare import compare
 from hystmpc.sim.config import load_simulation
-from hystmpc.sim.jobs.backend import InTurn, Processes
+from hystmpc.sim.jobs import InTurn, Processes
 from hystmpc.sim.study import prepare
 from hystmpc.sim.tuning.objective import (
     PlantScore,

@@ -16,7 +16,7 @@ from hystmpc.models.load import load_model
 from hystmpc.models.model import Model
 from hystmpc.sim.config import PlantSettings
 from hystmpc.sim.devices.names import DEVICES
-from hystmpc.sim.plants.make import make_plant
+from hystmpc.sim.plants.device import make_plant
 from hystmpc.testing import KindContract, ModelContract, PlantContract
 from hystmpc.trials.types import Vec
 

@@ -11,8 +11,7 @@ from typing import Any
 
 import pytest
 
-from hystmpc.rig.config import load_record
-from hystmpc.rig.experiment.record import record
+from hystmpc.rig.experiment.record import load_record, record
 from hystmpc.testing import Connected, TransportContract
 from hystmpc.trials import read_trials
 from hystmpc.trials.from_outside import ALLOWED

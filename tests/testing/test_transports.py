@@ -16,7 +16,7 @@ import pytest
 from typer.testing import CliRunner
 
 from hystmpc.cli.main import app
-from hystmpc.rig.config import load_record
+from hystmpc.rig.experiment.record import load_record
 from hystmpc.rig.transports.dds import DdsSettings
 from hystmpc.rig.transports.transport import Conversion, DeviceLink, Outgoing, Transport
 from hystmpc.rig.transports.udp import UdpLink, UdpSettings, UdpTransport

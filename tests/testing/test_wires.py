@@ -15,7 +15,7 @@ from typing import Any
 
 import pytest
 
-from hystmpc.rig.config import load_record
+from hystmpc.rig.experiment.record import load_record
 from hystmpc.testing import Connected, LoopContract, TransportContract
 from hystmpc.testing.wire import Wired
 from hystmpc.trials.from_outside import ALLOWED

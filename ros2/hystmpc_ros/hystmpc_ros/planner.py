@@ -1,4 +1,4 @@
-"""The loop of `hystmpc run`, one sample after another by somebody else's clock. No ROS in here."""
+"""Samples of the loop of `hystmpc run` on an external clock. No ROS in here."""
 
 from __future__ import annotations
 
@@ -6,24 +6,22 @@ from typing import final
 
 from hystmpc.rig import Transport
 from hystmpc.rig.config import BenchSettings
-from hystmpc.rig.contact import FirstContact
 from hystmpc.rig.experiment.experiment import Steering
-from hystmpc.rig.loop import ControlLoop
-from hystmpc.rig.reader import Reader
+from hystmpc.rig.loop import ControlLoop, Reader
 from hystmpc.rig.realtime import Clock
 from hystmpc.rig.recording.sample import Sample
-from hystmpc.rig.run import control_loop
+from hystmpc.rig.run import FirstContact, control_loop
 from hystmpc.rig.safety.stop import StopFlag
 from hystmpc.trials.errors import HystmpcError
 
 
 @final
 class Planner:
-    """A controller at a device: it waits for contact, goes through the loop, and stays stopped after any fault.
+    """A controller at a device: it waits for contact, runs the loop, and stays stopped after any fault.
 
     Contact, gate, anchor, intake, plausibility and safe stop are those of `hystmpc run`. Before contact nothing is sent
-    but greetings. A stop leads to the safe command, which is sent on and on until `leave`, or stays where there is
-    none; it is latched until `reset`, which begins anew with waiting for contact.
+    but greetings. A stop leads to the safe command, which is sent until `leave`, or rests in place without one; it is
+    latched until `reset`, which waits for contact again.
 
     Args:
         settings: of the bench; `safe_command` and limits are those of the controller.
@@ -85,7 +83,7 @@ class Planner:
         self._newest, self.status = sample, sample.status
 
     def close(self) -> None:
-        """Leave; goodbye is said to a device that has told that it holds the safe command."""
+        """Leave; a device that has reported that it holds the safe command gets a goodbye."""
         self._transport.stop(goodbye=self._over and self._loop is not None and self._loop.outcome().confirmed)
 
     def _look_for_it(self) -> None:

@@ -132,7 +132,7 @@ class TipPlanner(Node):
         self._timer = self.create_timer(tip.dt, self.sample)
 
     def sample(self) -> None:
-        """One sample, and what it led to."""
+        """One sample, with its messages."""
         self.planner.sample()
         self._states.publish(self._state())
         if self.planner.status != self._said:

@@ -1,4 +1,4 @@
-"""A gymnasium environment around the simulated device, with its whole state to be saved and put back."""
+"""A gymnasium environment around the simulated device, with its whole state to be saved and restored."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from hystmpc.ctrl.loop import AnySensorSettings, ContinuousSensorSettings, Imagi
 from hystmpc.trajectories import PreviewTable, Trajectory
 from hystmpc.trials.errors import ConfigError, did_you_mean
 
-from ..config import SimulationConfig, load_simulation
-from ..plants.computed import ComputedPlant
-from ..study import prepare
+from .config import SimulationConfig, load_simulation
+from .plants.computed import ComputedPlant
+from .study import prepare
 
 Signal = Callable[[float], float]
 _ANGLE_DEG = 720.0  # observations are clipped here, so that the space is bounded
@@ -32,7 +32,7 @@ class Disturbance:
 
     Attributes:
         angle_deg: added to the tip angle: a load, breathing.
-        command: added to the command behind its limits: a drive that slips [command unit].
+        command: added to the command after its limits: a drive that slips [command unit].
     """
 
     angle_deg: Signal | None = None
@@ -41,12 +41,12 @@ class Disturbance:
 
 @dataclass(frozen=True, eq=False)
 class EnvironmentState:
-    """Everything that the future of an environment depends on but the actions; never changed once taken.
+    """Immutable state of an environment: everything but the actions that its future depends on.
 
     Attributes:
-        random: of the environment, for the seeds of coming resets.
+        random: generator of the environment, for the seeds of coming resets.
         y: angle measured last [deg].
-        imaging: of an intermittent sensor, None for another.
+        imaging: of an intermittent sensor.
     """
 
     plant: ComputedPlant
@@ -112,13 +112,9 @@ class HysteresisEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
 
     @classmethod
     def from_config(cls, config: SimulationConfig | Path | str, **options: Any) -> HysteresisEnv:
-        """The environment of a closed-loop study: its plant, motions and limits; controllers are not looked at.
+        """The environment of a closed-loop study: its plant, motions and limits; controllers are ignored.
 
-        Args:
-            options: `preview`, `rate_weight`, `disturbance`.
-
-        Raises:
-            HystmpcError: what `load_simulation` and `prepare` raise.
+        `options` are `preview`, `rate_weight`, `disturbance`. Errors are those of `load_simulation` and `prepare`.
         """
         study = prepare(config if isinstance(config, SimulationConfig) else load_simulation(config))
         return cls(study.plant, study.motions, study.limits, sensor=study.config.sensor, **options)
@@ -160,18 +156,18 @@ class HysteresisEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         return self._observation(), float(reward), False, self._k >= self._tables[self._motion].steps, info
 
     def disturb(self, disturbance: Disturbance | None) -> None:
-        """From now on this acts on the device, or nothing."""
+        """Set the disturbance from now on; None for none."""
         self._disturbance = disturbance or Disturbance()
 
     def get_state(self) -> EnvironmentState:
-        """The whole state, to be put back as often as wanted, in this environment or an equal one."""
+        """State for `set_state`, in this environment or an equal one."""
         plant, random = self._plant.copied(), deepcopy(self.np_random)
         return EnvironmentState(
             plant, random, self._motion, self._k, self._u, self._y, self._disturbance, self._imaging
         )
 
     def set_state(self, state: EnvironmentState) -> NDArray[np.float32]:
-        """Put a state back and return its observation; the noise to come is that which was to come then.
+        """Restore a state and return its observation; the future noise is that of the state.
 
         Raises:
             ConfigError: if the state's motion is none of this environment.
@@ -190,7 +186,7 @@ class HysteresisEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         return 0.0 if load is None else load(self._k * self.dt)
 
     def _first(self, measured: float) -> tuple[float, Imaging | None]:
-        """What is seen of the rest [deg], and the imaging system where there is one."""
+        """Observed angle of the rest [deg], and the imaging system where there is one."""
         true = self._plant.true_angle + self._beside()
         if isinstance(self._sensor, ImagingSettings):
             imaging = Imaging.at_rest(self._sensor, self._plant.seed, true)
@@ -198,7 +194,7 @@ class HysteresisEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         return (true if isinstance(self._sensor, NoSensorSettings) else measured), None
 
     def _seen(self, measured: float) -> float:
-        """The angle seen last at the end of the sample [deg]."""
+        """Angle observed last at the end of the sample [deg]."""
         if isinstance(self._sensor, ContinuousSensorSettings):
             return measured
         if self._imaging is None:

@@ -14,7 +14,7 @@ from hystmpc.ctrl.inverse_settings import InversePidControllerSettings
 from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.types import Progress, Vec
 
-from .study import Study
+from ..study import Study
 
 PidLike = PidControllerSettings | InversePidControllerSettings
 _PER_PARAMETER = 3
@@ -25,11 +25,7 @@ _DEAD_ZONE_DEG = (0.0, 0.5)
 
 @dataclass(frozen=True)
 class PidTuning:
-    """Result of a search.
-
-    Attributes:
-        rmse_deg: root of the mean over motions of the mean square true error with them [deg].
-    """
+    """Result of a search: settings, RMS true error [deg] with them and at the start, number of runs."""
 
     settings: PidLike
     rmse_deg: float
@@ -38,12 +34,12 @@ class PidTuning:
 
 
 def tuned_gains(study: Study, settings: PidLike, progress: Progress | None = None) -> PidTuning:
-    """Search the gains that track all motions of a study best, by seeded differential evolution.
+    """Search of the gains that track all motions of a study best, by seeded differential evolution.
 
     J = mean over motions of mean_k (theta_k - r_k)^2 with the true angle theta, which makes the result the strongest
     opponent of a model-based controller, not a forecast for another device. The noise has the study's deviation but is
-    another realisation: gains found on the very noise of the comparison would look better in it than they are. The
-    given gains belong to the first population, so that the result is never worse than they are.
+    another realisation, so that the comparison is not biased towards these gains. The given gains belong to the first
+    population, so that the result is never worse.
 
     Args:
         settings: the controller whose `kp`, `ki`, `kd` and dead zone are searched; everything else stays.
@@ -68,12 +64,12 @@ def searched_gains(
     seed: int,
     progress: Progress | None = None,
 ) -> PidTuning:
-    """The gains of least mean square error by seeded differential evolution, never worse than the given ones.
+    """Gains of least mean square error by seeded differential evolution, never worse than the given ones.
 
     Args:
-        settings: where the search starts; everything but `kp`, `ki`, `kd` and dead zone stays.
-        mean_square: of a controller, over all that it is to track [deg^2].
-        evaluations: times that it is called, about.
+        settings: start of the search; everything but `kp`, `ki`, `kd` and dead zone stays.
+        mean_square: of a controller over all its motions [deg^2].
+        evaluations: number of calls of `mean_square`, about.
 
     Raises:
         KeyboardInterrupt: if the user ends the search; nothing is kept.
@@ -91,7 +87,7 @@ def searched_gains(
             progress(min(done, total), total)
         return mean_square(with_gains(settings, x))
 
-    found: OptimizeResult = differential_evolution(
+    optimum: OptimizeResult = differential_evolution(
         cost,
         bounds,
         x0=np.clip(_point(settings), *bounds.T),
@@ -102,24 +98,26 @@ def searched_gains(
         rng=np.random.default_rng(seed),
     )
     start = mean_square(settings)
-    return PidTuning(with_gains(settings, found.x), float(np.sqrt(found.fun)), float(np.sqrt(start)), int(found.nfev))
+    return PidTuning(
+        with_gains(settings, optimum.x), float(np.sqrt(optimum.fun)), float(np.sqrt(start)), int(optimum.nfev)
+    )
 
 
 def tuned_study(study: Study, progress: Progress | None = None) -> Study:
-    """The study with the gains of every `pid` and `inverse_pid` found, and nothing left to tune."""
+    """The study with tuned gains of every `pid` and `inverse_pid`, without a further search."""
     if study.config.tune_pid is None:
         return study
     chosen = {name: s for name, s in study.config.controllers.items() if isinstance(s, PidLike)}
-    found: dict[str, AnyControllerSettings] = {}
+    tuned: dict[str, AnyControllerSettings] = {}
     for k, (name, settings) in enumerate(chosen.items()):
 
         def overall(done: float, total: float, note: str = "", before: int = k) -> None:
             if progress is not None:
                 progress(before * total + done, len(chosen) * total, note)
 
-        found[name] = tuned_gains(study, settings, overall).settings
-    controllers = {**study.config.controllers, **found}
-    changes = {"controllers": controllers, "tune_pid": None, "tuned": tuple(found)}
+        tuned[name] = tuned_gains(study, settings, overall).settings
+    controllers = {**study.config.controllers, **tuned}
+    changes = {"controllers": controllers, "tune_pid": None, "tuned": tuple(tuned)}
     return replace(study, config=study.config.model_copy(update=changes))
 
 
@@ -140,10 +138,6 @@ def _point(settings: PidLike) -> Vec:
 
 
 def mean_square_of(study: Study, settings: AnyControllerSettings) -> float:
-    """Mean over motions of the mean square true error of a controller [deg^2].
-
-    Raises:
-        KeyboardInterrupt: if the user ends a run.
-    """
+    """Mean over motions of the mean square true error of a controller [deg^2]."""
     runs = [study.run(settings, motion) for motion in study.motions]
     return float(np.mean([np.mean(run.counted_deg**2) for run in runs]))
