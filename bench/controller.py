@@ -18,7 +18,8 @@ from hystmpc.sim.config import SimulationConfig, TuningSettings
 from hystmpc.sim.plants.simulated import SimulatedPlant
 from hystmpc.sim.study import Study, prepare
 from hystmpc.sim.tune_pid import PidLike, PidTuning, mean_square_of, tuned_gains
-from hystmpc.trajectories.config import MotionSettings, PointToPointSettings
+from hystmpc.trajectories.motion import MotionSettings
+from hystmpc.trajectories.point_to_point import PointToPoint
 from hystmpc.trials.config import dump_yaml
 from hystmpc.trials.files import write_atomically
 from hystmpc.trials.types import Progress
@@ -210,7 +211,7 @@ def tuning_study(
 
 def _from_rest(motion: MotionSettings, rest_deg: float) -> MotionSettings:
     """The reference, begun at the angle at which the device rests."""
-    if isinstance(motion, PointToPointSettings):
+    if isinstance(motion, PointToPoint):
         targets, holds = (motion.start_deg, *motion.targets_deg), (1.0, *motion.holds_s)
         return motion.model_copy(update={"start_deg": rest_deg, "targets_deg": targets, "holds_s": holds})
     return motion.model_copy(update={"start_deg": rest_deg})

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import math
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Protocol
 
@@ -31,23 +32,22 @@ class Trajectory(Protocol):
         ...
 
 
-@dataclass(frozen=True)
 class PathTrajectory:
-    """Base of trajectories that are computed once, when they are made, into a path of simpler ones."""
+    """Base of trajectories that are computed once into a path of simpler ones."""
 
-    _path: Trajectory = field(init=False, repr=False, compare=False)
-
-    def _follow(self, path: Trajectory) -> None:
-        object.__setattr__(self, "_path", path)
+    @cached_property
+    def path(self) -> Trajectory:
+        """The simpler trajectories."""
+        raise NotImplementedError
 
     @property
     def duration_s(self) -> float:
         """Time from start to end [s]."""
-        return self._path.duration_s
+        return self.path.duration_s
 
     def __call__(self, t: ArrayLike) -> Vec:
         """Tip angle [deg], or command [mm or bar], at `t` [s]."""
-        return self._path(t)
+        return self.path(t)
 
 
 def inside(t: ArrayLike, duration_s: float) -> Vec:
@@ -271,17 +271,6 @@ def _require_preview(dt: float, horizon: int) -> None:
         raise TrajectoryError(f"preview horizon: got {horizon}, expected at least 1 sample")
 
 
-def require_finite(**values: float) -> None:
-    """Refuse what is not a finite number.
-
-    Raises:
-        TrajectoryError: at the first such value.
-    """
-    for name, value in values.items():
-        if not math.isfinite(value):
-            raise TrajectoryError(f"{name}: got {value}, expected a finite number")
-
-
 def require_positive(**values: float) -> None:
     """Refuse what is not finite and above zero.
 
@@ -291,15 +280,3 @@ def require_positive(**values: float) -> None:
     for name, value in values.items():
         if not (math.isfinite(value) and value > 0):
             raise TrajectoryError(f"{name}: got {value}, expected a finite number > 0")
-
-
-def require_range(name: str, bounds: tuple[float, float], least: float = -math.inf) -> None:
-    """Require `least` <= bounds[0] <= bounds[1], all finite.
-
-    Raises:
-        TrajectoryError: otherwise.
-    """
-    low, high = bounds
-    if not (math.isfinite(low) and math.isfinite(high) and least <= low <= high):
-        floor = "" if least == -math.inf else f"{least:g} <= "
-        raise TrajectoryError(f"{name}: got {low} to {high}, expected finite {floor}lower <= upper")

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 from pydantic import Field
 
-from hystmpc.trajectories.motion import MotionLimitsSettings
+from hystmpc.trajectories.motion import MotionLimits
 from hystmpc.trials.config import NotNegative, Positive, Settings, read_yaml
 from hystmpc.trials.errors import ConfigError, shown
 
@@ -39,7 +39,7 @@ class TipSettings(Settings):
     actuator_lag_s: NotNegative = 0.0
     controller: Annotated[ControllerSettings, Field(validate_default=True)] = LinearisedMpcSettings()
     limits: ModelledLimitsSettings | None = None
-    motion: MotionLimitsSettings = MotionLimitsSettings()
+    motion: MotionLimits = MotionLimits()
     start_command: float | None = None
     tolerance_deg: Positive = 0.5
 

@@ -84,7 +84,7 @@ class TipController:
         if not limits.lower <= start <= limits.upper:
             raise ControllerError(f"start_command: got {start}, expected {limits.lower} to {limits.upper}")
         self._assembly, self._settings, self._lock = assembly, settings, RLock()
-        self._motion = settings.motion.build()
+        self._motion = settings.motion
         self._controller: PlannersController = controller or assembly.controller
         self._nothing = np.empty(0)  # a reference that is too short: the controller holds
         self._ahead: Vec = self.dt * np.arange(1, self._controller.horizon + 1, dtype=np.float64)

@@ -31,10 +31,9 @@ def test_s1_training_at_quarter_periods(f: float) -> None:
 
 
 def test_s1_training_set_has_the_papers_size_and_range() -> None:
-    groups = ex.s1_training()
-    assert len(groups) == 8
-    assert sum(sample(group, 250.0)[0].size for group in groups.values()) == pytest.approx(26798, abs=10)
-    for group in groups.values():
+    groups = [make(f) for make in (ex.s1_zero_baseline, ex.s1_raised_baseline) for f in ex.S1_TRAIN_HZ]
+    assert sum(sample(group, 250.0)[0].size for group in groups) == pytest.approx(26798, abs=10)
+    for group in groups:
         assert sample(group, 250.0)[1].min() >= 0
         assert sample(group, 250.0)[1].max() <= 3
 
@@ -67,18 +66,11 @@ def test_s1_test_c_ascends_unless_the_printed_sign_is_asked_for() -> None:
 
 
 def test_s1_test_d_is_seeded_and_in_range() -> None:
-    signal = ex.s1_test_d(3)
-    assert signal == ex.s1_test_d(3)
-    assert signal != ex.s1_test_d(4)
+    signal = ex.S1_ARBITRARY(3)
+    assert signal == ex.S1_ARBITRARY(3)
+    assert signal != ex.S1_ARBITRARY(4)
     values = sample(signal, 100.0)[1]
     assert 0 <= values.min() <= values.max() <= 3
-
-
-def test_s1_scan_peaks_once() -> None:
-    t, p = sample(ex.s1_oct_scan(), 250.0)
-    assert p.max() == pytest.approx(2.95)
-    assert t[p.argmax()] == pytest.approx(5.0)
-    assert p[-1] == pytest.approx(0.0, abs=1e-12)
 
 
 @pytest.mark.parametrize("f", S2_HZ)
@@ -165,15 +157,15 @@ def test_unknown_names_are_answered_with_the_nearest() -> None:
 @pytest.mark.parametrize(
     ("make", "said"),
     [
-        (lambda: DecayingSine(0.0, 1.0, 0.1, 1.0), "amplitude: got 0.0"),
-        (lambda: DecayingSine(1.0, 1.0, math.nan, 1.0), "decay_per_s: got nan"),
+        (lambda: DecayingSine(0.0, 1.0, 0.1, 1.0), "amplitude: .*got 0.0"),
+        (lambda: DecayingSine(1.0, 1.0, math.nan, 1.0), "decay_per_s: .*got nan"),
         (lambda: ex.s2_sinusoid(0.0, "0BL"), "frequency_hz: got 0.0"),
         (lambda: RampHold(0, [1], [1, 2], [1]), "1 targets, 2 rates and 1 holds"),
-        (lambda: RampHold(0, [1], [0], [1]), r"rates\[0\]: got 0.0"),
+        (lambda: RampHold(0, [1], [0], [1]), r"rates\.0: .*got 0"),
         (lambda: RampHold(0, [0], [1], [0]), "motion of no duration"),
-        (lambda: RampHoldDraw(0, (0, 1), (1, 2), (1, 2)), "moves: got 0"),
-        (lambda: RampHoldDraw(1, (1, 0), (1, 2), (1, 2)), "targets: got 1 to 0"),
-        (lambda: RampHoldDraw(1, (0, 1), (1, 2), (-1, 2)), "holds_s: got -1 to 2"),
+        (lambda: RampHoldDraw(0, (0, 1), (1, 2), (1, 2)), "moves: .*got 0"),
+        (lambda: RampHoldDraw(1, (1, 0), (1, 2), (1, 2)), r"targets: expected lower <= upper, got \[?\(?1"),
+        (lambda: RampHoldDraw(1, (0, 1), (1, 2), (-1, 2)), r"holds_s\.0: .*got -1"),
         (lambda: RampHoldDraw(1, (0, 1), (1, 2), (1, 2), steps=(2, 3))(0), "wider step window"),
     ],
 )
