@@ -9,8 +9,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from hystmpc.ctrl.feedback import PidControllerSettings
-from hystmpc.ctrl.inverse_settings import InversePidControllerSettings
+from hystmpc.ctrl.feedback import InversePidControllerSettings, PidControllerSettings
 from hystmpc.ctrl.planner.settings import TipSettings, read_settings
 from hystmpc.models.contract.metadata import Range
 from hystmpc.models.simulator import load_simulator

@@ -12,14 +12,13 @@ import numpy as np
 
 from hystmpc.ctrl.command import CommandLimits, limits_of_model, modelled_limits, narrowed_limits
 from hystmpc.ctrl.estimation.observer import ANGLE_BOUND_DEG, OutputEstimator
-from hystmpc.ctrl.feedback import REFERENCE_DEAD_ZONE_DEG
+from hystmpc.ctrl.feedback import REFERENCE_DEAD_ZONE_DEG, feedback_gains
 from hystmpc.ctrl.guarded import build_controller
 from hystmpc.ctrl.learning.predictor import LearnedPredictor
 from hystmpc.ctrl.linearised.planner import MoveBlocking
 from hystmpc.ctrl.mpc import FOLLOWING, Candidates, PredictiveLaw
 from hystmpc.ctrl.mpc_settings import LinearisedMpcSettings
 from hystmpc.ctrl.planner.settings import TipSettings
-from hystmpc.ctrl.supervisor import feedback_gains
 from hystmpc.models.chain import Chain, split
 from hystmpc.models.contract.metadata import ModelMetadata
 from hystmpc.models.inverse.drive import DrivenInverse

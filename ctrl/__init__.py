@@ -15,10 +15,8 @@ if TYPE_CHECKING:
     from .command import Command, CommandLimits, ControlInput, Source, Stopwatch, Timing
     from .config import CONTROLLERS, parse_controller
     from .estimation.observer import EstimatorSettings
-    from .feedback import PidControllerSettings
-    from .guarded import build_controller
-    from .inverse_settings import InverseControllerSettings, InversePidControllerSettings
-    from .law import Law, LawSettings, Proposal
+    from .feedback import InverseControllerSettings, InversePidControllerSettings, PidControllerSettings
+    from .guarded import Law, LawSettings, Proposal, build_controller
     from .loop import Controller, Plant, run_loop
     from .mpc_settings import LinearisedMpcSettings, SamplingMpcSettings
     from .planner.tip_controller import TipController
@@ -57,8 +55,8 @@ if not TYPE_CHECKING:
         ("hystmpc.ctrl.estimation.observer", "EstimatorSettings"),
         ("hystmpc.ctrl.feedback", "PidControllerSettings"),
         ("hystmpc.ctrl.guarded", "build_controller"),
-        ("hystmpc.ctrl.inverse_settings", "InverseControllerSettings InversePidControllerSettings"),
-        ("hystmpc.ctrl.law", "Law LawSettings Proposal"),
+        ("hystmpc.ctrl.feedback", "InverseControllerSettings InversePidControllerSettings"),
+        ("hystmpc.ctrl.guarded", "Law LawSettings Proposal"),
         ("hystmpc.ctrl.loop", "Controller Plant run_loop"),
         ("hystmpc.ctrl.mpc_settings", "LinearisedMpcSettings SamplingMpcSettings"),
         ("hystmpc.ctrl.planner.tip_controller", "TipController"),

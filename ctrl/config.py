@@ -13,9 +13,8 @@ from hystmpc.trials.errors import ConfigError, did_you_mean
 from hystmpc.trials.from_outside import MEMORY, MODULE_AND_CLASS, class_named, given_by, is_reading, refusal, with_kind
 
 from .estimation.observer import SensorKindSettings
-from .feedback import PidControllerSettings
-from .inverse_settings import InverseControllerSettings, InversePidControllerSettings
-from .law import LawSettings
+from .feedback import InverseControllerSettings, InversePidControllerSettings, PidControllerSettings
+from .guarded import LawSettings
 from .mpc_settings import LinearisedMpcSettings, SamplingMpcSettings
 
 GROUP = "hystmpc.controllers"

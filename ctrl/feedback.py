@@ -1,4 +1,4 @@
-"""Laws without a horizon: PID with its settings, inverse feedforward, both together.
+"""PID, inverse feedforward, both together, and the supervisor that falls back on them; with their settings.
 
 S2 is RA-L 2024, PMC11633443.
 """
@@ -6,19 +6,19 @@ S2 is RA-L 2024, PMC11633443.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import ClassVar, Literal, Protocol, TypeVar, final
+from typing import Any, ClassVar, Literal, Protocol, TypeVar, final
 
 import numpy as np
 from pydantic import field_validator
 
-from hystmpc.models.model import Inverse, Predictor
-from hystmpc.trials.config import NotNegative, Positive, Settings
+from hystmpc.models.model import Inverse, Predictor, static_gain
+from hystmpc.trials.config import Count, NotNegative, Positive, Settings
 from hystmpc.trials.errors import ControllerError
 from hystmpc.trials.types import Vec
 
-from .command import EMPTY, CommandLimits, CommandPlan, ControlInput, Source, Stopwatch, replace
-from .estimation.observer import LastMeasurement, Observer, SensorKindSettings
-from .law import Law, LawSettings, Proposal
+from .command import EMPTY, CommandLimits, CommandPlan, ControlInput, Source, Stopwatch, attempt, replace
+from .estimation.observer import EstimatorSettings, LastMeasurement, Observer, SensorKindSettings
+from .guarded import Law, LawSettings, Proposal
 
 S = TypeVar("S", bound=SensorKindSettings)
 
@@ -300,3 +300,170 @@ class InversePid(Law[InversePidMemory]):
         u, pid = self._pid.correct(memory.pid, error, given, u_alone)
         watch.lap("pid")
         return Proposal(u, InversePidMemory(wanted.memory, pid, state, u_alone, dues, error))
+
+
+class FeedforwardSettings(LawSettings):
+    """What both controllers with an inverse have.
+
+    Attributes:
+        reference_dead_zone_deg: change of the reference that is not followed [deg].
+        preview: samples of the reference that the inverse of a model with lag or delay looks at.
+        estimator: how state and disturbance are estimated from the measurements.
+    """
+
+    estimator: EstimatorSettings = EstimatorSettings()  # pyright: ignore[reportIncompatibleVariableOverride]  # frozen
+    reference_dead_zone_deg: NotNegative = REFERENCE_DEAD_ZONE_DEG
+    preview: Count = 20
+
+    def bridged_samples(self, dt_s: float) -> int:
+        return self.estimator.bridged_samples(self.ladder.max_missing_samples, dt_s)
+
+    def observer(self, predictor: Predictor) -> Observer:
+        return self.estimator.observer(predictor)
+
+    def feedforward(self, predictor: Predictor, inverse: Inverse, limits: CommandLimits) -> InverseFeedforward:
+        """The inverse: over the preview for a model that answers late (`steady_inverse` too), else sample by sample."""
+        from hystmpc.models.inverse.drive import DrivenInverse  # numba and CasADi, which importing settings spares
+        from hystmpc.models.inverse.one_step import inverted_after_a_hold
+
+        ahead = None
+        if isinstance(inverse, DrivenInverse) or inverted_after_a_hold(inverse):
+            from .linearised.planner import FeasibleInverse
+
+            ahead = FeasibleInverse(predictor, inverse, limits, self.preview)
+        return InverseFeedforward(inverse, self.reference_dead_zone_deg, ahead)
+
+
+class InverseControllerSettings(FeedforwardSettings):
+    """Inverse feedforward."""
+
+    kind: Literal["inverse"] = "inverse"
+
+    def law(self, predictor: Predictor, inverse: Inverse, limits: CommandLimits) -> Law[Any]:
+        return self.feedforward(predictor, inverse, limits)
+
+
+class InversePidControllerSettings(FeedforwardSettings):
+    """Inverse feedforward with PID feedback.
+
+    Attributes:
+        gains: of the PID.
+    """
+
+    kind: Literal["inverse_pid"] = "inverse_pid"
+    gains: PidSettings = PidSettings(kp_per_deg=0.01, ki_per_deg_s=0.2)
+
+    _measures = field_validator("estimator")(needs_sensor)
+
+    def law(self, predictor: Predictor, inverse: Inverse, limits: CommandLimits) -> Law[Any]:
+        feedforward = self.feedforward(predictor, inverse, limits)
+        pid, oldest = Pid(self.gains, limits, predictor.dt), self.estimator.oldest_samples(predictor.dt)
+        return InversePid(feedforward, pid, predictor, limits, oldest)
+
+
+class SupervisorSettings(Settings):
+    """Block `supervisor`: which law acts, by the error of the forecasts of the last seconds.
+
+    The error of a forecast over 0.24 s is compared with that of no forecast, which is that the angle stays where it is
+    (root mean squares, see `FilterBank`).
+
+    Attributes:
+        inverse_pid_above: share of the latter from which on inverse and PID take over from the predictive controller.
+        pid_above: share from which on the PID alone takes over.
+        pid: gains of both; null for 0.2 / G and 1.5 / (G s), where G is the model's static gain [deg per command unit].
+    """
+
+    inverse_pid_above: Positive = 0.95
+    pid_above: Positive = 1.05
+    pid: PidSettings | None = None
+
+
+SupervisorLevel = Literal["mpc", "inverse_pid", "pid"]
+LEVELS: tuple[SupervisorLevel, ...] = ("mpc", "inverse_pid", "pid")
+
+_BACK = 0.5  # share of a threshold below which a better level takes over again
+_KP_SHARE, _KI_PER_S = 0.2, 1.5  # of gains that nobody has tuned, in units of the inverse of the model's static gain
+
+
+def feedback_gains(settings: SupervisorSettings, predictor: Predictor) -> PidSettings:
+    """The gains of both feedback laws, for a model."""
+    if settings.pid is not None:
+        return settings.pid
+    gain = attempt(lambda: static_gain(predictor))[0] or 0.0
+    gains = PidSettings()
+    if gain > 0:
+        gains = PidSettings(kp_per_deg=_KP_SHARE / gain, ki_per_deg_s=_KI_PER_S / gain)
+    return gains if predictor.noise is None else gains.with_dead_zone(predictor.noise.sensor_resolution_deg)
+
+
+def supervisory_law(
+    mpc: Law[Any],
+    settings: SupervisorSettings,
+    pair: tuple[Predictor, Inverse],
+    limits: CommandLimits,
+) -> SupervisoryLaw:
+    """The predictive law with the two feedback laws that a supervisor switches to, on one model.
+
+    The inverse is that of the hysteresis alone, sample by sample: where a model predicts so badly, inverting its lag
+    and delay gains nothing.
+    """
+    predictor, inverse = pair
+    pid = Pid(feedback_gains(settings, predictor), limits, predictor.dt)
+    feedback = InversePid(InverseFeedforward(inverse), pid, predictor, limits), PidFeedback(pid, limits)
+    return SupervisoryLaw(mpc, *feedback, (settings.inverse_pid_above, settings.pid_above))
+
+
+@dataclass(frozen=True, eq=False)
+class SupervisorMemory:
+    """The level that acts, and the memory of its law."""
+
+    level: SupervisorLevel
+    inner: Any
+
+
+@final
+class SupervisoryLaw(Law[SupervisorMemory]):
+    """Supervisory control: one of three laws acts, chosen by the error of the forecasts, with bumpless transfer.
+
+    The supervisor switches to a lower level as soon as the error exceeds the threshold of the present one, and back
+    once it is below half of that threshold (hysteresis).
+    """
+
+    source = Source.MPC
+
+    def __init__(
+        self, mpc: Law[Any], inverse_pid: InversePid, pid: PidFeedback, thresholds: tuple[float, float]
+    ) -> None:
+        self.horizon = max(mpc.horizon, inverse_pid.horizon, pid.horizon)
+        self._mpc, self._inverse_pid, self._pid = mpc, inverse_pid, pid
+        self._laws: dict[SupervisorLevel, Law[Any]] = {"mpc": mpc, "inverse_pid": inverse_pid, "pid": pid}
+        self._thresholds = thresholds
+
+    def init(self, y: float, u: float) -> SupervisorMemory:
+        return SupervisorMemory("mpc", self._mpc.init(y, u))
+
+    def propose(self, memory: SupervisorMemory, given: ControlInput, watch: Stopwatch) -> Proposal[SupervisorMemory]:
+        level = self._level(memory.level, given.forecast_error)
+        if level != memory.level:
+            memory = SupervisorMemory(level, self._bumpless_start(level, given))
+        law = self._laws[level]
+        proposed = law.propose(memory.inner, replace(given, reference=given.reference[: law.horizon]), watch)
+        status = proposed.status
+        if level != "mpc":
+            note = f"{level}: forecasts are off by {100 * given.forecast_error:.0f} % of the motion"
+            status = note if status == "ok" else f"{note}; {status}"
+        return Proposal(
+            proposed.u, SupervisorMemory(level, proposed.memory), proposed.plan, proposed.predicted, status, law.source
+        )
+
+    def _level(self, now: SupervisorLevel, forecast_error: float) -> SupervisorLevel:
+        """The level at this error of the forecasts; better than the present one only where it is clearly lower."""
+        at = LEVELS.index(now)
+        worst = sum(forecast_error > threshold for threshold in self._thresholds)
+        best = sum(forecast_error > _BACK * threshold for threshold in self._thresholds)
+        return LEVELS[max(worst, min(at, best))]
+
+    def _bumpless_start(self, level: SupervisorLevel, given: ControlInput) -> Any:
+        if level == "mpc":
+            return self._mpc.init(given.measured, given.u_last)
+        return self._inverse_pid.bumpless_start(given) if level == "inverse_pid" else self._pid.bumpless_start(given)

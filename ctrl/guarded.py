@@ -1,16 +1,18 @@
-"""Every controller of hystmpc: a law inside an estimator, a chain of fallback levels and hard limits."""
+"""Every controller of hystmpc: a control law inside an estimator, a chain of fallback levels and hard limits."""
 
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
 from functools import partial
-from typing import TYPE_CHECKING, Any, Generic, TypeVar, final
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, TypeVar, final
 
 import numpy as np
 
 from hystmpc.models.model import Inverse, Predictor
 from hystmpc.trials.brief import brief, in_brief
+from hystmpc.trials.config import Count, NotNegativeInt, Settings
 from hystmpc.trials.errors import ControllerError, HystmpcError, shown
 from hystmpc.trials.types import Index, Vec
 
@@ -19,6 +21,7 @@ from .command import (
     Command,
     CommandLimits,
     ControlInput,
+    LimitsSettings,
     Source,
     Stopwatch,
     Timing,
@@ -28,8 +31,7 @@ from .command import (
     numbers_of,
     replace,
 )
-from .estimation.observer import ANGLE_BOUND_DEG, Estimate, Observer, usable_angle
-from .law import FallbackSettings, Law, LawSettings, Proposal
+from .estimation.observer import ANGLE_BOUND_DEG, Estimate, Observer, SensorKindSettings, usable_angle
 
 if TYPE_CHECKING:
     from hystmpc.models.prediction.build import ControllerModel
@@ -40,6 +42,91 @@ _ROUNDING = 1e-6  # of a sample
 
 M = TypeVar("M")
 N = TypeVar("N")
+
+
+@dataclass(frozen=True, eq=False)
+class Proposal(Generic[M]):
+    """A wanted command, the law's next memory, and the plan behind it (`predicted` without disturbance).
+
+    `source` is the level that the command comes from, None for that of the law.
+    """
+
+    u: float
+    memory: M
+    plan: Vec = field(default_factory=lambda: EMPTY)
+    predicted: Vec = field(default_factory=lambda: EMPTY)
+    status: str = "ok"
+    source: Source | None = None
+
+
+class Law(ABC, Generic[M]):
+    """Memory in, memory out. A law may raise and may want anything: `GuardedController` makes it safe."""
+
+    horizon: int  # reference samples looked at
+    source: Source
+
+    @abstractmethod
+    def init(self, y: float, u: float) -> M:
+        """Memory at rest with measured angle `y` [deg] and held command `u`."""
+
+    @abstractmethod
+    def propose(self, memory: M, given: ControlInput, watch: Stopwatch) -> Proposal[M]:
+        """The wanted command; stages worth telling apart are booked on `watch`."""
+
+
+class FallbackSettings(Settings):
+    """Block `ladder`: when prediction, fallback and stop set in.
+
+    Attributes:
+        stop_after_failures: consecutive failed samples after which the stop is latched.
+        max_missing_samples: consecutive samples without usable measurement that are bridged by prediction.
+        safe_command: where a stop goes, within the rate limit [mm or bar]; null stays at the last command.
+    """
+
+    stop_after_failures: Count = 25
+    max_missing_samples: NotNegativeInt = 25
+    safe_command: float | None = None
+
+
+class LawSettings(Settings):
+    """Base of the settings of every kind of controller: they build its law and its observer.
+
+    Attributes:
+        limits: may only narrow those of the device; null takes them as they are.
+        ladder: when prediction, fallback and stop set in.
+        estimator: how the measurements come.
+    """
+
+    falls_back_on_inverse: ClassVar[bool] = True
+    predicts: ClassVar[bool] = False  # with the model itself; others get an operator in the place of a network
+
+    limits: LimitsSettings | None = None
+    ladder: FallbackSettings = FallbackSettings()
+    estimator: SensorKindSettings = SensorKindSettings()
+
+    def resolved(self) -> LawSettings:
+        """These settings, or those of the class from outside that they name."""
+        return self
+
+    def model_pair(self, predictor: Predictor, inverse: Inverse) -> tuple[Predictor, Inverse]:
+        """The model and its inverse as the controller uses them, with a learned part where the settings ask for one.
+
+        Who predicts from a controller's own state, as `TipController.predict` does, needs this predictor.
+        """
+        return predictor, inverse
+
+    def bridged_samples(self, dt_s: float) -> int:
+        """Consecutive samples without a usable measurement that are bridged by prediction at sample time `dt_s` [s]."""
+        del dt_s
+        return self.ladder.max_missing_samples
+
+    @abstractmethod
+    def observer(self, predictor: Predictor) -> Observer:
+        """The estimator of state and disturbance."""
+
+    @abstractmethod
+    def law(self, predictor: Predictor, inverse: Inverse, limits: CommandLimits) -> Law[Any]:
+        """The control law."""
 
 
 @dataclass(frozen=True, eq=False)

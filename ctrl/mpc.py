@@ -17,9 +17,9 @@ from hystmpc.models.model import Inverse, Predictor, static_gain
 from hystmpc.trials.types import Vec
 
 from .command import CommandLimits, CommandPlan, ControlInput, Source, Stopwatch, attempt
-from .law import Law, Proposal
+from .guarded import Law, Proposal
 from .learning.predictor import LearnedFollower, LearnedInverse
-from .planning_settings import HoldSettings, PredictiveSettings, WeightsSettings
+from .mpc_settings import HoldSettings, PredictiveSettings, WeightsSettings
 
 P = TypeVar("P")
 

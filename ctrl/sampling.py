@@ -15,10 +15,10 @@ from hystmpc.models.model import Predictor
 from hystmpc.trials.types import Mat, Vec
 
 from .command import CommandLimits, CommandPlan, Stopwatch
-from .linearised.daqp_ import DaqpOptions, DaqpSolver
 from .linearised.planner import BlockedQp, MoveBlocking, PlanProgram, TrackingQp
+from .linearised.qp import DaqpOptions, DaqpSolver
 from .mpc import PlanCost, Planner, PlanningError, PlanningProblem
-from .planning_settings import SamplingSettings, WeightsSettings
+from .mpc_settings import SamplingMpcSettings, WeightsSettings
 
 _SMALL = 1e-12  # squared distance of a sample from the start below which it says nothing
 _RIDGE = 1e-6  # of the fit, as a share of its normal matrix's trace
@@ -131,7 +131,7 @@ def add(target: Any, factor: float, row: Any) -> None:
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def weighted_mean(plans: Any, costs: Any, temperature: float) -> Any:
-    """Mean (H,) of plans (N, H) with finite costs (N,), by exp(-(J - J_min) / lambda); see `SamplingSettings`."""
+    """Mean (H,) of plans (N, H) with finite costs (N,), by exp(-(J - J_min) / lambda); see `SamplingMpcSettings`."""
     lowest = costs.min()
     scale = max(temperature * (np.median(costs) - lowest), _TINY)
     total, mean = 0.0, np.zeros(plans.shape[1])
@@ -163,7 +163,7 @@ class SamplingPlanner(Planner[SampleCounter]):
     The w of each m samples, one after another, are orthogonal: m samples show every direction once.
     """
 
-    def __init__(self, predictor: Predictor, settings: SamplingSettings, limits: CommandLimits) -> None:
+    def __init__(self, predictor: Predictor, settings: SamplingMpcSettings, limits: CommandLimits) -> None:
         self._predictor, self._settings = predictor, settings
         horizon, dt = settings.preview_samples(predictor.dt), predictor.dt
         self._bounds = Bounds(limits.lower, limits.upper, limits.rate * dt)
@@ -256,7 +256,7 @@ class PathIntegralPlanner(SamplingPlanner):
     costs least, never to a worse plan. The weighted mean alone would follow the noise of the disturbance estimate.
     """
 
-    def __init__(self, predictor: Predictor, settings: SamplingSettings, limits: CommandLimits) -> None:
+    def __init__(self, predictor: Predictor, settings: SamplingMpcSettings, limits: CommandLimits) -> None:
         super().__init__(predictor, settings, limits)
         self._sigmas = self._sigma * np.geomspace(1.0, settings.finest, settings.samples)[:, None]
 
@@ -308,7 +308,7 @@ class CrossEntropyPlanner(SamplingPlanner):
     (Pinneri et al., "Sample-efficient cross-entropy method for real-time planning", CoRL 2020, algorithm 1).
     """
 
-    def __init__(self, predictor: Predictor, settings: SamplingSettings, limits: CommandLimits) -> None:
+    def __init__(self, predictor: Predictor, settings: SamplingMpcSettings, limits: CommandLimits) -> None:
         super().__init__(predictor, settings, limits)
         self._elites = min(max(2, math.ceil(settings.elites * settings.samples)), settings.samples)
         self._kept = math.ceil(_KEPT * self._elites)

@@ -13,8 +13,7 @@ from matplotlib.figure import Figure
 
 from hystmpc.ctrl.analysis import LoopAnalysis, analyse_pid
 from hystmpc.ctrl.estimation.observer import EstimatorSettings
-from hystmpc.ctrl.feedback import PidControllerSettings
-from hystmpc.ctrl.inverse_settings import InversePidControllerSettings
+from hystmpc.ctrl.feedback import InversePidControllerSettings, PidControllerSettings
 from hystmpc.models.inverse.drive import Drive
 from hystmpc.models.load import load_model, model_path
 from hystmpc.models.model import Predictor

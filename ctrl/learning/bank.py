@@ -25,7 +25,7 @@ from hystmpc.models.kernels.numba_ import njit
 from hystmpc.trials.types import Vec
 
 from ..command import replace
-from ..planning_settings import AdaptationSettings
+from ..mpc_settings import AdaptationSettings
 
 LAGS_S: Vec = np.array([0.0, 0.02, 0.045, 0.075, 0.11, 0.15, 0.2, 0.26])
 DELAYS = 6

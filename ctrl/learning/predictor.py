@@ -13,7 +13,7 @@ from hystmpc.trials.types import Vec
 
 from ..command import attempt, replace
 from ..estimation.observer import Estimate, EstimatorSettings, Observer, OutputEstimator, usable_angle
-from ..planning_settings import AdaptationSettings
+from ..mpc_settings import AdaptationSettings
 from .bank import (
     DELAYS,
     FEATURES,

@@ -12,18 +12,17 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from hystmpc.models.inverse.follow import Bounds, clip_plans
+from hystmpc.models.inverse.one_step import inverted_after_a_hold
 from hystmpc.models.kernels.numba_ import njit
-from hystmpc.models.model import Predictor
+from hystmpc.models.model import Inverse, Predictor
 from hystmpc.trials.errors import ControllerError
 from hystmpc.trials.types import Mat, Vec
 
 from ..command import CommandLimits, CommandPlan, Stopwatch
 from ..learning.predictor import LearnedPredictor
-from ..mpc import PlanCost, Planner, PlanningError, PlanningProblem
-from ..planning_settings import LinearisationSettings, WeightsSettings
-from .daqp_ import DaqpOptions
-from .osqp_ import OsqpOptions
-from .qp import QpData, QpPattern
+from ..mpc import HOLD, INVERSE, Candidates, PlanCost, Planner, PlanningError, PlanningProblem
+from ..mpc_settings import LinearisedMpcSettings, WeightsSettings
+from .qp import DaqpOptions, OsqpOptions, QpData, QpPattern
 
 
 class PlanProgram(ABC):
@@ -380,7 +379,7 @@ _LEARNED_ITERATIONS = 2
 _KEPT = 0.9  # share of the promised decrease from which on no part of the step is worth a roll-out
 
 
-def _options_of(settings: LinearisationSettings) -> OsqpOptions | DaqpOptions:
+def _options_of(settings: LinearisedMpcSettings) -> OsqpOptions | DaqpOptions:
     """Options of the solver that is asked for."""
     return DaqpOptions() if settings.solver == "daqp" else OsqpOptions(eps=settings.solver_eps)
 
@@ -404,7 +403,7 @@ class LinearisedPlanner(Planner[None]):
     def __init__(
         self,
         predictor: Predictor,
-        settings: LinearisationSettings,
+        settings: LinearisedMpcSettings,
         limits: CommandLimits,
         options: OsqpOptions | DaqpOptions | None = None,
     ) -> None:
@@ -492,3 +491,50 @@ def take_step(
         foreseen[0, k] = angles[k]
         for j in range(k + 1):
             foreseen[0, k] += jacobian[k, j] * (whole[0, j] - commands[j])
+
+
+_RATE_WEIGHT = 0.01  # at 25 Hz [deg^2 per squared command unit]: next to nothing beside an error of the angle
+_STEADY_RATE_WEIGHT = 3.0  # of a model whose exact inverse goes back and forth: what a move costs keeps it from that
+_BASE_DT_S = 0.04
+_INVERSE_ITERATIONS = 2
+
+
+@final
+class FeasibleInverse:
+    """argmin over admissible u of the sum of (theta_k(u) - r_k)^2 over the preview, with next to no weight on moves.
+
+    The problem of the linearised controller without a disturbance: its candidates, then its planner. Sample by sample,
+    an inverse would send u = v + (w - v) / a to a lag of which a share a < 1 shows in a sample, which amplifies every
+    deviation, and could send nothing sensible to a delay.
+    """
+
+    def __init__(self, predictor: Predictor, inverse: Inverse, limits: CommandLimits, horizon: int) -> None:
+        self.horizon = horizon
+        rate = _STEADY_RATE_WEIGHT if inverted_after_a_hold(inverse) else _RATE_WEIGHT
+        weights = WeightsSettings(terminal=1.0, rate=rate * (_BASE_DT_S / predictor.dt) ** 2, effort=0.0)
+        settings = LinearisedMpcSettings(horizon=horizon, iterations=_INVERSE_ITERATIONS, weights=weights)
+        self._predictor = predictor
+        self._candidates = Candidates(predictor, inverse, limits, horizon)
+        self._cost = PlanCost(weights, horizon)
+        self._planner = LinearisedPlanner(predictor, settings, limits)
+
+    def plan(self, state: Vec, u_last: float, wanted: Vec, remaining: Vec, tolerance_deg: float) -> CommandPlan:
+        """The plan from a model state (S,) along wanted angles (H,) [deg].
+
+        A command that keeps the angle within the tolerance over the whole preview is held.
+
+        Args:
+            remaining: what is left of the last plan, shape (0..H,).
+
+        Raises:
+            PlanningError: if the solver fails or predictions are not finite.
+        """
+        plans = self._candidates.build(state, u_last, wanted, remaining, resting=False)
+        angles = self._predictor.rollout(state, plans)
+        problem = PlanningProblem(state, u_last, wanted, plans[INVERSE], (-math.inf, math.inf))
+        start = self._cost.best(plans, angles, problem)
+        if not math.isfinite(start.cost):
+            raise PlanningError(f"none of {len(plans)} candidates has a finite prediction")
+        if np.max(np.abs(angles[HOLD] - wanted)) <= tolerance_deg:
+            return CommandPlan(plans[HOLD], angles[HOLD], start.cost)
+        return self._planner.improve(problem, start, None, Stopwatch())[0]

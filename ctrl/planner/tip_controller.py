@@ -47,8 +47,8 @@ from .reference import ReferenceRequest, given_request, waypoint_request
 from .settings import TipSettings, read_settings
 
 if TYPE_CHECKING:
-    from .assembly import Assembly
     from .memory import PlannersController
+    from .settings import Assembly
 
 
 _ROUNDS = 3  # evaluations of a reference within one step, where another thread sets a new one each time
@@ -105,7 +105,7 @@ class TipController:
             ControllerError: if the settings contradict each other or the model.
             FitError: if a network has no `inverse` and none can be fitted.
         """
-        from .assembly import assemble  # CasADi, onnxruntime and numba take longer than a second to import
+        from .settings import assemble  # CasADi, onnxruntime and numba take longer than a second to import
 
         settings, folder = read_settings(source)
         return cls(assemble(settings, folder), settings)

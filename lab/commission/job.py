@@ -16,10 +16,8 @@ from hystmpc.bench.commission import Commissioned, commission_device
 from hystmpc.bench.controller import TIP_FILE, tip_settings
 from hystmpc.bench.device import BenchDevice
 from hystmpc.ctrl.command import limits_of_model
-from hystmpc.ctrl.feedback import PidControllerSettings
-from hystmpc.ctrl.guarded import build_controller
-from hystmpc.ctrl.inverse_settings import InverseControllerSettings
-from hystmpc.ctrl.law import LawSettings
+from hystmpc.ctrl.feedback import InverseControllerSettings, PidControllerSettings
+from hystmpc.ctrl.guarded import LawSettings, build_controller
 from hystmpc.ctrl.loop import Controller, ImagingSettings, NoSensorSettings
 from hystmpc.ctrl.mpc_settings import LinearisedMpcSettings
 from hystmpc.gap.diagnose import diagnose_trials

@@ -9,7 +9,7 @@ import numpy as np
 
 from hystmpc.ctrl.command import CommandLimits
 from hystmpc.ctrl.mpc import PlanningProblem
-from hystmpc.ctrl.planning_settings import WeightsSettings
+from hystmpc.ctrl.mpc_settings import WeightsSettings
 from hystmpc.models.networks.lstm import LstmWeights
 from hystmpc.trials.types import Vec
 

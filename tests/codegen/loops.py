@@ -11,8 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from hystmpc.ctrl.planner.assembly import assemble
-from hystmpc.ctrl.planner.settings import read_settings
+from hystmpc.ctrl.planner.settings import assemble, read_settings
 from hystmpc.models.inverse.drive import Drive
 from hystmpc.models.load import load_model, model_path
 from hystmpc.models.operators.dynamics import Lag

@@ -9,8 +9,7 @@ import pytest
 
 from hystmpc.ctrl.command import Command, CommandLimits, ControlInput, Source, Stopwatch
 from hystmpc.ctrl.config import CONTROLLERS
-from hystmpc.ctrl.guarded import FallbackChain, GuardedController, build_controller
-from hystmpc.ctrl.law import FallbackSettings, Law, Proposal
+from hystmpc.ctrl.guarded import FallbackChain, FallbackSettings, GuardedController, Law, Proposal, build_controller
 from hystmpc.models.model import Inverse, Predictor
 from hystmpc.trials.errors import ConfigError, ControllerError
 from hystmpc.trials.types import Vec

@@ -16,7 +16,7 @@ from hystmpc.ctrl.estimation.observer import Estimate, EstimatorSettings
 from hystmpc.ctrl.guarded import build_controller
 from hystmpc.ctrl.learning.bank import DELAYS, DRIVES, FEATURES, LAGS_S, BankState, FilterBank, features, first_memory
 from hystmpc.ctrl.learning.predictor import LearnedInverse, LearnedPredictor, Learning, LearningEstimator
-from hystmpc.ctrl.planning_settings import AdaptationSettings
+from hystmpc.ctrl.mpc_settings import AdaptationSettings
 from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.types import Vec
 

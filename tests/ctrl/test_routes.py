@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hystmpc.ctrl.linearised.daqp_ import DaqpOptions
+from hystmpc.ctrl.linearised.qp import DaqpOptions
 from hystmpc.models.inverse.one_step import AccompaniedPredictor, CompanionInverse
 from hystmpc.models.kinds.catalogue import KINDS
 from hystmpc.models.kinds.kind import ModelKind

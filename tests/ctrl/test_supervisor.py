@@ -12,11 +12,9 @@ from hypothesis import strategies as st
 
 from hystmpc.ctrl.command import CommandLimits, Source, Stopwatch
 from hystmpc.ctrl.config import CONTROLLERS
-from hystmpc.ctrl.feedback import PidSettings
+from hystmpc.ctrl.feedback import PidSettings, SupervisorSettings, SupervisoryLaw, feedback_gains
 from hystmpc.ctrl.guarded import GuardedController, GuardedState, build_controller
 from hystmpc.ctrl.learning.predictor import Learning
-from hystmpc.ctrl.planning_settings import SupervisorSettings
-from hystmpc.ctrl.supervisor import SupervisoryLaw, feedback_gains
 from hystmpc.trials.errors import ConfigError
 
 from .plays import DT, SOUND, Backlash

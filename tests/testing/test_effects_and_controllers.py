@@ -14,8 +14,8 @@ import pytest
 
 from hystmpc.ctrl.command import CommandLimits, ControlInput, Stopwatch
 from hystmpc.ctrl.config import CONTROLLERS, PythonControllerSettings, parse_controller
-from hystmpc.ctrl.inverse_settings import InverseControllerSettings
-from hystmpc.ctrl.law import Law, LawSettings, Proposal
+from hystmpc.ctrl.feedback import InverseControllerSettings
+from hystmpc.ctrl.guarded import Law, LawSettings, Proposal
 from hystmpc.models.effects.catalogue import EFFECTS
 from hystmpc.models.effects.effect import Effect
 from hystmpc.models.model import Inverse, Predictor
