@@ -13,9 +13,8 @@ import numpy as np
 from hystmpc.trials.errors import ModelError
 
 from .kernels.program import dense
-from .operators.catalogue import operator_from, operator_spec
 from .operators.dynamics import Delay, Lag, RateLimit, Servo
-from .operators.operator import Operator, Parameter
+from .operators.operator import Operator, Parameter, operator_from, operator_spec
 
 DYNAMICS = (Delay, Lag, Servo, RateLimit)
 """Operators that are not inverted sample by sample: that would amplify every deviation."""

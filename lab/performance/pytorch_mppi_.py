@@ -48,7 +48,7 @@ class TorchMppi:
         import torch
         from pytorch_mppi import MPPI
 
-        from hystmpc.models.networks.recurrent_ import net_of
+        from .lstm_reference import net_of
 
         self._torch = torch
         self._net = net_of(network).requires_grad_(False)

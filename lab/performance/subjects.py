@@ -21,7 +21,7 @@ from hystmpc.models.contract.metadata import ModelMetadata, Range
 from hystmpc.models.load import library_file, library_names
 from hystmpc.models.model import Inverse, LoadedModel, Predictor
 from hystmpc.models.motions import conditioned_rule, probe_commands, zero_state_rule
-from hystmpc.models.networks.lstm import LstmLayer, LstmStep, LstmWeights, lstm_step_graph
+from hystmpc.models.networks.lstm import LstmLayer, LstmWeights
 from hystmpc.models.networks.nodes import Scaling
 from hystmpc.models.operators.hysteresis import Backlash
 from hystmpc.models.operators.operator import Operator
@@ -29,6 +29,8 @@ from hystmpc.models.operators.prandtl_ishlinskii import PrandtlIshlinskii
 from hystmpc.models.prediction.build import controller_model, predictor_for
 from hystmpc.models.simulator import ChainModel, Identification, Simulator
 from hystmpc.trials.types import Vec
+
+from .lstm_reference import LstmStep, lstm_step_graph
 
 _COMMAND = Range(lower=0.0, upper=6.0)  # tendon [mm]
 _ANGLE = Range(lower=29.0, upper=89.0)  # 10 deg/mm

@@ -15,8 +15,6 @@ from numpy.typing import NDArray
 
 from hystmpc.trials.errors import ModelError
 
-from .checks import check_operators, node_name
-
 Expression = Any  # casadi.MX or casadi.DM, which have no types
 
 
@@ -361,3 +359,27 @@ REARRANGE: Mapping[str, Rule] = {
     "Transpose": _transpose,
     "Unsqueeze": _unsqueeze,
 }
+
+ALLOWED = frozenset((*ELEMENTWISE, *REARRANGE, *_COMBINE, "Cast", "Constant"))
+"""Operators that a model file may use: those that can be translated."""
+
+
+def check_operators(graph: onnx.GraphProto, where: str) -> None:
+    """Hold every node against the list.
+
+    Raises:
+        ModelError: naming the first node that is not on it, its operator, and the list.
+    """
+    for index, node in enumerate(graph.node):
+        domain = "" if node.domain == "ai.onnx" else node.domain
+        if domain or node.op_type not in ALLOWED:
+            operator = f"{domain}.{node.op_type}" if domain else node.op_type
+            raise ModelError(
+                f"{where}: node {node_name(node, index)} uses operator {operator!r}, which is not on the list, "
+                f"available: {', '.join(sorted(ALLOWED))}"
+            )
+
+
+def node_name(node: onnx.NodeProto, index: int) -> str:
+    """How messages call a node: its name, else its place and first output."""
+    return repr(node.name) if node.name else f"{index} (output {node.output[0] if node.output else 'none'!r})"

@@ -18,9 +18,8 @@ from ..chain import Chain
 from ..decades import Decades
 from ..effects.catalogue import EFFECTS
 from ..effects.place import PlacedEffect, effect_spec
-from ..operators.catalogue import operator_spec
 from ..operators.measurement import PeriodicDisturbance
-from ..operators.operator import Operator
+from ..operators.operator import Operator, operator_spec
 from ..operators.slow_changes import Drift, FirstFlexure
 from ..simulator import Identification, Simulator
 from .baseline import Baseline

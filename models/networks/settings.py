@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, get_args
 
@@ -16,8 +17,11 @@ from pydantic import BeforeValidator, Field, SerializeAsAny
 from hystmpc.trials.config import Count, NotNegativeInt, Positive, Settings
 
 if TYPE_CHECKING:
+    from hystmpc.trials.trial import Trial
+
     from ..operators.operator import Operator
     from .network_ import Network
+    from .nodes import Scaling
     from .recurrent_ import LstmNet
 
 _SPAN = 2.0  # of inputs scaled to [-1, 1]
@@ -29,7 +33,7 @@ class DeviceFacts:
 
     Attributes:
         rest: scaled input of a device at rest.
-        operator: the fitted backlash in scaled units, for hybrids.
+        operator: what `FormSettings.operator` has fitted.
         lag_samples: time constant of the lag in front of the hysteresis [samples]; 0 for none.
         inverted: whether the network is an inverse map.
     """
@@ -45,10 +49,8 @@ class FormSettings(Settings, ABC):
 
     Attributes:
         known: all forms, by name.
-        has_backlash: whether a backlash, fitted to the training trials beforehand, is part of it.
     """
 
-    has_backlash: ClassVar[bool] = False
     known: ClassVar[dict[str, type[FormSettings]]] = {}
 
     @classmethod
@@ -61,6 +63,15 @@ class FormSettings(Settings, ABC):
     def context(self) -> int:
         """Samples before the present one that an output looks back on; 0 with a recurrent state."""
         return 0
+
+    def operator(self, trials: Sequence[Trial], scaling: Scaling, skip_first_flexure: bool) -> Operator | None:
+        """An operator in scaled units that is part of the network, fitted to the training trials; None for none.
+
+        Raises:
+            FitError: if it cannot be fitted.
+        """
+        del trials, scaling, skip_first_flexure
+        return None
 
     @abstractmethod
     def network(self, facts: DeviceFacts) -> Network:

@@ -9,7 +9,7 @@ from typing import ClassVar, Self, final
 
 import casadi as ca
 
-from .operator import Operator, Parameter, Symbol, check_values, maximum, minimum, play
+from .operator import Operator, Parameter, Symbol, maximum, minimum, play
 
 _NARROW = 1e-9  # half-width below which a gradual play is none [cmd]
 
@@ -60,11 +60,6 @@ class CurvedPlays(Operator):
     shape: ClassVar[tuple[str, ...]] = ("plays", "pieces", "turn")
     default_sizes: ClassVar[Mapping[str, int]] = {"turn": 0}
     size_limits: ClassVar[Mapping[str, tuple[int, int]]] = {"turn": (0, 1)}
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "slopes", tuple(float(v) for v in self.slopes))
-        object.__setattr__(self, "radii", tuple(float(v) for v in self.radii))
-        check_values(self)
 
     @classmethod
     def template(cls, **structure: int) -> Self:

@@ -10,7 +10,7 @@ import casadi as ca
 
 from hystmpc.trials.errors import ModelError
 
-from .operator import Number, Operator, Parameter, Symbol, check_values, maximum, minimum, play
+from .operator import Number, Operator, Parameter, Symbol, maximum, minimum, play
 
 
 @final
@@ -53,12 +53,9 @@ class MaxwellSlip(Operator):
     default_sizes: ClassVar[Mapping[str, int]] = {"rate": 0}
     size_limits: ClassVar[Mapping[str, tuple[int, int]]] = {"rate": (0, 1)}
 
-    def __post_init__(self) -> None:
-        for name in ("stiffness", "speeds"):
-            object.__setattr__(self, name, tuple(float(v) for v in getattr(self, name)))
+    def check_sizes(self) -> None:
         if len(self.speeds) not in (0, len(_NO_RATE)):
             raise ModelError(f"maxwell_slip: {len(self.speeds)} numbers of the speed, expected none or {len(_NO_RATE)}")
-        check_values(self)
 
     @classmethod
     def template(cls, **structure: int) -> Self:

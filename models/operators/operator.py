@@ -1,13 +1,18 @@
-"""What an operator is: one equation, written once on CasADi symbols, with parameters that carry unit and bounds."""
+"""Operators: one equation each, written once on CasADi symbols, with parameters that carry unit and bounds; by name."""
 
 from __future__ import annotations
 
+import importlib
+import inspect
 import math
+import pkgutil
 import re
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cache
+from pathlib import Path
+from types import MappingProxyType
 from typing import Annotated, Any, ClassVar, Self, get_origin, get_type_hints
 
 import casadi as ca
@@ -75,7 +80,18 @@ class Operator(ABC):
         return f"{type(self).__name__}({self.name})"
 
     def __post_init__(self) -> None:
+        for name in self._value_fields():
+            if isinstance(value := getattr(self, name), Iterable):
+                object.__setattr__(self, name, tuple(float(v) for v in value))
+        self.check_sizes()
         check_values(self)
+
+    def check_sizes(self) -> None:  # noqa: B027 - most operators have one size
+        """Check that the parameters which are tuples, and the sizes, fit each other.
+
+        Raises:
+            ModelError: if they do not.
+        """
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -233,3 +249,96 @@ class Memoryless(Operator):
     def at_rest(self, u: Symbol, y: Symbol, p: Symbol) -> Symbol:
         del y, p
         return ca.vertcat(u)
+
+
+@cache
+def shipped_operators() -> Mapping[str, type[Operator]]:
+    """Operators by name: the concrete subclasses of `Operator` in the modules of this package."""
+    package, folder = __name__.rpartition(".")[0], str(Path(__file__).parent)
+    modules = [importlib.import_module(f"{package}.{module.name}") for module in pkgutil.iter_modules([folder])]
+    module = [kind for module in modules for kind in vars(module).values() if inspect.isclass(kind)]
+    kinds = [kind for kind in module if issubclass(kind, Operator) and not inspect.isabstract(kind)]
+    return MappingProxyType({kind.name: kind for kind in kinds})
+
+
+_SIZES = (1, 1000)
+_GUESSED = range(1, 9)
+
+
+def operators() -> Mapping[str, type[Operator]]:
+    """Every operator by name: those that ship, and those of effects that users have added."""
+    from ..effects.catalogue import own_operators  # built on operators
+
+    return {**own_operators(), **shipped_operators()}
+
+
+def operator_from(spec: Any, where: str) -> Operator:
+    """Build an operator from `{operator: NAME, <sizes>, parameters: {NAME: value}}`.
+
+    Raises:
+        ModelError: on an unknown operator or key, a missing size, a missing, unknown or out-of-bounds parameter.
+    """
+    if not isinstance(spec, dict) or "operator" not in spec:
+        raise ModelError(f"{where}: got {spec!r}, expected a mapping with the key 'operator'")
+    name = str(spec["operator"])
+    kind = shipped_operators().get(name) or operators().get(name)
+    if kind is None:
+        raise ModelError(f"{where}: no operator {name!r}, {did_you_mean(name, operators())}")
+    for key in spec:
+        if key not in ("operator", "parameters", *kind.shape):
+            raise ModelError(f"{where}: unknown key {key!r}, {did_you_mean(key, ['parameters', *kind.shape])}")
+    given = spec.get("parameters")
+    if not isinstance(given, dict) or not all(is_number(v) for v in given.values()):
+        raise ModelError(f"{where}: {name}.parameters is {given!r}, expected a mapping of numbers")
+    template = template_from(kind, spec, given, where)
+    try:
+        return template.with_values(values_from(name, [p.name for p in template.parameters], given))
+    except ModelError as error:
+        raise ModelError(f"{where}: {error}") from None
+
+
+def operator_spec(operator: Operator) -> dict[str, Any]:
+    """Plain data from which `operator_from` builds the same operator."""
+    names = (parameter.name for parameter in operator.parameters)
+    return {
+        "operator": operator.name,
+        **{key: size for key, size in operator.structure.items() if size != operator.default_sizes.get(key)},
+        "parameters": dict(zip(names, operator.values, strict=True)),
+    }
+
+
+def template_from(kind: type[Operator], spec: Mapping[str, Any], given: Iterable[str], where: str) -> Operator:
+    """An operator of the sizes in `spec`.
+
+    A size that has a default may be left out; it then follows from the parameters' names, as `tau_up_s` means a lag of
+    two ways and `share_2` a creep of at least two terms, or else is the default.
+
+    Raises:
+        ModelError: on a size that is missing or no whole number within its limits.
+    """
+    sizes = {key: spec.get(key, kind.default_sizes.get(key)) for key in kind.shape}
+    for key, size in sizes.items():
+        _check_size(size, kind.size_limits.get(key, _SIZES), f"{where}: {kind.name}.{key}")
+    template, wanted = kind.template(**sizes), set(given)
+    for key in kind.default_sizes:
+        if key in spec or wanted <= names_of(template):
+            continue
+        lower, upper = kind.size_limits.get(key, _SIZES)
+        guesses = (kind.template(**{**sizes, key: n}) for n in _GUESSED if lower <= n <= upper)
+        template = next((guess for guess in guesses if wanted <= names_of(guess)), template)
+    return template
+
+
+def names_of(operator: Operator) -> set[str]:
+    """Names of the operator's parameters."""
+    return {parameter.name for parameter in operator.parameters}
+
+
+def is_number(value: Any) -> bool:
+    """Whether plain data is a number; True and False are none."""
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+def _check_size(value: Any, limits: tuple[int, int], where: str) -> None:
+    if not isinstance(value, int) or isinstance(value, bool) or not limits[0] <= value <= limits[1]:
+        raise ModelError(f"{where} is {value!r}, expected a whole number from {limits[0]} to {limits[1]}")

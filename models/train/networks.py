@@ -15,8 +15,7 @@ import numpy as np
 from hystmpc.trials.errors import FitError, FitInterruptedError
 from hystmpc.trials.trial import Trial
 
-from ..contract.equivalence import TOLERANCE_DEG
-from ..contract.export import ExportBundle
+from ..contract.export import TOLERANCE_DEG, ExportBundle
 from ..contract.metadata import DeviceLimits, InitialRule, Range
 from ..decades import Decades
 from ..identify.runs import check_trial_set, command_range, facts_of
@@ -24,8 +23,7 @@ from ..model import FitProgress
 from ..motions import initialisation_flexure, probe_commands
 from ..networks.nodes import Scaling, network_step_graph
 from ..networks.settings import DeviceFacts
-from ..operators.hysteresis import Backlash
-from .runs import Prepared, Rng, TrainingRun, hold_out, prepared, rest_of, scaled_run, scaling_of
+from .runs import Rng, TrainingRun, hold_out, prepared, rest_of, scaled_run, scaling_of
 from .settings import NetworkSettings, StreamTraining, WindowTraining
 from .teacher import Teacher
 
@@ -179,12 +177,13 @@ def _checks(
             own = judges is training
             training = [teacher.centred(trial) for trial in training]
             judges = training if own else judges
-    ready: Prepared = prepared(training, judges, scaling, settings)
+    operator = settings.network.operator(training, scaling, settings.first_flexure_weight == 0.0)
     rest, inverted = rest_of(training, scaling, settings.rest), training[0].inverted
-    net = settings.network.network(DeviceFacts(rest, ready.operator, lag_s / training[0].dt, inverted))
+    net = settings.network.network(DeviceFacts(rest, operator, lag_s / training[0].dt, inverted))
+    runs, held_out = (prepared(trials, scaling, settings) for trials in (training, judges))
     if isinstance(way, StreamTraining):
-        return stream_checks(net, ready.training, ready.judges, _teacher_runs(teacher, scaling, way), settings, way)
-    return window_checks(net, ready.training, ready.judges, settings, way)
+        return stream_checks(net, runs, held_out, _teacher_runs(teacher, scaling, way), settings, way)
+    return window_checks(net, runs, held_out, settings, way)
 
 
 def _teacher_runs(teacher: Teacher | None, scaling: Scaling, way: StreamTraining) -> TeacherRuns:
@@ -253,7 +252,7 @@ _FIRST, _TIMED = 3, 12
 def training_seconds(trials: Sequence[Trial], settings: NetworkSettings) -> float:
     """Expected duration of `fit_network` [s] on this machine as it is loaded now: its updates, nothing beside them.
 
-    Fitting a backlash or a teacher beforehand takes seconds, looks at what is held out some percent.
+    Fitting an operator or a teacher beforehand takes seconds, looks at what is held out some percent.
 
     Raises:
         FitError: on unusable trials, if too few are left to train on, or if torch is not installed.
@@ -265,8 +264,7 @@ def training_seconds(trials: Sequence[Trial], settings: NetworkSettings) -> floa
         raise FitError(f"training needs {error.name}, expected it installed: pip install hystmpc[train]") from None
     training, _ = hold_out(trials, settings.validation_trials, settings.seed)
     with torch_session(settings.seed, settings.threads):
-        backlash = Backlash(1.0, 1.0, 0.1, -0.1) if settings.network.has_backlash else None
-        net = settings.network.network(DeviceFacts(operator=backlash, inverted=trials[0].inverted))
+        net = settings.network.network(DeviceFacts(inverted=trials[0].inverted))
         way = settings.training
         if isinstance(way, StreamTraining):
             return way.updates * _seconds_of(_stream_update(net, settings, way))

@@ -13,8 +13,8 @@ from hystmpc.models.contract.onnx_nodes import step_graph
 from hystmpc.models.identify.free_run import StagedChain
 from hystmpc.models.kernels.chain_kernels import compile_step
 from hystmpc.models.kernels.program import BINARY, NUMPY, SCALAR, TORCH, UNARY, array_program, dense
-from hystmpc.models.operators.catalogue import operators
 from hystmpc.models.operators.measurement import Sensor
+from hystmpc.models.operators.operator import operators
 from hystmpc.trials.errors import ModelError
 
 from .zoo import CHAINS, DT, EXAMPLES, WITH_EFFECTS

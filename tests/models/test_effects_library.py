@@ -24,7 +24,7 @@ from hystmpc.models.effects.place import (
     neutral_operator,
     with_effect,
 )
-from hystmpc.models.operators.catalogue import operator_from, operator_spec, operators
+from hystmpc.models.operators.operator import operator_from, operator_spec, operators
 from hystmpc.models.simulator import load_simulator, save_simulator
 from hystmpc.trials.errors import ModelError
 

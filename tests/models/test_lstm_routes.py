@@ -16,9 +16,9 @@ from hystmpc.models.kernels.lstm_plain import PlainRoute
 from hystmpc.models.kernels.lstm_vector import VectorRoute, allowed_threads, kernel_source, share
 from hystmpc.models.kernels.numba_ import generated_module
 from hystmpc.models.kernels.vector_emitter import SHAPES, VectorShape, host_shape, shape_for
-from hystmpc.models.networks.lstm import LstmStep
 from hystmpc.models.prediction.recurrent import VARIABLE, LstmPredictor, chosen_route
 from hystmpc.trials.errors import ConfigError, ModelError
+from hystmpc_lab.performance.lstm_reference import LstmStep
 
 from .lstm_examples import ROUTES, SIZES, facts, make_route, random_weights
 
