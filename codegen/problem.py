@@ -10,10 +10,10 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from hystmpc.ctrl.build import build_controller, law_of, learning_pair
 from hystmpc.ctrl.command import CommandLimits, limits_of_model, modelled_limits, narrowed_limits
 from hystmpc.ctrl.estimation.observer import ANGLE_BOUND_DEG, OutputEstimator
 from hystmpc.ctrl.feedback import REFERENCE_DEAD_ZONE_DEG, feedback_gains
-from hystmpc.ctrl.guarded import build_controller
 from hystmpc.ctrl.learning.predictor import LearnedPredictor
 from hystmpc.ctrl.linearised.planner import MoveBlocking
 from hystmpc.ctrl.mpc import FOLLOWING, Candidates, PredictiveLaw
@@ -229,8 +229,8 @@ def _law(
     settings: LinearisedMpcSettings, predictor: Predictor, inverse: Inverse, limits: CommandLimits
 ) -> tuple[dict[str, int], dict[str, Any]]:
     """Sizes and numbers of law, estimator and fallbacks."""
-    learned = settings.model_pair(predictor, inverse)
-    law = settings.model_copy(update={"supervisor": None}).law(*learned, limits)
+    learned = learning_pair(settings, predictor, inverse)
+    law = law_of(settings.model_copy(update={"supervisor": None}), *learned, limits)
     assert isinstance(law, PredictiveLaw)
     delay, dt, horizon = settings.estimator.delay_samples, predictor.dt, law.horizon
     if horizon < 2:

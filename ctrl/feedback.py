@@ -17,8 +17,8 @@ from hystmpc.trials.errors import ControllerError
 from hystmpc.trials.types import Vec
 
 from .command import EMPTY, CommandLimits, CommandPlan, ControlInput, Source, Stopwatch, attempt, replace
-from .estimation.observer import EstimatorSettings, LastMeasurement, Observer, SensorKindSettings
-from .guarded import Law, LawSettings, Proposal
+from .estimation.observer import EstimatorSettings, SensorKindSettings
+from .guarded import ControllerBlock, Law, Proposal
 
 S = TypeVar("S", bound=SensorKindSettings)
 
@@ -145,7 +145,7 @@ def needs_sensor(estimator: S) -> S:
     return estimator
 
 
-class PidControllerSettings(LawSettings):
+class PidControllerSettings(ControllerBlock):
     """PID feedback, without a model.
 
     Attributes:
@@ -160,17 +160,6 @@ class PidControllerSettings(LawSettings):
     estimator: SensorKindSettings = SensorKindSettings()
 
     _measures = field_validator("estimator")(needs_sensor)
-
-    def bridged_samples(self, dt_s: float) -> int:
-        return self.estimator.bridged_samples(self.ladder.max_missing_samples, dt_s)
-
-    def observer(self, predictor: Predictor) -> Observer:
-        continuous = self.estimator.sensor == "continuous"
-        return LastMeasurement(None if continuous else self.estimator.oldest_samples(predictor.dt))
-
-    def law(self, predictor: Predictor, inverse: Inverse, limits: CommandLimits) -> Law[PidMemory]:
-        del inverse
-        return PidFeedback(Pid(self.gains, limits, predictor.dt), limits)
 
 
 REFERENCE_DEAD_ZONE_DEG = 0.027  # 0.0003 of 90 deg, RA-L 2024, PMC11633443 (S2)
@@ -302,7 +291,7 @@ class InversePid(Law[InversePidMemory]):
         return Proposal(u, InversePidMemory(wanted.memory, pid, state, u_alone, dues, error))
 
 
-class FeedforwardSettings(LawSettings):
+class FeedforwardSettings(ControllerBlock):
     """What both controllers with an inverse have.
 
     Attributes:
@@ -315,32 +304,11 @@ class FeedforwardSettings(LawSettings):
     reference_dead_zone_deg: NotNegative = REFERENCE_DEAD_ZONE_DEG
     preview: Count = 20
 
-    def bridged_samples(self, dt_s: float) -> int:
-        return self.estimator.bridged_samples(self.ladder.max_missing_samples, dt_s)
-
-    def observer(self, predictor: Predictor) -> Observer:
-        return self.estimator.observer(predictor)
-
-    def feedforward(self, predictor: Predictor, inverse: Inverse, limits: CommandLimits) -> InverseFeedforward:
-        """The inverse: over the preview for a model that answers late (`steady_inverse` too), else sample by sample."""
-        from hystmpc.models.inverse.drive import DrivenInverse  # numba and CasADi, which importing settings spares
-        from hystmpc.models.inverse.one_step import inverted_after_a_hold
-
-        ahead = None
-        if isinstance(inverse, DrivenInverse) or inverted_after_a_hold(inverse):
-            from .linearised.planner import FeasibleInverse
-
-            ahead = FeasibleInverse(predictor, inverse, limits, self.preview)
-        return InverseFeedforward(inverse, self.reference_dead_zone_deg, ahead)
-
 
 class InverseControllerSettings(FeedforwardSettings):
     """Inverse feedforward."""
 
     kind: Literal["inverse"] = "inverse"
-
-    def law(self, predictor: Predictor, inverse: Inverse, limits: CommandLimits) -> Law[Any]:
-        return self.feedforward(predictor, inverse, limits)
 
 
 class InversePidControllerSettings(FeedforwardSettings):
@@ -354,11 +322,6 @@ class InversePidControllerSettings(FeedforwardSettings):
     gains: PidSettings = PidSettings(kp_per_deg=0.01, ki_per_deg_s=0.2)
 
     _measures = field_validator("estimator")(needs_sensor)
-
-    def law(self, predictor: Predictor, inverse: Inverse, limits: CommandLimits) -> Law[Any]:
-        feedforward = self.feedforward(predictor, inverse, limits)
-        pid, oldest = Pid(self.gains, limits, predictor.dt), self.estimator.oldest_samples(predictor.dt)
-        return InversePid(feedforward, pid, predictor, limits, oldest)
 
 
 class SupervisorSettings(Settings):

@@ -6,7 +6,7 @@ import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
 from functools import partial
-from typing import TYPE_CHECKING, Any, ClassVar, Generic, TypeVar, final
+from typing import Any, ClassVar, Generic, TypeVar, final
 
 import numpy as np
 
@@ -26,17 +26,11 @@ from .command import (
     Stopwatch,
     Timing,
     attempt,
-    narrowed_limits,
     number_of,
     numbers_of,
     replace,
 )
 from .estimation.observer import ANGLE_BOUND_DEG, Estimate, Observer, SensorKindSettings, usable_angle
-
-if TYPE_CHECKING:
-    from hystmpc.models.prediction.build import ControllerModel
-
-    from .config import PythonControllerSettings
 
 _ROUNDING = 1e-6  # of a sample
 
@@ -88,8 +82,8 @@ class FallbackSettings(Settings):
     safe_command: float | None = None
 
 
-class LawSettings(Settings):
-    """Base of the settings of every kind of controller: they build its law and its observer.
+class ControllerBlock(Settings):
+    """Base of the settings of every kind of controller; `build` makes controllers of them.
 
     Attributes:
         limits: may only narrow those of the device; null takes them as they are.
@@ -104,9 +98,21 @@ class LawSettings(Settings):
     ladder: FallbackSettings = FallbackSettings()
     estimator: SensorKindSettings = SensorKindSettings()
 
-    def resolved(self) -> LawSettings:
+    def resolved(self) -> ControllerBlock:
         """These settings, or those of the class from outside that they name."""
         return self
+
+    def bridged_samples(self, dt_s: float) -> int:
+        """Consecutive samples without a usable measurement that are bridged by prediction at sample time `dt_s` [s]."""
+        return self.estimator.bridged_samples(self.ladder.max_missing_samples, dt_s)
+
+
+class LawSettings(ControllerBlock):
+    """Base of settings from outside the package, which build the law and the observer themselves."""
+
+    def bridged_samples(self, dt_s: float) -> int:
+        del dt_s
+        return self.ladder.max_missing_samples
 
     def model_pair(self, predictor: Predictor, inverse: Inverse) -> tuple[Predictor, Inverse]:
         """The model and its inverse as the controller uses them, with a learned part where the settings ask for one.
@@ -114,11 +120,6 @@ class LawSettings(Settings):
         Who predicts from a controller's own state, as `TipController.predict` does, needs this predictor.
         """
         return predictor, inverse
-
-    def bridged_samples(self, dt_s: float) -> int:
-        """Consecutive samples without a usable measurement that are bridged by prediction at sample time `dt_s` [s]."""
-        del dt_s
-        return self.ladder.max_missing_samples
 
     @abstractmethod
     def observer(self, predictor: Predictor) -> Observer:
@@ -503,31 +504,3 @@ class FallbackChain:
         if u is None:
             return None, reason
         return (u, "") if math.isfinite(u) else (None, f"the inverse answers {u}")
-
-
-def pair_for(settings: LawSettings | PythonControllerSettings, model: ControllerModel) -> tuple[Predictor, Inverse]:
-    """Predictor and inverse that a controller works with, with a learned part where its settings ask for one."""
-    settings = settings.resolved()
-    return settings.model_pair(*(model.predictive if settings.predicts else model.feedforward))
-
-
-def build_controller(
-    settings: LawSettings | PythonControllerSettings, predictor: Predictor, inverse: Inverse, limits: CommandLimits
-) -> GuardedController[Any]:
-    """The controller that `settings` describe.
-
-    Args:
-        settings: one of the classes of `CONTROLLERS`, or a class of yours derived from `LawSettings`.
-        predictor: the model; PID takes only the sample time from it.
-        inverse: its inverse, for feedforward, candidate plans and fallback.
-        limits: hard limits of the device; `settings.limits` may narrow them.
-
-    Raises:
-        ControllerError: if the settings contradict each other or go beyond the device's limits.
-    """
-    settings = settings.resolved()
-    limits = narrowed_limits(limits, settings.limits)
-    predictor, inverse = settings.model_pair(predictor, inverse)
-    fallback = FallbackChain(limits, settings.ladder, inverse if settings.falls_back_on_inverse else None)
-    law, observer = settings.law(predictor, inverse, limits), settings.observer(predictor)
-    return GuardedController(law, observer, fallback, limits, predictor.dt, settings.bridged_samples(predictor.dt))

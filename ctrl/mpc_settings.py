@@ -1,31 +1,20 @@
-"""The predictive controllers: their settings, and how law, observer and planner are built from them.
-
-numba, SciPy and the solvers take over a second to import: what is built is imported by the functions that build it.
-"""
+"""Settings of the predictive controllers; this imports neither numba nor a solver, which take over a second to load."""
 
 from __future__ import annotations
 
 import math
-from abc import abstractmethod
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from pydantic import Field, model_validator
 
-from hystmpc.models.model import Inverse, Predictor
 from hystmpc.trials.config import Count, NotNegative, Positive, Settings
 from hystmpc.trials.errors import ControllerError
 from hystmpc.trials.types import Mat, Vec
 
-from .command import CommandLimits
-from .estimation.observer import EstimatorSettings, Observer
-from .feedback import SupervisorSettings, supervisory_law
-from .guarded import Law, LawSettings
-
-if TYPE_CHECKING:
-    from .mpc import Planner
-
-_REFINED = 2  # iterations from a plan that is late along a motion
+from .estimation.observer import EstimatorSettings
+from .feedback import SupervisorSettings
+from .guarded import ControllerBlock
 
 
 class WeightsSettings(Settings):
@@ -109,7 +98,7 @@ _BLIND_RATE, _BLIND_HOLD_DEG = 0.1, 0.01
 _SIGMA_SHARE = 0.1  # of the greatest move of a sample: more would cross kinks of the model that the step must not see
 
 
-class PredictiveSettings(LawSettings):
+class PredictiveSettings(ControllerBlock):
     """What both predictive controllers have.
 
     Attributes:
@@ -160,53 +149,9 @@ class PredictiveSettings(LawSettings):
             )
         return self
 
-    def bridged_samples(self, dt_s: float) -> int:
-        return self.estimator.bridged_samples(self.ladder.max_missing_samples, dt_s)
-
     def preview_samples(self, dt_s: float) -> int:
         """Samples of the preview at sample time `dt_s` [s]."""
         return self.horizon or min(max(_LEAST_SAMPLES, round(_PREVIEW_S / dt_s)), _MOST_SAMPLES)
-
-    def model_pair(self, predictor: Predictor, inverse: Inverse) -> tuple[Predictor, Inverse]:
-        if self.adaptation is None:
-            return predictor, inverse
-        from .learning.predictor import LearnedInverse, LearnedPredictor
-
-        if isinstance(predictor, LearnedPredictor):
-            return predictor, inverse
-        learned = LearnedPredictor(predictor, self.adaptation)
-        return learned, LearnedInverse(learned, inverse)
-
-    def observer(self, predictor: Predictor) -> Observer:
-        from .learning.predictor import LearnedPredictor, LearningEstimator
-
-        if isinstance(predictor, LearnedPredictor):
-            return LearningEstimator(predictor, self.estimator)
-        return self.estimator.observer(predictor)
-
-    def law(self, predictor: Predictor, inverse: Inverse, limits: CommandLimits) -> Law[Any]:
-        from .mpc import PredictiveLaw
-
-        planner = self.refining(inverse).planner(predictor, limits)
-        law = PredictiveLaw(predictor, inverse, limits, planner, self)
-        if self.supervisor is None:
-            return law
-        return supervisory_law(law, self.supervisor, (predictor, inverse), limits)
-
-    def refining(self, inverse: Inverse) -> Self:
-        """These settings, with two iterations or more where the inverse is a first guess only; see `steady_inverse`."""
-        from hystmpc.models.inverse.one_step import inverted_after_a_hold
-
-        from .learning.predictor import LearnedInverse
-
-        inner = inverse.inverse if isinstance(inverse, LearnedInverse) else inverse
-        if not inverted_after_a_hold(inner):
-            return self
-        return self.model_copy(update={"iterations": max(self.iterations, _REFINED)})
-
-    @abstractmethod
-    def planner(self, predictor: Predictor, limits: CommandLimits) -> Planner[Any]:
-        """What improves the best candidate plan."""
 
 
 class LinearisedMpcSettings(PredictiveSettings):
@@ -244,11 +189,6 @@ class LinearisedMpcSettings(PredictiveSettings):
         if self.move_blocking is not None or self.horizon is not None or horizon <= _LEAST_SAMPLES:
             return self.move_blocking
         return _doubling_blocks(horizon)
-
-    def planner(self, predictor: Predictor, limits: CommandLimits) -> Planner[Any]:
-        from .linearised.planner import LinearisedPlanner
-
-        return LinearisedPlanner(predictor, self, limits)
 
 
 # A noise is a matrix F (H, K): samples are F w with w standard normal (K,). Rows have unit norm, so that every sample
@@ -339,12 +279,6 @@ class SamplingMpcSettings(PredictiveSettings):
         """
         horizon = self.preview_samples(dt_s)
         return (1,) * horizon if horizon <= _LEAST_SAMPLES else _doubling_blocks(horizon)
-
-    def planner(self, predictor: Predictor, limits: CommandLimits) -> Planner[Any]:
-        from .sampling import CrossEntropyPlanner, PathIntegralPlanner
-
-        kind = CrossEntropyPlanner if self.method == "cem" else PathIntegralPlanner
-        return kind(predictor, self, limits)
 
 
 def _doubling_blocks(horizon: int) -> tuple[int, ...]:

@@ -82,7 +82,11 @@ class RampHold(PathMotion):
 
     @cached_property
     def path(self) -> PiecewiseCubic:
-        """Ramps and holds, one after another."""
+        """Ramps and holds, one after another.
+
+        Raises:
+            TrajectoryError: if the counts differ, or nothing moves or holds.
+        """
         counts = (len(self.targets), len(self.rates), len(self.holds_s))
         if len(set(counts)) != 1 or not counts[0]:
             raise TrajectoryError(

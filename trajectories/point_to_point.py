@@ -48,7 +48,11 @@ class PointToPoint(PathMotion):
 
     @cached_property
     def path(self) -> PiecewiseCubic:
-        """Moves and holds, one after another."""
+        """Moves and holds, one after another.
+
+        Raises:
+            TrajectoryError: if the counts differ, or nothing moves or holds.
+        """
         if len(self.targets_deg) != len(self.holds_s):
             raise TrajectoryError(
                 f"point to point: got {len(self.targets_deg)} targets and {len(self.holds_s)} holds, expected as many"

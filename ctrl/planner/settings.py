@@ -122,7 +122,7 @@ def assemble(settings: TipSettings, folder: Path) -> Assembly:
     from hystmpc.models.load import load_model, model_path
     from hystmpc.models.prediction.build import controller_model
 
-    from ..guarded import build_controller, pair_for
+    from ..build import build_controller, pair_for
 
     model = load_model(model_path(settings.model, folder), start="conditioned")
     facts = model.metadata

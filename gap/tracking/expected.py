@@ -9,8 +9,9 @@ from typing import Any, final
 
 import numpy as np
 
+from hystmpc.ctrl.build import build_controller, pair_for
 from hystmpc.ctrl.command import CommandLimits, limits_of_model
-from hystmpc.ctrl.guarded import LawSettings, build_controller, pair_for
+from hystmpc.ctrl.guarded import ControllerBlock
 from hystmpc.ctrl.loop import Controller
 from hystmpc.ctrl.mpc_settings import LinearisedMpcSettings
 from hystmpc.models.contract.metadata import NoiseModel
@@ -46,7 +47,7 @@ def expected_tracking(
     corrected: Simulator,
     motions: Sequence[CountedMotion],
     *,
-    settings: LawSettings | None = None,
+    settings: ControllerBlock | None = None,
     seeds: Sequence[int] = SEEDS,
     floor_deg: float = 0.0,
 ) -> tuple[TrackingGap, tuple[TrackingCurve, ...]]:
@@ -130,7 +131,7 @@ def _curve(motion: CountedMotion, pair: Sequence[ClosedLoopRun], dt_s: float) ->
     return TrackingCurve(motion.name, log.time_s, log.reference_deg, before, after, first)
 
 
-def _controller(simulator: Simulator, settings: LawSettings, limits: CommandLimits) -> Controller[Any]:
+def _controller(simulator: Simulator, settings: ControllerBlock, limits: CommandLimits) -> Controller[Any]:
     model = controller_model(ChainModel(simulator, "conditioned"))
     return build_controller(settings, *pair_for(settings, model), limits)
 

@@ -15,9 +15,10 @@ import numpy as np
 from hystmpc.bench.commission import Commissioned, commission_device
 from hystmpc.bench.controller import TIP_FILE, tip_settings
 from hystmpc.bench.device import BenchDevice
+from hystmpc.ctrl.build import build_controller
 from hystmpc.ctrl.command import limits_of_model
 from hystmpc.ctrl.feedback import InverseControllerSettings, PidControllerSettings
-from hystmpc.ctrl.guarded import LawSettings, build_controller
+from hystmpc.ctrl.guarded import ControllerBlock
 from hystmpc.ctrl.loop import Controller, ImagingSettings, NoSensorSettings
 from hystmpc.ctrl.mpc_settings import LinearisedMpcSettings
 from hystmpc.gap.diagnose import diagnose_trials
@@ -170,7 +171,7 @@ def _compare(bench: StudyBench) -> tuple[str, dict[str, float]]:
 
 
 def _changed(
-    bench: StudyBench, name: str, factors: tuple[float, float], identified: ControllerModel, tip: LawSettings
+    bench: StudyBench, name: str, factors: tuple[float, float], identified: ControllerModel, tip: ControllerBlock
 ) -> dict[str, float]:
     """The controller on the device after it has changed, with learning and without; motions within its new reach."""
     device, seed = worn(bench.device, *factors), bench.device.seed + _COMPARED
@@ -185,7 +186,7 @@ def _changed(
     return figures
 
 
-def _sensors(bench: StudyBench, identified: ControllerModel, tip: LawSettings) -> dict[str, float]:
+def _sensors(bench: StudyBench, identified: ControllerModel, tip: ControllerBlock) -> dict[str, float]:
     """Without a sensor and with frames of an imaging system, beside the PID tuned for those."""
     limits, blind, frames = bench.device.limits, NoSensorSettings(), IMAGING
     alone = _of(tip, {"estimator": dict(blind.estimator_keys())})
@@ -203,7 +204,10 @@ def _sensors(bench: StudyBench, identified: ControllerModel, tip: LawSettings) -
     )[0]
     figures |= bench.along("imaging_pid", _imaging_pid(bench, identified), sensor=frames)[0]
     model = IdentifiedPlant(identified, bench.drawn.true_angle, AS_IDENTIFIED_NOISE_DEG, bench.device.seed)
-    rivals: dict[str, LawSettings] = {"as_identified_none": alone, "as_identified_inverse": InverseControllerSettings()}
+    rivals: dict[str, ControllerBlock] = {
+        "as_identified_none": alone,
+        "as_identified_inverse": InverseControllerSettings(),
+    }
     for name, settings in rivals.items():
         sensor = blind if name.endswith("none") else None
         figures |= bench.along(name, controller_on(settings, identified, limits), model, sensor=sensor)[0]
@@ -215,7 +219,7 @@ def _imaging_pid(bench: StudyBench, identified: ControllerModel) -> Controller[A
     start = PidControllerSettings.parse({"kind": "pid", "estimator": _known_to_pid(IMAGING)})
     plant = PreparedPlant(bench.drawn, bench.device.seed + _COMPARED + 1)
 
-    def mean_square(tried: LawSettings) -> float:
+    def mean_square(tried: ControllerBlock) -> float:
         _, runs = bench.along("", controller_on(tried, identified, bench.device.limits), plant, sensor=IMAGING)
         errors = [run.error_deg[motion.first(run.dt) :] for run, motion in zip(runs, bench.motions, strict=True)]
         return float(np.mean([np.mean(error**2) for error in errors]))
@@ -265,12 +269,12 @@ def _model(tip: Path) -> Path:
     return Path(tip_settings(tip).model)
 
 
-def _known(tip: Path) -> tuple[ControllerModel, LawSettings]:
+def _known(tip: Path) -> tuple[ControllerModel, ControllerBlock]:
     """Model and controller of a commissioned device."""
     return controller_model(str(_model(tip))), tip_settings(tip).controller.resolved()
 
 
-def _of(settings: LawSettings, changes: Mapping[str, Any]) -> LawSettings:
+def _of(settings: ControllerBlock, changes: Mapping[str, Any]) -> ControllerBlock:
     """A controller with some keys changed, blocks merged; where nothing is learned there is no supervisor."""
     data = settings.model_dump(exclude_unset=True) | {"kind": type(settings).model_fields["kind"].default}
     for key, value in changes.items():

@@ -10,8 +10,9 @@ from typing import Any
 
 import numpy as np
 
+from hystmpc.ctrl.build import build_controller
 from hystmpc.ctrl.command import CommandPlan
-from hystmpc.ctrl.guarded import GuardedController, build_controller
+from hystmpc.ctrl.guarded import GuardedController
 from hystmpc.ctrl.linearised.planner import TrackingQp
 from hystmpc.ctrl.linearised.qp import DaqpOptions, DaqpSolver, OsqpOptions, OsqpSolver, QpData
 from hystmpc.ctrl.mpc import PlanCost

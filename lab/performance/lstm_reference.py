@@ -1,8 +1,6 @@
-"""The stacked LSTM written out: its step and derivative in float64, its step graph, and as a PyTorch module."""
+"""The stacked LSTM written out: its step and derivative in float64, and its step graph."""
 
 from __future__ import annotations
-
-from typing import TYPE_CHECKING
 
 import numpy as np
 import onnx
@@ -12,9 +10,6 @@ from hystmpc.models.model import StepFunction
 from hystmpc.models.networks.lstm import LstmLayer, LstmWeights, write_layers
 from hystmpc.models.networks.nodes import GraphWriter, network_step_graph
 from hystmpc.trials.types import Vec
-
-if TYPE_CHECKING:
-    from hystmpc.models.networks.recurrent_ import LstmNet
 
 
 class LstmStep(StepFunction):
@@ -85,18 +80,3 @@ def lstm_step_graph(weights: LstmWeights) -> onnx.GraphProto:
         return writer.affine(hidden, "head", weights.head_weight[None], [weights.head_bias], "y"), following
 
     return network_step_graph("lstm_step", weights.state_size, weights.scaling, body)
-
-
-def net_of(weights: LstmWeights) -> LstmNet:
-    """A network with these weights, for further training."""
-    import torch
-
-    from hystmpc.models.networks.recurrent_ import LstmNet
-
-    net = LstmNet(weights.hidden, len(weights.layers))
-    values = {"head.weight": weights.head_weight[None], "head.bias": [weights.head_bias]}
-    for k, layer in enumerate(weights.layers):
-        values |= {f"lstm.weight_ih_l{k}": layer.w_ih, f"lstm.weight_hh_l{k}": layer.w_hh}
-        values |= {f"lstm.bias_ih_l{k}": layer.bias, f"lstm.bias_hh_l{k}": np.zeros_like(layer.bias)}
-    net.load_state_dict({name: torch.tensor(np.asarray(v), dtype=torch.float32) for name, v in values.items()})
-    return net

@@ -14,12 +14,12 @@ from hystmpc.trials.segments import first_flexure_end, segment
 from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Vec
 
-from ..chain import Chain
+from ..chain import Chain, operator_spec
 from ..decades import Decades
 from ..effects.catalogue import EFFECTS
 from ..effects.place import PlacedEffect, effect_spec
 from ..operators.measurement import PeriodicDisturbance
-from ..operators.operator import Operator, operator_spec
+from ..operators.operator import Operator
 from ..operators.slow_changes import Drift, FirstFlexure
 from ..simulator import Identification, Simulator
 from .baseline import Baseline

@@ -17,7 +17,7 @@ from typing import Annotated, Any, ClassVar, Self, get_origin, get_type_hints
 
 import casadi as ca
 
-from hystmpc.trials.errors import ModelError, did_you_mean
+from hystmpc.trials.errors import ModelError
 
 Symbol = Any  # casadi.SX, which has no types
 
@@ -197,21 +197,6 @@ _OF_A_SIGNAL = re.compile(r"\b(cmd|deg|in)\b")
 _LEAST, _GREATEST = 1e-15, 1e15  # a million times smaller or larger than a catheter in mm and deg, both signals
 
 
-def values_from(operator_name: str, names: Sequence[str], given: dict[str, float]) -> list[float]:
-    """Order named values as `names` has them.
-
-    Raises:
-        ModelError: on a name that is missing or unknown.
-    """
-    for name in given:
-        if name not in names:
-            raise ModelError(f"{operator_name} has no parameter {name!r}, {did_you_mean(name, names)}")
-    missing = [name for name in names if name not in given]
-    if missing:
-        raise ModelError(f"{operator_name} lacks {', '.join(missing)}, got {', '.join(given) or 'none'}")
-    return [float(given[name]) for name in names]
-
-
 # CasADi's fmin and fmax average the two derivatives at a tie; a play in contact sits exactly on a tie, and its
 # derivative has to be that of the branch that moves. The first argument is the active one at a tie.
 def minimum(a: Symbol, b: Symbol) -> Symbol:
@@ -259,86 +244,3 @@ def shipped_operators() -> Mapping[str, type[Operator]]:
     module = [kind for module in modules for kind in vars(module).values() if inspect.isclass(kind)]
     kinds = [kind for kind in module if issubclass(kind, Operator) and not inspect.isabstract(kind)]
     return MappingProxyType({kind.name: kind for kind in kinds})
-
-
-_SIZES = (1, 1000)
-_GUESSED = range(1, 9)
-
-
-def operators() -> Mapping[str, type[Operator]]:
-    """Every operator by name: those that ship, and those of effects that users have added."""
-    from ..effects.catalogue import own_operators  # built on operators
-
-    return {**own_operators(), **shipped_operators()}
-
-
-def operator_from(spec: Any, where: str) -> Operator:
-    """Build an operator from `{operator: NAME, <sizes>, parameters: {NAME: value}}`.
-
-    Raises:
-        ModelError: on an unknown operator or key, a missing size, a missing, unknown or out-of-bounds parameter.
-    """
-    if not isinstance(spec, dict) or "operator" not in spec:
-        raise ModelError(f"{where}: got {spec!r}, expected a mapping with the key 'operator'")
-    name = str(spec["operator"])
-    kind = shipped_operators().get(name) or operators().get(name)
-    if kind is None:
-        raise ModelError(f"{where}: no operator {name!r}, {did_you_mean(name, operators())}")
-    for key in spec:
-        if key not in ("operator", "parameters", *kind.shape):
-            raise ModelError(f"{where}: unknown key {key!r}, {did_you_mean(key, ['parameters', *kind.shape])}")
-    given = spec.get("parameters")
-    if not isinstance(given, dict) or not all(is_number(v) for v in given.values()):
-        raise ModelError(f"{where}: {name}.parameters is {given!r}, expected a mapping of numbers")
-    template = template_from(kind, spec, given, where)
-    try:
-        return template.with_values(values_from(name, [p.name for p in template.parameters], given))
-    except ModelError as error:
-        raise ModelError(f"{where}: {error}") from None
-
-
-def operator_spec(operator: Operator) -> dict[str, Any]:
-    """Plain data from which `operator_from` builds the same operator."""
-    names = (parameter.name for parameter in operator.parameters)
-    return {
-        "operator": operator.name,
-        **{key: size for key, size in operator.structure.items() if size != operator.default_sizes.get(key)},
-        "parameters": dict(zip(names, operator.values, strict=True)),
-    }
-
-
-def template_from(kind: type[Operator], spec: Mapping[str, Any], given: Iterable[str], where: str) -> Operator:
-    """An operator of the sizes in `spec`.
-
-    A size that has a default may be left out; it then follows from the parameters' names, as `tau_up_s` means a lag of
-    two ways and `share_2` a creep of at least two terms, or else is the default.
-
-    Raises:
-        ModelError: on a size that is missing or no whole number within its limits.
-    """
-    sizes = {key: spec.get(key, kind.default_sizes.get(key)) for key in kind.shape}
-    for key, size in sizes.items():
-        _check_size(size, kind.size_limits.get(key, _SIZES), f"{where}: {kind.name}.{key}")
-    template, wanted = kind.template(**sizes), set(given)
-    for key in kind.default_sizes:
-        if key in spec or wanted <= names_of(template):
-            continue
-        lower, upper = kind.size_limits.get(key, _SIZES)
-        guesses = (kind.template(**{**sizes, key: n}) for n in _GUESSED if lower <= n <= upper)
-        template = next((guess for guess in guesses if wanted <= names_of(guess)), template)
-    return template
-
-
-def names_of(operator: Operator) -> set[str]:
-    """Names of the operator's parameters."""
-    return {parameter.name for parameter in operator.parameters}
-
-
-def is_number(value: Any) -> bool:
-    """Whether plain data is a number; True and False are none."""
-    return isinstance(value, int | float) and not isinstance(value, bool)
-
-
-def _check_size(value: Any, limits: tuple[int, int], where: str) -> None:
-    if not isinstance(value, int) or isinstance(value, bool) or not limits[0] <= value <= limits[1]:
-        raise ModelError(f"{where} is {value!r}, expected a whole number from {limits[0]} to {limits[1]}")

@@ -10,11 +10,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from hystmpc.ctrl.build import build_controller
 from hystmpc.ctrl.command import CommandLimits
 from hystmpc.ctrl.config import parse_controller
 from hystmpc.ctrl.estimation.noise import NoiseBank
 from hystmpc.ctrl.feedback import PidSettings, SupervisorSettings, feedback_gains
-from hystmpc.ctrl.guarded import build_controller
 from hystmpc.ctrl.mpc import Hold, HoldRule
 from hystmpc.ctrl.mpc_settings import HoldSettings
 from hystmpc.models.chain import Chain

@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 
 import hystmpc
 from hystmpc.ctrl import CommandLimits
+from hystmpc.ctrl.build import build_controller, pair_for
 from hystmpc.ctrl.config import parse_controller
-from hystmpc.ctrl.guarded import build_controller, pair_for
 from hystmpc.ctrl.planner.reach import Workspace, angles_at_rest
 from hystmpc.ctrl.planner.settings import Assembly, TipSettings
 from hystmpc.ctrl.planner.tip_controller import TipController

@@ -10,10 +10,11 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
+from hystmpc.ctrl.build import build_controller
 from hystmpc.ctrl.command import CommandLimits, Source, Stopwatch
 from hystmpc.ctrl.config import CONTROLLERS
 from hystmpc.ctrl.feedback import PidSettings, SupervisorSettings, SupervisoryLaw, feedback_gains
-from hystmpc.ctrl.guarded import GuardedController, GuardedState, build_controller
+from hystmpc.ctrl.guarded import GuardedController, GuardedState
 from hystmpc.ctrl.learning.predictor import Learning
 from hystmpc.trials.errors import ConfigError
 

@@ -8,13 +8,12 @@ import onnx
 import onnxruntime as ort
 import pytest
 
-from hystmpc.models.chain import Chain
+from hystmpc.models.chain import Chain, operators
 from hystmpc.models.contract.onnx_nodes import step_graph
 from hystmpc.models.identify.free_run import StagedChain
 from hystmpc.models.kernels.chain_kernels import compile_step
 from hystmpc.models.kernels.program import BINARY, NUMPY, SCALAR, TORCH, UNARY, array_program, dense
 from hystmpc.models.operators.measurement import Sensor
-from hystmpc.models.operators.operator import operators
 from hystmpc.trials.errors import ModelError
 
 from .zoo import CHAINS, DT, EXAMPLES, WITH_EFFECTS

@@ -9,11 +9,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hystmpc.models.chain import Chain
+from hystmpc.models.chain import Chain, operator_from, operator_spec, operators
 from hystmpc.models.operators.dynamics import Delay, Lag
 from hystmpc.models.operators.friction import Asymmetry
 from hystmpc.models.operators.hysteresis import Play, Stop
-from hystmpc.models.operators.operator import Operator, operator_from, operator_spec, operators
+from hystmpc.models.operators.operator import Operator
 from hystmpc.models.operators.slow_changes import FirstFlexure, TrialShift
 from hystmpc.models.operators.static_curves import Contact, NonlinearGain, Slack
 from hystmpc.trials.errors import ModelError

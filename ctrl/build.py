@@ -1,0 +1,134 @@
+"""Controllers, built from their settings: model with its learned part, estimator, law, fallbacks and limits."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from hystmpc.models.inverse.drive import DrivenInverse
+from hystmpc.models.inverse.one_step import inverted_after_a_hold
+from hystmpc.models.model import Inverse, Predictor
+from hystmpc.models.prediction.build import ControllerModel
+from hystmpc.trials.errors import ControllerError
+
+from .command import CommandLimits, narrowed_limits
+from .config import AnyControllerSettings
+from .estimation.observer import EstimatorSettings, LastMeasurement, Observer
+from .feedback import (
+    FeedforwardSettings,
+    InverseFeedforward,
+    InversePid,
+    InversePidControllerSettings,
+    Pid,
+    PidControllerSettings,
+    PidFeedback,
+    supervisory_law,
+)
+from .guarded import ControllerBlock, FallbackChain, GuardedController, Law, LawSettings
+from .learning.predictor import LearnedInverse, LearnedPredictor, LearningEstimator
+from .linearised.planner import FeasibleInverse, LinearisedPlanner
+from .mpc import Planner, PredictiveLaw
+from .mpc_settings import LinearisedMpcSettings, PredictiveSettings, SamplingMpcSettings
+from .sampling import CrossEntropyPlanner, PathIntegralPlanner
+
+_REFINED = 2  # iterations from a plan that is late along a motion
+
+
+def build_controller(
+    settings: AnyControllerSettings | ControllerBlock, predictor: Predictor, inverse: Inverse, limits: CommandLimits
+) -> GuardedController[Any]:
+    """The controller that `settings` describe.
+
+    Args:
+        settings: one of the classes of `CONTROLLERS`, or a class of yours derived from `LawSettings`.
+        predictor: the model; PID takes only the sample time from it.
+        inverse: its inverse, for feedforward, candidate plans and fallback.
+        limits: hard limits of the device; `settings.limits` may narrow them.
+
+    Raises:
+        ControllerError: if the settings contradict each other or go beyond the device's limits.
+    """
+    settings = settings.resolved()
+    limits = narrowed_limits(limits, settings.limits)
+    predictor, inverse = learning_pair(settings, predictor, inverse)
+    fallback = FallbackChain(limits, settings.ladder, inverse if settings.falls_back_on_inverse else None)
+    law, observer = law_of(settings, predictor, inverse, limits), observer_of(settings, predictor)
+    return GuardedController(law, observer, fallback, limits, predictor.dt, settings.bridged_samples(predictor.dt))
+
+
+def pair_for(settings: AnyControllerSettings | ControllerBlock, model: ControllerModel) -> tuple[Predictor, Inverse]:
+    """Predictor and inverse that a controller works with, with a learned part where its settings ask for one."""
+    settings = settings.resolved()
+    return learning_pair(settings, *(model.predictive if settings.predicts else model.feedforward))
+
+
+def learning_pair(settings: ControllerBlock, predictor: Predictor, inverse: Inverse) -> tuple[Predictor, Inverse]:
+    """The model and its inverse as the controller uses them, with a learned part where the settings ask for one.
+
+    Who predicts from a controller's own state, as `TipController.predict` does, needs this predictor.
+    """
+    if isinstance(settings, LawSettings):
+        return settings.model_pair(predictor, inverse)
+    if not isinstance(settings, PredictiveSettings) or settings.adaptation is None:
+        return predictor, inverse
+    if isinstance(predictor, LearnedPredictor):
+        return predictor, inverse
+    learned = LearnedPredictor(predictor, settings.adaptation)
+    return learned, LearnedInverse(learned, inverse)
+
+
+def observer_of(settings: ControllerBlock, predictor: Predictor) -> Observer:
+    """The estimator of state and disturbance."""
+    if isinstance(settings, LawSettings):
+        return settings.observer(predictor)
+    estimator = settings.estimator
+    if not isinstance(estimator, EstimatorSettings):  # of PID, which has no model
+        return LastMeasurement(None if estimator.sensor == "continuous" else estimator.oldest_samples(predictor.dt))
+    if isinstance(settings, PredictiveSettings) and isinstance(predictor, LearnedPredictor):
+        return LearningEstimator(predictor, estimator)
+    return estimator.observer(predictor)
+
+
+def law_of(settings: ControllerBlock, predictor: Predictor, inverse: Inverse, limits: CommandLimits) -> Law[Any]:
+    """The control law.
+
+    Raises:
+        ControllerError: if there is none for settings of this class.
+    """
+    if isinstance(settings, LawSettings):
+        return settings.law(predictor, inverse, limits)
+    if isinstance(settings, PredictiveSettings):
+        law = PredictiveLaw(predictor, inverse, limits, _planner(settings, predictor, inverse, limits), settings)
+        if settings.supervisor is None:
+            return law
+        return supervisory_law(law, settings.supervisor, (predictor, inverse), limits)
+    if isinstance(settings, PidControllerSettings):
+        return PidFeedback(Pid(settings.gains, limits, predictor.dt), limits)
+    if not isinstance(settings, FeedforwardSettings):
+        raise ControllerError(f"controller: got {type(settings).__name__}, expected settings of a kind of controller")
+    feedforward = _feedforward(settings, predictor, inverse, limits)
+    if not isinstance(settings, InversePidControllerSettings):
+        return feedforward
+    pid = Pid(settings.gains, limits, predictor.dt)
+    return InversePid(feedforward, pid, predictor, limits, settings.estimator.oldest_samples(predictor.dt))
+
+
+def _planner(
+    settings: PredictiveSettings, predictor: Predictor, inverse: Inverse, limits: CommandLimits
+) -> Planner[Any]:
+    """What improves the best candidate; with two iterations or more where the inverse is a first guess only."""
+    if inverted_after_a_hold(inverse.inverse if isinstance(inverse, LearnedInverse) else inverse):
+        settings = settings.model_copy(update={"iterations": max(settings.iterations, _REFINED)})
+    if isinstance(settings, LinearisedMpcSettings):
+        return LinearisedPlanner(predictor, settings, limits)
+    assert isinstance(settings, SamplingMpcSettings)  # there are these two
+    kind = CrossEntropyPlanner if settings.method == "cem" else PathIntegralPlanner
+    return kind(predictor, settings, limits)
+
+
+def _feedforward(
+    settings: FeedforwardSettings, predictor: Predictor, inverse: Inverse, limits: CommandLimits
+) -> InverseFeedforward:
+    """The inverse: over the preview for a model that answers late (`steady_inverse` too), else sample by sample."""
+    late = isinstance(inverse, DrivenInverse) or inverted_after_a_hold(inverse)
+    ahead = FeasibleInverse(predictor, inverse, limits, settings.preview) if late else None
+    return InverseFeedforward(inverse, settings.reference_dead_zone_deg, ahead)
