@@ -23,10 +23,13 @@ if TYPE_CHECKING:
 VARIABLE = "HYSTMPC_LSTM_KERNEL"
 
 
+@final
 class RoutedPredictor(ModelPredictor):
     """Predictions of a recurrent network in single precision by its fastest route.
 
-    What follows from a command or a state that is not finite is not-a-number: the kernels' gates would hide it.
+    Roll-outs run on as many threads as the process gives BLAS; a control process sets one (threadpoolctl), since a
+    second one stalls beside a busy neighbour. What follows from a command or a state that is not finite is
+    not-a-number: the kernels' gates would hide it.
 
     Args:
         metadata: facts of the model file.
@@ -65,47 +68,6 @@ def _finite(state: Vec, plans: Vec) -> bool:
     return math.isfinite(state.sum() + plans.sum())
 
 
-@final
-class GruPredictor(RoutedPredictor):
-    """Compiled prediction of a stacked GRU; state [h_1, h_2, ...] as in `GruNet`.
-
-    Args:
-        model: a loaded model file of kind `gru`; the graph's initializers are all that it needs.
-
-    Raises:
-        ModelError: if the initializers are not those of an exported GRU.
-    """
-
-    def __init__(self, model: OnnxModel) -> None:
-        from ..kernels.gru import GruRoute, gru_weights  # an LSTM does not need it
-
-        shape = chosen_shape()
-        if shape is None:
-            super().__init__(model.metadata, "conditioned", GruRoute(model.initializers))
-            return
-        from ..kernels.lstm_vector import VectorRoute
-
-        route = VectorRoute(gru_weights(model.initializers), shape, cell="gru")
-        super().__init__(model.metadata, "conditioned", route)
-
-
-@final
-class GatedLstmPredictor(RoutedPredictor):
-    """Compiled prediction of an increment-gated LSTM; state [w, p_1 ... p_n, h, c] as in `GatedLstmNet`.
-
-    Args:
-        model: a loaded model file of kind `lstm`; the graph's initializers are all that it needs.
-
-    Raises:
-        ModelError: if the initializers are not those of an exported gated LSTM.
-    """
-
-    def __init__(self, model: OnnxModel) -> None:
-        from ..kernels.gated import GatedLstmRoute
-
-        super().__init__(model.metadata, "conditioned", GatedLstmRoute(model.initializers))
-
-
 def chosen_shape() -> VectorShape | None:
     """The processor's own shape of the vector kernel, None where it has none; or what the user says.
 
@@ -136,47 +98,28 @@ def chosen_route(weights: LstmWeights) -> NetworkRoute:
     return VectorRoute(weights, shape)
 
 
-@final
-class LstmPredictor(RoutedPredictor):
-    """The fastest route to each prediction of a stacked LSTM; state (S,) as in `LstmWeights`.
-
-    Roll-outs run on as many threads as the process gives BLAS; a control process sets one (threadpoolctl), since a
-    second one stalls beside a busy neighbour.
-
-    Args:
-        weights: of the network.
-        metadata: facts of the model file.
-        start: rule that makes the initial state.
-        route: how to compute; None for the fastest on this processor, see `chosen_route`.
-    """
-
-    def __init__(
-        self,
-        weights: LstmWeights,
-        metadata: ModelMetadata,
-        start: Start = "conditioned",
-        route: NetworkRoute | None = None,
-    ) -> None:
-        super().__init__(metadata, start, chosen_route(weights) if route is None else route)
-
-    @classmethod
-    def of_model(cls, model: OnnxModel, start: Start = "conditioned") -> LstmPredictor:
-        """Predictor of a loaded model file of kind `lstm`; the graph's initializers are all that it needs.
-
-        Raises:
-            ModelError: if the initializers are not those of an exported LSTM.
-            ConfigError: if HYSTMPC_LSTM_KERNEL names no route.
-        """
-        return cls(LstmWeights.from_arrays(model.initializers), model.metadata, start)
-
-
-def recurrent_predictor(model: OnnxModel) -> RoutedPredictor:
-    """The compiled predictor of a model file of kind `lstm` or `gru`.
+def recurrent_predictor(model: OnnxModel, start: Start = "conditioned") -> RoutedPredictor:
+    """The compiled predictor of a model file of kind `lstm` or `gru`; the graph's initializers are all that it needs.
 
     Raises:
         ModelError: if the initializers are not those of such a network.
         ConfigError: if HYSTMPC_LSTM_KERNEL names no route.
     """
-    if model.metadata.kind == "gru":
-        return GruPredictor(model)
-    return GatedLstmPredictor(model) if GATED_MARK in model.initializers else LstmPredictor.of_model(model)
+    return RoutedPredictor(model.metadata, start, _route(model))
+
+
+def _route(model: OnnxModel) -> NetworkRoute:
+    weights = model.initializers
+    if model.metadata.kind != "gru":
+        if GATED_MARK not in weights:
+            return chosen_route(LstmWeights.from_arrays(weights))
+        from ..kernels.gated import GatedLstmRoute
+
+        return GatedLstmRoute(weights)
+    from ..kernels.gru import GruRoute, gru_weights
+
+    if (shape := chosen_shape()) is None:
+        return GruRoute(weights)
+    from ..kernels.lstm_vector import VectorRoute
+
+    return VectorRoute(gru_weights(weights), shape, cell="gru")

@@ -6,6 +6,7 @@ import copy
 import math
 import time
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -148,12 +149,8 @@ def _nothing_to_keep(history: Sequence[NetworkCheck], unit: str) -> str:
 def _looks(
     training: Sequence[Trial], judges: Sequence[Trial], scaling: Scaling, settings: NetworkSettings
 ) -> Iterator[tuple[NetworkCheck, Network]]:
-    try:
-        from .updates_ import torch_session
-    except ModuleNotFoundError as error:
-        raise FitError(f"training needs {error.name}, expected it installed: pip install hystmpc[train]") from None
     allowed = 0.5 * TOLERANCE_DEG * Decades.of(training).output(training)
-    with torch_session(settings.seed, settings.threads):
+    with _torch(settings):
         for check in _checks(training, judges, scaling, settings):
             training_rmse, judged, rounding = (
                 scaling.theta_scale * part for part in (check.training, check.judged, check.rounding)
@@ -161,6 +158,15 @@ def _looks(
             if not math.isfinite(judged):
                 raise FitError(f"training diverged: free run not finite at step {check.step}; lower learning_rate")
             yield NetworkCheck(check.step, training_rmse, judged, rounding, allowed), check.net
+
+
+def _torch(settings: NetworkSettings) -> AbstractContextManager[None]:
+    """PyTorch, seeded and on the threads of the settings."""
+    try:
+        from .updates_ import torch_session
+    except ModuleNotFoundError as error:
+        raise FitError(f"training needs {error.name}, expected it installed: pip install hystmpc[train]") from None
+    return torch_session(settings.seed, settings.threads)
 
 
 def _checks(
@@ -258,12 +264,8 @@ def training_seconds(trials: Sequence[Trial], settings: NetworkSettings) -> floa
         FitError: on unusable trials, if too few are left to train on, or if torch is not installed.
     """
     check_trial_set(trials)
-    try:
-        from .updates_ import torch_session
-    except ModuleNotFoundError as error:
-        raise FitError(f"training needs {error.name}, expected it installed: pip install hystmpc[train]") from None
     training, _ = hold_out(trials, settings.validation_trials, settings.seed)
-    with torch_session(settings.seed, settings.threads):
+    with _torch(settings):
         net = settings.network.network(DeviceFacts(inverted=trials[0].inverted))
         way = settings.training
         if isinstance(way, StreamTraining):

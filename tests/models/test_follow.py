@@ -11,7 +11,7 @@ from hystmpc.models.model import Inverse, Predictor
 from hystmpc.models.operators.dynamics import Lag
 from hystmpc.models.prediction.build import ControllerModel
 from hystmpc.models.prediction.compiled import CompiledPredictor
-from hystmpc.models.prediction.recurrent import LstmPredictor
+from hystmpc.models.prediction.recurrent import RoutedPredictor
 
 from .lstm_examples import ROUTES, facts, make_route, random_weights
 from .zoo import CHAINS, simulator
@@ -27,7 +27,7 @@ def pair(name: str, lag_s: float) -> tuple[Predictor, Inverse]:
         inverse: Inverse = CompiledInverse(chain, BOUNDS.low, 4.0)  # searches among less than may be sent
     else:
         weights = random_weights(7, 2)
-        network = LstmPredictor(weights, facts(weights), route=make_route(weights, name.removeprefix("lstm, ")))
+        network = RoutedPredictor(facts(weights), "conditioned", make_route(weights, name.removeprefix("lstm, ")))
         chain = CompiledPredictor.of_simulator(simulator(CHAINS["backlash"]))
         predictor = both = AccompaniedPredictor(network, chain)
         inverse = CompanionInverse(both, CompiledInverse(chain, BOUNDS.low, BOUNDS.high))
