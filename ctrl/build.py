@@ -62,10 +62,7 @@ def pair_for(settings: AnyControllerSettings | ControllerBlock, model: Controlle
 
 
 def learning_pair(settings: ControllerBlock, predictor: Predictor, inverse: Inverse) -> tuple[Predictor, Inverse]:
-    """The model and its inverse as the controller uses them, with a learned part where the settings ask for one.
-
-    Who predicts from a controller's own state, as `TipController.predict` does, needs this predictor.
-    """
+    """Predictor and inverse with a learned part where the settings ask for one, for the states of the controller."""
     if isinstance(settings, LawSettings):
         return settings.model_pair(predictor, inverse)
     if not isinstance(settings, PredictiveSettings) or settings.adaptation is None:
@@ -115,7 +112,7 @@ def law_of(settings: ControllerBlock, predictor: Predictor, inverse: Inverse, li
 def _planner(
     settings: PredictiveSettings, predictor: Predictor, inverse: Inverse, limits: CommandLimits
 ) -> Planner[Any]:
-    """What improves the best candidate; with two iterations or more where the inverse is a first guess only."""
+    """Planner of a predictive controller, with two iterations or more where the inverse is a first guess only."""
     if inverted_after_a_hold(inverse.inverse if isinstance(inverse, LearnedInverse) else inverse):
         settings = settings.model_copy(update={"iterations": max(settings.iterations, _REFINED)})
     if isinstance(settings, LinearisedMpcSettings):
@@ -128,7 +125,7 @@ def _planner(
 def _feedforward(
     settings: FeedforwardSettings, predictor: Predictor, inverse: Inverse, limits: CommandLimits
 ) -> InverseFeedforward:
-    """The inverse: over the preview for a model that answers late (`steady_inverse` too), else sample by sample."""
+    """Inverse feedforward: over the preview for a model with delay (`steady_inverse` too), else sample by sample."""
     late = isinstance(inverse, DrivenInverse) or inverted_after_a_hold(inverse)
     ahead = FeasibleInverse(predictor, inverse, limits, settings.preview) if late else None
     return InverseFeedforward(inverse, settings.reference_dead_zone_deg, ahead)

@@ -80,7 +80,7 @@ class Pid:
     def correct(
         self, memory: PidMemory, error: float, given: ControlInput, feedforward: float
     ) -> tuple[float, PidMemory]:
-        """Command and next memory.
+        """Command and next memory of one sample.
 
         Args:
             error: wanted minus measured angle [deg].
@@ -96,8 +96,8 @@ class Pid:
         excess = self._limits.clip(u, u_last, self._dt) - u
         integrated = error if abs(error) > gains.dead_zone_deg else 0.0
         integral = memory.integral + self._dt * (gains.ki_per_deg_s * integrated + excess / gains.tracking_s)
-        seen = (y, given.age) if new else (memory.angle, age)
-        return u, PidMemory(min(max(integral, -self._span), self._span), speed, *seen)
+        newest = (y, given.age) if new else (memory.angle, age)
+        return u, PidMemory(min(max(integral, -self._span), self._span), speed, *newest)
 
     def bumpless_start(self, error: float, given: ControlInput, feedforward: float) -> PidMemory:
         """Memory for a bumpless transfer: the next command is the last one sent; arguments as of `correct`."""
@@ -106,13 +106,13 @@ class Pid:
 
 
 def is_new(memory: PidMemory, given: ControlInput) -> bool:
-    """Whether the measurement was taken after the one that the memory holds."""
+    """Whether the measurement is newer than the one in the memory."""
     return given.age < memory.age + 1.0
 
 
 @final
 class PidFeedback(Law[PidMemory]):
-    """PID on the measured angle alone; starts without a bump from the command that the device holds."""
+    """PID feedback of the measured angle, with a bumpless start from the held command."""
 
     horizon = 1
     source = Source.CONTROLLER
@@ -135,7 +135,7 @@ class PidFeedback(Law[PidMemory]):
 
 
 def needs_sensor(estimator: S) -> S:
-    """The block `estimator` of a controller with feedback.
+    """Block `estimator` of a controller with feedback, checked.
 
     Raises:
         ValueError: if it says that there is no sensor.
@@ -167,7 +167,7 @@ REFERENCE_DEAD_ZONE_DEG = 0.027  # 0.0003 of 90 deg, RA-L 2024, PMC11633443 (S2)
 
 @dataclass(frozen=True, eq=False)
 class FeedforwardMemory:
-    """The angle followed at present [deg], and what is left of the last plan of commands (0..H,)."""
+    """Present reference angle [deg], and the remaining commands of the last plan (0..H,)."""
 
     followed: float
     plan: Vec = field(default_factory=lambda: EMPTY)
@@ -292,7 +292,7 @@ class InversePid(Law[InversePidMemory]):
 
 
 class FeedforwardSettings(ControllerBlock):
-    """What both controllers with an inverse have.
+    """Settings of both controllers with an inverse.
 
     Attributes:
         reference_dead_zone_deg: change of the reference that is not followed [deg].
@@ -420,7 +420,7 @@ class SupervisoryLaw(Law[SupervisorMemory]):
         )
 
     def _level(self, now: SupervisorLevel, forecast_error: float) -> SupervisorLevel:
-        """The level at this error of the forecasts; better than the present one only where it is clearly lower."""
+        """Level for this error of the forecasts, with hysteresis on the way to a better one."""
         at = LEVELS.index(now)
         worst = sum(forecast_error > threshold for threshold in self._thresholds)
         best = sum(forecast_error > _BACK * threshold for threshold in self._thresholds)

@@ -54,7 +54,7 @@ class Proposal(Generic[M]):
 
 
 class Law(ABC, Generic[M]):
-    """Memory in, memory out. A law may raise and may want anything: `GuardedController` makes it safe."""
+    """Control law with explicit memory. It may raise, and want any command: `GuardedController` makes it safe."""
 
     horizon: int  # reference samples looked at
     source: Source
@@ -65,7 +65,7 @@ class Law(ABC, Generic[M]):
 
     @abstractmethod
     def propose(self, memory: M, given: ControlInput, watch: Stopwatch) -> Proposal[M]:
-        """The wanted command; stages worth telling apart are booked on `watch`."""
+        """The wanted command; the time of each stage is booked on `watch`."""
 
 
 class FallbackSettings(Settings):
@@ -132,7 +132,7 @@ class LawSettings(ControllerBlock):
 
 @dataclass(frozen=True, eq=False)
 class GuardedState(Generic[M]):
-    """Everything a controller remembers: the state is its own snapshot."""
+    """State of a controller, which is its own snapshot."""
 
     estimate: Estimate  # observer snapshot, with the command really sent last
     memory: M  # the law's own memory
@@ -143,7 +143,7 @@ class GuardedState(Generic[M]):
 
 @final
 class GuardedController(Generic[M]):
-    """Wraps a law so that a step never raises and never leaves the limits.
+    """Controller around a law whose step never raises and never leaves the limits.
 
     Order of one step: correct the estimate with the measurement, check the reference, let the law propose, take the
     proposal or a fallback, limit from the command really sent, advance the model with the result.
@@ -178,12 +178,12 @@ class GuardedController(Generic[M]):
 
     @property
     def law(self) -> Law[M]:
-        """The law inside."""
+        """The control law."""
         return self._law
 
     @property
     def limits(self) -> CommandLimits:
-        """Of every command."""
+        """Hard limits of every command."""
         return self._limits
 
     def with_law(self, law: Law[N]) -> GuardedController[N]:
@@ -275,7 +275,7 @@ class GuardedController(Generic[M]):
         return self._observer.sigma_ahead_deg(estimate, travels[: commands.size])
 
     def measure(self, state: GuardedState[M], y: float, age: float) -> GuardedState[M]:
-        """The state with a measurement `y` [deg] of `age` samples before the next step used at its own instant.
+        """Measurement update with `y` [deg], taken `age` samples before the next step, at its own instant.
 
         Raises:
             ControllerError: if the estimator knows no late measurements, or not of that age; or the model fails.
@@ -313,7 +313,7 @@ class GuardedController(Generic[M]):
         return command, replace(decided, estimate=after)
 
     def _decide(self, state: GuardedState[M], reference: object, watch: Stopwatch) -> tuple[Level, GuardedState[M]]:
-        """The level to take, and the state with the law's memory, the fallbacks and the next due angle renewed."""
+        """Level of fallback, and the state with new memory of the law, fallback state and due angle."""
         fallback, missing = state.fallback, state.estimate.missing
         if fallback.stopped:
             return self._fallback.stop(self._waiting(state), f"latched {fallback.cause}"), state
@@ -342,7 +342,7 @@ class GuardedController(Generic[M]):
     def _proposal(
         self, state: GuardedState[M], given: ControlInput, watch: Stopwatch
     ) -> tuple[Proposal[M] | None, str]:
-        """The law's proposal, or None and why there is none."""
+        """Proposal of the law, or None and the reason why there is none."""
         if state.estimate.stalled:
             return None, f"the model state is {state.estimate.stalled} samples old"
         proposal, reason = attempt(lambda: self._law.propose(state.memory, given, watch))
@@ -352,7 +352,7 @@ class GuardedController(Generic[M]):
         return proposal, reason
 
     def _waiting(self, state: GuardedState[M]) -> ControlInput:
-        """What is given where there is nothing to follow: the angle that is due stays."""
+        """Inputs without a usable reference: the angle that is due is held."""
         return self._input(state, np.full(self.horizon, state.due))
 
     def _input(self, state: GuardedState[M], wanted: Vec) -> ControlInput:
@@ -417,7 +417,7 @@ T = TypeVar("T")
 
 @dataclass(frozen=True, eq=False)
 class FallbackState:
-    """Counters and what is left of the last good plan."""
+    """Failure counters and the remaining part of the last good plan."""
 
     failures: int = 0  # consecutive failed samples
     stopped: bool = False  # whether the stop is latched; only a new `init` releases it
@@ -462,7 +462,7 @@ class FallbackChain:
         return FallbackState(plan=plan[1:], predicted=predicted[1:])
 
     def pause(self, state: FallbackState, given: ControlInput, reason: str) -> tuple[Level, FallbackState]:
-        """Hold because there is nothing to follow; not a failure; the old plan is dropped."""
+        """Hold without a usable reference, which is no failure; the old plan is dropped."""
         return Level(given.u_last, Source.HOLD, reason), replace(state, plan=EMPTY, predicted=EMPTY)
 
     def on_failure(
@@ -488,11 +488,11 @@ class FallbackChain:
         return Level(given.u_last, Source.HOLD, f"{reason}; {more}" if more else reason), state
 
     def halt(self, cause: str) -> FallbackState:
-        """The latched state of a stop that was asked for."""
+        """Latched state after a requested stop."""
         return FallbackState(stopped=True, cause=cause)
 
     def stop(self, given: ControlInput, reason: str) -> Level:
-        """The last level: towards the safe command, or stay."""
+        """Stop, the last level: ramp to the safe command, or hold."""
         safe = self._settings.safe_command
         return Level(given.u_last if safe is None else safe, Source.STOP, f"stopped: {reason}")
 

@@ -249,7 +249,7 @@ class SampledGaussNewton:
 
 @final
 class PathIntegralPlanner(SamplingPlanner):
-    """Weighted mean of random plans around the best candidate (Williams et al., T-RO 2018, eq. (30)).
+    """Path integral control: weighted mean of random plans around the best one (Williams et al., T-RO 2018, eq. (30)).
 
     The samples spread geometrically from `sigma` to its finest share, so that one iteration both explores and refines.
     The mean is moved to the weighted mean, to the best sample or along the step of `SampledGaussNewton`, whichever
@@ -299,7 +299,7 @@ class _Search(NamedTuple):
 
 @final
 class CrossEntropyPlanner(SamplingPlanner):
-    """Mean and deviation of smooth random plans, fitted again and again to the cheapest of them.
+    """Cross-entropy method: mean and deviation of smooth random plans, fitted repeatedly to the cheapest of them.
 
         u_n = mean + deviation * F w_n,  mean = mean of the elites,  deviation = max(std of the elites, finest sigma)
 

@@ -37,7 +37,7 @@ MOTIONS: Mapping[str, type[AnyMotion]] = {kind.model_fields["kind"].default: kin
 
 
 def _known_kind(data: Any) -> Any:
-    """Answer a missing or unknown kind with the kinds there are."""
+    """Refuse a missing or unknown kind with a list of the kinds."""
     if isinstance(data, Mapping):
         if "kind" not in data:
             raise ValueError(f"no key 'kind', available: {', '.join(sorted(MOTIONS))}")

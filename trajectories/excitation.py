@@ -1,4 +1,4 @@
-"""Commands to identify and to test on: those of the papers as printed, and three minutes for a whole device.
+"""Excitation commands for identification and tests: those of the papers, and three minutes for a whole device.
 
 Where a paper is silent the value is an argument. S1 is Wu et al., RA-L 2021 (DOI 10.1109/LRA.2021.3061069): pressure
 [bar], 0 to 3. S2 is RA-L 2024, PMC11633443: tendon displacement [mm], 0 to 6.
@@ -103,7 +103,7 @@ class RampHold(PathMotion):
 
 
 class RampHoldDraw(TrajectorySettings):
-    """How a random ramp-and-hold command is drawn; every draw is uniform.
+    """Distribution of random ramp-and-hold commands; every draw is uniform.
 
     Attributes:
         moves: number of ramps, each followed by a hold.

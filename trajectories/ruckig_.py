@@ -168,7 +168,7 @@ def _check_end(segments: Segments, wanted: ruckig.InputParameter, accepted: floa
 
 
 def _scaled(segments: Segments, scale: Vec, start: Kinematics) -> Segments:
-    """In degrees and seconds, from where the move starts."""
+    """Segments in degrees and seconds, from the start of the move on."""
     segments *= scale
     segments[:, 1] += start.theta_deg
     return segments

@@ -1,4 +1,4 @@
-"""What a trajectory is; sampled ones, chains of them, previews; and the checks that all kinds share."""
+"""Trajectories: protocol, sampled signals, chains of parts, previews."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class PathTrajectory:
 
     @cached_property
     def path(self) -> Trajectory:
-        """The simpler trajectories."""
+        """Path of simpler trajectories."""
         raise NotImplementedError
 
     @property

@@ -1,4 +1,4 @@
-"""What is learned on top of a model: a basis, and a bank of Kalman filters that learn its weights.
+"""Online learning of a model error: basis functions, and a bank of Kalman filters that estimate their weights.
 
 There is one filter for each drive of a grid. The basis is what a drive and a hysteresis operator with free weights show
 of the command:
@@ -50,7 +50,7 @@ SHARES: Vec = np.concatenate(
 
 
 def basis_numbers() -> Mapping[str, float | Vec]:
-    """Numbers of the basis, for the same basis in another language."""
+    """Numbers of the basis, for code generation."""
     return {
         "memory": MEMORY,
         "weights": 1 + FEATURES,
@@ -277,12 +277,12 @@ class BankState:
 
     @property
     def lag(self) -> int:
-        """Of the best drive, in the grid of lags."""
+        """Lag of the best drive, as its number in the grid."""
         return self.best // DELAYS
 
     @property
     def delay(self) -> int:
-        """Of the best drive [samples]."""
+        """Delay of the best drive [samples]."""
         return self.best % DELAYS
 
     @property
@@ -293,7 +293,7 @@ class BankState:
 
 @final
 class FilterBank:
-    """Kalman filters of z = (d, w_c, w) for every drive of the grid, and what their forecasts are worth.
+    """Kalman filters of z = (d, w_c, w) for every drive of the grid, with scores of their forecasts.
 
         y_k = m_k + h_k' z_k + v_k,   h = (1, m - m_0, f),   var(v) = r
         s = h' P h + r,  z <- z + P h (y - m - h' z) / s,  P <- P - P h h' P / s,  P <- P + Q
@@ -337,7 +337,7 @@ class FilterBank:
         self._walk = np.concatenate([[0.0], settings.walk_share**2 * self._prior[1:]])
 
     def numbers(self) -> Mapping[str, float | Vec]:
-        """Numbers of the bank and of its basis, for the same bank in another language."""
+        """Numbers of the bank and of its basis, for code generation."""
         return {
             **basis_numbers(),
             "drives": DRIVES,
@@ -372,7 +372,7 @@ class FilterBank:
         return (u - self._low) / self._span
 
     def init(self, angle: float, u: float, y: float) -> BankState:
-        """At rest under the command u, the model at `angle` and the measurement at `y` [deg]."""
+        """State at rest under the command u, the model at `angle` and the measurement at `y` [deg]."""
         v = float(self.share_of_range(u))
         side = 1.0 if v < 0.5 else -1.0  # a device that rests near one end of its command has come from the other side
         z = np.zeros((DRIVES, _SIZE))
@@ -400,7 +400,7 @@ class FilterBank:
         return 2.0 * self._scale * (max(shares) - min(shares))
 
     def advance(self, state: BankState, u: float) -> BankState:
-        """One sample later under the command u."""
+        """Time update by one sample under the command u."""
         history = np.empty_like(state.history)
         queue = np.empty_like(state.queue)
         advance_history(
@@ -409,7 +409,7 @@ class FilterBank:
         return replace(state, history=history, queue=queue)
 
     def correct(self, state: BankState, y: float, angle: float, disturbance: float) -> BankState:
-        """With a measurement used.
+        """Measurement update.
 
         Args:
             y: measured [deg].
@@ -446,7 +446,7 @@ class FilterBank:
         return replace(judged, sums=np.zeros(DRIVES + 2), count=0, frozen=z, references=(disturbance, y))
 
     def _judged(self, state: BankState, means: Vec) -> BankState:
-        """With the mean square errors (H + 2,) of a block of forecasts [deg^2]."""
+        """Update of scores, best drive and share by the mean square errors (H + 2,) of a block of forecasts [deg^2]."""
         if means[_NOTHING] <= _MOVING * self._noise:
             return state
         kept = min(_KEPT, state.blocks / (state.blocks + 1.0))
@@ -513,7 +513,7 @@ def correct_filters(
     sums: Any,
     after: Any,
 ) -> None:
-    """One measurement for every drive: z (H, K) and sums of forecast errors in place, their covariance in `after`."""
+    """Measurement update for every drive: z (H, K) and sums of forecast errors in place, covariance in `after`."""
     h = np.empty(_SIZE)
     for n in range(z.shape[0]):
         lag, at = n // DELAYS, n % DELAYS + delay
@@ -532,7 +532,7 @@ def correct_filters(
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def correct_filter(z: Any, p: Any, h: Any, error: float, noise: float, prior: Any, still: bool, after: Any) -> None:
-    """One measurement for one drive with covariance p (K, K): z (K,) in place, and the covariance `after` it.
+    """Measurement update for one drive with covariance p (K, K): z (K,) in place, and the covariance `after` it.
 
     K is a number that the compiler knows: loops as short as these are vectorised only then.
 

@@ -36,7 +36,7 @@ _SENSOR_DEG = 0.1  # standard deviation of a sensor of which the model's file sa
 
 @final
 class LearnedPredictor(Predictor):
-    """theta = m + w_c (m - m_0) + sum_i w_i f_i, see `basis`; the weights stand still in a roll-out.
+    """theta = m + w_c (m - m_0) + sum_i w_i f_i, see `bank`; the weights stand still in a roll-out.
 
     Where all weights are zero this is the model. The state is the model's, then that of the learned part (OWN,).
     """

@@ -85,7 +85,7 @@ class Snapshot:
 
     @property
     def disturbance_deg(self) -> float:
-        """By how much the device is off the model, as estimated [deg]."""
+        """Estimated difference between device and model [deg]."""
         return 0.0 if self.control is None else self.control.estimate.departure
 
     @property
@@ -101,12 +101,12 @@ class Snapshot:
 
 
 def initial_snapshot(origin: str, command: float, sent: bool = False) -> Snapshot:
-    """Before the start, the device holding `command`."""
+    """Snapshot before the start, the device holding `command`."""
     return Snapshot(origin, Command(command, Source.HOLD, "not started"), sent)
 
 
 def start_control(memory: Snapshot, controller: PlannersController, y: float) -> Snapshot:
-    """At rest at the measured angle `y` [deg], with the request, if there is one, turned into a reference.
+    """Snapshot at rest at the measured angle `y` [deg], with a request turned into a reference.
 
     Raises:
         ControllerError: if the controller cannot start from there.
@@ -131,7 +131,7 @@ def replay_recording(origin: str, controller: PlannersController, commands: Vec,
 
 
 def try_to_start(memory: Snapshot, controller: PlannersController, y: object) -> Snapshot:
-    """The started controller where `y` allows it; otherwise the command is held, and its status says why."""
+    """Snapshot of the started controller where `y` is usable; otherwise with a held command and the reason."""
     angle = usable_angle(y)
     after, reason = attempt(lambda: start_control(memory, controller, angle))
     if math.isnan(angle):
@@ -140,7 +140,7 @@ def try_to_start(memory: Snapshot, controller: PlannersController, y: object) ->
 
 
 def set_request(memory: Snapshot, request: ReferenceRequest, dt: float, start: Kinematics) -> Snapshot:
-    """With the requested reference from the state of motion `start` on; before the start the request is kept.
+    """Snapshot with the requested reference from the state of motion `start` on; before the start, with the request.
 
     Raises:
         ControllerError: if the stop is latched.
@@ -156,7 +156,7 @@ def set_request(memory: Snapshot, request: ReferenceRequest, dt: float, start: K
 
 
 def halted(memory: Snapshot, controller: PlannersController, cause: str = "by stop()") -> Snapshot:
-    """With the stop latched."""
+    """Snapshot with the stop latched."""
     control = None if memory.control is None else controller.stop(memory.control, cause)
     return replace(memory, control=control, halted=True)
 
@@ -169,7 +169,7 @@ def holding(control: GuardedState[Any] | None, held: float) -> GuardedState[Any]
 
 
 def skipped(memory: Snapshot, controller: PlannersController, cause: str) -> Snapshot:
-    """One sample later in which nothing was sent: the device holds what it held, in a stop with a ramp too."""
+    """Snapshot after a sample in which nothing was sent: the device holds its command, also in a stop with a ramp."""
     control, held = memory.control, memory.command.u
     if control is None:
         return memory
@@ -239,7 +239,7 @@ def require_number(value: object, what: str) -> float:
 
 
 def require_usable(snapshot: object, origin: str, limits: CommandLimits) -> Snapshot:
-    """A snapshot that this controller can go on from.
+    """Snapshot from which this controller can continue.
 
     Raises:
         ControllerError: if it is none, belongs to another controller, or holds a command beyond the limits.
@@ -300,7 +300,7 @@ class TipState:
 
 @dataclass(frozen=True, eq=False)
 class TipPlan:
-    """What the controller means to do; rows belong to the running and the next samples (H,).
+    """Planned commands and predictions; rows belong to the running and the next samples (H,).
 
     Attributes:
         time_s: ends of the samples.
@@ -326,7 +326,7 @@ class TipPlan:
 
 
 def tip_state(memory: Snapshot, controller: PlannersController, tolerance_deg: float) -> TipState:
-    """What a planner sees of a snapshot."""
+    """State of the controller, from a snapshot."""
     now, command = memory.steps * controller.dt, memory.command
     motion, measured = memory.motion(now), memory.measured_deg
     done = memory.reference is not None and now >= memory.reference.end_s - _ROUNDING

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 
 class TipSettings(Settings):
-    """Everything that a `TipController` is made from.
+    """Settings of a `TipController`.
 
     Attributes:
         model: what is known of the device: a simulator (.yaml), an exported model (.onnx), or `builtin:NAME`.
@@ -74,7 +74,7 @@ def read_settings(source: Path | str | Mapping[str, Any] | TipSettings) -> tuple
 
 @dataclass(frozen=True, eq=False)
 class Assembly:
-    """What a `TipController` runs on.
+    """Parts of a `TipController`.
 
     Attributes:
         controller: law, estimator, fallbacks and limits.
@@ -111,7 +111,7 @@ class Assembly:
 
 
 def assemble(settings: TipSettings, folder: Path) -> Assembly:
-    """Open the files, build the controller and take one step with it, so that the first real one is not the slowest.
+    """Open the files, build the controller and warm it up by two steps.
 
     Raises:
         ModelError: if a model file is missing or unusable.

@@ -1,4 +1,4 @@
-"""The planner's side of hystmpc: set a target or a preview, step, read the state and the plan, stop."""
+"""Interface for motion planners: set a target or a preview, step, read state and plan, stop."""
 
 from __future__ import annotations
 
@@ -156,7 +156,7 @@ class TipController:
             return self._memory.command
 
     def took(self, steps: int, command: Command, control: GuardedState[Any] | None = None) -> None:
-        """Samples that the same controller was stepped through elsewhere, such as in C.
+        """Take over samples in which the same controller was stepped elsewhere, such as in C.
 
         Args:
             steps: how many.
@@ -199,7 +199,7 @@ class TipController:
             self._memory = replace(memory, control=control)
 
     def _answer(self, measured_theta_deg: float, wanted: Vec | None, fault: str) -> Command:
-        """The command of this sample, remembered as sent; under the lock."""
+        """Command of this sample, stored as sent; under the lock."""
         memory = self._memory
         command, control = memory.command, memory.control
         if control is None:
@@ -247,11 +247,11 @@ class TipController:
         self._request(given_request(source, self.dt, self._motion))
 
     def state(self) -> TipState:
-        """Where the controller is."""
+        """Present state of the controller."""
         return tip_state(self._memory, self._controller, self._settings.tolerance_deg)
 
     def plan(self) -> TipPlan:
-        """What the last step means to do over its horizon."""
+        """Plan of the last step over its horizon."""
         return tip_plan(self._memory, self._controller)
 
     def predict(self, commands: ArrayLike) -> Vec:
@@ -288,7 +288,7 @@ class TipController:
         return predicted_sigmas(assembly.limits, assembly.predictor, self._memory, self._controller, commands)
 
     def fork(self) -> Self:
-        """A copy that goes on from here by itself, for a planner that looks ahead while this one controls the device.
+        """Independent copy for a planner that predicts while this controller controls the device.
 
         It shares model, settings and limits and has a memory, a clock and a lock of its own: no call of either is seen
         by the other, and both may be stepped at the same time from two threads. What a fork answers is not sent. It
@@ -313,7 +313,7 @@ class TipController:
             self._memory = halted(self._memory, self._controller)
 
     def reset(self, measured_theta_deg: float | None = None, command: float | None = None) -> None:
-        """Forget everything and rest: at time 0, with no target. The one call that releases a latched stop.
+        """Reset to rest at time 0 without a target; the only call that releases a latched stop.
 
         Args:
             measured_theta_deg: start at this angle [deg] now; None to start with the first usable measurement.
@@ -333,7 +333,7 @@ class TipController:
             self._memory = memory
 
     def replay(self, commands: ArrayLike, angles_deg: ArrayLike, held: float | None = None) -> None:
-        """Forget everything but a latched stop, and take up what another has done with the device, hysteresis included.
+        """Reset to the state after a recording of another controller, hysteresis included; a latched stop stays.
 
         Args:
             commands: the last commands that were sent (T,) [mm or bar], the newest at the end.
@@ -355,11 +355,11 @@ class TipController:
             self._memory = take_up(memory, present, self._controller, holds)
 
     def snapshot(self) -> Snapshot:
-        """Everything remembered; equal futures follow from it."""
+        """Snapshot of the whole state; equal futures follow from it."""
         return self._memory
 
     def restore(self, snapshot: Snapshot, held: float | None = None) -> None:
-        """Be as at the moment of `snapshot`, but for a latched stop, which stays, and for the command that is held.
+        """Restore the state of `snapshot`, except for a latched stop, which stays, and for the command that is held.
 
         A simulation that rewinds its device too says so: `restore(snapshot, held=snapshot.command.u)`. After a stop it
         calls `reset` first.
@@ -379,7 +379,7 @@ class TipController:
             self._memory = take_up(usable, present, self._controller, holds)
 
     def _request(self, request: ReferenceRequest) -> None:
-        """Take up a request; where it starts from a user's reference, that is asked outside the lock."""
+        """Set a requested reference; a user's reference is evaluated outside the lock."""
         while True:
             with self._lock:
                 memory = self._memory
