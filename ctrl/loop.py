@@ -34,7 +34,7 @@ class ContinuousSensorSettings(Settings):
 
 
 class NoSensorSettings(Settings):
-    """No angle at all: the angle of the rest before the first sample is declared."""
+    """No sensor: the angle at rest before the first sample is declared."""
 
     kind: Literal["none"] = "none"
 
@@ -109,7 +109,7 @@ class Imaging:
 
     @classmethod
     def at_rest(cls, settings: ImagingSettings, seed: int, angle_deg: float) -> Imaging:
-        """At time 0, the device at rest at `angle_deg` [deg]."""
+        """Imaging system at time 0, the device at rest at `angle_deg` [deg]."""
         return cls(settings, seed, 0.0, angle_deg, _frame(settings, seed, 0, angle_deg))
 
     def later(self, time_s: float, angle_deg: float) -> tuple[tuple[ImageFrame, ...], Imaging]:
@@ -142,7 +142,7 @@ def _frame(settings: ImagingSettings, seed: int, number: int, angle_deg: float) 
 
 @final
 class Viewer:
-    """A sensor that is not continuous before a device, for one run.
+    """Simulated sensor without a continuous signal, for one run.
 
     Args:
         angle: of the device now [deg].
@@ -172,7 +172,7 @@ S = TypeVar("S")
 
 
 class Controller(Protocol[S]):
-    """State in, state out: `step` never raises and never returns a command beyond the limits."""
+    """Controller with explicit state: `step` never raises and never returns a command beyond the limits."""
 
     @property
     def dt(self) -> float:
@@ -199,7 +199,7 @@ class Controller(Protocol[S]):
         ...
 
     def measure(self, state: S, y: float, age: float) -> S:
-        """The state with a frame of `age` samples before the next step that shows `y` [deg].
+        """Measurement update with a frame of `age` samples before the next step that shows `y` [deg].
 
         Raises:
             ControllerError: if the frame cannot be used.

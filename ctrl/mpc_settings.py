@@ -52,7 +52,7 @@ class WeightsSettings(Settings):
 
     @property
     def limits_angle(self) -> bool:
-        """Whether there is a soft angle limit at all."""
+        """Whether there is a soft angle limit."""
         return self.soft_limit > 0 and any(math.isfinite(v) for v in self.angle_limits_deg)
 
     def over(self, horizon: int) -> Vec:
@@ -63,7 +63,7 @@ class WeightsSettings(Settings):
 
 
 class HoldSettings(Settings):
-    """When a command is held, and how slowly a remaining error is corrected; see `HoldRule`, which counts samples.
+    """Holding of the command, and slow correction of a remaining error; see `HoldRule`, which counts samples.
 
     Attributes:
         tolerance_deg: closeness that is always good enough [deg].
@@ -99,7 +99,7 @@ _SIGMA_SHARE = 0.1  # of the greatest move of a sample: more would cross kinks o
 
 
 class PredictiveSettings(ControllerBlock):
-    """What both predictive controllers have.
+    """Settings of both predictive controllers.
 
     Attributes:
         adaptation: learning on top of the model; null for none, which it is without a continuous sensor.
@@ -123,11 +123,7 @@ class PredictiveSettings(ControllerBlock):
     @model_validator(mode="before")
     @classmethod
     def _defaults_of_the_sensor(cls, data: Any) -> Any:
-        """Defaults that follow from the sensor, written out, so that settings as written are read again.
-
-        Without a continuous sensor nothing can be learned, and there is little noise that a plan must not follow.
-        Moves weigh less then, and holds are closer.
-        """
+        """Defaults without a continuous sensor: no learning, less weight on moves, closer holds."""
         if not isinstance(data, dict):
             return data
         estimator = data.get("estimator")

@@ -72,7 +72,7 @@ class Chain:
 
     def at_sample_time(self, dt_s: float, was_s: float) -> Chain:
         """The same chain run at sample time `dt_s`, from `was_s` [s]: stores of delays and starts of clocks fit it."""
-        before, after = (tuple(o.resampled(dt_s, was_s) for o in own) for own in (self.before, self.after))
+        before, after = (tuple(o.resampled(dt_s, was_s) for o in side) for side in (self.before, self.after))
         return replace(self, before=before, after=after)
 
     def with_room(self, dt_s: float) -> Chain:
@@ -267,7 +267,7 @@ class Split(NamedTuple):
 
 
 def split(chain: Chain) -> Split:
-    """The chain up to its last and from its first dynamic operator, and what lies between."""
+    """The chain split into dynamics on the command, the part between, and dynamics on the angle."""
     last = max((k + 1 for k, o in enumerate(chain.before) if isinstance(o, DYNAMICS)), default=0)
     first = min((k for k, o in enumerate(chain.after) if isinstance(o, DYNAMICS)), default=len(chain.after))
     middle = Chain(chain.core, chain.before[last:], chain.after[:first])

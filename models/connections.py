@@ -114,7 +114,7 @@ def operators_of(facts: ModelMetadata) -> Chain:
 
 
 def rest_of(model: LoadedModel) -> OnnxModel:
-    """The model without the operators of its outermost connection, as if it had a file of its own.
+    """The model without the operators of its outermost connection, as a separate model.
 
     Raises:
         ModelError: if the graph is not that of a connection.
@@ -167,12 +167,12 @@ def _joint_rule(operators: InitialRule, rest: InitialRule, way: str, facts: Mode
 
 
 def _rest(connections: tuple[Connection, ...]) -> str:
-    """Beginning of the names of a rest's inputs and outputs: connections within it keep them apart."""
+    """Prefix of the inputs and outputs of an inner model, by the number of connections within it."""
     return f"rest{len(connections)}"
 
 
 def _operators(connections: tuple[Connection, ...]) -> str:
-    """Beginning of the names of what belongs to the operators that are connected with them."""
+    """Prefix of the tensors of connected operators."""
     return f"operators{len(connections)}_"
 
 

@@ -77,12 +77,12 @@ class RestRule:
 
 
 def _drive(rest: ChainRest) -> _Part:
-    """What is in series shows the command that is held."""
+    """States of operators in series, whose output is the held command."""
     return lambda commands, angles: rest.states(commands, commands)
 
 
 def _by_rule(rule: InitialRule, shows: bool) -> _Part:
-    """By the rule of a file; what adds to operators that show the angle shows none."""
+    """States by the rule of a file, at angle zero where operators in parallel show the angle."""
 
     def states(commands: Vec, angles: Vec) -> Vec:
         seen = angles if shows else np.zeros_like(angles)

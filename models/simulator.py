@@ -37,7 +37,7 @@ FORMAT = "hystmpc-simulator/1"
 
 
 class Residual(Settings):
-    """What the simulator left unexplained on one trial that it was identified from.
+    """Residual of the simulator on one trial of its identification.
 
     Attributes:
         log: name of the log.
@@ -58,7 +58,7 @@ class Residual(Settings):
 
 
 class Identification(Settings):
-    """Where a simulator's numbers come from.
+    """Origin of the numbers of a simulator.
 
     Attributes:
         residuals: one for each trial.
@@ -78,7 +78,7 @@ class Identification(Settings):
 
     @property
     def slow_error(self) -> float | None:
-        """Root mean square of what neighbouring residuals have in common, about the mean of each trial; None: no trial.
+        """Root mean square of the correlated part of the residuals, about the mean of each trial; None without trials.
 
         sigma^2 = sum_i n_i rho_i (rmse_i^2 - bias_i^2) / sum_i n_i with the correlation rho of neighbours, zero or
         more: white noise of the sensor has none. That is `NoiseModel.model_sigma_deg`, of the table alone.

@@ -122,7 +122,7 @@ class NoiseBank:
         }
 
     def init(self, disturbance: float) -> tuple[Vec, float]:
-        """Initial bank (3, M), rows disturbance, variance, weight, for a guess of the disturbance [deg]; its variance."""
+        """Initial bank (3, M), rows disturbance, variance, weight, for a guessed disturbance [deg]; its variance."""
         bank = np.array([np.full(self._prior.size, disturbance), self._first, self._prior])
         return bank, float(self._prior @ self._first)
 

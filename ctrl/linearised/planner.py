@@ -26,7 +26,7 @@ from .qp import DaqpOptions, OsqpOptions, QpData, QpPattern
 
 
 class PlanProgram(ABC):
-    """The quadratic program around a plan, and what its answer means."""
+    """Quadratic program around a plan, and the commands of its solution."""
 
     pattern: QpPattern
     _weights: WeightsSettings
@@ -44,7 +44,7 @@ class PlanProgram(ABC):
 
     @abstractmethod
     def deviation(self, primal: Vec) -> Vec:
-        """What z = `primal` adds to the commands of the plan (H,)."""
+        """Deviation of the commands from the plan (H,) in a solution z = `primal`."""
 
     def _softened(self, hard: QpData, problem: PlanningProblem, around: CommandPlan, entries: Vec) -> QpData:
         """The program with soft angle limits beside the hard limits; `entries` of their rows, column by column."""
@@ -120,7 +120,7 @@ class TrackingQp(PlanProgram):
 
 @dataclass(frozen=True)
 class MoveBlocking:
-    """Which deviations v (H,) from a plan the program may choose: v = M w, one w a block (Cagienard et al., 2007).
+    """Move blocking: deviations v (H,) from a plan are v = M w, one w a block (Cagienard et al., 2007).
 
         v_k = w_{b-1} + (k - s_b + 1) / L_b (w_b - w_{b-1})   in block b of length L_b from sample s_b on,  w_{-1} = 0
         v_k = w_{m-1}                                         after the last block
@@ -250,7 +250,7 @@ def moves_of(plan: Any, u_last: float) -> Any:
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def all_finite(hessian: Any, gradient: Any) -> Any:
-    """A sum is finite only where its terms are."""
+    """Whether all numbers are finite: a sum is finite only where its terms are."""
     return np.isfinite(hessian.sum() + gradient.sum())
 
 
@@ -358,7 +358,7 @@ def condense_blocked(columns: Any, starts: Any, weighted: Any, constant: Any, gr
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def block_room(moves: Any, starts: Any, ends: Any, reach: float, low: Any, high: Any, extreme: Any) -> None:
-    """How far the move of a block's last deviation may differ from that of the one before, both (m,), in place.
+    """Bounds of the difference between deviations at the ends of neighbouring blocks (m,), in place.
 
     The deviation's move is the same in all samples of a block: those of the plan that move most leave the least room.
     extreme: the move of the plan (m,) nearest to a limit. The plan is admissible but for rounding, so zero always is.
@@ -430,7 +430,7 @@ class LinearisedPlanner(Planner[None]):
         return start, status, None
 
     def _least(self, state: Vec) -> int:
-        """Iterations that a plan needs, whatever the settings say."""
+        """Least number of iterations of a plan."""
         predictor = self._predictor
         learned = isinstance(predictor, LearnedPredictor) and predictor.weights(state).any()
         return _LEARNED_ITERATIONS if learned else 1
@@ -501,7 +501,7 @@ _INVERSE_ITERATIONS = 2
 
 @final
 class FeasibleInverse:
-    """argmin over admissible u of the sum of (theta_k(u) - r_k)^2 over the preview, with next to no weight on moves.
+    """Inverse over a preview: argmin over admissible u of sum_k (theta_k(u) - r_k)^2, almost without weight on moves.
 
     The problem of the linearised controller without a disturbance: its candidates, then its planner. Sample by sample,
     an inverse would send u = v + (w - v) / a to a lag of which a share a < 1 shows in a sample, which amplifies every

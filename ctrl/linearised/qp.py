@@ -19,7 +19,7 @@ from hystmpc.trials.types import Vec
 
 @dataclass(frozen=True, eq=False)
 class QpPattern:
-    """What never changes: sparsity and size of  min 1/2 z'Pz + q'z  s.t.  lower <= A z <= upper.
+    """Constant part of a family of programs: sparsity and size of  min 1/2 z'Pz + q'z  s.t.  lower <= A z <= upper.
 
     Attributes:
         hessian: P, upper triangle in CSC order, with placeholder values.
@@ -36,7 +36,7 @@ class QpPattern:
 
 @dataclass(frozen=True, eq=False)
 class QpData:
-    """What changes from step to step.
+    """Data of one program, which change from step to step.
 
     Attributes:
         hessian_data: entries of P in the order of the pattern.
@@ -55,7 +55,7 @@ class QpData:
 
 @dataclass(frozen=True, eq=False)
 class QpSolution:
-    """What the solver found."""
+    """Solution of one program."""
 
     primal: Vec  # z, shape (n,)
     usable: bool  # whether `primal` is a step worth trying: solved, or finite when the iterations ran out
@@ -99,7 +99,7 @@ class DaqpOptions:
 
 @final
 class DaqpSolver(QpSolver):
-    """Solves every program from a cold start, so that nothing of the one before is left (Arnström et al., TAC 2022).
+    """Solver DAQP, started cold for every program, so that answers do not depend on order (Arnström et al., TAC 2022).
 
     The identity rows of the pattern are handed over as simple bounds. Memory for one program is kept and filled anew,
     one a thread; it is made anew after a failure.
@@ -183,7 +183,7 @@ class OsqpOptions:
 
 @final
 class OsqpSolver(QpSolver):
-    """Solves one family of quadratic programs.
+    """Solver OSQP of one family of quadratic programs.
 
     The workspace, one a thread, only saves time: every solve starts from z = 0, the first step size and the
     multipliers that come with the data, and the cost is scaled here and not by the solver, whose scaling leaves
@@ -217,7 +217,7 @@ class OsqpSolver(QpSolver):
         return QpSolution(result.x, usable, status, iterations, status == _OSQP_UNFINISHED)
 
     def _staged(self, workspace: Any) -> tuple[Any, int]:
-        """Iterate with one step size after the other, each from where the last one stopped."""
+        """Iterate with one step size after another, each from the result of the last one."""
         first, *others = self._options.rhos
         result = _iterated(workspace, first)
         iterations = int(result.info.iter)

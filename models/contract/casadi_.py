@@ -338,7 +338,7 @@ ALLOWED = frozenset((*ELEMENTWISE, *REARRANGE, *_COMBINE, "Cast", "Constant"))
 
 
 def check_operators(graph: onnx.GraphProto, where: str) -> None:
-    """Hold every node against the list.
+    """Check every node against the list of operators.
 
     Raises:
         ModelError: naming the first node that is not on it, its operator, and the list.
@@ -354,5 +354,5 @@ def check_operators(graph: onnx.GraphProto, where: str) -> None:
 
 
 def node_name(node: onnx.NodeProto, index: int) -> str:
-    """How messages call a node: its name, else its place and first output."""
+    """Name of a node in messages, else its place and first output."""
     return repr(node.name) if node.name else f"{index} (output {node.output[0] if node.output else 'none'!r})"

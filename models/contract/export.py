@@ -234,10 +234,7 @@ def _free_run(step: Step, state: Vec, commands: Vec) -> Vec:
 
 
 def _amplification(reference: StepFunction, start: Vec, commands: Vec, expected: Vec, step: float, out: Output) -> str:
-    """Tell a step that is wrong from a model that is sensitive: run the reference again, its start moved by `step`.
-
-    `step` is the largest relative difference of the next state that single steps had.
-    """
+    """Sensitivity of the reference to a change of its start by `step`, to tell a wrong step from a sensitive model."""
     moved = _free_run(reference.advance, start + step * (1 + np.abs(start)), commands)
     own = float(np.abs(moved - expected)[:, 0].max())
     what = f"and the reference moved by this much by {own:.3g} {out[1]}"

@@ -1,4 +1,4 @@
-"""The one list of effects: equation, sides, bounds, starts, confounders, and what separates each from its neighbours.
+"""List of effects: equation, sides, bounds, starts, confounders, and what separates each from its neighbours.
 
 To add an effect: write its operator in `models/operators/`, its forms and its entry here, and, for the blind check, a
 generator. The diagnosis, `hystmpc effects`, the pictures, the self-test and the blind check read this list. Effects of
@@ -398,9 +398,9 @@ def own_operators() -> Mapping[str, type[Operator]]:
 
 
 def add_effect(effect: Effect) -> Effect:
-    """Add an effect of your own to the library, in this process: files, simulated devices and `diagnose` then know it.
+    """Add a user's effect to the library in this process: files, simulated devices and `diagnose` then know it.
 
-    An entry point makes it known wherever its package is installed. An own effect of the same name is replaced.
+    An entry point makes it known wherever its package is installed. A user's effect of the same name is replaced.
 
     Raises:
         ModelError: if the name is one of the library's, or neutral values or forms contradict the operator.

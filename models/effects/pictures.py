@@ -1,4 +1,4 @@
-"""What each effect does to a loop and to a hold of a plain device: figures and a page."""
+"""Figures and a page of the effects: loop and hold of a plain device with each of them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Effects in plain data, and their way into a chain."""
+"""Effects as plain data, and their places in a chain."""
 
 from __future__ import annotations
 
@@ -172,7 +172,7 @@ def _filled(effect: Effect, template: Operator, given: Mapping[str, Any], side: 
 
 
 def _unknown(effect: Effect, template: Operator, name: str, side: Side) -> str:
-    """What to say of a parameter that the effect does not have; a wrong unit is called one."""
+    """Message on an unknown parameter, or on a wrong unit in its name."""
     hint = did_you_mean(name, names_of(template))
     for parameter in template.parameters:
         stem, _, unit = parameter.name.rpartition("_")

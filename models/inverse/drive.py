@@ -1,4 +1,4 @@
-"""Dynamics before or behind what is inverted: the input over a preview that brings their output along a path."""
+"""Dynamics before or behind an inverted model: the input over a preview that leads their output along a path."""
 
 from __future__ import annotations
 

@@ -54,7 +54,7 @@ def clip_plans(plans: Any, lower: float, upper: float, reach: float, last: float
 
 
 class Follower(ABC):
-    """The inverse, sample by sample from what the commands before have led to."""
+    """Inverse along a horizon, sample by sample from the state after the commands before."""
 
     @abstractmethod
     def follow(self, state: Vec, wanted: Vec, u_last: float, bounds: Bounds) -> Vec:
@@ -63,7 +63,7 @@ class Follower(ABC):
 
 @final
 class StepwiseFollower(Follower):
-    """One call of model and inverse a sample: for any model."""
+    """Inverse along a horizon by one call of model and inverse a sample, for any model."""
 
     def __init__(self, predictor: Predictor, inverse: Inverse) -> None:
         self._predictor, self._inverse = predictor, inverse
@@ -88,7 +88,7 @@ class StepwiseFollower(Follower):
 
 @final
 class CompiledFollower(Follower):
-    """All samples in one compiled call: for chains, and for networks beside a chain.
+    """Inverse along a horizon in one compiled call, for chains, and for networks with a chain at their side.
 
     Args:
         inverse: of the chain.

@@ -77,7 +77,7 @@ class AccompaniedPredictor(Predictor):
 
 @final
 class CompanionInverse(Inverse):
-    """The companion's inverse, asked for the wanted angle less what the companion is off the model by now.
+    """Inverse of the companion, for the wanted angle minus the present difference between companion and model.
 
     u = companion^-1(theta + theta_companion - theta_model)
     """
@@ -92,7 +92,7 @@ class CompanionInverse(Inverse):
 
 @final
 class MappedPredictor(Predictor):
-    """A model with an inverse map at its side, which is shown the angles that the model's commands lead to.
+    """A model with an inverse map at its side, whose inputs are the angles of the model.
 
     Predictions are the model's. The state is [model state, map state], so that the map's memory is branched and
     restored together with the model's. What the map has seen are the model's own angles, never measured ones, whose
@@ -148,7 +148,7 @@ class TrainedInverse(Inverse):
 
 
 def check_inverse_map(inverse_map: ModelMetadata, model: ModelMetadata) -> None:
-    """Hold the facts of an inverse map against those of the model that it is to invert.
+    """Check the facts of an inverse map against those of the model that it inverts.
 
     Raises:
         ModelError: if it is a forward model, or its units or its sample time are not those of the model.

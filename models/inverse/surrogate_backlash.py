@@ -1,4 +1,4 @@
-"""A backlash fitted to what a model itself predicts: the operator that stands in for it where an inverse is needed."""
+"""A backlash fitted to the free run of a model, in its place where an inverse is needed."""
 
 from __future__ import annotations
 

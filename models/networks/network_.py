@@ -1,4 +1,4 @@
-"""The contract of a network: a PyTorch module with explicit state that also writes its own ONNX nodes."""
+"""Interface of a network: a PyTorch module with explicit state that also writes its ONNX nodes."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class Network(torch.nn.Module, ABC):
         """Outputs (N, T) and the states (N, S) after the last sample."""
 
     def shown(self, v: torch.Tensor, y: torch.Tensor) -> torch.Tensor:
-        """What `begin` starts from at each sample (N, T) of whole motions v (N, T), measured as y (N, T)."""
+        """Outputs (N, T) from which `begin` starts at each sample of motions v (N, T), measured as y (N, T)."""
         del v
         return y
 

@@ -17,7 +17,7 @@ from hystmpc.trials.types import Vec
 
 @dataclass(frozen=True)
 class Scaling:
-    """Units in, units out: v = (u - u_offset) / u_scale, theta = theta_offset + theta_scale * y.
+    """Scaling of input and output: v = (u - u_offset) / u_scale, theta = theta_offset + theta_scale * y.
 
     For an inverse map `u` is the angle and `theta` the command.
 

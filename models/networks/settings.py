@@ -1,4 +1,4 @@
-"""What a network is made of: one class of settings for each form, which builds its network.
+"""Settings of a network: one class for each form, which builds its network.
 
 The modules with the PyTorch classes take numbers and never import this one.
 """
@@ -29,7 +29,7 @@ _SPAN = 2.0  # of inputs scaled to [-1, 1]
 
 @dataclass(frozen=True)
 class DeviceFacts:
-    """What is known of the device before its network is trained.
+    """Facts of the device before its network is trained.
 
     Attributes:
         rest: scaled input of a device at rest.
@@ -45,7 +45,7 @@ class DeviceFacts:
 
 
 class FormSettings(Settings, ABC):
-    """What a network is made of; builds the network.
+    """Base of the forms of networks.
 
     Attributes:
         known: all forms, by name.

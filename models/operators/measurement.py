@@ -1,4 +1,4 @@
-"""What a measurement adds: sensor noise with randomness that is state, and periodic disturbances."""
+"""Sensor noise, whose random numbers are state, and periodic disturbances."""
 
 from __future__ import annotations
 

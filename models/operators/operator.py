@@ -45,7 +45,7 @@ class Parameter:
 
 @dataclass(frozen=True)
 class Number:
-    """What a field of an operator says of itself as a parameter, in `Annotated[float, Number(...)]`.
+    """Declaration of a parameter in a field of an operator: `Annotated[float, Number(...)]`.
 
     Attributes:
         unit, lower, upper, meaning: as `Parameter` has them.
@@ -172,7 +172,7 @@ def _numbers(kind: type[Operator]) -> dict[str, Number]:
 
 
 def check_values(operator: Operator) -> None:
-    """Compare the values with their bounds; of what has the unit of a signal only with their signs.
+    """Check values against their bounds; where the unit is that of a signal only against their signs.
 
     Raises:
         ModelError: naming the parameter, the value and the bounds.

@@ -191,12 +191,12 @@ class StateNetwork(Operator):
 
     @property
     def settling_samples(self) -> int:
-        """Its rest has no closed form: the first command is held until what is left of a guess is small."""
+        """Samples for which the first command is held: the state at rest has no closed form."""
         return _SETTLING
 
     @property
     def rest_samples(self) -> int:
-        """As long."""
+        """Samples of constant input until rest, as many as `settling_samples`."""
         return _SETTLING
 
 

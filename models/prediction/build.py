@@ -1,4 +1,4 @@
-"""From a model file's content to what a controller needs: a fast predictor and an inverse."""
+"""Predictor and inverse of a model for a controller."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def predictor_for(model: LoadedModel) -> Predictor:
 
 
 def _exported_predictor(model: LoadedModel) -> Predictor:
-    """The predictor of an ONNX file; what it needs takes a moment to load, which operators need not wait for."""
+    """The predictor of an ONNX file, whose libraries are loaded here only."""
     from ..contract.load import OnnxModel
 
     assert isinstance(model, OnnxModel)  # there are these two

@@ -17,7 +17,7 @@ _SPARSE_ENTRIES = 4  # of A in a row, up to which its product is cheaper than di
 
 @final
 class OnnxPredictor(ModelPredictor):
-    """Predictor of a loaded model file of any kind; what has no kernels of its own.
+    """Predictor of a model file of any kind, for models without compiled kernels.
 
     A roll-out is H runs of the step graph on all plans at once. A linearisation carries the tangents of the state along
     the plan, one column a command,

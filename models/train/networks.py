@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class NetworkCheck:
-    """One look during training.
+    """Errors at one check during training.
 
     Attributes:
         step: epochs or updates done.

@@ -24,7 +24,7 @@ Rng = np.random.Generator
 
 @dataclass(frozen=True)
 class TrainingRun:
-    """One motion to learn from, from the start of a trial.
+    """One motion for training, from the start of a trial.
 
     Attributes:
         command, angle: (T,), in units or scaled; exchanged for an inverse map.

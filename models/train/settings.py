@@ -136,7 +136,7 @@ class StreamTraining(Settings):
 
 
 class NetworkSettings(Settings):
-    """What `fit_network` needs to know.
+    """Settings of `fit_network`.
 
     Attributes:
         kind: name in model files and reports.
@@ -170,5 +170,5 @@ class NetworkSettings(Settings):
 
     @property
     def steps(self) -> int:
-        """What `progress` counts up to: epochs of windows or updates of streams."""
+        """Total number of epochs of windows or updates of streams."""
         return self.training.epochs if isinstance(self.training, WindowTraining) else self.training.updates

@@ -24,7 +24,7 @@ _EPSILON = 1e-4  # of S2 (RA-L 2024) eq. (12)
 
 @dataclass(frozen=True)
 class Check:
-    """The state of training at one look.
+    """State of the training at one check.
 
     Attributes:
         step: epochs or updates done.
@@ -43,7 +43,7 @@ class Check:
 
 @contextmanager
 def torch_session(seed: int, threads: int) -> Iterator[None]:
-    """Seeded, on a fixed number of threads; both go back to what they were."""
+    """PyTorch seeded and on a fixed number of threads; both are restored."""
     before = torch.get_num_threads()
     torch.set_num_threads(threads)
     try:
@@ -84,7 +84,7 @@ def constancy(output: torch.Tensor, command: torch.Tensor) -> torch.Tensor:
 
 @dataclass(frozen=True)
 class ValidationRuns:
-    """What is held out, as one batch.
+    """Held-out runs as one batch.
 
     Attributes:
         start: what the states start from (N,).
@@ -99,7 +99,7 @@ class ValidationRuns:
     weight: torch.Tensor
 
     def head(self, rows: int) -> ValidationRuns:
-        """The first `rows` of it."""
+        """The first `rows` runs."""
         return ValidationRuns(*(part[:rows] for part in (self.start, self.past, self.command, self.angle, self.weight)))
 
     def output(self, net: Network) -> torch.Tensor:
@@ -120,7 +120,7 @@ def whole_runs(runs: Sequence[TrainingRun], warmup: int) -> ValidationRuns:
 
 
 def rounding_error(net: Network, judged: ValidationRuns, output: torch.Tensor) -> float:
-    """What single precision does to a free run. A network that amplifies it is chaotic and cannot be exported."""
+    """Error of a free run in single precision. A network that amplifies it is chaotic and cannot be exported."""
     exact = judged.output(copy.deepcopy(net).double())
     return float((exact - output).abs().max())
 
@@ -160,7 +160,7 @@ def window_checks(
     settings: NetworkSettings,
     way: WindowTraining,
 ) -> Iterator[Check]:
-    """One look after every epoch, at windows of the held-out trials, a fifth as many as in an epoch."""
+    """Checks after every epoch, on windows of the held-out trials, a fifth as many as in an epoch."""
     rng = np.random.default_rng(settings.seed)
     improve = window_update(net, settings, way)
     count = way.windows_per_epoch or sum(run.command.size for run in training)
@@ -258,7 +258,7 @@ def stream_checks(
     settings: NetworkSettings,
     way: StreamTraining,
 ) -> Iterator[Check]:
-    """A look after every few rounds, at free runs over whole held-out trials by the averaged weights."""
+    """Checks after every few rounds, by free runs of the averaged weights over whole held-out trials."""
     rng = np.random.default_rng(settings.seed)
     improve = stream_update(net, settings, way)
     judged = whole_runs(held_out, settings.warmup_samples)
@@ -281,7 +281,7 @@ def stream_checks(
 
 
 def pieces(streams: Streams) -> Iterator[Piece]:
-    """One after the other, as tensors."""
+    """The pieces in order, as tensors."""
     for k in range(len(streams.command)):
         parts = (streams.command[k], streams.angle[k], streams.weight[k], streams.fresh[k][:, None])
         yield Piece(*(torch.from_numpy(np.ascontiguousarray(part)) for part in parts))
