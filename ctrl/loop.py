@@ -19,7 +19,7 @@ from hystmpc.trials.types import Vec
 
 from .command import Command
 
-_OLDEST_S, _GAP_S = 1.0, 2.0  # what a controller is told at least
+_OLDEST_S, _GAP_S = 1.0, 2.0  # least values for a controller
 _JITTERS, _PERIODS = 4.0, 5.0  # so late, and so many frames lost in a row, is still usual
 
 

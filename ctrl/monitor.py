@@ -12,7 +12,7 @@ from hystmpc.models.contract.metadata import NoiseModel
 from hystmpc.trials.types import Vec
 
 SIGNS = ("offset", "lag", "friction", "stiffness", "slack", "creep")
-"""What a change is told by, see `ChangeMonitor`."""
+"""Signs of a change, see `ChangeMonitor`."""
 
 _MEMORY_S = 20.0  # of motion, over which the residual is judged
 _LEAST_S = 12.0  # of motion, before anything is said

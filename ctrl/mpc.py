@@ -30,7 +30,7 @@ FOLLOWING = 5  # rows before those that only search
 _ROUNDING = 1e-9  # share of the greatest step: which samples a plan is postponed by must not hang on rounding
 
 # Shares of the greatest step. Inside what a network has for a dead band its slope may have the wrong sign: the little
-# step that ends an error in a hold is found by trying it, not by a gradient.
+# step that ends an error in a hold is chosen by a trial, not by a gradient.
 _STEPS = (0.125, 0.1875, 0.25, 0.375, 0.5, 0.625, 0.75, 1.0)
 
 
@@ -360,7 +360,7 @@ class HoldRule:
     more, up to five, since noise may never let it come closer and a command has to come to rest; once held, five.
 
     A reading of a sensor with steps q stays where it is while the angle moves within q / 2 of it. At rest the estimate
-    goes there from what the motion has told, and corrections would creep until the reading flips, and come back: a
+    goes there from what the motion has shown, and corrections would creep until the reading flips, and come back: a
     limit cycle. Once held, q more is close enough: an angle within q / 2 of the wanted one is never left, and one more
     than 3 q / 2 away always is.
 

@@ -1,4 +1,4 @@
-"""Motions in YAML: one settings block per kind, told apart by the key `kind`."""
+"""Motions in YAML: one settings block per kind, by the key `kind`."""
 
 from __future__ import annotations
 

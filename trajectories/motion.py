@@ -78,7 +78,7 @@ class MotionLimits(TrajectorySettings):
 
 
 class MotionSettings(TrajectorySettings):
-    """Base of the motions that YAML can name, told apart by the key `kind`."""
+    """Base of the motions that YAML can name by the key `kind`."""
 
     def build(self, folder: Path | str = ".") -> Trajectory:
         """The trajectory; relative file names start at `folder`.

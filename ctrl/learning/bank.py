@@ -121,29 +121,29 @@ def features(memory: Any, before: float, v0: float, side: float, pace: float, ou
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def acting_command(own: Any, plan: Any, k: int, low: float, span: float) -> Any:
+def acting_command(part: Any, plan: Any, k: int, low: float, span: float) -> Any:
     """The command behind the delay in sample k of a plan (H,), as a share of the range."""
-    delay = int(own[OWN - 1])
-    return own[MEMORY + delay - 1 - k] if k < delay else (plan[k - delay] - low) / span
+    delay = int(part[OWN - 1])
+    return part[MEMORY + delay - 1 - k] if k < delay else (plan[k - delay] - low) / span
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def add_learned(own: Any, pace: float, creeps: Any, low: float, span: float, plans: Any, angles: Any) -> None:
+def add_learned(part: Any, pace: float, creeps: Any, low: float, span: float, plans: Any, angles: Any) -> None:
     """angles (N, H) <- m + w_c (m - m_0) + sum_i w_i f_i along plans (N, H), in place.
 
     Args:
-        own: the learned part's state (OWN,).
+        part: the learned part's state (OWN,).
         pace: samples per second.
         creeps: as `creep_shares`.
         low, span: least command, and the range of commands [command unit].
     """
-    weights, start, horizon = own[OF_WEIGHTS], own[OF_START], plans.shape[1]
+    weights, start, horizon = part[OF_WEIGHTS], part[OF_START], plans.shape[1]
     now, f = np.empty(MEMORY), np.empty(FEATURES)
     for n in range(plans.shape[0]):
-        now[:] = own[:MEMORY]
+        now[:] = part[:MEMORY]
         for k in range(horizon):
             before = now[0]
-            advance_memory(now, acting_command(own, plans[n], k, low, span), start[3], creeps)
+            advance_memory(now, acting_command(part, plans[n], k, low, span), start[3], creeps)
             features(now, before, start[0], start[1], pace, f)
             total = weights[0] * (angles[n, k] - start[2])
             for i in range(FEATURES):
@@ -203,15 +203,15 @@ def slopes_by_memory(now: Any, weights: Any, pace: float, out: Any) -> None:
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def add_slopes(own: Any, pace: float, creeps: Any, low: float, span: float, plan: Any, jacobian: Any) -> None:
+def add_slopes(part: Any, pace: float, creeps: Any, low: float, span: float, plan: Any, jacobian: Any) -> None:
     """jacobian (H, H) of the model <- that of the whole, along one plan (H,), in place; see `add_learned`."""
-    weights, share, horizon = own[OF_WEIGHTS], own[OWN - 2], plan.size
-    now, before, slopes = own[:MEMORY].copy(), np.empty(MEMORY), np.empty(MEMORY + 1)
+    weights, share, horizon = part[OF_WEIGHTS], part[OWN - 2], plan.size
+    now, before, slopes = part[:MEMORY].copy(), np.empty(MEMORY), np.empty(MEMORY + 1)
     by, row = np.zeros((MEMORY + 1, horizon)), np.empty(horizon)
     for k in range(horizon):
         before[:] = now
-        advance_memory(now, acting_command(own, plan, k, low, span), share, creeps)
-        advance_slopes(before, now, k - int(own[OWN - 1]), share, creeps, by)
+        advance_memory(now, acting_command(part, plan, k, low, span), share, creeps)
+        advance_slopes(before, now, k - int(part[OWN - 1]), share, creeps, by)
         slopes_by_memory(now, weights, pace, slopes)
         row[: k + 1] = 0.0
         for i in range(MEMORY + 1):
@@ -249,7 +249,7 @@ class BankState:
         z: offset [deg], w_c and weights [deg] of every drive (H, K).
         covariance: of their errors (H, K, K).
         frozen: z at the beginning of the block of forecasts (H, K).
-        references: at that moment the model's own disturbance and the measured angle [deg].
+        references: at that moment the model's part disturbance and the measured angle [deg].
         sums: squared errors of the forecasts in this block (H + 2,): drives, model alone, last angle held [deg^2].
         scores: means of these over the past blocks with motion (H + 2,) [deg^2].
         forecast_error: of the better forecast, of model or best drive, over that of none (root mean squares); at most
@@ -301,7 +301,7 @@ class FilterBank:
     Q lets the offset drift, and the weights walk with the travel of the command only: in a hold nothing is forgotten,
     and an error of more than three standard deviations is an offset that has jumped.
     Every 0.24 s all z are frozen, and until the next time each drive predicts the angles from the commands alone. The
-    model with its own disturbance does too, and so does the last angle. The mean squares of the errors, over the blocks
+    model with its disturbance does too, and so does the last angle. The mean squares of the errors, over the blocks
     in which the angle moved, are the scores. The drive with the best score is used. It acts with the share
 
         s = (1 - (score + e) / (score of the model + e) - 0.6) / 0.3, within 0 and 1,   e = (sensor / 2)^2
@@ -414,7 +414,7 @@ class FilterBank:
         Args:
             y: measured [deg].
             angle: of the model at that instant [deg].
-            disturbance: the model's own, before this measurement is used [deg].
+            disturbance: of the model alone, before this measurement is used [deg].
         """
         z, covariance, sums = state.z.copy(), np.empty_like(state.covariance), state.sums.copy()
         travel = abs(float(state.history[self._delay, 0, 0] - state.history[self._delay + 1, 0, 0]))
@@ -436,8 +436,8 @@ class FilterBank:
             sums,
             covariance,
         )
-        own, last = state.references
-        sums[_MODEL] += (y - angle - own) ** 2
+        disturbed, last = state.references
+        sums[_MODEL] += (y - angle - disturbed) ** 2
         sums[_NOTHING] += (y - last) ** 2
         after = replace(state, z=z, covariance=covariance, sums=sums, count=state.count + 1)
         if after.count < self._block:

@@ -59,8 +59,8 @@ class LearnedPredictor(Predictor):
     def initial(self, y: float, u: float) -> Vec:
         v = (u - self._low) / self._span
         side = 1.0 if v < 0.5 else -1.0
-        own = [first_memory(v, side), np.full(DELAYS, v), np.zeros(1 + FEATURES), [v, side, y, 1.0, 0.0]]
-        return np.concatenate([self.model.initial(y, u), *own])
+        part = [first_memory(v, side), np.full(DELAYS, v), np.zeros(1 + FEATURES), [v, side, y, 1.0, 0.0]]
+        return np.concatenate([self.model.initial(y, u), *part])
 
     def with_learned(self, below: Vec, bank: BankState) -> Vec:
         """The model's state `below` with the learned part of a bank whose newest memory is of the same instant."""
@@ -69,12 +69,12 @@ class LearnedPredictor(Predictor):
 
     def advance(self, state: Vec, u: float) -> tuple[float, Vec]:
         angle, below = self.model.advance(self.below(state), u)
-        own, plan, angles = state[state.size - OWN :], np.array([u]), np.array([[angle]])
-        add_learned(own, *self._known, plan[None], angles)
-        after = own.copy()
-        x = acting_command(own, plan, 0, self._low, self._span)
-        advance_memory(after[:MEMORY], x, own[OWN - 2], self._bank.creeps)
-        after[MEMORY + 1 : MEMORY + DELAYS] = own[MEMORY : MEMORY + DELAYS - 1]
+        part, plan, angles = state[state.size - OWN :], np.array([u]), np.array([[angle]])
+        add_learned(part, *self._known, plan[None], angles)
+        after = part.copy()
+        x = acting_command(part, plan, 0, self._low, self._span)
+        advance_memory(after[:MEMORY], x, part[OWN - 2], self._bank.creeps)
+        after[MEMORY + 1 : MEMORY + DELAYS] = part[MEMORY : MEMORY + DELAYS - 1]
         after[MEMORY] = (u - self._low) / self._span
         return float(angles[0, 0]), np.concatenate([below, after])
 
@@ -92,13 +92,13 @@ class LearnedPredictor(Predictor):
 
     def linearise(self, state: Vec, plan: Vec) -> tuple[Vec, Vec]:
         angles, jacobian = self.model.linearise(self.below(state), plan)
-        own, angles, jacobian = state[state.size - OWN :], angles.copy(), np.array(jacobian, order="C")
-        add_learned(own, *self._known, plan[None], angles[None])
-        add_slopes(own, *self._known, plan, jacobian)
+        part, angles, jacobian = state[state.size - OWN :], angles.copy(), np.array(jacobian, order="C")
+        add_learned(part, *self._known, plan[None], angles[None])
+        add_slopes(part, *self._known, plan, jacobian)
         return angles, jacobian
 
     def below(self, state: Vec) -> Vec:
-        """The model's own state."""
+        """The state of the model."""
         return state[: state.size - OWN]
 
     def weights(self, state: Vec) -> Vec:
@@ -122,8 +122,8 @@ class LearnedInverse(Inverse):
 
 @final
 class LearnedFollower(Follower):
-    """The model's inverse followed at the angles less the learned part, first as in a hold, then as along the plan
-    found: a fixed point where the learned part is the smaller one.
+    """The model's inverse followed at the angles less the learned part, first as in a hold, then along the last plan: a
+    fixed point where the learned part is the smaller one.
     """
 
     def __init__(self, inverse: LearnedInverse) -> None:

@@ -114,7 +114,7 @@ class DaqpSolver(QpSolver):
         self._upper, self._lower = across * size + down, down * size + across
         across, down = _positions(pattern.constraints)
         self._rows = across * size + down
-        self._own = local()
+        self._per_thread = local()
 
     def solve(self, data: QpData) -> QpSolution:
         hessian, rows = self._filled(data)
@@ -132,15 +132,15 @@ class DaqpSolver(QpSolver):
         status = _DAQP_STATUS.get(flag, f"exit flag {flag}") if finite else "solution not finite"
         usable = finite and flag == _SOLVED
         if not usable:
-            self._own.memory = None
+            self._per_thread.memory = None
         return QpSolution(primal, usable, status, int(info["iterations"]), flag == _OUT_OF_CHANGES)
 
     def _filled(self, data: QpData) -> tuple[Vec, Vec]:
         """Hessian (n, n) and constraint rows (m, n), dense."""
-        memory: tuple[Vec, Vec] | None = getattr(self._own, "memory", None)
+        memory: tuple[Vec, Vec] | None = getattr(self._per_thread, "memory", None)
         if memory is None:
             n, m = self._size, self._pattern.constraints.get_shape()[0]
-            memory = self._own.memory = np.zeros((n, n)), np.zeros((m, n))
+            memory = self._per_thread.memory = np.zeros((n, n)), np.zeros((m, n))
             memory[1].reshape(-1)[self._rows] = self._pattern.constraints.data
         hessian, rows = memory
         for half in (self._upper, self._lower):
@@ -198,12 +198,12 @@ class OsqpSolver(QpSolver):
         self._origin = np.zeros(pattern.hessian.get_shape()[0])
         # the last entry of every column of an upper triangle is the one on the diagonal
         self._diagonal = pattern.hessian.indptr[1:] - 1
-        self._own = local()
-        self._own.workspace = self._build()
+        self._per_thread = local()
+        self._per_thread.workspace = self._build()
 
     def solve(self, data: QpData) -> QpSolution:
-        workspace = getattr(self._own, "workspace", None) or self._build()
-        self._own.workspace = None  # a failed workspace may keep what made it fail
+        workspace = getattr(self._per_thread, "workspace", None) or self._build()
+        self._per_thread.workspace = None  # a failed workspace may keep what made it fail
         scale = 1.0 / float(np.mean(data.hessian_data[self._diagonal]))
         moving = {} if data.constraint_data is None else {"Ax": data.constraint_data}
         workspace.update(Px=scale * data.hessian_data, q=scale * data.gradient, l=data.lower, u=data.upper, **moving)
@@ -213,7 +213,7 @@ class OsqpSolver(QpSolver):
         status = str(result.info.status) if finite else "solution not finite"
         usable = finite and status in _USABLE
         if usable:
-            self._own.workspace = workspace
+            self._per_thread.workspace = workspace
         return QpSolution(result.x, usable, status, iterations, status == _OSQP_UNFINISHED)
 
     def _staged(self, workspace: Any) -> tuple[Any, int]:

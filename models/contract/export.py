@@ -236,9 +236,9 @@ def _free_run(step: Step, state: Vec, commands: Vec) -> Vec:
 def _amplification(reference: StepFunction, start: Vec, commands: Vec, expected: Vec, step: float, out: Output) -> str:
     """Sensitivity of the reference to a change of its start by `step`, to tell a wrong step from a sensitive model."""
     moved = _free_run(reference.advance, start + step * (1 + np.abs(start)), commands)
-    own = float(np.abs(moved - expected)[:, 0].max())
-    what = f"and the reference moved by this much by {own:.3g} {out[1]}"
-    if own > TOLERANCE_DEG * out[0]:
+    spread = float(np.abs(moved - expected)[:, 0].max())
+    what = f"and the reference moved by this much by {spread:.3g} {out[1]}"
+    if spread > TOLERANCE_DEG * out[0]:
         what += ": the model itself is sensitive, fit it with another seed or fewer units"
     return f"single steps agree to {step:.1e} {what}"
 

@@ -57,9 +57,9 @@ class Drive:
         chain = Chain(operators[-1], before=operators[:-1])
         at = [np.asarray(chain.rest(u, u, chain.values)).ravel() for u in (0.0, 1.0)]
         rest = InitialRule(offset=tuple(at[0].tolist()), slope=tuple((at[1] - at[0]).tolist()))
-        own = {"kind": "drive", "initial": rest, "conditioned": rest, "warmup_samples": 0, "noise": None}
-        own |= {"chain": None, "connections": ()}
-        self.predictor = CompiledPredictor(chain.transition, chain.values, facts.model_copy(update=own))
+        facts_of_drive = {"kind": "drive", "initial": rest, "conditioned": rest, "warmup_samples": 0, "noise": None}
+        facts_of_drive |= {"chain": None, "connections": ()}
+        self.predictor = CompiledPredictor(chain.transition, chain.values, facts.model_copy(update=facts_of_drive))
         run = self.predictor.kernels
         self._fit = _compiled_fit(run.linearise.__module__)
         self._known = self.predictor.parameters, self.predictor.sample_s, run.tangent_constants

@@ -57,10 +57,10 @@ class AccompaniedPredictor(Predictor):
         return np.concatenate([self.predictor.initial(y, u), [y], self.companion.initial(y, u), [y]])
 
     def advance(self, state: Vec, u: float) -> tuple[float, Vec]:
-        own, _, beside, _ = self.parts(state)
+        main, _, side, _ = self.parts(state)
         size, after = self.size, np.empty(state.size)
-        theta, after[:size] = self.predictor.advance(own, u)
-        after[-1], after[size + 1 : -1] = self.companion.advance(beside, u)
+        theta, after[:size] = self.predictor.advance(main, u)
+        after[-1], after[size + 1 : -1] = self.companion.advance(side, u)
         after[size] = theta
         return theta, after
 
@@ -86,8 +86,8 @@ class CompanionInverse(Inverse):
         self.predictor, self.inverse = predictor, inverse
 
     def command(self, state: Vec, theta: float, u_last: float) -> float:
-        _, own, beside, angle = self.predictor.parts(state)
-        return self.inverse.command(beside, theta + angle - own, u_last)
+        _, main, side, angle = self.predictor.parts(state)
+        return self.inverse.command(side, theta + angle - main, u_last)
 
 
 @final
@@ -95,7 +95,7 @@ class MappedPredictor(Predictor):
     """A model with an inverse map at its side, whose inputs are the angles of the model.
 
     Predictions are the model's. The state is [model state, map state], so that the map's memory is branched and
-    restored together with the model's. What the map has seen are the model's own angles, never measured ones, whose
+    restored together with the model's. What the map has seen are the model's main angles, never measured ones, whose
     noise would flip its branch.
     """
 
@@ -106,16 +106,16 @@ class MappedPredictor(Predictor):
 
     def initial(self, y: float, u: float) -> Vec:
         facts = self.inverse_map.metadata
-        beside = facts.conditioned.state(np.array([[u]]))  # its output is the command that the device holds
+        side = facts.conditioned.state(np.array([[u]]))  # its output is the command that the device holds
         for _ in range(facts.warmup_samples):
-            _, beside = self.inverse_map.advance(beside, np.array([[y]]))
-        return np.concatenate([self._predictor.initial(y, u), beside[0]])
+            _, side = self.inverse_map.advance(side, np.array([[y]]))
+        return np.concatenate([self._predictor.initial(y, u), side[0]])
 
     def advance(self, state: Vec, u: float) -> tuple[float, Vec]:
-        own, beside = self.parts(state)
-        theta, own = self._predictor.advance(own, u)
-        _, beside = self.inverse_map.advance(beside[None], np.array([[theta]]))
-        return theta, np.concatenate([own, beside[0]])
+        main, side = self.parts(state)
+        theta, main = self._predictor.advance(main, u)
+        _, side = self.inverse_map.advance(side[None], np.array([[theta]]))
+        return theta, np.concatenate([main, side[0]])
 
     def rollout(self, state: Vec, plans: Vec) -> Vec:
         return self._predictor.rollout(self.parts(state)[0], plans)
@@ -141,9 +141,9 @@ class TrainedInverse(Inverse):
         self._predictor, self._low, self._high = predictor, low, high
 
     def command(self, state: Vec, theta: float, u_last: float) -> float:
-        del u_last  # the map's own memory says where the device is
-        _, beside = self._predictor.parts(state)
-        answer, _ = self._predictor.inverse_map.advance(beside[None], np.array([[theta]]))
+        del u_last  # the map's main memory says where the device is
+        _, side = self._predictor.parts(state)
+        answer, _ = self._predictor.inverse_map.advance(side[None], np.array([[theta]]))
         return min(max(float(answer[0, 0]), self._low), self._high)
 
 

@@ -174,28 +174,28 @@ def _checks(
 ) -> Iterator[Check]:
     from .updates_ import stream_checks, window_checks
 
-    way = settings.training
+    scheme = settings.training
     teacher, lag_s = None, 0.0
-    if isinstance(way, StreamTraining) and way.teacher is not None:
-        teacher = Teacher(training, way.teacher.plays, way.teacher.model)
+    if isinstance(scheme, StreamTraining) and scheme.teacher is not None:
+        teacher = Teacher(training, scheme.teacher.plays, scheme.teacher.model)
         lag_s = teacher.lag_s
-        if way.teacher.centred:
-            own = judges is training
+        if scheme.teacher.centred:
+            shared = judges is training
             training = [teacher.centred(trial) for trial in training]
-            judges = training if own else judges
+            judges = training if shared else judges
     operator = settings.network.operator(training, scaling, settings.first_flexure_weight == 0.0)
     rest, inverted = rest_of(training, scaling, settings.rest), training[0].inverted
     net = settings.network.network(DeviceFacts(rest, operator, lag_s / training[0].dt, inverted))
     runs, held_out = (prepared(trials, scaling, settings) for trials in (training, judges))
-    if isinstance(way, StreamTraining):
-        return stream_checks(net, runs, held_out, _teacher_runs(teacher, scaling, way), settings, way)
-    return window_checks(net, runs, held_out, settings, way)
+    if isinstance(scheme, StreamTraining):
+        return stream_checks(net, runs, held_out, _teacher_runs(teacher, scaling, scheme), settings, scheme)
+    return window_checks(net, runs, held_out, settings, scheme)
 
 
-def _teacher_runs(teacher: Teacher | None, scaling: Scaling, way: StreamTraining) -> TeacherRuns:
-    if teacher is None or way.teacher is None:
+def _teacher_runs(teacher: Teacher | None, scaling: Scaling, scheme: StreamTraining) -> TeacherRuns:
+    if teacher is None or scheme.teacher is None:
         return lambda done, rng: []
-    count, (first, last) = way.teacher.runs, way.teacher.weight
+    count, (first, last) = scheme.teacher.runs, scheme.teacher.weight
 
     def runs(done: float, rng: Rng) -> list[TrainingRun]:
         return [scaled_run(run, scaling) for run in teacher.runs(count, first + (last - first) * done, rng)]
@@ -267,11 +267,11 @@ def training_seconds(trials: Sequence[Trial], settings: NetworkSettings) -> floa
     training, _ = hold_out(trials, settings.validation_trials, settings.seed)
     with _torch(settings):
         net = settings.network.network(DeviceFacts(inverted=trials[0].inverted))
-        way = settings.training
-        if isinstance(way, StreamTraining):
-            return way.updates * _seconds_of(_stream_update(net, settings, way))
-        count = way.windows_per_epoch or sum(len(trial) + way.padding_samples for trial in training)
-        return way.epochs * math.ceil(count / way.batch) * _seconds_of(_window_update(net, settings, way))
+        scheme = settings.training
+        if isinstance(scheme, StreamTraining):
+            return scheme.updates * _seconds_of(_stream_update(net, settings, scheme))
+        count = scheme.windows_per_epoch or sum(len(trial) + scheme.padding_samples for trial in training)
+        return scheme.epochs * math.ceil(count / scheme.batch) * _seconds_of(_window_update(net, settings, scheme))
 
 
 def _seconds_of(improve: Callable[[], object]) -> float:
@@ -284,20 +284,20 @@ def _seconds_of(improve: Callable[[], object]) -> float:
     return float(np.median(durations[_FIRST:]))
 
 
-def _window_update(net: Network, settings: NetworkSettings, way: WindowTraining) -> Callable[[], object]:
+def _window_update(net: Network, settings: NetworkSettings, scheme: WindowTraining) -> Callable[[], object]:
     from .updates_ import cut, window_update
 
-    rng, improve = np.random.default_rng(0), window_update(net, settings, way)
-    parts = [rng.uniform(-1, 1, (way.batch, net.context + way.length)).astype(np.float32) for _ in range(4)]
+    rng, improve = np.random.default_rng(0), window_update(net, settings, scheme)
+    parts = [rng.uniform(-1, 1, (scheme.batch, net.context + scheme.length)).astype(np.float32) for _ in range(4)]
     return lambda: improve(cut(net, parts), 0)
 
 
-def _stream_update(net: Network, settings: NetworkSettings, way: StreamTraining) -> Callable[[], object]:
+def _stream_update(net: Network, settings: NetworkSettings, scheme: StreamTraining) -> Callable[[], object]:
     import torch
 
     from .updates_ import Piece, stream_update
 
-    improve = stream_update(net, settings, way)
-    signal = torch.rand(way.streams, way.length)
-    piece = Piece(signal, signal, torch.ones_like(signal), torch.ones(way.streams, 1, dtype=torch.bool))
+    improve = stream_update(net, settings, scheme)
+    signal = torch.rand(scheme.streams, scheme.length)
+    piece = Piece(signal, signal, torch.ones_like(signal), torch.ones(scheme.streams, 1, dtype=torch.bool))
     return lambda: improve(piece, None, 0)

@@ -42,8 +42,8 @@ class TrainingRun:
 
     def stretched(self, factor: float) -> Self:
         """The same motion `factor` times as fast, interpolated linearly."""
-        at, own = np.arange(0.0, self.command.size - 1, factor), np.arange(self.command.size)
-        parts = (np.interp(at, own, signal) for signal in (self.command, self.angle, self.weight))
+        at, samples = np.arange(0.0, self.command.size - 1, factor), np.arange(self.command.size)
+        parts = (np.interp(at, samples, signal) for signal in (self.command, self.angle, self.weight))
         return type(self)(*parts)
 
     def paused(self, at: int, samples: int) -> Self:
@@ -93,14 +93,14 @@ def _run(trial: Trial, scaling: Scaling, settings: NetworkSettings) -> TrainingR
     return scaled_run(run, scaling)
 
 
-def _padded(run: TrainingRun, trial: Trial, settings: NetworkSettings, way: WindowTraining) -> TrainingRun:
+def _padded(run: TrainingRun, trial: Trial, settings: NetworkSettings, scheme: WindowTraining) -> TrainingRun:
     """Rest before the trial; a network that looks back needs at least as much as it looks back on."""
     command, angle = float(trial.command[0]), float(trial.angle[0])
     if settings.rest is not None and _command_unit(trial) == settings.rest.unit:
         rest = (settings.rest.command, settings.rest.angle)
         command, angle = rest[::-1] if trial.inverted else rest
-    scored = settings.first_flexure_weight if way.padding_samples else 0.0
-    return run.padded(max(way.padding_samples, settings.network.context), command, angle, scored)
+    scored = settings.first_flexure_weight if scheme.padding_samples else 0.0
+    return run.padded(max(scheme.padding_samples, settings.network.context), command, angle, scored)
 
 
 def _command_unit(trial: Trial) -> str:
@@ -158,7 +158,7 @@ def arrange(runs: Sequence[TrainingRun], streams: int, length: int, warmup: int,
 
 
 def stretch(runs: Sequence[TrainingRun], share: float, rng: Rng) -> list[TrainingRun]:
-    """Each run at a speed of its own, up to `1 + share` times faster or slower."""
+    """Each run at a random speed, up to `1 + share` times faster or slower."""
     reach = np.log1p(share)
     return [run.stretched(float(np.exp(rng.uniform(-reach, reach)))) for run in runs]
 

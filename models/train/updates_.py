@@ -135,22 +135,22 @@ class WindowUpdate:
 
     net: Network
     optimiser: torch.optim.Optimizer
-    way: WindowTraining
+    scheme: WindowTraining
 
     def __call__(self, batch: ValidationRuns, step: int) -> tuple[float, int]:
         """Mean square error before the update, and the samples behind it."""
         output, _ = self.net(batch.command, self.net.begin(batch.past, batch.start))
         error, used = weighted_error(output, batch.angle, batch.weight)
         loss = error
-        if self.way.constancy_weight:
-            loss = error + self.way.constancy_weight * constancy(output, batch.command)
+        if self.scheme.constancy_weight:
+            loss = error + self.scheme.constancy_weight * constancy(output, batch.command)
         update([self.optimiser], self.net, loss, math.inf, step)
         return float(error.item()), used
 
 
-def window_update(net: Network, settings: NetworkSettings, way: WindowTraining) -> WindowUpdate:
+def window_update(net: Network, settings: NetworkSettings, scheme: WindowTraining) -> WindowUpdate:
     """An update by Adam."""
-    return WindowUpdate(net, torch.optim.Adam(_trained(net), lr=settings.learning_rate), way)
+    return WindowUpdate(net, torch.optim.Adam(_trained(net), lr=settings.learning_rate), scheme)
 
 
 def window_checks(
@@ -158,20 +158,20 @@ def window_checks(
     training: Sequence[TrainingRun],
     held_out: Sequence[TrainingRun],
     settings: NetworkSettings,
-    way: WindowTraining,
+    scheme: WindowTraining,
 ) -> Iterator[Check]:
     """Checks after every epoch, on windows of the held-out trials, a fifth as many as in an epoch."""
     rng = np.random.default_rng(settings.seed)
-    improve = window_update(net, settings, way)
-    count = way.windows_per_epoch or sum(run.command.size for run in training)
-    length = net.context + way.length
+    improve = window_update(net, settings, scheme)
+    count = scheme.windows_per_epoch or sum(run.command.size for run in training)
+    length = net.context + scheme.length
     signals = [_signals(net, run) for run in training]
     judged = cut(net, draw_windows([_signals(net, run) for run in held_out], -(-count // 5), length, rng))
-    for epoch in range(1, way.epochs + 1):
+    for epoch in range(1, scheme.epochs + 1):
         parts = draw_windows(signals, count, length, rng)
         squares = samples = 0.0
-        for first in range(0, count, way.batch):
-            error, used = improve(cut(net, tuple(part[first : first + way.batch] for part in parts)), epoch)
+        for first in range(0, count, scheme.batch):
+            error, used = improve(cut(net, tuple(part[first : first + scheme.batch] for part in parts)), epoch)
             squares, samples = squares + used * error, samples + used
         output = judged.output(net)
         error_now, _ = weighted_error(output, judged.angle, judged.weight)
@@ -221,7 +221,7 @@ class StreamUpdate:
     optimisers: list[torch.optim.Optimizer]
     schedules: Sequence[torch.optim.lr_scheduler.LRScheduler]
     averaged: torch.optim.swa_utils.AveragedModel
-    way: StreamTraining
+    scheme: StreamTraining
 
     def __call__(self, piece: Piece, state: torch.Tensor | None, step: int) -> tuple[torch.Tensor, float, int]:
         """State after the piece, mean square error before the update, and the samples behind it; 0 for none."""
@@ -231,23 +231,23 @@ class StreamUpdate:
         error, used = weighted_error(output, piece.angle, piece.weight)
         if used:
             loss = error
-            if self.way.constancy_weight:
-                loss = error + self.way.constancy_weight * constancy(output, piece.command)
-            update(self.optimisers, self.net, loss, self.way.clip_norm, step)
+            if self.scheme.constancy_weight:
+                loss = error + self.scheme.constancy_weight * constancy(output, piece.command)
+            update(self.optimisers, self.net, loss, self.scheme.clip_norm, step)
             for schedule in self.schedules:
                 schedule.step()
             self.averaged.update_parameters(self.net)
         return following, float(error.item()), used
 
 
-def stream_update(net: Network, settings: NetworkSettings, way: StreamTraining) -> StreamUpdate:
+def stream_update(net: Network, settings: NetworkSettings, scheme: StreamTraining) -> StreamUpdate:
     """An update by Muon and Adam."""
-    optimisers = _muon_and_adam(net, way.matrix_learning_rate, settings.learning_rate)
-    schedules = [torch.optim.lr_scheduler.LambdaLR(o, lambda k: _rate(k, way.updates)) for o in optimisers]
+    optimisers = _muon_and_adam(net, scheme.matrix_learning_rate, settings.learning_rate)
+    schedules = [torch.optim.lr_scheduler.LambdaLR(o, lambda k: _rate(k, scheme.updates)) for o in optimisers]
     averaged = torch.optim.swa_utils.AveragedModel(
-        net, multi_avg_fn=torch.optim.swa_utils.get_ema_multi_avg_fn(way.averaging)
+        net, multi_avg_fn=torch.optim.swa_utils.get_ema_multi_avg_fn(scheme.averaging)
     )
-    return StreamUpdate(net, optimisers, schedules, averaged, way)
+    return StreamUpdate(net, optimisers, schedules, averaged, scheme)
 
 
 def stream_checks(
@@ -256,26 +256,26 @@ def stream_checks(
     held_out: Sequence[TrainingRun],
     teacher: TeacherRuns,
     settings: NetworkSettings,
-    way: StreamTraining,
+    scheme: StreamTraining,
 ) -> Iterator[Check]:
     """Checks after every few rounds, by free runs of the averaged weights over whole held-out trials."""
     rng = np.random.default_rng(settings.seed)
-    improve = stream_update(net, settings, way)
+    improve = stream_update(net, settings, scheme)
     judged = whole_runs(held_out, settings.warmup_samples)
     step = rounds = 0
     squares = samples = 0.0
-    while step < way.updates:
-        runs = stretch([run for run in training for _ in range(way.copies)], way.time_scaling, rng)
-        runs = pause(runs, way.longest_pause, rng)
-        runs += teacher(step / way.updates, rng)
+    while step < scheme.updates:
+        runs = stretch([run for run in training for _ in range(scheme.copies)], scheme.time_scaling, rng)
+        runs = pause(runs, scheme.longest_pause, rng)
+        runs += teacher(step / scheme.updates, rng)
         state = None
-        for piece in pieces(arrange(runs, way.streams, way.length, settings.warmup_samples, rng)):
+        for piece in pieces(arrange(runs, scheme.streams, scheme.length, settings.warmup_samples, rng)):
             state, error, used = improve(piece, state, step)
             step, squares, samples = step + (used > 0), squares + used * error, samples + used
-            if step == way.updates:
+            if step == scheme.updates:
                 break
         rounds += 1
-        if rounds % way.rounds_between_checks == 0 or step == way.updates:
+        if rounds % scheme.rounds_between_checks == 0 or step == scheme.updates:
             yield _look(step, math.sqrt(squares / samples), cast(Network, improve.averaged.module), judged)
             squares = samples = 0.0
 
