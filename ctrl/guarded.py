@@ -265,11 +265,7 @@ class GuardedController(Generic[M]):
         return self._observer.sigma_deg(state.estimate)
 
     def sigma_ahead_deg(self, state: GuardedState[M], commands: Vec) -> Vec:
-        """Standard deviation of the error of the angles predicted for the ends of the coming samples (H,) [deg].
-
-        Args:
-            commands: of these samples (H,) [mm or bar].
-        """
+        """Standard deviation of the error of the angles predicted for the coming commands (H,) [deg]."""
         estimate = state.estimate
         travels = np.concatenate([estimate.moves[1:], np.abs(np.diff(commands, prepend=estimate.command))])
         return self._observer.sigma_ahead_deg(estimate, travels[: commands.size])

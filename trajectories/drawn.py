@@ -111,7 +111,7 @@ def approached(
 
     Args:
         rest_deg, start_deg: ends of the move [deg].
-        limits: of the move; None for the defaults of MotionLimits.
+        limits: of the move.
         dt_s: sample time of which the approach shall last a whole number [s].
 
     Raises:

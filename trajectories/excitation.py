@@ -148,18 +148,11 @@ class RampHoldDraw(TrajectorySettings):
 
 
 S1_AMPLITUDE_BAR = 1.5
-S1_TRAIN_HZ = (0.2, 0.4, 0.6, 0.8)
 S1_TRAIN_DECAY_PER_S = 0.15
 # Not printed: 26 798 training samples in 8 groups, at the 250 Hz of the laser.
 S1_GROUP_S = 13.4
-# Not printed: the falling chirp of test (b) stands still at 3.5 s, the rising one of (c) has made its 3 loops then.
-S1_CHIRP_S = 3.5
-# Our stand-in for the unprinted "arbitrarily varying signal with plateaus" of test (d).
-S1_ARBITRARY = RampHoldDraw(moves=8, targets=(0.0, 3.0), rates=(0.5, 3.0), holds_s=(0.5, 2.0), steps=(0.3, 3.0))
 
 S2_TRAVEL_MM = 6.0
-# The seven frequencies are inferred from file names and counts of files.
-S2_FREQUENCIES_HZ = {"train": (0.1, 0.2, 0.4, 0.5), "validation": (0.3,), "test": (0.15, 0.45)}
 S2_OFFSETS = {"0BL": (1.0, 0.0), "MidBL": (0.0, 1.0), "EndBL": (-1.0, 2.0)}
 S2_POINT_TO_POINT = {
     "train": RampHoldDraw(
@@ -190,28 +183,6 @@ def s1_raised_baseline(
 ) -> DecayingSine:
     """p2(t) = A e^(-tau t) sin(2 pi f t - pi/2) + A [bar], A = 1.5. S1 eq. (6)."""
     return _sine(S1_AMPLITUDE_BAR, frequency_hz, decay_per_s, duration_s, lift=0.0, baseline=S1_AMPLITUDE_BAR)
-
-
-def s1_test_a(duration_s: float = S1_GROUP_S) -> DecayingSine:
-    """S1 test (a): eq. (5) with f = 0.7, tau = 0.12."""
-    return s1_zero_baseline(0.7, 0.12, duration_s)
-
-
-def s1_test_b(duration_s: float = S1_CHIRP_S) -> DecayingSine:
-    """p(t) = A e^(-tau t) ( sin(2 pi (f + c t) t - pi/2) + 1 ) + B [bar]. S1 eq. (10), test (b).
-
-    A = 0.9, B = 1.2, f = 0.7, tau = 0.1, c = -0.1.
-    """
-    return _sine(0.9, 0.7, 0.1, duration_s, baseline=1.2, chirp_hz_per_s=-0.1)
-
-
-def s1_test_c(decay_per_s: float = -0.05, duration_s: float = S1_CHIRP_S) -> DecayingSine:
-    """p(t) = A e^(-tau t) ( sin(2 pi (f + c t) t - pi/2) + 1 ) [bar]. S1 eq. (11), test (c).
-
-    A = 0.6, f = 0.3, c = 0.15. S1 prints tau = 0.05 and calls the signal ascending, which it is with the sign
-    turned; `decay_per_s=0.05` gives the printed one.
-    """
-    return _sine(0.6, 0.3, decay_per_s, duration_s, chirp_hz_per_s=0.15)
 
 
 def s2_sinusoid(frequency_hz: float, offset: Offset) -> DecayingSine:

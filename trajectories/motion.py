@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Self
 
@@ -15,7 +16,7 @@ from hystmpc.trials.config import NotNegative, Positive, Settings
 from hystmpc.trials.errors import ConfigError, TrajectoryError
 from hystmpc.trials.types import Vec
 
-from .trajectory import PathTrajectory, Trajectory, inside
+from .trajectory import Trajectory, inside
 
 
 class TrajectorySettings(Settings):
@@ -94,8 +95,22 @@ class MotionSettings(TrajectorySettings):
         return type(self)(**{**{key: getattr(self, key) for key in type(self).model_fields}, **(update or {})})
 
 
-class PathMotion(MotionSettings, PathTrajectory):
-    """Base of the motions that are trajectories themselves."""
+class PathMotion(MotionSettings):
+    """Base of the motions that are trajectories themselves, computed once into a path of simpler ones."""
+
+    @cached_property
+    def path(self) -> Trajectory:
+        """Path of simpler trajectories."""
+        raise NotImplementedError
+
+    @property
+    def duration_s(self) -> float:
+        """Time from start to end [s]."""
+        return self.path.duration_s
+
+    def __call__(self, t: ArrayLike) -> Vec:
+        """Tip angle [deg], or command [mm or bar], at `t` [s]."""
+        return self.path(t)
 
     def build(self, folder: Path | str = ".") -> Self:
         """The motion itself."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import math
 from dataclasses import dataclass, field
-from functools import cached_property
 from pathlib import Path
 from typing import Protocol
 
@@ -30,24 +29,6 @@ class Trajectory(Protocol):
     def __call__(self, t: ArrayLike) -> Vec:
         """Value at the times `t` [s], of the shape of `t`; before 0 the start value, after the end the end value."""
         ...
-
-
-class PathTrajectory:
-    """Base of trajectories that are computed once into a path of simpler ones."""
-
-    @cached_property
-    def path(self) -> Trajectory:
-        """Path of simpler trajectories."""
-        raise NotImplementedError
-
-    @property
-    def duration_s(self) -> float:
-        """Time from start to end [s]."""
-        return self.path.duration_s
-
-    def __call__(self, t: ArrayLike) -> Vec:
-        """Tip angle [deg], or command [mm or bar], at `t` [s]."""
-        return self.path(t)
 
 
 def inside(t: ArrayLike, duration_s: float) -> Vec:
@@ -110,10 +91,6 @@ def sample(trajectory: Trajectory, rate_hz: float) -> tuple[Vec, Vec]:
     """Sample a trajectory from 0 to its end, the end included.
 
     The last time is the first multiple of 1 / rate_hz at or after the end, where the end value holds.
-
-    Args:
-        trajectory: what to sample.
-        rate_hz: samples per second.
 
     Returns:
         Times [s] and values, each of shape (T,).
@@ -202,13 +179,7 @@ def _numbers(row: list[str], places: list[int], where: str) -> list[float]:
 
 
 def preview(trajectory: Trajectory, t: float, dt: float, horizon: int) -> Vec:
-    """Values at t + dt, t + 2 dt, ..., t + H dt, shape (H,); held at the end value past the end.
-
-    Args:
-        trajectory: the reference.
-        t: the present time [s].
-        dt: sample time [s].
-        horizon: number of samples H, at least 1.
+    """Values at t + dt, t + 2 dt, ..., t + H dt [s], shape (H,), with H = `horizon`; the end value past the end.
 
     Raises:
         TrajectoryError: if `dt` is not positive or the horizon is less than 1.

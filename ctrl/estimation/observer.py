@@ -99,11 +99,7 @@ class Observer(ABC):
         return math.sqrt(estimate.variance)
 
     def sigma_ahead_deg(self, estimate: Estimate, travels: Vec) -> Vec:
-        """Standard deviation of the error of the angles predicted for the ends of the coming samples (H,) [deg].
-
-        Args:
-            travels: of the command in each of these samples (H,) [command unit].
-        """
+        """Standard deviation of the error of the angles predicted for the coming command travels (H,) [deg]."""
         return np.full(travels.size, self.sigma_deg(estimate))
 
     def disturbance_sigma_deg(self, estimate: Estimate) -> float:

@@ -519,12 +519,9 @@ class FeasibleInverse:
         self._planner = LinearisedPlanner(predictor, settings, limits)
 
     def plan(self, state: Vec, u_last: float, wanted: Vec, remaining: Vec, tolerance_deg: float) -> CommandPlan:
-        """The plan from a model state (S,) along wanted angles (H,) [deg].
+        """The plan from a model state (S,) along wanted angles (H,) [deg], after the rest of the last plan (0..H,).
 
         A command that keeps the angle within the tolerance over the whole preview is held.
-
-        Args:
-            remaining: what is left of the last plan, shape (0..H,).
 
         Raises:
             PlanningError: if the solver fails or predictions are not finite.

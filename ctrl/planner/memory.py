@@ -106,11 +106,7 @@ def initial_snapshot(origin: str, command: float, sent: bool = False) -> Snapsho
 
 
 def start_control(memory: Snapshot, controller: PlannersController, y: float) -> Snapshot:
-    """Snapshot at rest at the measured angle `y` [deg], with a request turned into a reference.
-
-    Raises:
-        ControllerError: if the controller cannot start from there.
-    """
+    """Snapshot at rest at the measured angle `y` [deg], with a request turned into a reference."""
     control = controller.init(y, memory.command.u)
     if memory.halted:
         control = controller.stop(control, "by stop()")
@@ -120,11 +116,7 @@ def start_control(memory: Snapshot, controller: PlannersController, y: float) ->
 
 
 def replay_recording(origin: str, controller: PlannersController, commands: Vec, angles: Vec) -> Snapshot:
-    """The state at time 0 after a recording of commands and angles, at rest at the last measured angle.
-
-    Raises:
-        ControllerError: if the recording cannot be used.
-    """
+    """Snapshot at time 0 after a recording of commands and angles, at rest at the last measured angle."""
     control = controller.replay(commands, angles)
     held = Command(control.estimate.command, Source.HOLD, "replayed")
     return Snapshot(origin, held, control=control, reference=rest_reference(control.due, 0.0))
@@ -183,13 +175,7 @@ def skipped(memory: Snapshot, controller: PlannersController, cause: str) -> Sna
 
 
 def take_up(memory: Snapshot, present: Snapshot, controller: PlannersController, held: float) -> Snapshot:
-    """A restored or replayed memory, with the command that the device holds now; a latched stop stays latched.
-
-    Args:
-        memory: restored or replayed.
-        present: the memory that it replaces.
-        held: the command from which the next one is limited.
-    """
+    """Restored or replayed memory in the place of the present one, the device holding `held`; a latched stop stays."""
     command = memory.command
     if command.u != held:
         command = replace(command, u=held, status=f"taken up, the device holds {held:.6g}")
@@ -370,11 +356,7 @@ def _sigma_of_plan(memory: Snapshot, controller: PlannersController, planned: Ve
 def predicted_angles(
     predictor: Predictor, limits: CommandLimits, estimate: Estimate | None, commands: ArrayLike
 ) -> Vec:
-    """Angles [deg] at the ends of the coming samples under one plan (N,) or several (K, N), disturbance included.
-
-    Raises:
-        ControllerError: as `usable_plans`.
-    """
+    """Angles [deg] at the ends of the coming samples under one plan (N,) or several (K, N), disturbance included."""
     plans, estimate = usable_plans(predictor, limits, estimate, commands)
     under_way = np.array(estimate.angles[1:])  # of commands that are sent already but have not acted
     new = predictor.rollout(estimate.state, plans)
@@ -385,11 +367,7 @@ def predicted_angles(
 def predicted_sigmas(
     limits: CommandLimits, predictor: Predictor, memory: Snapshot, controller: PlannersController, commands: ArrayLike
 ) -> Vec:
-    """Standard deviations of the errors of `predicted_angles` [deg], of the same shape.
-
-    Raises:
-        ControllerError: as `usable_plans`.
-    """
+    """Standard deviations of the errors of `predicted_angles` [deg], of the same shape."""
     control = memory.control
     plans, _ = usable_plans(predictor, limits, None if control is None else control.estimate, commands)
     assert control is not None  # there is an estimate

@@ -275,14 +275,8 @@ class TipController:
 
             sigma_k^2 = sigma_now^2 + k drift^2 dt + motion^2 (|du_1| + ... + |du_k|)
 
-        Without a sensor it is how far the model's free runs were off, at any time. NaN where that is not known. The
-        noise of a sensor that reads the angle then is not part of it.
-
-        Args:
-            commands: as `predict` takes them.
-
-        Raises:
-            ControllerError: as `predict`.
+        Without a sensor it is the error of the model's free runs, at any time. NaN where that is not known. The noise
+        of a later reading is not part of it. Commands and errors are those of `predict`.
         """
         assembly = self._assembly
         return predicted_sigmas(assembly.limits, assembly.predictor, self._memory, self._controller, commands)

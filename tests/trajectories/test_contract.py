@@ -13,6 +13,7 @@ from hystmpc.trajectories import excitation
 from hystmpc.trajectories.config import MOTIONS, parse_motion
 from hystmpc.trajectories.point_to_point import PointToPoint
 from hystmpc.trajectories.trajectory import Chain, PreviewTable, Sampled, Trajectory, preview, sample
+from hystmpc_lab.datasets import paper_commands
 
 SCAN = {"start_deg": 30, "centre_deg": 60, "frequency_hz": 0.5, "cycles": 1.5}
 EXAMPLES: list[tuple[dict[str, Any], float]] = [  # motion, start value
@@ -28,12 +29,12 @@ EXAMPLES: list[tuple[dict[str, Any], float]] = [  # motion, start value
     ({"kind": "sampled", "file": "motion.csv"}, 33),
 ]
 EXCITATIONS: dict[str, tuple[Trajectory, float]] = {
-    **{f"S1 zero baseline {f} Hz": (excitation.s1_zero_baseline(f), 0.0) for f in excitation.S1_TRAIN_HZ},
-    **{f"S1 raised baseline {f} Hz": (excitation.s1_raised_baseline(f), 0.0) for f in excitation.S1_TRAIN_HZ},
-    "S1 (a)": (excitation.s1_test_a(), 0.0),
-    "S1 (b)": (excitation.s1_test_b(), 1.2),
-    "S1 (c)": (excitation.s1_test_c(), 0.0),
-    "S1 (d)": (excitation.S1_ARBITRARY(4), 0.0),
+    **{f"S1 zero baseline {f} Hz": (excitation.s1_zero_baseline(f), 0.0) for f in paper_commands.S1_TRAIN_HZ},
+    **{f"S1 raised baseline {f} Hz": (excitation.s1_raised_baseline(f), 0.0) for f in paper_commands.S1_TRAIN_HZ},
+    "S1 (a)": (paper_commands.s1_test_a(), 0.0),
+    "S1 (b)": (paper_commands.s1_test_b(), 1.2),
+    "S1 (c)": (paper_commands.s1_test_c(), 0.0),
+    "S1 (d)": (paper_commands.S1_ARBITRARY(4), 0.0),
     **{f"S2 {o}": (excitation.s2_sinusoid(0.3, o), 0.0) for o in ("0BL", "MidBL", "EndBL")},  # type: ignore[arg-type]
     "S2 train": (excitation.s2_point_to_point(2), 0.0),
     "S2 test": (excitation.s2_point_to_point(2, "test"), 0.0),
