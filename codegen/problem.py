@@ -22,13 +22,12 @@ from hystmpc.ctrl.planner.settings import TipSettings
 from hystmpc.models.chain import Chain, split
 from hystmpc.models.contract.metadata import ModelMetadata
 from hystmpc.models.inverse.drive import DrivenInverse
-from hystmpc.models.inverse.one_step import CompiledInverse, inverted_after_a_hold
-from hystmpc.models.inverse.surrogate_backlash import surrogate_backlash
+from hystmpc.models.inverse.inverses import CompiledInverse, inverted_after_a_hold
 from hystmpc.models.load import load_model, model_path
 from hystmpc.models.model import Inverse, LoadedModel, Predictor
 from hystmpc.models.operators.dynamics import Lag
 from hystmpc.models.operators.operator import Operator
-from hystmpc.models.prediction.build import ControllerModel, controller_model
+from hystmpc.models.prediction.build import ControllerModel, controller_model, surrogate_backlash
 from hystmpc.models.prediction.compiled import CompiledPredictor
 from hystmpc.models.simulator import ChainModel
 from hystmpc.trials.errors import ExportError

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from hystmpc.models.inverse.drive import DrivenInverse
-from hystmpc.models.inverse.one_step import inverted_after_a_hold
+from hystmpc.models.inverse.inverses import inverted_after_a_hold
 from hystmpc.models.model import Inverse, Predictor
 from hystmpc.models.prediction.build import ControllerModel
 from hystmpc.trials.errors import ControllerError

@@ -197,7 +197,7 @@ class CommandLimits:
         Not-a-number stays what it is, and what follows it too; callers pass finite plans.
         """
         # numba takes longer to import than a planner's first call may
-        from hystmpc.models.inverse.follow import clip_plans
+        from hystmpc.models.inverse.inverses import clip_plans
 
         admissible: Vec = np.array(plans, dtype=np.float64, order="C")
         rows = admissible.reshape(-1, admissible.shape[-1])

@@ -11,7 +11,7 @@ from typing import Any, Generic, TypeVar, final
 import numpy as np
 
 from hystmpc.models.inverse.drive import DrivenInverse
-from hystmpc.models.inverse.follow import Bounds, Follower, clip_plans, follower_for
+from hystmpc.models.inverse.inverses import Bounds, Follower, clip_plans, follower_for
 from hystmpc.models.kernels.numba_ import njit
 from hystmpc.models.model import Inverse, Predictor, static_gain
 from hystmpc.trials.types import Vec

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple, final
 
 import numpy as np
 
-from hystmpc.models.inverse.follow import Bounds, clip_plans
+from hystmpc.models.inverse.inverses import Bounds, clip_plans
 from hystmpc.models.kernels.numba_ import njit
 from hystmpc.models.model import Predictor
 from hystmpc.trials.types import Mat, Vec

@@ -18,8 +18,7 @@ from hystmpc.models.inverse.drive import Drive
 from hystmpc.models.load import load_model, model_path
 from hystmpc.models.model import Predictor
 from hystmpc.models.operators.dynamics import Lag
-from hystmpc.models.prediction.build import predictor_for
-from hystmpc.models.prediction.connected import SeriesPredictor
+from hystmpc.models.prediction.build import SeriesPredictor, predictor_for
 from hystmpc.trials.errors import ModelError
 from hystmpc.trials.figures import LIMIT_LOOK, LoopPanel, loop_figure
 from hystmpc.trials.report import (

@@ -7,7 +7,7 @@ from typing import final
 
 import numpy as np
 
-from hystmpc.models.inverse.follow import Bounds, Follower, follower_for
+from hystmpc.models.inverse.inverses import Bounds, Follower, follower_for
 from hystmpc.models.model import Inverse, Predictor, static_gain
 from hystmpc.trials.types import Vec
 

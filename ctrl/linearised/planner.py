@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from hystmpc.models.inverse.follow import Bounds, clip_plans
-from hystmpc.models.inverse.one_step import inverted_after_a_hold
+from hystmpc.models.inverse.inverses import Bounds, clip_plans, inverted_after_a_hold
 from hystmpc.models.kernels.numba_ import njit
 from hystmpc.models.model import Inverse, Predictor
 from hystmpc.trials.errors import ControllerError

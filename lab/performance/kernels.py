@@ -12,7 +12,7 @@ from onnx import TensorProto, helper, numpy_helper
 
 from hystmpc.models.kernels.lstm_plain import PlainRoute
 from hystmpc.models.model import Predictor
-from hystmpc.models.prediction.recurrent import RoutedPredictor
+from hystmpc.models.prediction.exported import RoutedPredictor
 
 from .report import Comparison, Reads
 from .subjects import Subject

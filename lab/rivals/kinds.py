@@ -20,7 +20,7 @@ from hystmpc.models.kinds.networks import (
 )
 from hystmpc.models.kinds.regressions import recorded
 from hystmpc.models.model import FitProgress
-from hystmpc.models.train.settings import NetworkSettings, StreamTraining
+from hystmpc.models.networks.settings import NetworkSettings, StreamTraining
 from hystmpc.trials.trial import Trial
 
 from .forms import FeedForwardSettings, HybridSettings

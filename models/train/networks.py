@@ -23,9 +23,8 @@ from ..identify.runs import check_trial_set, command_range, facts_of
 from ..model import FitProgress
 from ..motions import initialisation_flexure, probe_commands
 from ..networks.nodes import Scaling, network_step_graph
-from ..networks.settings import DeviceFacts
+from ..networks.settings import DeviceFacts, NetworkSettings, StreamTraining, WindowTraining
 from .runs import Rng, TrainingRun, hold_out, prepared, rest_of, scaled_run, scaling_of
-from .settings import NetworkSettings, StreamTraining, WindowTraining
 from .teacher import Teacher
 
 if TYPE_CHECKING:

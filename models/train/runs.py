@@ -16,7 +16,7 @@ from hystmpc.trials.types import Vec
 
 from ..identify.runs import angle_range, command_range
 from ..networks.nodes import Scaling
-from .settings import NetworkSettings, RestSettings, ScalingSettings, WindowTraining
+from ..networks.settings import NetworkSettings, RestSettings, ScalingSettings, WindowTraining
 
 Float32 = NDArray[np.float32]
 Rng = np.random.Generator

@@ -16,8 +16,8 @@ from hystmpc.trials.errors import FitError
 from hystmpc.trials.types import Vec
 
 from ..networks.network_ import Network, numbers
+from ..networks.settings import NetworkSettings, StreamTraining, WindowTraining
 from .runs import Rng, Streams, TrainingRun, arrange, draw_windows, pause, stretch
-from .settings import NetworkSettings, StreamTraining, WindowTraining
 
 _EPSILON = 1e-4  # of S2 (RA-L 2024) eq. (12)
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hystmpc.ctrl.linearised.qp import DaqpOptions
-from hystmpc.models.inverse.one_step import AccompaniedPredictor, CompanionInverse
+from hystmpc.models.inverse.inverses import AccompaniedPredictor, CompanionInverse
 from hystmpc.models.kinds.catalogue import KINDS
 from hystmpc.models.kinds.kind import ModelKind
 from hystmpc.models.load import library_file

@@ -16,7 +16,7 @@ from hystmpc.ctrl.linearised.planner import LinearisedPlanner, TrackingQp
 from hystmpc.ctrl.linearised.qp import DaqpOptions, DaqpSolver, OsqpOptions, OsqpSolver, QpData, QpPattern, QpSolver
 from hystmpc.ctrl.mpc import PlanningError, PredictiveLaw
 from hystmpc.ctrl.mpc_settings import HoldSettings, LinearisedMpcSettings, WeightsSettings
-from hystmpc.models.inverse.one_step import AccompaniedPredictor
+from hystmpc.models.inverse.inverses import AccompaniedPredictor
 from hystmpc.models.load import library_file, load_model
 from hystmpc.models.model import Inverse, LoadedModel, Predictor
 from hystmpc.models.prediction.build import controller_model

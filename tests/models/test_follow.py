@@ -5,13 +5,21 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hystmpc.models.inverse.follow import Bounds, CompiledFollower, Follower, StepwiseFollower, follower_for
-from hystmpc.models.inverse.one_step import AccompaniedPredictor, CompanionInverse, CompiledInverse
+from hystmpc.models.inverse.inverses import (
+    AccompaniedPredictor,
+    Bounds,
+    CompanionInverse,
+    CompiledFollower,
+    CompiledInverse,
+    Follower,
+    StepwiseFollower,
+    follower_for,
+)
 from hystmpc.models.model import Inverse, Predictor
 from hystmpc.models.operators.dynamics import Lag
 from hystmpc.models.prediction.build import ControllerModel
 from hystmpc.models.prediction.compiled import CompiledPredictor
-from hystmpc.models.prediction.recurrent import RoutedPredictor
+from hystmpc.models.prediction.exported import RoutedPredictor
 
 from .lstm_examples import ROUTES, facts, make_route, random_weights
 from .zoo import CHAINS, simulator

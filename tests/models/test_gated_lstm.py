@@ -13,7 +13,7 @@ from hystmpc.models.kernels.gated import GatedLstmRoute, pack_gated_lstm
 from hystmpc.models.networks.nodes import Scaling, network_step_graph
 from hystmpc.models.networks.settings import DeviceFacts, GatedSettings
 from hystmpc.models.prediction.build import predictor_for
-from hystmpc.models.prediction.recurrent import RoutedPredictor
+from hystmpc.models.prediction.exported import RoutedPredictor
 from hystmpc.trials.errors import ModelError
 
 from .tiny_kinds import FORWARD, example

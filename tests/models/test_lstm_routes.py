@@ -16,7 +16,7 @@ from hystmpc.models.kernels.lstm_plain import PlainRoute
 from hystmpc.models.kernels.lstm_vector import VectorRoute, allowed_threads, kernel_source, share
 from hystmpc.models.kernels.numba_ import generated_module
 from hystmpc.models.kernels.vector_emitter import SHAPES, VectorShape, host_shape, shape_for
-from hystmpc.models.prediction.recurrent import VARIABLE, RoutedPredictor, chosen_route
+from hystmpc.models.prediction.exported import VARIABLE, RoutedPredictor, chosen_route
 from hystmpc.trials.errors import ConfigError, ModelError
 from hystmpc_lab.performance.lstm_reference import LstmStep
 

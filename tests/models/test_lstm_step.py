@@ -16,7 +16,7 @@ from hystmpc.models.contract.load import load_onnx
 from hystmpc.models.motions import probe_commands
 from hystmpc.models.networks.lstm import LstmLayer, LstmWeights, lstm_rollout_graph
 from hystmpc.models.networks.nodes import Scaling
-from hystmpc.models.prediction.recurrent import RoutedPredictor, chosen_route, recurrent_predictor
+from hystmpc.models.prediction.exported import RoutedPredictor, chosen_route, recurrent_predictor
 from hystmpc.trials.errors import ModelError
 from hystmpc_lab.performance.lstm_reference import LstmStep, lstm_step_graph
 

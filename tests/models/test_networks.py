@@ -9,13 +9,18 @@ from hystmpc.models.chain import Chain
 from hystmpc.models.kinds.catalogue import KINDS
 from hystmpc.models.kinds.kind import FitRequest
 from hystmpc.models.networks.nodes import Scaling
-from hystmpc.models.networks.settings import DeviceFacts, RecurrentSettings
+from hystmpc.models.networks.settings import (
+    DeviceFacts,
+    NetworkSettings,
+    RecurrentSettings,
+    StreamTraining,
+    WindowTraining,
+)
 from hystmpc.models.operators.hysteresis import Backlash, InverseBacklash
 from hystmpc.models.operators.operator import Operator
 from hystmpc.models.simulator import ChainModel
 from hystmpc.models.train.networks import fit_network
 from hystmpc.models.train.runs import prepared, rest_of, scaling_of
-from hystmpc.models.train.settings import NetworkSettings, StreamTraining, WindowTraining
 from hystmpc.trials.errors import ConfigError, FitError
 from hystmpc.trials.trial import Trial, Units
 from hystmpc_lab.rivals.backlash import fitted_backlash, scaled_operator

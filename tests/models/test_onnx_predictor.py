@@ -13,7 +13,7 @@ from hystmpc.models.contract.load import load_onnx
 from hystmpc.models.motions import probe_commands
 from hystmpc.models.prediction.build import predictor_for
 from hystmpc.models.prediction.compiled import CompiledPredictor
-from hystmpc.models.prediction.onnx_ import OnnxPredictor
+from hystmpc.models.prediction.exported import OnnxPredictor
 from hystmpc.models.simulator import simulator_bundle
 from hystmpc_lab.performance.lstm_reference import LstmStep, lstm_step_graph
 from hystmpc_lab.rivals.svr import SvrStep, svr_step_graph

@@ -17,7 +17,7 @@ from hystmpc.models.evaluate import evaluate, mean_errors
 from hystmpc.models.identify.estimation_noise import ReferenceModel
 from hystmpc.models.identify.least_squares import OperatorFitSettings
 from hystmpc.models.identify.methods import identify
-from hystmpc.models.inverse.one_step import CompiledInverse
+from hystmpc.models.inverse.inverses import CompiledInverse
 from hystmpc.models.kinds.kind import FitRequest
 from hystmpc.models.kinds.regressions import PlayKernelKind
 from hystmpc.models.play_kernel.fit import PlayKernelSettings, fit_play_kernel, play_kernel_bundle
