@@ -101,7 +101,7 @@ def _unread(why: str, given: dict[str, Any]) -> LawSettings:
     return settings
 
 
-# A new controller of the package is one class of settings, which builds it, and one line here; all that lists
+# A new controller of the package is one class of settings, its law in `build.py`, and one line here; all that lists
 # controllers reads this. Those from outside are `python`.
 AnyControllerSettings = (
     InverseControllerSettings
