@@ -23,27 +23,30 @@ _OLDEST_S, _GAP_S = 1.0, 2.0  # least values for a controller
 _JITTERS, _PERIODS = 4.0, 5.0  # so late, and so many frames lost in a row, is still usual
 
 
-class ContinuousSensorSettings(Settings):
-    """An angle in every sample, as the plant measures it."""
-
-    kind: Literal["continuous"] = "continuous"
+class SensorSettings(Settings):
+    """Base of the simulated sensors."""
 
     def estimator_keys(self) -> Mapping[str, Any]:
         """Keys of a controller's block `estimator` that follow from this sensor."""
         return {}
 
 
-class NoSensorSettings(Settings):
+class ContinuousSensorSettings(SensorSettings):
+    """An angle in every sample, as the plant measures it."""
+
+    kind: Literal["continuous"] = "continuous"
+
+
+class NoSensorSettings(SensorSettings):
     """No sensor: the angle at rest before the first sample is declared."""
 
     kind: Literal["none"] = "none"
 
     def estimator_keys(self) -> Mapping[str, Any]:
-        """Keys of a controller's block `estimator` that follow from this sensor."""
         return {"sensor": "none"}
 
 
-class ImagingSettings(Settings):
+class ImagingSettings(SensorSettings):
     """Frames of an imaging system.
 
     Attributes:
@@ -62,7 +65,6 @@ class ImagingSettings(Settings):
     noise_deg: NotNegative = 0.0
 
     def estimator_keys(self) -> Mapping[str, Any]:
-        """Keys of a controller's block `estimator` that follow from this sensor."""
         oldest = self.latency_s + _JITTERS * self.jitter_s
         times = {
             "oldest_frame_s": max(_OLDEST_S, oldest),

@@ -165,6 +165,11 @@ class Predictor(ABC):
     noise: NoiseModel | None = None  # what the model leaves unexplained, where its file says so
     model_sigma_deg: float = math.nan  # how far it is off where no sensor corrects it [deg]; not-a-number: not known
 
+    def _as(self, other: Predictor) -> None:
+        """Take sample time, range and noise from another predictor."""
+        self.dt, self.command_range = other.dt, other.command_range
+        self.noise, self.model_sigma_deg = other.noise, other.model_sigma_deg
+
     @abstractmethod
     def initial(self, y: float, u: float) -> Vec:
         """State (S,) of a device that shows angle `y` [deg] and has been held at command `u`."""

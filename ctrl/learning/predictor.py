@@ -42,9 +42,9 @@ class LearnedPredictor(Predictor):
     """
 
     def __init__(self, model: Predictor, settings: AdaptationSettings) -> None:
-        self.dt, self.command_range, self.noise, self.model = model.dt, model.command_range, model.noise, model
+        self._as(model)
+        self.model = model
         low, high = model.command_range
-        self.model_sigma_deg = model.model_sigma_deg
         self.slope = attempt(lambda: static_gain(model))[0] or _RANGE_DEG / (high - low)  # a model may fail
         self._settings, self._low, self._span = settings, low, high - low
         self._bank = self.filters(0)

@@ -53,8 +53,7 @@ class AccompaniedPredictor(Predictor):
     """
 
     def __init__(self, predictor: Predictor, companion: Predictor, angle: float = 0.0) -> None:
-        self.dt, self.command_range, self.noise = predictor.dt, predictor.command_range, predictor.noise
-        self.model_sigma_deg = predictor.model_sigma_deg
+        self._as(predictor)
         self.predictor, self.companion = predictor, companion
         self.size = predictor.initial(angle, predictor.command_range[0]).size
 
@@ -106,8 +105,8 @@ class MappedPredictor(Predictor):
     """
 
     def __init__(self, predictor: Predictor, inverse_map: LoadedModel) -> None:
-        self.dt, self.command_range, self.noise = predictor.dt, predictor.command_range, predictor.noise
-        self.inverse_map, self.model_sigma_deg = inverse_map, predictor.model_sigma_deg
+        self._as(predictor)
+        self.inverse_map = inverse_map
         self._predictor, self._size = predictor, inverse_map.metadata.state_size
 
     def initial(self, y: float, u: float) -> Vec:

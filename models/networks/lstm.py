@@ -14,7 +14,8 @@ from onnx import helper
 from hystmpc.trials.errors import ModelError
 from hystmpc.trials.types import Vec
 
-from .nodes import GraphWriter, Scaling, tensor
+from ..contract.onnx_nodes import tensor
+from .nodes import FLOAT, GraphWriter, Scaling
 
 GATED_MARK = "gated.head.weight"
 """Initializer that only an increment-gated LSTM has, see `GatedLstmNet`."""
@@ -206,8 +207,8 @@ def lstm_rollout_graph(weights: LstmWeights) -> onnx.GraphProto:
     writer.node("Squeeze", ["y_time_1", "last"], "y_time")
     writer.node("Transpose", ["y_time"], "y", perm=[1, 0])
     writer.scale_out("y")
-    inputs = [tensor("u", "N", "H"), tensor("state", "N", weights.state_size)]
-    return helper.make_graph(writer.nodes, "lstm_rollout", inputs, [tensor("theta", "N", "H")], writer.initializers())
+    inputs = [tensor("u", "H", FLOAT), tensor("state", weights.state_size, FLOAT)]
+    return helper.make_graph(writer.nodes, "lstm_rollout", inputs, [tensor("theta", "H", FLOAT)], writer.initializers())
 
 
 def _onnx_order(gates: Vec) -> Vec:

@@ -221,8 +221,7 @@ class SeriesPredictor(Predictor):
     """
 
     def __init__(self, drive: Drive, predictor: Predictor) -> None:
-        self.dt, self.command_range, self.noise = predictor.dt, predictor.command_range, predictor.noise
-        self.model_sigma_deg = predictor.model_sigma_deg
+        self._as(predictor)
         self._drive, self._size, self._predictor = drive.predictor, drive.size, predictor
 
     def initial(self, y: float, u: float) -> Vec:
