@@ -252,7 +252,7 @@ def _law(
         "under_way": delay + 1,
         "reference": horizon + delay,
         "candidates": FOLLOWING + Candidates(*learned, limits, horizon).searching,
-        "iterations": settings.refining(inverse).iterations,
+        "iterations": iterations_of(settings, inverse),
         "safe_known": int(settings.ladder.safe_command is not None),
         "stop_after": settings.ladder.stop_after_failures,
         "most_missing": settings.bridged_samples(dt),

@@ -112,14 +112,19 @@ def law_of(settings: ControllerBlock, predictor: Predictor, inverse: Inverse, li
 def _planner(
     settings: PredictiveSettings, predictor: Predictor, inverse: Inverse, limits: CommandLimits
 ) -> Planner[Any]:
-    """Planner of a predictive controller, with two iterations or more where the inverse is a first guess only."""
-    if inverted_after_a_hold(inverse.inverse if isinstance(inverse, LearnedInverse) else inverse):
-        settings = settings.model_copy(update={"iterations": max(settings.iterations, _REFINED)})
+    """Planner of a predictive controller."""
+    settings = settings.model_copy(update={"iterations": iterations_of(settings, inverse)})
     if isinstance(settings, LinearisedMpcSettings):
         return LinearisedPlanner(predictor, settings, limits)
     assert isinstance(settings, SamplingMpcSettings)  # there are these two
     kind = CrossEntropyPlanner if settings.method == "cem" else PathIntegralPlanner
     return kind(predictor, settings, limits)
+
+
+def iterations_of(settings: PredictiveSettings, inverse: Inverse) -> int:
+    """Iterations of a planner in a step, two or more where the inverse is a first guess only; see `steady_inverse`."""
+    first_guess = inverted_after_a_hold(inverse.inverse if isinstance(inverse, LearnedInverse) else inverse)
+    return max(settings.iterations, _REFINED) if first_guess else settings.iterations
 
 
 def _feedforward(

@@ -107,7 +107,7 @@ def tracking_phase(settings: RunSettings, threaded: bool = True, note: Note = la
     reference = settings.reference.build()
     if beyond := beyond_reach(reference(np.linspace(0.0, reference.duration_s, 1000)), assembly.workspace.model):
         note(f"warning: the reference {beyond}")
-    motion = tip_settings.motion.build()
+    motion = tip_settings.motion
 
     def lead_in(angle_deg: float) -> Trajectory:
         segments = move_to_rest(Kinematics(angle_deg), float(reference(0.0)), motion)
