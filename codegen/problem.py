@@ -10,7 +10,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from hystmpc.ctrl.build import build_controller, law_of, learning_pair
+from hystmpc.ctrl.build import build_controller, iterations_of, law_of, learning_pair
 from hystmpc.ctrl.command import CommandLimits, limits_of_model, modelled_limits, narrowed_limits
 from hystmpc.ctrl.estimation.observer import ANGLE_BOUND_DEG, OutputEstimator
 from hystmpc.ctrl.feedback import REFERENCE_DEAD_ZONE_DEG, feedback_gains
