@@ -23,7 +23,7 @@ from .feedback import (
     PidFeedback,
     supervisory_law,
 )
-from .guarded import ControllerBlock, FallbackChain, GuardedController, Law, LawSettings
+from .guarded import FallbackChain, GuardedController, Law, LawSettings
 from .learning.predictor import LearnedInverse, LearnedPredictor, LearningEstimator
 from .linearised.planner import FeasibleInverse, LinearisedPlanner
 from .mpc import Planner, PredictiveLaw
@@ -34,7 +34,7 @@ _REFINED = 2  # iterations from a plan that is late along a motion
 
 
 def build_controller(
-    settings: AnyControllerSettings | ControllerBlock, predictor: Predictor, inverse: Inverse, limits: CommandLimits
+    settings: AnyControllerSettings | LawSettings, predictor: Predictor, inverse: Inverse, limits: CommandLimits
 ) -> GuardedController[Any]:
     """The controller that `settings` describe.
 
@@ -55,16 +55,16 @@ def build_controller(
     return GuardedController(law, observer, fallback, limits, predictor.dt, settings.bridged_samples(predictor.dt))
 
 
-def pair_for(settings: AnyControllerSettings | ControllerBlock, model: ControllerModel) -> tuple[Predictor, Inverse]:
+def pair_for(settings: AnyControllerSettings | LawSettings, model: ControllerModel) -> tuple[Predictor, Inverse]:
     """Predictor and inverse that a controller works with, with a learned part where its settings ask for one."""
     settings = settings.resolved()
     return learning_pair(settings, *(model.predictive if settings.predicts else model.feedforward))
 
 
-def learning_pair(settings: ControllerBlock, predictor: Predictor, inverse: Inverse) -> tuple[Predictor, Inverse]:
+def learning_pair(settings: LawSettings, predictor: Predictor, inverse: Inverse) -> tuple[Predictor, Inverse]:
     """Predictor and inverse with a learned part where the settings ask for one, for the states of the controller."""
-    if isinstance(settings, LawSettings):
-        return settings.model_pair(predictor, inverse)
+    if theirs := getattr(settings, "model_pair", None):
+        return theirs(predictor, inverse)
     if not isinstance(settings, PredictiveSettings) or settings.adaptation is None:
         return predictor, inverse
     if isinstance(predictor, LearnedPredictor):
@@ -73,10 +73,10 @@ def learning_pair(settings: ControllerBlock, predictor: Predictor, inverse: Inve
     return learned, LearnedInverse(learned, inverse)
 
 
-def observer_of(settings: ControllerBlock, predictor: Predictor) -> Observer:
+def observer_of(settings: LawSettings, predictor: Predictor) -> Observer:
     """The estimator of state and disturbance."""
-    if isinstance(settings, LawSettings):
-        return settings.observer(predictor)
+    if theirs := getattr(settings, "observer", None):
+        return theirs(predictor)
     estimator = settings.estimator
     if not isinstance(estimator, EstimatorSettings):  # of PID, which has no model
         return LastMeasurement(None if estimator.sensor == "continuous" else estimator.oldest_samples(predictor.dt))
@@ -85,14 +85,14 @@ def observer_of(settings: ControllerBlock, predictor: Predictor) -> Observer:
     return estimator.observer(predictor)
 
 
-def law_of(settings: ControllerBlock, predictor: Predictor, inverse: Inverse, limits: CommandLimits) -> Law[Any]:
+def law_of(settings: LawSettings, predictor: Predictor, inverse: Inverse, limits: CommandLimits) -> Law[Any]:
     """The control law.
 
     Raises:
         ControllerError: if there is none for settings of this class.
     """
-    if isinstance(settings, LawSettings):
-        return settings.law(predictor, inverse, limits)
+    if theirs := getattr(settings, "law", None):
+        return theirs(predictor, inverse, limits)
     if isinstance(settings, PredictiveSettings):
         law = PredictiveLaw(predictor, inverse, limits, _planner(settings, predictor, inverse, limits), settings)
         if settings.supervisor is None:
@@ -101,7 +101,7 @@ def law_of(settings: ControllerBlock, predictor: Predictor, inverse: Inverse, li
     if isinstance(settings, PidControllerSettings):
         return PidFeedback(Pid(settings.gains, limits, predictor.dt), limits)
     if not isinstance(settings, FeedforwardSettings):
-        raise ControllerError(f"controller: got {type(settings).__name__}, expected settings of a kind of controller")
+        raise ControllerError(f"controller: got {type(settings).__name__}, expected a class with a method `law`")
     feedforward = _feedforward(settings, predictor, inverse, limits)
     if not isinstance(settings, InversePidControllerSettings):
         return feedforward

@@ -71,7 +71,7 @@ class PythonControllerSettings(Settings):
         Raises:
             ConfigError: if there is none.
         """
-        return class_named(python, "controller", GROUP, LawSettings)  # type: ignore[type-abstract]
+        return class_named(python, "controller", GROUP, LawSettings)
 
 
 class _Unread(LawSettings):

@@ -18,7 +18,7 @@ from hystmpc.trials.types import Vec
 
 from .command import EMPTY, CommandLimits, CommandPlan, ControlInput, Source, Stopwatch, attempt, replace
 from .estimation.observer import EstimatorSettings, SensorKindSettings
-from .guarded import ControllerBlock, Law, Proposal
+from .guarded import Law, LawSettings, Proposal
 
 S = TypeVar("S", bound=SensorKindSettings)
 
@@ -145,7 +145,7 @@ def needs_sensor(estimator: S) -> S:
     return estimator
 
 
-class PidControllerSettings(ControllerBlock):
+class PidControllerSettings(LawSettings):
     """PID feedback, without a model.
 
     Attributes:
@@ -291,7 +291,7 @@ class InversePid(Law[InversePidMemory]):
         return Proposal(u, InversePidMemory(wanted.memory, pid, state, u_alone, dues, error))
 
 
-class FeedforwardSettings(ControllerBlock):
+class FeedforwardSettings(LawSettings):
     """Settings of both controllers with an inverse.
 
     Attributes:

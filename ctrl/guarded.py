@@ -6,11 +6,11 @@ import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Any, ClassVar, Generic, TypeVar, final
+from typing import ClassVar, Generic, TypeVar, final
 
 import numpy as np
 
-from hystmpc.models.model import Inverse, Predictor
+from hystmpc.models.model import Inverse
 from hystmpc.trials.brief import brief, in_brief
 from hystmpc.trials.config import Count, NotNegativeInt, Settings
 from hystmpc.trials.errors import ControllerError, HystmpcError, shown
@@ -82,8 +82,14 @@ class FallbackSettings(Settings):
     safe_command: float | None = None
 
 
-class ControllerBlock(Settings):
+class LawSettings(Settings):
     """Base of the settings of every kind of controller; `build` makes controllers of them.
+
+    A class from outside the package builds its parts itself. It defines
+
+        law(predictor, inverse, limits) -> Law
+        observer(predictor) -> Observer
+        model_pair(predictor, inverse) -> (predictor, inverse), where it does not work with these two as they are
 
     Attributes:
         limits: may only narrow those of the device; null takes them as they are.
@@ -98,36 +104,14 @@ class ControllerBlock(Settings):
     ladder: FallbackSettings = FallbackSettings()
     estimator: SensorKindSettings = SensorKindSettings()
 
-    def resolved(self) -> ControllerBlock:
+    def resolved(self) -> LawSettings:
         """These settings, or those of the class from outside that they name."""
         return self
 
     def bridged_samples(self, dt_s: float) -> int:
         """Consecutive samples without a usable measurement that are bridged by prediction at sample time `dt_s` [s]."""
-        return self.estimator.bridged_samples(self.ladder.max_missing_samples, dt_s)
-
-
-class LawSettings(ControllerBlock):
-    """Base of settings from outside the package, which build the law and the observer themselves."""
-
-    def bridged_samples(self, dt_s: float) -> int:
-        del dt_s
-        return self.ladder.max_missing_samples
-
-    def model_pair(self, predictor: Predictor, inverse: Inverse) -> tuple[Predictor, Inverse]:
-        """The model and its inverse as the controller uses them, with a learned part where the settings ask for one.
-
-        Who predicts from a controller's own state, as `TipController.predict` does, needs this predictor.
-        """
-        return predictor, inverse
-
-    @abstractmethod
-    def observer(self, predictor: Predictor) -> Observer:
-        """The estimator of state and disturbance."""
-
-    @abstractmethod
-    def law(self, predictor: Predictor, inverse: Inverse, limits: CommandLimits) -> Law[Any]:
-        """The control law."""
+        usual = self.ladder.max_missing_samples
+        return usual if hasattr(self, "law") else self.estimator.bridged_samples(usual, dt_s)
 
 
 @dataclass(frozen=True, eq=False)

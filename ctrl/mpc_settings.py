@@ -14,7 +14,7 @@ from hystmpc.trials.types import Mat, Vec
 
 from .estimation.observer import EstimatorSettings
 from .feedback import SupervisorSettings
-from .guarded import ControllerBlock
+from .guarded import LawSettings
 
 
 class WeightsSettings(Settings):
@@ -98,7 +98,7 @@ _BLIND_RATE, _BLIND_HOLD_DEG = 0.1, 0.01
 _SIGMA_SHARE = 0.1  # of the greatest move of a sample: more would cross kinks of the model that the step must not see
 
 
-class PredictiveSettings(ControllerBlock):
+class PredictiveSettings(LawSettings):
     """Settings of both predictive controllers.
 
     Attributes:

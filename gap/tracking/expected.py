@@ -11,7 +11,7 @@ import numpy as np
 
 from hystmpc.ctrl.build import build_controller, pair_for
 from hystmpc.ctrl.command import CommandLimits, limits_of_model
-from hystmpc.ctrl.guarded import ControllerBlock
+from hystmpc.ctrl.guarded import LawSettings
 from hystmpc.ctrl.loop import Controller
 from hystmpc.ctrl.mpc_settings import LinearisedMpcSettings
 from hystmpc.models.contract.metadata import NoiseModel
@@ -47,7 +47,7 @@ def expected_tracking(
     corrected: Simulator,
     motions: Sequence[CountedMotion],
     *,
-    settings: ControllerBlock | None = None,
+    settings: LawSettings | None = None,
     seeds: Sequence[int] = SEEDS,
     floor_deg: float = 0.0,
 ) -> tuple[TrackingGap, tuple[TrackingCurve, ...]]:
@@ -131,7 +131,7 @@ def _curve(motion: CountedMotion, pair: Sequence[ClosedLoopRun], dt_s: float) ->
     return TrackingCurve(motion.name, log.time_s, log.reference_deg, before, after, first)
 
 
-def _controller(simulator: Simulator, settings: ControllerBlock, limits: CommandLimits) -> Controller[Any]:
+def _controller(simulator: Simulator, settings: LawSettings, limits: CommandLimits) -> Controller[Any]:
     model = controller_model(ChainModel(simulator, "conditioned"))
     return build_controller(settings, *pair_for(settings, model), limits)
 

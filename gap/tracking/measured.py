@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from hystmpc.ctrl.guarded import ControllerBlock
+from hystmpc.ctrl.guarded import LawSettings
 from hystmpc.ctrl.mpc_settings import LinearisedMpcSettings, SamplingMpcSettings
 from hystmpc.models.load import load_model, model_path
 from hystmpc.models.simulator import Simulator, load_simulator
@@ -55,7 +55,7 @@ class MeasuredRun:
     folder: Path
     name: str
     reference: Trajectory
-    settings: ControllerBlock
+    settings: LawSettings
     dt_s: float
     t: Vec
     reference_deg: Vec
@@ -279,7 +279,7 @@ def _expected(run: MeasuredRun, nominal: Simulator, corrected: Simulator) -> Tra
     if not isinstance(run.settings, LinearisedMpcSettings | SamplingMpcSettings):
         return TrackingGap(why_not=f"{run.name or run.folder}: its controller does not predict with a model")
     nominal, corrected = nominal.at_sample_time(run.dt_s), corrected.at_sample_time(run.dt_s)
-    settings: ControllerBlock = run.settings
+    settings: LawSettings = run.settings
     motion = CountedMotion(run.name or "reference", run.reference, 0.0)
     if run.approached_first:
         rest = UnexplainedPlant(corrected, 1).true_angle

@@ -18,7 +18,7 @@ from hystmpc.bench.device import BenchDevice
 from hystmpc.ctrl.build import build_controller
 from hystmpc.ctrl.command import limits_of_model
 from hystmpc.ctrl.feedback import InverseControllerSettings, PidControllerSettings
-from hystmpc.ctrl.guarded import ControllerBlock
+from hystmpc.ctrl.guarded import LawSettings
 from hystmpc.ctrl.loop import Controller, ImagingSettings, NoSensorSettings
 from hystmpc.ctrl.mpc_settings import LinearisedMpcSettings
 from hystmpc.gap.diagnose import diagnose_trials
@@ -171,7 +171,7 @@ def _compare(bench: StudyBench) -> tuple[str, dict[str, float]]:
 
 
 def _changed(
-    bench: StudyBench, name: str, factors: tuple[float, float], identified: ControllerModel, tip: ControllerBlock
+    bench: StudyBench, name: str, factors: tuple[float, float], identified: ControllerModel, tip: LawSettings
 ) -> dict[str, float]:
     """The controller on the device after it has changed, with learning and without; motions within its new reach."""
     device, seed = worn(bench.device, *factors), bench.device.seed + _COMPARED
@@ -186,7 +186,7 @@ def _changed(
     return figures
 
 
-def _sensors(bench: StudyBench, identified: ControllerModel, tip: ControllerBlock) -> dict[str, float]:
+def _sensors(bench: StudyBench, identified: ControllerModel, tip: LawSettings) -> dict[str, float]:
     """Without a sensor and with frames of an imaging system, beside the PID tuned for those."""
     limits, blind, frames = bench.device.limits, NoSensorSettings(), IMAGING
     alone = _of(tip, {"estimator": dict(blind.estimator_keys())})
@@ -204,7 +204,7 @@ def _sensors(bench: StudyBench, identified: ControllerModel, tip: ControllerBloc
     )[0]
     figures |= bench.along("imaging_pid", _imaging_pid(bench, identified), sensor=frames)[0]
     model = IdentifiedPlant(identified, bench.drawn.true_angle, AS_IDENTIFIED_NOISE_DEG, bench.device.seed)
-    rivals: dict[str, ControllerBlock] = {
+    rivals: dict[str, LawSettings] = {
         "as_identified_none": alone,
         "as_identified_inverse": InverseControllerSettings(),
     }
@@ -219,7 +219,7 @@ def _imaging_pid(bench: StudyBench, identified: ControllerModel) -> Controller[A
     start = PidControllerSettings.parse({"kind": "pid", "estimator": _known_to_pid(IMAGING)})
     plant = PreparedPlant(bench.drawn, bench.device.seed + _COMPARED + 1)
 
-    def mean_square(tried: ControllerBlock) -> float:
+    def mean_square(tried: LawSettings) -> float:
         _, runs = bench.along("", controller_on(tried, identified, bench.device.limits), plant, sensor=IMAGING)
         errors = [run.error_deg[motion.first(run.dt) :] for run, motion in zip(runs, bench.motions, strict=True)]
         return float(np.mean([np.mean(error**2) for error in errors]))
@@ -269,12 +269,12 @@ def _model(tip: Path) -> Path:
     return Path(tip_settings(tip).model)
 
 
-def _known(tip: Path) -> tuple[ControllerModel, ControllerBlock]:
+def _known(tip: Path) -> tuple[ControllerModel, LawSettings]:
     """Model and controller of a commissioned device."""
     return controller_model(str(_model(tip))), tip_settings(tip).controller.resolved()
 
 
-def _of(settings: ControllerBlock, changes: Mapping[str, Any]) -> ControllerBlock:
+def _of(settings: LawSettings, changes: Mapping[str, Any]) -> LawSettings:
     """A controller with some keys changed, blocks merged; where nothing is learned there is no supervisor."""
     data = settings.model_dump(exclude_unset=True) | {"kind": type(settings).model_fields["kind"].default}
     for key, value in changes.items():

@@ -10,7 +10,7 @@ import numpy as np
 
 from hystmpc.ctrl.build import build_controller, pair_for
 from hystmpc.ctrl.command import CommandLimits, Source
-from hystmpc.ctrl.guarded import ControllerBlock, GuardedController
+from hystmpc.ctrl.guarded import GuardedController, LawSettings
 from hystmpc.ctrl.loop import Controller, ImagingSettings, NoSensorSettings
 from hystmpc.models.contract.metadata import Range
 from hystmpc.models.prediction.build import ControllerModel
@@ -91,7 +91,7 @@ def tracked(
     return {f"{name}.{figure}": value for figure, value in figures.items()}, runs
 
 
-def controller_on(settings: ControllerBlock, known: ControllerModel, limits: CommandLimits) -> GuardedController[Any]:
+def controller_on(settings: LawSettings, known: ControllerModel, limits: CommandLimits) -> GuardedController[Any]:
     """A controller with a model: predictor and inverse as its law needs them."""
     return build_controller(settings, *pair_for(settings, known), limits)
 
