@@ -23,7 +23,7 @@ _OLDEST_S, _GAP_S = 1.0, 2.0  # least values for a controller
 _JITTERS, _PERIODS = 4.0, 5.0  # so late, and so many frames lost in a row, is still usual
 
 
-class SensorSettings(Settings):
+class SimulatedSensorSettings(Settings):
     """Base of the simulated sensors."""
 
     def estimator_keys(self) -> Mapping[str, Any]:
@@ -31,13 +31,13 @@ class SensorSettings(Settings):
         return {}
 
 
-class ContinuousSensorSettings(SensorSettings):
+class ContinuousSensorSettings(SimulatedSensorSettings):
     """An angle in every sample, as the plant measures it."""
 
     kind: Literal["continuous"] = "continuous"
 
 
-class NoSensorSettings(SensorSettings):
+class NoSensorSettings(SimulatedSensorSettings):
     """No sensor: the angle at rest before the first sample is declared."""
 
     kind: Literal["none"] = "none"
@@ -46,7 +46,7 @@ class NoSensorSettings(SensorSettings):
         return {"sensor": "none"}
 
 
-class ImagingSettings(SensorSettings):
+class ImagingSettings(SimulatedSensorSettings):
     """Frames of an imaging system.
 
     Attributes:

@@ -288,7 +288,7 @@ class PathIntegralPlanner(SamplingPlanner):
         return min((start, tried, sample), key=lambda p: p.cost)
 
 
-class _Search(NamedTuple):
+class _CrossEntropy(NamedTuple):
     """Distribution of the next plans, the elites that stay, and the best plan so far."""
 
     mean: Vec
@@ -317,7 +317,7 @@ class CrossEntropyPlanner(SamplingPlanner):
         self, problem: PlanningProblem, start: CommandPlan, generator: np.random.Generator, watch: Stopwatch
     ) -> CommandPlan:
         horizon = start.commands.size
-        search = _Search(start.commands, np.full(horizon, self._sigma), np.empty((0, horizon)), start)
+        search = _CrossEntropy(start.commands, np.full(horizon, self._sigma), np.empty((0, horizon)), start)
         for _ in range(self._settings.iterations):
             search = self._iterate(problem, search, generator, watch)
         last = self._cheapest(search.mean[None], problem)
@@ -325,8 +325,8 @@ class CrossEntropyPlanner(SamplingPlanner):
         return last if last.cost < search.best.cost else search.best
 
     def _iterate(
-        self, problem: PlanningProblem, search: _Search, generator: np.random.Generator, watch: Stopwatch
-    ) -> _Search:
+        self, problem: PlanningProblem, search: _CrossEntropy, generator: np.random.Generator, watch: Stopwatch
+    ) -> _CrossEntropy:
         plans = self._drawn(generator, search.mean, search.deviation[None], problem)
         plans = np.vstack([plans, search.elites])
         watch.lap("sample")
@@ -344,7 +344,7 @@ class CrossEntropyPlanner(SamplingPlanner):
         polished = self._cheapest(self._polish.plans(search.best, plans[finite], angles[finite], problem), problem)
         best = min((search.best, sample, polished), key=lambda plan: plan.cost)
         watch.lap("weigh")
-        return _Search(elites.mean(axis=0), deviation, elites[: self._kept], best)
+        return _CrossEntropy(elites.mean(axis=0), deviation, elites[: self._kept], best)
 
 
 def random_numbers(seed: int, step: int) -> np.random.Generator:

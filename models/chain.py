@@ -12,7 +12,7 @@ import numpy as np
 
 from hystmpc.trials.errors import ModelError, did_you_mean
 
-from .effects.catalogue import own_operators
+from .effects.catalogue import added_operators
 from .kernels.program import dense
 from .operators.dynamics import Delay, Lag, RateLimit, Servo
 from .operators.operator import Operator, Parameter, shipped_operators
@@ -142,7 +142,7 @@ _GUESSED = range(1, 9)
 
 def operators() -> Mapping[str, type[Operator]]:
     """Every operator by name: those that ship, and those of effects that users have added."""
-    return {**own_operators(), **shipped_operators()}
+    return {**added_operators(), **shipped_operators()}
 
 
 def operator_from(spec: Any, where: str) -> Operator:

@@ -13,7 +13,7 @@ from hystmpc.trials.types import Vec
 from .motion import MotionLimits
 from .point_to_point import PointToPoint
 from .scan import SinusoidScan
-from .trajectory import Chain, PreviewTable, Trajectory
+from .trajectory import PreviewTable, Trajectory, TrajectoryChain
 
 _APPROACH_HOLD_S = 1.0
 _HOLDS_S = (2.0, 4.0)
@@ -126,4 +126,4 @@ def approached(
     approach = approach_with(_APPROACH_HOLD_S)
     if dt_s is not None:
         approach = approach_with(_APPROACH_HOLD_S + (-approach.duration_s) % dt_s)
-    return CountedMotion(name, Chain((approach, motion)), approach.duration_s)
+    return CountedMotion(name, TrajectoryChain((approach, motion)), approach.duration_s)

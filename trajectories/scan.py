@@ -18,7 +18,7 @@ from hystmpc.trials.types import Vec
 
 from .motion import Kinematics, MotionLimits, PathMotion, PiecewiseCubic, ramp
 from .ruckig_ import move
-from .trajectory import Chain, Trajectory, inside
+from .trajectory import Trajectory, TrajectoryChain, inside
 
 Shape = Literal["sinusoid", "triangle"]
 
@@ -83,7 +83,7 @@ class Scan(PathMotion):
             side = -end
         return sides
 
-    def _sinusoids(self, amplitudes: tuple[float, ...]) -> Chain:
+    def _sinusoids(self, amplitudes: tuple[float, ...]) -> TrajectoryChain:
         """Sinusoids, each reached by a jerk-limited move that ends with the sinusoid's own acceleration.
 
         Velocity and acceleration are continuous from start to end; the final turning point is then held.
@@ -99,7 +99,7 @@ class Scan(PathMotion):
             parts.append(PiecewiseCubic(move(at, turns[0], limits)))
             parts.append(Cosine(self.centre_deg, begin * amplitude, self.frequency_hz, self.cycles / self.frequency_hz))
             at = turns[1]
-        return Chain(tuple(parts))
+        return TrajectoryChain(tuple(parts))
 
     def _covering(self, *needed: float) -> MotionLimits:
         """The limits, if the peak rates of the widest sinusoid are within them; these rates where there are none."""

@@ -104,7 +104,7 @@ def sample(trajectory: Trajectory, rate_hz: float) -> tuple[Vec, Vec]:
 
 
 @dataclass(frozen=True, eq=False)
-class Chain:
+class TrajectoryChain:
     """Parts played one after another; each must begin where the one before it ends.
 
     Attributes:

@@ -39,10 +39,10 @@ _EDGE = 1e-12
 FEATURES = 1 + RADII.size + ZONES.size + _WEIGHTED + CREEPS_S.size + 1
 MEMORY = 1 + RADII.size + CREEPS_S.size
 """Entries of the memory behind one lag: v, plays, slow followers."""
-OWN = MEMORY + DELAYS + 1 + FEATURES + 5
+LEARNED_SIZE = MEMORY + DELAYS + 1 + FEATURES + 5
 """Entries of the learned part's state: memory, queue of the last commands, weights, v0, side, m_0, share of the lag in
 a sample, delay [samples]; commands as shares of the range, the newest first."""
-OF_WEIGHTS, OF_START = slice(MEMORY + DELAYS, OWN - 5), slice(OWN - 5, OWN)
+OF_WEIGHTS, OF_START = slice(MEMORY + DELAYS, LEARNED_SIZE - 5), slice(LEARNED_SIZE - 5, LEARNED_SIZE)
 SHARES: Vec = np.concatenate(
     [[0.7], np.full(RADII.size, 0.5), np.full(ZONES.size, 1.0), np.full(_WEIGHTED, 0.5), [0.2, 0.2], [0.3]]
 )
@@ -123,7 +123,7 @@ def features(memory: Any, before: float, v0: float, side: float, pace: float, ou
 @njit(cache=True, error_model="numpy", nogil=True)
 def acting_command(part: Any, plan: Any, k: int, low: float, span: float) -> Any:
     """The command behind the delay in sample k of a plan (H,), as a share of the range."""
-    delay = int(part[OWN - 1])
+    delay = int(part[LEARNED_SIZE - 1])
     return part[MEMORY + delay - 1 - k] if k < delay else (plan[k - delay] - low) / span
 
 
@@ -132,7 +132,7 @@ def add_learned(part: Any, pace: float, creeps: Any, low: float, span: float, pl
     """angles (N, H) <- m + w_c (m - m_0) + sum_i w_i f_i along plans (N, H), in place.
 
     Args:
-        part: the learned part's state (OWN,).
+        part: the learned part's state (LEARNED_SIZE,).
         pace: samples per second.
         creeps: as `creep_shares`.
         low, span: least command, and the range of commands [command unit].
@@ -205,13 +205,13 @@ def slopes_by_memory(now: Any, weights: Any, pace: float, out: Any) -> None:
 @njit(cache=True, error_model="numpy", nogil=True)
 def add_slopes(part: Any, pace: float, creeps: Any, low: float, span: float, plan: Any, jacobian: Any) -> None:
     """jacobian (H, H) of the model <- that of the whole, along one plan (H,), in place; see `add_learned`."""
-    weights, share, horizon = part[OF_WEIGHTS], part[OWN - 2], plan.size
+    weights, share, horizon = part[OF_WEIGHTS], part[LEARNED_SIZE - 2], plan.size
     now, before, slopes = part[:MEMORY].copy(), np.empty(MEMORY), np.empty(MEMORY + 1)
     by, row = np.zeros((MEMORY + 1, horizon)), np.empty(horizon)
     for k in range(horizon):
         before[:] = now
         advance_memory(now, acting_command(part, plan, k, low, span), share, creeps)
-        advance_slopes(before, now, k - int(part[OWN - 1]), share, creeps, by)
+        advance_slopes(before, now, k - int(part[LEARNED_SIZE - 1]), share, creeps, by)
         slopes_by_memory(now, weights, pace, slopes)
         row[: k + 1] = 0.0
         for i in range(MEMORY + 1):

@@ -17,9 +17,9 @@ from ..mpc_settings import AdaptationSettings
 from .bank import (
     DELAYS,
     FEATURES,
+    LEARNED_SIZE,
     MEMORY,
     OF_WEIGHTS,
-    OWN,
     BankState,
     FilterBank,
     acting_command,
@@ -38,7 +38,7 @@ _SENSOR_DEG = 0.1  # standard deviation of a sensor of which the model's file sa
 class LearnedPredictor(Predictor):
     """theta = m + w_c (m - m_0) + sum_i w_i f_i, see `bank`; the weights stand still in a roll-out.
 
-    Where all weights are zero this is the model. The state is the model's, then that of the learned part (OWN,).
+    Where all weights are zero this is the model. The state is the model's, then the learned part's (LEARNED_SIZE,).
     """
 
     def __init__(self, model: Predictor, settings: AdaptationSettings) -> None:
@@ -69,41 +69,41 @@ class LearnedPredictor(Predictor):
 
     def advance(self, state: Vec, u: float) -> tuple[float, Vec]:
         angle, below = self.model.advance(self.below(state), u)
-        part, plan, angles = state[state.size - OWN :], np.array([u]), np.array([[angle]])
+        part, plan, angles = state[state.size - LEARNED_SIZE :], np.array([u]), np.array([[angle]])
         add_learned(part, *self._known, plan[None], angles)
         after = part.copy()
         x = acting_command(part, plan, 0, self._low, self._span)
-        advance_memory(after[:MEMORY], x, part[OWN - 2], self._bank.creeps)
+        advance_memory(after[:MEMORY], x, part[LEARNED_SIZE - 2], self._bank.creeps)
         after[MEMORY + 1 : MEMORY + DELAYS] = part[MEMORY : MEMORY + DELAYS - 1]
         after[MEMORY] = (u - self._low) / self._span
         return float(angles[0, 0]), np.concatenate([below, after])
 
     def rollout(self, state: Vec, plans: Vec) -> Vec:
         angles = np.ascontiguousarray(self.model.rollout(self.below(state), plans))
-        add_learned(state[state.size - OWN :], *self._known, plans, angles)
+        add_learned(state[state.size - LEARNED_SIZE :], *self._known, plans, angles)
         return angles
 
     def learned(self, state: Vec, plans: Vec) -> Vec:
         """What the learned part adds (N, H) [deg] along the plans (N, H)."""
         model = self.model.rollout(self.below(state), plans)
         angles = model.copy()
-        add_learned(state[state.size - OWN :], *self._known, plans, angles)
+        add_learned(state[state.size - LEARNED_SIZE :], *self._known, plans, angles)
         return angles - model
 
     def linearise(self, state: Vec, plan: Vec) -> tuple[Vec, Vec]:
         angles, jacobian = self.model.linearise(self.below(state), plan)
-        part, angles, jacobian = state[state.size - OWN :], angles.copy(), np.array(jacobian, order="C")
+        part, angles, jacobian = state[state.size - LEARNED_SIZE :], angles.copy(), np.array(jacobian, order="C")
         add_learned(part, *self._known, plan[None], angles[None])
         add_slopes(part, *self._known, plan, jacobian)
         return angles, jacobian
 
     def below(self, state: Vec) -> Vec:
         """The state of the model."""
-        return state[: state.size - OWN]
+        return state[: state.size - LEARNED_SIZE]
 
     def weights(self, state: Vec) -> Vec:
         """w_c and w (1 + FEATURES,) [1 and deg]."""
-        return state[state.size - OWN :][OF_WEIGHTS]
+        return state[state.size - LEARNED_SIZE :][OF_WEIGHTS]
 
 
 @final

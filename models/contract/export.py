@@ -332,8 +332,8 @@ def _at_kink(reference: StepFunction, state: Vec, u: float, got: Vec) -> bool:
     reach = _NUDGE * (1.0 + np.abs(point))
     sides = rng.choice([-1.0, 1.0], (_NUDGES, point.size))
     sides = np.vstack([np.eye(point.size)[-1], -np.eye(point.size)[-1], sides])
-    beside = [reference.jacobian(p[:-1], float(p[-1])) for p in point + reach * sides]
-    lower, upper = np.min(beside, axis=0), np.max(beside, axis=0)
+    near = [reference.jacobian(p[:-1], float(p[-1])) for p in point + reach * sides]
+    lower, upper = np.min(near, axis=0), np.max(near, axis=0)
     slack = _LOOSE * (1.0 + np.abs(got))
     jumps = np.any(upper - lower > slack)
     return bool(jumps and np.all((lower - slack <= got) & (got <= upper + slack)))

@@ -382,7 +382,7 @@ _SAME = 1e-6  # of the input: a lag of 1 us is as good as none
 _added: dict[str, Effect] = {}
 
 
-def own_effects() -> Mapping[str, Effect]:
+def added_effects() -> Mapping[str, Effect]:
     """Effects by name that installed packages offer or that were added, later ones in place of earlier ones.
 
     Raises:
@@ -392,9 +392,9 @@ def own_effects() -> Mapping[str, Effect]:
     return {**_installed(), **_added}
 
 
-def own_operators() -> Mapping[str, type[Operator]]:
+def added_operators() -> Mapping[str, type[Operator]]:
     """Operators by name that these effects consist of."""
-    return {kind.name: kind for effect in own_effects().values() for kind in (effect.operator, *effect.other_forms)}
+    return {kind.name: kind for effect in added_effects().values() for kind in (effect.operator, *effect.other_forms)}
 
 
 def add_effect(effect: Effect) -> Effect:
@@ -468,10 +468,10 @@ class _Library(Mapping[str, Effect]):
     """The effects of the list, and behind them those of users."""
 
     def __getitem__(self, name: str) -> Effect:
-        return _SHIPPED[name] if name in _SHIPPED else own_effects()[name]
+        return _SHIPPED[name] if name in _SHIPPED else added_effects()[name]
 
     def __iter__(self) -> Iterator[str]:
-        yield from dict.fromkeys((*_SHIPPED, *own_effects()))
+        yield from dict.fromkeys((*_SHIPPED, *added_effects()))
 
     def __len__(self) -> int:
         return sum(1 for _ in self)

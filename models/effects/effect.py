@@ -22,8 +22,8 @@ _NUMBER = re.compile(r"_\d+(?=_|$)")
 _WAY = re.compile(r"_(up|down)(?=_|$)")
 
 
-class Recorded(Protocol):
-    """Recorded trial, from which sizes are read."""
+class RecordedTrial(Protocol):
+    """RecordedTrial trial, from which sizes are read."""
 
     @property
     def command(self) -> Vec:
@@ -79,7 +79,7 @@ class Scale:
         return self.angle_high - self.angle_low
 
     @classmethod
-    def of(cls, runs: Sequence[Recorded]) -> Scale:
+    def of(cls, runs: Sequence[RecordedTrial]) -> Scale:
         """Scale of trials; angles by their 1 and 99 % quantiles, so that an outlier does not count."""
         command = np.concatenate([run.command for run in runs])
         angle = np.quantile(np.concatenate([run.angle for run in runs]), (0.01, 0.99))

@@ -12,7 +12,7 @@ import pytest
 from hystmpc.trajectories import excitation
 from hystmpc.trajectories.config import MOTIONS, parse_motion
 from hystmpc.trajectories.point_to_point import PointToPoint
-from hystmpc.trajectories.trajectory import Chain, PreviewTable, Sampled, Trajectory, preview, sample
+from hystmpc.trajectories.trajectory import PreviewTable, Sampled, Trajectory, TrajectoryChain, preview, sample
 from hystmpc_lab.datasets import paper_commands
 
 SCAN = {"start_deg": 30, "centre_deg": 60, "frequency_hz": 0.5, "cycles": 1.5}
@@ -40,7 +40,7 @@ EXCITATIONS: dict[str, tuple[Trajectory, float]] = {
     "S2 test": (excitation.s2_point_to_point(2, "test"), 0.0),
     "S2 initialisation": (excitation.s2_initialisation(), 0.0),
     "sampled": (Sampled(np.array([1.0, 2.0, 4.0]), np.array([5.0, 3.0, 4.0])), 5.0),
-    "chain": (Chain((PointToPoint(1, [2], [0]), PointToPoint(2, [0], [0]))), 1.0),
+    "chain": (TrajectoryChain((PointToPoint(1, [2], [0]), PointToPoint(2, [0], [0]))), 1.0),
 }
 IDS = [f"{k} {data['kind']}" for k, (data, _) in enumerate(EXAMPLES)] + list(EXCITATIONS)
 
