@@ -26,7 +26,7 @@ from hystmpc.rig.run import BenchResult, Note, run_bench
 from hystmpc.rig.safety.ramp import waypoint_commands
 from hystmpc.rig.transports.simulated import SimulatedSettings
 from hystmpc.rig.transports.transport import PlantFactory
-from hystmpc.trajectories.config import MotionSettings
+from hystmpc.trajectories.motion import MotionSettings
 from hystmpc.trials.csv_files import format_table
 from hystmpc.trials.errors import ConfigError, HystmpcError, LogError
 from hystmpc.trials.files import write_atomically

@@ -12,8 +12,7 @@ from typing import Any
 import numpy as np
 
 from hystmpc.ctrl.command import CommandLimits
-from hystmpc.ctrl.feedback import PidControllerSettings
-from hystmpc.ctrl.inverse_settings import InversePidControllerSettings
+from hystmpc.ctrl.feedback import InversePidControllerSettings, PidControllerSettings
 from hystmpc.ctrl.planner.reach import angles_at_rest
 from hystmpc.ctrl.planner.settings import TipSettings, read_settings
 from hystmpc.gap.diagnose import diagnose_trials
@@ -28,7 +27,8 @@ from hystmpc.sim.config import SimulationConfig, TuningSettings
 from hystmpc.sim.plants.simulated import SimulatedPlant
 from hystmpc.sim.study import Study, prepare
 from hystmpc.sim.tuning.gains import PidLike, PidTuning, mean_square_of, tuned_gains
-from hystmpc.trajectories.config import MotionSettings, PointToPointSettings
+from hystmpc.trajectories.motion import MotionSettings
+from hystmpc.trajectories.point_to_point import PointToPoint
 from hystmpc.trials.check import Severity, check
 from hystmpc.trials.config import dump_yaml
 from hystmpc.trials.errors import FitError, LogError
@@ -398,7 +398,7 @@ def tuning_study(
 
 def _from_rest(motion: MotionSettings, rest_deg: float) -> MotionSettings:
     """Reference that begins at the rest angle of the device."""
-    if isinstance(motion, PointToPointSettings):
+    if isinstance(motion, PointToPoint):
         targets, holds = (motion.start_deg, *motion.targets_deg), (1.0, *motion.holds_s)
         return motion.model_copy(update={"start_deg": rest_deg, "targets_deg": targets, "holds_s": holds})
     return motion.model_copy(update={"start_deg": rest_deg})

@@ -11,9 +11,10 @@ import numpy as np
 from hystmpc.rig.config import BenchSettings
 from hystmpc.rig.experiment.phases import Past, PhaseInput, PrepareStep
 from hystmpc.rig.safety.ramp import ramp_commands
-from hystmpc.trajectories.config import MotionSettings, PointToPointSettings, SinusoidScanSettings
 from hystmpc.trajectories.excitation import WHOLE_S, identification_motions
-from hystmpc.trajectories.motion import MotionLimitsSettings
+from hystmpc.trajectories.motion import MotionLimits, MotionSettings
+from hystmpc.trajectories.point_to_point import PointToPoint
+from hystmpc.trajectories.scan import SinusoidScan
 from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.types import Vec
 
@@ -49,10 +50,10 @@ class ReachedAngles:
     speed_deg_s: float
 
     @property
-    def motion(self) -> MotionLimitsSettings:
+    def motion(self) -> MotionLimits:
         """Limits of a target's motion that the device can follow: 35 % of its speed, reached within 0.2 s."""
         velocity = float(f"{min(60.0, _SLOPE_SHARE * self.speed_deg_s):.3g}")
-        return MotionLimitsSettings(
+        return MotionLimits(
             velocity_deg_s=velocity,
             acceleration_deg_s2=float(f"{min(300.0, velocity / 0.2):.3g}"),
             jerk_deg_s3=float(f"{min(3000.0, velocity / 0.02):.3g}"),
@@ -222,8 +223,7 @@ def _drawn(
     angles = (low + shares * (high - low)).tolist()
     yield (
         "point_to_point",
-        PointToPointSettings(
-            kind="point_to_point",
+        PointToPoint(
             start_deg=angles[0],
             targets_deg=tuple(angles[1:]),
             holds_s=(rest_s,) * moves,
@@ -236,8 +236,7 @@ def _drawn(
         centre = 0.5 * (low + high)
         yield (
             name,
-            SinusoidScanSettings(
-                kind="scan_sinusoid",
+            SinusoidScan(
                 start_deg=centre - amplitude,
                 centre_deg=centre,
                 amplitude_deg=amplitude,

@@ -13,7 +13,7 @@ from hystmpc.ctrl.command import CommandLimits, Source
 from hystmpc.models.identify.estimation_noise import resolution
 from hystmpc.rig.config import BenchSettings
 from hystmpc.sim.results import holds, violations
-from hystmpc.trajectories.config import MotionSettings
+from hystmpc.trajectories.motion import MotionSettings
 from hystmpc.trials.brief import brief
 from hystmpc.trials.types import Vec
 

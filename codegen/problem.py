@@ -10,26 +10,24 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from hystmpc.ctrl.build import build_controller, iterations_of, law_of, learning_pair
 from hystmpc.ctrl.command import CommandLimits, limits_of_model, modelled_limits, narrowed_limits
 from hystmpc.ctrl.estimation.observer import ANGLE_BOUND_DEG, OutputEstimator
-from hystmpc.ctrl.feedback import REFERENCE_DEAD_ZONE_DEG
-from hystmpc.ctrl.guarded import build_controller
+from hystmpc.ctrl.feedback import REFERENCE_DEAD_ZONE_DEG, feedback_gains
 from hystmpc.ctrl.learning.predictor import LearnedPredictor
 from hystmpc.ctrl.linearised.planner import MoveBlocking
 from hystmpc.ctrl.mpc import FOLLOWING, Candidates, PredictiveLaw
 from hystmpc.ctrl.mpc_settings import LinearisedMpcSettings
 from hystmpc.ctrl.planner.settings import TipSettings
-from hystmpc.ctrl.supervisor import feedback_gains
 from hystmpc.models.chain import Chain, split
 from hystmpc.models.contract.metadata import ModelMetadata
 from hystmpc.models.inverse.drive import DrivenInverse
-from hystmpc.models.inverse.one_step import CompiledInverse, inverted_after_a_hold
-from hystmpc.models.inverse.surrogate_backlash import surrogate_backlash
+from hystmpc.models.inverse.inverses import CompiledInverse, inverted_after_a_hold
 from hystmpc.models.load import load_model, model_path
 from hystmpc.models.model import Inverse, LoadedModel, Predictor
 from hystmpc.models.operators.dynamics import Lag
 from hystmpc.models.operators.operator import Operator
-from hystmpc.models.prediction.build import ControllerModel, controller_model
+from hystmpc.models.prediction.build import ControllerModel, controller_model, surrogate_backlash
 from hystmpc.models.prediction.compiled import CompiledPredictor
 from hystmpc.models.simulator import ChainModel
 from hystmpc.trials.errors import ExportError
@@ -230,8 +228,8 @@ def _law(
     settings: LinearisedMpcSettings, predictor: Predictor, inverse: Inverse, limits: CommandLimits
 ) -> tuple[dict[str, int], dict[str, Any]]:
     """Sizes and numbers of law, estimator and fallbacks."""
-    learned = settings.model_pair(predictor, inverse)
-    law = settings.model_copy(update={"supervisor": None}).law(*learned, limits)
+    learned = learning_pair(settings, predictor, inverse)
+    law = law_of(settings.model_copy(update={"supervisor": None}), *learned, limits)
     assert isinstance(law, PredictiveLaw)
     delay, dt, horizon = settings.estimator.delay_samples, predictor.dt, law.horizon
     if horizon < 2:
@@ -254,7 +252,7 @@ def _law(
         "under_way": delay + 1,
         "reference": horizon + delay,
         "candidates": FOLLOWING + Candidates(*learned, limits, horizon).searching,
-        "iterations": settings.refining(inverse).iterations,
+        "iterations": iterations_of(settings, inverse),
         "safe_known": int(settings.ladder.safe_command is not None),
         "stop_after": settings.ladder.stop_after_failures,
         "most_missing": settings.bridged_samples(dt),

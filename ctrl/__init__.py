@@ -12,13 +12,12 @@ from typing import TYPE_CHECKING
 from hystmpc.trials import lazily
 
 if TYPE_CHECKING:
+    from .build import build_controller
     from .command import Command, CommandLimits, ControlInput, Source, Stopwatch, Timing
     from .config import CONTROLLERS, parse_controller
     from .estimation.observer import EstimatorSettings
-    from .feedback import PidControllerSettings
-    from .guarded import build_controller
-    from .inverse_settings import InverseControllerSettings, InversePidControllerSettings
-    from .law import Law, LawSettings, Proposal
+    from .feedback import InverseControllerSettings, InversePidControllerSettings, PidControllerSettings
+    from .guarded import Law, LawSettings, Proposal
     from .loop import Controller, Plant, run_loop
     from .mpc_settings import LinearisedMpcSettings, SamplingMpcSettings
     from .planner.tip_controller import TipController
@@ -56,9 +55,9 @@ if not TYPE_CHECKING:
         ("hystmpc.ctrl.config", "CONTROLLERS parse_controller"),
         ("hystmpc.ctrl.estimation.observer", "EstimatorSettings"),
         ("hystmpc.ctrl.feedback", "PidControllerSettings"),
-        ("hystmpc.ctrl.guarded", "build_controller"),
-        ("hystmpc.ctrl.inverse_settings", "InverseControllerSettings InversePidControllerSettings"),
-        ("hystmpc.ctrl.law", "Law LawSettings Proposal"),
+        ("hystmpc.ctrl.build", "build_controller"),
+        ("hystmpc.ctrl.feedback", "InverseControllerSettings InversePidControllerSettings"),
+        ("hystmpc.ctrl.guarded", "Law LawSettings Proposal"),
         ("hystmpc.ctrl.loop", "Controller Plant run_loop"),
         ("hystmpc.ctrl.mpc_settings", "LinearisedMpcSettings SamplingMpcSettings"),
         ("hystmpc.ctrl.planner.tip_controller", "TipController"),

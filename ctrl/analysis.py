@@ -34,7 +34,7 @@ class LimitCycle:
 
 @dataclass(frozen=True)
 class LoopAnalysis:
-    """What the describing function says about a loop."""
+    """Result of the harmonic balance of a loop."""
 
     cycle: LimitCycle | None  # the stable limit cycle of greatest amplitude; None where there is none
     gain: float  # greatest loop gain at a phase of -180 degrees over all amplitudes; below 1 nothing can oscillate
@@ -137,7 +137,7 @@ def _crossing(loop: Complex, frequencies: Vec, gain: Vec) -> tuple[float, float,
 
 
 def _balance(amplitudes: Vec, crossings: Vec) -> LoopAnalysis:
-    """Where the loop gain falls through one with growing amplitude; rows of `crossings` as `_crossing` gives them."""
+    """Limit cycle where the loop gain falls through one with growing amplitude; rows as `_crossing` gives them."""
     gains, greatest = crossings[:, 0], float(crossings[:, 0].max())
     falls = np.flatnonzero((gains[:-1] > 1.0) & (gains[1:] <= 1.0) & (gains[1:] > 0.0))
     if not falls.size:

@@ -1,4 +1,4 @@
-"""The command: what a law is given and a controller answers in a step, and the hard limits on value and rate."""
+"""Command of one step, the inputs of a control law, and the hard limits of the command and its rate."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ class Command:
 
 @dataclass(frozen=True, eq=False)
 class ControlInput:
-    """What a law may look at."""
+    """Inputs of a control law in one step."""
 
     state: Vec  # predictor state (S,) at the instant at which the next command starts to act
     disturbance: float  # estimated output disturbance [deg]
@@ -100,14 +100,14 @@ class CommandPlan:
 
 @final
 class Stopwatch:
-    """Laps of one step; the only clock a controller reads."""
+    """Stopwatch for the stages of one step; the only clock that a controller reads."""
 
     def __init__(self) -> None:
         self.stages: dict[str, float] = {}
         self._since = perf_counter()
 
     def lap(self, stage: str) -> None:
-        """Book the time since the last lap on `stage` [s]."""
+        """Add the time since the last lap to `stage` [s]."""
         now = perf_counter()
         self.stages[stage] = self.stages.get(stage, 0.0) + now - self._since
         self._since = now
@@ -197,7 +197,7 @@ class CommandLimits:
         Not-a-number stays what it is, and what follows it too; callers pass finite plans.
         """
         # numba takes longer to import than a planner's first call may
-        from hystmpc.models.inverse.follow import clip_plans
+        from hystmpc.models.inverse.inverses import clip_plans
 
         admissible: Vec = np.array(plans, dtype=np.float64, order="C")
         rows = admissible.reshape(-1, admissible.shape[-1])
@@ -245,7 +245,7 @@ if TYPE_CHECKING:
 else:
 
     def replace(old: Any, /, **changes: Any) -> Any:
-        """As `dataclasses.replace`, for classes without slots, `__post_init__` and cached properties.
+        """Copy with changed fields, as `dataclasses.replace`, for classes without `__post_init__`.
 
         Raises:
             TypeError: if a changed field does not exist.
@@ -261,7 +261,7 @@ else:
 
 
 def limits_of_model(facts: ModelMetadata) -> CommandLimits:
-    """The limits that a model was made for."""
+    """Command and rate limits of a model."""
     return CommandLimits(facts.command_limits.lower, facts.command_limits.upper, facts.command_rate)
 
 

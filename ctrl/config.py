@@ -1,4 +1,4 @@
-"""The table of controllers, told apart by `kind`: those of the package, and those from outside by `python`."""
+"""Table of the kinds of controllers: those of the package by `kind`, those from outside by `python`."""
 
 from __future__ import annotations
 
@@ -13,9 +13,8 @@ from hystmpc.trials.errors import ConfigError, did_you_mean
 from hystmpc.trials.from_outside import MEMORY, MODULE_AND_CLASS, class_named, given_by, is_reading, refusal, with_kind
 
 from .estimation.observer import SensorKindSettings
-from .feedback import PidControllerSettings
-from .inverse_settings import InverseControllerSettings, InversePidControllerSettings
-from .law import LawSettings
+from .feedback import InverseControllerSettings, InversePidControllerSettings, PidControllerSettings
+from .guarded import LawSettings
 from .mpc_settings import LinearisedMpcSettings, SamplingMpcSettings
 
 GROUP = "hystmpc.controllers"
@@ -39,7 +38,7 @@ class PythonControllerSettings(Settings):
     @model_validator(mode="before")
     @classmethod
     def _known_keys(cls, data: Any) -> Any:
-        """Every key may be one of the class, which says what is wrong with it."""
+        """Accept every key: the class checks its own."""
         return data
 
     @model_validator(mode="after")
@@ -52,7 +51,7 @@ class PythonControllerSettings(Settings):
         return self
 
     def resolved(self) -> LawSettings:
-        """The settings that are meant; of a class that is not imported, what stands in the file for every controller.
+        """Settings of the named class; of a class that is not imported, the keys that every controller has.
 
         Raises:
             ConfigError: if there is no such class, or a key does not fit it.
@@ -72,11 +71,11 @@ class PythonControllerSettings(Settings):
         Raises:
             ConfigError: if there is none.
         """
-        return class_named(python, "controller", GROUP, LawSettings)  # type: ignore[type-abstract]
+        return class_named(python, "controller", GROUP, LawSettings)
 
 
 class _Unread(LawSettings):
-    """What a report may know of a controller whose class it does not import."""
+    """Settings of a controller whose class a report does not import."""
 
     _why: str = PrivateAttr("")
 
@@ -90,9 +89,10 @@ class _Unread(LawSettings):
 
 
 def _unread(why: str, given: dict[str, Any]) -> LawSettings:
-    """Limits and sensor of a controller, where the file says them in the words of the package."""
-    told = given.get("estimator")
-    estimator = {key: told[key] for key in SensorKindSettings.model_fields if key in told} if type(told) is dict else {}
+    """Limits and sensor of a controller whose class is not imported, as far as the file has these keys."""
+    block = given.get("estimator")
+    known = SensorKindSettings.model_fields
+    estimator = {key: block[key] for key in known if key in block} if type(block) is dict else {}
     try:
         settings = _Unread.model_validate({"limits": given.get("limits"), "estimator": estimator})
     except ValidationError:  # a class may mean something else by these names
@@ -101,7 +101,7 @@ def _unread(why: str, given: dict[str, Any]) -> LawSettings:
     return settings
 
 
-# A new controller of the package is one class of settings, which builds it, and one line here; all that lists
+# A new controller of the package is one class of settings, its law in `build.py`, and one line here; all that lists
 # controllers reads this. Those from outside are `python`.
 AnyControllerSettings = (
     InverseControllerSettings
@@ -144,7 +144,7 @@ _SERVED = {
 
 
 def sensor_fault(settings: AnyControllerSettings, kind: str) -> str:
-    """Why a controller cannot work with a sensor of `kind`, empty where it can."""
+    """Reason why a controller cannot work with a sensor of `kind`, empty where it can."""
     wanted, served = settings.resolved().estimator.sensor, _SERVED[kind]
     if wanted in served:
         return ""

@@ -1,4 +1,4 @@
-"""Laws without a horizon: PID with its settings, inverse feedforward, both together.
+"""PID, inverse feedforward, both together, and the supervisor that falls back on them; with their settings.
 
 S2 is RA-L 2024, PMC11633443.
 """
@@ -6,19 +6,19 @@ S2 is RA-L 2024, PMC11633443.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import ClassVar, Literal, Protocol, TypeVar, final
+from typing import Any, ClassVar, Literal, Protocol, TypeVar, final
 
 import numpy as np
 from pydantic import field_validator
 
-from hystmpc.models.model import Inverse, Predictor
-from hystmpc.trials.config import NotNegative, Positive, Settings
+from hystmpc.models.model import Inverse, Predictor, static_gain
+from hystmpc.trials.config import Count, NotNegative, Positive, Settings
 from hystmpc.trials.errors import ControllerError
 from hystmpc.trials.types import Vec
 
-from .command import EMPTY, CommandLimits, CommandPlan, ControlInput, Source, Stopwatch, replace
-from .estimation.observer import LastMeasurement, Observer, SensorKindSettings
-from .law import Law, LawSettings, Proposal
+from .command import EMPTY, CommandLimits, CommandPlan, ControlInput, Source, Stopwatch, attempt, replace
+from .estimation.observer import EstimatorSettings, SensorKindSettings
+from .guarded import Law, LawSettings, Proposal
 
 S = TypeVar("S", bound=SensorKindSettings)
 
@@ -80,7 +80,7 @@ class Pid:
     def correct(
         self, memory: PidMemory, error: float, given: ControlInput, feedforward: float
     ) -> tuple[float, PidMemory]:
-        """Command and next memory.
+        """Command and next memory of one sample.
 
         Args:
             error: wanted minus measured angle [deg].
@@ -96,8 +96,8 @@ class Pid:
         excess = self._limits.clip(u, u_last, self._dt) - u
         integrated = error if abs(error) > gains.dead_zone_deg else 0.0
         integral = memory.integral + self._dt * (gains.ki_per_deg_s * integrated + excess / gains.tracking_s)
-        seen = (y, given.age) if new else (memory.angle, age)
-        return u, PidMemory(min(max(integral, -self._span), self._span), speed, *seen)
+        newest = (y, given.age) if new else (memory.angle, age)
+        return u, PidMemory(min(max(integral, -self._span), self._span), speed, *newest)
 
     def bumpless_start(self, error: float, given: ControlInput, feedforward: float) -> PidMemory:
         """Memory for a bumpless transfer: the next command is the last one sent; arguments as of `correct`."""
@@ -106,13 +106,13 @@ class Pid:
 
 
 def is_new(memory: PidMemory, given: ControlInput) -> bool:
-    """Whether the measurement was taken after the one that the memory holds."""
+    """Whether the measurement is newer than the one in the memory."""
     return given.age < memory.age + 1.0
 
 
 @final
 class PidFeedback(Law[PidMemory]):
-    """PID on the measured angle alone; starts without a bump from the command that the device holds."""
+    """PID feedback of the measured angle, with a bumpless start from the held command."""
 
     horizon = 1
     source = Source.CONTROLLER
@@ -135,7 +135,7 @@ class PidFeedback(Law[PidMemory]):
 
 
 def needs_sensor(estimator: S) -> S:
-    """The block `estimator` of a controller with feedback.
+    """Block `estimator` of a controller with feedback, checked.
 
     Raises:
         ValueError: if it says that there is no sensor.
@@ -161,24 +161,13 @@ class PidControllerSettings(LawSettings):
 
     _measures = field_validator("estimator")(needs_sensor)
 
-    def bridged_samples(self, dt_s: float) -> int:
-        return self.estimator.bridged_samples(self.ladder.max_missing_samples, dt_s)
-
-    def observer(self, predictor: Predictor) -> Observer:
-        continuous = self.estimator.sensor == "continuous"
-        return LastMeasurement(None if continuous else self.estimator.oldest_samples(predictor.dt))
-
-    def law(self, predictor: Predictor, inverse: Inverse, limits: CommandLimits) -> Law[PidMemory]:
-        del inverse
-        return PidFeedback(Pid(self.gains, limits, predictor.dt), limits)
-
 
 REFERENCE_DEAD_ZONE_DEG = 0.027  # 0.0003 of 90 deg, RA-L 2024, PMC11633443 (S2)
 
 
 @dataclass(frozen=True, eq=False)
 class FeedforwardMemory:
-    """The angle followed at present [deg], and what is left of the last plan of commands (0..H,)."""
+    """Present reference angle [deg], and the remaining commands of the last plan (0..H,)."""
 
     followed: float
     plan: Vec = field(default_factory=lambda: EMPTY)
@@ -300,3 +289,144 @@ class InversePid(Law[InversePidMemory]):
         u, pid = self._pid.correct(memory.pid, error, given, u_alone)
         watch.lap("pid")
         return Proposal(u, InversePidMemory(wanted.memory, pid, state, u_alone, dues, error))
+
+
+class FeedforwardSettings(LawSettings):
+    """Settings of both controllers with an inverse.
+
+    Attributes:
+        reference_dead_zone_deg: change of the reference that is not followed [deg].
+        preview: samples of the reference that the inverse of a model with lag or delay looks at.
+        estimator: how state and disturbance are estimated from the measurements.
+    """
+
+    estimator: EstimatorSettings = EstimatorSettings()  # pyright: ignore[reportIncompatibleVariableOverride]  # frozen
+    reference_dead_zone_deg: NotNegative = REFERENCE_DEAD_ZONE_DEG
+    preview: Count = 20
+
+
+class InverseControllerSettings(FeedforwardSettings):
+    """Inverse feedforward."""
+
+    kind: Literal["inverse"] = "inverse"
+
+
+class InversePidControllerSettings(FeedforwardSettings):
+    """Inverse feedforward with PID feedback.
+
+    Attributes:
+        gains: of the PID.
+    """
+
+    kind: Literal["inverse_pid"] = "inverse_pid"
+    gains: PidSettings = PidSettings(kp_per_deg=0.01, ki_per_deg_s=0.2)
+
+    _measures = field_validator("estimator")(needs_sensor)
+
+
+class SupervisorSettings(Settings):
+    """Block `supervisor`: which law acts, by the error of the forecasts of the last seconds.
+
+    The error of a forecast over 0.24 s is compared with that of no forecast, which is that the angle stays where it is
+    (root mean squares, see `FilterBank`).
+
+    Attributes:
+        inverse_pid_above: share of the latter from which on inverse and PID take over from the predictive controller.
+        pid_above: share from which on the PID alone takes over.
+        pid: gains of both; null for 0.2 / G and 1.5 / (G s), where G is the model's static gain [deg per command unit].
+    """
+
+    inverse_pid_above: Positive = 0.95
+    pid_above: Positive = 1.05
+    pid: PidSettings | None = None
+
+
+SupervisorLevel = Literal["mpc", "inverse_pid", "pid"]
+LEVELS: tuple[SupervisorLevel, ...] = ("mpc", "inverse_pid", "pid")
+
+_BACK = 0.5  # share of a threshold below which a better level takes over again
+_KP_SHARE, _KI_PER_S = 0.2, 1.5  # of gains that nobody has tuned, in units of the inverse of the model's static gain
+
+
+def feedback_gains(settings: SupervisorSettings, predictor: Predictor) -> PidSettings:
+    """The gains of both feedback laws, for a model."""
+    if settings.pid is not None:
+        return settings.pid
+    gain = attempt(lambda: static_gain(predictor))[0] or 0.0
+    gains = PidSettings()
+    if gain > 0:
+        gains = PidSettings(kp_per_deg=_KP_SHARE / gain, ki_per_deg_s=_KI_PER_S / gain)
+    return gains if predictor.noise is None else gains.with_dead_zone(predictor.noise.sensor_resolution_deg)
+
+
+def supervisory_law(
+    mpc: Law[Any],
+    settings: SupervisorSettings,
+    pair: tuple[Predictor, Inverse],
+    limits: CommandLimits,
+) -> SupervisoryLaw:
+    """The predictive law with the two feedback laws that a supervisor switches to, on one model.
+
+    The inverse is that of the hysteresis alone, sample by sample: where a model predicts so badly, inverting its lag
+    and delay gains nothing.
+    """
+    predictor, inverse = pair
+    pid = Pid(feedback_gains(settings, predictor), limits, predictor.dt)
+    feedback = InversePid(InverseFeedforward(inverse), pid, predictor, limits), PidFeedback(pid, limits)
+    return SupervisoryLaw(mpc, *feedback, (settings.inverse_pid_above, settings.pid_above))
+
+
+@dataclass(frozen=True, eq=False)
+class SupervisorMemory:
+    """The level that acts, and the memory of its law."""
+
+    level: SupervisorLevel
+    inner: Any
+
+
+@final
+class SupervisoryLaw(Law[SupervisorMemory]):
+    """Supervisory control: one of three laws acts, chosen by the error of the forecasts, with bumpless transfer.
+
+    The supervisor switches to a lower level as soon as the error exceeds the threshold of the present one, and back
+    once it is below half of that threshold (hysteresis).
+    """
+
+    source = Source.MPC
+
+    def __init__(
+        self, mpc: Law[Any], inverse_pid: InversePid, pid: PidFeedback, thresholds: tuple[float, float]
+    ) -> None:
+        self.horizon = max(mpc.horizon, inverse_pid.horizon, pid.horizon)
+        self._mpc, self._inverse_pid, self._pid = mpc, inverse_pid, pid
+        self._laws: dict[SupervisorLevel, Law[Any]] = {"mpc": mpc, "inverse_pid": inverse_pid, "pid": pid}
+        self._thresholds = thresholds
+
+    def init(self, y: float, u: float) -> SupervisorMemory:
+        return SupervisorMemory("mpc", self._mpc.init(y, u))
+
+    def propose(self, memory: SupervisorMemory, given: ControlInput, watch: Stopwatch) -> Proposal[SupervisorMemory]:
+        level = self._level(memory.level, given.forecast_error)
+        if level != memory.level:
+            memory = SupervisorMemory(level, self._bumpless_start(level, given))
+        law = self._laws[level]
+        proposed = law.propose(memory.inner, replace(given, reference=given.reference[: law.horizon]), watch)
+        status = proposed.status
+        if level != "mpc":
+            note = f"{level}: forecasts are off by {100 * given.forecast_error:.0f} % of the motion"
+            status = note if status == "ok" else f"{note}; {status}"
+        return Proposal(
+            proposed.u, SupervisorMemory(level, proposed.memory), proposed.plan, proposed.predicted, status, law.source
+        )
+
+    def _level(self, now: SupervisorLevel, forecast_error: float) -> SupervisorLevel:
+        """Level for this error of the forecasts, with hysteresis on the way to a better one."""
+        at = LEVELS.index(now)
+        worst = sum(forecast_error > threshold for threshold in self._thresholds)
+        best = sum(forecast_error > _BACK * threshold for threshold in self._thresholds)
+        return LEVELS[max(worst, min(at, best))]
+
+    def _bumpless_start(self, level: SupervisorLevel, given: ControlInput) -> Any:
+        if level == "mpc":
+            return self._mpc.init(given.measured, given.u_last)
+        return self._inverse_pid.bumpless_start(given) if level == "inverse_pid" else self._pid.bumpless_start(given)

@@ -1,16 +1,18 @@
-"""Every controller of hystmpc: a law inside an estimator, a chain of fallback levels and hard limits."""
+"""Every controller of hystmpc: a control law inside an estimator, a chain of fallback levels and hard limits."""
 
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
 from functools import partial
-from typing import TYPE_CHECKING, Any, Generic, TypeVar, final
+from typing import ClassVar, Generic, TypeVar, final
 
 import numpy as np
 
-from hystmpc.models.model import Inverse, Predictor
+from hystmpc.models.model import Inverse
 from hystmpc.trials.brief import brief, in_brief
+from hystmpc.trials.config import Count, NotNegativeInt, Settings
 from hystmpc.trials.errors import ControllerError, HystmpcError, shown
 from hystmpc.trials.types import Index, Vec
 
@@ -19,22 +21,16 @@ from .command import (
     Command,
     CommandLimits,
     ControlInput,
+    LimitsSettings,
     Source,
     Stopwatch,
     Timing,
     attempt,
-    narrowed_limits,
     number_of,
     numbers_of,
     replace,
 )
-from .estimation.observer import ANGLE_BOUND_DEG, Estimate, Observer, usable_angle
-from .law import FallbackSettings, Law, LawSettings, Proposal
-
-if TYPE_CHECKING:
-    from hystmpc.models.prediction.build import ControllerModel
-
-    from .config import PythonControllerSettings
+from .estimation.observer import ANGLE_BOUND_DEG, Estimate, Observer, SensorKindSettings, usable_angle
 
 _ROUNDING = 1e-6  # of a sample
 
@@ -43,8 +39,84 @@ N = TypeVar("N")
 
 
 @dataclass(frozen=True, eq=False)
+class Proposal(Generic[M]):
+    """A wanted command, the law's next memory, and the plan behind it (`predicted` without disturbance).
+
+    `source` is the level that the command comes from, None for that of the law.
+    """
+
+    u: float
+    memory: M
+    plan: Vec = field(default_factory=lambda: EMPTY)
+    predicted: Vec = field(default_factory=lambda: EMPTY)
+    status: str = "ok"
+    source: Source | None = None
+
+
+class Law(ABC, Generic[M]):
+    """Control law with explicit memory. It may raise, and want any command: `GuardedController` makes it safe."""
+
+    horizon: int  # reference samples looked at
+    source: Source
+
+    @abstractmethod
+    def init(self, y: float, u: float) -> M:
+        """Memory at rest with measured angle `y` [deg] and held command `u`."""
+
+    @abstractmethod
+    def propose(self, memory: M, given: ControlInput, watch: Stopwatch) -> Proposal[M]:
+        """The wanted command; the time of each stage is booked on `watch`."""
+
+
+class FallbackSettings(Settings):
+    """Block `ladder`: when prediction, fallback and stop set in.
+
+    Attributes:
+        stop_after_failures: consecutive failed samples after which the stop is latched.
+        max_missing_samples: consecutive samples without usable measurement that are bridged by prediction.
+        safe_command: where a stop goes, within the rate limit [mm or bar]; null stays at the last command.
+    """
+
+    stop_after_failures: Count = 25
+    max_missing_samples: NotNegativeInt = 25
+    safe_command: float | None = None
+
+
+class LawSettings(Settings):
+    """Base of the settings of every kind of controller; `build` makes controllers of them.
+
+    A class from outside the package builds its parts itself. It defines
+
+        law(predictor, inverse, limits) -> Law
+        observer(predictor) -> Observer
+        model_pair(predictor, inverse) -> (predictor, inverse), where it does not work with these two as they are
+
+    Attributes:
+        limits: may only narrow those of the device; null takes them as they are.
+        ladder: when prediction, fallback and stop set in.
+        estimator: how the measurements come.
+    """
+
+    falls_back_on_inverse: ClassVar[bool] = True
+    predicts: ClassVar[bool] = False  # with the model itself; others get an operator in the place of a network
+
+    limits: LimitsSettings | None = None
+    ladder: FallbackSettings = FallbackSettings()
+    estimator: SensorKindSettings = SensorKindSettings()
+
+    def resolved(self) -> LawSettings:
+        """These settings, or those of the class from outside that they name."""
+        return self
+
+    def bridged_samples(self, dt_s: float) -> int:
+        """Consecutive samples without a usable measurement that are bridged by prediction at sample time `dt_s` [s]."""
+        usual = self.ladder.max_missing_samples
+        return usual if hasattr(self, "law") else self.estimator.bridged_samples(usual, dt_s)
+
+
+@dataclass(frozen=True, eq=False)
 class GuardedState(Generic[M]):
-    """Everything a controller remembers: the state is its own snapshot."""
+    """State of a controller, which is its own snapshot."""
 
     estimate: Estimate  # observer snapshot, with the command really sent last
     memory: M  # the law's own memory
@@ -55,7 +127,7 @@ class GuardedState(Generic[M]):
 
 @final
 class GuardedController(Generic[M]):
-    """Wraps a law so that a step never raises and never leaves the limits.
+    """Controller around a law whose step never raises and never leaves the limits.
 
     Order of one step: correct the estimate with the measurement, check the reference, let the law propose, take the
     proposal or a fallback, limit from the command really sent, advance the model with the result.
@@ -90,12 +162,12 @@ class GuardedController(Generic[M]):
 
     @property
     def law(self) -> Law[M]:
-        """The law inside."""
+        """The control law."""
         return self._law
 
     @property
     def limits(self) -> CommandLimits:
-        """Of every command."""
+        """Hard limits of every command."""
         return self._limits
 
     def with_law(self, law: Law[N]) -> GuardedController[N]:
@@ -177,17 +249,13 @@ class GuardedController(Generic[M]):
         return self._observer.sigma_deg(state.estimate)
 
     def sigma_ahead_deg(self, state: GuardedState[M], commands: Vec) -> Vec:
-        """Standard deviation of the error of the angles predicted for the ends of the coming samples (H,) [deg].
-
-        Args:
-            commands: of these samples (H,) [mm or bar].
-        """
+        """Standard deviation of the error of the angles predicted for the coming commands (H,) [deg]."""
         estimate = state.estimate
         travels = np.concatenate([estimate.moves[1:], np.abs(np.diff(commands, prepend=estimate.command))])
         return self._observer.sigma_ahead_deg(estimate, travels[: commands.size])
 
     def measure(self, state: GuardedState[M], y: float, age: float) -> GuardedState[M]:
-        """The state with a measurement `y` [deg] of `age` samples before the next step used at its own instant.
+        """Measurement update with `y` [deg], taken `age` samples before the next step, at its own instant.
 
         Raises:
             ControllerError: if the estimator knows no late measurements, or not of that age; or the model fails.
@@ -225,7 +293,7 @@ class GuardedController(Generic[M]):
         return command, replace(decided, estimate=after)
 
     def _decide(self, state: GuardedState[M], reference: object, watch: Stopwatch) -> tuple[Level, GuardedState[M]]:
-        """The level to take, and the state with the law's memory, the fallbacks and the next due angle renewed."""
+        """Level of fallback, and the state with new memory of the law, fallback state and due angle."""
         fallback, missing = state.fallback, state.estimate.missing
         if fallback.stopped:
             return self._fallback.stop(self._waiting(state), f"latched {fallback.cause}"), state
@@ -254,7 +322,7 @@ class GuardedController(Generic[M]):
     def _proposal(
         self, state: GuardedState[M], given: ControlInput, watch: Stopwatch
     ) -> tuple[Proposal[M] | None, str]:
-        """The law's proposal, or None and why there is none."""
+        """Proposal of the law, or None and the reason why there is none."""
         if state.estimate.stalled:
             return None, f"the model state is {state.estimate.stalled} samples old"
         proposal, reason = attempt(lambda: self._law.propose(state.memory, given, watch))
@@ -264,7 +332,7 @@ class GuardedController(Generic[M]):
         return proposal, reason
 
     def _waiting(self, state: GuardedState[M]) -> ControlInput:
-        """What is given where there is nothing to follow: the angle that is due stays."""
+        """Inputs without a usable reference: the angle that is due is held."""
         return self._input(state, np.full(self.horizon, state.due))
 
     def _input(self, state: GuardedState[M], wanted: Vec) -> ControlInput:
@@ -329,7 +397,7 @@ T = TypeVar("T")
 
 @dataclass(frozen=True, eq=False)
 class FallbackState:
-    """Counters and what is left of the last good plan."""
+    """Failure counters and the remaining part of the last good plan."""
 
     failures: int = 0  # consecutive failed samples
     stopped: bool = False  # whether the stop is latched; only a new `init` releases it
@@ -374,7 +442,7 @@ class FallbackChain:
         return FallbackState(plan=plan[1:], predicted=predicted[1:])
 
     def pause(self, state: FallbackState, given: ControlInput, reason: str) -> tuple[Level, FallbackState]:
-        """Hold because there is nothing to follow; not a failure; the old plan is dropped."""
+        """Hold without a usable reference, which is no failure; the old plan is dropped."""
         return Level(given.u_last, Source.HOLD, reason), replace(state, plan=EMPTY, predicted=EMPTY)
 
     def on_failure(
@@ -400,11 +468,11 @@ class FallbackChain:
         return Level(given.u_last, Source.HOLD, f"{reason}; {more}" if more else reason), state
 
     def halt(self, cause: str) -> FallbackState:
-        """The latched state of a stop that was asked for."""
+        """Latched state after a requested stop."""
         return FallbackState(stopped=True, cause=cause)
 
     def stop(self, given: ControlInput, reason: str) -> Level:
-        """The last level: towards the safe command, or stay."""
+        """Stop, the last level: ramp to the safe command, or hold."""
         safe = self._settings.safe_command
         return Level(given.u_last if safe is None else safe, Source.STOP, f"stopped: {reason}")
 
@@ -416,31 +484,3 @@ class FallbackChain:
         if u is None:
             return None, reason
         return (u, "") if math.isfinite(u) else (None, f"the inverse answers {u}")
-
-
-def pair_for(settings: LawSettings | PythonControllerSettings, model: ControllerModel) -> tuple[Predictor, Inverse]:
-    """Predictor and inverse that a controller works with, with a learned part where its settings ask for one."""
-    settings = settings.resolved()
-    return settings.model_pair(*(model.predictive if settings.predicts else model.feedforward))
-
-
-def build_controller(
-    settings: LawSettings | PythonControllerSettings, predictor: Predictor, inverse: Inverse, limits: CommandLimits
-) -> GuardedController[Any]:
-    """The controller that `settings` describe.
-
-    Args:
-        settings: one of the classes of `CONTROLLERS`, or a class of yours derived from `LawSettings`.
-        predictor: the model; PID takes only the sample time from it.
-        inverse: its inverse, for feedforward, candidate plans and fallback.
-        limits: hard limits of the device; `settings.limits` may narrow them.
-
-    Raises:
-        ControllerError: if the settings contradict each other or go beyond the device's limits.
-    """
-    settings = settings.resolved()
-    limits = narrowed_limits(limits, settings.limits)
-    predictor, inverse = settings.model_pair(predictor, inverse)
-    fallback = FallbackChain(limits, settings.ladder, inverse if settings.falls_back_on_inverse else None)
-    law, observer = settings.law(predictor, inverse, limits), settings.observer(predictor)
-    return GuardedController(law, observer, fallback, limits, predictor.dt, settings.bridged_samples(predictor.dt))

@@ -19,31 +19,34 @@ from hystmpc.trials.types import Vec
 
 from .command import Command
 
-_OLDEST_S, _GAP_S = 1.0, 2.0  # what a controller is told at least
+_OLDEST_S, _GAP_S = 1.0, 2.0  # least values for a controller
 _JITTERS, _PERIODS = 4.0, 5.0  # so late, and so many frames lost in a row, is still usual
 
 
-class ContinuousSensorSettings(Settings):
-    """An angle in every sample, as the plant measures it."""
-
-    kind: Literal["continuous"] = "continuous"
+class SimulatedSensorSettings(Settings):
+    """Base of the simulated sensors."""
 
     def estimator_keys(self) -> Mapping[str, Any]:
         """Keys of a controller's block `estimator` that follow from this sensor."""
         return {}
 
 
-class NoSensorSettings(Settings):
-    """No angle at all: the angle of the rest before the first sample is declared."""
+class ContinuousSensorSettings(SimulatedSensorSettings):
+    """An angle in every sample, as the plant measures it."""
+
+    kind: Literal["continuous"] = "continuous"
+
+
+class NoSensorSettings(SimulatedSensorSettings):
+    """No sensor: the angle at rest before the first sample is declared."""
 
     kind: Literal["none"] = "none"
 
     def estimator_keys(self) -> Mapping[str, Any]:
-        """Keys of a controller's block `estimator` that follow from this sensor."""
         return {"sensor": "none"}
 
 
-class ImagingSettings(Settings):
+class ImagingSettings(SimulatedSensorSettings):
     """Frames of an imaging system.
 
     Attributes:
@@ -62,7 +65,6 @@ class ImagingSettings(Settings):
     noise_deg: NotNegative = 0.0
 
     def estimator_keys(self) -> Mapping[str, Any]:
-        """Keys of a controller's block `estimator` that follow from this sensor."""
         oldest = self.latency_s + _JITTERS * self.jitter_s
         times = {
             "oldest_frame_s": max(_OLDEST_S, oldest),
@@ -109,7 +111,7 @@ class Imaging:
 
     @classmethod
     def at_rest(cls, settings: ImagingSettings, seed: int, angle_deg: float) -> Imaging:
-        """At time 0, the device at rest at `angle_deg` [deg]."""
+        """Imaging system at time 0, the device at rest at `angle_deg` [deg]."""
         return cls(settings, seed, 0.0, angle_deg, _frame(settings, seed, 0, angle_deg))
 
     def later(self, time_s: float, angle_deg: float) -> tuple[tuple[ImageFrame, ...], Imaging]:
@@ -142,7 +144,7 @@ def _frame(settings: ImagingSettings, seed: int, number: int, angle_deg: float) 
 
 @final
 class Viewer:
-    """A sensor that is not continuous before a device, for one run.
+    """Simulated sensor without a continuous signal, for one run.
 
     Args:
         angle: of the device now [deg].
@@ -172,7 +174,7 @@ S = TypeVar("S")
 
 
 class Controller(Protocol[S]):
-    """State in, state out: `step` never raises and never returns a command beyond the limits."""
+    """Controller with explicit state: `step` never raises and never returns a command beyond the limits."""
 
     @property
     def dt(self) -> float:
@@ -199,7 +201,7 @@ class Controller(Protocol[S]):
         ...
 
     def measure(self, state: S, y: float, age: float) -> S:
-        """The state with a frame of `age` samples before the next step that shows `y` [deg].
+        """Measurement update with a frame of `age` samples before the next step that shows `y` [deg].
 
         Raises:
             ControllerError: if the frame cannot be used.

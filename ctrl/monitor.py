@@ -1,4 +1,4 @@
-"""Whether the device has changed since its model was identified, judged while the loop runs."""
+"""Change detection: whether the device differs from its identified model, while the loop runs."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from hystmpc.models.contract.metadata import NoiseModel
 from hystmpc.trials.types import Vec
 
 SIGNS = ("offset", "lag", "friction", "stiffness", "slack", "creep")
-"""What a change is told by, see `ChangeMonitor`."""
+"""Signs of a change, see `ChangeMonitor`."""
 
 _MEMORY_S = 20.0  # of motion, over which the residual is judged
 _LEAST_S = 12.0  # of motion, before anything is said
@@ -32,7 +32,7 @@ _NAMED = 0.1  # probability from which on a sign is named
 
 @dataclass(frozen=True)
 class Change:
-    """What a monitor says.
+    """Result of a change monitor.
 
     Attributes:
         probability: that the device is not the one that was identified any more; not-a-number while too little has
@@ -47,7 +47,7 @@ class Change:
 
     @property
     def certain(self) -> bool:
-        """Whether a change is said."""
+        """Whether the change is certain."""
         return self.probability >= _SAID
 
     @property
@@ -89,7 +89,7 @@ class MonitorState:
 
 @final
 class ChangeMonitor:
-    """Judges the residual r = measured angle - free run of the model, over the last 20 s of motion.
+    """Change detection by the residual r = measured angle - free run of the model, over the last 20 s of motion.
 
     The level l compares its slow part with what is usual for this model, s_m (`model_sigma_deg` of its file):
 
@@ -120,12 +120,12 @@ class ChangeMonitor:
         self._follows = 1.0 - math.exp(-dt_s / _CREEP_S)
 
     def init(self, model_deg: float, measured_deg: float) -> MonitorState:
-        """At rest."""
+        """State at rest."""
         residual = measured_deg - model_deg if math.isfinite(measured_deg) else 0.0
         return MonitorState(model_deg, residual, 0.0, model_deg, math.inf, 0.0, np.zeros((_ROWS, _ROWS)), 0.0)
 
     def advance(self, state: MonitorState, model_deg: float, measured_deg: float) -> MonitorState:
-        """One sample later; a measurement that is not a number changes nothing but the model's memory."""
+        """State one sample later; a measurement that is not-a-number changes only the memory of the model."""
         span, moved = self._span, model_deg - state.model_deg
         bound = _PLAY * span
         stop = min(max(state.stop_deg + moved, -bound), bound)
@@ -153,7 +153,7 @@ class ChangeMonitor:
         return MonitorState(model_deg, residual, stop, slow, rested, seen, sums, changes)
 
     def change(self, state: MonitorState) -> Change:
-        """What the last 20 s of motion say."""
+        """Result for the last 20 s of motion."""
         weight = float(state.sums[0, 0])
         if self._usual is None or state.seen_s < _LEAST_S:
             return Change(math.nan, math.nan, ())

@@ -11,15 +11,15 @@ from typing import Any, Generic, TypeVar, final
 import numpy as np
 
 from hystmpc.models.inverse.drive import DrivenInverse
-from hystmpc.models.inverse.follow import Bounds, Follower, clip_plans, follower_for
+from hystmpc.models.inverse.inverses import Bounds, Follower, clip_plans, follower_for
 from hystmpc.models.kernels.numba_ import njit
 from hystmpc.models.model import Inverse, Predictor, static_gain
 from hystmpc.trials.types import Vec
 
 from .command import CommandLimits, CommandPlan, ControlInput, Source, Stopwatch, attempt
-from .law import Law, Proposal
+from .guarded import Law, Proposal
 from .learning.predictor import LearnedFollower, LearnedInverse
-from .planning_settings import HoldSettings, PredictiveSettings, WeightsSettings
+from .mpc_settings import HoldSettings, PredictiveSettings, WeightsSettings
 
 P = TypeVar("P")
 
@@ -30,7 +30,7 @@ FOLLOWING = 5  # rows before those that only search
 _ROUNDING = 1e-9  # share of the greatest step: which samples a plan is postponed by must not hang on rounding
 
 # Shares of the greatest step. Inside what a network has for a dead band its slope may have the wrong sign: the little
-# step that ends an error in a hold is found by trying it, not by a gradient.
+# step that ends an error in a hold is chosen by a trial, not by a gradient.
 _STEPS = (0.125, 0.1875, 0.25, 0.375, 0.5, 0.625, 0.75, 1.0)
 
 
@@ -51,7 +51,7 @@ class PlanningProblem:
 
 @final
 class PlanCost:
-    """The one cost that candidates, line search and samples are ranked by.
+    """Planning cost, by which candidates, line search and samples are ranked.
 
         J(u) = sum_k q_k (theta_k - r_k)^2 + w_s dist(theta_k, [a, b])^2 + w_r (u_k - u_{k-1})^2 + w_e (u_k - f_k)^2
 
@@ -80,7 +80,7 @@ class PlanCost:
 
 
 class Planner(ABC, Generic[P]):
-    """Improves a plan; the result never costs more than the plan it starts from."""
+    """Planner that improves a start plan; its result never costs more than the start."""
 
     @abstractmethod
     def init(self) -> P:
@@ -90,7 +90,7 @@ class Planner(ABC, Generic[P]):
     def improve(
         self, problem: PlanningProblem, start: CommandPlan, memory: P, watch: Stopwatch
     ) -> tuple[CommandPlan, str, P]:
-        """The better plan, `ok` or one line on what was unusual, and the next memory.
+        """Improved plan, `ok` or one line on a failure that was handled, and the next memory.
 
         Raises:
             PlanningError: if the solver fails or predictions are not finite.
@@ -121,7 +121,7 @@ class Candidates:
 
     @property
     def searching(self) -> int:
-        """Greatest number of plans beside the first five."""
+        """Greatest number of plans besides the first five."""
         return len(self._all)
 
     def build(self, state: Vec, u_last: float, reference: Vec, remaining: Vec, resting: bool = True) -> Vec:
@@ -154,14 +154,14 @@ def _reversals(reach: float, horizon: int) -> Vec:
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def run_ahead(plan: Any, reach: float) -> None:
-    """Limited in rate backwards in time, in place: every move of the plan (H,) starts early enough to arrive."""
+    """Rate limit backwards in time, in place: every move of the plan (H,) starts early enough to arrive."""
     for k in range(plan.size - 2, -1, -1):
         plan[k] = min(max(plan[k], plan[k + 1] - reach), plan[k + 1] + reach)
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def postpone_half(plan: Any, u_last: float, reach: float) -> None:
-    """The first jump of the plan (H,) later by half of the samples that it takes at the greatest rate, in place."""
+    """Delay of the first jump of the plan (H,) by half of its duration at the greatest rate, in place."""
     before = u_last
     for k in range(plan.size):
         jump = plan[k] - before
@@ -352,7 +352,7 @@ class Hold:
 
 @final
 class HoldRule:
-    """When a constant reference counts as reached, and how an error that is left over is worked off.
+    """Rule for holding the command at a constant reference, and for the slow correction of a remaining error.
 
     A reference is constant while it and what the preview shows of the next `lead` samples stay within `tolerance_deg`
     of the angle at which they came to rest. Reached it is where the held command keeps the angle close: within
@@ -360,7 +360,7 @@ class HoldRule:
     more, up to five, since noise may never let it come closer and a command has to come to rest; once held, five.
 
     A reading of a sensor with steps q stays where it is while the angle moves within q / 2 of it. At rest the estimate
-    goes there from what the motion has told, and corrections would creep until the reading flips, and come back: a
+    goes there from what the motion has shown, and corrections would creep until the reading flips, and come back: a
     limit cycle. Once held, q more is close enough: an angle within q / 2 of the wanted one is never left, and one more
     than 3 q / 2 away always is.
 
@@ -376,7 +376,7 @@ class HoldRule:
         self._settle_after, self._settle = round(settings.settle_after_s / dt), round(settings.settle_s / dt)
 
     def numbers(self) -> Mapping[str, float]:
-        """Numbers of the rule, for the same rule in another language."""
+        """Numbers of the rule, for code generation."""
         return {
             "hold_tolerance": self._tolerance,
             "hold_step": self._step,
@@ -388,7 +388,7 @@ class HoldRule:
         }
 
     def judge(self, before: Hold, reference: Vec, held: Vec, sigma: float) -> Hold:
-        """Whether to hold now.
+        """Hold state of this sample.
 
         Args:
             held: angles (H,) that the held command is expected to lead to [deg].
@@ -410,7 +410,7 @@ class HoldRule:
         return float(np.max(np.abs(held - hold.target)))
 
     def settles(self, hold: Hold) -> bool:
-        """Whether an error that is left over is worked off by now."""
+        """Whether a remaining error is corrected slowly by now."""
         return self._settle > 0 and hold.constant > self._settle_after
 
     def limited_correction(self, hold: Hold, plan: Vec, u_last: float, error: float, slope: float) -> Vec:

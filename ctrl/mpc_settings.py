@@ -1,76 +1,156 @@
-"""The predictive controllers: their settings, and how the law, the observer and the planner are built from them."""
+"""Settings of the predictive controllers; this imports neither numba nor a solver, which take over a second to load."""
 
 from __future__ import annotations
 
-from abc import abstractmethod
-from typing import TYPE_CHECKING, Any, Self
+import math
+from typing import Annotated, Any, ClassVar, Literal
 
-from hystmpc.models.model import Inverse, Predictor
-from hystmpc.trials.config import Count
+import numpy as np
+from pydantic import Field, model_validator
 
-from .command import CommandLimits
-from .estimation.observer import Observer
-from .law import Law
-from .planning_settings import LinearisationSettings, PredictiveSettings, SamplingSettings
+from hystmpc.trials.config import Count, NotNegative, Positive, Settings
+from hystmpc.trials.errors import ControllerError
+from hystmpc.trials.types import Mat, Vec
 
-if TYPE_CHECKING:
-    from .mpc import Planner
-
-_REFINED = 2  # iterations from a plan that is late along a motion
-
-# numba, SciPy and the solvers take over a second to import: a controller is built by functions that import them.
+from .estimation.observer import EstimatorSettings
+from .feedback import SupervisorSettings
+from .guarded import LawSettings
 
 
-class PredictiveController(PredictiveSettings):
-    """Builds the law and the observer; the planner is that of the subclass."""
+class WeightsSettings(Settings):
+    """Weights of the planning cost.
 
+    Attributes:
+        tracking: squared angle error [1/deg^2].
+        terminal: factor on `tracking` at the last sample.
+        rate: squared command change per sample [1/mm^2 or 1/bar^2].
+        effort: squared distance from the inverse plan [1/mm^2 or 1/bar^2].
+        soft_limit: squared excess over the soft angle limits [1/deg^2].
+        angle_lower_deg, angle_upper_deg: soft limits of the angle [deg]; null for none.
+    """
+
+    tracking: Positive = 1.0
+    terminal: NotNegative = 2.0
+    rate: Positive = 3.0
+    effort: NotNegative = 0.01
+    soft_limit: NotNegative = 100.0
+    angle_lower_deg: float | None = None
+    angle_upper_deg: float | None = None
+
+    @property
+    def angle_limits_deg(self) -> tuple[float, float]:
+        """Soft limits of the angle [deg], infinite for none.
+
+        Raises:
+            ControllerError: if they cross.
+        """
+        low = -math.inf if self.angle_lower_deg is None else self.angle_lower_deg
+        high = math.inf if self.angle_upper_deg is None else self.angle_upper_deg
+        if not low < high:
+            raise ControllerError(f"weights: got angle_limits_deg {low} to {high}, expected lower < upper")
+        return low, high
+
+    @property
+    def limits_angle(self) -> bool:
+        """Whether there is a soft angle limit."""
+        return self.soft_limit > 0 and any(math.isfinite(v) for v in self.angle_limits_deg)
+
+    def over(self, horizon: int) -> Vec:
+        """Tracking weights along the horizon, shape (H,)."""
+        along = np.full(horizon, self.tracking)
+        along[-1] *= self.terminal
+        return along
+
+
+class HoldSettings(Settings):
+    """Holding of the command, and slow correction of a remaining error; see `HoldRule`, which counts samples.
+
+    Attributes:
+        tolerance_deg: closeness that is always good enough [deg].
+        patience_s: time of constant reference for which one more standard deviation is allowed for [s].
+        lead_s: preview that is looked at [s].
+        settle_after_s: time of constant reference after which corrections are limited [s].
+        settle_s: time over which a limited correction removes an error at the model's static gain [s]; 0 for no limit.
+    """
+
+    tolerance_deg: NotNegative = 0.03
+    patience_s: NotNegative = 0.4
+    lead_s: NotNegative = 0.0
+    settle_after_s: NotNegative = 0.4
+    settle_s: NotNegative = 0.12
+
+
+class AdaptationSettings(Settings):
+    """Block `adaptation`: how fast what is learned on top of the model may change, see `LearnedPredictor`.
+
+    Attributes:
+        sigma_share: standard deviation of the learned weights at first, as a share of the angle over the whole range.
+        walk_share: their change over one stroke of the command, as a share of this.
+    """
+
+    sigma_share: Positive = 0.4
+    walk_share: NotNegative = 0.01
+
+
+_LEAST_SAMPLES, _MOST_SAMPLES, _PREVIEW_S = 20, 60, 0.24  # of a preview whose length is not given
+_ALIKE = 3  # blocks of one length
+_BLIND_RATE, _BLIND_HOLD_DEG = 0.1, 0.01
+_SIGMA_SHARE = 0.1  # of the greatest move of a sample: more would cross kinks of the model that the step must not see
+
+
+class PredictiveSettings(LawSettings):
+    """Settings of both predictive controllers.
+
+    Attributes:
+        adaptation: learning on top of the model; null for none, which it is without a continuous sensor.
+        supervisor: switches to feedback where no forecast is of use; null for none, as without learning.
+        horizon: samples of the preview; null for 20, or 0.24 s where that is more, but no more than 60.
+        estimator: how state and disturbance are estimated from the measurements.
+        weights: of the cost that a plan is chosen by.
+        hold: when a command is held.
+    """
+
+    predicts: ClassVar[bool] = True
+
+    estimator: EstimatorSettings = EstimatorSettings()  # pyright: ignore[reportIncompatibleVariableOverride]  # frozen
+    adaptation: AdaptationSettings | None = AdaptationSettings()
+    supervisor: SupervisorSettings | None = SupervisorSettings()
+    horizon: Count | None = None
     iterations: Count = 1
+    weights: WeightsSettings = WeightsSettings()
+    hold: HoldSettings = HoldSettings()
 
-    def model_pair(self, predictor: Predictor, inverse: Inverse) -> tuple[Predictor, Inverse]:
-        if self.adaptation is None:
-            return predictor, inverse
-        from .learning.predictor import LearnedInverse, LearnedPredictor
+    @model_validator(mode="before")
+    @classmethod
+    def _defaults_of_the_sensor(cls, data: Any) -> Any:
+        """Defaults without a continuous sensor: no learning, less weight on moves, closer holds."""
+        if not isinstance(data, dict):
+            return data
+        estimator = data.get("estimator")
+        sensor = estimator.get("sensor") if isinstance(estimator, dict) else getattr(estimator, "sensor", None)
+        if sensor in ("intermittent", "none"):
+            data = {"adaptation": None, **data, "supervisor": None}  # a `tip.yaml` has one for its continuous sensor
+            for block, key, value in (("weights", "rate", _BLIND_RATE), ("hold", "tolerance_deg", _BLIND_HOLD_DEG)):
+                if isinstance(given := data.get(block, {}), dict):
+                    data[block] = {key: value, **given}
+        return {"supervisor": None, **data} if data.get("adaptation", {}) is None else data
 
-        if isinstance(predictor, LearnedPredictor):
-            return predictor, inverse
-        learned = LearnedPredictor(predictor, self.adaptation)
-        return learned, LearnedInverse(learned, inverse)
+    @model_validator(mode="after")
+    def _learns_from_a_sensor(self) -> PredictiveSettings:
+        if self.adaptation is not None and self.estimator.sensor != "continuous":
+            raise ValueError(f"got adaptation with estimator.sensor {self.estimator.sensor}, expected continuous")
+        if self.supervisor is not None and self.adaptation is None:
+            raise ValueError(
+                "got supervisor with adaptation null, expected supervisor null: forecasts are judged by learning"
+            )
+        return self
 
-    def observer(self, predictor: Predictor) -> Observer:
-        from .learning.predictor import LearnedPredictor, LearningEstimator
-
-        if isinstance(predictor, LearnedPredictor):
-            return LearningEstimator(predictor, self.estimator)
-        return self.estimator.observer(predictor)
-
-    def law(self, predictor: Predictor, inverse: Inverse, limits: CommandLimits) -> Law[Any]:
-        from .mpc import PredictiveLaw
-
-        planner = self.refining(inverse).planner(predictor, limits)
-        law = PredictiveLaw(predictor, inverse, limits, planner, self)
-        if self.supervisor is None:
-            return law
-        from .supervisor import supervisory_law
-
-        return supervisory_law(law, self.supervisor, (predictor, inverse), limits)
-
-    def refining(self, inverse: Inverse) -> Self:
-        """These settings, with two iterations or more where the inverse is a first guess only; see `steady_inverse`."""
-        from hystmpc.models.inverse.one_step import inverted_after_a_hold
-
-        from .learning.predictor import LearnedInverse
-
-        inner = inverse.inverse if isinstance(inverse, LearnedInverse) else inverse
-        if not inverted_after_a_hold(inner):
-            return self
-        return self.model_copy(update={"iterations": max(self.iterations, _REFINED)})
-
-    @abstractmethod
-    def planner(self, predictor: Predictor, limits: CommandLimits) -> Planner[Any]:
-        """What improves the best candidate plan."""
+    def preview_samples(self, dt_s: float) -> int:
+        """Samples of the preview at sample time `dt_s` [s]."""
+        return self.horizon or min(max(_LEAST_SAMPLES, round(_PREVIEW_S / dt_s)), _MOST_SAMPLES)
 
 
-class LinearisedMpcSettings(PredictiveController, LinearisationSettings):
+class LinearisedMpcSettings(PredictiveSettings):
     """Real-time iteration; see `LinearisedPlanner`.
 
     Attributes:
@@ -78,16 +158,84 @@ class LinearisedMpcSettings(PredictiveController, LinearisationSettings):
         solver: of the quadratic programs.
         solver_eps: tolerance of OSQP; DAQP is exact.
         move_blocking: samples of each block of moves, see `MoveBlocking`; null lets every sample move, but for a
-            preview of more than 20 samples whose length is not given, see `LinearisationSettings.blocks`.
+            preview of more than 20 samples whose length is not given, see `blocks`.
     """
 
-    def planner(self, predictor: Predictor, limits: CommandLimits) -> Planner[Any]:
-        from .linearised.planner import LinearisedPlanner
+    kind: Literal["linearised_mpc"] = "linearised_mpc"
+    solver: Literal["daqp", "osqp"] = "daqp"
+    solver_eps: Annotated[float, Field(gt=0, le=1e-4)] = 1e-5
+    move_blocking: Annotated[tuple[Count, ...], Field(min_length=1)] | None = None
 
-        return LinearisedPlanner(predictor, self, limits)
+    @model_validator(mode="after")
+    def _blocks_fit(self) -> LinearisedMpcSettings:
+        together, horizon = sum(self.move_blocking or ()), self.horizon or _LEAST_SAMPLES
+        if together > horizon:
+            raise ValueError(
+                f"got move_blocking of {together} samples together, expected at most the horizon of {horizon}"
+            )
+        return self
+
+    def blocks(self, dt_s: float) -> tuple[int, ...] | None:
+        """Samples of each block of moves at sample time `dt_s` [s]; None where every sample may move.
+
+        A preview of more than 20 samples whose length is not given has blocks of 1, 2, 4, 8, ... samples, three of each
+        length, as long as they fit.
+        """
+        horizon = self.preview_samples(dt_s)
+        if self.move_blocking is not None or self.horizon is not None or horizon <= _LEAST_SAMPLES:
+            return self.move_blocking
+        return _doubling_blocks(horizon)
 
 
-class SamplingMpcSettings(PredictiveController, SamplingSettings):
+# A noise is a matrix F (H, K): samples are F w with w standard normal (K,). Rows have unit norm, so that every sample
+# of a plan is perturbed with the same variance.
+class SplineNoiseSettings(Settings):
+    """Cubic spline through `knots` independent normals, evenly spaced over the horizon.
+
+    Attributes:
+        knots: number of independent normals, at most the horizon.
+    """
+
+    kind: Literal["spline"] = "spline"
+    knots: Annotated[int, Field(ge=2)] = 6
+
+    def matrix(self, horizon: int) -> Mat:
+        """F (H, knots).
+
+        Raises:
+            ControllerError: if there are more knots than samples.
+        """
+        if self.knots > horizon:
+            raise ControllerError(f"spline noise: got {self.knots} knots, expected 2 to the horizon of {horizon}")
+        from scipy.interpolate import make_interp_spline  # takes half a second, which the linearised controller spares
+
+        at = np.linspace(0.0, 1.0, self.knots)
+        spline = make_interp_spline(at, np.eye(self.knots), k=min(3, self.knots - 1))
+        return _unit_rows(spline(np.linspace(0.0, 1.0, horizon)))
+
+
+class ColouredNoiseSettings(Settings):
+    """Noise with power spectrum 1 / f^exponent: 0 white, 1 pink, 2 red.
+
+    Amplitudes f^(-exponent / 2) on the frequencies of a window of 2H samples, so that ends are not tied together
+    (Pinneri et al., "Sample-efficient cross-entropy method for real-time planning", CoRL 2020).
+
+    Attributes:
+        exponent: of the power spectrum.
+    """
+
+    kind: Literal["coloured"] = "coloured"
+    exponent: NotNegative = 2.0
+
+    def matrix(self, horizon: int) -> Mat:
+        """F (H, 2H)."""
+        cycles = np.arange(1, horizon + 1, dtype=np.float64)
+        phase = 2.0 * np.pi * np.outer(np.arange(horizon), cycles) / (2 * horizon)
+        amplitude = cycles ** (-self.exponent / 2.0)
+        return _unit_rows(np.hstack([amplitude * np.cos(phase), amplitude * np.sin(phase)]))
+
+
+class SamplingMpcSettings(PredictiveSettings):
     """Model-predictive path integral control (MPPI) or the cross-entropy method (CEM).
 
     Attributes:
@@ -101,11 +249,41 @@ class SamplingMpcSettings(PredictiveController, SamplingSettings):
         elites: share of the samples that mean and deviation of CEM are fitted to, at least two plans.
         seed: of the random numbers.
         noise: shape of the perturbations, at the ends of the blocks of a preview of more than 20 samples; see
-            `SamplingSettings.blocks`.
+            `blocks`.
     """
 
-    def planner(self, predictor: Predictor, limits: CommandLimits) -> Planner[Any]:
-        from .sampling import CrossEntropyPlanner, PathIntegralPlanner
+    kind: Literal["sampling_mpc"] = "sampling_mpc"
+    method: Literal["mppi", "cem"] = "mppi"
+    samples: Count = 44
+    sigma: Positive | None = None
+    finest: Annotated[float, Field(gt=0, le=1)] = 0.01
+    temperature: Positive = 0.02
+    elites: Annotated[float, Field(gt=0, le=0.5)] = 0.1
+    seed: Annotated[int, Field(ge=0)] = 0
+    noise: Annotated[SplineNoiseSettings | ColouredNoiseSettings, Field(discriminator="kind")] = ColouredNoiseSettings(
+        exponent=1.0
+    )
 
-        kind = CrossEntropyPlanner if self.method == "cem" else PathIntegralPlanner
-        return kind(predictor, self, limits)
+    def deviation(self, reach: float) -> float:
+        """Largest standard deviation of the perturbations, where a sample may move by `reach`, both [mm or bar]."""
+        return _SIGMA_SHARE * reach if self.sigma is None else self.sigma
+
+    def blocks(self, dt_s: float) -> tuple[int, ...]:
+        """Samples of each block of moves at sample time `dt_s` [s]: 1 up to a preview of 20 samples.
+
+        A longer preview has those of the linearised controller, so that the samples have few directions to explore.
+        """
+        horizon = self.preview_samples(dt_s)
+        return (1,) * horizon if horizon <= _LEAST_SAMPLES else _doubling_blocks(horizon)
+
+
+def _doubling_blocks(horizon: int) -> tuple[int, ...]:
+    """Blocks of 1, 2, 4, 8, ... samples, three of each length, as long as they fit the horizon."""
+    lengths: list[int] = []
+    while sum(lengths) + (following := 2 ** (len(lengths) // _ALIKE)) <= horizon:
+        lengths.append(following)
+    return tuple(lengths)
+
+
+def _unit_rows(factor: Mat) -> Mat:
+    return factor / np.linalg.norm(factor, axis=1, keepdims=True)

@@ -9,16 +9,16 @@ from typing import Any, NamedTuple, final
 
 import numpy as np
 
-from hystmpc.models.inverse.follow import Bounds, clip_plans
+from hystmpc.models.inverse.inverses import Bounds, clip_plans
 from hystmpc.models.kernels.numba_ import njit
 from hystmpc.models.model import Predictor
 from hystmpc.trials.types import Mat, Vec
 
 from .command import CommandLimits, CommandPlan, Stopwatch
-from .linearised.daqp_ import DaqpOptions, DaqpSolver
 from .linearised.planner import BlockedQp, MoveBlocking, PlanProgram, TrackingQp
+from .linearised.qp import DaqpOptions, DaqpSolver
 from .mpc import PlanCost, Planner, PlanningError, PlanningProblem
-from .planning_settings import SamplingSettings, WeightsSettings
+from .mpc_settings import SamplingMpcSettings, WeightsSettings
 
 _SMALL = 1e-12  # squared distance of a sample from the start below which it says nothing
 _RIDGE = 1e-6  # of the fit, as a share of its normal matrix's trace
@@ -131,7 +131,7 @@ def add(target: Any, factor: float, row: Any) -> None:
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def weighted_mean(plans: Any, costs: Any, temperature: float) -> Any:
-    """Mean (H,) of plans (N, H) with finite costs (N,), by exp(-(J - J_min) / lambda); see `SamplingSettings`."""
+    """Mean (H,) of plans (N, H) with finite costs (N,), by exp(-(J - J_min) / lambda); see `SamplingMpcSettings`."""
     lowest = costs.min()
     scale = max(temperature * (np.median(costs) - lowest), _TINY)
     total, mean = 0.0, np.zeros(plans.shape[1])
@@ -163,7 +163,7 @@ class SamplingPlanner(Planner[SampleCounter]):
     The w of each m samples, one after another, are orthogonal: m samples show every direction once.
     """
 
-    def __init__(self, predictor: Predictor, settings: SamplingSettings, limits: CommandLimits) -> None:
+    def __init__(self, predictor: Predictor, settings: SamplingMpcSettings, limits: CommandLimits) -> None:
         self._predictor, self._settings = predictor, settings
         horizon, dt = settings.preview_samples(predictor.dt), predictor.dt
         self._bounds = Bounds(limits.lower, limits.upper, limits.rate * dt)
@@ -249,14 +249,14 @@ class SampledGaussNewton:
 
 @final
 class PathIntegralPlanner(SamplingPlanner):
-    """Weighted mean of random plans around the best candidate (Williams et al., T-RO 2018, eq. (30)).
+    """Path integral control: weighted mean of random plans around the best one (Williams et al., T-RO 2018, eq. (30)).
 
     The samples spread geometrically from `sigma` to its finest share, so that one iteration both explores and refines.
     The mean is moved to the weighted mean, to the best sample or along the step of `SampledGaussNewton`, whichever
     costs least, never to a worse plan. The weighted mean alone would follow the noise of the disturbance estimate.
     """
 
-    def __init__(self, predictor: Predictor, settings: SamplingSettings, limits: CommandLimits) -> None:
+    def __init__(self, predictor: Predictor, settings: SamplingMpcSettings, limits: CommandLimits) -> None:
         super().__init__(predictor, settings, limits)
         self._sigmas = self._sigma * np.geomspace(1.0, settings.finest, settings.samples)[:, None]
 
@@ -288,7 +288,7 @@ class PathIntegralPlanner(SamplingPlanner):
         return min((start, tried, sample), key=lambda p: p.cost)
 
 
-class _Search(NamedTuple):
+class _CrossEntropy(NamedTuple):
     """Distribution of the next plans, the elites that stay, and the best plan so far."""
 
     mean: Vec
@@ -299,7 +299,7 @@ class _Search(NamedTuple):
 
 @final
 class CrossEntropyPlanner(SamplingPlanner):
-    """Mean and deviation of smooth random plans, fitted again and again to the cheapest of them.
+    """Cross-entropy method: mean and deviation of smooth random plans, fitted repeatedly to the cheapest of them.
 
         u_n = mean + deviation * F w_n,  mean = mean of the elites,  deviation = max(std of the elites, finest sigma)
 
@@ -308,7 +308,7 @@ class CrossEntropyPlanner(SamplingPlanner):
     (Pinneri et al., "Sample-efficient cross-entropy method for real-time planning", CoRL 2020, algorithm 1).
     """
 
-    def __init__(self, predictor: Predictor, settings: SamplingSettings, limits: CommandLimits) -> None:
+    def __init__(self, predictor: Predictor, settings: SamplingMpcSettings, limits: CommandLimits) -> None:
         super().__init__(predictor, settings, limits)
         self._elites = min(max(2, math.ceil(settings.elites * settings.samples)), settings.samples)
         self._kept = math.ceil(_KEPT * self._elites)
@@ -317,7 +317,7 @@ class CrossEntropyPlanner(SamplingPlanner):
         self, problem: PlanningProblem, start: CommandPlan, generator: np.random.Generator, watch: Stopwatch
     ) -> CommandPlan:
         horizon = start.commands.size
-        search = _Search(start.commands, np.full(horizon, self._sigma), np.empty((0, horizon)), start)
+        search = _CrossEntropy(start.commands, np.full(horizon, self._sigma), np.empty((0, horizon)), start)
         for _ in range(self._settings.iterations):
             search = self._iterate(problem, search, generator, watch)
         last = self._cheapest(search.mean[None], problem)
@@ -325,8 +325,8 @@ class CrossEntropyPlanner(SamplingPlanner):
         return last if last.cost < search.best.cost else search.best
 
     def _iterate(
-        self, problem: PlanningProblem, search: _Search, generator: np.random.Generator, watch: Stopwatch
-    ) -> _Search:
+        self, problem: PlanningProblem, search: _CrossEntropy, generator: np.random.Generator, watch: Stopwatch
+    ) -> _CrossEntropy:
         plans = self._drawn(generator, search.mean, search.deviation[None], problem)
         plans = np.vstack([plans, search.elites])
         watch.lap("sample")
@@ -344,7 +344,7 @@ class CrossEntropyPlanner(SamplingPlanner):
         polished = self._cheapest(self._polish.plans(search.best, plans[finite], angles[finite], problem), problem)
         best = min((search.best, sample, polished), key=lambda plan: plan.cost)
         watch.lap("weigh")
-        return _Search(elites.mean(axis=0), deviation, elites[: self._kept], best)
+        return _CrossEntropy(elites.mean(axis=0), deviation, elites[: self._kept], best)
 
 
 def random_numbers(seed: int, step: int) -> np.random.Generator:

@@ -8,9 +8,8 @@ from hystmpc.trials import lazily
 
 if TYPE_CHECKING:
     from .chain import Chain
-    from .effects.catalogue import EFFECTS
+    from .effects.catalogue import EFFECTS, add_effect
     from .effects.effect import Candidate, Effect, Freedom, Scale
-    from .effects.own import add_effect
     from .effects.place import effect_operator, neutral_operator, with_effect
     from .kinds.catalogue import kind_named
     from .kinds.kind import FitRequest, Identified, ModelKind
@@ -46,7 +45,7 @@ if not TYPE_CHECKING:
         ("hystmpc.models.chain", "Chain"),
         ("hystmpc.models.effects.catalogue", "EFFECTS"),
         ("hystmpc.models.effects.effect", "Candidate Effect Freedom Scale"),
-        ("hystmpc.models.effects.own", "add_effect"),
+        ("hystmpc.models.effects.catalogue", "add_effect"),
         ("hystmpc.models.effects.place", "effect_operator neutral_operator with_effect"),
         ("hystmpc.models.kinds.catalogue", "kind_named"),
         ("hystmpc.models.kinds.kind", "FitRequest Identified ModelKind"),

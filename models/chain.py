@@ -1,8 +1,8 @@
-"""A chain of operators: command side, hysteresis core, output side, as one symbolic step."""
+"""A chain of operators, command side, hysteresis core and output side, as one symbolic step; chains as plain data."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Literal, NamedTuple
@@ -10,12 +10,12 @@ from typing import Any, Literal, NamedTuple
 import casadi as ca
 import numpy as np
 
-from hystmpc.trials.errors import ModelError
+from hystmpc.trials.errors import ModelError, did_you_mean
 
+from .effects.catalogue import added_operators
 from .kernels.program import dense
-from .operators.catalogue import operator_from, operator_spec
 from .operators.dynamics import Delay, Lag, RateLimit, Servo
-from .operators.operator import Operator, Parameter
+from .operators.operator import Operator, Parameter, shipped_operators
 
 DYNAMICS = (Delay, Lag, Servo, RateLimit)
 """Operators that are not inverted sample by sample: that would amplify every deviation."""
@@ -72,7 +72,7 @@ class Chain:
 
     def at_sample_time(self, dt_s: float, was_s: float) -> Chain:
         """The same chain run at sample time `dt_s`, from `was_s` [s]: stores of delays and starts of clocks fit it."""
-        before, after = (tuple(o.resampled(dt_s, was_s) for o in own) for own in (self.before, self.after))
+        before, after = (tuple(o.resampled(dt_s, was_s) for o in side) for side in (self.before, self.after))
         return replace(self, before=before, after=after)
 
     def with_room(self, dt_s: float) -> Chain:
@@ -136,6 +136,98 @@ class Chain:
         return parts
 
 
+_SIZES = (1, 1000)
+_GUESSED = range(1, 9)
+
+
+def operators() -> Mapping[str, type[Operator]]:
+    """Every operator by name: those that ship, and those of effects that users have added."""
+    return {**added_operators(), **shipped_operators()}
+
+
+def operator_from(spec: Any, where: str) -> Operator:
+    """Build an operator from `{operator: NAME, <sizes>, parameters: {NAME: value}}`.
+
+    Raises:
+        ModelError: on an unknown operator or key, a missing size, a missing, unknown or out-of-bounds parameter.
+    """
+    if not isinstance(spec, dict) or "operator" not in spec:
+        raise ModelError(f"{where}: got {spec!r}, expected a mapping with the key 'operator'")
+    name = str(spec["operator"])
+    kind = shipped_operators().get(name) or operators().get(name)
+    if kind is None:
+        raise ModelError(f"{where}: no operator {name!r}, {did_you_mean(name, operators())}")
+    for key in spec:
+        if key not in ("operator", "parameters", *kind.shape):
+            raise ModelError(f"{where}: unknown key {key!r}, {did_you_mean(key, ['parameters', *kind.shape])}")
+    given = spec.get("parameters")
+    if not isinstance(given, dict) or not all(is_number(v) for v in given.values()):
+        raise ModelError(f"{where}: {name}.parameters is {given!r}, expected a mapping of numbers")
+    template = template_from(kind, spec, given, where)
+    try:
+        return template.with_values(_ordered(name, [p.name for p in template.parameters], given))
+    except ModelError as error:
+        raise ModelError(f"{where}: {error}") from None
+
+
+def _ordered(operator_name: str, names: Sequence[str], given: dict[str, float]) -> list[float]:
+    """Named values in the order of `names`; refuses a name that is missing or unknown."""
+    for name in given:
+        if name not in names:
+            raise ModelError(f"{operator_name} has no parameter {name!r}, {did_you_mean(name, names)}")
+    missing = [name for name in names if name not in given]
+    if missing:
+        raise ModelError(f"{operator_name} lacks {', '.join(missing)}, got {', '.join(given) or 'none'}")
+    return [float(given[name]) for name in names]
+
+
+def operator_spec(operator: Operator) -> dict[str, Any]:
+    """Plain data from which `operator_from` builds the same operator."""
+    names = (parameter.name for parameter in operator.parameters)
+    return {
+        "operator": operator.name,
+        **{key: size for key, size in operator.structure.items() if size != operator.default_sizes.get(key)},
+        "parameters": dict(zip(names, operator.values, strict=True)),
+    }
+
+
+def template_from(kind: type[Operator], spec: Mapping[str, Any], given: Iterable[str], where: str) -> Operator:
+    """An operator of the sizes in `spec`.
+
+    A size that has a default may be left out; it then follows from the parameters' names, as `tau_up_s` means a lag of
+    two ways and `share_2` a creep of at least two terms, or else is the default.
+
+    Raises:
+        ModelError: on a size that is missing or no whole number within its limits.
+    """
+    sizes = {key: spec.get(key, kind.default_sizes.get(key)) for key in kind.shape}
+    for key, size in sizes.items():
+        _check_size(size, kind.size_limits.get(key, _SIZES), f"{where}: {kind.name}.{key}")
+    template, wanted = kind.template(**sizes), set(given)
+    for key in kind.default_sizes:
+        if key in spec or wanted <= names_of(template):
+            continue
+        lower, upper = kind.size_limits.get(key, _SIZES)
+        guesses = (kind.template(**{**sizes, key: n}) for n in _GUESSED if lower <= n <= upper)
+        template = next((guess for guess in guesses if wanted <= names_of(guess)), template)
+    return template
+
+
+def names_of(operator: Operator) -> set[str]:
+    """Names of the operator's parameters."""
+    return {parameter.name for parameter in operator.parameters}
+
+
+def is_number(value: Any) -> bool:
+    """Whether plain data is a number; True and False are none."""
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+def _check_size(value: Any, limits: tuple[int, int], where: str) -> None:
+    if not isinstance(value, int) or isinstance(value, bool) or not limits[0] <= value <= limits[1]:
+        raise ModelError(f"{where} is {value!r}, expected a whole number from {limits[0]} to {limits[1]}")
+
+
 def chain_spec(chain: Chain) -> dict[Literal["before", "core", "after"], Any]:
     """Plain data from which `chain_from` builds the same chain."""
     return {
@@ -175,7 +267,7 @@ class Split(NamedTuple):
 
 
 def split(chain: Chain) -> Split:
-    """The chain up to its last and from its first dynamic operator, and what lies between."""
+    """The chain split into dynamics on the command, the part between, and dynamics on the angle."""
     last = max((k + 1 for k, o in enumerate(chain.before) if isinstance(o, DYNAMICS)), default=0)
     first = min((k for k, o in enumerate(chain.after) if isinstance(o, DYNAMICS)), default=len(chain.after))
     middle = Chain(chain.core, chain.before[last:], chain.after[:first])

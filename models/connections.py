@@ -80,13 +80,13 @@ def connected_bundle(
     Raises:
         ExportError: if the parts do not fit each other.
     """
-    own, step = ChainModel(operators), ConnectedStep(ChainModel(operators), way, rest.reference)
+    front, step = ChainModel(operators), ConnectedStep(ChainModel(operators), way, rest.reference)
     inner = rest.metadata
     metadata = ModelMetadata.of(**dict(facts) | {
         "kind": inner.kind,
-        "initial": _joint_rule(own.metadata.initial, inner.initial, way, facts),
-        "conditioned": _joint_rule(own.metadata.conditioned, inner.conditioned, way, facts),
-        "warmup_samples": own.metadata.warmup_samples + inner.warmup_samples,
+        "initial": _joint_rule(front.metadata.initial, inner.initial, way, facts),
+        "conditioned": _joint_rule(front.metadata.conditioned, inner.conditioned, way, facts),
+        "warmup_samples": front.metadata.warmup_samples + inner.warmup_samples,
         "training": dict(inner.training),
         "noise": inner.noise,
         "connections": (Connection(way=way, chain=chain_spec(operators.chain)), *inner.connections),
@@ -114,7 +114,7 @@ def operators_of(facts: ModelMetadata) -> Chain:
 
 
 def rest_of(model: LoadedModel) -> OnnxModel:
-    """The model without the operators of its outermost connection, as if it had a file of its own.
+    """The model without the operators of its outermost connection, as a separate model.
 
     Raises:
         ModelError: if the graph is not that of a connection.
@@ -137,14 +137,14 @@ def rest_of(model: LoadedModel) -> OnnxModel:
         graph.initializer.extend(left)
     except ValueError as error:
         raise ModelError(f"{model.source}: connections[0] is not in the graph: {error}") from None
-    own = facts.model_copy(
+    inner = facts.model_copy(
         update={
             "connections": facts.connections[1:],
             "initial": facts.initial.behind(cut),
             "conditioned": facts.conditioned.behind(cut),
         }
     )
-    return OnnxModel(graph_bytes(_renamed(graph, names), own), model.source, model.start)
+    return OnnxModel(graph_bytes(_renamed(graph, names), inner), model.source, model.start)
 
 
 def _joint_rule(operators: InitialRule, rest: InitialRule, way: str, facts: ModelMetadata) -> InitialRule:
@@ -167,12 +167,12 @@ def _joint_rule(operators: InitialRule, rest: InitialRule, way: str, facts: Mode
 
 
 def _rest(connections: tuple[Connection, ...]) -> str:
-    """Beginning of the names of a rest's inputs and outputs: connections within it keep them apart."""
+    """Prefix of the inputs and outputs of an inner model, by the number of connections within it."""
     return f"rest{len(connections)}"
 
 
 def _operators(connections: tuple[Connection, ...]) -> str:
-    """Beginning of the names of what belongs to the operators that are connected with them."""
+    """Prefix of the tensors of connected operators."""
     return f"operators{len(connections)}_"
 
 
@@ -183,8 +183,8 @@ def _connected_graph(operators: Simulator, way: str, rest: onnx.GraphProto, fact
     from .contract.onnx_nodes import INTERFACE, as_columns, operator_nodes, tensor
 
     name, prefix = _rest(facts.connections), _operators(facts.connections)
-    own = operators.chain.state_size
-    columns = [f"{prefix}state_{i}" for i in range(own)]
+    size = operators.chain.state_size
+    columns = [f"{prefix}state_{i}" for i in range(size)]
     program = operator_nodes(operators.chain.bound(operators.dt_s), [columns, ["u"]], prefix)
     (answer, *following), spread = as_columns(program.outputs[0] + program.outputs[1], program.constants, prefix)
     rest = _renamed(rest, {plain: f"{name}_{plain}" for pair in INTERFACE for plain in pair})
@@ -208,9 +208,9 @@ def _connected_graph(operators: Simulator, way: str, rest: onnx.GraphProto, fact
         helper.make_node("Concat", [*following, state], ["next_state"], name=f"{prefix}joint_state", axis=1),
     ]  # fmt: skip
     numbers = {label: np.full((1, 1), value) for label, value in program.constants.items()}
-    numbers[sizes] = np.array([1] * own + [facts.state_size], np.int64)
+    numbers[sizes] = np.array([1] * size + [facts.state_size], np.int64)
     weights = [numpy_helper.from_array(value, label) for label, value in numbers.items()]
-    inputs, outputs = ([tensor(one, 1), tensor(all_, own + facts.state_size)] for one, all_ in INTERFACE)
+    inputs, outputs = ([tensor(one, 1), tensor(all_, size + facts.state_size)] for one, all_ in INTERFACE)
     return helper.make_graph(
         nodes,
         rest.name,

@@ -16,31 +16,6 @@ _FEWEST = 3  # points that fix a parabola
 
 
 @dataclass(frozen=True)
-class ConstantCurvature:
-    """Tip of a segment that bends to an arc: X = L sin(theta) / theta, Y = L (1 - cos(theta)) / theta.
-
-    S2 (RA-L 2024) finds it inaccurate for its catheter and uses `TipMap` instead. Source: S2 eq. (8).
-
-    Attributes:
-        length_mm: L, length of the bending segment [mm].
-
-    Raises:
-        ModelError: if the length is not a positive number.
-    """
-
-    length_mm: float = 60.0
-
-    def __post_init__(self) -> None:
-        _require_positive("length_mm", self.length_mm)
-
-    def __call__(self, theta_deg: ArrayLike) -> tuple[Vec, Vec]:
-        """X and Y [mm], each of the shape of `theta_deg` [deg]; the limits L and 0 at a straight segment."""
-        theta = np.radians(np.asarray(theta_deg, dtype=np.float64))
-        half = np.sinc(theta / (2 * np.pi))  # sin(theta / 2) / (theta / 2), smooth at 0
-        return self.length_mm * np.sinc(theta / np.pi), self.length_mm * theta / 2 * half**2
-
-
-@dataclass(frozen=True)
 class QuadraticMap:
     """y = a theta^2 + b theta + c, with its inverse on the monotone branch that holds theta = 0.
 
@@ -225,14 +200,6 @@ class LaserConversion:
         """
         s = self.distance(voltage_v)
         return self.angle((float(s.max()) if straight_mm is None else straight_mm) - s)
-
-    def voltages(self, theta_deg: ArrayLike, straight_mm: float) -> Vec:
-        """Voltages [V] that angles [deg] give when the straight segment is at `straight_mm` [mm].
-
-        Raises:
-            ModelError: as `displacement`.
-        """
-        return self.voltage(straight_mm - self.displacement(theta_deg))
 
 
 def _require_positive(name: str, value: float) -> None:

@@ -1,4 +1,4 @@
-"""What a model is: one sample in, one sample out, all memory in the state that the caller holds."""
+"""Models with explicit state: one sample in, one sample out; predictors and inverses."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _SETTLING_S = 2.0  # many times the lag of any catheter drive
 
 
 class Model(Protocol):
-    """A tip-angle model with explicit state (architecture, section 3).
+    """A tip-angle model with explicit state.
 
     The state `x` has `nx` entries and is batched over a leading axis: `x` (N, nx), `u` (N, 1), `y` (N, 1).
     """
@@ -67,7 +67,7 @@ class StepFunction(ABC):
 
 
 class LoadedModel(ABC):
-    """What a model file holds, ready to run: the step of the ONNX contract behind the `Model` protocol.
+    """Model of a file, ready to run: the step of the ONNX contract behind the `Model` protocol.
 
     The model's state is x = [state, theta] (N, S + 1): it carries the angle that it last produced, so that `output` is
     a projection.
@@ -165,6 +165,11 @@ class Predictor(ABC):
     noise: NoiseModel | None = None  # what the model leaves unexplained, where its file says so
     model_sigma_deg: float = math.nan  # how far it is off where no sensor corrects it [deg]; not-a-number: not known
 
+    def _as(self, other: Predictor) -> None:
+        """Take sample time, range and noise from another predictor."""
+        self.dt, self.command_range = other.dt, other.command_range
+        self.noise, self.model_sigma_deg = other.noise, other.model_sigma_deg
+
     @abstractmethod
     def initial(self, y: float, u: float) -> Vec:
         """State (S,) of a device that shows angle `y` [deg] and has been held at command `u`."""
@@ -231,7 +236,7 @@ FitProgress = Callable[[int, float], None]
 
 
 def static_gain(model: Predictor) -> float:
-    """Angle at rest at the highest command less that at the lowest, over the range of commands [deg per unit].
+    """Static gain: difference of the angles at rest at both ends of the commands over their range [deg per unit].
 
     Dead bands and lags do not count.
     """

@@ -77,12 +77,12 @@ class RestRule:
 
 
 def _drive(rest: ChainRest) -> _Part:
-    """What is in series shows the command that is held."""
+    """States of operators in series, whose output is the held command."""
     return lambda commands, angles: rest.states(commands, commands)
 
 
 def _by_rule(rule: InitialRule, shows: bool) -> _Part:
-    """By the rule of a file; what adds to operators that show the angle shows none."""
+    """States by the rule of a file, at angle zero where operators in parallel show the angle."""
 
     def states(commands: Vec, angles: Vec) -> Vec:
         seen = angles if shows else np.zeros_like(angles)
@@ -100,7 +100,7 @@ _ROUNDS, _CLOSE, _WITHIN = 8, 1e-9, 1e-6  # Newton steps; difference that is non
 
 class HeldCores(Protocol):
     """N rows held at their commands, see `nearest_shown`: what core and chain show, and the latter's derivative by the
-    angle that the core was told (N,) each."""
+    angle given to the core (N,) each."""
 
     @property
     def core(self) -> Vec:
@@ -114,7 +114,7 @@ class HeldCores(Protocol):
 
     @property
     def moves(self) -> Vec:
-        """Derivative of `signal` by the angle that the core was told."""
+        """Derivative of `signal` by the angle given to the core."""
         ...
 
     def put(self, n: Index, other: Self) -> None:
@@ -131,16 +131,16 @@ Held = TypeVar("Held", bound=HeldCores)
 def nearest_shown(angle: Vec, held_at: Callable[[Index, Vec], Held]) -> Held:
     """Rows whose chain shows angles (N,) [deg], or the nearest that it can.
 
-    Newton's method on the angle that the core is told. Where that is beyond what the core can hold, the search goes on
+    Newton's method on the angle given to the core. Where that is beyond what the core can hold, the search goes on
     from the edge of what it can, a little within. Rows do not depend on others.
 
     Args:
         angle: seen (N,) [deg].
-        held_at: rows of these numbers, whose cores are told these angles.
+        held_at: rows of these numbers, whose cores are given these angles.
     """
     at, side, out = angle.copy(), np.zeros(angle.size), np.arange(angle.size)
     held = held_at(out, at)
-    beyond = held.rows(out)  # where a row was first found to be beyond what the core can hold
+    beyond = held.rows(out)  # where a row was first beyond what the core can hold
     for _ in range(_ROUNDS):
         out = out[~(np.abs(angle - held.signal)[out] < _CLOSE)]
         edge = out[np.abs(held.moves[out]) < FLAT]
@@ -170,7 +170,7 @@ class _Held:
         state: from the core on (S, N).
         core: angle that the core shows (N,) [deg].
         signal: angle that the chain shows (N,) [deg].
-        moves: derivative of `signal` by the angle that the core was told (N,).
+        moves: derivative of `signal` by the angle given to the core (N,).
     """
 
     state: Vec
@@ -241,4 +241,4 @@ def _rows(function: Any, *inputs: Vec) -> list[Vec]:
 
     if not inputs[0].size:
         return [np.empty((function.size1_out(k), 0)) for k in range(function.n_out())]
-    return [np.array(found, dtype=np.float64) for found in function(*(ca.DM(each[None]) for each in inputs))]
+    return [np.array(result, dtype=np.float64) for result in function(*(ca.DM(each[None]) for each in inputs))]

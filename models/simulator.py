@@ -30,14 +30,14 @@ from .rest import RestRule
 if TYPE_CHECKING:
     import onnx
 
-    from .contract.equivalence import EquivalenceReport
+    from .contract.export import EquivalenceReport
 
 
 FORMAT = "hystmpc-simulator/1"
 
 
 class Residual(Settings):
-    """What the simulator left unexplained on one trial that it was identified from.
+    """Residual of the simulator on one trial of its identification.
 
     Attributes:
         log: name of the log.
@@ -58,7 +58,7 @@ class Residual(Settings):
 
 
 class Identification(Settings):
-    """Where a simulator's numbers come from.
+    """Origin of the numbers of a simulator.
 
     Attributes:
         residuals: one for each trial.
@@ -78,7 +78,7 @@ class Identification(Settings):
 
     @property
     def slow_error(self) -> float | None:
-        """Root mean square of what neighbouring residuals have in common, about the mean of each trial; None: no trial.
+        """Root mean square of the correlated part of the residuals, about the mean of each trial; None without trials.
 
         sigma^2 = sum_i n_i rho_i (rmse_i^2 - bias_i^2) / sum_i n_i with the correlation rho of neighbours, zero or
         more: white noise of the sensor has none. That is `NoiseModel.model_sigma_deg`, of the table alone.
@@ -112,14 +112,14 @@ class SimulatorFile(Settings):
     format: str
     dt_s: SampleTime
     command_unit: str = Field(min_length=1)
+    angle_unit: str = "deg"
+    inverse: bool | None = None
+    rest_command: float | None = None
     command_limits: Range
     command_rate_per_s: Rate
     trained_command: Range
     trained_angle_deg: Range
     trained_rate_per_s: Rate
-    angle_unit: str = "deg"
-    inverse: bool | None = None
-    rest_command: float | None = None
     chain: dict[Literal["before", "core", "after"], Any]
     identification: Identification
 
@@ -128,16 +128,7 @@ class SimulatorFile(Settings):
 class Simulator:
     """A chain of operators with all that makes it usable: sample time, units, limits, range and origin.
 
-    Attributes:
-        chain: the operators.
-        dt_s: sample time at which it was identified [s]; the operators themselves hold at any.
-        command_unit: mm or bar, or what another device takes.
-        angle_unit: deg; an inverse map takes deg and gives mm or bar. Other devices have other units.
-        inverse: whether it is an inverse map; None where one unit alone is deg and tells.
-        rest_command: at which the device rests before a motion; None for the lower end of its command.
-        command_limits, command_rate_per_s: what the device may be sent.
-        trained_command, trained_angle_deg, trained_rate_per_s: what identification saw.
-        identification: method, data and residuals.
+    Attributes as of `SimulatorFile`, with the operators built.
 
     A delay whose store is too short at that sample time, as in a file written by hand, gets one that is long enough.
     """
@@ -245,22 +236,9 @@ def simulator_for(chain: Chain, facts: ModelMetadata, method: str) -> Simulator:
 
 def save_simulator(simulator: Simulator, path: Path | str) -> Path:
     """Write a simulator file, whole or not at all."""
-    content = {
-        "format": FORMAT,
-        "dt_s": simulator.dt_s,
-        "command_unit": simulator.command_unit,
-        "angle_unit": simulator.angle_unit,
-        **({} if simulator.inverse is None else {"inverse": simulator.inverse}),
-        **({} if simulator.rest_command is None else {"rest_command": simulator.rest_command}),
-        "command_limits": simulator.command_limits.model_dump(),
-        "command_rate_per_s": simulator.command_rate_per_s,
-        "trained_command": simulator.trained_command.model_dump(),
-        "trained_angle_deg": simulator.trained_angle_deg.model_dump(),
-        "trained_rate_per_s": simulator.trained_rate_per_s,
-        "chain": chain_spec(simulator.chain),
-        "identification": simulator.identification.model_dump(mode="json", exclude_none=True),
-    }
-    return write_atomically(path, dump_yaml(content))
+    held = {name: getattr(simulator, name) for name in SimulatorFile.model_fields if name not in ("format", "chain")}
+    file = SimulatorFile.model_construct(format=FORMAT, chain=chain_spec(simulator.chain), **held)
+    return write_atomically(path, dump_yaml(file.model_dump(mode="json", exclude_none=True)))
 
 
 def load_simulator(path: Path | str) -> Simulator:

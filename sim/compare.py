@@ -15,14 +15,12 @@ from matplotlib.figure import Figure
 
 from hystmpc.ctrl.analysis import LoopAnalysis, analyse_pid
 from hystmpc.ctrl.estimation.observer import EstimatorSettings
-from hystmpc.ctrl.feedback import PidControllerSettings
-from hystmpc.ctrl.inverse_settings import InversePidControllerSettings
+from hystmpc.ctrl.feedback import InversePidControllerSettings, PidControllerSettings
 from hystmpc.models.inverse.drive import Drive
 from hystmpc.models.load import load_model, model_path
 from hystmpc.models.model import Predictor
 from hystmpc.models.operators.dynamics import Lag
-from hystmpc.models.prediction.build import predictor_for
-from hystmpc.models.prediction.connected import SeriesPredictor
+from hystmpc.models.prediction.build import SeriesPredictor, predictor_for
 from hystmpc.trials.config import dump_yaml
 from hystmpc.trials.errors import ModelError
 from hystmpc.trials.figures import LIMIT_LOOK, LoopPanel, loop_figure

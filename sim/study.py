@@ -9,9 +9,10 @@ from typing import Any
 
 import numpy as np
 
+from hystmpc.ctrl.build import build_controller, pair_for
 from hystmpc.ctrl.command import CommandLimits, ModelledLimitsSettings, limits_of_model, modelled_limits
 from hystmpc.ctrl.config import AnyControllerSettings
-from hystmpc.ctrl.guarded import GuardedController, build_controller, pair_for
+from hystmpc.ctrl.guarded import GuardedController
 from hystmpc.ctrl.loop import (
     AnySensorSettings,
     ContinuousSensorSettings,

@@ -39,10 +39,10 @@ def build_controller(
         ModelError: if a model cannot be used.
         FitError: if a network has no `inverse` and none can be fitted.
     """
+    from hystmpc.ctrl.build import build_controller as build
+    from hystmpc.ctrl.build import pair_for
     from hystmpc.ctrl.command import limits_of_model
     from hystmpc.ctrl.config import parse_controller
-    from hystmpc.ctrl.guarded import build_controller as build
-    from hystmpc.ctrl.guarded import pair_for
     from hystmpc.models.prediction.build import controller_model
 
     if isinstance(controller, str):

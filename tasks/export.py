@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from hystmpc.codegen.controller import ControllerExport
     from hystmpc.codegen.fmu.export import FmuExport
     from hystmpc.ctrl.planner.settings import TipSettings
-    from hystmpc.models.contract.equivalence import EquivalenceReport
+    from hystmpc.models.contract.export import EquivalenceReport
     from hystmpc.models.simulator import Simulator
     from hystmpc.sim.config import PlantSettings
     from hystmpc.sim.plants.simulated import SimulatedPlant

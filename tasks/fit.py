@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from hystmpc.ctrl.command import CommandLimits
-    from hystmpc.models.contract.equivalence import EquivalenceReport
+    from hystmpc.models.contract.export import EquivalenceReport
     from hystmpc.models.contract.metadata import DeviceLimits, Range
     from hystmpc.models.identify.auto import AutoFit
     from hystmpc.models.identify.uncertainty import ParameterRow

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from hystmpc.models.contract.checks import parse_model
+from hystmpc.models.contract.load import parse_model
 from hystmpc.models.contract.metadata import PREFIX
 from hystmpc.trials.config import read_yaml
 from hystmpc.trials.errors import ConfigError, HystmpcError

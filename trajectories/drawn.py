@@ -1,4 +1,4 @@
-"""References drawn within what a device reaches: point to point with holds, and scans; each begins with an approach."""
+"""References drawn at random within the reachable angles: moves with holds, and scans, each after an approach."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from hystmpc.trials.types import Vec
 from .motion import MotionLimits
 from .point_to_point import PointToPoint
 from .scan import SinusoidScan
-from .trajectory import Chain, PreviewTable, Trajectory
+from .trajectory import PreviewTable, Trajectory, TrajectoryChain
 
 _APPROACH_HOLD_S = 1.0
 _HOLDS_S = (2.0, 4.0)
@@ -57,7 +57,7 @@ def drawn_motions(
     """Point to point with holds, then a sinusoid of each frequency, over ranges drawn within reachable angles.
 
     Args:
-        random: to draw from; equal states give equal motions.
+        random: to draw from.
         rest_deg: angle from which every motion begins [deg].
         reachable_deg: least and greatest angle [deg].
         speed_deg_s: that no reference exceeds; a sinusoid that would gets a smaller amplitude [deg/s].
@@ -73,13 +73,21 @@ def drawn_motions(
     holds = random.uniform(*_HOLDS_S, moves)
     limits = MotionLimits(velocity_deg_s=min(_USUAL_DEG_S, speed_deg_s))
     start = float(random.uniform(low, high))
-    steps = PointToPoint(start, targets.tolist(), holds.tolist(), limits)
+    steps = PointToPoint(
+        start_deg=start, targets_deg=tuple(targets.tolist()), holds_s=tuple(holds.tolist()), limits=limits
+    )
     motions = [approached("point_to_point", rest_deg, start, steps, limits)]
     for name, hz in scans_hz.items():
         low, high = _range(random, reachable_deg)
         amplitude = min(0.5 * (high - low), speed_deg_s / (2 * np.pi * hz))
         centre = 0.5 * (low + high)
-        scan = SinusoidScan(centre - amplitude, centre, amplitude, hz, max(float(round(scan_s * hz)), 1.0))
+        scan = SinusoidScan(
+            start_deg=centre - amplitude,
+            centre_deg=centre,
+            amplitude_deg=amplitude,
+            frequency_hz=hz,
+            cycles=max(float(round(scan_s * hz)), 1.0),
+        )
         motions.append(approached(name, rest_deg, centre - amplitude, scan, limits))
     return tuple(motions)
 
@@ -103,15 +111,19 @@ def approached(
 
     Args:
         rest_deg, start_deg: ends of the move [deg].
-        limits: of the move; None for the defaults of MotionLimits.
+        limits: of the move.
         dt_s: sample time of which the approach shall last a whole number [s].
 
     Raises:
         TrajectoryError: if an angle is not finite.
     """
-    limits = limits or MotionLimits()
-    approach = PointToPoint(rest_deg, (start_deg,), (_APPROACH_HOLD_S,), limits)
+
+    def approach_with(hold_s: float) -> PointToPoint:
+        return PointToPoint(
+            start_deg=rest_deg, targets_deg=(start_deg,), holds_s=(hold_s,), limits=limits or MotionLimits()
+        )
+
+    approach = approach_with(_APPROACH_HOLD_S)
     if dt_s is not None:
-        hold_s = _APPROACH_HOLD_S + (-approach.duration_s) % dt_s
-        approach = PointToPoint(rest_deg, (start_deg,), (hold_s,), limits)
-    return CountedMotion(name, Chain((approach, motion)), approach.duration_s)
+        approach = approach_with(_APPROACH_HOLD_S + (-approach.duration_s) % dt_s)
+    return CountedMotion(name, TrajectoryChain((approach, motion)), approach.duration_s)

@@ -1,4 +1,4 @@
-"""Commands to identify and to test on: those of the papers as printed, and three minutes for a whole device.
+"""Excitation commands for identification and tests: those of the papers, and three minutes for a whole device.
 
 Where a paper is silent the value is an argument. S1 is Wu et al., RA-L 2021 (DOI 10.1109/LRA.2021.3061069): pressure
 [bar], 0 to 3. S2 is RA-L 2024, PMC11633443: tendon displacement [mm], 0 to 6.
@@ -7,22 +7,23 @@ Where a paper is silent the value is an argument. S1 is Wu et al., RA-L 2021 (DO
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from hystmpc.trials.config import Count, NotNegative, Positive
 from hystmpc.trials.errors import TrajectoryError, did_you_mean
 from hystmpc.trials.types import Vec
 
-from .motion import PiecewiseCubic, hold, ramp
-from .trajectory import PathTrajectory, Trajectory, inside, require_finite, require_positive, require_range
+from .motion import Bounds, NotNegativeBounds, PathMotion, PiecewiseCubic, TrajectorySettings, hold, ramp
+from .trajectory import Trajectory, inside, require_positive
 
 
-@dataclass(frozen=True)
-class DecayingSine:
+class DecayingSine(TrajectorySettings):
     """u(t) = A e^(-tau t) ( sin(2 pi (f + c t) t - pi/2) + a ) + B, for 0 <= t <= T.
 
     The instantaneous frequency is f + 2 c t, not f + c t: a falling chirp (c < 0) stands still at t = -f / (2 c).
@@ -41,22 +42,13 @@ class DecayingSine:
         TrajectoryError: if a number is not finite, or amplitude, frequency or duration is not positive.
     """
 
-    amplitude: float
-    frequency_hz: float
+    amplitude: Positive
+    frequency_hz: Positive
     decay_per_s: float
-    duration_s: float
+    duration_s: Positive
     lift: float = 1.0
     baseline: float = 0.0
     chirp_hz_per_s: float = 0.0
-
-    def __post_init__(self) -> None:
-        require_positive(amplitude=self.amplitude, frequency_hz=self.frequency_hz, duration_s=self.duration_s)
-        require_finite(
-            decay_per_s=self.decay_per_s,
-            lift=self.lift,
-            baseline=self.baseline,
-            chirp_hz_per_s=self.chirp_hz_per_s,
-        )
 
     def __call__(self, t: ArrayLike) -> Vec:
         """Command [mm or bar] at `t` [s]."""
@@ -70,8 +62,7 @@ class DecayingSine:
 _MOST_DRAWS = 10_000
 
 
-@dataclass(frozen=True)
-class RampHold(PathTrajectory):
+class RampHold(PathMotion):
     """Alternating ramps and holds; a ramp from x to y at rate v takes |y - x| / v.
 
     Attributes:
@@ -85,35 +76,34 @@ class RampHold(PathTrajectory):
     """
 
     start: float
-    targets: Sequence[float]
-    rates: Sequence[float]
-    holds_s: Sequence[float]
+    targets: tuple[float, ...]
+    rates: tuple[Positive, ...]
+    holds_s: tuple[NotNegative, ...]
 
-    def __post_init__(self) -> None:
-        for name in ("targets", "rates", "holds_s"):
-            object.__setattr__(self, name, tuple(float(x) for x in getattr(self, name)))
+    @cached_property
+    def path(self) -> PiecewiseCubic:
+        """Ramps and holds, one after another.
+
+        Raises:
+            TrajectoryError: if the counts differ, or nothing moves or holds.
+        """
         counts = (len(self.targets), len(self.rates), len(self.holds_s))
         if len(set(counts)) != 1 or not counts[0]:
             raise TrajectoryError(
                 f"ramp and hold: got {counts[0]} targets, {counts[1]} rates and {counts[2]} holds, "
                 "expected the same number of each, at least 1"
             )
-        require_finite(start=self.start)
         pieces, at = [], self.start
-        for k, (target, rate, rest) in enumerate(zip(self.targets, self.rates, self.holds_s, strict=True)):
-            require_finite(**{f"targets[{k}]": target})
-            require_positive(**{f"rates[{k}]": rate})
-            require_range(f"holds_s[{k}]", (rest, rest), least=0.0)
+        for target, rate, rest in zip(self.targets, self.rates, self.holds_s, strict=True):
             if target != at:
                 pieces.append(ramp(at, target, abs(target - at) / rate))
             pieces.append(hold(target, rest))
             at = target
-        self._follow(PiecewiseCubic(np.vstack(pieces)))
+        return PiecewiseCubic(np.vstack(pieces))
 
 
-@dataclass(frozen=True)
-class RampHoldDraw:
-    """How a random ramp-and-hold command is drawn; every draw is uniform.
+class RampHoldDraw(TrajectorySettings):
+    """Distribution of random ramp-and-hold commands; every draw is uniform.
 
     Attributes:
         moves: number of ramps, each followed by a hold.
@@ -126,20 +116,11 @@ class RampHoldDraw:
         TrajectoryError: if a range is empty or out of bounds.
     """
 
-    moves: int
-    targets: tuple[float, float]
-    rates: tuple[float, float]
-    holds_s: tuple[float, float]
-    steps: tuple[float, float] | None = None
-
-    def __post_init__(self) -> None:
-        if self.moves < 1:
-            raise TrajectoryError(f"moves: got {self.moves}, expected at least 1")
-        require_range("targets", self.targets)
-        require_range("rates", self.rates, least=0.0)
-        require_range("holds_s", self.holds_s, least=0.0)
-        if self.steps is not None:
-            require_range("steps", self.steps, least=0.0)
+    moves: Count
+    targets: Bounds
+    rates: NotNegativeBounds
+    holds_s: NotNegativeBounds
+    steps: NotNegativeBounds | None = None
 
     def __call__(self, seed: int | np.random.Generator, start: float = 0.0) -> RampHold:
         """Draw one command; equal seeds give equal commands.
@@ -153,7 +134,7 @@ class RampHoldDraw:
             targets.append(self._target(rng, targets[-1] if targets else start))
             rates.append(float(rng.uniform(*self.rates)))
             holds.append(float(rng.uniform(*self.holds_s)))
-        return RampHold(start, targets, rates, holds)
+        return RampHold(start=start, targets=tuple(targets), rates=tuple(rates), holds_s=tuple(holds))
 
     def _target(self, rng: np.random.Generator, last: float) -> float:
         for _ in range(_MOST_DRAWS):
@@ -167,18 +148,11 @@ class RampHoldDraw:
 
 
 S1_AMPLITUDE_BAR = 1.5
-S1_TRAIN_HZ = (0.2, 0.4, 0.6, 0.8)
 S1_TRAIN_DECAY_PER_S = 0.15
 # Not printed: 26 798 training samples in 8 groups, at the 250 Hz of the laser.
 S1_GROUP_S = 13.4
-# Not printed: the falling chirp of test (b) stands still at 3.5 s, the rising one of (c) has made its 3 loops then.
-S1_CHIRP_S = 3.5
-# Our stand-in for the unprinted "arbitrarily varying signal with plateaus" of test (d).
-S1_ARBITRARY = RampHoldDraw(moves=8, targets=(0.0, 3.0), rates=(0.5, 3.0), holds_s=(0.5, 2.0), steps=(0.3, 3.0))
 
 S2_TRAVEL_MM = 6.0
-# The seven frequencies are inferred from file names and counts of files.
-S2_FREQUENCIES_HZ = {"train": (0.1, 0.2, 0.4, 0.5), "validation": (0.3,), "test": (0.15, 0.45)}
 S2_OFFSETS = {"0BL": (1.0, 0.0), "MidBL": (0.0, 1.0), "EndBL": (-1.0, 2.0)}
 S2_POINT_TO_POINT = {
     "train": RampHoldDraw(
@@ -191,56 +165,24 @@ Offset = Literal["0BL", "MidBL", "EndBL"]
 Split = Literal["train", "test"]
 
 
+def _sine(amplitude: float, frequency_hz: float, decay_per_s: float, duration_s: float, **rest: float) -> DecayingSine:
+    return DecayingSine(
+        amplitude=amplitude, frequency_hz=frequency_hz, decay_per_s=decay_per_s, duration_s=duration_s, **rest
+    )
+
+
 def s1_zero_baseline(
     frequency_hz: float, decay_per_s: float = S1_TRAIN_DECAY_PER_S, duration_s: float = S1_GROUP_S
 ) -> DecayingSine:
     """p1(t) = A e^(-tau t) ( sin(2 pi f t - pi/2) + 1 ) [bar], A = 1.5. S1 eq. (5)."""
-    return DecayingSine(S1_AMPLITUDE_BAR, frequency_hz, decay_per_s, duration_s)
+    return _sine(S1_AMPLITUDE_BAR, frequency_hz, decay_per_s, duration_s)
 
 
 def s1_raised_baseline(
     frequency_hz: float, decay_per_s: float = S1_TRAIN_DECAY_PER_S, duration_s: float = S1_GROUP_S
 ) -> DecayingSine:
     """p2(t) = A e^(-tau t) sin(2 pi f t - pi/2) + A [bar], A = 1.5. S1 eq. (6)."""
-    return DecayingSine(S1_AMPLITUDE_BAR, frequency_hz, decay_per_s, duration_s, lift=0.0, baseline=S1_AMPLITUDE_BAR)
-
-
-def s1_training() -> dict[str, DecayingSine]:
-    """The eight training commands of S1 by name: eq. (5) and (6) at 0.2, 0.4, 0.6 and 0.8 Hz, tau = 0.15."""
-    zero = {f"zero baseline {f} Hz": s1_zero_baseline(f) for f in S1_TRAIN_HZ}
-    return zero | {f"raised baseline {f} Hz": s1_raised_baseline(f) for f in S1_TRAIN_HZ}
-
-
-def s1_test_a(duration_s: float = S1_GROUP_S) -> DecayingSine:
-    """S1 test (a): eq. (5) with f = 0.7, tau = 0.12."""
-    return s1_zero_baseline(0.7, 0.12, duration_s)
-
-
-def s1_test_b(duration_s: float = S1_CHIRP_S) -> DecayingSine:
-    """p(t) = A e^(-tau t) ( sin(2 pi (f + c t) t - pi/2) + 1 ) + B [bar]. S1 eq. (10), test (b).
-
-    A = 0.9, B = 1.2, f = 0.7, tau = 0.1, c = -0.1.
-    """
-    return DecayingSine(0.9, 0.7, 0.1, duration_s, baseline=1.2, chirp_hz_per_s=-0.1)
-
-
-def s1_test_c(decay_per_s: float = -0.05, duration_s: float = S1_CHIRP_S) -> DecayingSine:
-    """p(t) = A e^(-tau t) ( sin(2 pi (f + c t) t - pi/2) + 1 ) [bar]. S1 eq. (11), test (c).
-
-    A = 0.6, f = 0.3, c = 0.15. S1 prints tau = 0.05 and calls the signal ascending, which it is with the sign
-    turned; `decay_per_s=0.05` gives the printed one.
-    """
-    return DecayingSine(0.6, 0.3, decay_per_s, duration_s, chirp_hz_per_s=0.15)
-
-
-def s1_test_d(seed: int | np.random.Generator) -> RampHold:
-    """A seeded stand-in for S1's test (d), whose shape is not printed: random ramps and plateaus in 0 to 3 bar."""
-    return S1_ARBITRARY(seed)
-
-
-def s1_oct_scan() -> DecayingSine:
-    """One back-and-forth of S1's reconstruction scan: 0.1 Hz, peak 2.95 bar, no decay (S1 sec. III-B)."""
-    return DecayingSine(2.95 / 2, 0.1, 0.0, 10.0)
+    return _sine(S1_AMPLITUDE_BAR, frequency_hz, decay_per_s, duration_s, lift=0.0, baseline=S1_AMPLITUDE_BAR)
 
 
 def s2_sinusoid(frequency_hz: float, offset: Offset) -> DecayingSine:
@@ -257,7 +199,7 @@ def s2_sinusoid(frequency_hz: float, offset: Offset) -> DecayingSine:
     require_positive(frequency_hz=frequency_hz)
     a, b = S2_OFFSETS[offset]
     amplitude, decay = S2_TRAVEL_MM / 2, frequency_hz / 6 * math.log(7)
-    return DecayingSine(amplitude, frequency_hz, decay, 7 / frequency_hz, lift=a, baseline=amplitude * b)
+    return _sine(amplitude, frequency_hz, decay, 7 / frequency_hz, lift=a, baseline=amplitude * b)
 
 
 def s2_point_to_point(seed: int | np.random.Generator, split: Split = "train") -> RampHold:
@@ -276,7 +218,7 @@ def s2_point_to_point(seed: int | np.random.Generator, split: Split = "train") -
 
 def s2_initialisation() -> DecayingSine:
     """S2's initialisation flexure: one period of 0.1 Hz from 0 to 6 mm (90 deg) and back, to be discarded."""
-    return DecayingSine(S2_TRAVEL_MM / 2, 0.1, 0.0, 10.0)
+    return _sine(S2_TRAVEL_MM / 2, 0.1, 0.0, 10.0)
 
 
 WHOLE_S = 170.0
@@ -302,17 +244,27 @@ def identification_motions(
     Raises:
         TrajectoryError: if a number is not positive.
     """
-    ends = (_INNER * stroke, _OUTER * stroke)
-    steps = RampHoldDraw(max(round(20 * share), 3), ends, (0.1 * rate, 0.8 * rate), (1.0, 4.0), (0.1 * stroke, stroke))
-    yield "steps", _cut(steps(random), 38.0 * share)
-    holds = RampHoldDraw(max(round(8 * share), 1), ends, (0.05 * rate, 0.3 * rate), (6.0, 9.0), (0.2 * stroke, stroke))
-    yield "long_holds", _cut(holds(random), 33.0 * share)
+
+    def drawn(moves: int, rates: tuple[float, float], holds_s: tuple[float, float], *steps: float) -> RampHold:
+        """Ramps and holds with shares of the greatest rate and of the stroke."""
+        low, high = (share * rate for share in rates)
+        least, most = (share * stroke for share in steps)
+        draw = RampHoldDraw(
+            moves=moves,
+            targets=(_INNER * stroke, _OUTER * stroke),
+            rates=(low, high),
+            holds_s=holds_s,
+            steps=(least, most),
+        )
+        return draw(random)
+
+    yield "steps", _cut(drawn(max(round(20 * share), 3), (0.1, 0.8), (1.0, 4.0), 0.1, 1.0), 38.0 * share)
+    yield "long_holds", _cut(drawn(max(round(8 * share), 1), (0.05, 0.3), (6.0, 9.0), 0.2, 1.0), 33.0 * share)
     half = 0.5 * (_OUTER * stroke)
-    yield "slow_sine", DecayingSine(half, 0.1, 0.0, 28.0 * share)
-    yield "shrinking_sine", DecayingSine(half, 0.25, 0.06, 24.0 * share, lift=1.0)
-    yield "fast_sine", DecayingSine(0.3 * stroke, 0.6, 0.0, 14.0 * share, lift=1.0)
-    turns = RampHoldDraw(200, ends, (0.05 * rate, 0.5 * rate), (0.0, 0.2), (0.05 * stroke, 0.6 * stroke))
-    yield "reversals", _cut(turns(random), 33.0 * share)
+    yield "slow_sine", _sine(half, 0.1, 0.0, 28.0 * share)
+    yield "shrinking_sine", _sine(half, 0.25, 0.06, 24.0 * share)
+    yield "fast_sine", _sine(0.3 * stroke, 0.6, 0.0, 14.0 * share)
+    yield "reversals", _cut(drawn(200, (0.05, 0.5), (0.0, 0.2), 0.05, 0.6), 33.0 * share)
 
 
 @dataclass(frozen=True)

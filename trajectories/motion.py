@@ -1,52 +1,68 @@
-"""Motions of piecewise constant jerk: limits, states of motion, pieces, and the angle along them."""
+"""Motions of piecewise constant jerk: their settings and limits, states of motion, pieces, the angle along them."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Annotated, Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from pydantic import AfterValidator, ValidationError, model_validator
 
-from hystmpc.trials.config import Positive, Settings
-from hystmpc.trials.errors import TrajectoryError
+from hystmpc.trials.config import NotNegative, Positive, Settings
+from hystmpc.trials.errors import ConfigError, TrajectoryError
 from hystmpc.trials.types import Vec
 
-from .trajectory import inside, require_positive
+from .trajectory import Trajectory, inside
 
 
-@dataclass(frozen=True)
-class MotionLimits:
+class TrajectorySettings(Settings):
+    """Settings of a trajectory, from YAML or from a program, which may give them by position too.
+
+    Attributes:
+        by_position: keys in the order of positions, where that is not the order of the fields.
+
+    Raises:
+        TrajectoryError: from a program, if a value is out of bounds; `parse` raises ConfigError.
+    """
+
+    by_position: ClassVar[tuple[str, ...]] = ()
+
+    def __init__(self, *values: Any, **named: Any) -> None:
+        keys = self.by_position or [key for key in type(self).model_fields if key != "kind"]
+        given = {**dict(zip(keys, values, strict=False)), **named}
+        if len(values) > len(keys):
+            raise TypeError(f"{type(self).__name__}: got {len(values)} values, expected {', '.join(keys)}")
+        try:
+            super().__init__(**{key: getattr(value, "tolist", lambda v=value: v)() for key, value in given.items()})
+        except ValidationError:
+            try:
+                self.parse(given, type(self).__name__)
+            except ConfigError as error:
+                raise TrajectoryError(str(error)) from None
+            raise
+
+    __init__.__pydantic_base_init__ = True  # type: ignore[attr-defined]  # blocks within blocks stay ConfigErrors
+
+
+def _ordered(bounds: tuple[float, float]) -> tuple[float, float]:
+    if bounds[0] > bounds[1]:
+        raise ValueError("expected lower <= upper")
+    return bounds
+
+
+Bounds = Annotated[tuple[float, float], AfterValidator(_ordered)]
+NotNegativeBounds = Annotated[tuple[NotNegative, NotNegative], AfterValidator(_ordered)]
+
+
+class MotionLimits(TrajectorySettings):
     """Greatest speed, acceleration and jerk of a tip-angle reference, either way.
 
     The defaults let a tendon catheter be driven at the 6 mm/s that S2 (RA-L 2024, PMC11633443) used, at about
     10 deg/mm, with ramps of a few tenths of a second.
-
-    Attributes:
-        velocity_deg_s: [deg/s].
-        acceleration_deg_s2: [deg/s^2].
-        jerk_deg_s3: [deg/s^3].
-
-    Raises:
-        TrajectoryError: if a limit is not finite and positive.
-    """
-
-    velocity_deg_s: float = 60.0
-    acceleration_deg_s2: float = 300.0
-    jerk_deg_s3: float = 3000.0
-
-    def __post_init__(self) -> None:
-        require_positive(
-            velocity_deg_s=self.velocity_deg_s,
-            acceleration_deg_s2=self.acceleration_deg_s2,
-            jerk_deg_s3=self.jerk_deg_s3,
-        )
-
-    def __str__(self) -> str:
-        return f"{self.velocity_deg_s:g} deg/s, {self.acceleration_deg_s2:g} deg/s^2, {self.jerk_deg_s3:g} deg/s^3"
-
-
-class MotionLimitsSettings(Settings):
-    """Block `limits` of a motion, and `motion` of a planner's controller: how fast a reference moves.
 
     Attributes:
         velocity_deg_s: greatest velocity of the reference [deg/s].
@@ -54,13 +70,60 @@ class MotionLimitsSettings(Settings):
         jerk_deg_s3: greatest jerk of the reference [deg/s^3].
     """
 
-    velocity_deg_s: Positive = MotionLimits.velocity_deg_s
-    acceleration_deg_s2: Positive = MotionLimits.acceleration_deg_s2
-    jerk_deg_s3: Positive = MotionLimits.jerk_deg_s3
+    velocity_deg_s: Positive = 60.0
+    acceleration_deg_s2: Positive = 300.0
+    jerk_deg_s3: Positive = 3000.0
 
-    def build(self) -> MotionLimits:
-        """The limits."""
-        return MotionLimits(self.velocity_deg_s, self.acceleration_deg_s2, self.jerk_deg_s3)
+    def __str__(self) -> str:
+        return f"{self.velocity_deg_s:g} deg/s, {self.acceleration_deg_s2:g} deg/s^2, {self.jerk_deg_s3:g} deg/s^3"
+
+
+class MotionSettings(TrajectorySettings):
+    """Base of the motions that YAML can name by the key `kind`."""
+
+    def build(self, folder: Path | str = ".") -> Trajectory:
+        """The trajectory; relative file names start at `folder`.
+
+        Raises:
+            TrajectoryError: if a file cannot be used, or no motion fits settings that are each valid.
+        """
+        raise NotImplementedError
+
+    def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> Self:
+        """The same motion with other settings, validated."""
+        del deep
+        return type(self)(**{**{key: getattr(self, key) for key in type(self).model_fields}, **(update or {})})
+
+
+class PathMotion(MotionSettings):
+    """Base of the motions that are trajectories themselves, computed once into a path of simpler ones."""
+
+    @cached_property
+    def path(self) -> Trajectory:
+        """Path of simpler trajectories."""
+        raise NotImplementedError
+
+    @property
+    def duration_s(self) -> float:
+        """Time from start to end [s]."""
+        return self.path.duration_s
+
+    def __call__(self, t: ArrayLike) -> Vec:
+        """Tip angle [deg], or command [mm or bar], at `t` [s]."""
+        return self.path(t)
+
+    def build(self, folder: Path | str = ".") -> Self:
+        """The motion itself."""
+        del folder
+        return self
+
+    @model_validator(mode="after")
+    def _fits_together(self) -> Self:
+        try:
+            self.path  # noqa: B018 - computed once, here
+        except TrajectoryError as error:
+            raise ValueError(str(error)) from None
+        return self
 
 
 @dataclass(frozen=True)
@@ -135,26 +198,7 @@ class PiecewiseCubic:
 
     def __call__(self, t: ArrayLike) -> Vec:
         """Values at `t` [s]."""
-        s, (p, v, a, j) = self._locate(t)
-        return p + s * (v + s * (a / 2 + s * j / 6))
-
-    def derivative(self, t: ArrayLike, order: int) -> Vec:
-        """Velocity (order 1), acceleration (2) or jerk (3) at `t` [s]; at a knot that of the later piece.
-
-        Raises:
-            TrajectoryError: if the order is not 1, 2 or 3.
-        """
-        s, (_, v, a, j) = self._locate(t)
-        if order == 1:
-            return v + s * (a + s * j / 2)
-        if order == 2:
-            return a + s * j
-        if order == 3:
-            return j + 0 * s
-        raise TrajectoryError(f"derivative: got order {order}, expected 1, 2 or 3")
-
-    def _locate(self, t: ArrayLike) -> tuple[Vec, Vec]:
-        """Time since the start of the piece, and its polynomial, for each `t`."""
         time = inside(t, self.duration_s)
         piece = np.searchsorted(self._knots, time, side="right") - 1
-        return time - self._knots[piece], np.moveaxis(self._rows[piece], -1, 0)
+        s, (p, v, a, j) = time - self._knots[piece], np.moveaxis(self._rows[piece], -1, 0)
+        return p + s * (v + s * (a / 2 + s * j / 6))

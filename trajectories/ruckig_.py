@@ -32,11 +32,6 @@ def move(start: Kinematics, target: Kinematics, limits: MotionLimits, duration_s
 
     It is checked to 1e-9 of the limits, and to 1e-8 of its length at the target.
 
-    Args:
-        start, target: states at both ends.
-        limits: greatest velocity, acceleration and jerk.
-        duration_s: wanted duration [s]; None for the least.
-
     Returns:
         Pieces of constant jerk, shape (M, 5); of shape (0, 5) where start and target are the same rest.
 
@@ -63,11 +58,6 @@ def move_to_rest(start: Kinematics, target_deg: float, limits: MotionLimits) -> 
     The unit of length of a motion that has begun is
 
         L = max(|distance|, |v|^(3/2) / jerk^(1/2), |a|^3 / jerk^2)
-
-    Args:
-        start: where and how fast the motion is now.
-        target_deg: angle of rest [deg].
-        limits: greatest velocity, acceleration and jerk.
 
     Returns:
         Pieces of constant jerk, shape (M, 5); of shape (0, 5) where `start` is that rest already.
@@ -168,7 +158,7 @@ def _check_end(segments: Segments, wanted: ruckig.InputParameter, accepted: floa
 
 
 def _scaled(segments: Segments, scale: Vec, start: Kinematics) -> Segments:
-    """In degrees and seconds, from where the move starts."""
+    """Segments in degrees and seconds, from the start of the move on."""
     segments *= scale
     segments[:, 1] += start.theta_deg
     return segments

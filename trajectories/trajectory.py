@@ -1,4 +1,4 @@
-"""What a trajectory is; sampled ones, chains of them, previews; and the checks that all kinds share."""
+"""Trajectories: protocol, sampled signals, chains of parts, previews."""
 
 from __future__ import annotations
 
@@ -29,25 +29,6 @@ class Trajectory(Protocol):
     def __call__(self, t: ArrayLike) -> Vec:
         """Value at the times `t` [s], of the shape of `t`; before 0 the start value, after the end the end value."""
         ...
-
-
-@dataclass(frozen=True)
-class PathTrajectory:
-    """Base of trajectories that are computed once, when they are made, into a path of simpler ones."""
-
-    _path: Trajectory = field(init=False, repr=False, compare=False)
-
-    def _follow(self, path: Trajectory) -> None:
-        object.__setattr__(self, "_path", path)
-
-    @property
-    def duration_s(self) -> float:
-        """Time from start to end [s]."""
-        return self._path.duration_s
-
-    def __call__(self, t: ArrayLike) -> Vec:
-        """Tip angle [deg], or command [mm or bar], at `t` [s]."""
-        return self._path(t)
 
 
 def inside(t: ArrayLike, duration_s: float) -> Vec:
@@ -111,10 +92,6 @@ def sample(trajectory: Trajectory, rate_hz: float) -> tuple[Vec, Vec]:
 
     The last time is the first multiple of 1 / rate_hz at or after the end, where the end value holds.
 
-    Args:
-        trajectory: what to sample.
-        rate_hz: samples per second.
-
     Returns:
         Times [s] and values, each of shape (T,).
 
@@ -127,7 +104,7 @@ def sample(trajectory: Trajectory, rate_hz: float) -> tuple[Vec, Vec]:
 
 
 @dataclass(frozen=True, eq=False)
-class Chain:
+class TrajectoryChain:
     """Parts played one after another; each must begin where the one before it ends.
 
     Attributes:
@@ -202,13 +179,7 @@ def _numbers(row: list[str], places: list[int], where: str) -> list[float]:
 
 
 def preview(trajectory: Trajectory, t: float, dt: float, horizon: int) -> Vec:
-    """Values at t + dt, t + 2 dt, ..., t + H dt, shape (H,); held at the end value past the end.
-
-    Args:
-        trajectory: the reference.
-        t: the present time [s].
-        dt: sample time [s].
-        horizon: number of samples H, at least 1.
+    """Values at t + dt, t + 2 dt, ..., t + H dt [s], shape (H,), with H = `horizon`; the end value past the end.
 
     Raises:
         TrajectoryError: if `dt` is not positive or the horizon is less than 1.
@@ -271,17 +242,6 @@ def _require_preview(dt: float, horizon: int) -> None:
         raise TrajectoryError(f"preview horizon: got {horizon}, expected at least 1 sample")
 
 
-def require_finite(**values: float) -> None:
-    """Refuse what is not a finite number.
-
-    Raises:
-        TrajectoryError: at the first such value.
-    """
-    for name, value in values.items():
-        if not math.isfinite(value):
-            raise TrajectoryError(f"{name}: got {value}, expected a finite number")
-
-
 def require_positive(**values: float) -> None:
     """Refuse what is not finite and above zero.
 
@@ -291,15 +251,3 @@ def require_positive(**values: float) -> None:
     for name, value in values.items():
         if not (math.isfinite(value) and value > 0):
             raise TrajectoryError(f"{name}: got {value}, expected a finite number > 0")
-
-
-def require_range(name: str, bounds: tuple[float, float], least: float = -math.inf) -> None:
-    """Require `least` <= bounds[0] <= bounds[1], all finite.
-
-    Raises:
-        TrajectoryError: otherwise.
-    """
-    low, high = bounds
-    if not (math.isfinite(low) and math.isfinite(high) and least <= low <= high):
-        floor = "" if least == -math.inf else f"{least:g} <= "
-        raise TrajectoryError(f"{name}: got {low} to {high}, expected finite {floor}lower <= upper")

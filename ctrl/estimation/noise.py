@@ -1,4 +1,4 @@
-"""How noisy the sensor is and how far the model is off: a bank of Kalman filters that judges it while the loop runs."""
+"""Adaptive estimation of sensor noise and model error by a bank of Kalman filters, while the loop runs."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ Sigmas = tuple[float | None, float | None, float | None]
 
 @final
 class NoiseBank:
-    """Kalman filters of one disturbance, each for other noises, weighted by how well they predict the measurements.
+    """Bank of Kalman filters of one disturbance for different noise levels, weighted by their likelihoods.
 
         z_k = y_k - model_k = d_k + v_k,   var(v) = sensor^2,   var(d_{k+1} - d_k) = drift^2 dt + motion^2 |du_k|
 
@@ -102,7 +102,7 @@ class NoiseBank:
         self._first, self._widest = first, most
 
     def numbers(self) -> Mapping[str, float | Vec]:
-        """Numbers of the bank, axis by axis of its grid, for the same bank in another language."""
+        """Numbers of the bank, axis by axis of its grid, for code generation."""
         sensors, drifts, motions = self._counts
         return {
             "sensors": sensors,
@@ -122,12 +122,12 @@ class NoiseBank:
         }
 
     def init(self, disturbance: float) -> tuple[Vec, float]:
-        """Rows disturbance, variance, weight (3, M) of a bank whose disturbance [deg] is a guess; its variance."""
+        """Initial bank (3, M), rows disturbance, variance, weight, for a guessed disturbance [deg]; its variance."""
         bank = np.array([np.full(self._prior.size, disturbance), self._first, self._prior])
         return bank, float(self._prior @ self._first)
 
     def correct(self, bank: Vec, offset: float) -> tuple[Vec, float, float]:
-        """The bank with a measurement `offset` = y - model [deg] used, its disturbance [deg] and variance [deg^2]."""
+        """Measurement update with `offset` = y - model [deg]: the bank, its disturbance [deg] and variance [deg^2]."""
         after = np.empty_like(bank)
         mean, variance = correct_filters(
             bank, self._sensor, self._by_sensor, self._by_model, offset, self._switching, self._most, self._limit, after
@@ -135,7 +135,7 @@ class NoiseBank:
         return after, mean, variance
 
     def advance(self, bank: Vec, travel: float, disturbance: float) -> tuple[Vec, float]:
-        """The bank one sample later, and its variance [deg^2].
+        """Time update by one sample: the bank and its variance [deg^2].
 
         Args:
             travel: of the command in that sample [command unit].
@@ -146,7 +146,7 @@ class NoiseBank:
         return after, float(variance)
 
     def estimated_noise(self, bank: Vec) -> NoiseModel:
-        """The sigmas as the bank sees them: geometric means over the filters."""
+        """Estimated sigmas: geometric means over the filters."""
         sensor, drift, motion = np.sqrt(self._variances(bank)).tolist()
         return NoiseModel(
             sensor_sigma_deg=sensor, drift_sigma_deg_per_sqrt_s=drift, motion_sigma_deg_per_sqrt_unit=motion
@@ -199,7 +199,7 @@ def correct_filters(
     limit: float,
     after: Any,
 ) -> tuple[float, float]:
-    """Write the bank (3, M) after a measurement; answers disturbance [deg] and variance [deg^2].
+    """Measurement update of the bank (3, M) into `after`; returns disturbance [deg] and variance [deg^2].
 
     Args:
         sensor: variance of each filter's sensor (M,) [deg^2].
@@ -234,7 +234,7 @@ def correct_filters(
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def advance_filters(bank: Any, drift: Any, motion: Any, travel: float, widest: Any, mean: float, after: Any) -> float:
-    """Write the bank (3, M) one sample later; answers its variance about `mean` [deg^2].
+    """Time update of the bank (3, M) into `after`; returns its variance about `mean` [deg^2].
 
     Args:
         drift, motion: variance of each filter's walk in a sample, and over one unit of travel (M,).

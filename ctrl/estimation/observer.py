@@ -29,7 +29,7 @@ _RESOLUTION = 1e-9  # command changes below this share of the command range coun
 
 @dataclass(frozen=True, eq=False)
 class Estimate:
-    """A snapshot: restoring it restores the observer.
+    """State of an observer.
 
     Attributes:
         state: predictor state (S,) after every command sent so far, also those still on their way.
@@ -81,12 +81,12 @@ class Estimate:
 
     @property
     def departure(self) -> float:
-        """By how much the device is off the model as it was given [deg]: disturbance and learned part."""
+        """Difference between device and given model [deg]: disturbance and learned part."""
         return self.disturbance + self.added
 
 
 class Observer(ABC):
-    """Estimate in, estimate out: `correct` with a measurement, `advance` by one sample."""
+    """Observer with explicit state: `correct` is the measurement update, `advance` the time update."""
 
     delay_samples: int  # transport delay between command and angle, beyond the one sample of every discrete loop
 
@@ -99,11 +99,7 @@ class Observer(ABC):
         return math.sqrt(estimate.variance)
 
     def sigma_ahead_deg(self, estimate: Estimate, travels: Vec) -> Vec:
-        """Standard deviation of the error of the angles predicted for the ends of the coming samples (H,) [deg].
-
-        Args:
-            travels: of the command in each of these samples (H,) [command unit].
-        """
+        """Standard deviation of the error of the angles predicted for the coming command travels (H,) [deg]."""
         return np.full(travels.size, self.sigma_deg(estimate))
 
     def disturbance_sigma_deg(self, estimate: Estimate) -> float:
@@ -112,7 +108,7 @@ class Observer(ABC):
 
     @abstractmethod
     def correct(self, estimate: Estimate, y: float) -> Estimate:
-        """Use measurement `y` [deg]; not-a-number and outliers leave the prediction as it is. Never raises."""
+        """Measurement update with `y` [deg]; not-a-number and outliers change nothing. Never raises."""
 
     def correct_late(self, estimate: Estimate, y: float, age: float) -> Estimate:
         """Use measurement `y` [deg] of `age` samples ago.
@@ -127,15 +123,15 @@ class Observer(ABC):
 
     @abstractmethod
     def advance(self, estimate: Estimate, u: float) -> Estimate:
-        """One sample later, `u` having been sent; may raise what the model raises."""
+        """Time update by one sample with the command `u`; may raise what the model raises."""
 
     @abstractmethod
     def coast(self, estimate: Estimate, u: float) -> Estimate:
-        """One sample later where `advance` failed: the model state stands still. Never raises."""
+        """Time update where `advance` failed: the model state does not change. Never raises."""
 
 
 class SensorKindSettings(Settings):
-    """Block `estimator` of a controller that estimates nothing: how its measurements come.
+    """Block `estimator` of a controller without a model: kind of sensor.
 
     Attributes:
         sensor: `continuous`; `intermittent` for frames of an imaging system, now and then and late, see `Frames` and
@@ -159,7 +155,7 @@ class SensorKindSettings(Settings):
 
 
 class EstimatorSettings(SensorKindSettings):
-    """Block `estimator`: what is assumed about sensor, device and model.
+    """Block `estimator`: assumptions about sensor, device and model.
 
     A sigma that is left out starts at what the model file says of it, or at a usual value, and is corrected while the
     loop runs; see `NoiseBank`. One that is given is kept.
@@ -197,7 +193,7 @@ class EstimatorSettings(SensorKindSettings):
 
 @final
 class OutputEstimator(Observer):
-    """Model run on the commands really sent, plus a random-walk output disturbance.
+    """Observer of a random-walk output disturbance on a model that runs on the commands really sent.
 
         theta_k = model(commands up to k-1-D) + d_k,   d_{k+1} = d_k + w_k,   y_k = theta_k + v_k
         var(w_k) = drift_sigma^2 dt + motion_sigma^2 |u_k - u_{k-1}|,   var(v_k) = sensor_sigma^2
@@ -243,7 +239,7 @@ class OutputEstimator(Observer):
         self.delay_samples = settings.delay_samples
 
     def numbers(self) -> Mapping[str, float | Vec]:
-        """Numbers of the estimator and its bank, for the same estimator in another language."""
+        """Numbers of the estimator and its bank, for code generation."""
         settings = self._settings
         return {
             **self.bank.numbers(),
@@ -253,12 +249,9 @@ class OutputEstimator(Observer):
         }
 
     def init(self, y: float, u: float) -> Estimate:
-        """A device at rest: what the model cannot explain of `y` is the first disturbance.
+        """Estimate at rest: the difference between `y` and the model is the first disturbance.
 
-        With frames it starts at zero: nothing is earned yet.
-
-        Raises:
-            ControllerError: as `rest_of_model`.
+        With frames it starts at zero.
         """
         angle, state = rest_of_model(self._predictor, y, u, self._settings.rest_tolerance_deg)
         queue, first = self.delay_samples + 1, 0.0 if self._frames else y - angle
@@ -327,7 +320,7 @@ class OutputEstimator(Observer):
 
 @final
 class Frames(Observer):
-    """Another observer with a memory, so that a measurement is used at the instant at which it was taken.
+    """Observer for delayed measurements: each is used at the instant at which it was taken.
 
     A frame of age a lies between the instants k and k + 1, a = now - k - s. The model's own motion carries it to k,
 
@@ -413,11 +406,6 @@ class ModelAlone(Observer):
         return self._sigma
 
     def init(self, y: float, u: float) -> Estimate:
-        """A device that rests at the declared angle `y` [deg] under command `u`.
-
-        Raises:
-            ControllerError: as `rest_of_model`.
-        """
         angle, state = rest_of_model(self._predictor, y, u, self._limit)
         queue = self.delay_samples + 1
         return Estimate(state, u, (angle,) * queue, (True,) * queue, (0.0,) * queue, 0.0, 0.0, angle)
@@ -439,7 +427,7 @@ class ModelAlone(Observer):
 
 @final
 class LastMeasurement(Observer):
-    """The observer of a controller that has no model: keeps the measurement taken last.
+    """Observer of a controller without a model: holds the newest measurement.
 
     A frame that arrives after one that was taken later changes nothing, so the order of arrival makes no difference.
 

@@ -1,4 +1,4 @@
-"""What is learned on top of a model: a basis, and a bank of Kalman filters that learn its weights.
+"""Online learning of a model error: basis functions, and a bank of Kalman filters that estimate their weights.
 
 There is one filter for each drive of a grid. The basis is what a drive and a hysteresis operator with free weights show
 of the command:
@@ -25,7 +25,7 @@ from hystmpc.models.kernels.numba_ import njit
 from hystmpc.trials.types import Vec
 
 from ..command import replace
-from ..planning_settings import AdaptationSettings
+from ..mpc_settings import AdaptationSettings
 
 LAGS_S: Vec = np.array([0.0, 0.02, 0.045, 0.075, 0.11, 0.15, 0.2, 0.26])
 DELAYS = 6
@@ -39,10 +39,10 @@ _EDGE = 1e-12
 FEATURES = 1 + RADII.size + ZONES.size + _WEIGHTED + CREEPS_S.size + 1
 MEMORY = 1 + RADII.size + CREEPS_S.size
 """Entries of the memory behind one lag: v, plays, slow followers."""
-OWN = MEMORY + DELAYS + 1 + FEATURES + 5
+LEARNED_SIZE = MEMORY + DELAYS + 1 + FEATURES + 5
 """Entries of the learned part's state: memory, queue of the last commands, weights, v0, side, m_0, share of the lag in
 a sample, delay [samples]; commands as shares of the range, the newest first."""
-OF_WEIGHTS, OF_START = slice(MEMORY + DELAYS, OWN - 5), slice(OWN - 5, OWN)
+OF_WEIGHTS, OF_START = slice(MEMORY + DELAYS, LEARNED_SIZE - 5), slice(LEARNED_SIZE - 5, LEARNED_SIZE)
 SHARES: Vec = np.concatenate(
     [[0.7], np.full(RADII.size, 0.5), np.full(ZONES.size, 1.0), np.full(_WEIGHTED, 0.5), [0.2, 0.2], [0.3]]
 )
@@ -50,7 +50,7 @@ SHARES: Vec = np.concatenate(
 
 
 def basis_numbers() -> Mapping[str, float | Vec]:
-    """Numbers of the basis, for the same basis in another language."""
+    """Numbers of the basis, for code generation."""
     return {
         "memory": MEMORY,
         "weights": 1 + FEATURES,
@@ -121,29 +121,29 @@ def features(memory: Any, before: float, v0: float, side: float, pace: float, ou
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def acting_command(own: Any, plan: Any, k: int, low: float, span: float) -> Any:
+def acting_command(part: Any, plan: Any, k: int, low: float, span: float) -> Any:
     """The command behind the delay in sample k of a plan (H,), as a share of the range."""
-    delay = int(own[OWN - 1])
-    return own[MEMORY + delay - 1 - k] if k < delay else (plan[k - delay] - low) / span
+    delay = int(part[LEARNED_SIZE - 1])
+    return part[MEMORY + delay - 1 - k] if k < delay else (plan[k - delay] - low) / span
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def add_learned(own: Any, pace: float, creeps: Any, low: float, span: float, plans: Any, angles: Any) -> None:
+def add_learned(part: Any, pace: float, creeps: Any, low: float, span: float, plans: Any, angles: Any) -> None:
     """angles (N, H) <- m + w_c (m - m_0) + sum_i w_i f_i along plans (N, H), in place.
 
     Args:
-        own: the learned part's state (OWN,).
+        part: the learned part's state (LEARNED_SIZE,).
         pace: samples per second.
         creeps: as `creep_shares`.
         low, span: least command, and the range of commands [command unit].
     """
-    weights, start, horizon = own[OF_WEIGHTS], own[OF_START], plans.shape[1]
+    weights, start, horizon = part[OF_WEIGHTS], part[OF_START], plans.shape[1]
     now, f = np.empty(MEMORY), np.empty(FEATURES)
     for n in range(plans.shape[0]):
-        now[:] = own[:MEMORY]
+        now[:] = part[:MEMORY]
         for k in range(horizon):
             before = now[0]
-            advance_memory(now, acting_command(own, plans[n], k, low, span), start[3], creeps)
+            advance_memory(now, acting_command(part, plans[n], k, low, span), start[3], creeps)
             features(now, before, start[0], start[1], pace, f)
             total = weights[0] * (angles[n, k] - start[2])
             for i in range(FEATURES):
@@ -203,15 +203,15 @@ def slopes_by_memory(now: Any, weights: Any, pace: float, out: Any) -> None:
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def add_slopes(own: Any, pace: float, creeps: Any, low: float, span: float, plan: Any, jacobian: Any) -> None:
+def add_slopes(part: Any, pace: float, creeps: Any, low: float, span: float, plan: Any, jacobian: Any) -> None:
     """jacobian (H, H) of the model <- that of the whole, along one plan (H,), in place; see `add_learned`."""
-    weights, share, horizon = own[OF_WEIGHTS], own[OWN - 2], plan.size
-    now, before, slopes = own[:MEMORY].copy(), np.empty(MEMORY), np.empty(MEMORY + 1)
+    weights, share, horizon = part[OF_WEIGHTS], part[LEARNED_SIZE - 2], plan.size
+    now, before, slopes = part[:MEMORY].copy(), np.empty(MEMORY), np.empty(MEMORY + 1)
     by, row = np.zeros((MEMORY + 1, horizon)), np.empty(horizon)
     for k in range(horizon):
         before[:] = now
-        advance_memory(now, acting_command(own, plan, k, low, span), share, creeps)
-        advance_slopes(before, now, k - int(own[OWN - 1]), share, creeps, by)
+        advance_memory(now, acting_command(part, plan, k, low, span), share, creeps)
+        advance_slopes(before, now, k - int(part[LEARNED_SIZE - 1]), share, creeps, by)
         slopes_by_memory(now, weights, pace, slopes)
         row[: k + 1] = 0.0
         for i in range(MEMORY + 1):
@@ -249,7 +249,7 @@ class BankState:
         z: offset [deg], w_c and weights [deg] of every drive (H, K).
         covariance: of their errors (H, K, K).
         frozen: z at the beginning of the block of forecasts (H, K).
-        references: at that moment the model's own disturbance and the measured angle [deg].
+        references: at that moment the model's part disturbance and the measured angle [deg].
         sums: squared errors of the forecasts in this block (H + 2,): drives, model alone, last angle held [deg^2].
         scores: means of these over the past blocks with motion (H + 2,) [deg^2].
         forecast_error: of the better forecast, of model or best drive, over that of none (root mean squares); at most
@@ -277,12 +277,12 @@ class BankState:
 
     @property
     def lag(self) -> int:
-        """Of the best drive, in the grid of lags."""
+        """Lag of the best drive, as its number in the grid."""
         return self.best // DELAYS
 
     @property
     def delay(self) -> int:
-        """Of the best drive [samples]."""
+        """Delay of the best drive [samples]."""
         return self.best % DELAYS
 
     @property
@@ -293,7 +293,7 @@ class BankState:
 
 @final
 class FilterBank:
-    """Kalman filters of z = (d, w_c, w) for every drive of the grid, and what their forecasts are worth.
+    """Kalman filters of z = (d, w_c, w) for every drive of the grid, with scores of their forecasts.
 
         y_k = m_k + h_k' z_k + v_k,   h = (1, m - m_0, f),   var(v) = r
         s = h' P h + r,  z <- z + P h (y - m - h' z) / s,  P <- P - P h h' P / s,  P <- P + Q
@@ -301,7 +301,7 @@ class FilterBank:
     Q lets the offset drift, and the weights walk with the travel of the command only: in a hold nothing is forgotten,
     and an error of more than three standard deviations is an offset that has jumped.
     Every 0.24 s all z are frozen, and until the next time each drive predicts the angles from the commands alone. The
-    model with its own disturbance does too, and so does the last angle. The mean squares of the errors, over the blocks
+    model with its disturbance does too, and so does the last angle. The mean squares of the errors, over the blocks
     in which the angle moved, are the scores. The drive with the best score is used. It acts with the share
 
         s = (1 - (score + e) / (score of the model + e) - 0.6) / 0.3, within 0 and 1,   e = (sensor / 2)^2
@@ -337,7 +337,7 @@ class FilterBank:
         self._walk = np.concatenate([[0.0], settings.walk_share**2 * self._prior[1:]])
 
     def numbers(self) -> Mapping[str, float | Vec]:
-        """Numbers of the bank and of its basis, for the same bank in another language."""
+        """Numbers of the bank and of its basis, for code generation."""
         return {
             **basis_numbers(),
             "drives": DRIVES,
@@ -372,7 +372,7 @@ class FilterBank:
         return (u - self._low) / self._span
 
     def init(self, angle: float, u: float, y: float) -> BankState:
-        """At rest under the command u, the model at `angle` and the measurement at `y` [deg]."""
+        """State at rest under the command u, the model at `angle` and the measurement at `y` [deg]."""
         v = float(self.share_of_range(u))
         side = 1.0 if v < 0.5 else -1.0  # a device that rests near one end of its command has come from the other side
         z = np.zeros((DRIVES, _SIZE))
@@ -400,7 +400,7 @@ class FilterBank:
         return 2.0 * self._scale * (max(shares) - min(shares))
 
     def advance(self, state: BankState, u: float) -> BankState:
-        """One sample later under the command u."""
+        """Time update by one sample under the command u."""
         history = np.empty_like(state.history)
         queue = np.empty_like(state.queue)
         advance_history(
@@ -409,12 +409,12 @@ class FilterBank:
         return replace(state, history=history, queue=queue)
 
     def correct(self, state: BankState, y: float, angle: float, disturbance: float) -> BankState:
-        """With a measurement used.
+        """Measurement update.
 
         Args:
             y: measured [deg].
             angle: of the model at that instant [deg].
-            disturbance: the model's own, before this measurement is used [deg].
+            disturbance: of the model alone, before this measurement is used [deg].
         """
         z, covariance, sums = state.z.copy(), np.empty_like(state.covariance), state.sums.copy()
         travel = abs(float(state.history[self._delay, 0, 0] - state.history[self._delay + 1, 0, 0]))
@@ -436,8 +436,8 @@ class FilterBank:
             sums,
             covariance,
         )
-        own, last = state.references
-        sums[_MODEL] += (y - angle - own) ** 2
+        disturbed, last = state.references
+        sums[_MODEL] += (y - angle - disturbed) ** 2
         sums[_NOTHING] += (y - last) ** 2
         after = replace(state, z=z, covariance=covariance, sums=sums, count=state.count + 1)
         if after.count < self._block:
@@ -446,7 +446,7 @@ class FilterBank:
         return replace(judged, sums=np.zeros(DRIVES + 2), count=0, frozen=z, references=(disturbance, y))
 
     def _judged(self, state: BankState, means: Vec) -> BankState:
-        """With the mean square errors (H + 2,) of a block of forecasts [deg^2]."""
+        """Update of scores, best drive and share by the mean square errors (H + 2,) of a block of forecasts [deg^2]."""
         if means[_NOTHING] <= _MOVING * self._noise:
             return state
         kept = min(_KEPT, state.blocks / (state.blocks + 1.0))
@@ -513,7 +513,7 @@ def correct_filters(
     sums: Any,
     after: Any,
 ) -> None:
-    """One measurement for every drive: z (H, K) and sums of forecast errors in place, their covariance in `after`."""
+    """Measurement update for every drive: z (H, K) and sums of forecast errors in place, covariance in `after`."""
     h = np.empty(_SIZE)
     for n in range(z.shape[0]):
         lag, at = n // DELAYS, n % DELAYS + delay
@@ -532,7 +532,7 @@ def correct_filters(
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def correct_filter(z: Any, p: Any, h: Any, error: float, noise: float, prior: Any, still: bool, after: Any) -> None:
-    """One measurement for one drive with covariance p (K, K): z (K,) in place, and the covariance `after` it.
+    """Measurement update for one drive with covariance p (K, K): z (K,) in place, and the covariance `after` it.
 
     K is a number that the compiler knows: loops as short as these are vectorised only then.
 

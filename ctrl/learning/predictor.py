@@ -7,19 +7,19 @@ from typing import final
 
 import numpy as np
 
-from hystmpc.models.inverse.follow import Bounds, Follower, follower_for
+from hystmpc.models.inverse.inverses import Bounds, Follower, follower_for
 from hystmpc.models.model import Inverse, Predictor, static_gain
 from hystmpc.trials.types import Vec
 
 from ..command import attempt, replace
 from ..estimation.observer import Estimate, EstimatorSettings, Observer, OutputEstimator, usable_angle
-from ..planning_settings import AdaptationSettings
+from ..mpc_settings import AdaptationSettings
 from .bank import (
     DELAYS,
     FEATURES,
+    LEARNED_SIZE,
     MEMORY,
     OF_WEIGHTS,
-    OWN,
     BankState,
     FilterBank,
     acting_command,
@@ -36,15 +36,15 @@ _SENSOR_DEG = 0.1  # standard deviation of a sensor of which the model's file sa
 
 @final
 class LearnedPredictor(Predictor):
-    """theta = m + w_c (m - m_0) + sum_i w_i f_i, see `basis`; the weights stand still in a roll-out.
+    """theta = m + w_c (m - m_0) + sum_i w_i f_i, see `bank`; the weights stand still in a roll-out.
 
-    Where all weights are zero this is the model. The state is the model's, then that of the learned part (OWN,).
+    Where all weights are zero this is the model. The state is the model's, then the learned part's (LEARNED_SIZE,).
     """
 
     def __init__(self, model: Predictor, settings: AdaptationSettings) -> None:
-        self.dt, self.command_range, self.noise, self.model = model.dt, model.command_range, model.noise, model
+        self._as(model)
+        self.model = model
         low, high = model.command_range
-        self.model_sigma_deg = model.model_sigma_deg
         self.slope = attempt(lambda: static_gain(model))[0] or _RANGE_DEG / (high - low)  # a model may fail
         self._settings, self._low, self._span = settings, low, high - low
         self._bank = self.filters(0)
@@ -59,8 +59,8 @@ class LearnedPredictor(Predictor):
     def initial(self, y: float, u: float) -> Vec:
         v = (u - self._low) / self._span
         side = 1.0 if v < 0.5 else -1.0
-        own = [first_memory(v, side), np.full(DELAYS, v), np.zeros(1 + FEATURES), [v, side, y, 1.0, 0.0]]
-        return np.concatenate([self.model.initial(y, u), *own])
+        part = [first_memory(v, side), np.full(DELAYS, v), np.zeros(1 + FEATURES), [v, side, y, 1.0, 0.0]]
+        return np.concatenate([self.model.initial(y, u), *part])
 
     def with_learned(self, below: Vec, bank: BankState) -> Vec:
         """The model's state `below` with the learned part of a bank whose newest memory is of the same instant."""
@@ -69,41 +69,41 @@ class LearnedPredictor(Predictor):
 
     def advance(self, state: Vec, u: float) -> tuple[float, Vec]:
         angle, below = self.model.advance(self.below(state), u)
-        own, plan, angles = state[state.size - OWN :], np.array([u]), np.array([[angle]])
-        add_learned(own, *self._known, plan[None], angles)
-        after = own.copy()
-        x = acting_command(own, plan, 0, self._low, self._span)
-        advance_memory(after[:MEMORY], x, own[OWN - 2], self._bank.creeps)
-        after[MEMORY + 1 : MEMORY + DELAYS] = own[MEMORY : MEMORY + DELAYS - 1]
+        part, plan, angles = state[state.size - LEARNED_SIZE :], np.array([u]), np.array([[angle]])
+        add_learned(part, *self._known, plan[None], angles)
+        after = part.copy()
+        x = acting_command(part, plan, 0, self._low, self._span)
+        advance_memory(after[:MEMORY], x, part[LEARNED_SIZE - 2], self._bank.creeps)
+        after[MEMORY + 1 : MEMORY + DELAYS] = part[MEMORY : MEMORY + DELAYS - 1]
         after[MEMORY] = (u - self._low) / self._span
         return float(angles[0, 0]), np.concatenate([below, after])
 
     def rollout(self, state: Vec, plans: Vec) -> Vec:
         angles = np.ascontiguousarray(self.model.rollout(self.below(state), plans))
-        add_learned(state[state.size - OWN :], *self._known, plans, angles)
+        add_learned(state[state.size - LEARNED_SIZE :], *self._known, plans, angles)
         return angles
 
     def learned(self, state: Vec, plans: Vec) -> Vec:
         """What the learned part adds (N, H) [deg] along the plans (N, H)."""
         model = self.model.rollout(self.below(state), plans)
         angles = model.copy()
-        add_learned(state[state.size - OWN :], *self._known, plans, angles)
+        add_learned(state[state.size - LEARNED_SIZE :], *self._known, plans, angles)
         return angles - model
 
     def linearise(self, state: Vec, plan: Vec) -> tuple[Vec, Vec]:
         angles, jacobian = self.model.linearise(self.below(state), plan)
-        own, angles, jacobian = state[state.size - OWN :], angles.copy(), np.array(jacobian, order="C")
-        add_learned(own, *self._known, plan[None], angles[None])
-        add_slopes(own, *self._known, plan, jacobian)
+        part, angles, jacobian = state[state.size - LEARNED_SIZE :], angles.copy(), np.array(jacobian, order="C")
+        add_learned(part, *self._known, plan[None], angles[None])
+        add_slopes(part, *self._known, plan, jacobian)
         return angles, jacobian
 
     def below(self, state: Vec) -> Vec:
-        """The model's own state."""
-        return state[: state.size - OWN]
+        """The state of the model."""
+        return state[: state.size - LEARNED_SIZE]
 
     def weights(self, state: Vec) -> Vec:
         """w_c and w (1 + FEATURES,) [1 and deg]."""
-        return state[state.size - OWN :][OF_WEIGHTS]
+        return state[state.size - LEARNED_SIZE :][OF_WEIGHTS]
 
 
 @final
@@ -122,8 +122,8 @@ class LearnedInverse(Inverse):
 
 @final
 class LearnedFollower(Follower):
-    """The model's inverse followed at the angles less the learned part, first as in a hold, then as along the plan
-    found: a fixed point where the learned part is the smaller one.
+    """The model's inverse followed at the angles less the learned part, first as in a hold, then along the last plan: a
+    fixed point where the learned part is the smaller one.
     """
 
     def __init__(self, inverse: LearnedInverse) -> None:

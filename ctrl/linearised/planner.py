@@ -11,23 +11,21 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from hystmpc.models.inverse.follow import Bounds, clip_plans
+from hystmpc.models.inverse.inverses import Bounds, clip_plans, inverted_after_a_hold
 from hystmpc.models.kernels.numba_ import njit
-from hystmpc.models.model import Predictor
+from hystmpc.models.model import Inverse, Predictor
 from hystmpc.trials.errors import ControllerError
 from hystmpc.trials.types import Mat, Vec
 
 from ..command import CommandLimits, CommandPlan, Stopwatch
 from ..learning.predictor import LearnedPredictor
-from ..mpc import PlanCost, Planner, PlanningError, PlanningProblem
-from ..planning_settings import LinearisationSettings, WeightsSettings
-from .daqp_ import DaqpOptions
-from .osqp_ import OsqpOptions
-from .qp import QpData, QpPattern
+from ..mpc import HOLD, INVERSE, Candidates, PlanCost, Planner, PlanningError, PlanningProblem
+from ..mpc_settings import LinearisedMpcSettings, WeightsSettings
+from .qp import DaqpOptions, OsqpOptions, QpData, QpPattern
 
 
 class PlanProgram(ABC):
-    """The quadratic program around a plan, and what its answer means."""
+    """Quadratic program around a plan, and the commands of its solution."""
 
     pattern: QpPattern
     _weights: WeightsSettings
@@ -45,7 +43,7 @@ class PlanProgram(ABC):
 
     @abstractmethod
     def deviation(self, primal: Vec) -> Vec:
-        """What z = `primal` adds to the commands of the plan (H,)."""
+        """Deviation of the commands from the plan (H,) in a solution z = `primal`."""
 
     def _softened(self, hard: QpData, problem: PlanningProblem, around: CommandPlan, entries: Vec) -> QpData:
         """The program with soft angle limits beside the hard limits; `entries` of their rows, column by column."""
@@ -121,7 +119,7 @@ class TrackingQp(PlanProgram):
 
 @dataclass(frozen=True)
 class MoveBlocking:
-    """Which deviations v (H,) from a plan the program may choose: v = M w, one w a block (Cagienard et al., 2007).
+    """Move blocking: deviations v (H,) from a plan are v = M w, one w a block (Cagienard et al., 2007).
 
         v_k = w_{b-1} + (k - s_b + 1) / L_b (w_b - w_{b-1})   in block b of length L_b from sample s_b on,  w_{-1} = 0
         v_k = w_{m-1}                                         after the last block
@@ -251,7 +249,7 @@ def moves_of(plan: Any, u_last: float) -> Any:
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def all_finite(hessian: Any, gradient: Any) -> Any:
-    """A sum is finite only where its terms are."""
+    """Whether all numbers are finite: a sum is finite only where its terms are."""
     return np.isfinite(hessian.sum() + gradient.sum())
 
 
@@ -359,7 +357,7 @@ def condense_blocked(columns: Any, starts: Any, weighted: Any, constant: Any, gr
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def block_room(moves: Any, starts: Any, ends: Any, reach: float, low: Any, high: Any, extreme: Any) -> None:
-    """How far the move of a block's last deviation may differ from that of the one before, both (m,), in place.
+    """Bounds of the difference between deviations at the ends of neighbouring blocks (m,), in place.
 
     The deviation's move is the same in all samples of a block: those of the plan that move most leave the least room.
     extreme: the move of the plan (m,) nearest to a limit. The plan is admissible but for rounding, so zero always is.
@@ -380,7 +378,7 @@ _LEARNED_ITERATIONS = 2
 _KEPT = 0.9  # share of the promised decrease from which on no part of the step is worth a roll-out
 
 
-def _options_of(settings: LinearisationSettings) -> OsqpOptions | DaqpOptions:
+def _options_of(settings: LinearisedMpcSettings) -> OsqpOptions | DaqpOptions:
     """Options of the solver that is asked for."""
     return DaqpOptions() if settings.solver == "daqp" else OsqpOptions(eps=settings.solver_eps)
 
@@ -404,7 +402,7 @@ class LinearisedPlanner(Planner[None]):
     def __init__(
         self,
         predictor: Predictor,
-        settings: LinearisationSettings,
+        settings: LinearisedMpcSettings,
         limits: CommandLimits,
         options: OsqpOptions | DaqpOptions | None = None,
     ) -> None:
@@ -431,7 +429,7 @@ class LinearisedPlanner(Planner[None]):
         return start, status, None
 
     def _least(self, state: Vec) -> int:
-        """Iterations that a plan needs, whatever the settings say."""
+        """Least number of iterations of a plan."""
         predictor = self._predictor
         learned = isinstance(predictor, LearnedPredictor) and predictor.weights(state).any()
         return _LEARNED_ITERATIONS if learned else 1
@@ -492,3 +490,47 @@ def take_step(
         foreseen[0, k] = angles[k]
         for j in range(k + 1):
             foreseen[0, k] += jacobian[k, j] * (whole[0, j] - commands[j])
+
+
+_RATE_WEIGHT = 0.01  # at 25 Hz [deg^2 per squared command unit]: next to nothing beside an error of the angle
+_STEADY_RATE_WEIGHT = 3.0  # of a model whose exact inverse goes back and forth: what a move costs keeps it from that
+_BASE_DT_S = 0.04
+_INVERSE_ITERATIONS = 2
+
+
+@final
+class FeasibleInverse:
+    """Inverse over a preview: argmin over admissible u of sum_k (theta_k(u) - r_k)^2, almost without weight on moves.
+
+    The problem of the linearised controller without a disturbance: its candidates, then its planner. Sample by sample,
+    an inverse would send u = v + (w - v) / a to a lag of which a share a < 1 shows in a sample, which amplifies every
+    deviation, and could send nothing sensible to a delay.
+    """
+
+    def __init__(self, predictor: Predictor, inverse: Inverse, limits: CommandLimits, horizon: int) -> None:
+        self.horizon = horizon
+        rate = _STEADY_RATE_WEIGHT if inverted_after_a_hold(inverse) else _RATE_WEIGHT
+        weights = WeightsSettings(terminal=1.0, rate=rate * (_BASE_DT_S / predictor.dt) ** 2, effort=0.0)
+        settings = LinearisedMpcSettings(horizon=horizon, iterations=_INVERSE_ITERATIONS, weights=weights)
+        self._predictor = predictor
+        self._candidates = Candidates(predictor, inverse, limits, horizon)
+        self._cost = PlanCost(weights, horizon)
+        self._planner = LinearisedPlanner(predictor, settings, limits)
+
+    def plan(self, state: Vec, u_last: float, wanted: Vec, remaining: Vec, tolerance_deg: float) -> CommandPlan:
+        """The plan from a model state (S,) along wanted angles (H,) [deg], after the rest of the last plan (0..H,).
+
+        A command that keeps the angle within the tolerance over the whole preview is held.
+
+        Raises:
+            PlanningError: if the solver fails or predictions are not finite.
+        """
+        plans = self._candidates.build(state, u_last, wanted, remaining, resting=False)
+        angles = self._predictor.rollout(state, plans)
+        problem = PlanningProblem(state, u_last, wanted, plans[INVERSE], (-math.inf, math.inf))
+        start = self._cost.best(plans, angles, problem)
+        if not math.isfinite(start.cost):
+            raise PlanningError(f"none of {len(plans)} candidates has a finite prediction")
+        if np.max(np.abs(angles[HOLD] - wanted)) <= tolerance_deg:
+            return CommandPlan(plans[HOLD], angles[HOLD], start.cost)
+        return self._planner.improve(problem, start, None, Stopwatch())[0]

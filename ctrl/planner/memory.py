@@ -85,7 +85,7 @@ class Snapshot:
 
     @property
     def disturbance_deg(self) -> float:
-        """By how much the device is off the model, as estimated [deg]."""
+        """Estimated difference between device and model [deg]."""
         return 0.0 if self.control is None else self.control.estimate.departure
 
     @property
@@ -101,16 +101,12 @@ class Snapshot:
 
 
 def initial_snapshot(origin: str, command: float, sent: bool = False) -> Snapshot:
-    """Before the start, the device holding `command`."""
+    """Snapshot before the start, the device holding `command`."""
     return Snapshot(origin, Command(command, Source.HOLD, "not started"), sent)
 
 
 def start_control(memory: Snapshot, controller: PlannersController, y: float) -> Snapshot:
-    """At rest at the measured angle `y` [deg], with the request, if there is one, turned into a reference.
-
-    Raises:
-        ControllerError: if the controller cannot start from there.
-    """
+    """Snapshot at rest at the measured angle `y` [deg], with a request turned into a reference."""
     control = controller.init(y, memory.command.u)
     if memory.halted:
         control = controller.stop(control, "by stop()")
@@ -120,18 +116,14 @@ def start_control(memory: Snapshot, controller: PlannersController, y: float) ->
 
 
 def replay_recording(origin: str, controller: PlannersController, commands: Vec, angles: Vec) -> Snapshot:
-    """The state at time 0 after a recording of commands and angles, at rest at the last measured angle.
-
-    Raises:
-        ControllerError: if the recording cannot be used.
-    """
+    """Snapshot at time 0 after a recording of commands and angles, at rest at the last measured angle."""
     control = controller.replay(commands, angles)
     held = Command(control.estimate.command, Source.HOLD, "replayed")
     return Snapshot(origin, held, control=control, reference=rest_reference(control.due, 0.0))
 
 
 def try_to_start(memory: Snapshot, controller: PlannersController, y: object) -> Snapshot:
-    """The started controller where `y` allows it; otherwise the command is held, and its status says why."""
+    """Snapshot of the started controller where `y` is usable; otherwise with a held command and the reason."""
     angle = usable_angle(y)
     after, reason = attempt(lambda: start_control(memory, controller, angle))
     if math.isnan(angle):
@@ -140,7 +132,7 @@ def try_to_start(memory: Snapshot, controller: PlannersController, y: object) ->
 
 
 def set_request(memory: Snapshot, request: ReferenceRequest, dt: float, start: Kinematics) -> Snapshot:
-    """With the requested reference from the state of motion `start` on; before the start the request is kept.
+    """Snapshot with the requested reference from the state of motion `start` on; before the start, with the request.
 
     Raises:
         ControllerError: if the stop is latched.
@@ -156,7 +148,7 @@ def set_request(memory: Snapshot, request: ReferenceRequest, dt: float, start: K
 
 
 def halted(memory: Snapshot, controller: PlannersController, cause: str = "by stop()") -> Snapshot:
-    """With the stop latched."""
+    """Snapshot with the stop latched."""
     control = None if memory.control is None else controller.stop(memory.control, cause)
     return replace(memory, control=control, halted=True)
 
@@ -169,7 +161,7 @@ def holding(control: GuardedState[Any] | None, held: float) -> GuardedState[Any]
 
 
 def skipped(memory: Snapshot, controller: PlannersController, cause: str) -> Snapshot:
-    """One sample later in which nothing was sent: the device holds what it held, in a stop with a ramp too."""
+    """Snapshot after a sample in which nothing was sent: the device holds its command, also in a stop with a ramp."""
     control, held = memory.control, memory.command.u
     if control is None:
         return memory
@@ -183,13 +175,7 @@ def skipped(memory: Snapshot, controller: PlannersController, cause: str) -> Sna
 
 
 def take_up(memory: Snapshot, present: Snapshot, controller: PlannersController, held: float) -> Snapshot:
-    """A restored or replayed memory, with the command that the device holds now; a latched stop stays latched.
-
-    Args:
-        memory: restored or replayed.
-        present: the memory that it replaces.
-        held: the command from which the next one is limited.
-    """
+    """Restored or replayed memory in the place of the present one, the device holding `held`; a latched stop stays."""
     command = memory.command
     if command.u != held:
         command = replace(command, u=held, status=f"taken up, the device holds {held:.6g}")
@@ -239,7 +225,7 @@ def require_number(value: object, what: str) -> float:
 
 
 def require_usable(snapshot: object, origin: str, limits: CommandLimits) -> Snapshot:
-    """A snapshot that this controller can go on from.
+    """Snapshot from which this controller can continue.
 
     Raises:
         ControllerError: if it is none, belongs to another controller, or holds a command beyond the limits.
@@ -300,7 +286,7 @@ class TipState:
 
 @dataclass(frozen=True, eq=False)
 class TipPlan:
-    """What the controller means to do; rows belong to the running and the next samples (H,).
+    """Planned commands and predictions; rows belong to the running and the next samples (H,).
 
     Attributes:
         time_s: ends of the samples.
@@ -326,7 +312,7 @@ class TipPlan:
 
 
 def tip_state(memory: Snapshot, controller: PlannersController, tolerance_deg: float) -> TipState:
-    """What a planner sees of a snapshot."""
+    """State of the controller, from a snapshot."""
     now, command = memory.steps * controller.dt, memory.command
     motion, measured = memory.motion(now), memory.measured_deg
     done = memory.reference is not None and now >= memory.reference.end_s - _ROUNDING
@@ -370,11 +356,7 @@ def _sigma_of_plan(memory: Snapshot, controller: PlannersController, planned: Ve
 def predicted_angles(
     predictor: Predictor, limits: CommandLimits, estimate: Estimate | None, commands: ArrayLike
 ) -> Vec:
-    """Angles [deg] at the ends of the coming samples under one plan (N,) or several (K, N), disturbance included.
-
-    Raises:
-        ControllerError: as `usable_plans`.
-    """
+    """Angles [deg] at the ends of the coming samples under one plan (N,) or several (K, N), disturbance included."""
     plans, estimate = usable_plans(predictor, limits, estimate, commands)
     under_way = np.array(estimate.angles[1:])  # of commands that are sent already but have not acted
     new = predictor.rollout(estimate.state, plans)
@@ -385,11 +367,7 @@ def predicted_angles(
 def predicted_sigmas(
     limits: CommandLimits, predictor: Predictor, memory: Snapshot, controller: PlannersController, commands: ArrayLike
 ) -> Vec:
-    """Standard deviations of the errors of `predicted_angles` [deg], of the same shape.
-
-    Raises:
-        ControllerError: as `usable_plans`.
-    """
+    """Standard deviations of the errors of `predicted_angles` [deg], of the same shape."""
     control = memory.control
     plans, _ = usable_plans(predictor, limits, None if control is None else control.estimate, commands)
     assert control is not None  # there is an estimate

@@ -1,4 +1,4 @@
-"""Which angles the model can be brought to and held at within the command's limits."""
+"""Reachable angles: those at which the model can be held within the command limits."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class Reach:
 
 @dataclass(frozen=True)
 class Workspace:
-    """What bounds the angle [deg]."""
+    """Bounds of the angle [deg]."""
 
     model: tuple[float, float]  # the model's angles at rest at both ends of the command
     soft: tuple[float, float]  # soft angle limits of the controller, infinite for none
@@ -72,7 +72,7 @@ class Workspace:
 
 
 def beyond_reach(angles_deg: Vec, reach_deg: tuple[float, float]) -> str:
-    """What of a reference the model cannot be brought to, in words that follow its name; empty where it reaches all.
+    """Text on the part of a reference beyond reach, to follow the reference's name; empty where all is reachable.
 
     Args:
         angles_deg: of the reference (N,) [deg].

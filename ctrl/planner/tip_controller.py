@@ -1,4 +1,4 @@
-"""The planner's side of hystmpc: set a target or a preview, step, read the state and the plan, stop."""
+"""Interface for motion planners: set a target or a preview, step, read state and plan, stop."""
 
 from __future__ import annotations
 
@@ -47,8 +47,8 @@ from .reference import ReferenceRequest, given_request, waypoint_request
 from .settings import TipSettings, read_settings
 
 if TYPE_CHECKING:
-    from .assembly import Assembly
     from .memory import PlannersController
+    from .settings import Assembly
 
 
 _ROUNDS = 3  # evaluations of a reference within one step, where another thread sets a new one each time
@@ -84,7 +84,7 @@ class TipController:
         if not limits.lower <= start <= limits.upper:
             raise ControllerError(f"start_command: got {start}, expected {limits.lower} to {limits.upper}")
         self._assembly, self._settings, self._lock = assembly, settings, RLock()
-        self._motion = settings.motion.build()
+        self._motion = settings.motion
         self._controller: PlannersController = controller or assembly.controller
         self._nothing = np.empty(0)  # a reference that is too short: the controller holds
         self._ahead: Vec = self.dt * np.arange(1, self._controller.horizon + 1, dtype=np.float64)
@@ -105,7 +105,7 @@ class TipController:
             ControllerError: if the settings contradict each other or the model.
             FitError: if a network has no `inverse` and none can be fitted.
         """
-        from .assembly import assemble  # CasADi, onnxruntime and numba take longer than a second to import
+        from .settings import assemble  # CasADi, onnxruntime and numba take longer than a second to import
 
         settings, folder = read_settings(source)
         return cls(assemble(settings, folder), settings)
@@ -156,7 +156,7 @@ class TipController:
             return self._memory.command
 
     def took(self, steps: int, command: Command, control: GuardedState[Any] | None = None) -> None:
-        """Samples that the same controller was stepped through elsewhere, such as in C.
+        """Take over samples in which the same controller was stepped elsewhere, such as in C.
 
         Args:
             steps: how many.
@@ -199,7 +199,7 @@ class TipController:
             self._memory = replace(memory, control=control)
 
     def _answer(self, measured_theta_deg: float, wanted: Vec | None, fault: str) -> Command:
-        """The command of this sample, remembered as sent; under the lock."""
+        """Command of this sample, stored as sent; under the lock."""
         memory = self._memory
         command, control = memory.command, memory.control
         if control is None:
@@ -247,11 +247,11 @@ class TipController:
         self._request(given_request(source, self.dt, self._motion))
 
     def state(self) -> TipState:
-        """Where the controller is."""
+        """Present state of the controller."""
         return tip_state(self._memory, self._controller, self._settings.tolerance_deg)
 
     def plan(self) -> TipPlan:
-        """What the last step means to do over its horizon."""
+        """Plan of the last step over its horizon."""
         return tip_plan(self._memory, self._controller)
 
     def predict(self, commands: ArrayLike) -> Vec:
@@ -275,20 +275,14 @@ class TipController:
 
             sigma_k^2 = sigma_now^2 + k drift^2 dt + motion^2 (|du_1| + ... + |du_k|)
 
-        Without a sensor it is how far the model's free runs were off, at any time. NaN where that is not known. The
-        noise of a sensor that reads the angle then is not part of it.
-
-        Args:
-            commands: as `predict` takes them.
-
-        Raises:
-            ControllerError: as `predict`.
+        Without a sensor it is the error of the model's free runs, at any time. NaN where that is not known. The noise
+        of a later reading is not part of it. Commands and errors are those of `predict`.
         """
         assembly = self._assembly
         return predicted_sigmas(assembly.limits, assembly.predictor, self._memory, self._controller, commands)
 
     def fork(self) -> Self:
-        """A copy that goes on from here by itself, for a planner that looks ahead while this one controls the device.
+        """Independent copy for a planner that predicts while this controller controls the device.
 
         It shares model, settings and limits and has a memory, a clock and a lock of its own: no call of either is seen
         by the other, and both may be stepped at the same time from two threads. What a fork answers is not sent. It
@@ -313,7 +307,7 @@ class TipController:
             self._memory = halted(self._memory, self._controller)
 
     def reset(self, measured_theta_deg: float | None = None, command: float | None = None) -> None:
-        """Forget everything and rest: at time 0, with no target. The one call that releases a latched stop.
+        """Reset to rest at time 0 without a target; the only call that releases a latched stop.
 
         Args:
             measured_theta_deg: start at this angle [deg] now; None to start with the first usable measurement.
@@ -333,7 +327,7 @@ class TipController:
             self._memory = memory
 
     def replay(self, commands: ArrayLike, angles_deg: ArrayLike, held: float | None = None) -> None:
-        """Forget everything but a latched stop, and take up what another has done with the device, hysteresis included.
+        """Reset to the state after a recording of another controller, hysteresis included; a latched stop stays.
 
         Args:
             commands: the last commands that were sent (T,) [mm or bar], the newest at the end.
@@ -355,11 +349,11 @@ class TipController:
             self._memory = take_up(memory, present, self._controller, holds)
 
     def snapshot(self) -> Snapshot:
-        """Everything remembered; equal futures follow from it."""
+        """Snapshot of the whole state; equal futures follow from it."""
         return self._memory
 
     def restore(self, snapshot: Snapshot, held: float | None = None) -> None:
-        """Be as at the moment of `snapshot`, but for a latched stop, which stays, and for the command that is held.
+        """Restore the state of `snapshot`, except for a latched stop, which stays, and for the command that is held.
 
         A simulation that rewinds its device too says so: `restore(snapshot, held=snapshot.command.u)`. After a stop it
         calls `reset` first.
@@ -379,7 +373,7 @@ class TipController:
             self._memory = take_up(usable, present, self._controller, holds)
 
     def _request(self, request: ReferenceRequest) -> None:
-        """Take up a request; where it starts from a user's reference, that is asked outside the lock."""
+        """Set a requested reference; a user's reference is evaluated outside the lock."""
         while True:
             with self._lock:
                 memory = self._memory

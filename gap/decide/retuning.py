@@ -12,7 +12,7 @@ from hystmpc.models.identify.baseline import FreeCoreBaseline
 from hystmpc.models.identify.cross_validation import CrossValidation, HeldOutErrors, Hypothesis, gain
 from hystmpc.models.identify.parts import core_forms
 from hystmpc.models.identify.uncertainty import ParameterRow, core_rows
-from hystmpc.models.operators.curved_plays import CurvedPlays
+from hystmpc.models.operators.hysteresis import CurvedPlays
 from hystmpc.trials.errors import FitError
 
 from ..diagnosis import RetunedParameter

@@ -27,10 +27,9 @@ from rich.table import Table
 from threadpoolctl import threadpool_limits
 
 from hystmpc.ctrl import CommandLimits, TipController
-from hystmpc.ctrl.guarded import build_controller
-from hystmpc.ctrl.planner.assembly import Assembly
+from hystmpc.ctrl.build import build_controller
 from hystmpc.ctrl.planner.reach import Workspace, angles_at_rest
-from hystmpc.ctrl.planner.settings import TipSettings
+from hystmpc.ctrl.planner.settings import Assembly, TipSettings
 from hystmpc.models.load import library_file, load_model
 from hystmpc.models.model import Inverse, Predictor
 from hystmpc.models.prediction.build import controller_model

@@ -30,8 +30,8 @@ from hystmpc.models.kinds.catalogue import kind_named, kind_names
 from hystmpc.models.kinds.kind import FitRequest
 from hystmpc.models.kinds.networks import NetworkKind
 from hystmpc.models.model import LoadedModel
+from hystmpc.models.networks.settings import NetworkSettings
 from hystmpc.models.train.networks import fit_network, network_bundle
-from hystmpc.models.train.settings import NetworkSettings
 from hystmpc.trials.read import read_trials
 from hystmpc.trials.trial import Trial, resample
 

@@ -21,9 +21,9 @@ from hystmpc.models.kinds.kind import FitRequest
 from hystmpc.models.kinds.networks import LSTM
 from hystmpc.models.kinds.operator_kinds import AutoKind
 from hystmpc.models.load import library_file
+from hystmpc.models.networks.settings import NetworkSettings, StreamTraining
 from hystmpc.models.simulator import load_simulator, save_simulator
 from hystmpc.models.train.networks import fit_network, network_bundle
-from hystmpc.models.train.settings import NetworkSettings, StreamTraining
 from hystmpc.sim.plants.simulated import Effects, SimulatedPlant
 from hystmpc.trajectories import Trajectory, sample
 from hystmpc.trajectories.excitation import s2_point_to_point, s2_sinusoid

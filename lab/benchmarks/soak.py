@@ -47,7 +47,7 @@ from hystmpc.models.contract.export import ExportBundle, export_onnx
 from hystmpc.models.contract.load import load_onnx
 from hystmpc.models.load import library_file
 from hystmpc.models.motions import probe_commands
-from hystmpc.models.networks.lstm import LstmStep, LstmWeights, lstm_step_graph
+from hystmpc.models.networks.lstm import LstmWeights
 from hystmpc.models.simulator import load_simulator, save_simulator
 from hystmpc.rig.config import RunSettings
 from hystmpc.rig.experiment.review import compare_with_model, review
@@ -57,6 +57,7 @@ from hystmpc.trials.run_folder import RunFolder
 from hystmpc_lab.control.controllers import CONTROLLERS
 from hystmpc_lab.faults.cases import DEVICE, RUN
 from hystmpc_lab.faults.play import end, start, start_device
+from hystmpc_lab.performance.lstm_reference import LstmStep, lstm_step_graph
 
 from bare_loop import Floor, floor  # isort: skip
 

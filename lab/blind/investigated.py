@@ -20,7 +20,7 @@ from hystmpc.models.simulator import Simulator
 from hystmpc.rig.config import BenchSettings
 from hystmpc.rig.experiment.phases import Phase
 from hystmpc.sim.jobs import attempt
-from hystmpc.trajectories.config import MotionSettings
+from hystmpc.trajectories.motion import MotionSettings
 from hystmpc.trials.errors import LogError
 from hystmpc.trials.files import write_atomically
 from hystmpc.trials.trial import Trial

@@ -15,11 +15,10 @@ import numpy as np
 from hystmpc.bench.commission import Commissioned, commission_device
 from hystmpc.bench.device import BenchDevice
 from hystmpc.bench.identify import TIP_FILE, tip_settings
+from hystmpc.ctrl.build import build_controller
 from hystmpc.ctrl.command import limits_of_model
-from hystmpc.ctrl.feedback import PidControllerSettings
-from hystmpc.ctrl.guarded import build_controller
-from hystmpc.ctrl.inverse_settings import InverseControllerSettings
-from hystmpc.ctrl.law import LawSettings
+from hystmpc.ctrl.feedback import InverseControllerSettings, PidControllerSettings
+from hystmpc.ctrl.guarded import LawSettings
 from hystmpc.ctrl.loop import Controller, ImagingSettings, NoSensorSettings
 from hystmpc.ctrl.mpc_settings import LinearisedMpcSettings
 from hystmpc.gap.diagnose import diagnose_trials
@@ -205,7 +204,10 @@ def _sensors(bench: StudyBench, identified: ControllerModel, tip: LawSettings) -
     )[0]
     figures |= bench.along("imaging_pid", _imaging_pid(bench, identified), sensor=frames)[0]
     model = IdentifiedPlant(identified, bench.drawn.true_angle, AS_IDENTIFIED_NOISE_DEG, bench.device.seed)
-    rivals: dict[str, LawSettings] = {"as_identified_none": alone, "as_identified_inverse": InverseControllerSettings()}
+    rivals: dict[str, LawSettings] = {
+        "as_identified_none": alone,
+        "as_identified_inverse": InverseControllerSettings(),
+    }
     for name, settings in rivals.items():
         sensor = blind if name.endswith("none") else None
         figures |= bench.along(name, controller_on(settings, identified, limits), model, sensor=sensor)[0]

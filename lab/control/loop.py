@@ -12,9 +12,8 @@ from typing import Any, final
 import numpy as np
 
 from hystmpc.ctrl.command import Command
-from hystmpc.ctrl.feedback import PidControllerSettings, PidSettings
+from hystmpc.ctrl.feedback import InversePidControllerSettings, PidControllerSettings, PidSettings
 from hystmpc.ctrl.guarded import GuardedController, GuardedState
-from hystmpc.ctrl.inverse_settings import InversePidControllerSettings
 from hystmpc.ctrl.loop import Controller
 from hystmpc.models.model import Predictor
 from hystmpc.models.motions import initialisation_flexure

@@ -12,16 +12,10 @@ from hystmpc.sim.devices.recorder import generator
 from hystmpc.sim.devices.rod import RodRecorder
 from hystmpc.sim.devices.tendon import TendonRecorder
 from hystmpc.trajectories.excitation import (
-    S1_ARBITRARY,
-    S1_TRAIN_HZ,
-    S2_FREQUENCIES_HZ,
     S2_OFFSETS,
     Offset,
     Split,
     s1_raised_baseline,
-    s1_test_a,
-    s1_test_b,
-    s1_test_c,
     s1_zero_baseline,
     s2_point_to_point,
     s2_sinusoid,
@@ -32,6 +26,7 @@ from hystmpc.trials.json_text import plain
 from hystmpc.trials.types import Progress
 
 from .dataset import Dataset
+from .paper_commands import S1_ARBITRARY, S1_TRAIN_HZ, S2_FREQUENCIES_HZ, s1_test_a, s1_test_b, s1_test_c
 
 DATASETS = ("s1", "s2", "rod")
 

@@ -6,7 +6,8 @@ from typing import Any, final
 
 import numpy as np
 
-from hystmpc.ctrl.guarded import GuardedController, build_controller
+from hystmpc.ctrl.build import build_controller
+from hystmpc.ctrl.guarded import GuardedController
 from hystmpc.ctrl.mpc_settings import LinearisedMpcSettings
 from hystmpc.models.model import Inverse, Predictor
 from hystmpc.trials.types import Vec

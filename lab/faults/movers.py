@@ -30,7 +30,7 @@ from hystmpc.rig.recording.sample import SampleList, Sink
 from hystmpc.rig.run import BenchResult, run_bench
 from hystmpc.rig.safety.ramp import waypoint_commands
 from hystmpc.rig.transports.transport import Conversion, RunContext
-from hystmpc.trajectories.config import MotionSettings
+from hystmpc.trajectories.motion import MotionSettings
 from hystmpc.trials.config import dump_yaml
 from hystmpc.trials.errors import ConfigError, HystmpcError
 from hystmpc.trials.trial import Trial

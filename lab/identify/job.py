@@ -10,8 +10,12 @@ from typing import Any
 
 import numpy as np
 
-from hystmpc.ctrl.feedback import PidControllerSettings, PidSettings
-from hystmpc.ctrl.inverse_settings import InverseControllerSettings, InversePidControllerSettings
+from hystmpc.ctrl.feedback import (
+    InverseControllerSettings,
+    InversePidControllerSettings,
+    PidControllerSettings,
+    PidSettings,
+)
 from hystmpc.ctrl.loop import Controller
 from hystmpc.ctrl.mpc_settings import LinearisedMpcSettings, SamplingMpcSettings
 from hystmpc.models.contract.export import export_onnx

@@ -8,9 +8,9 @@ from typing import Any, final
 
 import numpy as np
 
+from hystmpc.ctrl.build import build_controller, pair_for
 from hystmpc.ctrl.command import CommandLimits, Source
-from hystmpc.ctrl.guarded import GuardedController, build_controller, pair_for
-from hystmpc.ctrl.law import LawSettings
+from hystmpc.ctrl.guarded import GuardedController, LawSettings
 from hystmpc.ctrl.loop import Controller, ImagingSettings, NoSensorSettings
 from hystmpc.models.contract.metadata import Range
 from hystmpc.models.prediction.build import ControllerModel

@@ -14,8 +14,8 @@ from hystmpc.models.evaluate import evaluate
 from hystmpc.models.kinds.catalogue import kind_named
 from hystmpc.models.kinds.kind import FitRequest, Identified
 from hystmpc.models.kinds.networks import NetworkKind
+from hystmpc.models.networks.settings import NetworkSettings
 from hystmpc.models.train.networks import fit_network, network_bundle
-from hystmpc.models.train.settings import NetworkSettings
 from hystmpc.trials.errors import FitError, LogError
 from hystmpc.trials.trial import Trial
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from hystmpc.ctrl.command import CommandLimits
 from hystmpc.ctrl.mpc import PlanningProblem
-from hystmpc.ctrl.planning_settings import WeightsSettings
+from hystmpc.ctrl.mpc_settings import WeightsSettings
 from hystmpc.trials.types import Vec
 
 # Primal and dual tolerance; a dual residual of 1e-3 deg^2/mm is below 1e-5 mm of command at 10 deg/mm.

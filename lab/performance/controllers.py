@@ -10,15 +10,13 @@ from typing import Any
 
 import numpy as np
 
+from hystmpc.ctrl.build import build_controller
 from hystmpc.ctrl.command import CommandPlan
-from hystmpc.ctrl.guarded import GuardedController, build_controller
-from hystmpc.ctrl.linearised.daqp_ import DaqpOptions, DaqpSolver
-from hystmpc.ctrl.linearised.osqp_ import OsqpOptions, OsqpSolver
+from hystmpc.ctrl.guarded import GuardedController
 from hystmpc.ctrl.linearised.planner import TrackingQp
-from hystmpc.ctrl.linearised.qp import QpData
+from hystmpc.ctrl.linearised.qp import DaqpOptions, DaqpSolver, OsqpOptions, OsqpSolver, QpData
 from hystmpc.ctrl.mpc import PlanCost
-from hystmpc.ctrl.mpc_settings import LinearisedMpcSettings, SamplingMpcSettings
-from hystmpc.ctrl.planning_settings import WeightsSettings
+from hystmpc.ctrl.mpc_settings import LinearisedMpcSettings, SamplingMpcSettings, WeightsSettings
 from hystmpc.trials.types import Vec
 
 from . import pytorch_mppi_

@@ -8,8 +8,8 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
+from hystmpc.ctrl.build import build_controller
 from hystmpc.ctrl.config import AnyControllerSettings
-from hystmpc.ctrl.guarded import build_controller
 from hystmpc.ctrl.mpc_settings import LinearisedMpcSettings, SamplingMpcSettings
 
 from .report import Growth

@@ -12,7 +12,7 @@ from onnx import TensorProto, helper, numpy_helper
 
 from hystmpc.models.kernels.lstm_plain import PlainRoute
 from hystmpc.models.model import Predictor
-from hystmpc.models.prediction.recurrent import LstmPredictor
+from hystmpc.models.prediction.exported import RoutedPredictor
 
 from .report import Comparison, Reads
 from .subjects import Subject
@@ -166,13 +166,13 @@ def _jobs(subject: Subject, settings: BenchSettings, threads: int) -> list[Timed
         return [rollouts]
     jobs = [TimedCall(_JACOBIAN, lambda: subject.own.linearise(state, plans[0])), rollouts]
     if subject.weights is not None and _route(subject.own) != PlainRoute.name:
-        plain = LstmPredictor(subject.weights, subject.metadata, route=PlainRoute(subject.weights))
+        plain = RoutedPredictor(subject.metadata, "conditioned", PlainRoute(subject.weights))
         jobs.append(TimedCall(_PLAIN, lambda: plain.linearise(state, plans[0])))
     return jobs
 
 
 def _route(predictor: Predictor) -> str:
-    return predictor.route.name if isinstance(predictor, LstmPredictor) else ""
+    return predictor.route.name if isinstance(predictor, RoutedPredictor) else ""
 
 
 def _over_limit(row: Comparison, flops: int, best: tuple[str, float] | None) -> Comparison:

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from importlib.util import find_spec
-from typing import Any, final
+from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 
 from hystmpc.ctrl.command import CommandLimits
 from hystmpc.ctrl.mpc import PlanningProblem
-from hystmpc.ctrl.planning_settings import WeightsSettings
+from hystmpc.ctrl.mpc_settings import WeightsSettings
 from hystmpc.models.networks.lstm import LstmWeights
 from hystmpc.trials.types import Vec
+
+if TYPE_CHECKING:
+    from hystmpc.models.networks.recurrent_ import LstmNet
 
 _LAMBDA = 0.1  # with a sigma of the greatest move of a sample, near the least mean cost of its plans on a grid
 
@@ -19,6 +22,21 @@ _LAMBDA = 0.1  # with a sigma of the greatest move of a sample, near the least m
 def installed() -> bool:
     """Whether pytorch-mppi and torch are there; neither is imported."""
     return find_spec("pytorch_mppi") is not None and find_spec("torch") is not None
+
+
+def net_of(weights: LstmWeights) -> LstmNet:
+    """A network with these weights, for further training."""
+    import torch
+
+    from hystmpc.models.networks.recurrent_ import LstmNet
+
+    net = LstmNet(weights.hidden, len(weights.layers))
+    values = {"head.weight": weights.head_weight[None], "head.bias": [weights.head_bias]}
+    for k, layer in enumerate(weights.layers):
+        values |= {f"lstm.weight_ih_l{k}": layer.w_ih, f"lstm.weight_hh_l{k}": layer.w_hh}
+        values |= {f"lstm.bias_ih_l{k}": layer.bias, f"lstm.bias_hh_l{k}": np.zeros_like(layer.bias)}
+    net.load_state_dict({name: torch.tensor(np.asarray(v), dtype=torch.float32) for name, v in values.items()})
+    return net
 
 
 @final
@@ -47,8 +65,6 @@ class TorchMppi:
     ) -> None:
         import torch
         from pytorch_mppi import MPPI
-
-        from hystmpc.models.networks.recurrent_ import net_of
 
         self._torch = torch
         self._net = net_of(network).requires_grad_(False)

@@ -22,7 +22,7 @@ from hystmpc.models.identify.runs import fixed_rule
 from hystmpc.models.load import library_file, library_names
 from hystmpc.models.model import Inverse, LoadedModel, Predictor
 from hystmpc.models.motions import flexed, probe_commands
-from hystmpc.models.networks.lstm import LstmLayer, LstmStep, LstmWeights, lstm_step_graph
+from hystmpc.models.networks.lstm import LstmLayer, LstmWeights
 from hystmpc.models.networks.nodes import Scaling
 from hystmpc.models.operators.hysteresis import Backlash
 from hystmpc.models.operators.operator import Operator
@@ -30,6 +30,8 @@ from hystmpc.models.operators.prandtl_ishlinskii import PrandtlIshlinskii
 from hystmpc.models.prediction.build import controller_model, predictor_for
 from hystmpc.models.simulator import ChainModel, Identification, Simulator
 from hystmpc.trials.types import Vec
+
+from .lstm_reference import LstmStep, lstm_step_graph
 
 _COMMAND = Range(lower=0.0, upper=6.0)  # tendon [mm]
 _ANGLE = Range(lower=29.0, upper=89.0)  # 10 deg/mm

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import ThreadpoolController
 
-from hystmpc.ctrl.planning_settings import WeightsSettings
+from hystmpc.ctrl.mpc_settings import WeightsSettings
 from hystmpc.trials.errors import ConfigError
 
 # Effort is measured from the inverse plan, which peers do not have: without it all solve the same problem.

@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from pydantic import Field
 
 from hystmpc.models.networks.settings import CellSettings, DeviceFacts, FormSettings
+from hystmpc.models.operators.hysteresis import Backlash
 from hystmpc.trials.config import Count
 
 if TYPE_CHECKING:
     from hystmpc.models.networks.network_ import Network
+    from hystmpc.models.networks.nodes import Scaling
+    from hystmpc.models.operators.operator import Operator
+    from hystmpc.trials.trial import Trial
 
 
 class FeedForwardSettings(FormSettings):
@@ -45,15 +50,18 @@ class HybridSettings(CellSettings):
             None for what fits the training trials best.
     """
 
-    has_backlash: ClassVar[bool] = True
     form: Literal["serial", "parallel"]
     head_gain: Annotated[float, Field(ge=0)] = 0.1
     dead_zone: Annotated[float, Field(ge=0, le=10)] | None = None
 
+    def operator(self, trials: Sequence[Trial], scaling: Scaling, skip_first_flexure: bool) -> Operator:
+        from .backlash import fitted_backlash, scaled_operator
+
+        return scaled_operator(fitted_backlash(trials, skip_first_flexure, self.dead_zone), scaling)
+
     def network(self, facts: DeviceFacts) -> Network:
         from .hybrid_ import ParallelNet, SerialNet
 
-        if facts.operator is None:
-            raise TypeError("a hybrid needs its operator, got None")
         net = SerialNet if self.form == "serial" else ParallelNet
-        return net(self.lstm(net.outputs), facts.operator, self.head_gain)
+        operator = facts.operator or Backlash(1.0, 1.0, 0.1, -0.1)  # unfitted, where only the time of an update counts
+        return net(self.lstm(net.outputs), operator, self.head_gain)

@@ -19,7 +19,7 @@ from hystmpc.models.kinds.networks import (
     s2_settings,
 )
 from hystmpc.models.model import FitProgress
-from hystmpc.models.train.settings import NetworkSettings, StreamTraining
+from hystmpc.models.networks.settings import NetworkSettings, StreamTraining
 from hystmpc.trials.trial import Trial
 
 from .forms import FeedForwardSettings, HybridSettings

@@ -15,8 +15,6 @@ from numpy.typing import NDArray
 
 from hystmpc.trials.errors import ModelError
 
-from .checks import check_operators, node_name
-
 Expression = Any  # casadi.MX or casadi.DM, which have no types
 
 
@@ -279,11 +277,6 @@ Rule = Callable[[Sequence[Places], Sequence[Places | None], Attributes], Sequenc
 # values of its remaining inputs (axes, sizes, starts; None where left out) and the attributes.
 
 
-def _concat(data: Sequence[Places], options: Sequence[Places | None], given: Attributes) -> list[Places]:
-    del options
-    return [np.concatenate(data, axis=given["axis"])]
-
-
 def _split(data: Sequence[Places], options: Sequence[Places | None], given: Attributes) -> list[Places]:
     axis = given.get("axis", 0)
     sizes = _option(options, 0)
@@ -307,36 +300,10 @@ def _slice(data: Sequence[Places], options: Sequence[Places | None], given: Attr
     return [data[0][tuple(cuts)]]
 
 
-def _gather(data: Sequence[Places], options: Sequence[Places | None], given: Attributes) -> list[Places]:
-    return [np.take(data[0], _needed(options), axis=given.get("axis", 0))]
-
-
 def _reshape(data: Sequence[Places], options: Sequence[Places | None], given: Attributes) -> list[Places]:
     copy_zeros = not given.get("allowzero", 0)
     shape = [data[0].shape[k] if n == 0 and copy_zeros else n for k, n in enumerate(_needed(options).tolist())]
     return [data[0].reshape(shape)]
-
-
-def _squeeze(data: Sequence[Places], options: Sequence[Places | None], given: Attributes) -> list[Places]:
-    del given
-    axes = _option(options, 0)
-    return [np.squeeze(data[0], None if axes is None else tuple(axes.tolist()))]
-
-
-def _unsqueeze(data: Sequence[Places], options: Sequence[Places | None], given: Attributes) -> list[Places]:
-    del given
-    return [np.expand_dims(data[0], tuple(_needed(options).tolist()))]
-
-
-def _transpose(data: Sequence[Places], options: Sequence[Places | None], given: Attributes) -> list[Places]:
-    del options
-    return [np.transpose(data[0], given.get("perm"))]
-
-
-def _expand(data: Sequence[Places], options: Sequence[Places | None], given: Attributes) -> list[Places]:
-    del given
-    shape = np.broadcast_shapes(data[0].shape, tuple(_needed(options).tolist()))
-    return [np.broadcast_to(data[0], shape)]
 
 
 def _option(options: Sequence[Places | None], place: int) -> Places | None:
@@ -351,13 +318,41 @@ def _needed(options: Sequence[Places | None], place: int = 0) -> Places:
 
 
 REARRANGE: Mapping[str, Rule] = {
-    "Concat": _concat,
-    "Expand": _expand,
-    "Gather": _gather,
+    "Concat": lambda data, options, given: [np.concatenate(data, axis=given["axis"])],
+    "Expand": lambda data, options, given: [
+        np.broadcast_to(data[0], np.broadcast_shapes(data[0].shape, tuple(_needed(options).tolist())))
+    ],
+    "Gather": lambda data, options, given: [np.take(data[0], _needed(options), axis=given.get("axis", 0))],
     "Reshape": _reshape,
     "Slice": _slice,
     "Split": _split,
-    "Squeeze": _squeeze,
-    "Transpose": _transpose,
-    "Unsqueeze": _unsqueeze,
+    "Squeeze": lambda data, options, given: [
+        np.squeeze(data[0], None if _option(options, 0) is None else tuple(_needed(options).tolist()))
+    ],
+    "Transpose": lambda data, options, given: [np.transpose(data[0], given.get("perm"))],
+    "Unsqueeze": lambda data, options, given: [np.expand_dims(data[0], tuple(_needed(options).tolist()))],
 }
+
+ALLOWED = frozenset((*ELEMENTWISE, *REARRANGE, *_COMBINE, "Cast", "Constant"))
+"""Operators that a model file may use: those that can be translated."""
+
+
+def check_operators(graph: onnx.GraphProto, where: str) -> None:
+    """Check every node against the list of operators.
+
+    Raises:
+        ModelError: naming the first node that is not on it, its operator, and the list.
+    """
+    for index, node in enumerate(graph.node):
+        domain = "" if node.domain == "ai.onnx" else node.domain
+        if domain or node.op_type not in ALLOWED:
+            operator = f"{domain}.{node.op_type}" if domain else node.op_type
+            raise ModelError(
+                f"{where}: node {node_name(node, index)} uses operator {operator!r}, which is not on the list, "
+                f"available: {', '.join(sorted(ALLOWED))}"
+            )
+
+
+def node_name(node: onnx.NodeProto, index: int) -> str:
+    """Name of a node in messages, else its place and first output."""
+    return repr(node.name) if node.name else f"{index} (output {node.output[0] if node.output else 'none'!r})"

@@ -192,6 +192,6 @@ def as_columns(
     return [spread.get(name, name) for name in names], nodes
 
 
-def tensor(name: str, width: int) -> onnx.ValueInfoProto:
-    """An input or output (N, width) in double."""
-    return helper.make_tensor_value_info(name, TensorProto.DOUBLE, ["N", width])
+def tensor(name: str, width: int | str, element: int = TensorProto.DOUBLE) -> onnx.ValueInfoProto:
+    """Input or output (N, width) of a graph."""
+    return helper.make_tensor_value_info(name, element, ["N", width])

@@ -1,4 +1,4 @@
-"""What an effect is: an operator with its sides and neutral values, and the forms in which a diagnosis looks for it."""
+"""Effects: an operator with sides and neutral values, and the forms in which a diagnosis tests for it."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ _NUMBER = re.compile(r"_\d+(?=_|$)")
 _WAY = re.compile(r"_(up|down)(?=_|$)")
 
 
-class Recorded(Protocol):
-    """What sizes are read off."""
+class RecordedTrial(Protocol):
+    """RecordedTrial trial, from which sizes are read."""
 
     @property
     def command(self) -> Vec:
@@ -79,8 +79,8 @@ class Scale:
         return self.angle_high - self.angle_low
 
     @classmethod
-    def of(cls, runs: Sequence[Recorded]) -> Scale:
-        """Read off trials; angles by their 1 and 99 % quantiles, so that an outlier does not count."""
+    def of(cls, runs: Sequence[RecordedTrial]) -> Scale:
+        """Scale of trials; angles by their 1 and 99 % quantiles, so that an outlier does not count."""
         command = np.concatenate([run.command for run in runs])
         angle = np.quantile(np.concatenate([run.angle for run in runs]), (0.01, 0.99))
         durations = [run.command.size * run.dt_s for run in runs]

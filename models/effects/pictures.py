@@ -1,4 +1,4 @@
-"""What each effect does to a loop and to a hold of a plain device: figures and a page."""
+"""Figures and a page of the effects: loop and hold of a plain device with each of them."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ DEVICE = Chain(PrandtlIshlinskii(3.0, (2.5, 2.0, 1.5, 1.2), 0.15, 0.0, REST))
 
 
 @dataclass(frozen=True)
-class _Motion:
+class _ShownCommands:
     """Commands [cmd] over time [s]."""
 
     time_s: Vec
@@ -147,17 +147,17 @@ def _plain() -> tuple[Vec, Vec]:
     return run(DEVICE, _loop().command), run(DEVICE, _hold().command)
 
 
-def _loop() -> _Motion:
+def _loop() -> _ShownCommands:
     """From rest twice through 0 to 6 mm, then 1.5 to 4.5 mm and back, all at up to 4.7 mm/s."""
     t = np.arange(0.0, 8.0, DT_S)
     whole = 3.0 - 3.0 * np.cos(2 * np.pi * 0.25 * t)
     part = np.concatenate([np.linspace(0, 4.5, 75), np.linspace(4.5, 1.5, 50), np.linspace(1.5, 4.5, 50)])
     command = np.concatenate([whole, part])
-    return _Motion(DT_S * np.arange(command.size, dtype=np.float64), command)
+    return _ShownCommands(DT_S * np.arange(command.size, dtype=np.float64), command)
 
 
-def _hold() -> _Motion:
+def _hold() -> _ShownCommands:
     """Up to 5 mm in 1.5 s and held for 5 s, down to 2 mm and held for 5 s."""
     ways = ((0.0, 5.0, 1.5), (5.0, 5.0, 5.0), (5.0, 2.0, 1.0), (2.0, 2.0, 5.0))
     command = np.concatenate([np.linspace(a, b, round(s / DT_S), endpoint=False) for a, b, s in ways])
-    return _Motion(DT_S * np.arange(command.size, dtype=np.float64), command)
+    return _ShownCommands(DT_S * np.arange(command.size, dtype=np.float64), command)

@@ -1,4 +1,4 @@
-"""Effects in plain data, and their way into a chain."""
+"""Effects as plain data, and their places in a chain."""
 
 from __future__ import annotations
 
@@ -9,8 +9,7 @@ from typing import Any
 
 from hystmpc.trials.errors import ModelError, did_you_mean
 
-from ..chain import Chain
-from ..operators.catalogue import is_number, names_of, operator_spec, template_from
+from ..chain import Chain, is_number, names_of, operator_spec, template_from
 from ..operators.dynamics import Delay
 from ..operators.operator import Operator, Parameter
 from .catalogue import EFFECTS
@@ -173,7 +172,7 @@ def _filled(effect: Effect, template: Operator, given: Mapping[str, Any], side: 
 
 
 def _unknown(effect: Effect, template: Operator, name: str, side: Side) -> str:
-    """What to say of a parameter that the effect does not have; a wrong unit is called one."""
+    """Message on an unknown parameter, or on a wrong unit in its name."""
     hint = did_you_mean(name, names_of(template))
     for parameter in template.parameters:
         stem, _, unit = parameter.name.rpartition("_")

@@ -13,9 +13,8 @@ from hystmpc.trials.types import Vec
 
 from ..chain import Chain
 from ..contract.metadata import Range
-from ..operators.curved_plays import CurvedPlays
 from ..operators.friction import MaxwellSlip
-from ..operators.hysteresis import Backlash
+from ..operators.hysteresis import Backlash, CurvedPlays
 from ..operators.operator import Operator
 from .free_run import StagedChain
 

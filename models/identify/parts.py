@@ -16,9 +16,8 @@ from hystmpc.trials.types import Vec
 from ..chain import Chain
 from ..effects.catalogue import EFFECTS
 from ..effects.effect import Candidate, Freedom, Scale
-from ..operators.curved_plays import CurvedPlays
 from ..operators.dynamics import Delay, Lag, RateLimit, Servo
-from ..operators.hysteresis import Backlash
+from ..operators.hysteresis import Backlash, CurvedPlays
 from ..operators.operator import Operator
 from ..operators.prandtl_ishlinskii import PrandtlIshlinskii
 from ..operators.slow_changes import Creep

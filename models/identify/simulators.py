@@ -16,14 +16,13 @@ from hystmpc.trials.segments import Motion, first_flexure_end, segment
 from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Vec
 
-from ..chain import Chain
+from ..chain import Chain, operator_spec
 from ..contract.metadata import DeviceLimits, NoiseModel, Range
 from ..decades import Decades
 from ..effects.catalogue import EFFECTS
 from ..effects.place import PlacedEffect, effect_spec
 from ..evaluate import evaluate
 from ..model import FitProgress
-from ..operators.catalogue import operator_spec
 from ..operators.hysteresis import Backlash
 from ..operators.measurement import PeriodicDisturbance
 from ..operators.operator import Operator

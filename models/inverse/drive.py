@@ -1,4 +1,4 @@
-"""Dynamics before or behind what is inverted: the input over a preview that brings their output along a path."""
+"""Dynamics before or behind an inverted model: the input over a preview that leads their output along a path."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _CHANGES = 4  # of the active set, per move
 _SIGN = 1e-10  # share of the greatest gradient that counts as zero
 
 
-class Fit(NamedTuple):
+class DriveFit(NamedTuple):
     """Inputs (H,) of a drive, its outputs (H,) along them, and the first sample that the inputs change."""
 
     inputs: Vec
@@ -57,22 +57,22 @@ class Drive:
         chain = Chain(operators[-1], before=operators[:-1])
         at = [np.asarray(chain.rest(u, u, chain.values)).ravel() for u in (0.0, 1.0)]
         rest = InitialRule(offset=tuple(at[0].tolist()), slope=tuple((at[1] - at[0]).tolist()))
-        own = {"kind": "drive", "initial": rest, "conditioned": rest, "warmup_samples": 0, "noise": None}
-        own |= {"chain": None, "connections": ()}
-        self.predictor = CompiledPredictor(chain.transition, chain.values, facts.model_copy(update=own))
+        facts_of_drive = {"kind": "drive", "initial": rest, "conditioned": rest, "warmup_samples": 0, "noise": None}
+        facts_of_drive |= {"chain": None, "connections": ()}
+        self.predictor = CompiledPredictor(chain.transition, chain.values, facts.model_copy(update=facts_of_drive))
         run = self.predictor.kernels
         self._fit = _compiled_fit(run.linearise.__module__)
         self._known = self.predictor.parameters, self.predictor.sample_s, run.tangent_constants
         self.size = chain.state_size
         self.delay_samples = sum(int(o.delay_s / facts.dt_s + _WHOLE) for o in operators if isinstance(o, Delay))
 
-    def held(self, state: Vec, u: float, horizon: int) -> Fit:
+    def held(self, state: Vec, u: float, horizon: int) -> DriveFit:
         """Outputs (H,) of an input held at `u`, and the first sample that another input would change."""
         plan = np.full(horizon, u)
         outputs, response = self.predictor.linearise(state, plan)
-        return Fit(plan, outputs, first_acting(response))
+        return DriveFit(plan, outputs, first_acting(response))
 
-    def fit(self, state: Vec, wanted: Vec, u_last: float, reach: float) -> Fit:
+    def fit(self, state: Vec, wanted: Vec, u_last: float, reach: float) -> DriveFit:
         """Inputs whose outputs come closest to `wanted` (H,).
 
             min_m  sum_k (v_k(u) - w_k)^2 + eps sum_k m_k^2   s.t.  |m_k| <= reach,   u_k = u_{k-1} + m_k
@@ -82,7 +82,7 @@ class Drive:
         """
         inputs, outputs = np.empty((2, wanted.size))
         first = self._fit(state, *self._known, wanted, u_last, min(reach, _FREE), _NUMBERS, inputs, outputs)
-        return Fit(inputs, outputs, first)
+        return DriveFit(inputs, outputs, first)
 
 
 class DrivenParts(NamedTuple):

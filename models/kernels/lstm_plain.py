@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from hystmpc.trials.types import Vec
 
-from ..contract.checks import IR_VERSION, OPSET
+from ..contract.load import IR_VERSION, OPSET
 from ..networks.lstm import LstmWeights, lstm_rollout_graph
 from .network_route import Float32, NetworkRoute
 from .numba_ import njit

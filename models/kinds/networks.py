@@ -10,9 +10,11 @@ from typing import Any, final
 from hystmpc.trials.trial import Trial
 
 from ..model import FitProgress
-from ..networks.settings import GatedSettings, NetworkForm, RecurrentSettings
-from ..train.settings import (
+from ..networks.settings import (
+    GatedSettings,
+    NetworkForm,
     NetworkSettings,
+    RecurrentSettings,
     RestSettings,
     ScalingSettings,
     StreamTraining,

@@ -57,10 +57,6 @@ class GatedLstmNet(Network):
         state[:, : self.inputs] = self.rest
         return state
 
-    def begin(self, past: torch.Tensor, y: torch.Tensor) -> torch.Tensor:
-        del past
-        return self.start(y)
-
     def forward(self, v: torch.Tensor, state: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         front, h, c = state.split([self.inputs, self.hidden, self.hidden], dim=1)
         x, share = self._front(v, front)
@@ -91,10 +87,6 @@ class GatedLstmNet(Network):
             last = w
         x, path = torch.stack(rows, dim=1), torch.stack(paths, dim=1)
         return x, torch.ones_like(path) if self.path is None else 1.0 - torch.exp(path * (-1.0 / self.path))
-
-    def shown(self, v: torch.Tensor, y: torch.Tensor) -> torch.Tensor:
-        del v
-        return y
 
     def write(self, writer: GraphWriter, v: str, state: str) -> tuple[str, list[str]]:
         plays, hidden = self.inputs - 1, self.hidden

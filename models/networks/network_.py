@@ -1,4 +1,4 @@
-"""The contract of a network: a PyTorch module with explicit state that also writes its own ONNX nodes."""
+"""Interface of a network: a PyTorch module with explicit state that also writes its ONNX nodes."""
 
 from __future__ import annotations
 
@@ -32,21 +32,23 @@ class Network(torch.nn.Module, ABC):
     context: int = 0
     measured: int = 0
 
-    @abstractmethod
     def start(self, y: torch.Tensor) -> torch.Tensor:
-        """States (N, S) of a device at rest that shows outputs y (N,); affine in y."""
+        """States (N, S) of a device at rest that shows outputs y (N,); affine in y; zeros if not overridden."""
+        return y.new_zeros(len(y), self.state_size)
 
-    @abstractmethod
     def begin(self, past: torch.Tensor, y: torch.Tensor) -> torch.Tensor:
         """States (N, S) in the middle of a motion after the inputs `past` (N, context), at outputs y (N,)."""
+        del past
+        return self.start(y)
 
     @abstractmethod
     def forward(self, v: torch.Tensor, state: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """Outputs (N, T) and the states (N, S) after the last sample."""
 
-    @abstractmethod
     def shown(self, v: torch.Tensor, y: torch.Tensor) -> torch.Tensor:
-        """What `begin` starts from at each sample (N, T) of whole motions v (N, T), measured as y (N, T)."""
+        """Outputs (N, T) from which `begin` starts at each sample of motions v (N, T), measured as y (N, T)."""
+        del v
+        return y
 
     @abstractmethod
     def write(self, writer: GraphWriter, v: str, state: str) -> tuple[str, Sequence[str]]:

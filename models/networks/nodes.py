@@ -14,10 +14,14 @@ from onnx import TensorProto, helper, numpy_helper
 from hystmpc.trials.errors import ModelError
 from hystmpc.trials.types import Vec
 
+from ..contract.onnx_nodes import tensor
+
+FLOAT = TensorProto.FLOAT
+
 
 @dataclass(frozen=True)
 class Scaling:
-    """Units in, units out: v = (u - u_offset) / u_scale, theta = theta_offset + theta_scale * y.
+    """Scaling of input and output: v = (u - u_offset) / u_scale, theta = theta_offset + theta_scale * y.
 
     For an inverse map `u` is the angle and `theta` the command.
 
@@ -124,12 +128,7 @@ def network_step_graph(name: str, state_size: int, scaling: Scaling, body: Body)
     return helper.make_graph(
         writer.nodes,
         name,
-        [tensor("u", "N", 1), tensor("state", "N", state_size)],
-        [tensor("theta", "N", 1), tensor("next_state", "N", state_size)],
+        [tensor("u", 1, FLOAT), tensor("state", state_size, FLOAT)],
+        [tensor("theta", 1, FLOAT), tensor("next_state", state_size, FLOAT)],
         writer.initializers(),
     )
-
-
-def tensor(name: str, *shape: str | int) -> onnx.ValueInfoProto:
-    """Name and shape of a float32 input or output."""
-    return helper.make_tensor_value_info(name, TensorProto.FLOAT, list(shape))

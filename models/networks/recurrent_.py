@@ -6,12 +6,11 @@ import math
 from collections.abc import Sequence
 from typing import final
 
-import numpy as np
 import torch
 
-from .lstm import LstmLayer, LstmWeights, write_layers
+from .lstm import LstmLayer, write_layers
 from .network_ import Network, numbers
-from .nodes import GraphWriter, Scaling
+from .nodes import GraphWriter
 
 
 @final
@@ -35,13 +34,6 @@ class LstmNet(Network):
         self.state_size = 2 * layers * hidden
         _initialise(self.lstm, memory_samples, command_gain, (-1.0, 1.0))  # forget bias log(tau), input bias -log(tau)
 
-    def start(self, y: torch.Tensor) -> torch.Tensor:
-        return y.new_zeros(len(y), self.state_size)
-
-    def begin(self, past: torch.Tensor, y: torch.Tensor) -> torch.Tensor:
-        del past
-        return self.start(y)
-
     def forward(self, v: torch.Tensor, state: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         outputs, following = self.outputs(v, state)
         return outputs[..., 0], following
@@ -52,10 +44,6 @@ class LstmNet(Network):
         h, c = state.reshape(rows, layers, 2, -1).permute(2, 1, 0, 3).contiguous()
         hidden, following = self.lstm(v[..., None], (h, c))
         return self.head(hidden), torch.stack(following).permute(2, 1, 0, 3).reshape(rows, -1)
-
-    def shown(self, v: torch.Tensor, y: torch.Tensor) -> torch.Tensor:
-        del v
-        return y
 
     def write(self, writer: GraphWriter, v: str, state: str) -> tuple[str, list[str]]:
         hidden, following = write_layers(writer, lstm_layers(self), v, state)
@@ -79,21 +67,10 @@ class GruNet(Network):
         self.state_size = layers * hidden
         _initialise(self.gru, memory_samples, command_gain, (None, 1.0))  # its gate z keeps what was: bias log(tau - 1)
 
-    def start(self, y: torch.Tensor) -> torch.Tensor:
-        return y.new_zeros(len(y), self.state_size)
-
-    def begin(self, past: torch.Tensor, y: torch.Tensor) -> torch.Tensor:
-        del past
-        return self.start(y)
-
     def forward(self, v: torch.Tensor, state: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         layers = state.reshape(len(v), self.gru.num_layers, -1).swapaxes(0, 1).contiguous()
         outputs, following = self.gru(v[..., None], layers)
         return self.head(outputs)[..., 0], following.swapaxes(0, 1).reshape(len(v), -1)
-
-    def shown(self, v: torch.Tensor, y: torch.Tensor) -> torch.Tensor:
-        del v
-        return y
 
     def write(self, writer: GraphWriter, v: str, state: str) -> tuple[str, list[str]]:
         count, hidden = self.gru.num_layers, self.gru.hidden_size
@@ -155,19 +132,3 @@ def lstm_layers(net: LstmNet) -> tuple[LstmLayer, ...]:
         )
         for k in range(net.lstm.num_layers)
     )
-
-
-def weights_of(net: LstmNet, scaling: Scaling) -> LstmWeights:
-    """Copy the numbers out of a network with one output."""
-    return LstmWeights(lstm_layers(net), numbers(net.head.weight)[0], float(numbers(net.head.bias)[0]), scaling)
-
-
-def net_of(weights: LstmWeights) -> LstmNet:
-    """A network with these weights, for further training."""
-    net = LstmNet(weights.hidden, len(weights.layers))
-    values = {"head.weight": weights.head_weight[None], "head.bias": [weights.head_bias]}
-    for k, layer in enumerate(weights.layers):
-        values |= {f"lstm.weight_ih_l{k}": layer.w_ih, f"lstm.weight_hh_l{k}": layer.w_hh}
-        values |= {f"lstm.bias_ih_l{k}": layer.bias, f"lstm.bias_hh_l{k}": np.zeros_like(layer.bias)}
-    net.load_state_dict({name: torch.tensor(np.asarray(v), dtype=torch.float32) for name, v in values.items()})
-    return net

@@ -11,7 +11,7 @@ import casadi as ca
 
 from hystmpc.trials.errors import ModelError
 
-from .operator import Number, Operator, Parameter, Symbol, check_values, maximum, minimum
+from .operator import Number, Operator, Parameter, Symbol, maximum, minimum
 
 
 @dataclass(frozen=True)
@@ -47,11 +47,9 @@ class Lag(Operator):
     default_sizes: ClassVar[Mapping[str, int]] = {"ways": 1, "hold": 0}
     size_limits: ClassVar[Mapping[str, tuple[int, int]]] = {"ways": (1, 2), "hold": (0, 1)}
 
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "tau_down_s", tuple(float(v) for v in self.tau_down_s))
+    def check_sizes(self) -> None:
         if len(self.tau_down_s) > 1:
             raise ModelError(f"lag: {len(self.tau_down_s)} time constants of a fall, expected at most 1")
-        check_values(self)
 
     @classmethod
     def template(cls, **structure: int) -> Self:
@@ -179,8 +177,7 @@ class Delay(Operator):
     name: ClassVar[str] = "delay"
     shape: ClassVar[tuple[str, ...]] = ("samples",)
 
-    def __post_init__(self) -> None:
-        check_values(self)
+    def check_sizes(self) -> None:
         if self.samples < 1:
             raise ModelError(f"delay.samples is {self.samples}, expected at least 1")
 

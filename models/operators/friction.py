@@ -10,7 +10,7 @@ import casadi as ca
 
 from hystmpc.trials.errors import ModelError
 
-from .operator import Number, Operator, Parameter, Symbol, check_values, maximum, minimum, play
+from .operator import Number, Operator, Parameter, Symbol, maximum, minimum, play
 
 
 @final
@@ -53,12 +53,9 @@ class MaxwellSlip(Operator):
     default_sizes: ClassVar[Mapping[str, int]] = {"rate": 0}
     size_limits: ClassVar[Mapping[str, tuple[int, int]]] = {"rate": (0, 1)}
 
-    def __post_init__(self) -> None:
-        for name in ("stiffness", "speeds"):
-            object.__setattr__(self, name, tuple(float(v) for v in getattr(self, name)))
+    def check_sizes(self) -> None:
         if len(self.speeds) not in (0, len(_NO_RATE)):
             raise ModelError(f"maxwell_slip: {len(self.speeds)} numbers of the speed, expected none or {len(_NO_RATE)}")
-        check_values(self)
 
     @classmethod
     def template(cls, **structure: int) -> Self:
@@ -102,14 +99,14 @@ class MaxwellSlip(Operator):
     def equation(self, x: Symbol, u: Symbol, p: Symbol, dt: Symbol) -> tuple[Symbol, Symbol]:
         n = self.elements
         spacing, growth, b = p[n + 1], p[n + 2], p[n + 3]
-        beside = p[0] * u + b
+        parallel = p[0] * u + b
         if self.rate:
             v = (u - x[n]) / dt
             spacing = spacing * (1 + p[n + 5] * ca.exp(-ca.fabs(v) / p[n + 6]))
-            beside = beside + p[n + 4] * v
+            parallel = parallel + p[n + 4] * v
         z = [play(u, x[i - 1], spacing * i) for i in range(1, n + 1)]
         sliders = sum(p[i] * (u - z[i - 1]) for i in range(1, n + 1))
-        return ca.vertcat(*z, *([u] if self.rate else [])), beside + maximum(1 + growth * u, 0) * sliders
+        return ca.vertcat(*z, *([u] if self.rate else [])), parallel + maximum(1 + growth * u, 0) * sliders
 
     def at_rest(self, u: Symbol, y: Symbol, p: Symbol) -> Symbol:
         # All springs at the one stretch that shows force y; settling lets those slip that cannot hold it.

@@ -1,4 +1,4 @@
-"""What a measurement adds: sensor noise with randomness that is state, and periodic disturbances."""
+"""Sensor noise, whose random numbers are state, and periodic disturbances."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import casadi as ca
 
 from hystmpc.trials.errors import ModelError
 
-from .operator import Number, Operator, Parameter, Symbol, check_values, maximum
+from .operator import Number, Operator, Parameter, Symbol, maximum
 
 Triple = tuple[Symbol, Symbol, Symbol]
 _FACTORS = (171, 172, 170)
@@ -93,8 +93,7 @@ class Sensor(Operator):
     default_sizes: ClassVar[Mapping[str, int]] = {"seed": 0}
     size_limits: ClassVar[Mapping[str, tuple[int, int]]] = {"seed": (0, 2**63 - 1)}
 
-    def __post_init__(self) -> None:
-        check_values(self)
+    def check_sizes(self) -> None:
         if self.seed < 0:
             raise ModelError(f"sensor.seed is {self.seed}, expected 0 or more")
 
@@ -154,15 +153,12 @@ class PeriodicDisturbance(Operator):
     shape: ClassVar[tuple[str, ...]] = ("harmonics",)
     default_sizes: ClassVar[Mapping[str, int]] = {"harmonics": 1}
 
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "amplitudes", tuple(float(v) for v in self.amplitudes))
-        object.__setattr__(self, "phases_rad", tuple(float(v) for v in self.phases_rad))
+    def check_sizes(self) -> None:
         if len(self.amplitudes) != len(self.phases_rad) or not self.amplitudes:
             raise ModelError(
                 f"periodic_disturbance: {len(self.amplitudes)} amplitudes and {len(self.phases_rad)} phases, "
                 "expected as many, at least 1"
             )
-        check_values(self)
 
     @classmethod
     def template(cls, **structure: int) -> Self:

@@ -1,18 +1,23 @@
-"""What an operator is: one equation, written once on CasADi symbols, with parameters that carry unit and bounds."""
+"""Operators: one equation each, written once on CasADi symbols, with parameters that carry unit and bounds; by name."""
 
 from __future__ import annotations
 
+import importlib
+import inspect
 import math
+import pkgutil
 import re
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cache
+from pathlib import Path
+from types import MappingProxyType
 from typing import Annotated, Any, ClassVar, Self, get_origin, get_type_hints
 
 import casadi as ca
 
-from hystmpc.trials.errors import ModelError, did_you_mean
+from hystmpc.trials.errors import ModelError
 
 Symbol = Any  # casadi.SX, which has no types
 
@@ -40,7 +45,7 @@ class Parameter:
 
 @dataclass(frozen=True)
 class Number:
-    """What a field of an operator says of itself as a parameter, in `Annotated[float, Number(...)]`.
+    """Declaration of a parameter in a field of an operator: `Annotated[float, Number(...)]`.
 
     Attributes:
         unit, lower, upper, meaning: as `Parameter` has them.
@@ -75,7 +80,18 @@ class Operator(ABC):
         return f"{type(self).__name__}({self.name})"
 
     def __post_init__(self) -> None:
+        for name in self._value_fields():
+            if isinstance(value := getattr(self, name), Iterable):
+                object.__setattr__(self, name, tuple(float(v) for v in value))
+        self.check_sizes()
         check_values(self)
+
+    def check_sizes(self) -> None:  # noqa: B027 - most operators have one size
+        """Check that the parameters which are tuples, and the sizes, fit each other.
+
+        Raises:
+            ModelError: if they do not.
+        """
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -156,7 +172,7 @@ def _numbers(kind: type[Operator]) -> dict[str, Number]:
 
 
 def check_values(operator: Operator) -> None:
-    """Compare the values with their bounds; of what has the unit of a signal only with their signs.
+    """Check values against their bounds; where the unit is that of a signal only against their signs.
 
     Raises:
         ModelError: naming the parameter, the value and the bounds.
@@ -179,21 +195,6 @@ def _has_a_size(unit: str) -> bool:
 
 _OF_A_SIGNAL = re.compile(r"\b(cmd|deg|in)\b")
 _LEAST, _GREATEST = 1e-15, 1e15  # a million times smaller or larger than a catheter in mm and deg, both signals
-
-
-def values_from(operator_name: str, names: Sequence[str], given: dict[str, float]) -> list[float]:
-    """Order named values as `names` has them.
-
-    Raises:
-        ModelError: on a name that is missing or unknown.
-    """
-    for name in given:
-        if name not in names:
-            raise ModelError(f"{operator_name} has no parameter {name!r}, {did_you_mean(name, names)}")
-    missing = [name for name in names if name not in given]
-    if missing:
-        raise ModelError(f"{operator_name} lacks {', '.join(missing)}, got {', '.join(given) or 'none'}")
-    return [float(given[name]) for name in names]
 
 
 # CasADi's fmin and fmax average the two derivatives at a tie; a play in contact sits exactly on a tie, and its
@@ -233,3 +234,13 @@ class Memoryless(Operator):
     def at_rest(self, u: Symbol, y: Symbol, p: Symbol) -> Symbol:
         del y, p
         return ca.vertcat(u)
+
+
+@cache
+def shipped_operators() -> Mapping[str, type[Operator]]:
+    """Operators by name: the concrete subclasses of `Operator` in the modules of this package."""
+    package, folder = __name__.rpartition(".")[0], str(Path(__file__).parent)
+    modules = [importlib.import_module(f"{package}.{module.name}") for module in pkgutil.iter_modules([folder])]
+    module = [kind for module in modules for kind in vars(module).values() if inspect.isclass(kind)]
+    kinds = [kind for kind in module if issubclass(kind, Operator) and not inspect.isabstract(kind)]
+    return MappingProxyType({kind.name: kind for kind in kinds})

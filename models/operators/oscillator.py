@@ -11,7 +11,7 @@ import casadi as ca
 
 from hystmpc.trials.errors import ModelError
 
-from .operator import Number, Operator, Parameter, Symbol, check_values
+from .operator import Number, Operator, Parameter, Symbol
 
 
 @final
@@ -136,13 +136,10 @@ class StateNetwork(Operator):
     default_sizes: ClassVar[Mapping[str, int]] = {}
     size_limits: ClassVar[Mapping[str, tuple[int, int]]] = {"order": (1, 16), "hidden": (1, 100)}
 
-    def __post_init__(self) -> None:
+    def check_sizes(self) -> None:
         for field, count in self._counts(self.order, self.hidden).items():
-            values = tuple(float(v) for v in getattr(self, field))
-            object.__setattr__(self, field, values)
-            if len(values) != count:
-                raise ModelError(f"state_network.{field}: {len(values)} numbers, expected {count}")
-        check_values(self)
+            if len(getattr(self, field)) != count:
+                raise ModelError(f"state_network.{field}: {len(getattr(self, field))} numbers, expected {count}")
 
     @staticmethod
     def _counts(order: int, hidden: int) -> dict[str, int]:
@@ -194,12 +191,12 @@ class StateNetwork(Operator):
 
     @property
     def settling_samples(self) -> int:
-        """Its rest has no closed form: the first command is held until what is left of a guess is small."""
+        """Samples for which the first command is held: the state at rest has no closed form."""
         return _SETTLING
 
     @property
     def rest_samples(self) -> int:
-        """As long."""
+        """Samples of constant input until rest, as many as `settling_samples`."""
         return _SETTLING
 
 

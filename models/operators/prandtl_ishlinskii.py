@@ -7,8 +7,8 @@ from typing import ClassVar, Self, final
 
 import casadi as ca
 
-from .operator import Operator, Parameter, Symbol, check_values, play
-from .static_curves import Pieces, band_parameters, freeze_bands, pieces_of
+from .operator import Operator, Parameter, Symbol, play
+from .static_curves import Pieces, band_parameters, check_bands, pieces_of
 
 _LITTLE = 1e-9  # share of what is divided by, so that nothing is divided by zero
 
@@ -32,10 +32,6 @@ class PlaySum(Operator):
     b: float
     shape: ClassVar[tuple[str, ...]] = ("plays",)
 
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "weights", tuple(float(w) for w in self.weights))
-        check_values(self)
-
     @classmethod
     def template(cls, **structure: int) -> Self:
         return cls(1.0, (0.0,) * structure["plays"], 0.0, 0.0, 0.0)
@@ -44,6 +40,11 @@ class PlaySum(Operator):
     def plays(self) -> int:
         """Number n of plays."""
         return len(self.weights)
+
+    @property
+    def numbers(self) -> tuple[float, tuple[float, ...], float, float, float]:
+        """a0, the weights, alpha, beta and b."""
+        return self.a0, self.weights, self.alpha, self.beta, self.b
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -97,7 +98,7 @@ class PrandtlIshlinskii(PlaySum):
 
     def inverse(self) -> InversePrandtlIshlinskii:
         """The analytic inverse, angle to command."""
-        return InversePrandtlIshlinskii(self.a0, self.weights, self.alpha, self.beta, self.b)
+        return InversePrandtlIshlinskii(*self.numbers)
 
 
 @dataclass(frozen=True)
@@ -122,7 +123,7 @@ class InversePrandtlIshlinskii(PlaySum):
 
     def forward(self) -> PrandtlIshlinskii:
         """The forward model of which this is the inverse."""
-        return PrandtlIshlinskii(self.a0, self.weights, self.alpha, self.beta, self.b)
+        return PrandtlIshlinskii(*self.numbers)
 
     def _sums(self, p: Symbol) -> list[Symbol]:
         """Partial sums a0, a0 + a1, ... of the weights."""
@@ -151,11 +152,10 @@ class InversePrandtlIshlinskii(PlaySum):
 
 
 @dataclass(frozen=True)
-class DrdpiNumbers(Operator):
-    """What the model and its inverse share: the numbers of the model.
+class DrdpiNumbers(PlaySum):
+    """The numbers of plays behind dead zones, which a model shares with its inverse; of the plays those of `PlaySum`.
 
     Attributes:
-        a0, weights, alpha, beta, b: of the Prandtl-Ishlinskii part, see `PrandtlIshlinskii`.
         slopes_below, slopes_above: slopes of the pieces below and above the middle one, outwards.
         gaps_below, gaps_above: distances between neighbouring thresholds, outwards [deg].
         offset: angle in the middle of the pieces, where v = 0 [deg].
@@ -164,11 +164,6 @@ class DrdpiNumbers(Operator):
         ModelError: if a value is out of bounds, or a side has another number of slopes than of gaps, or none.
     """
 
-    a0: float
-    weights: tuple[float, ...]
-    alpha: float
-    beta: float
-    b: float
     slopes_below: tuple[float, ...]
     slopes_above: tuple[float, ...]
     gaps_below: tuple[float, ...]
@@ -176,22 +171,14 @@ class DrdpiNumbers(Operator):
     offset: float
     shape: ClassVar[tuple[str, ...]] = ("plays", "below", "above")
 
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "weights", tuple(float(w) for w in self.weights))
-        freeze_bands(self)
-        check_values(self)
+    def check_sizes(self) -> None:
+        check_bands(self)
 
     @classmethod
     def template(cls, **structure: int) -> Self:
         plays, below, above = (structure[name] for name in cls.shape)
-        pi = PrandtlIshlinskii.template(plays=plays)
         ones, zeros = ([(value,) * count for count in (below, above)] for value in (1.0, 0.0))
-        return cls(pi.a0, pi.weights, pi.alpha, pi.beta, pi.b, ones[0], ones[1], zeros[0], zeros[1], 0.0)
-
-    @property
-    def plays(self) -> int:
-        """Number n of plays."""
-        return len(self.weights)
+        return cls(*PrandtlIshlinskii.template(plays=plays).numbers, ones[0], ones[1], zeros[0], zeros[1], 0.0)
 
     @property
     def below(self) -> int:
@@ -206,21 +193,16 @@ class DrdpiNumbers(Operator):
     @property
     def hysteresis(self) -> PrandtlIshlinskii:
         """The Prandtl-Ishlinskii part of the model, command to v."""
-        return PrandtlIshlinskii(self.a0, self.weights, self.alpha, self.beta, self.b)
+        return PrandtlIshlinskii(*self.numbers)
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         return (
-            *PrandtlIshlinskii.template(plays=self.plays).parameters,
+            *super().parameters,
             # Relative to the middle piece; steeper or farther out a piece would only say that it was never reached.
             *band_parameters(self.below, self.above, 10.0, 1e3),
             Parameter("offset", "deg", -1e4, 1e4, "angle in the middle of the pieces"),
         )
-
-    @property
-    def settling_samples(self) -> int:
-        """As of the plays."""
-        return self.hysteresis.settling_samples
 
     def parts(self, p: Symbol) -> tuple[Symbol, Pieces, Symbol]:
         """Parameters p (P,) of the Prandtl-Ishlinskii part (n + 4,), the dead zones' curve, the offset."""

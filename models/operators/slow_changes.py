@@ -10,7 +10,7 @@ import casadi as ca
 
 from hystmpc.trials.errors import ModelError
 
-from .operator import Number, Operator, Parameter, Symbol, check_values, maximum, play
+from .operator import Number, Operator, Parameter, Symbol, maximum, play
 
 
 @final
@@ -40,14 +40,11 @@ class Creep(Operator):
     shape: ClassVar[tuple[str, ...]] = ("terms",)
     default_sizes: ClassVar[Mapping[str, int]] = {"terms": 1}
 
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "shares", tuple(float(v) for v in self.shares))
-        object.__setattr__(self, "taus_s", tuple(float(v) for v in self.taus_s))
+    def check_sizes(self) -> None:
         if len(self.shares) != len(self.taus_s) or not self.shares:
             raise ModelError(
                 f"creep: {len(self.shares)} shares and {len(self.taus_s)} time constants, expected as many, at least 1"
             )
-        check_values(self)
 
     @classmethod
     def template(cls, **structure: int) -> Self:

@@ -10,7 +10,7 @@ import casadi as ca
 
 from hystmpc.trials.errors import ModelError
 
-from .operator import Memoryless, Number, Operator, Parameter, Symbol, check_values, maximum, minimum
+from .operator import Memoryless, Number, Operator, Parameter, Symbol, maximum, minimum
 
 Side = tuple[tuple[Symbol, Symbol], ...]
 
@@ -124,9 +124,8 @@ class Deadband(Memoryless):
     name: ClassVar[str] = "deadband"
     shape: ClassVar[tuple[str, ...]] = ("below", "above")
 
-    def __post_init__(self) -> None:
-        freeze_bands(self)
-        check_values(self)
+    def check_sizes(self) -> None:
+        check_bands(self)
 
     @classmethod
     def template(cls, **structure: int) -> Self:
@@ -182,20 +181,16 @@ class Deadband(Memoryless):
         return Deadband(inverse.slope, slopes[0], slopes[1], gaps[0], gaps[1], self.offset, self.centre)
 
 
-def freeze_bands(operator: Operator) -> None:
-    """Turn slopes and gaps of a dataclass that is being built into tuples of floats.
+def check_bands(operator: Operator) -> None:
+    """Check the numbers of slopes and gaps.
 
     Raises:
         ModelError: if a side has another number of slopes than of gaps, or none.
     """
     for side in ("below", "above"):
-        slopes, gaps = (tuple(float(v) for v in getattr(operator, f"{part}_{side}")) for part in ("slopes", "gaps"))
-        if len(slopes) != len(gaps) or not slopes:
-            raise ModelError(
-                f"{operator.name}: {len(slopes)} slopes and {len(gaps)} gaps {side}, expected as many, at least one"
-            )
-        object.__setattr__(operator, f"slopes_{side}", slopes)
-        object.__setattr__(operator, f"gaps_{side}", gaps)
+        slopes, gaps = (len(getattr(operator, f"{part}_{side}")) for part in ("slopes", "gaps"))
+        if slopes != gaps or not slopes:
+            raise ModelError(f"{operator.name}: {slopes} slopes and {gaps} gaps {side}, expected as many, at least one")
 
 
 _SHARP = 1e-9  # a toe of zero is never divided by: no command lies strictly inside it

@@ -1,19 +1,22 @@
-"""From a model file's content to what a controller needs: a fast predictor and an inverse."""
+"""Predictor and inverse of a model for a controller."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, final
+
+import numpy as np
 
 from hystmpc.trials.errors import ModelError
+from hystmpc.trials.types import Vec
 
-from ..chain import split
+from ..chain import Chain, split
 from ..connections import operators_of, rest_of
 from ..contract.metadata import ModelMetadata
 from ..inverse.drive import Drive, DrivenInverse
-from ..inverse.one_step import (
+from ..inverse.inverses import (
     AccompaniedPredictor,
     CompanionInverse,
     MappedPredictor,
@@ -27,7 +30,6 @@ from ..operators.dynamics import Lag
 from ..operators.operator import Operator
 from ..simulator import ChainModel, Simulator, simulator_for
 from .compiled import CompiledPredictor
-from .connected import ParallelPredictor, SeriesPredictor
 
 if TYPE_CHECKING:
     from ..contract.load import OnnxModel
@@ -56,14 +58,14 @@ def predictor_for(model: LoadedModel) -> Predictor:
 
 
 def _exported_predictor(model: LoadedModel) -> Predictor:
-    """The predictor of an ONNX file; what it needs takes a moment to load, which operators need not wait for."""
+    """The predictor of an ONNX file, whose libraries are loaded here only."""
     from ..contract.load import OnnxModel
 
     assert isinstance(model, OnnxModel)  # there are these two
     if model.metadata.connections:
         return _connected_predictor(model)
     if model.metadata.kind in ("lstm", "gru"):
-        from .recurrent import recurrent_predictor
+        from .exported import recurrent_predictor
 
         return recurrent_predictor(model)
     if model.metadata.kind == "play_kernel":
@@ -73,7 +75,7 @@ def _exported_predictor(model: LoadedModel) -> Predictor:
     function = model.casadi_function()
     if function.is_a("SXFunction") and function.n_instructions() <= _COMPILED_INSTRUCTIONS:
         return CompiledPredictor.of_function(function, model.metadata)
-    from .onnx_ import OnnxPredictor
+    from .exported import OnnxPredictor
 
     return OnnxPredictor(model)
 
@@ -193,8 +195,6 @@ def _companion_of(model: LoadedModel) -> Simulator:
     """The operators that are connected in parallel, or a backlash fitted to the model's free run."""
     if model.metadata.connections:
         return _operators_of(model.metadata)
-    from ..inverse.surrogate_backlash import surrogate_backlash  # an identification, with all that it needs
-
     return surrogate_backlash(model)
 
 
@@ -207,3 +207,100 @@ def inverse_of_chain(simulator: Simulator) -> Inverse:
         return inverse
     drives = [Drive(side, simulator.metadata()) if side else None for side in (front, back)]
     return DrivenInverse(inverse, inner, *drives)
+
+
+@final
+class SeriesPredictor(Predictor):
+    """A model whose command first passes a drive: theta = model(v), v = drive(u).
+
+    d theta / d u = (d theta / d v) (d v / d u). The state is [drive state, model state].
+
+    Args:
+        drive: dynamics between command and travel.
+        predictor: of the model that answers to the travel v.
+    """
+
+    def __init__(self, drive: Drive, predictor: Predictor) -> None:
+        self._as(predictor)
+        self._drive, self._size, self._predictor = drive.predictor, drive.size, predictor
+
+    def initial(self, y: float, u: float) -> Vec:
+        return np.concatenate([self._drive.initial(u, u), self._predictor.initial(y, u)])
+
+    def advance(self, state: Vec, u: float) -> tuple[float, Vec]:
+        v, moved = self._drive.advance(state[: self._size], u)
+        theta, following = self._predictor.advance(state[self._size :], v)
+        return theta, np.concatenate([moved, following])
+
+    def rollout(self, state: Vec, plans: Vec) -> Vec:
+        return self._predictor.rollout(state[self._size :], self._drive.rollout(state[: self._size], plans))
+
+    def linearise(self, state: Vec, plan: Vec) -> tuple[Vec, Vec]:
+        travel, by_command = self._drive.linearise(state[: self._size], plan)
+        theta, by_travel = self._predictor.linearise(state[self._size :], travel)
+        return theta, by_travel @ by_command
+
+
+@final
+class ParallelPredictor(Predictor):
+    """Two models that see the same command, their angles added: theta = first(u) + second(u).
+
+    The state is [state of the first, state of the second]. At rest the first one shows the measured angle.
+
+    Args:
+        first: of the model that stands for the device.
+        second: of the model of what the first one leaves.
+    """
+
+    def __init__(self, first: Predictor, second: Predictor) -> None:
+        self.dt, self.command_range, self.noise = first.dt, first.command_range, second.noise
+        self.model_sigma_deg = second.model_sigma_deg
+        self.first, self.second = first, second
+        self.size = first.initial(0.0, first.command_range[0]).size
+
+    def initial(self, y: float, u: float) -> Vec:
+        return np.concatenate([self.first.initial(y, u), self.second.initial(0.0, u)])
+
+    def advance(self, state: Vec, u: float) -> tuple[float, Vec]:
+        main, moved = self.first.advance(state[: self.size], u)
+        rest, following = self.second.advance(state[self.size :], u)
+        return main + rest, np.concatenate([moved, following])
+
+    def rollout(self, state: Vec, plans: Vec) -> Vec:
+        return self.first.rollout(state[: self.size], plans) + self.second.rollout(state[self.size :], plans)
+
+    def linearise(self, state: Vec, plan: Vec) -> tuple[Vec, Vec]:
+        main, by_main = self.first.linearise(state[: self.size], plan)
+        rest, by_rest = self.second.linearise(state[self.size :], plan)
+        return main + rest, by_main + by_rest
+
+
+def surrogate_backlash(model: LoadedModel) -> Simulator:
+    """Simulator whose backlash follows the model's free run over a decaying sinusoid of its trained range.
+
+    The motion is `probe_commands`; its first flexure does not count.
+
+    Raises:
+        FitError: if the model's angle does not rise with the command.
+    """
+    from hystmpc.trials.trial import Trial, Units
+
+    from ..evaluate import free_run  # an identification, with all that it needs
+    from ..identify.chain_fit import OperatorFitSettings, fit_chain
+    from ..identify.chain_kinds import backlash_starts
+    from ..motions import probe_commands
+
+    facts = model.metadata
+    commands = probe_commands(facts)
+    theta = free_run(model, commands, 0.5 * (facts.trained_angle.lower + facts.trained_angle.upper))
+    t = np.arange(commands.size, dtype=np.float64) * facts.dt_s
+    trial = Trial(
+        t,
+        commands,
+        theta,
+        units=Units(facts.command_unit, facts.angle_unit, inverse=False),
+        source="the model's own free run",
+    )
+    fit = fit_chain(backlash_starts([trial]), [trial], OperatorFitSettings(skip_first_flexure=True))
+    method = f"backlash fitted to the free run of a model of kind {facts.kind}"
+    return simulator_for(Chain(fit.chain.core), facts, method)

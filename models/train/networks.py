@@ -6,6 +6,7 @@ import copy
 import math
 import time
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -15,18 +16,15 @@ import numpy as np
 from hystmpc.trials.errors import FitError, FitInterruptedError
 from hystmpc.trials.trial import Trial
 
-from ..contract.equivalence import TOLERANCE_DEG
-from ..contract.export import ExportBundle
+from ..contract.export import TOLERANCE_DEG, ExportBundle
 from ..contract.metadata import DeviceLimits, InitialRule, Range
 from ..decades import Decades
 from ..identify.runs import check_trial_set, command_range, facts_of
 from ..model import FitProgress
 from ..motions import initialisation_flexure, probe_commands
 from ..networks.nodes import Scaling, network_step_graph
-from ..networks.settings import DeviceFacts
-from ..operators.hysteresis import Backlash
-from .runs import Prepared, Rng, TrainingRun, hold_out, prepared, rest_of, scaled_run, scaling_of
-from .settings import NetworkSettings, StreamTraining, WindowTraining
+from ..networks.settings import DeviceFacts, NetworkSettings, StreamTraining, WindowTraining
+from .runs import Rng, TrainingRun, hold_out, prepared, rest_of, scaled_run, scaling_of
 from .teacher import Teacher
 
 if TYPE_CHECKING:
@@ -36,7 +34,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class NetworkCheck:
-    """One look during training.
+    """Errors at one check during training.
 
     Attributes:
         step: epochs or updates done.
@@ -150,12 +148,8 @@ def _nothing_to_keep(history: Sequence[NetworkCheck], unit: str) -> str:
 def _looks(
     training: Sequence[Trial], judges: Sequence[Trial], scaling: Scaling, settings: NetworkSettings
 ) -> Iterator[tuple[NetworkCheck, Network]]:
-    try:
-        from .updates_ import torch_session
-    except ModuleNotFoundError as error:
-        raise FitError(f"training needs {error.name}, expected it installed: pip install hystmpc[train]") from None
     allowed = 0.5 * TOLERANCE_DEG * Decades.of(training).output(training)
-    with torch_session(settings.seed, settings.threads):
+    with _torch(settings):
         for check in _checks(training, judges, scaling, settings):
             training_rmse, judged, rounding = (
                 scaling.theta_scale * part for part in (check.training, check.judged, check.rounding)
@@ -165,32 +159,42 @@ def _looks(
             yield NetworkCheck(check.step, training_rmse, judged, rounding, allowed), check.net
 
 
+def _torch(settings: NetworkSettings) -> AbstractContextManager[None]:
+    """PyTorch, seeded and on the threads of the settings."""
+    try:
+        from .updates_ import torch_session
+    except ModuleNotFoundError as error:
+        raise FitError(f"training needs {error.name}, expected it installed: pip install hystmpc[train]") from None
+    return torch_session(settings.seed, settings.threads)
+
+
 def _checks(
     training: Sequence[Trial], judges: Sequence[Trial], scaling: Scaling, settings: NetworkSettings
 ) -> Iterator[Check]:
     from .updates_ import stream_checks, window_checks
 
-    way = settings.training
+    scheme = settings.training
     teacher, lag_s = None, 0.0
-    if isinstance(way, StreamTraining) and way.teacher is not None:
-        teacher = Teacher(training, way.teacher.plays, way.teacher.model)
+    if isinstance(scheme, StreamTraining) and scheme.teacher is not None:
+        teacher = Teacher(training, scheme.teacher.plays, scheme.teacher.model)
         lag_s = teacher.lag_s
-        if way.teacher.centred:
-            own = judges is training
+        if scheme.teacher.centred:
+            shared = judges is training
             training = [teacher.centred(trial) for trial in training]
-            judges = training if own else judges
-    ready: Prepared = prepared(training, judges, scaling, settings)
+            judges = training if shared else judges
+    operator = settings.network.operator(training, scaling, settings.first_flexure_weight == 0.0)
     rest, inverted = rest_of(training, scaling, settings.rest), training[0].inverted
-    net = settings.network.network(DeviceFacts(rest, ready.operator, lag_s / training[0].dt, inverted))
-    if isinstance(way, StreamTraining):
-        return stream_checks(net, ready.training, ready.judges, _teacher_runs(teacher, scaling, way), settings, way)
-    return window_checks(net, ready.training, ready.judges, settings, way)
+    net = settings.network.network(DeviceFacts(rest, operator, lag_s / training[0].dt, inverted))
+    runs, held_out = (prepared(trials, scaling, settings) for trials in (training, judges))
+    if isinstance(scheme, StreamTraining):
+        return stream_checks(net, runs, held_out, _teacher_runs(teacher, scaling, scheme), settings, scheme)
+    return window_checks(net, runs, held_out, settings, scheme)
 
 
-def _teacher_runs(teacher: Teacher | None, scaling: Scaling, way: StreamTraining) -> TeacherRuns:
-    if teacher is None or way.teacher is None:
+def _teacher_runs(teacher: Teacher | None, scaling: Scaling, scheme: StreamTraining) -> TeacherRuns:
+    if teacher is None or scheme.teacher is None:
         return lambda done, rng: []
-    count, (first, last) = way.teacher.runs, way.teacher.weight
+    count, (first, last) = scheme.teacher.runs, scheme.teacher.weight
 
     def runs(done: float, rng: Rng) -> list[TrainingRun]:
         return [scaled_run(run, scaling) for run in teacher.runs(count, first + (last - first) * done, rng)]
@@ -253,25 +257,20 @@ _FIRST, _TIMED = 3, 12
 def training_seconds(trials: Sequence[Trial], settings: NetworkSettings) -> float:
     """Expected duration of `fit_network` [s] on this machine as it is loaded now: its updates, nothing beside them.
 
-    Fitting a backlash or a teacher beforehand takes seconds, looks at what is held out some percent.
+    Fitting an operator or a teacher beforehand takes seconds, looks at what is held out some percent.
 
     Raises:
         FitError: on unusable trials, if too few are left to train on, or if torch is not installed.
     """
     check_trial_set(trials)
-    try:
-        from .updates_ import torch_session
-    except ModuleNotFoundError as error:
-        raise FitError(f"training needs {error.name}, expected it installed: pip install hystmpc[train]") from None
     training, _ = hold_out(trials, settings.validation_trials, settings.seed)
-    with torch_session(settings.seed, settings.threads):
-        backlash = Backlash(1.0, 1.0, 0.1, -0.1) if settings.network.has_backlash else None
-        net = settings.network.network(DeviceFacts(operator=backlash, inverted=trials[0].inverted))
-        way = settings.training
-        if isinstance(way, StreamTraining):
-            return way.updates * _seconds_of(_stream_update(net, settings, way))
-        count = way.windows_per_epoch or sum(len(trial) + way.padding_samples for trial in training)
-        return way.epochs * math.ceil(count / way.batch) * _seconds_of(_window_update(net, settings, way))
+    with _torch(settings):
+        net = settings.network.network(DeviceFacts(inverted=trials[0].inverted))
+        scheme = settings.training
+        if isinstance(scheme, StreamTraining):
+            return scheme.updates * _seconds_of(_stream_update(net, settings, scheme))
+        count = scheme.windows_per_epoch or sum(len(trial) + scheme.padding_samples for trial in training)
+        return scheme.epochs * math.ceil(count / scheme.batch) * _seconds_of(_window_update(net, settings, scheme))
 
 
 def _seconds_of(improve: Callable[[], object]) -> float:
@@ -284,20 +283,20 @@ def _seconds_of(improve: Callable[[], object]) -> float:
     return float(np.median(durations[_FIRST:]))
 
 
-def _window_update(net: Network, settings: NetworkSettings, way: WindowTraining) -> Callable[[], object]:
+def _window_update(net: Network, settings: NetworkSettings, scheme: WindowTraining) -> Callable[[], object]:
     from .updates_ import cut, window_update
 
-    rng, improve = np.random.default_rng(0), window_update(net, settings, way)
-    parts = [rng.uniform(-1, 1, (way.batch, net.context + way.length)).astype(np.float32) for _ in range(4)]
+    rng, improve = np.random.default_rng(0), window_update(net, settings, scheme)
+    parts = [rng.uniform(-1, 1, (scheme.batch, net.context + scheme.length)).astype(np.float32) for _ in range(4)]
     return lambda: improve(cut(net, parts), 0)
 
 
-def _stream_update(net: Network, settings: NetworkSettings, way: StreamTraining) -> Callable[[], object]:
+def _stream_update(net: Network, settings: NetworkSettings, scheme: StreamTraining) -> Callable[[], object]:
     import torch
 
     from .updates_ import Piece, stream_update
 
-    improve = stream_update(net, settings, way)
-    signal = torch.rand(way.streams, way.length)
-    piece = Piece(signal, signal, torch.ones_like(signal), torch.ones(way.streams, 1, dtype=torch.bool))
+    improve = stream_update(net, settings, scheme)
+    signal = torch.rand(scheme.streams, scheme.length)
+    piece = Piece(signal, signal, torch.ones_like(signal), torch.ones(scheme.streams, 1, dtype=torch.bool))
     return lambda: improve(piece, None, 0)

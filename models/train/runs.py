@@ -1,4 +1,4 @@
-"""Data that a network is trained on: held-out trials, scaled runs, windows, rest before them; a hybrid's backlash."""
+"""Data that a network is trained on: held-out trials, scaled runs, windows, rest before them."""
 
 from __future__ import annotations
 
@@ -14,15 +14,9 @@ from hystmpc.trials.segments import first_flexure_end
 from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Vec
 
-from ..chain import Chain
-from ..decades import Decades
-from ..identify.chain_fit import ChainFit, OperatorFitSettings, fit_chain
-from ..identify.chain_kinds import backlash_starts
 from ..identify.runs import angle_range, command_range
 from ..networks.nodes import Scaling
-from ..operators.hysteresis import Backlash, InverseBacklash
-from ..operators.operator import Operator
-from .settings import NetworkSettings, RestSettings, ScalingSettings, WindowTraining
+from ..networks.settings import NetworkSettings, RestSettings, ScalingSettings, WindowTraining
 
 Float32 = NDArray[np.float32]
 Rng = np.random.Generator
@@ -30,7 +24,7 @@ Rng = np.random.Generator
 
 @dataclass(frozen=True)
 class TrainingRun:
-    """One motion to learn from, from the start of a trial.
+    """One motion for training, from the start of a trial.
 
     Attributes:
         command, angle: (T,), in units or scaled; exchanged for an inverse map.
@@ -48,8 +42,8 @@ class TrainingRun:
 
     def stretched(self, factor: float) -> Self:
         """The same motion `factor` times as fast, interpolated linearly."""
-        at, own = np.arange(0.0, self.command.size - 1, factor), np.arange(self.command.size)
-        parts = (np.interp(at, own, signal) for signal in (self.command, self.angle, self.weight))
+        at, samples = np.arange(0.0, self.command.size - 1, factor), np.arange(self.command.size)
+        parts = (np.interp(at, samples, signal) for signal in (self.command, self.angle, self.weight))
         return type(self)(*parts)
 
     def paused(self, at: int, samples: int) -> Self:
@@ -58,29 +52,9 @@ class TrainingRun:
         return type(self)(self.command[index], self.angle[index], self.weight[index])
 
 
-@dataclass(frozen=True)
-class Prepared:
-    """Scaled runs and, for a hybrid, the fitted operator in scaled units."""
-
-    training: list[TrainingRun]
-    judges: list[TrainingRun]
-    operator: Operator | None
-
-
-def prepared(
-    training: Sequence[Trial], judges: Sequence[Trial], scaling: Scaling, settings: NetworkSettings
-) -> Prepared:
-    """Scale and pad the trials; fit the backlash of a hybrid to those that are trained on.
-
-    Raises:
-        FitError: if the backlash cannot be fitted.
-    """
-    runs = [[_run(trial, scaling, settings) for trial in trials] for trials in (training, judges)]
-    if not settings.network.has_backlash:
-        return Prepared(runs[0], runs[1], None)
-    dead_zone = getattr(settings.network, "dead_zone", None)
-    backlash = fitted_backlash(training, settings.first_flexure_weight == 0.0, dead_zone)
-    return Prepared(runs[0], runs[1], scaled_operator(backlash, scaling))
+def prepared(trials: Sequence[Trial], scaling: Scaling, settings: NetworkSettings) -> list[TrainingRun]:
+    """Scaled runs, behind a rest where the training asks for one."""
+    return [_run(trial, scaling, settings) for trial in trials]
 
 
 def scaling_of(trials: Sequence[Trial], given: ScalingSettings | None) -> Scaling:
@@ -119,14 +93,14 @@ def _run(trial: Trial, scaling: Scaling, settings: NetworkSettings) -> TrainingR
     return scaled_run(run, scaling)
 
 
-def _padded(run: TrainingRun, trial: Trial, settings: NetworkSettings, way: WindowTraining) -> TrainingRun:
+def _padded(run: TrainingRun, trial: Trial, settings: NetworkSettings, scheme: WindowTraining) -> TrainingRun:
     """Rest before the trial; a network that looks back needs at least as much as it looks back on."""
     command, angle = float(trial.command[0]), float(trial.angle[0])
     if settings.rest is not None and _command_unit(trial) == settings.rest.unit:
         rest = (settings.rest.command, settings.rest.angle)
         command, angle = rest[::-1] if trial.inverted else rest
-    scored = settings.first_flexure_weight if way.padding_samples else 0.0
-    return run.padded(max(way.padding_samples, settings.network.context), command, angle, scored)
+    scored = settings.first_flexure_weight if scheme.padding_samples else 0.0
+    return run.padded(max(scheme.padding_samples, settings.network.context), command, angle, scored)
 
 
 def _command_unit(trial: Trial) -> str:
@@ -184,7 +158,7 @@ def arrange(runs: Sequence[TrainingRun], streams: int, length: int, warmup: int,
 
 
 def stretch(runs: Sequence[TrainingRun], share: float, rng: Rng) -> list[TrainingRun]:
-    """Each run at a speed of its own, up to `1 + share` times faster or slower."""
+    """Each run at a random speed, up to `1 + share` times faster or slower."""
     reach = np.log1p(share)
     return [run.stretched(float(np.exp(rng.uniform(-reach, reach)))) for run in runs]
 
@@ -192,67 +166,6 @@ def stretch(runs: Sequence[TrainingRun], share: float, rng: Rng) -> list[Trainin
 def pause(runs: Sequence[TrainingRun], longest: int, rng: Rng) -> list[TrainingRun]:
     """Each run with a pause of up to `longest` samples after a random one of its samples."""
     return [run.paused(int(rng.integers(run.command.size)), int(rng.integers(longest + 1))) for run in runs]
-
-
-DEAD_ZONES_DEG = (0.027, 0.1, 0.3, 1.0)  # of a catheter; the first is that of the code of S2 (RA-L 2024)
-
-
-def fitted_backlash(trials: Sequence[Trial], skip_first_flexure: bool, dead_zone: float | None = None) -> Operator:
-    """Backlash by least squares; from swapped trials an inverse backlash of its own, S2 eq. (3).
-
-    Args:
-        trials: all forward or all swapped.
-        skip_first_flexure: count each trial from its first reversal on.
-        dead_zone: of the inverse [deg]; None for the one of `DEAD_ZONES_DEG` with the least error.
-
-    Raises:
-        FitError: as `fit_chain` does.
-        KeyboardInterrupt: if the user stops a fit.
-    """
-    settings = OperatorFitSettings(skip_first_flexure, evaluations=60, restarts=2)
-    if not trials[0].inverted:
-        return _fitted(backlash_starts(trials), trials, settings).chain.core
-    turned = [trial.swapped() for trial in trials]
-    forward = _fitted(backlash_starts(turned), turned, settings).chain.core
-    assert isinstance(forward, Backlash)  # the starts are backlashes
-    unit = Decades.of(trials).angle
-    zones = [zone * unit for zone in DEAD_ZONES_DEG] if dead_zone is None else [dead_zone]
-    # One fit a dead zone: the error jumps where a sample crosses it, so that no slope leads from one to the next.
-    fits = [_fitted([Chain(forward.inverse(zone))], trials, settings) for zone in zones]
-    return min(fits, key=lambda fit: fit.rmse_deg).chain.core
-
-
-def _fitted(starts: Sequence[Chain], trials: Sequence[Trial], settings: OperatorFitSettings) -> ChainFit:
-    """The fit; stopped by the user, the training that it is part of is to end as well."""
-    fit = fit_chain(starts, trials, settings)
-    if fit.interrupted:
-        raise KeyboardInterrupt
-    return fit
-
-
-def scaled_operator(operator: Operator, scaling: Scaling) -> Operator:
-    """The same operator between scaled input and scaled output.
-
-    A line theta = m (u + c) reads y = m' (v + c') with m' = m u_scale / theta_scale and
-    c' = (u_offset + c) / u_scale - theta_offset / (m u_scale); the inverse's line u = theta / m - c with
-    m' = m theta_scale / u_scale and c' = (c + theta_offset - u_offset / m) / theta_scale, where u and theta stand for
-    what goes in and out. A dead zone is one of the input.
-    """
-    s = scaling
-    if isinstance(operator, InverseBacklash):
-        lines = [
-            (m * s.theta_scale / s.u_scale, (c + s.theta_offset - s.u_offset / m) / s.theta_scale)
-            for m, c in ((operator.m_lo, operator.c_lo), (operator.m_up, operator.c_up))
-        ]
-        (m_lo, c_lo), (m_up, c_up) = lines
-        return InverseBacklash(m_lo, m_up, c_lo, c_up, operator.dead_zone / s.u_scale)
-    assert isinstance(operator, Backlash)  # there are these two
-    lines = [
-        (m * s.u_scale / s.theta_scale, (s.u_offset + c) / s.u_scale - s.theta_offset / (m * s.u_scale))
-        for m, c in ((operator.m_lo, operator.c_lo), (operator.m_up, operator.c_up))
-    ]
-    (m_lo, c_lo), (m_up, c_up) = lines
-    return Backlash(m_lo, m_up, c_lo, c_up)
 
 
 FEW_TRIALS = 8

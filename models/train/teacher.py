@@ -1,4 +1,4 @@
-"""Random motions that an identified operator answers: what a network learns from beside the trials."""
+"""Random motions with the answers of an identified operator: training data of a network besides the trials."""
 
 from __future__ import annotations
 

@@ -16,15 +16,15 @@ from hystmpc.trials.errors import FitError
 from hystmpc.trials.types import Vec
 
 from ..networks.network_ import Network, numbers
+from ..networks.settings import NetworkSettings, StreamTraining, WindowTraining
 from .runs import Rng, Streams, TrainingRun, arrange, draw_windows, pause, stretch
-from .settings import NetworkSettings, StreamTraining, WindowTraining
 
 _EPSILON = 1e-4  # of S2 (RA-L 2024) eq. (12)
 
 
 @dataclass(frozen=True)
 class Check:
-    """The state of training at one look.
+    """State of the training at one check.
 
     Attributes:
         step: epochs or updates done.
@@ -43,7 +43,7 @@ class Check:
 
 @contextmanager
 def torch_session(seed: int, threads: int) -> Iterator[None]:
-    """Seeded, on a fixed number of threads; both go back to what they were."""
+    """PyTorch seeded and on a fixed number of threads; both are restored."""
     before = torch.get_num_threads()
     torch.set_num_threads(threads)
     try:
@@ -84,7 +84,7 @@ def constancy(output: torch.Tensor, command: torch.Tensor) -> torch.Tensor:
 
 @dataclass(frozen=True)
 class ValidationRuns:
-    """What is held out, as one batch.
+    """Held-out runs as one batch.
 
     Attributes:
         start: what the states start from (N,).
@@ -99,7 +99,7 @@ class ValidationRuns:
     weight: torch.Tensor
 
     def head(self, rows: int) -> ValidationRuns:
-        """The first `rows` of it."""
+        """The first `rows` runs."""
         return ValidationRuns(*(part[:rows] for part in (self.start, self.past, self.command, self.angle, self.weight)))
 
     def output(self, net: Network) -> torch.Tensor:
@@ -120,7 +120,7 @@ def whole_runs(runs: Sequence[TrainingRun], warmup: int) -> ValidationRuns:
 
 
 def rounding_error(net: Network, judged: ValidationRuns, output: torch.Tensor) -> float:
-    """What single precision does to a free run. A network that amplifies it is chaotic and cannot be exported."""
+    """Error of a free run in single precision. A network that amplifies it is chaotic and cannot be exported."""
     exact = judged.output(copy.deepcopy(net).double())
     return float((exact - output).abs().max())
 
@@ -135,22 +135,22 @@ class WindowUpdate:
 
     net: Network
     optimiser: torch.optim.Optimizer
-    way: WindowTraining
+    scheme: WindowTraining
 
     def __call__(self, batch: ValidationRuns, step: int) -> tuple[float, int]:
         """Mean square error before the update, and the samples behind it."""
         output, _ = self.net(batch.command, self.net.begin(batch.past, batch.start))
         error, used = weighted_error(output, batch.angle, batch.weight)
         loss = error
-        if self.way.constancy_weight:
-            loss = error + self.way.constancy_weight * constancy(output, batch.command)
+        if self.scheme.constancy_weight:
+            loss = error + self.scheme.constancy_weight * constancy(output, batch.command)
         update([self.optimiser], self.net, loss, math.inf, step)
         return float(error.item()), used
 
 
-def window_update(net: Network, settings: NetworkSettings, way: WindowTraining) -> WindowUpdate:
+def window_update(net: Network, settings: NetworkSettings, scheme: WindowTraining) -> WindowUpdate:
     """An update by Adam."""
-    return WindowUpdate(net, torch.optim.Adam(_trained(net), lr=settings.learning_rate), way)
+    return WindowUpdate(net, torch.optim.Adam(_trained(net), lr=settings.learning_rate), scheme)
 
 
 def window_checks(
@@ -158,20 +158,20 @@ def window_checks(
     training: Sequence[TrainingRun],
     held_out: Sequence[TrainingRun],
     settings: NetworkSettings,
-    way: WindowTraining,
+    scheme: WindowTraining,
 ) -> Iterator[Check]:
-    """One look after every epoch, at windows of the held-out trials, a fifth as many as in an epoch."""
+    """Checks after every epoch, on windows of the held-out trials, a fifth as many as in an epoch."""
     rng = np.random.default_rng(settings.seed)
-    improve = window_update(net, settings, way)
-    count = way.windows_per_epoch or sum(run.command.size for run in training)
-    length = net.context + way.length
+    improve = window_update(net, settings, scheme)
+    count = scheme.windows_per_epoch or sum(run.command.size for run in training)
+    length = net.context + scheme.length
     signals = [_signals(net, run) for run in training]
     judged = cut(net, draw_windows([_signals(net, run) for run in held_out], -(-count // 5), length, rng))
-    for epoch in range(1, way.epochs + 1):
+    for epoch in range(1, scheme.epochs + 1):
         parts = draw_windows(signals, count, length, rng)
         squares = samples = 0.0
-        for first in range(0, count, way.batch):
-            error, used = improve(cut(net, tuple(part[first : first + way.batch] for part in parts)), epoch)
+        for first in range(0, count, scheme.batch):
+            error, used = improve(cut(net, tuple(part[first : first + scheme.batch] for part in parts)), epoch)
             squares, samples = squares + used * error, samples + used
         output = judged.output(net)
         error_now, _ = weighted_error(output, judged.angle, judged.weight)
@@ -221,7 +221,7 @@ class StreamUpdate:
     optimisers: list[torch.optim.Optimizer]
     schedules: Sequence[torch.optim.lr_scheduler.LRScheduler]
     averaged: torch.optim.swa_utils.AveragedModel
-    way: StreamTraining
+    scheme: StreamTraining
 
     def __call__(self, piece: Piece, state: torch.Tensor | None, step: int) -> tuple[torch.Tensor, float, int]:
         """State after the piece, mean square error before the update, and the samples behind it; 0 for none."""
@@ -231,23 +231,23 @@ class StreamUpdate:
         error, used = weighted_error(output, piece.angle, piece.weight)
         if used:
             loss = error
-            if self.way.constancy_weight:
-                loss = error + self.way.constancy_weight * constancy(output, piece.command)
-            update(self.optimisers, self.net, loss, self.way.clip_norm, step)
+            if self.scheme.constancy_weight:
+                loss = error + self.scheme.constancy_weight * constancy(output, piece.command)
+            update(self.optimisers, self.net, loss, self.scheme.clip_norm, step)
             for schedule in self.schedules:
                 schedule.step()
             self.averaged.update_parameters(self.net)
         return following, float(error.item()), used
 
 
-def stream_update(net: Network, settings: NetworkSettings, way: StreamTraining) -> StreamUpdate:
+def stream_update(net: Network, settings: NetworkSettings, scheme: StreamTraining) -> StreamUpdate:
     """An update by Muon and Adam."""
-    optimisers = _muon_and_adam(net, way.matrix_learning_rate, settings.learning_rate)
-    schedules = [torch.optim.lr_scheduler.LambdaLR(o, lambda k: _rate(k, way.updates)) for o in optimisers]
+    optimisers = _muon_and_adam(net, scheme.matrix_learning_rate, settings.learning_rate)
+    schedules = [torch.optim.lr_scheduler.LambdaLR(o, lambda k: _rate(k, scheme.updates)) for o in optimisers]
     averaged = torch.optim.swa_utils.AveragedModel(
-        net, multi_avg_fn=torch.optim.swa_utils.get_ema_multi_avg_fn(way.averaging)
+        net, multi_avg_fn=torch.optim.swa_utils.get_ema_multi_avg_fn(scheme.averaging)
     )
-    return StreamUpdate(net, optimisers, schedules, averaged, way)
+    return StreamUpdate(net, optimisers, schedules, averaged, scheme)
 
 
 def stream_checks(
@@ -256,32 +256,32 @@ def stream_checks(
     held_out: Sequence[TrainingRun],
     teacher: TeacherRuns,
     settings: NetworkSettings,
-    way: StreamTraining,
+    scheme: StreamTraining,
 ) -> Iterator[Check]:
-    """A look after every few rounds, at free runs over whole held-out trials by the averaged weights."""
+    """Checks after every few rounds, by free runs of the averaged weights over whole held-out trials."""
     rng = np.random.default_rng(settings.seed)
-    improve = stream_update(net, settings, way)
+    improve = stream_update(net, settings, scheme)
     judged = whole_runs(held_out, settings.warmup_samples)
     step = rounds = 0
     squares = samples = 0.0
-    while step < way.updates:
-        runs = stretch([run for run in training for _ in range(way.copies)], way.time_scaling, rng)
-        runs = pause(runs, way.longest_pause, rng)
-        runs += teacher(step / way.updates, rng)
+    while step < scheme.updates:
+        runs = stretch([run for run in training for _ in range(scheme.copies)], scheme.time_scaling, rng)
+        runs = pause(runs, scheme.longest_pause, rng)
+        runs += teacher(step / scheme.updates, rng)
         state = None
-        for piece in pieces(arrange(runs, way.streams, way.length, settings.warmup_samples, rng)):
+        for piece in pieces(arrange(runs, scheme.streams, scheme.length, settings.warmup_samples, rng)):
             state, error, used = improve(piece, state, step)
             step, squares, samples = step + (used > 0), squares + used * error, samples + used
-            if step == way.updates:
+            if step == scheme.updates:
                 break
         rounds += 1
-        if rounds % way.rounds_between_checks == 0 or step == way.updates:
+        if rounds % scheme.rounds_between_checks == 0 or step == scheme.updates:
             yield _look(step, math.sqrt(squares / samples), cast(Network, improve.averaged.module), judged)
             squares = samples = 0.0
 
 
 def pieces(streams: Streams) -> Iterator[Piece]:
-    """One after the other, as tensors."""
+    """The pieces in order, as tensors."""
     for k in range(len(streams.command)):
         parts = (streams.command[k], streams.angle[k], streams.weight[k], streams.fresh[k][:, None])
         yield Piece(*(torch.from_numpy(np.ascontiguousarray(part)) for part in parts))

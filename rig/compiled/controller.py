@@ -20,6 +20,7 @@ from hystmpc.codegen.layout import structs
 from hystmpc.codegen.loaded import LoadedController
 from hystmpc.ctrl.command import EMPTY, Command, Source, Stopwatch, Timing
 from hystmpc.ctrl.estimation.observer import Estimate, usable_angle
+from hystmpc.ctrl.feedback import LEVELS
 from hystmpc.ctrl.guarded import (
     FallbackState,
     GuardedController,
@@ -29,7 +30,6 @@ from hystmpc.ctrl.guarded import (
 )
 from hystmpc.ctrl.planner.memory import PlannersController
 from hystmpc.ctrl.planner.settings import TipSettings
-from hystmpc.ctrl.supervisor import LEVELS
 from hystmpc.trials.errors import ConfigError, ControllerError, ExportError
 from hystmpc.trials.types import Vec
 

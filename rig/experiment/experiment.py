@@ -15,16 +15,14 @@ import numpy as np
 from hystmpc.ctrl.command import Command, CommandLimits, ControlInput, Source, Stopwatch, modelled_limits
 from hystmpc.ctrl.config import ControllerSettings, sensor_fault
 from hystmpc.ctrl.estimation.observer import EstimatorSettings
-from hystmpc.ctrl.guarded import GuardedController
-from hystmpc.ctrl.law import Law, Proposal
+from hystmpc.ctrl.guarded import GuardedController, Law, Proposal
 from hystmpc.ctrl.monitor import ChangeMonitor, MonitorState
-from hystmpc.ctrl.planner.assembly import Assembly, assemble
 from hystmpc.ctrl.planner.reach import beyond_reach
-from hystmpc.ctrl.planner.settings import TipSettings, read_settings
+from hystmpc.ctrl.planner.settings import Assembly, TipSettings, assemble, read_settings
 from hystmpc.ctrl.planner.tip_controller import TipController
 from hystmpc.trajectories.motion import Kinematics, PiecewiseCubic
 from hystmpc.trajectories.ruckig_ import move_to_rest
-from hystmpc.trajectories.trajectory import Chain, Trajectory
+from hystmpc.trajectories.trajectory import Trajectory, TrajectoryChain
 from hystmpc.trials.errors import ConfigError, ControllerError
 from hystmpc.trials.types import Vec
 
@@ -107,11 +105,11 @@ def tracking_phase(settings: RunSettings, threaded: bool = True, note: Note = la
     reference = settings.reference.build()
     if beyond := beyond_reach(reference(np.linspace(0.0, reference.duration_s, 1000)), assembly.workspace.model):
         note(f"warning: the reference {beyond}")
-    motion = tip_settings.motion.build()
+    motion = tip_settings.motion
 
     def lead_in(angle_deg: float) -> Trajectory:
         segments = move_to_rest(Kinematics(angle_deg), float(reference(0.0)), motion)
-        return Chain((PiecewiseCubic(segments), reference)) if segments.size else reference
+        return TrajectoryChain((PiecewiseCubic(segments), reference)) if segments.size else reference
 
     drill = settings.drill
     fails = None if drill is None else (drill.solver_fails_from_s, drill.solver_fails_from_s + drill.solver_fails_for_s)

@@ -9,8 +9,7 @@ import numpy as np
 from scipy.optimize import OptimizeResult, differential_evolution
 
 from hystmpc.ctrl.config import AnyControllerSettings
-from hystmpc.ctrl.feedback import PidControllerSettings
-from hystmpc.ctrl.inverse_settings import InversePidControllerSettings
+from hystmpc.ctrl.feedback import InversePidControllerSettings, PidControllerSettings
 from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.types import Progress, Vec
 

@@ -17,7 +17,7 @@ from hystmpc.bench.motions import recordings
 from hystmpc.bench.phases import Climb, Dash
 from hystmpc.ctrl.planner.settings import TipSettings
 from hystmpc.rig.experiment.phases import Past, PhaseInput
-from hystmpc.trajectories.config import SinusoidScanSettings
+from hystmpc.trajectories.scan import SinusoidScan
 from hystmpc.trials.errors import ConfigError, LogError
 
 from .small_commission import SCAN, Spied, spied_device, within
@@ -71,7 +71,7 @@ def test_recordings_and_tracks_keep_to_the_range_that_was_found(
     tip = TipSettings.parse({"model": "builtin:pi", "controller": {"kind": "pid"}})
     try:
         if controlled:
-            device.track("7-verify/scan", tip, SinusoidScanSettings.parse(SCAN | {"amplitude_deg": 25.0}), narrow)
+            device.track("7-verify/scan", tip, SinusoidScan.parse(SCAN | {"amplitude_deg": 25.0}), narrow)
         else:
             device.play("2-record/steps", recordings(narrow, 0.1, 1)["steps"], narrow)
     except (DeviceStoppedError, ConfigError, LogError):
@@ -90,7 +90,7 @@ def test_a_tip_that_overshoots_beyond_its_limits_stops_the_run(controlled: bool,
     over = spied_device(bench, tmp_path, sent, lambda k, u, y: y + 12.0 * u)
     tip = TipSettings.parse({"model": "builtin:pi", "controller": {"kind": "inverse"}})
     moves = {
-        True: partial(over.track, "7-verify/scan", tip, SinusoidScanSettings.parse(SCAN), bench),
+        True: partial(over.track, "7-verify/scan", tip, SinusoidScan.parse(SCAN), bench),
         False: partial(over.play, "2-record/slow_sine", commands, bench),
     }
     with pytest.raises(DeviceStoppedError, match=r"beyond commission\.angle_limits_deg"):

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from hystmpc.bench.device import DeviceStoppedError
 from hystmpc.bench.phases import Bounded, Climb, Dash
 from hystmpc.ctrl.planner.settings import TipSettings
-from hystmpc.trajectories.config import SinusoidScanSettings
+from hystmpc.trajectories.scan import SinusoidScan
 from hystmpc.trials.errors import ConfigError
 
 from .small_commission import SCAN, spied_device, within
@@ -100,7 +100,7 @@ def test_an_inverted_device_stops_a_closed_loop_before_it_comes_to_rest_at_a_lim
     device = spied_device(bench, tmp_path, sent, tip)
     controller = TipSettings.parse({"model": "builtin:pi", "controller": {"kind": kind}})
     with pytest.raises(DeviceStoppedError, match=r"against the command|off its model"):
-        device.track("7-verify/scan", controller, SinusoidScanSettings.parse(SCAN | {"cycles": 6}), bench)
+        device.track("7-verify/scan", controller, SinusoidScan.parse(SCAN | {"cycles": 6}), bench)
     assert within(sent, bench)
     assert sum(u == 6.0 for u in sent) * DT_S < 1.5
     assert sent[-1] == pytest.approx(0.0, abs=1e-9)

@@ -11,13 +11,11 @@ from typing import Any
 
 import numpy as np
 
-from hystmpc.ctrl.planner.assembly import assemble
-from hystmpc.ctrl.planner.settings import read_settings
+from hystmpc.ctrl.planner.settings import assemble, read_settings
 from hystmpc.models.inverse.drive import Drive
 from hystmpc.models.load import load_model, model_path
 from hystmpc.models.operators.dynamics import Lag
-from hystmpc.models.prediction.build import predictor_for
-from hystmpc.models.prediction.connected import SeriesPredictor
+from hystmpc.models.prediction.build import SeriesPredictor, predictor_for
 from hystmpc.trials.types import Vec
 
 from .compiled import EXAMPLES, SOURCES, Library

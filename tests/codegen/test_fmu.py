@@ -22,9 +22,8 @@ from hystmpc.cli.main import app
 from hystmpc.codegen import export_fmu
 from hystmpc.codegen.fmu import FmuVersion
 from hystmpc.codegen.fmu.binary import PLATFORMS
-from hystmpc.models.chain import Chain
+from hystmpc.models.chain import Chain, operators
 from hystmpc.models.load import library_file
-from hystmpc.models.operators.catalogue import operators
 from hystmpc.models.operators.measurement import Sensor
 from hystmpc.models.simulator import Simulator, load_simulator
 from hystmpc.sim import Effects, SimulatedPlant

@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 
 from hystmpc.ctrl.analysis import LoopAnalysis, analyse_pid, describing_function
+from hystmpc.ctrl.build import build_controller
 from hystmpc.ctrl.command import CommandLimits
-from hystmpc.ctrl.feedback import PidControllerSettings, PidSettings
-from hystmpc.ctrl.guarded import build_controller
-from hystmpc.ctrl.inverse_settings import InversePidControllerSettings
+from hystmpc.ctrl.feedback import InversePidControllerSettings, PidControllerSettings, PidSettings
 from hystmpc.ctrl.loop import LoopLog, run_loop
 from hystmpc.models.chain import Chain
 from hystmpc.models.contract.metadata import Range

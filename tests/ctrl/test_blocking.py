@@ -12,12 +12,10 @@ from scipy import sparse
 from scipy.linalg import null_space
 
 from hystmpc.ctrl.command import Stopwatch
-from hystmpc.ctrl.linearised.daqp_ import DaqpOptions, DaqpSolver
-from hystmpc.ctrl.linearised.osqp_ import OsqpOptions, OsqpSolver
 from hystmpc.ctrl.linearised.planner import BlockedQp, LinearisedPlanner, MoveBlocking, TrackingQp
-from hystmpc.ctrl.linearised.qp import QpData, QpPattern, QpSolution
+from hystmpc.ctrl.linearised.qp import DaqpOptions, DaqpSolver, OsqpOptions, OsqpSolver, QpData, QpPattern, QpSolution
 from hystmpc.ctrl.mpc import PlanCost
-from hystmpc.ctrl.planning_settings import WeightsSettings
+from hystmpc.ctrl.mpc_settings import WeightsSettings
 from hystmpc.trials.errors import ControllerError
 
 from .plays import DT, LINEAR, SOUND, Case

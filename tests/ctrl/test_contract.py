@@ -11,9 +11,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from hystmpc.ctrl.build import build_controller
 from hystmpc.ctrl.command import CommandLimits, Source
 from hystmpc.ctrl.config import CONTROLLERS
-from hystmpc.ctrl.guarded import GuardedController, build_controller
+from hystmpc.ctrl.guarded import GuardedController
 
 from .plays import BROKEN, DRIVEN, PLAY, SOUND, Case
 

@@ -10,10 +10,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from hystmpc.ctrl.build import build_controller
 from hystmpc.ctrl.command import CommandLimits
 from hystmpc.ctrl.config import CONTROLLERS
 from hystmpc.ctrl.feedback import REFERENCE_DEAD_ZONE_DEG
-from hystmpc.ctrl.guarded import GuardedController, build_controller
+from hystmpc.ctrl.guarded import GuardedController
 from hystmpc.ctrl.loop import LoopLog, run_loop
 from hystmpc.models.chain import Chain
 from hystmpc.models.model import Inverse, Predictor

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hystmpc.ctrl.mpc import Hold, HoldRule
-from hystmpc.ctrl.planning_settings import HoldSettings
+from hystmpc.ctrl.mpc_settings import HoldSettings
 from hystmpc.trials.errors import ConfigError
 
 DT, PATIENCE = 0.04, 10

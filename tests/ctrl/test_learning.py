@@ -10,13 +10,13 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
+from hystmpc.ctrl.build import build_controller, learning_pair
 from hystmpc.ctrl.command import CommandLimits
 from hystmpc.ctrl.config import CONTROLLERS
 from hystmpc.ctrl.estimation.observer import Estimate, EstimatorSettings
-from hystmpc.ctrl.guarded import build_controller
 from hystmpc.ctrl.learning.bank import DELAYS, DRIVES, FEATURES, LAGS_S, BankState, FilterBank, features, first_memory
 from hystmpc.ctrl.learning.predictor import LearnedInverse, LearnedPredictor, Learning, LearningEstimator
-from hystmpc.ctrl.planning_settings import AdaptationSettings
+from hystmpc.ctrl.mpc_settings import AdaptationSettings
 from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.types import Vec
 
@@ -424,12 +424,12 @@ def test_learning_never_destabilises_a_changed_device_and_mends_it_behind_two_fl
 def test_a_pair_is_wrapped_once_and_only_where_it_learns() -> None:
     case = SOUND[0]
     asked = CONTROLLERS["linearised_mpc"].parse({"kind": "linearised_mpc"})
-    pair = asked.model_pair(case.predictor, case.inverse)
+    pair = learning_pair(asked, case.predictor, case.inverse)
     assert isinstance(pair[1], LearnedInverse)
-    assert asked.model_pair(*pair) == pair
+    assert learning_pair(asked, *pair) == pair
     for block in ({"adaptation": None}, {"estimator": {"sensor": "none"}}):
         plain = CONTROLLERS["linearised_mpc"].parse({"kind": "linearised_mpc", **block})
-        assert plain.model_pair(case.predictor, case.inverse) == (case.predictor, case.inverse)
+        assert learning_pair(plain, case.predictor, case.inverse) == (case.predictor, case.inverse)
         assert CONTROLLERS["linearised_mpc"].parse(plain.model_dump(mode="json")) == plain
 
 

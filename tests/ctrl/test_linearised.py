@@ -11,12 +11,10 @@ import pytest
 from scipy.optimize import LinearConstraint, minimize
 
 from hystmpc.ctrl.command import CommandLimits, CommandPlan, Stopwatch
-from hystmpc.ctrl.linearised.osqp_ import OsqpOptions, OsqpSolver
 from hystmpc.ctrl.linearised.planner import LinearisedPlanner, TrackingQp
-from hystmpc.ctrl.linearised.qp import QpData
+from hystmpc.ctrl.linearised.qp import OsqpOptions, OsqpSolver, QpData
 from hystmpc.ctrl.mpc import PlanCost, PlanningError, PlanningProblem
-from hystmpc.ctrl.mpc_settings import LinearisedMpcSettings
-from hystmpc.ctrl.planning_settings import WeightsSettings
+from hystmpc.ctrl.mpc_settings import LinearisedMpcSettings, WeightsSettings
 from hystmpc.trials.errors import ConfigError, ControllerError
 
 from .plays import DT, LINEAR, PLAY, SOUND, Case, Faulty, Lag, not_a_number

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from hystmpc.ctrl.estimation.noise import NoiseBank
 from hystmpc.ctrl.estimation.observer import Estimate, EstimatorSettings, Observer, OutputEstimator
 from hystmpc.ctrl.learning.predictor import LearnedPredictor, LearningEstimator
-from hystmpc.ctrl.planning_settings import AdaptationSettings
+from hystmpc.ctrl.mpc_settings import AdaptationSettings
 from hystmpc.models.contract.metadata import NoiseModel
 from hystmpc.trials.types import Vec
 

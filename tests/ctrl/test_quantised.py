@@ -10,14 +10,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from hystmpc.ctrl.build import build_controller
 from hystmpc.ctrl.command import CommandLimits
 from hystmpc.ctrl.config import parse_controller
 from hystmpc.ctrl.estimation.noise import NoiseBank
-from hystmpc.ctrl.feedback import PidSettings
-from hystmpc.ctrl.guarded import build_controller
+from hystmpc.ctrl.feedback import PidSettings, SupervisorSettings, feedback_gains
 from hystmpc.ctrl.mpc import Hold, HoldRule
-from hystmpc.ctrl.planning_settings import HoldSettings, SupervisorSettings
-from hystmpc.ctrl.supervisor import feedback_gains
+from hystmpc.ctrl.mpc_settings import HoldSettings
 from hystmpc.models.chain import Chain
 from hystmpc.models.contract.metadata import NoiseModel
 from hystmpc.models.model import Inverse, Predictor

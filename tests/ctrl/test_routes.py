@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hystmpc.ctrl.linearised.daqp_ import DaqpOptions
-from hystmpc.models.inverse.one_step import AccompaniedPredictor, CompanionInverse
+from hystmpc.ctrl.linearised.qp import DaqpOptions
+from hystmpc.models.inverse.inverses import AccompaniedPredictor, CompanionInverse
 from hystmpc.models.kinds.catalogue import all_kinds
 from hystmpc.models.kinds.kind import ModelKind
 from hystmpc.models.load import library_file

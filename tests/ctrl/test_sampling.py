@@ -9,11 +9,16 @@ import numpy as np
 import pytest
 
 from hystmpc.ctrl.command import CommandPlan, Stopwatch
-from hystmpc.ctrl.linearised.osqp_ import OsqpOptions
 from hystmpc.ctrl.linearised.planner import LinearisedPlanner
+from hystmpc.ctrl.linearised.qp import OsqpOptions
 from hystmpc.ctrl.mpc import PlanCost, Planner, PlanningError
-from hystmpc.ctrl.mpc_settings import LinearisedMpcSettings, SamplingMpcSettings
-from hystmpc.ctrl.planning_settings import ColouredNoiseSettings, SplineNoiseSettings, WeightsSettings
+from hystmpc.ctrl.mpc_settings import (
+    ColouredNoiseSettings,
+    LinearisedMpcSettings,
+    SamplingMpcSettings,
+    SplineNoiseSettings,
+    WeightsSettings,
+)
 from hystmpc.ctrl.sampling import CrossEntropyPlanner, PathIntegralPlanner, SampleCounter, fit_columns, make_orthogonal
 from hystmpc.trials.errors import ConfigError, ControllerError
 

@@ -6,9 +6,9 @@ from typing import Any
 
 import pytest
 
+from hystmpc.ctrl.build import build_controller
 from hystmpc.ctrl.command import CommandLimits
 from hystmpc.ctrl.config import CONTROLLERS, parse_controller
-from hystmpc.ctrl.guarded import build_controller
 from hystmpc.trials.errors import ConfigError, ControllerError
 
 from .plays import LINEAR, PLAY

@@ -11,16 +11,12 @@ import pytest
 
 from hystmpc.ctrl.command import CommandLimits, Source, Stopwatch, attempt
 from hystmpc.ctrl.estimation.observer import EstimatorSettings, OutputEstimator
-from hystmpc.ctrl.guarded import FallbackChain, GuardedController
-from hystmpc.ctrl.law import FallbackSettings
-from hystmpc.ctrl.linearised.daqp_ import DaqpOptions, DaqpSolver
-from hystmpc.ctrl.linearised.osqp_ import OsqpOptions, OsqpSolver
+from hystmpc.ctrl.guarded import FallbackChain, FallbackSettings, GuardedController
 from hystmpc.ctrl.linearised.planner import LinearisedPlanner, TrackingQp
-from hystmpc.ctrl.linearised.qp import QpData, QpPattern, QpSolver
+from hystmpc.ctrl.linearised.qp import DaqpOptions, DaqpSolver, OsqpOptions, OsqpSolver, QpData, QpPattern, QpSolver
 from hystmpc.ctrl.mpc import PlanningError, PredictiveLaw
-from hystmpc.ctrl.mpc_settings import LinearisedMpcSettings
-from hystmpc.ctrl.planning_settings import HoldSettings, WeightsSettings
-from hystmpc.models.inverse.one_step import AccompaniedPredictor
+from hystmpc.ctrl.mpc_settings import HoldSettings, LinearisedMpcSettings, WeightsSettings
+from hystmpc.models.inverse.inverses import AccompaniedPredictor
 from hystmpc.models.load import library_file, load_model
 from hystmpc.models.model import Inverse, LoadedModel, Predictor
 from hystmpc.models.prediction.build import controller_model

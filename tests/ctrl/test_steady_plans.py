@@ -12,13 +12,12 @@ from hypothesis import strategies as st
 
 import hystmpc
 from hystmpc.ctrl import CommandLimits
+from hystmpc.ctrl.build import build_controller, pair_for
 from hystmpc.ctrl.config import parse_controller
-from hystmpc.ctrl.guarded import build_controller, pair_for
-from hystmpc.ctrl.planner.assembly import Assembly
 from hystmpc.ctrl.planner.reach import Workspace, angles_at_rest
-from hystmpc.ctrl.planner.settings import TipSettings
+from hystmpc.ctrl.planner.settings import Assembly, TipSettings
 from hystmpc.ctrl.planner.tip_controller import TipController
-from hystmpc.models.inverse.one_step import CompiledInverse, inverted_after_a_hold
+from hystmpc.models.inverse.inverses import CompiledInverse, inverted_after_a_hold
 from hystmpc.models.load import load_model
 from hystmpc.models.operators.prandtl_ishlinskii import PrandtlIshlinskii
 from hystmpc.models.prediction.build import ControllerModel, controller_model

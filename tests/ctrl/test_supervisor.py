@@ -10,13 +10,12 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
+from hystmpc.ctrl.build import build_controller
 from hystmpc.ctrl.command import CommandLimits, Source, Stopwatch
 from hystmpc.ctrl.config import CONTROLLERS
-from hystmpc.ctrl.feedback import PidSettings
-from hystmpc.ctrl.guarded import GuardedController, GuardedState, build_controller
+from hystmpc.ctrl.feedback import PidSettings, SupervisorSettings, SupervisoryLaw, feedback_gains
+from hystmpc.ctrl.guarded import GuardedController, GuardedState
 from hystmpc.ctrl.learning.predictor import Learning
-from hystmpc.ctrl.planning_settings import SupervisorSettings
-from hystmpc.ctrl.supervisor import SupervisoryLaw, feedback_gains
 from hystmpc.trials.errors import ConfigError
 
 from .plays import DT, SOUND, Backlash

@@ -12,11 +12,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hystmpc.ctrl import CommandLimits, Source, TipController
+from hystmpc.ctrl.build import build_controller
 from hystmpc.ctrl.config import CONTROLLERS
-from hystmpc.ctrl.guarded import build_controller
-from hystmpc.ctrl.planner.assembly import Assembly
 from hystmpc.ctrl.planner.reach import Workspace, angles_at_rest
-from hystmpc.ctrl.planner.settings import TipSettings
+from hystmpc.ctrl.planner.settings import Assembly, TipSettings
 from hystmpc.trials.errors import ControllerError
 
 from .plays import DT, PLAY, SOUND, Case, ModelPlant

@@ -14,8 +14,8 @@ import pytest
 import hystmpc
 from hystmpc import Evaluation, HystmpcError
 from hystmpc.ctrl import Command, Source, TipController
+from hystmpc.ctrl.build import build_controller
 from hystmpc.ctrl.config import parse_controller
-from hystmpc.ctrl.guarded import build_controller
 from hystmpc.trials.errors import ConfigError
 
 from .plays import DT, PLAY

@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from hystmpc.ctrl.build import build_controller
 from hystmpc.ctrl.command import CommandLimits
 from hystmpc.ctrl.config import CONTROLLERS
-from hystmpc.ctrl.guarded import GuardedController, build_controller
+from hystmpc.ctrl.guarded import GuardedController
 from hystmpc.ctrl.loop import LoopLog, run_loop
 
 from .plays import DT, LINEAR, PLAY, SOUND, Backlash, BacklashInverse, Case, ModelPlant

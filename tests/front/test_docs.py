@@ -91,7 +91,7 @@ def names(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
     shutil.copytree(ROOT / "examples", tmp_path / "examples")
     shutil.copy(next((ROOT / "models" / "library").glob("lstm*.onnx")), tmp_path / "lstm.onnx")
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("hystmpc.models.effects.own._added", {})  # effects that a page adds are its own
+    monkeypatch.setattr("hystmpc.models.effects.catalogue._added", {})  # effects that a page adds are its own
     trials = hystmpc.read_trials("logs")
     given = {"trials": trials, "simulator": simulator, "chain": simulator.chain, "commands": trials[0].command[:50]}
     return given | {"device": Device(), "__name__": "page"}

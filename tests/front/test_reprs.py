@@ -19,7 +19,7 @@ RETURNED = {  # by the public functions that take longer
     "hystmpc.bench.commission": "Commissioned",
     "hystmpc.gap.diagnosis": "Diagnosis",
     "hystmpc.bench.rounds": "Investigated",
-    "hystmpc.models.contract.equivalence": "EquivalenceReport",
+    "hystmpc.models.contract.export": "EquivalenceReport",
     "hystmpc.sim.results": "StudyResult",
     "hystmpc.sim.tuning.objective": "Tuning",
 }

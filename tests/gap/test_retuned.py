@@ -21,8 +21,7 @@ from hystmpc.models.contract.metadata import Range
 from hystmpc.models.identify.baseline import BacklashBaseline, baseline_of
 from hystmpc.models.identify.cross_validation import CrossValidation, Hypothesis
 from hystmpc.models.identify.problem import Problem
-from hystmpc.models.operators.curved_plays import CurvedPlays
-from hystmpc.models.operators.hysteresis import Backlash
+from hystmpc.models.operators.hysteresis import Backlash, CurvedPlays
 from hystmpc.models.simulator import Residual
 from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Vec

@@ -12,10 +12,11 @@ import pytest
 from hystmpc.models.maps import LaserConversion, TipMap
 from hystmpc.sim.devices.muscle import MuscleRecorder
 from hystmpc.sim.devices.tendon import TendonRecorder
-from hystmpc.trajectories.excitation import s1_test_b, s2_sinusoid
+from hystmpc.trajectories.excitation import s2_sinusoid
 from hystmpc.trials.errors import ConfigError, LogError
 from hystmpc.trials.trial import Trial
 from hystmpc_lab.datasets.dataset import Dataset, read_dataset, write_dataset
+from hystmpc_lab.datasets.paper_commands import s1_test_b
 from hystmpc_lab.datasets.paper_data import S1Settings, S2Settings, make_dataset
 
 SMALL = S2Settings(

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from hystmpc.ctrl.build import build_controller
 from hystmpc.ctrl.feedback import PidControllerSettings, PidSettings
-from hystmpc.ctrl.guarded import build_controller
 from hystmpc.ctrl.mpc_settings import LinearisedMpcSettings
 from hystmpc.sim.study import run_closed_loop
 from hystmpc.trials.errors import FitError

@@ -11,10 +11,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hystmpc.ctrl.linearised.daqp_ import DaqpOptions, DaqpSolver
-from hystmpc.ctrl.linearised.osqp_ import OsqpOptions, OsqpSolver
+from hystmpc.ctrl.linearised.qp import DaqpOptions, DaqpSolver, OsqpOptions, OsqpSolver
 from hystmpc.ctrl.mpc import PlanCost
-from hystmpc.ctrl.planning_settings import WeightsSettings
+from hystmpc.ctrl.mpc_settings import WeightsSettings
 from hystmpc.models.kernels.vector_emitter import host_shape
 from hystmpc.models.model import Predictor
 from hystmpc.trials.errors import ConfigError

@@ -14,9 +14,10 @@ from hystmpc.models.kernels.lstm_vector import VectorRoute, allowed_threads
 from hystmpc.models.kernels.network_route import NetworkRoute
 from hystmpc.models.kernels.vector_emitter import SHAPES, host_shape
 from hystmpc.models.motions import flexed
-from hystmpc.models.networks.lstm import LstmLayer, LstmStep, LstmWeights
+from hystmpc.models.networks.lstm import LstmLayer, LstmWeights
 from hystmpc.models.networks.nodes import Scaling
 from hystmpc.trials.trial import Trial
+from hystmpc_lab.performance.lstm_reference import LstmStep
 
 DT = 0.04
 SIZES = {"one layer of 5": (5, 1), "two of 64": (64, 2), "three of 7": (7, 3)}

@@ -8,12 +8,11 @@ import onnx
 import onnxruntime as ort
 import pytest
 
-from hystmpc.models.chain import Chain
+from hystmpc.models.chain import Chain, operators
 from hystmpc.models.contract.onnx_nodes import step_graph
 from hystmpc.models.identify.free_run import StagedChain
 from hystmpc.models.kernels.chain_kernels import compile_step
 from hystmpc.models.kernels.program import BINARY, NUMPY, SCALAR, TORCH, UNARY, array_program, dense
-from hystmpc.models.operators.catalogue import operators
 from hystmpc.models.operators.measurement import Sensor
 from hystmpc.trials.errors import ModelError
 

@@ -19,14 +19,13 @@ from hystmpc.models.contract.metadata import Connection
 from hystmpc.models.evaluate import free_run
 from hystmpc.models.inverse.drive import Drive, DrivenInverse
 from hystmpc.models.motions import probe_commands
-from hystmpc.models.networks.lstm import LstmStep, lstm_step_graph
 from hystmpc.models.operators.dynamics import Delay, Lag
 from hystmpc.models.operators.operator import Operator
 from hystmpc.models.operators.slow_changes import Creep
-from hystmpc.models.prediction.build import controller_model, predictor_for
-from hystmpc.models.prediction.connected import ParallelPredictor, SeriesPredictor
+from hystmpc.models.prediction.build import ParallelPredictor, SeriesPredictor, controller_model, predictor_for
 from hystmpc.models.simulator import ChainModel, simulator_bundle
 from hystmpc.trials.errors import ModelError
+from hystmpc_lab.performance.lstm_reference import LstmStep, lstm_step_graph
 
 from .lstm_examples import facts, random_weights
 from .zoo import BACKLASH, DT, RATE_PI, simulator

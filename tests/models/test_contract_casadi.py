@@ -12,8 +12,8 @@ import pytest
 from onnx import TensorProto, helper, numpy_helper
 from onnxruntime.capi.onnxruntime_pybind11_state import NotImplemented as NotImplemented_
 
-from hystmpc.models.contract.casadi_ import to_casadi
-from hystmpc.models.contract.checks import ALLOWED, IR_VERSION, OPSET
+from hystmpc.models.contract.casadi_ import ALLOWED, to_casadi
+from hystmpc.models.contract.load import IR_VERSION, OPSET
 from hystmpc.trials.errors import ModelError
 
 SIZE = 4

@@ -10,8 +10,7 @@ import onnx
 import pytest
 from onnx import TensorProto, numpy_helper
 
-from hystmpc.models.contract.equivalence import EquivalenceReport
-from hystmpc.models.contract.export import ExportBundle, export_onnx
+from hystmpc.models.contract.export import EquivalenceReport, ExportBundle, export_onnx
 from hystmpc.models.contract.load import OnnxModel, load_onnx
 from hystmpc.models.model import StepFunction
 from hystmpc.trials.errors import ExportError

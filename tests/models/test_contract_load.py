@@ -15,8 +15,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from onnx import TensorProto, helper, numpy_helper
 
-from hystmpc.models.contract.checks import IR_VERSION, OPSET
-from hystmpc.models.contract.load import OnnxModel, load_onnx
+from hystmpc.models.contract.load import IR_VERSION, OPSET, OnnxModel, load_onnx
 from hystmpc.models.contract.metadata import FORMAT, ModelMetadata
 from hystmpc.trials.errors import ModelError
 

@@ -10,11 +10,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hystmpc.models.chain import Chain
+from hystmpc.models.chain import Chain, operator_from, operator_spec
 from hystmpc.models.evaluate import free_run
-from hystmpc.models.inverse.one_step import CompiledInverse
+from hystmpc.models.inverse.inverses import CompiledInverse
 from hystmpc.models.load import load_model
-from hystmpc.models.operators.catalogue import operator_from, operator_spec
 from hystmpc.models.operators.hysteresis import BoucWen
 from hystmpc.models.operators.operator import Operator
 from hystmpc.models.operators.prandtl_ishlinskii import Drdpi

@@ -10,7 +10,7 @@ from scipy.optimize import lsq_linear
 
 from hystmpc.models.chain import Chain, split
 from hystmpc.models.inverse.drive import Drive, DrivenInverse, bounded_moves, first_acting
-from hystmpc.models.inverse.follow import Bounds, follower_for
+from hystmpc.models.inverse.inverses import Bounds, follower_for
 from hystmpc.models.operators.dynamics import Delay, Lag, RateLimit, Servo
 from hystmpc.models.operators.operator import Operator
 from hystmpc.models.operators.slow_changes import Creep

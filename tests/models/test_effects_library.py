@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hystmpc.models.chain import Chain
+from hystmpc.models.chain import Chain, operator_from, operator_spec, operators
 from hystmpc.models.effects.catalogue import EFFECTS, candidates, diagnosable
 from hystmpc.models.effects.effect import Scale
 from hystmpc.models.effects.pictures import effect_figure, write_pictures
@@ -24,7 +24,6 @@ from hystmpc.models.effects.place import (
     neutral_operator,
     with_effect,
 )
-from hystmpc.models.operators.catalogue import operator_from, operator_spec, operators
 from hystmpc.models.simulator import load_simulator, save_simulator
 from hystmpc.trials.errors import ModelError
 

@@ -5,13 +5,21 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hystmpc.models.inverse.follow import Bounds, CompiledFollower, Follower, StepwiseFollower, follower_for
-from hystmpc.models.inverse.one_step import AccompaniedPredictor, CompanionInverse, CompiledInverse
+from hystmpc.models.inverse.inverses import (
+    AccompaniedPredictor,
+    Bounds,
+    CompanionInverse,
+    CompiledFollower,
+    CompiledInverse,
+    Follower,
+    StepwiseFollower,
+    follower_for,
+)
 from hystmpc.models.model import Inverse, Predictor
 from hystmpc.models.operators.dynamics import Lag
 from hystmpc.models.prediction.build import ControllerModel
 from hystmpc.models.prediction.compiled import CompiledPredictor
-from hystmpc.models.prediction.recurrent import LstmPredictor
+from hystmpc.models.prediction.exported import RoutedPredictor
 
 from .lstm_examples import ROUTES, facts, make_route, random_weights
 from .zoo import CHAINS, simulator
@@ -27,7 +35,7 @@ def pair(name: str, lag_s: float) -> tuple[Predictor, Inverse]:
         inverse: Inverse = CompiledInverse(chain, BOUNDS.low, 4.0)  # searches among less than may be sent
     else:
         weights = random_weights(7, 2)
-        network = LstmPredictor(weights, facts(weights), route=make_route(weights, name.removeprefix("lstm, ")))
+        network = RoutedPredictor(facts(weights), "conditioned", make_route(weights, name.removeprefix("lstm, ")))
         chain = CompiledPredictor.of_simulator(simulator(CHAINS["backlash"]))
         predictor = both = AccompaniedPredictor(network, chain)
         inverse = CompanionInverse(both, CompiledInverse(chain, BOUNDS.low, BOUNDS.high))

@@ -13,7 +13,7 @@ from hystmpc.models.kernels.gated import GatedLstmRoute, pack_gated_lstm
 from hystmpc.models.networks.nodes import Scaling, network_step_graph
 from hystmpc.models.networks.settings import DeviceFacts, GatedSettings
 from hystmpc.models.prediction.build import predictor_for
-from hystmpc.models.prediction.recurrent import GatedLstmPredictor
+from hystmpc.models.prediction.exported import RoutedPredictor
 from hystmpc.trials.errors import ModelError
 
 from .tiny_kinds import FORWARD, example
@@ -141,7 +141,7 @@ def test_the_default_lstm_holds_in_its_file_and_behind_its_predictor() -> None:
     """onnxruntime and the kernels, after a motion that was recorded: not a bit of drift in a minute."""
     one = example("lstm", FORWARD)
     predictor = predictor_for(one.model)
-    assert isinstance(predictor, GatedLstmPredictor)
+    assert isinstance(predictor, RoutedPredictor)
     commands = np.concatenate([one.trials[0].command[:60], np.full(1500, 2.2)])
     theta = free_run(one.model, commands, 40.0)
     assert np.ptp(theta[:60]) > 5.0

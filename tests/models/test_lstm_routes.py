@@ -16,9 +16,9 @@ from hystmpc.models.kernels.lstm_plain import PlainRoute
 from hystmpc.models.kernels.lstm_vector import VectorRoute, allowed_threads, kernel_source, share
 from hystmpc.models.kernels.numba_ import generated_module
 from hystmpc.models.kernels.vector_emitter import SHAPES, VectorShape, host_shape, shape_for
-from hystmpc.models.networks.lstm import LstmStep
-from hystmpc.models.prediction.recurrent import VARIABLE, LstmPredictor, chosen_route
+from hystmpc.models.prediction.exported import VARIABLE, RoutedPredictor, chosen_route
 from hystmpc.trials.errors import ConfigError, ModelError
+from hystmpc_lab.performance.lstm_reference import LstmStep
 
 from .lstm_examples import ROUTES, SIZES, facts, make_route, random_weights
 
@@ -151,7 +151,7 @@ def test_shared_work_is_done_once_and_its_errors_are_heard() -> None:
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
 def test_what_is_not_finite_does_not_become_an_angle(route: str, bad: float) -> None:
     weights = EXAMPLES["one layer of 5"]
-    predictor = LstmPredictor(weights, facts(weights), route=make_route(weights, route))
+    predictor = RoutedPredictor(facts(weights), "conditioned", make_route(weights, route))
     state, plans = predictor.initial(45.0, 1.0), np.full((5, 4), 2.0)
     fine = predictor.rollout(state, plans)
     plans[3, 2] = bad

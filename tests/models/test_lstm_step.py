@@ -14,10 +14,11 @@ from hypothesis import strategies as st
 from hystmpc.models.contract.export import ExportBundle, export_onnx
 from hystmpc.models.contract.load import load_onnx
 from hystmpc.models.motions import probe_commands
-from hystmpc.models.networks.lstm import LstmLayer, LstmStep, LstmWeights, lstm_rollout_graph, lstm_step_graph
+from hystmpc.models.networks.lstm import LstmLayer, LstmWeights, lstm_rollout_graph
 from hystmpc.models.networks.nodes import Scaling
-from hystmpc.models.prediction.recurrent import LstmPredictor
+from hystmpc.models.prediction.exported import RoutedPredictor, chosen_route, recurrent_predictor
 from hystmpc.trials.errors import ModelError
+from hystmpc_lab.performance.lstm_reference import LstmStep, lstm_step_graph
 
 from .lstm_examples import ROUTES, SIZES, facts, make_route, random_weights
 
@@ -50,8 +51,8 @@ def some_state(weights: LstmWeights, seed: int = 3) -> np.ndarray:
     return state[0].astype(np.float32).astype(float)
 
 
-def predictor_of(weights: LstmWeights, route: str) -> LstmPredictor:
-    return LstmPredictor(weights, facts(weights), route=make_route(weights, route))
+def predictor_of(weights: LstmWeights, route: str) -> RoutedPredictor:
+    return RoutedPredictor(facts(weights), "conditioned", make_route(weights, route))
 
 
 def session(graph: onnx.GraphProto) -> ort.InferenceSession:
@@ -67,7 +68,9 @@ def test_paper_size_has_the_papers_number_of_parameters() -> None:
 @every_size
 def test_torch_agrees_over_a_long_run(weights: LstmWeights) -> None:
     torch = pytest.importorskip("torch")
-    from hystmpc.models.networks.recurrent_ import net_of, weights_of
+    from hystmpc.models.networks.network_ import numbers
+    from hystmpc.models.networks.recurrent_ import lstm_layers
+    from hystmpc_lab.performance.pytorch_mppi_ import net_of
 
     net, scaling, u = net_of(weights), weights.scaling, commands()
     with torch.no_grad():
@@ -75,7 +78,9 @@ def test_torch_agrees_over_a_long_run(weights: LstmWeights) -> None:
         y, _ = net(v, net.start(v[:, 0]))
     theta = scaling.theta_offset + scaling.theta_scale * y[0].double().numpy()
     np.testing.assert_allclose(theta, reference_run(weights, u), rtol=0, atol=FREE_RUN_DEG)
-    back = weights_of(net, scaling).to_arrays()
+    back = LstmWeights(
+        lstm_layers(net), numbers(net.head.weight)[0], float(numbers(net.head.bias)[0]), scaling
+    ).to_arrays()
     for name, array in weights.to_arrays().items():
         np.testing.assert_array_equal(back[name], array, err_msg=name)
 
@@ -103,7 +108,7 @@ def test_exported_file_passes_the_gate_and_feeds_the_kernels(weights: LstmWeight
     again = LstmWeights.from_arrays(model.initializers).to_arrays()
     for name, array in weights.to_arrays().items():
         np.testing.assert_array_equal(again[name], array, err_msg=name)
-    from_file, direct = LstmPredictor.of_model(model), LstmPredictor(weights, metadata)
+    from_file, direct = recurrent_predictor(model), RoutedPredictor(metadata, "conditioned", chosen_route(weights))
     start = direct.initial(45.0, 1.0)
     np.testing.assert_array_equal(from_file.initial(45.0, 1.0), start)
     plans = commands(40).reshape(4, 10)
@@ -188,7 +193,7 @@ def test_start_follows_the_rule_and_the_warm_up() -> None:
     weights = EXAMPLES["three of 7"]
     metadata = facts(weights, warmup=4)
     for start in ("initial", "conditioned"):
-        predictor = LstmPredictor(weights, metadata, start)
+        predictor = RoutedPredictor(metadata, start, chosen_route(weights))
         state = np.array(getattr(metadata, start).offset)
         for _ in range(4):
             _, state = predictor.advance(state, 1.5)

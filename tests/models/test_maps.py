@@ -12,7 +12,6 @@ from hypothesis import strategies as st
 from hystmpc.models.maps import (
     S2_TIP_MAP,
     S2_TIP_MAP_SINUSOIDS,
-    ConstantCurvature,
     LaserConversion,
     QuadraticMap,
     TipMap,
@@ -73,19 +72,6 @@ def test_unusable_points(theta: list[float], y: list[float], message: str) -> No
         QuadraticMap.fit(theta, y)
 
 
-def test_constant_curvature_is_an_arc() -> None:
-    """The straight limit, and the arc's chord: its length is 2 R sin(theta / 2) in the direction theta / 2."""
-    arc = ConstantCurvature(60.0)
-    assert [float(v) for v in arc(0.0)] == [60.0, 0.0]
-    theta = np.array([1e-6, 20.0, 90.0, 180.0])
-    x, y = arc(theta)
-    half = np.radians(theta) / 2
-    np.testing.assert_allclose(np.hypot(x, y), 60.0 * np.sin(half) / half)
-    np.testing.assert_allclose(np.arctan2(y, x), half)
-    with pytest.raises(ModelError, match="length_mm"):
-        ConstantCurvature(0.0)
-
-
 def test_laser_as_s1_prints_it() -> None:
     """S1: 1 to 3 mm correspond to 2.09 to 6.26 deg."""
     laser = LaserConversion()
@@ -96,7 +82,7 @@ def test_laser_as_s1_prints_it() -> None:
 @given(theta=st.floats(-57.0, 57.0), straight=st.floats(40.0, 100.0))
 def test_laser_round_trip(theta: float, straight: float) -> None:
     laser = LaserConversion()
-    voltage = laser.voltages(np.array([0.0, theta]), straight)
+    voltage = laser.voltage(straight - laser.displacement(np.array([0.0, theta])))
     np.testing.assert_allclose(laser.angles_of_group(voltage, straight), [0.0, theta], atol=1e-9)
     if theta > 0:  # then the straight sample is the farthest, as eq. (3) takes it
         np.testing.assert_allclose(laser.angles_of_group(voltage), [0.0, theta], atol=1e-9)

@@ -13,10 +13,17 @@ from hystmpc.models.contract.export import export_onnx
 from hystmpc.models.contract.load import load_onnx
 from hystmpc.models.evaluate import evaluate
 from hystmpc.models.kinds.networks import LSTM
-from hystmpc.models.networks.settings import DeviceFacts, GatedSettings, RecurrentSettings
+from hystmpc.models.networks.settings import (
+    DeviceFacts,
+    GatedSettings,
+    NetworkSettings,
+    RecurrentSettings,
+    StreamTraining,
+    TeacherSettings,
+    WindowTraining,
+)
 from hystmpc.models.train.networks import NetworkCheck, NetworkFit, fit_network, network_bundle
 from hystmpc.models.train.runs import TrainingRun, arrange, draw_windows, hold_out, pause, stretch
-from hystmpc.models.train.settings import NetworkSettings, StreamTraining, TeacherSettings, WindowTraining
 from hystmpc.models.train.teacher import Teacher
 from hystmpc.trials.errors import FitError
 from hystmpc.trials.trial import Trial

@@ -9,15 +9,21 @@ from hystmpc.models.chain import Chain
 from hystmpc.models.kinds.catalogue import all_kinds
 from hystmpc.models.kinds.kind import FitRequest
 from hystmpc.models.networks.nodes import Scaling
-from hystmpc.models.networks.settings import DeviceFacts, RecurrentSettings
+from hystmpc.models.networks.settings import (
+    DeviceFacts,
+    NetworkSettings,
+    RecurrentSettings,
+    StreamTraining,
+    WindowTraining,
+)
 from hystmpc.models.operators.hysteresis import Backlash, InverseBacklash
 from hystmpc.models.operators.operator import Operator
 from hystmpc.models.simulator import ChainModel
 from hystmpc.models.train.networks import fit_network
-from hystmpc.models.train.runs import fitted_backlash, prepared, rest_of, scaled_operator, scaling_of
-from hystmpc.models.train.settings import NetworkSettings, StreamTraining, WindowTraining
+from hystmpc.models.train.runs import prepared, rest_of, scaling_of
 from hystmpc.trials.errors import ConfigError, FitError
 from hystmpc.trials.trial import Trial, Units
+from hystmpc_lab.rivals.backlash import fitted_backlash, scaled_operator
 from hystmpc_lab.rivals.forms import FeedForwardSettings, HybridSettings
 
 from .lstm_examples import DT, four_trials
@@ -150,10 +156,10 @@ def test_windows_of_the_papers_begin_with_rest() -> None:
     trials = four_trials()
     for kind, before in (("lstm", 50), ("fnn", 50), ("fnn_hib", 50)):
         paper = NETWORKS[kind].settings["paper"]
-        ready = prepared(trials[:1], trials[1:], scaling_of(trials, paper.scaling), paper)
-        assert ready.training[0].command.size == len(trials[0]) + before
-        np.testing.assert_array_equal(ready.training[0].command[:before], 0.0)
-        np.testing.assert_allclose(ready.training[0].angle[:before], 30 / 90)
+        (ready,) = prepared(trials[:1], scaling_of(trials, paper.scaling), paper)
+        assert ready.command.size == len(trials[0]) + before
+        np.testing.assert_array_equal(ready.command[:before], 0.0)
+        np.testing.assert_allclose(ready.angle[:before], 30 / 90)
 
 
 @pytest.mark.parametrize("kind", sorted(NETWORKS))

@@ -11,11 +11,11 @@ import pytest
 from hystmpc.models.contract.export import ExportBundle, export_onnx
 from hystmpc.models.contract.load import load_onnx
 from hystmpc.models.motions import probe_commands
-from hystmpc.models.networks.lstm import LstmStep, lstm_step_graph
 from hystmpc.models.prediction.build import predictor_for
 from hystmpc.models.prediction.compiled import CompiledPredictor
-from hystmpc.models.prediction.onnx_ import OnnxPredictor
+from hystmpc.models.prediction.exported import OnnxPredictor
 from hystmpc.models.simulator import simulator_bundle
+from hystmpc_lab.performance.lstm_reference import LstmStep, lstm_step_graph
 from hystmpc_lab.rivals.svr import SvrStep, svr_step_graph
 
 from ..lab.test_svr import weights as svr_weights

@@ -9,8 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hystmpc.models.chain import Chain
-from hystmpc.models.operators.catalogue import operator_from, operator_spec, operators
+from hystmpc.models.chain import Chain, operator_from, operator_spec, operators
 from hystmpc.models.operators.dynamics import Delay, Lag
 from hystmpc.models.operators.friction import Asymmetry
 from hystmpc.models.operators.hysteresis import Play, Stop

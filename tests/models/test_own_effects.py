@@ -12,7 +12,7 @@ import pytest
 
 import hystmpc
 from hystmpc.models import EFFECTS, Candidate, Effect, Freedom, Number, Scale, add_effect, effect_operator
-from hystmpc.models.effects import own
+from hystmpc.models.effects import catalogue
 from hystmpc.models.effects.catalogue import candidates, diagnosable
 from hystmpc.models.operators.operator import Memoryless
 from hystmpc.trials.errors import ConfigError, ModelError
@@ -50,7 +50,7 @@ EFFECT = Effect(
 
 @pytest.fixture
 def added(monkeypatch: pytest.MonkeyPatch) -> Effect:
-    monkeypatch.setattr(own, "_added", {})
+    monkeypatch.setattr(catalogue, "_added", {})
     return add_effect(EFFECT)
 
 
@@ -60,7 +60,7 @@ def test_it_stands_behind_those_that_ship(added: Effect) -> None:
 
 
 def test_without_it_the_library_is_as_it_was(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(own, "_added", {})
+    monkeypatch.setattr(catalogue, "_added", {})
     assert "test_kink" not in EFFECTS
     with pytest.raises(ModelError, match="no effect 'test_kink'"):
         effect_operator("test_kink", {"rise": 0.1, "at": 1.0})
@@ -71,7 +71,7 @@ def test_a_simulator_file_holds_it(added: Effect, tmp_path: Path, monkeypatch: p
     kink = effect_operator(added.name, {"rise": 0.3, "at": 2.0})
     file = replace(plain, chain=replace(plain.chain, before=(kink,))).save(tmp_path / "kinked.yaml")
     assert hystmpc.load_model(file).simulator.chain.before == (kink,)
-    monkeypatch.setattr(own, "_added", {})
+    monkeypatch.setattr(catalogue, "_added", {})
     with pytest.raises(ModelError, match="no operator 'test_kink'"):
         hystmpc.load_model(file)
 
@@ -102,11 +102,11 @@ def test_one_that_contradicts_itself_is_refused(wrong: dict[str, Any], message: 
     ],
 )
 def test_an_installed_package_may_offer_one(value: str, message: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    entry = EntryPoint("kink", value, own.GROUP)
+    entry = EntryPoint("kink", value, catalogue.GROUP)
     monkeypatch.setattr(
         "hystmpc.trials.from_outside.entry_points", lambda group: EntryPoints([entry]).select(group=group)
     )
-    own._installed.cache_clear()
+    catalogue._installed.cache_clear()
     try:
         if message:
             with pytest.raises(ConfigError, match=message):
@@ -114,4 +114,4 @@ def test_an_installed_package_may_offer_one(value: str, message: str, monkeypatc
         else:
             assert EFFECTS["test_kink"].operator.name == "test_kink"
     finally:
-        own._installed.cache_clear()
+        catalogue._installed.cache_clear()

@@ -17,7 +17,7 @@ from hystmpc.models.evaluate import evaluate, mean_errors
 from hystmpc.models.identify.chain_fit import OperatorFitSettings
 from hystmpc.models.identify.estimation_noise import ReferenceModel
 from hystmpc.models.identify.simulators import identify
-from hystmpc.models.inverse.one_step import CompiledInverse
+from hystmpc.models.inverse.inverses import CompiledInverse
 from hystmpc.models.kinds.kind import FitRequest
 from hystmpc.models.play_kernel.fit import PlayKernelKind, PlayKernelSettings, fit_play_kernel, play_kernel_bundle
 from hystmpc.models.play_kernel.predictor import PlayKernelPredictor

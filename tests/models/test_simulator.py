@@ -12,11 +12,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hystmpc.models.evaluate import free_run
-from hystmpc.models.inverse.one_step import AccompaniedPredictor, CompanionInverse, CompiledInverse
-from hystmpc.models.inverse.surrogate_backlash import surrogate_backlash
+from hystmpc.models.inverse.inverses import AccompaniedPredictor, CompanionInverse, CompiledInverse
 from hystmpc.models.load import load_model
 from hystmpc.models.model import Predictor
-from hystmpc.models.prediction.build import controller_model, predictor_for
+from hystmpc.models.prediction.build import controller_model, predictor_for, surrogate_backlash
 from hystmpc.models.prediction.compiled import CompiledPredictor
 from hystmpc.models.simulator import ChainModel, export_simulator, load_simulator, save_simulator
 from hystmpc.trials.errors import ModelError

@@ -13,7 +13,7 @@ from hystmpc.models.contract.export import export_onnx
 from hystmpc.models.contract.load import load_onnx
 from hystmpc.models.contract.metadata import Range
 from hystmpc.models.evaluate import Errors, TrialEvaluation, evaluation_json
-from hystmpc.models.inverse.one_step import MappedPredictor, TrainedInverse
+from hystmpc.models.inverse.inverses import MappedPredictor, TrainedInverse
 from hystmpc.models.kinds.kind import FitRequest
 from hystmpc.models.operators.hysteresis import Backlash
 from hystmpc.models.play_kernel.fit import PlayKernelKind

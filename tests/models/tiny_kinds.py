@@ -16,8 +16,8 @@ from hystmpc.models.kinds.catalogue import all_kinds, kind_named
 from hystmpc.models.kinds.connected import DrivenKind
 from hystmpc.models.kinds.kind import FitRequest, Identified, ModelKind
 from hystmpc.models.kinds.networks import NetworkKind
+from hystmpc.models.networks.settings import NetworkSettings, StreamTraining
 from hystmpc.models.operators.dynamics import Delay, Lag
-from hystmpc.models.train.settings import NetworkSettings, StreamTraining
 from hystmpc.trials.trial import Trial
 from hystmpc_lab.rivals.forms import FeedForwardSettings
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from hystmpc.models.chain import Chain
 from hystmpc.models.contract.metadata import Range
-from hystmpc.models.operators.curved_plays import CurvedPlays
 from hystmpc.models.operators.dynamics import Delay, Lag, RateLimit, Servo
 from hystmpc.models.operators.friction import (
     Asymmetry,
@@ -14,7 +13,7 @@ from hystmpc.models.operators.friction import (
     RateDependence,
     StickSlip,
 )
-from hystmpc.models.operators.hysteresis import Backlash, BoucWen, InverseBacklash, Play, Stop
+from hystmpc.models.operators.hysteresis import Backlash, BoucWen, CurvedPlays, InverseBacklash, Play, Stop
 from hystmpc.models.operators.measurement import PeriodicDisturbance, Sensor
 from hystmpc.models.operators.operator import Operator
 from hystmpc.models.operators.oscillator import Oscillator, StateNetwork

@@ -17,8 +17,7 @@ import pytest
 from hystmpc.codegen import build
 from hystmpc.codegen.compiler import EXPECTED, compiler
 from hystmpc.ctrl import TipController
-from hystmpc.ctrl.planner.assembly import assemble
-from hystmpc.ctrl.planner.settings import TipSettings
+from hystmpc.ctrl.planner.settings import TipSettings, assemble
 from hystmpc.rig.compiled.controller import compiled_controller
 from hystmpc.rig.config import RunSettings, load_run
 from hystmpc.rig.experiment.experiment import make_timely, tracking_phase

@@ -14,8 +14,7 @@ from hystmpc.codegen import build, export_controller
 from hystmpc.codegen.build import controller_library
 from hystmpc.codegen.compiler import EXPECTED, compiler
 from hystmpc.codegen.loaded import LoadedController
-from hystmpc.ctrl.planner.assembly import assemble
-from hystmpc.ctrl.planner.settings import TipSettings
+from hystmpc.ctrl.planner.settings import TipSettings, assemble
 from hystmpc.rig.compiled.controller import compiled_controller
 from hystmpc.trials.errors import ConfigError, ExportError
 

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 
 import pytest
 
-from hystmpc.models.identify.chain_fit import nothing_found
+from hystmpc.models.identify.chain_fit import no_result
 from hystmpc.sim.jobs import InTurn, attempt, run_jobs
 from hystmpc.trials.errors import ConfigError
 

@@ -12,10 +12,11 @@ from typing import Annotated, Any, ClassVar
 
 import pytest
 
+from hystmpc.ctrl.build import law_of
 from hystmpc.ctrl.command import CommandLimits, ControlInput, Stopwatch
 from hystmpc.ctrl.config import CONTROLLERS, PythonControllerSettings, parse_controller
-from hystmpc.ctrl.inverse_settings import InverseControllerSettings
-from hystmpc.ctrl.law import Law, LawSettings, Proposal
+from hystmpc.ctrl.feedback import InverseControllerSettings
+from hystmpc.ctrl.guarded import Law, LawSettings, Proposal
 from hystmpc.models.effects.catalogue import EFFECTS
 from hystmpc.models.effects.effect import Effect
 from hystmpc.models.model import Inverse, Predictor
@@ -133,7 +134,7 @@ class BrokenSettings(InverseControllerSettings):
     fault: str = "raises"
 
     def law(self, predictor: Predictor, inverse: Inverse, limits: CommandLimits) -> Law[Any]:
-        return Broken(super().law(predictor, inverse, limits), self.fault)
+        return Broken(law_of(InverseControllerSettings(), predictor, inverse, limits), self.fault)
 
 
 @pytest.mark.parametrize(

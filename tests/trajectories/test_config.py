@@ -10,7 +10,6 @@ import pytest
 
 from hystmpc.trajectories import MotionLimits, PointToPoint, SinusoidScan, random_point_to_point
 from hystmpc.trajectories.config import Motion, parse_motion
-from hystmpc.trajectories.motion import MotionLimitsSettings
 from hystmpc.trials.config import Settings
 from hystmpc.trials.errors import ConfigError, TrajectoryError
 
@@ -55,10 +54,6 @@ def test_a_drawn_motion_takes_every_setting() -> None:
     )
 
 
-def test_default_limits_stand_in_one_place() -> None:
-    assert MotionLimitsSettings().build() == MotionLimits()
-
-
 def test_a_motion_inside_another_block() -> None:
     run = Run.parse({"reference": SCAN})
     assert run.reference.build() == SinusoidScan(30, 60, 20, 0.2, 3)
@@ -95,10 +90,18 @@ def test_a_motion_is_a_mapping(data: Any) -> None:
         Run.parse({"reference": data})
 
 
-def test_settings_that_do_not_fit_together_raise_when_built() -> None:
-    motion = parse_motion({"kind": "point_to_point", "start_deg": 30, "targets_deg": [60], "holds_s": [1, 2]})
-    with pytest.raises(TrajectoryError, match="1 targets and 2 holds"):
-        motion.build()
+def test_settings_that_do_not_fit_together_are_refused() -> None:
+    data = {"kind": "point_to_point", "start_deg": 30, "targets_deg": [60], "holds_s": [1, 2]}
+    with pytest.raises(ConfigError, match=r"run\.yaml: .*1 targets and 2 holds"):
+        parse_motion(data, "run.yaml")
+
+
+def test_a_changed_copy_is_another_motion() -> None:
+    motion = parse_motion(SCAN)
+    other = motion.model_copy(update={"start_deg": 45.0})
+    assert float(other.build()(0.0)) == 45.0
+    with pytest.raises(TrajectoryError, match="amplitude_deg"):
+        motion.model_copy(update={"amplitude_deg": -1.0})
 
 
 def write(folder: Path, text: str) -> Any:

@@ -11,9 +11,9 @@ import pytest
 
 from hystmpc.trajectories import excitation
 from hystmpc.trajectories.config import MOTIONS, parse_motion
-from hystmpc.trajectories.motion import MotionLimits
-from hystmpc.trajectories.point_to_point import rest_to_rest
-from hystmpc.trajectories.trajectory import Chain, PreviewTable, Sampled, Trajectory, preview, sample
+from hystmpc.trajectories.point_to_point import PointToPoint
+from hystmpc.trajectories.trajectory import PreviewTable, Sampled, Trajectory, TrajectoryChain, preview, sample
+from hystmpc_lab.datasets import paper_commands
 
 SCAN = {"start_deg": 30, "centre_deg": 60, "frequency_hz": 0.5, "cycles": 1.5}
 EXAMPLES: list[tuple[dict[str, Any], float]] = [  # motion, start value
@@ -29,18 +29,18 @@ EXAMPLES: list[tuple[dict[str, Any], float]] = [  # motion, start value
     ({"kind": "sampled", "file": "motion.csv"}, 33),
 ]
 EXCITATIONS: dict[str, tuple[Trajectory, float]] = {
-    **{name: (signal, 0.0) for name, signal in excitation.s1_training().items()},
-    "S1 (a)": (excitation.s1_test_a(), 0.0),
-    "S1 (b)": (excitation.s1_test_b(), 1.2),
-    "S1 (c)": (excitation.s1_test_c(), 0.0),
-    "S1 (d)": (excitation.s1_test_d(4), 0.0),
-    "S1 OCT": (excitation.s1_oct_scan(), 0.0),
+    **{f"S1 zero baseline {f} Hz": (excitation.s1_zero_baseline(f), 0.0) for f in paper_commands.S1_TRAIN_HZ},
+    **{f"S1 raised baseline {f} Hz": (excitation.s1_raised_baseline(f), 0.0) for f in paper_commands.S1_TRAIN_HZ},
+    "S1 (a)": (paper_commands.s1_test_a(), 0.0),
+    "S1 (b)": (paper_commands.s1_test_b(), 1.2),
+    "S1 (c)": (paper_commands.s1_test_c(), 0.0),
+    "S1 (d)": (paper_commands.S1_ARBITRARY(4), 0.0),
     **{f"S2 {o}": (excitation.s2_sinusoid(0.3, o), 0.0) for o in ("0BL", "MidBL", "EndBL")},  # type: ignore[arg-type]
     "S2 train": (excitation.s2_point_to_point(2), 0.0),
     "S2 test": (excitation.s2_point_to_point(2, "test"), 0.0),
     "S2 initialisation": (excitation.s2_initialisation(), 0.0),
     "sampled": (Sampled(np.array([1.0, 2.0, 4.0]), np.array([5.0, 3.0, 4.0])), 5.0),
-    "chain": (Chain((rest_to_rest(1, 2, MotionLimits()), rest_to_rest(2, 0, MotionLimits()))), 1.0),
+    "chain": (TrajectoryChain((PointToPoint(1, [2], [0]), PointToPoint(2, [0], [0]))), 1.0),
 }
 IDS = [f"{k} {data['kind']}" for k, (data, _) in enumerate(EXAMPLES)] + list(EXCITATIONS)
 

@@ -13,12 +13,13 @@ from hystmpc.trajectories import excitation as ex
 from hystmpc.trajectories import sample
 from hystmpc.trajectories.excitation import DecayingSine, RampHold, RampHoldDraw
 from hystmpc.trials.errors import TrajectoryError
+from hystmpc_lab.datasets import paper_commands
 
-S2_HZ = [f for group in ex.S2_FREQUENCIES_HZ.values() for f in group]
+S2_HZ = [f for group in paper_commands.S2_FREQUENCIES_HZ.values() for f in group]
 OFFSETS = list(ex.S2_OFFSETS)
 
 
-@pytest.mark.parametrize("f", ex.S1_TRAIN_HZ)
+@pytest.mark.parametrize("f", paper_commands.S1_TRAIN_HZ)
 def test_s1_training_at_quarter_periods(f: float) -> None:
     zero, raised = ex.s1_zero_baseline(f), ex.s1_raised_baseline(f)
     quarter, half = 0.25 / f, 0.5 / f
@@ -31,28 +32,27 @@ def test_s1_training_at_quarter_periods(f: float) -> None:
 
 
 def test_s1_training_set_has_the_papers_size_and_range() -> None:
-    groups = ex.s1_training()
-    assert len(groups) == 8
-    assert sum(sample(group, 250.0)[0].size for group in groups.values()) == pytest.approx(26798, abs=10)
-    for group in groups.values():
+    groups = [make(f) for make in (ex.s1_zero_baseline, ex.s1_raised_baseline) for f in paper_commands.S1_TRAIN_HZ]
+    assert sum(sample(group, 250.0)[0].size for group in groups) == pytest.approx(26798, abs=10)
+    for group in groups:
         assert sample(group, 250.0)[1].min() >= 0
         assert sample(group, 250.0)[1].max() <= 3
 
 
 def test_s1_test_a() -> None:
-    assert ex.s1_test_a()(0.5 / 0.7) == pytest.approx(3.0 * math.exp(-0.12 * 0.5 / 0.7))
+    assert paper_commands.s1_test_a()(0.5 / 0.7) == pytest.approx(3.0 * math.exp(-0.12 * 0.5 / 0.7))
 
 
 def test_s1_test_b_phase_is_of_the_product() -> None:
     # At t = 1 s the phase is 2 pi (0.7 - 0.1) 1 - pi/2 = 0.7 pi; at 2 s 2 pi (0.7 - 0.2) 2 - pi/2: a minimum.
-    signal = ex.s1_test_b()
+    signal = paper_commands.s1_test_b()
     assert signal(1.0) == pytest.approx(0.9 * math.exp(-0.1) * (math.sin(0.7 * math.pi) + 1) + 1.2)
     assert signal(2.0) == pytest.approx(1.2)
     assert signal(0.0) == pytest.approx(1.2)
 
 
 def test_s1_test_b_ends_where_the_chirp_stands_still() -> None:
-    signal = ex.s1_test_b()
+    signal = paper_commands.s1_test_b()
     phase = 2 * math.pi * (0.7 - 0.1 * signal.duration_s) * signal.duration_s
     later = 2 * math.pi * (0.7 - 0.1 * (signal.duration_s + 1e-4)) * (signal.duration_s + 1e-4)
     assert phase > later
@@ -62,23 +62,16 @@ def test_s1_test_b_ends_where_the_chirp_stands_still() -> None:
 def test_s1_test_c_ascends_unless_the_printed_sign_is_asked_for() -> None:
     # At t = 2 s the phase is 2 pi (0.3 + 0.3) 2 - pi/2 = 1.9 pi.
     shape = 0.6 * (math.sin(1.9 * math.pi) + 1)
-    assert ex.s1_test_c()(2.0) == pytest.approx(shape * math.exp(0.1))
-    assert ex.s1_test_c(decay_per_s=0.05)(2.0) == pytest.approx(shape * math.exp(-0.1))
+    assert paper_commands.s1_test_c()(2.0) == pytest.approx(shape * math.exp(0.1))
+    assert paper_commands.s1_test_c(decay_per_s=0.05)(2.0) == pytest.approx(shape * math.exp(-0.1))
 
 
 def test_s1_test_d_is_seeded_and_in_range() -> None:
-    signal = ex.s1_test_d(3)
-    assert signal == ex.s1_test_d(3)
-    assert signal != ex.s1_test_d(4)
+    signal = paper_commands.S1_ARBITRARY(3)
+    assert signal == paper_commands.S1_ARBITRARY(3)
+    assert signal != paper_commands.S1_ARBITRARY(4)
     values = sample(signal, 100.0)[1]
     assert 0 <= values.min() <= values.max() <= 3
-
-
-def test_s1_scan_peaks_once() -> None:
-    t, p = sample(ex.s1_oct_scan(), 250.0)
-    assert p.max() == pytest.approx(2.95)
-    assert t[p.argmax()] == pytest.approx(5.0)
-    assert p[-1] == pytest.approx(0.0, abs=1e-12)
 
 
 @pytest.mark.parametrize("f", S2_HZ)
@@ -165,15 +158,15 @@ def test_unknown_names_are_answered_with_the_nearest() -> None:
 @pytest.mark.parametrize(
     ("make", "said"),
     [
-        (lambda: DecayingSine(0.0, 1.0, 0.1, 1.0), "amplitude: got 0.0"),
-        (lambda: DecayingSine(1.0, 1.0, math.nan, 1.0), "decay_per_s: got nan"),
+        (lambda: DecayingSine(0.0, 1.0, 0.1, 1.0), "amplitude: .*got 0.0"),
+        (lambda: DecayingSine(1.0, 1.0, math.nan, 1.0), "decay_per_s: .*got nan"),
         (lambda: ex.s2_sinusoid(0.0, "0BL"), "frequency_hz: got 0.0"),
         (lambda: RampHold(0, [1], [1, 2], [1]), "1 targets, 2 rates and 1 holds"),
-        (lambda: RampHold(0, [1], [0], [1]), r"rates\[0\]: got 0.0"),
+        (lambda: RampHold(0, [1], [0], [1]), r"rates\.0: .*got 0"),
         (lambda: RampHold(0, [0], [1], [0]), "motion of no duration"),
-        (lambda: RampHoldDraw(0, (0, 1), (1, 2), (1, 2)), "moves: got 0"),
-        (lambda: RampHoldDraw(1, (1, 0), (1, 2), (1, 2)), "targets: got 1 to 0"),
-        (lambda: RampHoldDraw(1, (0, 1), (1, 2), (-1, 2)), "holds_s: got -1 to 2"),
+        (lambda: RampHoldDraw(0, (0, 1), (1, 2), (1, 2)), "moves: .*got 0"),
+        (lambda: RampHoldDraw(1, (1, 0), (1, 2), (1, 2)), r"targets: expected lower <= upper, got \[?\(?1"),
+        (lambda: RampHoldDraw(1, (0, 1), (1, 2), (-1, 2)), r"holds_s\.0: .*got -1"),
         (lambda: RampHoldDraw(1, (0, 1), (1, 2), (1, 2), steps=(2, 3))(0), "wider step window"),
     ],
 )

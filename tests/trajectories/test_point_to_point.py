@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 
 from hystmpc.trajectories import MotionLimits, PointToPoint, random_point_to_point, sample
 from hystmpc.trajectories.motion import Kinematics, PiecewiseCubic, end_state
-from hystmpc.trajectories.point_to_point import rest_to_rest
 from hystmpc.trajectories.ruckig_ import move
 from hystmpc.trials.errors import TrajectoryError
+from hystmpc.trials.types import Vec
 
 LIMITS = MotionLimits(60.0, 300.0, 3000.0)
 ANGLE = st.floats(-120, 120)
@@ -24,15 +24,28 @@ ANY_LIMITS = st.builds(
 )
 
 
+def rest_to_rest(start: float, target: float, limits: MotionLimits) -> PiecewiseCubic:
+    """The pieces of one move."""
+    return PointToPoint(start_deg=start, targets_deg=(target,), holds_s=(0.0,), limits=limits).path
+
+
+def derivative(path: PiecewiseCubic, t: Vec | float, order: int) -> Vec:
+    """Velocity (order 1), acceleration (2) or jerk (3) at `t` [s]; at a knot that of the later piece."""
+    knots = np.concatenate(([0.0], np.cumsum(path.segments[:, 0])))
+    piece = np.minimum(np.searchsorted(knots, t, side="right") - 1, len(path.segments) - 1)
+    s, (_, _, v, a, j) = np.minimum(t, path.duration_s) - knots[piece], path.segments[piece].T
+    return [v + s * (a + s * j / 2), a + s * j, j + 0 * s][order - 1]
+
+
 def check_limits(path: PiecewiseCubic | PointToPoint, limits: MotionLimits) -> None:
     """Analytic derivatives on a grid, and at both ends of every piece."""
     t = np.linspace(0, path.duration_s, 4001)
-    pieces = path if isinstance(path, PiecewiseCubic) else path._path
+    pieces = path if isinstance(path, PiecewiseCubic) else path.path
     knots = np.cumsum(pieces.segments[:, 0])
     t = np.concatenate((t, knots, np.nextafter(knots, 0)))
     bounds = (limits.velocity_deg_s, limits.acceleration_deg_s2, limits.jerk_deg_s3)
     for order, bound in enumerate(bounds, start=1):
-        assert np.abs(path.derivative(t, order)).max() <= bound * (1 + 1e-9)
+        assert np.abs(derivative(pieces, t, order)).max() <= bound * (1 + 1e-9)
 
 
 def check_joints(pieces: PiecewiseCubic, limits: MotionLimits) -> None:
@@ -68,7 +81,7 @@ def test_sequences_keep_limits_and_hold_every_target(
 ) -> None:
     motion = PointToPoint(start, targets, [hold_s] * len(targets), limits)
     check_limits(motion, limits)
-    check_joints(motion._path, limits)
+    check_joints(motion.path, limits)
     assert motion(motion.duration_s) == pytest.approx(targets[-1], abs=1e-9)
     # While holding, the reference does not move at all.
     resting = motion(motion.duration_s - np.linspace(0, hold_s * 0.99, 50))
@@ -94,8 +107,8 @@ def test_agrees_with_ruckig_evaluated_by_itself(start: float, target: float) -> 
     for t in np.linspace(0, planned.duration, 40):
         position, velocity, acceleration = (x[0] for x in planned.at_time(float(t)))
         assert path(t) == pytest.approx(position, abs=1e-8)
-        assert path.derivative(t, 1) == pytest.approx(velocity, abs=1e-6)
-        assert path.derivative(t, 2) == pytest.approx(acceleration, abs=1e-4)
+        assert derivative(path, float(t), 1) == pytest.approx(velocity, abs=1e-6)
+        assert derivative(path, float(t), 2) == pytest.approx(acceleration, abs=1e-4)
 
 
 def test_duration_of_a_move_that_reaches_every_limit() -> None:
@@ -119,9 +132,9 @@ def test_derivatives_are_those_of_the_angle() -> None:
     t = np.linspace(0.01, motion.duration_s - 0.01, 700)
     step = 1e-5
     for order, tolerance in ((1, 1e-4), (2, 0.1)):
-        lower = motion if order == 1 else lambda x: motion.derivative(x, 1)
+        lower = motion if order == 1 else lambda x: derivative(motion.path, x, 1)
         np.testing.assert_allclose(
-            (lower(t + step) - lower(t - step)) / (2 * step), motion.derivative(t, order), atol=tolerance
+            (lower(t + step) - lower(t - step)) / (2 * step), derivative(motion.path, t, order), atol=tolerance
         )
 
 
@@ -166,9 +179,9 @@ def test_an_acceleration_beyond_the_limit_is_refused() -> None:
     [
         (30, [60], [], "1 targets and 0 holds"),
         (30, [], [], "at least 1"),
-        (30, [np.inf], [1], r"targets_deg\[0\]: got inf"),
-        (np.nan, [40], [1], "start_deg: got nan"),
-        (30, [40, 50], [1, -1], r"holds_s\[1\]: got -1"),
+        (30, [np.inf], [1], r"targets_deg\.0: .*got inf"),
+        (np.nan, [40], [1], "start_deg: .*got nan"),
+        (30, [40, 50], [1, -1], r"holds_s\.1: .*got -1"),
         (30, [30, 30], [0, 0], "motion of no duration"),
     ],
 )
@@ -178,5 +191,5 @@ def test_impossible_motions_are_refused(start: float, targets: list[float], hold
 
 
 def test_limits_must_be_positive() -> None:
-    with pytest.raises(TrajectoryError, match="jerk_deg_s3: got 0"):
+    with pytest.raises(TrajectoryError, match=r"jerk_deg_s3: .*greater than 0, got 0"):
         MotionLimits(10, 10, 0)

@@ -123,11 +123,11 @@ def test_triangle_raster_keeps_its_period() -> None:
 @pytest.mark.parametrize(
     ("changed", "said"),
     [
-        ({"amplitude_deg": 0.0}, r"amplitudes_deg\[0\]: got 0.0"),
-        ({"frequency_hz": -1.0}, "frequency_hz: got -1.0"),
+        ({"amplitude_deg": 0.0}, r"amplitude_deg: .*greater than 0, got 0\.0"),
+        ({"frequency_hz": -1.0}, "frequency_hz: .*greater than 0, got -1.0"),
         ({"cycles": 1.2}, "multiple of 0.5"),
-        ({"cycles": 0}, "cycles: got 0"),
-        ({"start_deg": float("nan")}, "start_deg: got nan"),
+        ({"cycles": 0}, "cycles: .*got 0"),
+        ({"start_deg": float("nan")}, "start_deg: .*got nan"),
     ],
 )
 @pytest.mark.parametrize("kind", [SinusoidScan, TriangleScan])
@@ -147,7 +147,7 @@ def test_limits_below_the_scan_are_named() -> None:
 
 
 def test_raster_needs_an_amplitude_and_a_known_shape() -> None:
-    with pytest.raises(TrajectoryError, match="got none"):
+    with pytest.raises(TrajectoryError, match=r"amplitudes_deg: .*at least 1 item"):
         Raster(30, 60, [], 0.5, 1)
-    with pytest.raises(TrajectoryError, match="'square', expected one of sinusoid, triangle"):
+    with pytest.raises(TrajectoryError, match=r"shape: .*'sinusoid' or 'triangle', got 'square'"):
         Raster(30, 60, [5], 0.5, 1, "square")  # type: ignore[arg-type]

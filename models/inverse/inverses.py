@@ -1,0 +1,404 @@
+"""Inverses of a model: for one step, and followed along a horizon within the limits of command and rate."""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from functools import lru_cache
+from importlib import resources
+from typing import Any, NamedTuple, final
+
+import numpy as np
+
+from hystmpc.trials.errors import ModelError
+from hystmpc.trials.types import Vec
+
+from ..contract.metadata import ModelMetadata
+from ..kernels.numba_ import generated_module, njit
+from ..model import Inverse, InvertiblePredictor, LoadedModel, Predictor
+from ..prediction.compiled import CompiledPredictor
+from ..prediction.exported import RoutedPredictor
+from .drive import DrivenInverse
+
+
+@final
+class CompiledInverse(Inverse):
+    """Exact one-step inverse of a compiled model whose angle does not fall with the command.
+
+    u = argmin |u - u_last| over { u in [low, high] : theta(x, u) = theta }, by Newton's method on the exact
+    derivative inside a shrinking bracket; the end of the range where no command reaches the angle. For a backlash it
+    is S2 (RA-L 2024) eq. (3), for a Prandtl-Ishlinskii model the analytic inverse with the true rate of the command.
+
+    Args:
+        predictor: what is inverted; of a model that is inverted in slow motion, its angle is that after a hold, see
+            `steady_inverse`.
+        low, high: least and greatest command.
+        held: samples for which the command is held before the angle counts.
+    """
+
+    def __init__(self, predictor: InvertiblePredictor, low: float, high: float, held: int = 1) -> None:
+        self.predictor, self.low, self.high, self.held = predictor, low, high, held
+
+    def command(self, state: Vec, theta: float, u_last: float) -> float:
+        return self.predictor.command_for(state, theta, self.low, self.high, u_last)
+
+
+@final
+class AccompaniedPredictor(Predictor):
+    """A model with a second one at its side that sees the same commands.
+
+    Predictions are the model's. The state is [model state, model angle, companion state, companion angle], so that
+    the companion's memory is branched and restored together with the model's.
+    """
+
+    def __init__(self, predictor: Predictor, companion: Predictor, angle: float = 0.0) -> None:
+        self._as(predictor)
+        self.predictor, self.companion = predictor, companion
+        self.size = predictor.initial(angle, predictor.command_range[0]).size
+
+    def initial(self, y: float, u: float) -> Vec:
+        # What the two show before their first step is the measured angle for both: no difference is known yet.
+        return np.concatenate([self.predictor.initial(y, u), [y], self.companion.initial(y, u), [y]])
+
+    def advance(self, state: Vec, u: float) -> tuple[float, Vec]:
+        main, _, side, _ = self.parts(state)
+        size, after = self.size, np.empty(state.size)
+        theta, after[:size] = self.predictor.advance(main, u)
+        after[-1], after[size + 1 : -1] = self.companion.advance(side, u)
+        after[size] = theta
+        return theta, after
+
+    def rollout(self, state: Vec, plans: Vec) -> Vec:
+        return self.predictor.rollout(self.parts(state)[0], plans)
+
+    def linearise(self, state: Vec, plan: Vec) -> tuple[Vec, Vec]:
+        return self.predictor.linearise(self.parts(state)[0], plan)
+
+    def parts(self, state: Vec) -> tuple[Vec, float, Vec, float]:
+        """Model state, model angle [deg], companion state, companion angle [deg]."""
+        return state[: self.size], float(state[self.size]), state[self.size + 1 : -1], float(state[-1])
+
+
+@final
+class CompanionInverse(Inverse):
+    """Inverse of the companion, for the wanted angle minus the present difference between companion and model.
+
+    u = companion^-1(theta + theta_companion - theta_model)
+    """
+
+    def __init__(self, predictor: AccompaniedPredictor, inverse: Inverse) -> None:
+        self.predictor, self.inverse = predictor, inverse
+
+    def command(self, state: Vec, theta: float, u_last: float) -> float:
+        _, main, side, angle = self.predictor.parts(state)
+        return self.inverse.command(side, theta + angle - main, u_last)
+
+
+@final
+class MappedPredictor(Predictor):
+    """A model with an inverse map at its side, whose inputs are the angles of the model.
+
+    Predictions are the model's. The state is [model state, map state], so that the map's memory is branched and
+    restored together with the model's. What the map has seen are the model's main angles, never measured ones, whose
+    noise would flip its branch.
+    """
+
+    def __init__(self, predictor: Predictor, inverse_map: LoadedModel) -> None:
+        self._as(predictor)
+        self.inverse_map = inverse_map
+        self._predictor, self._size = predictor, inverse_map.metadata.state_size
+
+    def initial(self, y: float, u: float) -> Vec:
+        facts = self.inverse_map.metadata
+        side = facts.conditioned.state(np.array([[u]]))  # its output is the command that the device holds
+        for _ in range(facts.warmup_samples):
+            _, side = self.inverse_map.advance(side, np.array([[y]]))
+        return np.concatenate([self._predictor.initial(y, u), side[0]])
+
+    def advance(self, state: Vec, u: float) -> tuple[float, Vec]:
+        main, side = self.parts(state)
+        theta, main = self._predictor.advance(main, u)
+        _, side = self.inverse_map.advance(side[None], np.array([[theta]]))
+        return theta, np.concatenate([main, side[0]])
+
+    def rollout(self, state: Vec, plans: Vec) -> Vec:
+        return self._predictor.rollout(self.parts(state)[0], plans)
+
+    def linearise(self, state: Vec, plan: Vec) -> tuple[Vec, Vec]:
+        return self._predictor.linearise(self.parts(state)[0], plan)
+
+    def parts(self, state: Vec) -> tuple[Vec, Vec]:
+        """Model state and map state."""
+        cut = state.size - self._size
+        return state[:cut], state[cut:]
+
+
+@final
+class TrainedInverse(Inverse):
+    """One step of an inverse map from its present memory: u = map(x_map, theta).
+
+    It is as good as what it was trained on: no search and no check whether the model answers with `theta`; an answer
+    beyond the device's limits is cut there.
+    """
+
+    def __init__(self, predictor: MappedPredictor, low: float, high: float) -> None:
+        self._predictor, self._low, self._high = predictor, low, high
+
+    def command(self, state: Vec, theta: float, u_last: float) -> float:
+        del u_last  # the map's main memory says where the device is
+        _, side = self._predictor.parts(state)
+        answer, _ = self._predictor.inverse_map.advance(side[None], np.array([[theta]]))
+        return min(max(float(answer[0, 0]), self._low), self._high)
+
+
+def check_inverse_map(inverse_map: ModelMetadata, model: ModelMetadata) -> None:
+    """Check the facts of an inverse map against those of the model that it inverts.
+
+    Raises:
+        ModelError: if it is a forward model, or its units or its sample time are not those of the model.
+    """
+    got = f"inverse of kind {inverse_map.kind}: maps {inverse_map.command_unit} to {inverse_map.angle_unit}"
+    if not inverse_map.inverted:
+        raise ModelError(f"{got}, a forward model; expected an inverse map, {model.angle_unit} to {model.command_unit}")
+    if inverse_map.angle_unit != model.command_unit:
+        raise ModelError(f"{got}, expected {model.angle_unit} to {model.command_unit} as the model's command is")
+    if abs(inverse_map.dt_s - model.dt_s) > 1e-3 * model.dt_s:
+        raise ModelError(f"{got} every {inverse_map.dt_s:.6g} s, expected every {model.dt_s:.6g} s as the model")
+
+
+_HOLDS = (2, 4)  # samples; what a model answers to the speed of its command is gone after them, or never
+_MOST_INSTRUCTIONS = 1000  # of the step of a hold: numba compiles more for minutes
+_RAMP_S, _REST_S = 2.0, 0.4
+_SAMPLES = (10, 200)  # of the ramp
+_SHARE = 0.5  # of the range of angles
+_BACK = 1e-6  # of the range of commands, that counts as a move
+
+
+def steady_inverse(predictor: InvertiblePredictor, low: float, high: float) -> CompiledInverse:
+    """The inverse sample by sample, or after a hold where the former goes back and forth.
+
+    The angle of some models falls at first when the command speeds up: plays whose thresholds grow with the speed
+    stand still while the next move is faster than the last. Sampled, with r_i = alpha i + beta |u_k - u_{k-1}| / dt,
+
+        theta_k = (A - B / dt) u_k + (B / dt) u_{k-1} + ...,   A = sum_i a_i,   B = beta sum_{i>0} a_i
+
+    has its zero at (B / dt) / (B / dt - A), outside the unit circle where B / dt > A / 2. Its exact inverse is then
+    unstable: along a steady ramp of the angle the command is fast and still by turns. The command that shows the angle
+    after being held for some samples has no such zero, and meets the same angle at rest.
+
+    Args:
+        predictor: the model.
+        low, high: least and greatest command among which the inverse searches.
+
+    Source: Astrom, Hagander and Sternby, Zeros of sampled systems, Automatica 20 (1984), for the zeros.
+    """
+    exact = CompiledInverse(predictor, low, high)
+    if not isinstance(predictor, CompiledPredictor) or not goes_back(exact, predictor):
+        return exact
+    for samples in _HOLDS:
+        if samples * predictor.transition.n_instructions() > _MOST_INSTRUCTIONS:
+            break
+        held = CompiledInverse(predictor.held(samples), low, high, samples)
+        if not goes_back(held, predictor):
+            return held
+    return exact
+
+
+def inverted_after_a_hold(inverse: Inverse) -> bool:
+    """Whether an inverse, behind its drives, is that after a hold: along a motion it is late, a first guess only."""
+    inner = inverse.inner if isinstance(inverse, DrivenInverse) else inverse
+    return isinstance(inner, CompiledInverse) and inner.held > 1
+
+
+def goes_back(inverse: CompiledInverse, predictor: InvertiblePredictor) -> bool:
+    """Whether the commands that follow a ramp of the angle, up and down again, ever move against it."""
+    low, high = predictor.command_range
+    rest = max(2, round(_REST_S / predictor.dt))
+    samples = min(max(round(_RAMP_S / predictor.dt), _SAMPLES[0]), _SAMPLES[1])
+    state = predictor.initial(0.0, low)
+    plans = np.array([[low] * (rest + 1), [high] * (rest + 1)])
+    first, last = predictor.rollout(state, plans)[:, -1].tolist()
+    for _ in range(rest):
+        _, state = predictor.advance(state, low)
+    if not (math.isfinite(first) and math.isfinite(last)):
+        return False
+    up = first + _SHARE * (last - first) * np.arange(1, samples + 1) / samples
+    u = low
+    for direction, ramp in ((1.0, up), (-1.0, up[::-1])):
+        for theta in ramp.tolist():
+            before, u = u, inverse.command(state, theta, u)
+            if direction * (u - before) < -_BACK * (high - low):
+                return True
+            _, state = predictor.advance(state, u)
+    return False
+
+
+_GRAIN = 1e-7  # of commands, as a share of the greatest move
+
+
+class Bounds(NamedTuple):
+    """Least and greatest command, and greatest change per sample [mm or bar]."""
+
+    low: float
+    high: float
+    reach: float
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def clip_plans(plans: Any, lower: float, upper: float, reach: float, last: float) -> None:
+    """Nearest admissible plans (N, H) sample by sample, in place; not-a-number stays what it is.
+
+    Commands are rounded to 1e-7 of the greatest move: a play at its edge, or at rest, has another slope on either side,
+    which must not hang on the last digit.
+    """
+    grain, half = _GRAIN * reach, 0.5 * _GRAIN * reach
+    last = min(max(last, lower), upper)
+    for n in range(plans.shape[0]):
+        before = last
+        for k in range(plans.shape[1]):
+            u = plans[n, k]
+            if u == u:
+                u = np.rint(u / grain) * grain
+                u = lower if u <= lower + half else (upper if u >= upper - half else u)
+                u = min(max(u, before - reach), before + reach)
+                if abs(u - before) <= half and lower < u < upper:
+                    u = before
+            plans[n, k] = u
+            before = u
+
+
+class Follower(ABC):
+    """Inverse along a horizon, sample by sample from the state after the commands before."""
+
+    @abstractmethod
+    def follow(self, state: Vec, wanted: Vec, u_last: float, bounds: Bounds) -> Vec:
+        """Commands (2, H) along the angles `wanted` (H,) [deg]: within the box alone, and within the rate limit too."""
+
+
+@final
+class StepwiseFollower(Follower):
+    """Inverse along a horizon by one call of model and inverse a sample, for any model."""
+
+    def __init__(self, predictor: Predictor, inverse: Inverse) -> None:
+        self._predictor, self._inverse = predictor, inverse
+
+    def follow(self, state: Vec, wanted: Vec, u_last: float, bounds: Bounds) -> Vec:
+        free = self._followed(state, wanted, u_last, bounds._replace(reach=np.inf))
+        moves = np.abs(np.diff(free, prepend=u_last))
+        return np.stack(
+            [free, free if np.max(moves) <= bounds.reach else self._followed(state, wanted, u_last, bounds)]
+        )
+
+    def _followed(self, state: Vec, wanted: Vec, u_last: float, bounds: Bounds) -> Vec:
+        plan = np.empty(wanted.size)
+        for k, theta in enumerate(wanted.tolist()):
+            u = self._inverse.command(state, theta, u_last)
+            u = min(max(u if np.isfinite(u) else u_last, bounds.low), bounds.high)
+            u_last = min(max(u, u_last - bounds.reach), u_last + bounds.reach)
+            _, state = self._predictor.advance(state, u_last)
+            plan[k] = u_last
+        return plan
+
+
+@final
+class CompiledFollower(Follower):
+    """Inverse along a horizon in one compiled call, for chains, and for networks with a chain at their side.
+
+    Args:
+        inverse: of the chain.
+        chain: what is inverted.
+        network: what the chain stands in for; None for itself.
+        size: entries of the network's state.
+    """
+
+    def __init__(
+        self,
+        inverse: CompiledInverse,
+        chain: CompiledPredictor,
+        network: RoutedPredictor | None = None,
+        size: int = 0,
+    ) -> None:
+        route = None if network is None else network.route
+        self._packed: Any = 0 if route is None else route.packed
+        kernels = chain.kernels
+        self._kernel = _compiled_follow(
+            kernels.command_for.__module__, None if route is None else route.sample.__module__
+        )
+        self._chain = (chain.parameters, chain.sample_s, kernels.step_constants, kernels.slope_constants)
+        self._inverted = np.array([inverse.low, inverse.high])
+        self._size = size
+
+    def follow(self, state: Vec, wanted: Vec, u_last: float, bounds: Bounds) -> Vec:
+        plans = np.empty((2, wanted.size))
+        if not np.isfinite(state).all():  # a clamp of the gates would turn what is no number into one
+            plans[:] = u_last
+            return plans
+        ends = np.array(bounds), self._inverted
+        self._kernel(self._packed, self._size, state, *self._chain, wanted, u_last, *ends, plans)
+        return plans
+
+
+@final
+class DrivenFollower(Follower):
+    """The inverse behind and before dynamics: first where the travel should be, then the commands that bring it there.
+
+    The dynamics behind are undone along the preview, the inverse follows what is left from the instant on at which a
+    command acts, and the drive is led along its answer within the rate limit (`Drive.fit`). Both plans are the same:
+    without a rate limit there is none.
+    """
+
+    def __init__(self, inverse: DrivenInverse) -> None:
+        self._inverse = inverse
+        self._inner = follower_for(inverse.predictor, inverse.inner)
+
+    def follow(self, state: Vec, wanted: Vec, u_last: float, bounds: Bounds) -> Vec:
+        plans = np.full((2, wanted.size), u_last)
+        if not np.isfinite(state).all():
+            return plans
+        front, back, inner = self._inverse.front, self._inverse.back, self._inverse.predictor
+        middle, ahead, behind = self._inverse.parts(state)
+        if back is not None:
+            wanted = back.fit(behind, wanted, float(wanted[0]), np.inf).inputs
+        travel, first, last = wanted, 0, u_last
+        if front is not None:
+            travel, first = front.held(ahead, u_last, wanted.size)[1:]
+            for v in travel[:first].tolist():
+                _, middle = inner.advance(middle, v)
+                last = v
+        if first < wanted.size:
+            free = self._inner.follow(middle, wanted[first:], last, Bounds(bounds.low, bounds.high, np.inf))[0]
+            if front is not None:
+                travel[first:] = free
+                free = front.fit(ahead, travel, u_last, bounds.reach).inputs
+            plans[:] = np.minimum(np.maximum(free, bounds.low), bounds.high)  # `np.clip` takes three times as long
+        return plans
+
+
+def follower_for(predictor: Predictor, inverse: Inverse) -> Follower:
+    """The fastest way to follow an inverse with the memory of its predictor."""
+    if isinstance(inverse, DrivenInverse):
+        return DrivenFollower(inverse)
+    if isinstance(inverse, CompiledInverse) and isinstance(inverse.predictor, CompiledPredictor):
+        return CompiledFollower(inverse, inverse.predictor)
+    if isinstance(inverse, CompanionInverse) and isinstance(inverse.inverse, CompiledInverse):
+        network, chain = inverse.predictor.predictor, inverse.inverse.predictor
+        if isinstance(network, RoutedPredictor) and isinstance(chain, CompiledPredictor):
+            return CompiledFollower(inverse.inverse, chain, network, inverse.predictor.size)
+    return StepwiseFollower(predictor, inverse)
+
+
+_NO_NETWORK = '''@njit(cache=True)
+def sample(packed, states, rows, v, theta):
+    """No network."""
+'''
+
+
+@lru_cache(maxsize=64)
+def _compiled_follow(chain: str, network: str | None) -> Callable[..., Any]:
+    """`follow_loops.follow` for the modules of a chain's kernels and of a network's `sample`; None for no network."""
+    header = f"from {chain} import command_for, step\n"
+    header += _NO_NETWORK if network is None else f"from {network} import sample\n"
+    loops = resources.files("hystmpc.models.kernels").joinpath("follow_loops.py").read_text(encoding="utf-8")
+    follow: Callable[..., Any] = generated_module(f"{header}\n\n{loops}").follow
+    return follow

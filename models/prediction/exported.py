@@ -1,0 +1,221 @@
+"""Predictions of exported models: of recurrent networks by compiled kernels, of any other model step by step."""
+
+from __future__ import annotations
+
+import math
+import os
+from typing import TYPE_CHECKING, Any, final
+
+import casadi as ca
+import numpy as np
+
+from hystmpc.trials.errors import ConfigError
+from hystmpc.trials.types import Vec
+
+from ..contract.metadata import ModelMetadata, Start
+from ..kernels.network_route import NetworkRoute
+from ..kernels.vector_emitter import SHAPES, VectorShape, host_shape
+from ..model import ModelPredictor
+from ..networks.lstm import GATED_MARK, LstmWeights
+
+if TYPE_CHECKING:
+    from ..contract.load import OnnxModel
+
+VARIABLE = "HYSTMPC_LSTM_KERNEL"
+
+
+@final
+class RoutedPredictor(ModelPredictor):
+    """Predictions of a recurrent network in single precision by its fastest route.
+
+    Roll-outs run on as many threads as the process gives BLAS; a control process sets one (threadpoolctl), since a
+    second one stalls beside a busy neighbour. What follows from a command or a state that is not finite is
+    not-a-number: the kernels' gates would hide it.
+
+    Args:
+        metadata: facts of the model file.
+        start: rule that makes the initial state.
+        route: how to compute.
+    """
+
+    def __init__(self, metadata: ModelMetadata, start: Start, route: NetworkRoute) -> None:
+        super().__init__(metadata, start)
+        self.route = route
+
+    def advance(self, state: Vec, u: float) -> tuple[float, Vec]:
+        plan = np.array([u])
+        if not _finite(state, plan):
+            return np.nan, np.full(state.size, np.nan)
+        angles, following = self.route.advance(state, plan)
+        return float(angles[0]), following
+
+    def rollout(self, state: Vec, plans: Vec) -> Vec:
+        if _finite(state, plans):
+            return self.route.rollout(state, plans)
+        usable = np.isfinite(plans).all(axis=1) & np.isfinite(state).all()
+        angles = np.full(plans.shape, np.nan)
+        if usable.any():
+            angles[usable] = self.route.rollout(state, plans[usable])
+        return angles
+
+    def linearise(self, state: Vec, plan: Vec) -> tuple[Vec, Vec]:
+        if not _finite(state, plan):
+            return np.full(plan.size, np.nan), np.tril(np.full((plan.size, plan.size), np.nan))
+        return self.route.linearise(state, plan)
+
+
+def _finite(state: Vec, plans: Vec) -> bool:
+    # a sum is finite only where all its terms are; one that overflows is no angle either
+    return math.isfinite(state.sum() + plans.sum())
+
+
+def chosen_shape() -> VectorShape | None:
+    """The processor's own shape of the vector kernel, None where it has none; or what the user says.
+
+    Environment variable HYSTMPC_LSTM_KERNEL: `auto`, `plain`, or the name of a shape, `avx512` or `avx2`.
+
+    Raises:
+        ConfigError: if the variable is anything else.
+    """
+    wanted = os.environ.get(VARIABLE) or "auto"
+    if wanted not in ("auto", "plain", *SHAPES):
+        raise ConfigError(f"{VARIABLE}: got {wanted}, available: auto, plain, {', '.join(SHAPES)}")
+    return host_shape() if wanted == "auto" else SHAPES.get(wanted)
+
+
+def chosen_route(weights: LstmWeights) -> NetworkRoute:
+    """The vector kernel in the shape that `chosen_shape` gives, the plain route where it gives none.
+
+    Raises:
+        ConfigError: if HYSTMPC_LSTM_KERNEL names no route.
+    """
+    shape = chosen_shape()
+    if shape is None:
+        from ..kernels.lstm_plain import PlainRoute
+
+        return PlainRoute(weights)
+    from ..kernels.lstm_vector import VectorRoute  # the other route's kernels and session are not loaded
+
+    return VectorRoute(weights, shape)
+
+
+def recurrent_predictor(model: OnnxModel, start: Start = "conditioned") -> RoutedPredictor:
+    """The compiled predictor of a model file of kind `lstm` or `gru`; the graph's initializers are all that it needs.
+
+    Raises:
+        ModelError: if the initializers are not those of such a network.
+        ConfigError: if HYSTMPC_LSTM_KERNEL names no route.
+    """
+    return RoutedPredictor(model.metadata, start, _route(model))
+
+
+def _route(model: OnnxModel) -> NetworkRoute:
+    weights = model.initializers
+    if model.metadata.kind != "gru":
+        if GATED_MARK not in weights:
+            return chosen_route(LstmWeights.from_arrays(weights))
+        from ..kernels.gated import GatedLstmRoute
+
+        return GatedLstmRoute(weights)
+    from ..kernels.gru import GruRoute, gru_weights
+
+    if (shape := chosen_shape()) is None:
+        return GruRoute(weights)
+    from ..kernels.lstm_vector import VectorRoute
+
+    return VectorRoute(gru_weights(weights), shape, cell="gru")
+
+
+_SPARSE_ENTRIES = 4  # of A in a row, up to which its product is cheaper than directions through the step
+
+
+@final
+class OnnxPredictor(ModelPredictor):
+    """Predictor of a model file of any kind, for models without compiled kernels.
+
+    A roll-out is H runs of the step graph on all plans at once. A linearisation carries the tangents of the state along
+    the plan, one column a command,
+
+        X_k+1 = A_k X_k + B_k e_k',  d theta_k / d plan = C_k X_k + D_k e_k'
+
+    by CasADi's exact derivatives of the step: by the matrices where A is sparse (history buffers, plays), by forward
+    directions for the columns that are alive by then where it is not (recurrent networks).
+
+    Args:
+        model: the model file; controllers start from its rule `conditioned`.
+    """
+
+    def __init__(self, model: OnnxModel) -> None:
+        super().__init__(model.metadata)
+        self._model = model
+        self._function = model.casadi_function()
+        self._sparse = _sparse_derivative(self._function)
+        self._horizons: dict[int, Any] = {}
+
+    @property
+    def uses_matrices(self) -> bool:
+        """Whether tangents are carried by the matrices A, B, C, D; else by directions through the step."""
+        return self._sparse is not None
+
+    def advance(self, state: Vec, u: float) -> tuple[float, Vec]:
+        theta, following = self._model.advance(state[None], np.array([[u]]))
+        return float(theta[0, 0]), following[0]
+
+    def rollout(self, state: Vec, plans: Vec) -> Vec:
+        states = np.tile(state, (plans.shape[0], 1))
+        theta = np.empty(plans.shape)
+        for k in range(plans.shape[1]):
+            angle, states = self._model.advance(states, plans[:, k : k + 1])
+            theta[:, k] = angle[:, 0]
+        return theta
+
+    def linearise(self, state: Vec, plan: Vec) -> tuple[Vec, Vec]:
+        theta, jacobian = self._horizon(plan.size)(state, plan)
+        return np.asarray(theta).ravel(), np.asarray(jacobian)
+
+    def _horizon(self, length: int) -> Any:
+        """CasADi function (state, plan) -> angles and their Jacobian by the plan, built at the first call."""
+        if length not in self._horizons:
+            state, plan = ca.MX.sym("x", self._function.numel_in(0)), ca.MX.sym("u", length)
+            x, columns = state, ca.MX.zeros(state.numel(), length)
+            angles, rows = [], []
+            for k in range(length):
+                theta, following = self._function(x, plan[k])
+                row, columns = self._tangent(x, plan[k], theta, following, columns, k)
+                angles.append(theta)
+                rows.append(row)
+                x = following
+            results = [ca.vertcat(*angles), ca.densify(ca.vertcat(*rows))]
+            self._horizons[length] = ca.Function("horizon", [state, plan], results)
+        return self._horizons[length]
+
+    def _tangent(self, x: Any, u: Any, theta: Any, following: Any, columns: Any, k: int) -> tuple[Any, Any]:
+        """d theta / d plan (1, H) and the next columns (S, H); those after the k-th are still zero."""
+        length = columns.size2()
+        if self._sparse is not None:
+            by_state, by_u, theta_by_state, theta_by_u = self._sparse(x, u)
+            unit = ca.DM(1, length)
+            unit[0, k] = 1.0
+            row = ca.mtimes(theta_by_state, columns) + ca.mtimes(theta_by_u, unit)
+            return row, ca.mtimes(by_state, columns) + ca.mtimes(by_u, unit)
+        width = _width(k + 1, length)
+        unit = ca.DM.zeros(1, width)
+        unit[0, k] = 1.0
+        row, moved = self._function.forward(width)(x, u, theta, following, columns[:, :width], unit)
+        rest = length - width
+        return ca.horzcat(row, ca.MX(1, rest)), ca.horzcat(moved, ca.MX.zeros(x.numel(), rest))
+
+
+def _sparse_derivative(function: Any) -> Any | None:
+    """Function (x, u) -> A, B, C, D where A is sparse: a history buffer that shifts, plays that keep their place."""
+    if function.jac_sparsity(1, 0).nnz() > _SPARSE_ENTRIES * function.numel_in(0):
+        return None
+    x, u = ca.MX.sym("x", function.numel_in(0)), ca.MX.sym("u")
+    theta, following = function(x, u)
+    blocks = [ca.jacobian(output, by) for output in (following, theta) for by in (x, u)]
+    return ca.Function("derivative", [x, u], blocks)
+
+
+def _width(needed: int, most: int) -> int:
+    """Columns that are carried: the next power of two, so that few derivative functions are built."""
+    return min(1 << (needed - 1).bit_length(), most)
