@@ -14,7 +14,6 @@ from hystmpc.trials import lazily
 if TYPE_CHECKING:
     from .closed_loop import run_closed_loop
     from .config import SimulationConfig
-    from .devices.rod import RodParameters, simulate_rod
     from .environment.gym_ import Disturbance, EnvironmentState, HysteresisEnv
     from .plants.simulated import Effects, SimulatedPlant
 
@@ -23,11 +22,9 @@ __all__ = [
     "Effects",
     "EnvironmentState",
     "HysteresisEnv",
-    "RodParameters",
     "SimulatedPlant",
     "SimulationConfig",
     "run_closed_loop",
-    "simulate_rod",
 ]
 
 if not TYPE_CHECKING:  # the environment needs gymnasium, an extra
@@ -35,7 +32,7 @@ if not TYPE_CHECKING:  # the environment needs gymnasium, an extra
         __name__,
         ("hystmpc.sim.closed_loop", "run_closed_loop"),
         ("hystmpc.sim.config", "SimulationConfig"),
-        ("hystmpc.sim.devices.rod", "RodParameters simulate_rod"),
         ("hystmpc.sim.environment.gym_", "Disturbance EnvironmentState HysteresisEnv"),
         ("hystmpc.sim.plants.simulated", "Effects SimulatedPlant"),
+        ("hystmpc_lab.devices.rod", "RodParameters simulate_rod"),  # their former place
     )

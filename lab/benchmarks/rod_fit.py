@@ -23,11 +23,11 @@ from rich.progress import Progress
 from rich.table import Table
 from scipy.optimize import least_squares, minimize_scalar
 
-from hystmpc.sim.devices.rod import RodCatheter, RodParameters
 from hystmpc.trials.read import read_trials
 from hystmpc.trials.report import MEASURED, MODEL, new_figure, style
 from hystmpc.trials.trial import Trial, resample
 from hystmpc.trials.types import Vec
+from hystmpc_lab.devices.rod import RodCatheter, RodParameters
 
 FREE: dict[str, tuple[float, float]] = {  # searched between; in logarithms where the lower bound is positive
     "rest_deg": (-30.0, 40.0),

@@ -12,14 +12,12 @@ from typing import Any, ClassVar, Self, final
 
 import numpy as np
 
-from hystmpc.sim.devices import rod_solver
-from hystmpc.sim.devices.muscle import STATES, MuscleNumbers
-from hystmpc.sim.devices.rod import RodCatheter, RodParameters
-from hystmpc.sim.devices.rod_equations import new_knots
-from hystmpc.sim.devices.rod_solver import new_work
 from hystmpc.trials.types import Vec
 
-from . import kernels
+from . import kernels, rod_solver
+from .muscle import STATES, MuscleNumbers
+from .rod import RodCatheter, RodParameters
+from .rod_solver import new_knots, new_work
 
 TRAVEL_MM = 6.0
 STROKE = 0.6
@@ -260,7 +258,7 @@ def rise(signal: Vec) -> Vec:
 @final
 @dataclass(frozen=True)
 class RodCore(Core):
-    """Rod of `hystmpc.sim.devices.rod` on a coarser grid, with its drive, its first flexure and its sensor taken out.
+    """Rod of `devices.rod` on a coarser grid, with its drive, its first flexure and its sensor taken out.
 
     Its segments are standard linear solids: what they relax belongs to the device that the simulator is identified on,
     as every device bends a little late. The numbers are drawn so that this stays within what a backlash or a few plays

@@ -13,15 +13,14 @@ import numpy as np
 
 from hystmpc.ctrl.command import CommandLimits
 from hystmpc.models.contract.metadata import Range
-from hystmpc.sim.devices.rod import RodCatheter
-from hystmpc.sim.devices.rod_equations import new_knots
-from hystmpc.sim.devices.rod_solver import new_work
 from hystmpc.sim.plants.computed import ComputedPlant, Sensing
 from hystmpc.trials.types import Vec
 
 from . import kernels
 from .cores import CapstanCore, Core, DahlCore, MuscleCore, RodCore
 from .kernels import CAPSTAN, DAHL, FINE_S, MUSCLE, OWN, ROD, Packed
+from .rod import RodCatheter
+from .rod_solver import new_knots, new_work
 
 FAMILIES = ("rod", "capstan", "dahl", "muscle")
 RATES_HZ = (25.0, 50.0, 250.0)

@@ -204,8 +204,8 @@ def scan_study(outcome: PaperOutcome, preset_of: dict[str, str]) -> Reconstructi
 
 def _device(seed: int, dt_s: float) -> Device:
     """The simulated catheter of S1 with its laser: another specimen than those of the training groups."""
-    from hystmpc.sim.devices.muscle import MuscleCatheter, MuscleRecorder
-    from hystmpc.sim.devices.recorder import generator
+    from ..devices.muscle import MuscleCatheter, MuscleRecorder
+    from ..devices.recorder import generator
 
     recorder = MuscleRecorder()
     random = generator(seed, "s1/scan", "device")

@@ -31,8 +31,7 @@ def make(
     seed: Annotated[int, typer.Option("--seed", help="Of devices, motions and noise.", min=0)] = 0,
 ) -> None:
     """Record a whole data set and write it as canonical CSV files with a manifest; all of it or nothing."""
-    from ..datasets.dataset import write_dataset
-    from ..datasets.paper_data import make_dataset
+    from ..datasets import make_dataset, write_dataset
 
     require_vacant(folder)
     with bar("record") as show:
