@@ -13,9 +13,9 @@ from hystmpc.trials import lazily
 if TYPE_CHECKING:
     from .datasets import make_dataset, read_dataset, write_dataset
     from .devices.rod import RodParameters, simulate_rod
+    from .reconstruction.geometry import ReconstructionSettings
     from .reconstruction.protocol import Protocol, record_scans
     from .reconstruction.reconstruct import reconstruct
-    from .reconstruction.settings import ReconstructionSettings
 
 __all__ = [
     "Protocol",
@@ -36,5 +36,5 @@ if not TYPE_CHECKING:
         ("hystmpc_lab.devices.rod", "RodParameters simulate_rod"),
         ("hystmpc_lab.reconstruction.protocol", "Protocol record_scans"),
         ("hystmpc_lab.reconstruction.reconstruct", "reconstruct"),
-        ("hystmpc_lab.reconstruction.settings", "ReconstructionSettings"),
+        ("hystmpc_lab.reconstruction.geometry", "ReconstructionSettings"),
     )

@@ -54,7 +54,7 @@ from hystmpc.rig.experiment.review import compare_with_model, review
 from hystmpc.trials.config import dump_yaml
 from hystmpc.trials.errors import ConfigError, HystmpcError
 from hystmpc.trials.run_folder import RunFolder
-from hystmpc_lab.control.controllers import CONTROLLERS
+from hystmpc_lab.control.settings import CONTROLLERS
 from hystmpc_lab.faults.cases import DEVICE, RUN
 from hystmpc_lab.faults.play import end, start, start_device
 

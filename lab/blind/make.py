@@ -18,10 +18,9 @@ from hystmpc.trials.trial import Trial, resample
 from hystmpc.trials.types import Progress
 
 from ..devices.cores import RATE_HZ, Core, Mounting, MuscleCore
-from .cases import CONTROLS, Wish, affected_case, control_case, set_up
+from .cases import CONTROLS, Wish, affected_case, control_case, injection_case, set_up
 from .device import DEVICES
 from .generators import ALIASED_RATE, CONFIGURATION, FOREIGN_EFFECTS, LABELS, SCATTER, UNKNOWN
-from .injection import injection_case
 from .plan import ALIASED
 from .sealed import Answer, Case, Manifest, Suite, case_name, seal, write_case
 

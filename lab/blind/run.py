@@ -1,4 +1,4 @@
-"""Diagnosing every case of a blind check, resumable; further motions recorded on a case's device."""
+"""Diagnosing every case of a blind check, resumable; further motions and sessions of a case's device."""
 
 from __future__ import annotations
 
@@ -12,6 +12,8 @@ from typing import Any, Protocol, TypeVar
 import numpy as np
 
 from hystmpc.gap.decide.attribution import Findings
+from hystmpc.gap.decide.gap_closed import FinalErrors, without_sawtooth
+from hystmpc.gap.logs.preparation import prepare
 from hystmpc.models.simulator import Simulator
 from hystmpc.sim.jobs.runner import attempt, backend_for, run_jobs
 from hystmpc.trials.csv_files import write_csv
@@ -304,3 +306,26 @@ def _later(folder: Path, case: str) -> list[Trial]:
     """Trials of a case that were recorded after those it was made with."""
     logs = folder / "follow_up" / case
     return read_trials([logs]) if logs.is_dir() else []
+
+
+def closed_in_later_session(findings: Findings, trials: Sequence[Trial]) -> float:
+    """Closed share of the corrected simulator on trials of a later session, over the floor of the first one.
+
+    The 90 % interval of the closed share refers to this quantity: the corrected simulator on more such trials, not a
+    perfect model. As in `measure`, what jumps leave by their nature counts as closed.
+
+    Args:
+        findings: of a diagnosis.
+        trials: a whole session of the device, ordered as the first one was.
+
+    Raises:
+        GapError: on unusable trials.
+    """
+    later = prepare(trials, findings.simulator, ordered=findings.prepared.order == "known")
+    later = replace(later, final=later.everything)
+    attribution, conclusion = findings.attribution, findings.conclusion
+    causes, jumps = conclusion.closed.causes.keys(), attribution.jumps
+    jumps_mse = jumps.mse if jumps and "stick_slip" in causes - conclusion.chosen.effects else 0.0
+    fitted = attribution.validation, attribution.retuned, conclusion.chosen, conclusion.floor
+    errors = FinalErrors(later, *fitted, "sensor" in causes, findings.seed, jumps_mse)
+    return errors.shares.closed(without_sawtooth(errors.after, jumps_mse).mse)

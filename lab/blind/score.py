@@ -16,10 +16,23 @@ from hystmpc.trials.files import write_atomically
 from hystmpc.trials.json_text import plain
 
 from ..study import Bar, Rate
-from .bars import HEALTHY, alarm, bars, confidently_wrong, covers_perfection, metrics
+from .bars import (
+    HEALTHY,
+    Calibration,
+    Confusion,
+    alarm,
+    bars,
+    calibration,
+    chance,
+    confidently_wrong,
+    confusion,
+    covers_perfection,
+    metrics,
+    rate,
+    truths_of,
+)
 from .generators import LABELS, NAMES
 from .make import RATIOS, SUITES
-from .measures import Calibration, Confusion, calibration, chance, confusion, rate, truths_of
 from .reading import FAILED, ScoredCase, load_scored, of_suites
 
 FORMAT = "hystmpc-blind-score/1"

@@ -12,13 +12,10 @@ from hystmpc.trials.json_text import plain
 
 from ..study import Study, StudyTable
 from .bars import ControlOutcome, verdicts
-from .controllers import CONTROLLERS
-from .job import control_jobs, job_inputs
-from .loop import run_along, tune
-from .models import save_backlash, save_network
-from .plants import PLANTS
+from .loop import control_jobs, job_inputs, run_along, tune
+from .plants import PLANTS, save_backlash, save_network
 from .report import bars_table, control_report
-from .settings import STAGES, ControlJob, ControlResult, ControlSettings, motion
+from .settings import CONTROLLERS, STAGES, ControlJob, ControlResult, ControlSettings, motion
 
 # Seconds on one core of a two-core x86-64 machine, from runs of the benchmark itself.
 _FIXED_S = 0.3

@@ -38,8 +38,7 @@ from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Vec
 
 from .description import SAFE
-from .hostile import EndlessError, HostileDevice, HostileSettings
-from .over_udp import served
+from .hostile import EndlessError, HostileDevice, HostileSettings, served
 from .truth import Asked, Ending, Mover
 
 LAW: tuple[str, ...] = ("linearised_mpc", "pid", "inverse")

@@ -26,15 +26,13 @@ from hystmpc.trials.report import (
 )
 from hystmpc.trials.types import Vec
 
+from ..reconstruction.geometry import ReconstructionSettings
 from ..reconstruction.protocol import Device, Estimator, Protocol, record_scans
 from ..reconstruction.reconstruct import Reconstruction, reconstruct
 from ..reconstruction.report import ERROR_COLUMNS, TEST_COLUMNS, error_rows, rank_test_rows, reconstruction_pieces
-from ..reconstruction.settings import ReconstructionSettings
 from ..study import NOTHING, Cell, StudyTable
-from .common import jobs_pieces, jobs_table, label, paper_set_up
-from .job import Splits, TrainingJob, TrainingTask, preset_for, steps_for
-from .printed import S1_ERRORS, S1_HALF_RANGE_DEG, S1_TRAINING
-from .result import JobResult, PaperOutcome, title_of
+from .job import JobResult, PaperOutcome, Splits, TrainingJob, TrainingTask, preset_for, steps_for, title_of
+from .printed import S1_ERRORS, S1_HALF_RANGE_DEG, S1_TRAINING, jobs_pieces, jobs_table, label, paper_set_up
 from .settings import PaperSettings
 
 TESTS = {

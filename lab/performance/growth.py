@@ -13,8 +13,7 @@ from hystmpc.ctrl.guarded import build_controller
 from hystmpc.ctrl.mpc_settings import LinearisedMpcSettings, SamplingMpcSettings
 
 from .report import Growth
-from .subjects import Subject, in_turn, lstm_subject, record_scan
-from .timing import BenchSettings, Clock, TimedCall
+from .subjects import BenchSettings, Clock, Subject, TimedCall, in_turn, lstm_subject, record_scan
 
 Series = Callable[[BenchSettings, Clock], list[Growth]]
 _QUADRATIC = 2.0

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from typing import Any
 
-from .timing import Times
+from .subjects import Times
 
 FORMAT = "hystmpc-bench/1"
 COLUMNS = ("measured", "median", "p99", "against", "median", "ratio", "goal", "note")

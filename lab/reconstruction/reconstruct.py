@@ -13,9 +13,8 @@ from scipy.stats import mannwhitneyu
 from hystmpc.trials.errors import ConfigError, HystmpcError, ModelError, did_you_mean
 from hystmpc.trials.types import Mask, Mat, Vec
 
-from .geometry import Segment, checked_angles, measured_distance, rotated, surface_distance
+from .geometry import ReconstructionSettings, Segment, checked_angles, measured_distance, rotated, surface_distance
 from .protocol import Scan
-from .settings import ReconstructionSettings
 
 Unit = Literal["points", "scans"]
 _SAME_DEG = 1e-6

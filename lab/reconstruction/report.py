@@ -17,9 +17,8 @@ from matplotlib.projections.polar import PolarAxes
 from hystmpc.trials.report import PALETTE, REFERENCE, Heading, Paragraph, Piece, Plot, Table, new_figure
 from hystmpc.trials.types import Vec
 
-from .geometry import Segment, profile, surface_distance
+from .geometry import ReconstructionSettings, Segment, profile, surface_distance
 from .reconstruct import ErrorSummary, Reconstruction
-from .settings import ReconstructionSettings
 
 PRINTED: Final = "printed in the paper"
 INFERRED: Final = "inferred [I]"

@@ -42,7 +42,7 @@ def bench(
     from ..performance.growth import save_growth
     from ..performance.report import report_json
     from ..performance.run import run_bench
-    from ..performance.timing import QUICK, BenchSettings
+    from ..performance.subjects import QUICK, BenchSettings
 
     if json_file is not None:
         check_output("--json", json_file, (BENCHMARK,), (), force)

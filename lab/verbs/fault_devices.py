@@ -39,7 +39,7 @@ def play_devices(folder: Path, only: Sequence[str], movers: Sequence[str], jobs:
         ConfigError: on an unknown device or mover, or a folder that is not empty.
         typer.Exit: with 1 if a device fails.
     """
-    from ..faults.campaign import played_all
+    from ..faults.devices import played_all
 
     plays = _chosen(only, movers)
     require_vacant(folder)

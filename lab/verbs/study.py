@@ -163,7 +163,7 @@ def _over_devices(changes: dict[str, Any], folder: Path, workers: int) -> None:
     Raises:
         ConfigError: without a list of devices, or with a wrong one; if a folder holds something else.
     """
-    from ..papers.devices import device_settings, kinds_report  # as other studies: late
+    from ..papers.real import device_settings, kinds_report
 
     file = changes.pop("data")
     if file is None:

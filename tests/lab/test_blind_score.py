@@ -11,9 +11,19 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hystmpc.models.effects.catalogue import confusable
-from hystmpc_lab.blind.bars import bars, metrics, orders_bar, resolved, true_share
+from hystmpc_lab.blind.bars import (
+    bars,
+    calibration,
+    chance,
+    confusion,
+    metrics,
+    orders_bar,
+    overlap,
+    resampled,
+    resolved,
+    true_share,
+)
 from hystmpc_lab.blind.generators import ALIASED_RATE, CONFIGURATION, LABELS, SCATTER
-from hystmpc_lab.blind.measures import calibration, chance, confusion, overlap, resampled
 from hystmpc_lab.blind.reading import DiagnosisReading, ScoredCase, reading_of
 from hystmpc_lab.blind.report import blind_report
 from hystmpc_lab.blind.score import kind_of_miss, score_json, score_of

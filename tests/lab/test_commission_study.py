@@ -8,11 +8,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hystmpc_lab.commission.bars import CommissionOutcome, bars, gap_agrees, over_rival
-from hystmpc_lab.commission.device import PreparedPlant, bench_settings
-from hystmpc_lab.commission.report import commission_report
-from hystmpc_lab.commission.settings import CommissionResult, CommissionStudySettings
-from hystmpc_lab.commission.study import STUDY
+from hystmpc_lab.commission.job import PreparedPlant, bench_settings
+from hystmpc_lab.commission.settings import (
+    CommissionOutcome,
+    CommissionResult,
+    CommissionStudySettings,
+    bars,
+    gap_agrees,
+    over_rival,
+)
+from hystmpc_lab.commission.study import STUDY, commission_report
 from hystmpc_lab.devices.drawn import DrawnDevice, DrawnPlant, draw_devices, worn
 
 FOUR = draw_devices(4, 3, quick=True)  # one of each family

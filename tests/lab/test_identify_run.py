@@ -9,8 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from hystmpc_lab.identify.bars import CONTROLLERS, IdentifyOutcome
-from hystmpc_lab.identify.settings import IdentifySettings
+from hystmpc_lab.identify.settings import CONTROLLERS, IdentifyOutcome, IdentifySettings
 from hystmpc_lab.identify.study import STUDY
 
 pytestmark = pytest.mark.slow

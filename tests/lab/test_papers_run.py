@@ -9,8 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from hystmpc_lab.papers.job import TrainingJob, TrainingTask
-from hystmpc_lab.papers.result import PaperOutcome, model_file
+from hystmpc_lab.papers.job import PaperOutcome, TrainingJob, TrainingTask, model_file
 from hystmpc_lab.papers.settings import PaperSettings
 from hystmpc_lab.papers.study import STUDIES
 
