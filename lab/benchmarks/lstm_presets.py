@@ -10,20 +10,25 @@ Ten trials of 60 s train a model, four further ones judge it: S2's sinusoids and
 
 from __future__ import annotations
 
-import argparse
 import tempfile
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from leave_one_out import of_kind
+import yaml
+from kit import asked
 
 from hystmpc.models.contract.export import ExportBundle, export_onnx
 from hystmpc.models.contract.load import load_onnx
 from hystmpc.models.contract.metadata import DeviceLimits, Range
 from hystmpc.models.evaluate import evaluate, free_run
+from hystmpc.models.kinds.catalogue import kind_named
+from hystmpc.models.kinds.kind import FitRequest
+from hystmpc.models.kinds.networks import NetworkKind
+from hystmpc.models.train.networks import fit_network, network_bundle
+from hystmpc.models.train.settings import NetworkSettings
 from hystmpc.sim.closed_loop import run_closed_loop
 from hystmpc.sim.config import PlantSettings, SimulationConfig
 from hystmpc.sim.plants.make import make_plant
@@ -37,6 +42,32 @@ DT_S, DURATION_S, NOISE_DEG = 0.04, 60.0, 0.15
 RETURN_MM_PER_S = 3.0
 LIMITS = DeviceLimits(Range(lower=0.0, upper=6.0), 12.0)
 HELD_S = 60.0
+
+
+Fit = Callable[[Sequence[Trial]], ExportBundle]
+
+
+def overridden(settings: NetworkSettings, changes: Sequence[str]) -> NetworkSettings:
+    """Settings with `a.b=value` changes."""
+    data = settings.model_dump()
+    for change in changes:
+        key, _, value = change.partition("=")
+        *parents, leaf = key.split(".")
+        node = data
+        for parent in parents:
+            node = node[parent]
+        node[leaf] = yaml.safe_load(value)
+    return NetworkSettings.parse(data, "--set")
+
+
+def of_kind(name: str, training: str, changes: Sequence[str]) -> Fit:
+    """How a kind is identified; trainings of networks may be changed."""
+    kind = kind_named(name)
+    if isinstance(kind, NetworkKind):
+        settings = overridden(kind.settings[training], changes)
+        return lambda trials: network_bundle(fit_network(trials, settings), trials)
+    asked_for = FitRequest(training=training if training in kind.trainings else kind.trainings[0], plays=10)
+    return lambda trials: kind.fit(trials, asked_for).bundle
 
 
 def filled(motions: Sequence[Trajectory]) -> Vec:
@@ -126,12 +157,13 @@ def row(device: str, model: str, changes: Sequence[str], seed: int, folder: Path
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--devices", nargs="+", default=["tendon", "rod"])
-    parser.add_argument("--models", nargs="+", default=["play_kernel", "lstm:best", "lstm:stacked"])
-    parser.add_argument("--set", nargs="*", default=[], metavar="KEY=VALUE")
-    parser.add_argument("--seed", type=int, default=11)
-    given = parser.parse_args()
+    given = asked(
+        __doc__,
+        devices={"nargs": "+", "default": ["tendon", "rod"]},
+        models={"nargs": "+", "default": ["play_kernel", "lstm:best", "lstm:stacked"]},
+        set={"nargs": "*", "default": [], "metavar": "KEY=VALUE"},
+        seed=11,
+    )
     print("device | model | changes | wall s | cpu s | rmse | offset-free | drift 60 s | moves | scan 0.2 | scan 0.6")
     with tempfile.TemporaryDirectory() as folder:
         for device in given.devices:

@@ -213,8 +213,6 @@ def _renamed(trials: Sequence[Trial], job: DiagnosisJob) -> list[Trial]:
 
 def _beside(findings: Findings, trials: Sequence[Trial], simulator: Simulator, job: DiagnosisJob) -> dict[str, Any]:
     """Answers of simple rules, and the share that the causes close in another session, if the device can have one."""
-    from .later_session import closed_in_later_session
-
     rules = fit_rules(findings.attribution.selection, findings.prepared.development)
     found: dict[str, Any] = {"others": {"correlation": correlation_rule(trials, simulator), **rules}}
     if findings.conclusion.closed.causes:

@@ -182,8 +182,8 @@ class ControlSettings(StudySettings):
     Attributes:
         study: always `control`.
         rates_hz: sample rates of the loop [Hz].
-        plants: by name, see `plants.PLANTS`.
-        controllers: by name, see `controllers.CONTROLLERS`.
+        plants: by name, see `PLANTS`.
+        controllers: by name, see `CONTROLLERS`.
         motions: by name, see `MOTIONS`.
         tune_evaluations: runs over all motions that the search of a PID's gains takes at the first rate.
         retune_evaluations: the same at every further rate, where it starts from the gains found before.

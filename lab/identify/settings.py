@@ -61,7 +61,7 @@ class IdentifyResult(Result):
         truth: what was drawn, 0 for what is not there: lag [s], delay [s], creep [1].
         found: value and 90 % interval of what was identified, by the same names; what is not among them is not there.
         facts: of the device: family, rate, noise and further numbers, for tables.
-        figures: see `scores.scores`, by controller and figure such as `linearised.rmse_deg`; seconds by stage.
+        figures: see `job.scores`, by controller and figure such as `linearised.rmse_deg`; seconds by stage.
     """
 
     job: IdentifyJob
