@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Generic, Literal, Self, TypeVar, final
 
 import numpy as np
-from pydantic import BeforeValidator
+from pydantic import BeforeValidator, Field
 
 from hystmpc.sim.jobs.runner import attempt, backend_for
 from hystmpc.trials.config import Settings
@@ -43,13 +43,17 @@ _QUICK_NOTE = "QUICK: the numbers below show that everything runs, and say nothi
 
 
 class StudySettings(Settings):
-    """Settings that every study has: `study`, `seed` and `quick` are fields of each.
+    """Settings that every study has; its name, `study`, is a field of each.
 
     Attributes:
         QUICK: changes of the defaults for a quick run.
+        seed: of everything that is drawn at random: devices, motions, noise, searches, training.
+        quick: few, short and simple jobs: proves that everything runs, and nothing else.
     """
 
     QUICK: ClassVar[Mapping[str, Any]] = {}
+    seed: Annotated[int, Field(ge=0)] = 1
+    quick: bool = False
 
     @classmethod
     def of(cls, **changes: Any) -> Self:
@@ -451,9 +455,22 @@ def bars_table(judged: Sequence[Bar]) -> StudyTable:
     return StudyTable("bars", columns, rows, "Simulated: the bars.")
 
 
-def bars_summary(judged: Sequence[Bar]) -> StudyTable:
+def judged_by(bars: Callable[[Any], Sequence[Bar]], results: str) -> dict[str, Any]:
+    """The fields `data` and `summary` of a study that is judged by bars.
+
+    Args:
+        results: name of the list of results in `tables/NAME.json`.
+    """
+    return {"data": partial(_bars_data, bars, results), "summary": partial(_bars_summary, bars)}
+
+
+def _bars_data(bars: Callable[[Any], Sequence[Bar]], results: str, outcome: Outcome[Any, Any]) -> dict[str, Any]:
+    return {"bars": [bar.plain for bar in bars(outcome)], results: [plain_result(r) for r in outcome.results]}
+
+
+def _bars_summary(bars: Callable[[Any], Sequence[Bar]], outcome: Outcome[Any, Any]) -> StudyTable:
     """The bars as the command line shows them."""
-    return bars_table(judged).only("Bars", "bar", "number", "goal", "devices", "state")
+    return bars_table(bars(outcome)).only("Bars", "bar", "number", "goal", "devices", "state")
 
 
 def figures_table(devices: Mapping[str, Figures]) -> StudyTable:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 
@@ -12,8 +13,8 @@ from hystmpc.models.effects.catalogue import confusable
 
 from ..study import Bar, Rate
 from .generators import CONFIGURATION, NAMES, UNKNOWN
-from .reading import FAILED, TRIAL, VERDICTS, DiagnosisReading, ScoredCase, large, of_suites
-from .sealed import DENSE
+from .reading import FAILED, TRIAL, VERDICTS, DiagnosisReading, ScoredCase, large, of_suites, orders_said
+from .sealed import DENSE, read_manifest
 
 # Confounders beside each other, so that a confusion of the two lies near the diagonal.
 _ORDER = (
@@ -201,7 +202,7 @@ def bars(cases: Sequence[ScoredCase]) -> list[Bar]:
         _localisation(single),
         _calibrated(cases),
         _resolved(cases),
-        orders_bar({case.name: case.orders for case in cases if case.orders})[0],
+        orders_bar({case.name: case.orders for case in cases if case.orders}),
     ]
 
 
@@ -405,7 +406,7 @@ def resolved(case: ScoredCase) -> bool:
     return bool(true & were_open) or (claims <= true and bool(claims) == bool(true))
 
 
-def orders_bar(said: Mapping[str, tuple[frozenset[str], ...]]) -> tuple[Bar, Rate]:
+def orders_bar(said: Mapping[str, tuple[frozenset[str], ...]]) -> Bar:
     """Share of the diagnoses in other orders of the files that name the most frequent set of their case.
 
     The interval takes them as independent, which those of one case are not.
@@ -413,4 +414,19 @@ def orders_bar(said: Mapping[str, tuple[frozenset[str], ...]]) -> tuple[Bar, Rat
     found = Rate(sum(max(map(sets.count, sets)) for sets in said.values()), sum(map(len, said.values())))
     misses = tuple(name for name, sets in said.items() if len(set(sets)) > 1)
     name = "same names in any order of the files"
-    return Bar(name, found.value, (0.95, 1.0), found.cases, misses, found.ci90), found
+    return Bar(name, found.value, (0.95, 1.0), found.cases, misses, found.ci90)
+
+
+def orders_of(folder: Path) -> tuple[list[tuple[str, int, str]], Bar]:
+    """Names said in each order, the answers being sealed: rows of case, orders, and sets with their counts; the bar.
+
+    Raises:
+        LogError: if the folder holds no blind check, or a diagnosis is damaged.
+    """
+    said = {name: orders_said(folder, name) for name in read_manifest(folder).cases}
+    told = {name: sets for name, sets in said.items() if sets}
+    words = {
+        name: "; ".join(f"{' + '.join(sorted(s)) or 'no name'} {n}" for s, n in Counter(sets).most_common())
+        for name, sets in told.items()
+    }
+    return [(name, len(sets), words[name]) for name, sets in told.items()], orders_bar(told)

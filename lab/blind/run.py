@@ -164,6 +164,34 @@ def run_blind(
     return failed
 
 
+def run_orders(
+    folder: Path, cases: int = 20, orders: int = 10, jobs: int = 1, seed: int = 0, progress: Progress | None = None
+) -> int:
+    """Diagnose some cases in random orders of their files, the order of recording unknown; resumable.
+
+    Args:
+        folder: made by `make_blind`.
+        cases: how many; the first ones, which are drawn at random.
+        orders: of each.
+
+    Returns:
+        Diagnoses that failed, in this call.
+
+    Raises:
+        LogError: if the folder holds no blind check.
+        ConfigError: on a count below 1, or if a worker process died.
+    """
+    if cases < 1 or orders < 1:
+        raise ConfigError(f"orders: got {orders} of {cases} cases, expected at least 1 of 1")
+    manifest = read_manifest(folder)
+    todo = [
+        DiagnosisJob(folder, name, seed, manifest.without.get(name, ()), (), f"{ORDERS}/{k:02d}", k)
+        for name in manifest.cases[:cases]
+        for k in range(orders)
+    ]
+    return diagnose_all(todo, jobs, progress)
+
+
 def diagnose_job(job: DiagnosisJob) -> tuple[DiagnosisJob, bool]:
     """Make one diagnosis and write it; an error of the diagnosis is written too. Returns whether it worked."""
 

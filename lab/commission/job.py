@@ -37,7 +37,7 @@ from hystmpc.sim.tune_pid import searched_gains
 from hystmpc.trajectories.drawn import CountedMotion
 from hystmpc.trials.types import Vec
 
-from ..devices.drawn import DrawnDevice, DrawnPlant, draw_devices, worn
+from ..devices.drawn import DrawnDevice, DrawnPlant, drawn_devices, worn
 from ..devices.motions import fresh_motions, recordings
 from ..identify.job import (
     AS_IDENTIFIED_NOISE_DEG,
@@ -242,11 +242,6 @@ class StudyBench:
     ) -> tuple[dict[str, float], list[ClosedLoopRun]]:
         """Figures of a controller over all motions, `name` before each, and the runs."""
         return tracked(name, controller, plant or self.plant, motions or self.motions, self.device, sensor=sensor)
-
-
-def drawn_devices(settings: CommissionStudySettings) -> tuple[DrawnDevice, ...]:
-    """All devices of the draw."""
-    return draw_devices(settings.devices, settings.seed, settings.quick)
 
 
 def _commission(bench: StudyBench) -> tuple[str, dict[str, float]]:

@@ -14,8 +14,8 @@ from pydantic import Field
 from hystmpc.gap.diagnosis import TrackingGap
 from hystmpc.gap.tracking.expected import AGREEMENT
 
-from ..devices.drawn import FAMILIES
-from ..study import Bar, Figure, Figures, Outcome, Result, StudySettings, beyond, by_device, over
+from ..devices.drawn import FAMILIES, DrawnSettings
+from ..study import Bar, Figure, Figures, Outcome, Result, beyond, by_device, over
 
 Stage = Literal["commission", "compare", "gap"]
 STAGES: tuple[Stage, ...] = ("commission", "compare", "gap")
@@ -23,30 +23,19 @@ WORN = {"friction": (2.0, 1.0), "stiffness": (1.0, 2.0)}
 """Factors on friction and stiffness of a device that has changed since it was commissioned."""
 
 
-class CommissionStudySettings(StudySettings):
+class CommissionStudySettings(DrawnSettings):
     """Settings of the study `commission`.
 
     Attributes:
-        study: always `commission`.
-        devices: how many are drawn.
-        rates_hz: of the drawn devices, those of these sample rates are done [Hz]; all where it is empty.
-        evaluations: closed-loop runs over all motions in the search of each rival's gains, about.
         minutes: device time of each commissioning [min]; a computed device is prepared anew before every motion, which
             takes some seconds more.
         diagnose: whether a commissioning diagnoses its model; takes most of the time, and changes no controller.
-        seed: of the draw, the motions, the noise and the searches.
-        quick: few and short motions at 25 Hz: proves that everything runs, and nothing else.
     """
 
     QUICK: ClassVar[Mapping[str, Any]] = {"devices": 8, "evaluations": 12, "diagnose": False}
     study: Literal["commission"] = "commission"
-    devices: Annotated[int, Field(ge=1, le=1000)] = 60
-    rates_hz: tuple[float, ...] = ()
-    evaluations: Annotated[int, Field(ge=10)] = 300
     minutes: Annotated[float, Field(gt=0, le=5)] = 4.6
     diagnose: bool = True
-    seed: Annotated[int, Field(ge=0)] = 1
-    quick: bool = False
 
 
 @dataclass(frozen=True)

@@ -11,21 +11,20 @@ from matplotlib.figure import Figure
 
 from hystmpc.trials.report import MEASURED, MODEL, PALETTE, Heading, Plot, Report
 
-from ..devices.drawn import FAMILIES, DrawnDevice
+from ..devices.drawn import FAMILIES, DrawnDevice, drawn_devices
 from ..study import (
     Cell,
     Study,
     StudyTable,
-    bars_summary,
     bars_table,
     cell,
     figures_table,
-    plain_result,
+    judged_by,
     ratios_figure,
     rmse_of,
     set_up,
 )
-from .job import drawn_devices, run_stage
+from .job import run_stage
 from .settings import (
     RIVALS,
     STAGES,
@@ -121,7 +120,7 @@ _QUICK_S = 30.0
 
 def commission_jobs(settings: CommissionStudySettings, drawn: Sequence[DrawnDevice]) -> tuple[CommissionJob, ...]:
     """For each device a job to commission it, one to compare and one for the gap; a quick run diagnoses nothing."""
-    devices = [d for d in drawn if not settings.rates_hz or d.rate_hz in settings.rates_hz]
+    devices = settings.chosen(drawn)
     stages = STAGES[:2] if settings.quick and not settings.diagnose else STAGES
     return tuple(CommissionJob(d.number, stage, f"{d.key}-{stage}") for stage in stages for d in devices)
 
@@ -155,14 +154,6 @@ def _cost_s(job: CommissionJob, settings: CommissionStudySettings) -> float:
     return _COMMISSION_S[rate] * (_DIAGNOSE if settings.diagnose else 1.0)
 
 
-def _data(outcome: CommissionOutcome) -> dict[str, Any]:
-    return {"bars": [bar.plain for bar in bars(outcome)], "jobs": [plain_result(r) for r in outcome.results]}
-
-
-def _summary(outcome: CommissionOutcome) -> StudyTable:
-    return bars_summary(bars(outcome))
-
-
 STUDY = Study(
     name="commission",
     form="hystmpc-commission-job/1",
@@ -175,8 +166,7 @@ STUDY = Study(
     costs=_costs,
     facts=_facts,
     page=commission_report,
-    data=_data,
-    summary=_summary,
+    **judged_by(bars, "jobs"),
     stages=STAGES,
     outcome=CommissionOutcome,
 )

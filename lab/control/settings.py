@@ -180,15 +180,12 @@ class ControlSettings(StudySettings):
     """Settings of the study `control`.
 
     Attributes:
-        study: always `control`.
         rates_hz: sample rates of the loop [Hz].
         plants: by name, see `PLANTS`.
         controllers: by name, see `CONTROLLERS`.
         motions: by name, see `MOTIONS`.
         tune_evaluations: runs over all motions that the search of a PID's gains takes at the first rate.
         retune_evaluations: the same at every further rate, where it starts from the gains found before.
-        seed: of noise, search, random motion and training.
-        quick: few and short motions, hardly trained networks: proves that everything runs, and nothing else.
     """
 
     QUICK: ClassVar[Mapping[str, Any]] = {
@@ -207,8 +204,6 @@ class ControlSettings(StudySettings):
     network_updates: Annotated[int, Field(ge=1)] = 3000
     tune_evaluations: Annotated[int, Field(ge=10)] = 300
     retune_evaluations: Annotated[int, Field(ge=10)] = 48
-    seed: Annotated[int, Field(ge=0)] = 1
-    quick: bool = False
 
     @classmethod
     def of(cls, **changes: Any) -> Self:

@@ -33,7 +33,7 @@ from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Vec
 
 from ..devices import kernels
-from ..devices.drawn import DrawnDevice, DrawnPlant, draw_devices
+from ..devices.drawn import DrawnDevice, DrawnPlant, drawn_devices
 from ..devices.exact import exact_controller
 from ..devices.kernels import PidNumbers
 from ..devices.motions import fresh_motions, recordings
@@ -167,11 +167,6 @@ class _Watch:
     def lap(self, name: str) -> None:
         now = time.process_time()
         self.seconds[f"seconds.{name}"], self.last = now - self.last, now
-
-
-def drawn_devices(settings: IdentifySettings) -> tuple[DrawnDevice, ...]:
-    """All devices of the draw."""
-    return draw_devices(settings.devices, settings.seed, settings.quick)
 
 
 def run_device(job: IdentifyJob, settings: IdentifySettings, folder: Path) -> dict[str, Any]:

@@ -5,41 +5,30 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
-from pydantic import Field
 
 from hystmpc.models.kinds.catalogue import chosen_kind
 
-from ..study import Bar, Figure, Figures, Outcome, Result, StudySettings, over
+from ..devices.drawn import DrawnSettings
+from ..study import Bar, Figure, Figures, Outcome, Result, over
 
 Interval = tuple[Figure, Figure, Figure]
 
 
-class IdentifySettings(StudySettings):
+class IdentifySettings(DrawnSettings):
     """Settings of the study `identify`.
 
     Attributes:
-        study: always `identify`.
-        devices: how many are drawn.
         kind: of model that is identified, by name, see `hystmpc fit`.
         drive: of a kind without one of its own: `auto` identifies the drive, see `hystmpc fit --drive`.
-        rates_hz: of the drawn devices, those of these sample rates are done [Hz]; all where it is empty.
-        evaluations: closed-loop runs over all motions in the search of each PID's gains, about.
-        seed: of the draw, the motions, the noise and the searches.
-        quick: few motions and short ones at 25 Hz: proves that everything runs, and nothing else.
     """
 
     QUICK: ClassVar[Mapping[str, Any]] = {"devices": 4, "evaluations": 12}
     study: Literal["identify"] = "identify"
-    devices: Annotated[int, Field(ge=1, le=1000)] = 60
     kind: str = "auto"
     drive: str | None = None
-    rates_hz: tuple[float, ...] = ()
-    evaluations: Annotated[int, Field(ge=10)] = 300
-    seed: Annotated[int, Field(ge=0)] = 1
-    quick: bool = False
 
     def check_names(self) -> None:
         chosen_kind(self.kind, self.drive)

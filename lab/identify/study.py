@@ -10,23 +10,22 @@ from matplotlib.figure import Figure
 
 from hystmpc.trials.report import MEASURED, MODEL, PALETTE, Heading, Plot, Report
 
-from ..devices.drawn import FAMILIES, DrawnDevice
+from ..devices.drawn import FAMILIES, DrawnDevice, drawn_devices
 from ..study import (
     NOTHING,
     Cell,
     Study,
     StudyTable,
-    bars_summary,
     bars_table,
     cell,
     figures_table,
+    judged_by,
     over,
-    plain_result,
     ratios_figure,
     rmse_of,
     set_up,
 )
-from .job import drawn_devices, run_device
+from .job import run_device
 from .settings import (
     CONTROLLERS,
     PARTS,
@@ -129,8 +128,7 @@ _QUICK_S = 5.0
 
 def identify_jobs(settings: IdentifySettings, drawn: Sequence[DrawnDevice]) -> tuple[IdentifyJob, ...]:
     """A job for each device."""
-    rates = settings.rates_hz
-    return tuple(IdentifyJob(d.number, d.key) for d in drawn if not rates or d.rate_hz in rates)
+    return tuple(IdentifyJob(d.number, d.key) for d in settings.chosen(drawn))
 
 
 def _inputs(job: IdentifyJob, settings: IdentifySettings, folder: Path) -> dict[str, Any]:
@@ -160,14 +158,6 @@ def _costs(jobs: Sequence[IdentifyJob], settings: IdentifySettings) -> Mapping[s
     return {key: _DEVICE_S[rate] * (_ROD if "-rod-" in key else 1.0) for key, rate in rates.items()}
 
 
-def _data(outcome: IdentifyOutcome) -> dict[str, Any]:
-    return {"bars": [bar.plain for bar in bars(outcome)], "devices": [plain_result(r) for r in outcome.results]}
-
-
-def _summary(outcome: IdentifyOutcome) -> StudyTable:
-    return bars_summary(bars(outcome))
-
-
 STUDY = Study(
     name="identify",
     form="hystmpc-identify-job/1",
@@ -180,6 +170,5 @@ STUDY = Study(
     costs=_costs,
     facts=_facts,
     page=identify_report,
-    data=_data,
-    summary=_summary,
+    **judged_by(bars, "devices"),
 )

@@ -7,10 +7,9 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Any, Literal, Self
 
 import numpy as np
-from pydantic import Field
 
 from hystmpc.models.kinds.catalogue import kind_named
 from hystmpc.trials.errors import ConfigError, LogError, did_you_mean
@@ -34,13 +33,10 @@ class PublicSettings(StudySettings):
     """Settings of the study `public`.
 
     Attributes:
-        study: always `public`.
         dataset: name of the data set, see `DATA_SETS`.
         data: file that is identified from, or a folder of them.
         test: further files of the test.
         kinds: of model, by name; those of `DATA_SETS` where left out.
-        seed: of everything drawn at random.
-        quick: few steps, short tests: proves that everything runs, and nothing else.
     """
 
     study: Literal["public"] = "public"
@@ -48,8 +44,6 @@ class PublicSettings(StudySettings):
     data: str
     test: tuple[str, ...] = ()
     kinds: tuple[str, ...]
-    seed: Annotated[int, Field(ge=0)] = 1
-    quick: bool = False
 
     @classmethod
     def of(cls, **changes: Any) -> Self:

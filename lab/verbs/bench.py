@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from hystmpc.cli.bars import bar
+from hystmpc.cli.bars import progress_of
 from hystmpc.cli.console import INTERRUPTED, errors, out, plain_console, table
 from hystmpc.cli.options import Force
 from hystmpc.tasks.outputs import BENCHMARK, check_output
@@ -48,10 +48,8 @@ def bench(
         check_output("--json", json_file, (BENCHMARK,), (), force)
     if folder is not None:
         require_vacant(folder)
-    with bar("bench") as show:
-        report = run_bench(
-            QUICK if quick else BenchSettings(), lambda done, total, note="": show(done, note, total=total)
-        )
+    with progress_of("bench") as progress:
+        report = run_bench(QUICK if quick else BenchSettings(), progress)
     _print(report, out)
     content = json.dumps(report_json(report), indent=2) + "\n"
     if json_file is not None:
