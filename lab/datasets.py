@@ -231,11 +231,7 @@ class S2Settings(Quantities):
 
 
 def s2_motions(settings: S2Settings, seed: int) -> Mapping[str, Mapping[str, Trajectory]]:
-    """Commands [mm] by split and by name of the trial.
-
-    Raises:
-        TrajectoryError: if a frequency is not positive.
-    """
+    """Commands [mm] by split and by name of the trial."""
     return {
         "sin/train": _sinusoids("train", settings.train_hz),
         "sin/val": _sinusoids("val", settings.val_hz),

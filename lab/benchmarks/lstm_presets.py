@@ -6,8 +6,8 @@
 
 Ten trials of 60 s train a model, four further ones judge it: S2's sinusoids and ramps with holds (eq. (9)-(11)) at
 25 Hz with 0.15 deg of noise. A linearised MPC then follows a point-to-point motion with holds and scans of 0.2 and
-0.6 Hz. All of this is simulated. `--set` changes settings of the networks, for ablations. With `--logs` every log is predicted by a model
-that was identified on the others, exported and loaded again.
+0.6 Hz. All of this is simulated. `--set` changes settings of the networks, for ablations. With `--logs` every log is
+predicted by a model that was identified on the others, exported and loaded again.
 """
 
 from __future__ import annotations

@@ -264,11 +264,7 @@ def sleeping(file: Path, plan: Plan) -> Any:
 
 
 def _measured(folder: Path, transport: str, rate_hz: float, ended: str, taken_s: float) -> Soaked:
-    """The figures of a run from what it left.
-
-    Raises:
-        HystmpcError: if it left no log, with what it said.
-    """
+    """The figures of a run from what it left."""
     if not (folder / "run" / "timing.json").exists():
         raise ConfigError(f"{transport} at {rate_hz:g} Hz: the run did not begin: {ended}")
     run = RunFolder.open(folder / "run")

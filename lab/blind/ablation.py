@@ -80,7 +80,6 @@ def ablate(
 
     Raises:
         ConfigError: if the simulator has no effect around its core.
-        GapError: on unusable trials.
     """
     names = components(simulator.chain)
     if not names:

@@ -11,7 +11,7 @@ import numpy as np
 
 from hystmpc.models.effects.catalogue import confusable
 
-from ..study import Bar, Rate
+from ..page import Bar, Rate
 from .generators import CONFIGURATION, NAMES, UNKNOWN
 from .reading import FAILED, TRIAL, VERDICTS, DiagnosisReading, ScoredCase, large, of_suites, orders_said
 from .sealed import DENSE, read_manifest
@@ -418,11 +418,7 @@ def orders_bar(said: Mapping[str, tuple[frozenset[str], ...]]) -> Bar:
 
 
 def orders_of(folder: Path) -> tuple[list[tuple[str, int, str]], Bar]:
-    """Names said in each order, the answers being sealed: rows of case, orders, and sets with their counts; the bar.
-
-    Raises:
-        LogError: if the folder holds no blind check, or a diagnosis is damaged.
-    """
+    """Names said in each order, the answers being sealed: rows of case, orders, and sets with their counts; the bar."""
     said = {name: orders_said(folder, name) for name in read_manifest(folder).cases}
     told = {name: sets for name, sets in said.items() if sets}
     words = {

@@ -360,7 +360,6 @@ def injection_case(logs: Sequence[Trial], number: int, random: np.random.Generat
 
     Raises:
         ConfigError: if there are fewer than two logs.
-        FitError: if no backlash can be identified on them.
     """
     if len(logs) < 2:
         raise ConfigError(f"injection: got {len(logs)} logs, expected at least 2 of one device")

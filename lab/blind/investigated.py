@@ -26,7 +26,7 @@ from hystmpc.trials.files import write_atomically
 from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Progress, Vec
 
-from ..study import Rate
+from ..page import Rate
 from .device import BlindDevice
 from .reading import LARGE
 from .run import FAILURE, complete_cases
@@ -141,10 +141,6 @@ def investigate_blind(
 
     Returns:
         Investigations that failed, in this call.
-
-    Raises:
-        LogError: if the folder holds no blind check.
-        ConfigError: if a worker process died.
     """
     answers = open_answers(folder)
     todo = [

@@ -89,12 +89,7 @@ def places(suite: str, cases: int | None = None, with_logs: bool = False) -> lis
 
 
 def make_case(seed: int, suite: Suite, number: int, logs: Sequence[Trial] = ()) -> Case:
-    """Case `number` of a suite; equal arguments give equal cases. Devices take turns within each suite.
-
-    Raises:
-        ConfigError: if an injection is asked for without logs.
-        FitError: if no simulator can be identified.
-    """
+    """Case `number` of a suite; equal arguments give equal cases. Devices take turns within each suite."""
     key = (seed, _CODES[suite], number)
     if suite == "injection":
         return injection_case(logs, number, np.random.default_rng(key))
@@ -237,8 +232,6 @@ def make_blind(
 
     Raises:
         ConfigError: on an unknown suite, an occupied folder, a count below 1, or an injection without logs.
-        FitError: if no simulator can be identified for a case.
-        LogError: if a log cannot be read.
     """
     if cases is not None and cases < 1:
         raise ConfigError(f"cases: got {cases}, expected at least 1")

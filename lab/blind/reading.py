@@ -116,7 +116,6 @@ def reading_of(data: Mapping[str, Any], others: Mapping[str, str] | None = None)
 
     Raises:
         ValueError: on an unknown verdict.
-        KeyError: if a field is missing.
     """
     verdict = data["verdict"]
     if verdict not in VERDICTS:

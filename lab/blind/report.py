@@ -13,7 +13,7 @@ from matplotlib.patches import Rectangle
 from hystmpc.models.effects.catalogue import confusable
 from hystmpc.trials.report import MEASURED, MODEL, REFERENCE, Heading, Paragraph, Piece, Plot, Report, Table, new_figure
 
-from ..study import Bar, Rate
+from ..page import Bar, Rate
 from .bars import Calibration, Confusion, true_share
 from .score import Score, miss_json
 

@@ -50,7 +50,6 @@ def record_motion(folder: Path, case: str, motion: Path) -> Path:
 
     Raises:
         ConfigError: on an unknown case, one of real logs, or a command beyond the device's travel.
-        LogError: if the motion or the answers cannot be read.
     """
     answers = open_answers(folder)
     if case not in answers:
@@ -70,7 +69,6 @@ def record_again(folder: Path, case: str) -> list[Trial]:
 
     Raises:
         ConfigError: on an unknown case, or one without a device.
-        LogError: if logs or answers cannot be read.
     """
     answers = open_answers(folder)
     if case not in answers or not answers[case].device or answers[case].suite == "controls":
@@ -141,10 +139,6 @@ def run_blind(
 
     Returns:
         Diagnoses that failed, in this call.
-
-    Raises:
-        LogError: if the folder holds no blind check.
-        ConfigError: if a worker process died.
     """
     manifest = read_manifest(folder)
     blind = [DiagnosisJob(folder, name, seed, manifest.without.get(name, ())) for name in manifest.cases]
@@ -178,7 +172,6 @@ def run_orders(
         Diagnoses that failed, in this call.
 
     Raises:
-        LogError: if the folder holds no blind check.
         ConfigError: on a count below 1, or if a worker process died.
     """
     if cases < 1 or orders < 1:
@@ -343,9 +336,6 @@ def closed_in_later_session(findings: Findings, trials: Sequence[Trial]) -> floa
     Args:
         findings: of a diagnosis.
         trials: a whole session of the device, ordered as the first one was.
-
-    Raises:
-        GapError: on unusable trials.
     """
     later = prepare(trials, findings.simulator, ordered=findings.prepared.order == "known")
     later = replace(later, final=later.everything)

@@ -15,7 +15,7 @@ from hystmpc.models.effects.catalogue import confusable
 from hystmpc.trials.files import write_atomically
 from hystmpc.trials.json_text import plain
 
-from ..study import Bar, Rate
+from ..page import Bar, Rate
 from .bars import (
     HEALTHY,
     Calibration,
@@ -63,11 +63,7 @@ class Score:
 
 
 def score_blind(folder: Path, partial: bool = False) -> Score:
-    """Open the answers, score the diagnoses, write `score.json`.
-
-    Raises:
-        LogError: if diagnoses are missing, or the answers are not those that were sealed.
-    """
+    """Open the answers, score the diagnoses, write `score.json`."""
     result = score_of(load_scored(folder, partial))
     result = replace(result, bars=(*result.bars, *_investigation_bars(folder)))
     write_atomically(folder / "score.json", json.dumps(score_json(result), indent=1))

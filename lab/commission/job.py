@@ -16,7 +16,7 @@ from hystmpc.bench.commission import Commissioned, commission_device
 from hystmpc.bench.config import CommissionSettings
 from hystmpc.bench.controller import TIP_FILE, tip_settings
 from hystmpc.bench.device import BenchDevice
-from hystmpc.ctrl.command import Command, limits_of_model
+from hystmpc.ctrl.command import limits_of_model
 from hystmpc.ctrl.feedback import PidControllerSettings
 from hystmpc.ctrl.guarded import GuardedController, GuardedState, build_controller
 from hystmpc.ctrl.inverse_settings import InverseControllerSettings
@@ -38,6 +38,7 @@ from hystmpc.trajectories.drawn import CountedMotion
 from hystmpc.trials.types import Vec
 
 from ..devices.drawn import DrawnDevice, DrawnPlant, drawn_devices, worn
+from ..devices.exact import Rehearsed
 from ..devices.motions import fresh_motions, recordings
 from ..identify.job import (
     AS_IDENTIFIED_NOISE_DEG,
@@ -98,7 +99,7 @@ def _flexure(device: DrawnDevice, stroke_s: float) -> Vec:
 
 
 @final
-class TakenUp:
+class TakenUp(Rehearsed):
     """A controller that takes up the preparation of a `PreparedPlant` when it starts, as `hystmpc run` does.
 
     Args:
@@ -108,35 +109,17 @@ class TakenUp:
     def __init__(
         self, controller: GuardedController[Any], plant: PreparedPlant, sensor: ImagingSettings | None = None
     ) -> None:
-        self._controller, self._plant, self._angles = controller, plant, plant.angles_deg
+        angles = plant.angles_deg
         if sensor is not None:
             every = max(round(1.0 / (sensor.rate_hz * plant.dt)), 1)
-            noise = np.random.default_rng(plant.seed).standard_normal(self._angles.size)
-            seen = np.arange(self._angles.size) % every == 0
-            self._angles = np.where(seen, self._angles + sensor.noise_deg * noise, np.nan)
-
-    @property
-    def dt(self) -> float:
-        """Sample time [s]."""
-        return self._controller.dt
-
-    @property
-    def horizon(self) -> int:
-        """Reference samples that a step looks at."""
-        return self._controller.horizon
+            noise = np.random.default_rng(plant.seed).standard_normal(angles.size)
+            seen = np.arange(angles.size) % every == 0
+            angles = np.where(seen, angles + sensor.noise_deg * noise, np.nan)
+        super().__init__(controller, plant.commands, angles)
 
     def init(self, y: float, u: float) -> GuardedState[Any]:
-        """State behind the preparation."""
         del y, u
-        return self._controller.replay(self._plant.commands, self._angles)
-
-    def step(self, state: GuardedState[Any], y: float, reference: Vec) -> tuple[Command, GuardedState[Any]]:
-        """One sample."""
-        return self._controller.step(state, y, reference)
-
-    def measure(self, state: GuardedState[Any], y: float, age: float) -> GuardedState[Any]:
-        """The state with a late measurement."""
-        return self._controller.measure(state, y, age)
+        return self._controller.replay(self._commands, self._angles)
 
 
 def bench_settings(plant: DrawnPlant, commission: Mapping[str, Any], folder: Path) -> CommissionSettings:
@@ -195,11 +178,7 @@ _IMAGING_SHARE = 5  # the search under frames costs more: a share of the evaluat
 
 
 def run_stage(job: CommissionJob, settings: CommissionStudySettings, folder: Path) -> dict[str, Any]:
-    """Message and figures of a job.
-
-    Raises:
-        HystmpcError: if the device cannot be commissioned, or a controller cannot be built.
-    """
+    """Message and figures of a job."""
     bench = StudyBench(settings, folder, drawn_devices(settings)[job.number])
     message, figures = {"commission": _commission, "compare": _compare, "gap": _tracking_gap}[job.stage](bench)
     return {"message": message, "figures": figures}

@@ -15,7 +15,8 @@ from hystmpc.gap.diagnosis import TrackingGap
 from hystmpc.gap.tracking.expected import AGREEMENT
 
 from ..devices.drawn import FAMILIES, DrawnSettings
-from ..study import Bar, Figure, Figures, Outcome, Result, beyond, by_device, over
+from ..page import Bar, Figures, beyond, by_device, over
+from ..study import Figure, Outcome, Result
 
 Stage = Literal["commission", "compare", "gap"]
 STAGES: tuple[Stage, ...] = ("commission", "compare", "gap")

@@ -12,18 +12,8 @@ from matplotlib.figure import Figure
 from hystmpc.trials.report import MEASURED, MODEL, PALETTE, Heading, Plot, Report
 
 from ..devices.drawn import FAMILIES, DrawnDevice, drawn_devices
-from ..study import (
-    Cell,
-    Study,
-    StudyTable,
-    bars_table,
-    cell,
-    figures_table,
-    judged_by,
-    ratios_figure,
-    rmse_of,
-    set_up,
-)
+from ..page import Cell, StudyTable, bars_table, cell, figures_table, judged_by, ratios_figure, rmse_of, set_up
+from ..study import Study
 from .job import run_stage
 from .settings import (
     RIVALS,

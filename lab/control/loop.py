@@ -13,9 +13,7 @@ from typing import Any, final
 
 import numpy as np
 
-from hystmpc.ctrl.command import Command
 from hystmpc.ctrl.feedback import PidControllerSettings, PidSettings
-from hystmpc.ctrl.guarded import GuardedController, GuardedState
 from hystmpc.ctrl.inverse_settings import InversePidControllerSettings
 from hystmpc.ctrl.loop import Controller
 from hystmpc.models.model import Predictor
@@ -31,6 +29,7 @@ from hystmpc.trials.errors import ConfigError, LogError
 from hystmpc.trials.files import write_atomically
 from hystmpc.trials.types import Vec
 
+from ..devices.exact import Rehearsed
 from .bars import control_figures
 from .plants import PLANTS, Plant, backlash_file, companion_file, half_width, network_file
 from .settings import CONTROLLERS, NETWORKS, STAGES, BenchmarkController, ControlJob, ControlSettings, motion
@@ -142,7 +141,6 @@ def load_signals(folder: Path, job: ControlJob) -> dict[str, Vec]:
         raise LogError(f"{path}: no signals of a run ({error}); remove its result to have it done again") from None
 
 
-State = GuardedState[Any]
 _WHOLE = 1e-9
 _REHEARSAL = 1000
 _SETTLED_LAGS = 20.0  # after the flexure, as `SimulatedPlant` waits
@@ -195,44 +193,10 @@ def watched_flexure(plant: ComputedPlant, seed: int) -> tuple[Vec, Vec]:
     return commands, np.array(angles[:-1])
 
 
-@final
-class RehearsedController(Controller[State]):
-    """A controller that starts from a recording instead of a single measurement.
-
-    Args:
-        commands, angles: see `GuardedController.replay`.
-    """
-
-    def __init__(self, controller: GuardedController[Any], commands: Vec, angles: Vec) -> None:
-        self._controller, self._commands, self._angles = controller, commands, angles
-
-    @property
-    def dt(self) -> float:
-        return self._controller.dt
-
-    @property
-    def horizon(self) -> int:
-        return self._controller.horizon
-
-    def init(self, y: float, u: float) -> State:
-        del u  # the recording ends with it
-        return replace(self._controller.replay(self._commands, self._angles), due=y)
-
-    def step(self, state: State, y: float, reference: Vec) -> tuple[Command, State]:
-        return self._controller.step(state, y, reference)
-
-    def measure(self, state: State, y: float, age: float) -> State:
-        return self._controller.measure(state, y, age)
-
-
 def run_along(
     job: ControlJob, settings: ControlSettings, folder: Path
 ) -> tuple[Mapping[str, float], Mapping[str, int]]:
-    """Figures of a controller along a motion, and its samples by source; the signals are written.
-
-    Raises:
-        HystmpcError: what `sim.study.prepare` raises; ConfigError if gains are missing.
-    """
+    """Figures of a controller along a motion, and its samples by source; the signals are written."""
     study = study_of(job, settings, folder, (job.motion,))
     controller = _ready(study, job, settings.seed)
     run = run_closed_loop(controller, study.plant, study.motions[job.motion])
@@ -253,14 +217,14 @@ def _ready(study: Study, job: ControlJob, seed: int) -> Controller[Any]:
     controller = study.controller(study.config.controllers[job.subject])
     if not CONTROLLERS[job.subject].learns:
         return controller
-    return RehearsedController(controller, *watched_flexure(study.plant, seed + _REHEARSAL))
+    return Rehearsed(controller, *watched_flexure(study.plant, seed + _REHEARSAL))
 
 
 def tune(job: ControlJob, settings: ControlSettings, folder: Path) -> tuple[str, Mapping[str, float]]:
     """Search a PID's gains over all motions of the study and write them.
 
     Raises:
-        HystmpcError: what `sim.study.prepare` raises; ConfigError if the gains to start from are missing.
+        ConfigError: if the controller has no PID.
     """
     study = study_of(job, settings, folder, settings.motions)
     evaluations = settings.tune_evaluations if job.stage == "tune" else settings.retune_evaluations
@@ -276,11 +240,7 @@ def tune(job: ControlJob, settings: ControlSettings, folder: Path) -> tuple[str,
 
 
 def study_of(job: ControlJob, settings: ControlSettings, folder: Path, motions: tuple[str, ...]) -> Study:
-    """The job's plant with its model, some motions and its one controller, ready to run.
-
-    Raises:
-        HystmpcError: what `sim.study.prepare` raises; ConfigError if gains are missing.
-    """
+    """The job's plant with its model, some motions and its one controller, ready to run."""
     plant, rival, dt_s = PLANTS[job.plant], CONTROLLERS[job.subject], 1 / job.rate_hz
     rest = plant.device(dt_s).true_angle
     nominal = plant.nominal()

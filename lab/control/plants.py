@@ -159,11 +159,7 @@ def fitted_backlash(plant: Plant, seed: int, quick: bool = False) -> Simulator:
 
 
 def save_backlash(plant: Plant, folder: Path, rates_hz: Iterable[float], seed: int, quick: bool = False) -> list[Path]:
-    """Fit and write a backlash for every rate, and one behind the lag, as the companion of a network.
-
-    Raises:
-        FitError: if it cannot be identified.
-    """
+    """Fit and write a backlash for every rate, and one behind the lag, as the companion of a network."""
     fitted, lag_s = fitted_backlash(plant, seed, quick), plant.effects.lag_s
     lag = (Lag(lag_s),) if lag_s > 0 else ()
     behind = replace(fitted, chain=replace(fitted.chain, before=lag))
@@ -172,12 +168,7 @@ def save_backlash(plant: Plant, folder: Path, rates_hz: Iterable[float], seed: i
 
 
 def save_network(plant: Plant, kind: str, folder: Path, updates: int, seed: int, quick: bool = False) -> str:
-    """Train and export a network; returns one line on how the training went.
-
-    Raises:
-        FitError: if training fails or torch is missing.
-        ExportError: if the exported model differs from its reference.
-    """
+    """Train and export a network; returns one line on how the training went."""
     request = FitRequest(training=_NETWORK_TRAINING, seed=seed, steps=updates)
     trained = kind_named(kind).fit(recordings(plant, seed, quick), request)
     if trained.interrupted:

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 from hystmpc.trials.report import COMMAND, MEASURED, MODEL, PALETTE, REFERENCE, Heading, Piece, Plot, Report, new_figure
 
-from ..study import NOTHING, Cell, StudyTable, cell, set_up
+from ..page import NOTHING, Cell, StudyTable, cell, set_up
 from .bars import BARS, BarVerdict, ControlOutcome, verdicts
 from .loop import load_signals
 from .plants import MISMATCH

@@ -191,11 +191,7 @@ class LaserSensor(Quantities):
     conversion: LaserConversion = field(default_factory=LaserConversion)
 
     def __call__(self, angle_deg: Vec, random: np.random.Generator) -> Vec:
-        """Voltage [V] at true angles (T,) [deg].
-
-        Raises:
-            ModelError: if an angle is beyond what the conversion can tell.
-        """
+        """Voltage [V] at true angles (T,) [deg]."""
         distance = self.straight_mm - self.conversion.displacement(angle_deg)
         noisy = distance + self.noise_mm * random.standard_normal(angle_deg.size)
         return quantised(self.conversion.voltage(noisy), self.quantisation_v)
@@ -228,9 +224,6 @@ class MuscleRecorder(Quantities):
         """One trial; equal seed and source give equal trials, either of them another gives another device and noise.
 
         Channels: `voltage_v` of the laser, `pressure_bar` in the muscle.
-
-        Raises:
-            ModelError: if the device bends beyond what the laser can tell.
         """
         random = generator(seed, source, "device")
         device = MuscleCatheter(self.variation(self.device, random))

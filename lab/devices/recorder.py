@@ -94,9 +94,6 @@ class TrackedBench(Quantities, ABC):
         """One trial; equal seed and source give equal trials, either of them another gives another device and noise.
 
         Channels: `x_mm`, `y_mm` of the tip, `displacement_mm` that the drive reached, `tension_n`.
-
-        Raises:
-            ConfigError: through `resample`, if the log's rate is too low for the trial's.
         """
         random = generator(seed, source, "device")
         device = self.mounted(random)

@@ -250,11 +250,7 @@ def _over_udp(case: DeviceCase) -> DevicePlay:
 
 
 def played(play: DevicePlay, folder: Path) -> DeviceVerdict:
-    """Play one, in a new folder, and judge it by the device's log.
-
-    Raises:
-        ConfigError: if the mover is not there.
-    """
+    """Play one, in a new folder, and judge it by the device's log."""
     folder.mkdir(parents=True)
     device = HostileDevice(play.case.device)
     asked, ending = use(play.mover, device, folder, play.how)
@@ -267,9 +263,6 @@ def played_all(plays: Sequence[DevicePlay], folder: Path, jobs: int = 1) -> Iter
 
     Args:
         jobs: processes.
-
-    Raises:
-        ConfigError: if a mover is not there.
     """
     places = [folder / f"{k:03d}_{play.mover}" for k, play in enumerate(plays)]
     if jobs == 1:

@@ -111,11 +111,7 @@ class RecordedError(Exception):
 
 
 def use(mover: Mover, device: HostileDevice, folder: Path, how: How = How()) -> tuple[Asked, Ending]:
-    """Let one of the movers loose on a device, and watch it until it has to be at rest.
-
-    Raises:
-        ConfigError: if the mover is not there: the ROS 2 node's files are no part of an installed package.
-    """
+    """Let one of the movers loose on a device, and watch it until it has to be at rest."""
     settings = _bench(device, folder, how)
     if how.udp:
         with served(device) as port:

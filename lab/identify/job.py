@@ -170,12 +170,7 @@ class _Watch:
 
 
 def run_device(job: IdentifyJob, settings: IdentifySettings, folder: Path) -> dict[str, Any]:
-    """How the identification went, what it found, and the figures of all controllers; models are written.
-
-    Raises:
-        FitError: if a model cannot be identified.
-        HystmpcError: if a controller cannot be built.
-    """
+    """How the identification went, what it found, and the figures of all controllers; models are written."""
     device = drawn_devices(settings)[job.number]
     watch = _Watch({}, time.process_time())
     plant = DrawnPlant(device, device.seed)
@@ -222,7 +217,6 @@ def identified_as(kind: ModelKind, trials: Sequence[Trial], device: DrawnDevice,
     """A model of a kind, from a device's trials.
 
     Raises:
-        FitError: if it cannot be identified.
         KeyboardInterrupt: if the user ended it.
     """
     command = Range(lower=device.limits.lower, upper=device.limits.upper)

@@ -12,7 +12,8 @@ import numpy as np
 from hystmpc.models.kinds.catalogue import chosen_kind
 
 from ..devices.drawn import DrawnSettings
-from ..study import Bar, Figure, Figures, Outcome, Result, over
+from ..page import Bar, Figures, over
+from ..study import Figure, Outcome, Result
 
 Interval = tuple[Figure, Figure, Figure]
 

@@ -11,10 +11,9 @@ from matplotlib.figure import Figure
 from hystmpc.trials.report import MEASURED, MODEL, PALETTE, Heading, Plot, Report
 
 from ..devices.drawn import FAMILIES, DrawnDevice, drawn_devices
-from ..study import (
+from ..page import (
     NOTHING,
     Cell,
-    Study,
     StudyTable,
     bars_table,
     cell,
@@ -25,6 +24,7 @@ from ..study import (
     rmse_of,
     set_up,
 )
+from ..study import Study
 from .job import run_device
 from .settings import (
     CONTROLLERS,

@@ -146,12 +146,7 @@ def steps_for(kind: str, preset: str, settings: PaperSettings) -> int | None:
 
 
 def study_splits(settings: PaperSettings) -> Splits:
-    """Trials by split: those of `datasets.make_dataset` for `s1` and `s2`, one split `logs` for `real`.
-
-    Raises:
-        ConfigError: if fewer than two logs are given, or two of them are the same.
-        LogError: if a log cannot be read or resampled.
-    """
+    """Trials by split: those of `datasets.make_dataset` for `s1` and `s2`, one split `logs` for `real`."""
     splits: Mapping[str, tuple[Trial, ...]]
     if settings.study == "real":
         splits = {LOGS: _logs(settings)}
@@ -277,19 +272,11 @@ class PaperOutcome(Outcome[PaperSettings, JobResult]):
         return min(candidates, key=lambda r: float(np.mean(r.figures("rmse_deg", splits))), default=None)
 
     def model(self, job: TrainingJob) -> OnnxModel:
-        """The model that a job left.
-
-        Raises:
-            ModelError: if it is gone or damaged.
-        """
+        """The model that a job left."""
         return load_onnx(model_file(self.folder, job))
 
     def free_run(self, job: TrainingJob, trial: Trial) -> TrialEvaluation:
-        """Free run of a job's model over a trial, swapped by itself for an inverse map.
-
-        Raises:
-            ModelError: if the model is gone or damaged.
-        """
+        """Free run of a job's model over a trial, swapped by itself for an inverse map."""
         logs = self.drawn.get(LOGS)
         earlier = before(trial, logs, self.settings.parts) if logs else None
         return evaluate(self.model(job), trial, before=earlier)
@@ -326,11 +313,7 @@ def fit_with_window(kind: str, trials: Sequence[Trial], request: FitRequest, win
 
 
 def windowed(settings: NetworkSettings, window: int) -> NetworkSettings:
-    """The settings with a history buffer of another length for a feed-forward network, else with other windows.
-
-    Raises:
-        ConfigError: if the length is not possible.
-    """
+    """The settings with a history buffer of another length for a feed-forward network, else with other windows."""
     data = settings.model_dump()
     if isinstance(settings.network, FeedForwardSettings):
         data["network"]["history"] = window
@@ -340,11 +323,7 @@ def windowed(settings: NetworkSettings, window: int) -> NetworkSettings:
 
 
 def run_task(task: TrainingTask, settings: PaperSettings, folder: Path) -> dict[str, Any]:
-    """Train, export into `folder`/models, score on every test trial; the fields of a `JobResult`.
-
-    Raises:
-        KeyboardInterrupt: if the user ended it; a model that was cut short is no result.
-    """
+    """Train, export into `folder`/models, score on every test trial; the fields of a `JobResult`."""
     del settings  # the task holds all of them
     made, scores = _trained(task, folder)
     history = tuple((int(step), float(error)) for step, error in made.history if math.isfinite(error))

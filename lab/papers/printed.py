@@ -12,7 +12,7 @@ from typing import Final, Literal
 
 from hystmpc.trials.report import Heading, Piece
 
-from ..study import NOTHING, Cell, StudyTable, set_up
+from ..page import NOTHING, Cell, StudyTable, set_up
 from .job import PaperOutcome, title_of
 from .settings import PaperSettings
 

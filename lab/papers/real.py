@@ -31,8 +31,8 @@ from hystmpc.trials.report import (
 )
 from hystmpc.trials.types import Vec
 
+from ..page import NOTHING, Cell, StudyTable
 from ..statistics import compared, least_p
-from ..study import NOTHING, Cell, StudyTable
 from .job import (
     LOGS,
     JobResult,

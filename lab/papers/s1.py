@@ -26,11 +26,11 @@ from hystmpc.trials.report import (
 )
 from hystmpc.trials.types import Vec
 
+from ..page import NOTHING, Cell, StudyTable
 from ..reconstruction.geometry import ReconstructionSettings
 from ..reconstruction.protocol import Device, Estimator, Protocol, record_scans
 from ..reconstruction.reconstruct import Reconstruction, reconstruct
 from ..reconstruction.report import ERROR_COLUMNS, TEST_COLUMNS, error_rows, rank_test_rows, reconstruction_pieces
-from ..study import NOTHING, Cell, StudyTable
 from .job import JobResult, PaperOutcome, Splits, TrainingJob, TrainingTask, preset_for, steps_for, title_of
 from .printed import S1_ERRORS, S1_HALF_RANGE_DEG, S1_TRAINING, jobs_pieces, jobs_table, label, paper_set_up
 from .settings import PaperSettings
@@ -167,12 +167,7 @@ def relative_change(result: JobResult) -> float:
 
 
 def scan_study(outcome: PaperOutcome, preset_of: dict[str, str]) -> Reconstruction | None:
-    """Scan the cap with the simulated catheter and draw it from every forward model's angle; None without a model.
-
-    Raises:
-        ConfigError: if a ray misses the cap or an angle is beyond its range.
-        ModelError: if a model's angle is not finite or beyond the range.
-    """
+    """Scan the cap with the simulated catheter and draw it from every forward model's angle; None without a model."""
     jobs = {
         title_of(kind): found[0].job
         for kind, preset in preset_of.items()

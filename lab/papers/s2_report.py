@@ -33,7 +33,7 @@ from hystmpc.trials.report import (
 from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Vec
 
-from ..study import StudyTable
+from ..page import StudyTable
 from .job import JobResult, PaperOutcome, Splits, title_of
 from .printed import S2_FNN_BIAS_DEG, jobs_pieces, jobs_table, paper_set_up
 from .s2_tables import (
@@ -201,11 +201,7 @@ class TipMapping:
 
 
 def tip_mapping(splits: Splits, motion: str = "p2p") -> TipMapping | None:
-    """Fit both maps on the training trials and run them over the test trials; None where trials have no Y.
-
-    Raises:
-        FitError: if a fit fails.
-    """
+    """Fit both maps on the training trials and run them over the test trials; None where trials have no Y."""
     training, tests = splits[f"{motion}/train"], splits[f"{motion}/test"]
     if any(TIP_Y not in trial.channels for trial in (*training, *tests)):
         return None
@@ -323,11 +319,7 @@ def _bias(views: list[Matched]) -> Iterator[Piece]:
 
 
 def branch_bias(view: Matched) -> tuple[float, float]:
-    """Mean error of the FNN over all samples at which the command rises, and falls [deg].
-
-    Raises:
-        ModelError: if its model is gone or damaged.
-    """
+    """Mean error of the FNN over all samples at which the command rises, and falls [deg]."""
     rising, falling = [], []
     for trial in view.outcome.drawn[split_tested_on(view.motion)]:
         error = (view.outcome.free_run(view.results[BASELINE].job, trial).theta - trial.angle)[1:]

@@ -11,8 +11,8 @@ import numpy as np
 from hystmpc.models.kinds.catalogue import KINDS
 from hystmpc.trials.types import Vec
 
+from ..page import NOTHING, Cell, StudyTable
 from ..statistics import SignedRank, least_p, pairwise
-from ..study import NOTHING, Cell, StudyTable
 from .job import (
     WINDOWS,
     JobResult,

@@ -11,7 +11,8 @@ from typing import Any
 
 from hystmpc.trials.report import Report
 
-from ..study import Study, StudyTable
+from ..page import StudyTable
+from ..study import Study
 from .job import JobResult, PaperOutcome, Splits, TrainingTask, estimated_seconds, run_task, study_splits
 from .real import real_report, real_tasks
 from .s1 import s1_report, s1_tasks

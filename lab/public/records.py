@@ -51,7 +51,6 @@ class PublicSettings(StudySettings):
 
         Raises:
             ConfigError: on an unknown data set, or without a file.
-            FitError: on an unknown kind of model.
         """
         if not changes.get("dataset") or not changes.get("data"):
             raise ConfigError(f"study public: expected a data set ({', '.join(DATA_SETS)}) and its file, --data FILE")

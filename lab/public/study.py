@@ -20,7 +20,8 @@ from hystmpc.models.simulator import ChainModel, load_simulator, save_simulator
 from hystmpc.trials.report import MEASURED, PALETTE, Heading, Piece, Plot, Report, new_figure
 from hystmpc.trials.types import Vec
 
-from ..study import NOTHING, Cell, Outcome, Study, StudyTable, cell, set_up
+from ..page import NOTHING, Cell, StudyTable, cell, set_up
+from ..study import Outcome, Study
 from .boucwen import BoucWenData
 from .logs import RigData, SealData
 from .records import Case, PublicData, PublicJob, PublicResult, PublicSettings, Score, ScoredRecord
@@ -36,11 +37,7 @@ _LAPS = 3  # passes over a period: the first two end the transient
 
 
 def run_kind(job: PublicJob, settings: PublicSettings, folder: Path) -> dict[str, Any]:
-    """Message, time, parameters and scores of a job, see `PublicResult`; the model is written into the folder.
-
-    Raises:
-        HystmpcError: if a file cannot be used, or the kind cannot be identified from it.
-    """
+    """Message, time, parameters and scores of a job, see `PublicResult`; the model is written into the folder."""
     kind = kind_named(job.kind)
     case = next(case for case in data_set(settings).cases(settings) if case.name == job.case)
     request = FitRequest(kind.usual_training(False), settings.seed, settings.steps(job.kind))

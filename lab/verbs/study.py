@@ -21,7 +21,8 @@ from hystmpc.trials.run_folder import require_resumable
 from ..papers.settings import STAGES
 
 if TYPE_CHECKING:
-    from ..study import BegunStudy, Outcome, Study, StudyTable
+    from ..page import StudyTable
+    from ..study import BegunStudy, Outcome, Study
 
 
 class Name(StrEnum):

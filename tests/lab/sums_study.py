@@ -15,7 +15,8 @@ from pydantic import Field
 
 from hystmpc.trials.errors import FitError
 from hystmpc.trials.report import Heading, Report
-from hystmpc_lab.study import Figure, Outcome, Result, Study, StudySettings, StudyTable, figures_table, set_up
+from hystmpc_lab.page import StudyTable, figures_table, set_up
+from hystmpc_lab.study import Figure, Outcome, Result, Study, StudySettings
 
 
 class SumSettings(StudySettings):

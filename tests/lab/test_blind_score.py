@@ -27,7 +27,7 @@ from hystmpc_lab.blind.generators import ALIASED_RATE, CONFIGURATION, LABELS, SC
 from hystmpc_lab.blind.reading import DiagnosisReading, ScoredCase, reading_of
 from hystmpc_lab.blind.report import blind_report
 from hystmpc_lab.blind.score import kind_of_miss, score_json, score_of
-from hystmpc_lab.study import Rate
+from hystmpc_lab.page import Rate
 
 from .blind_examples import all_answers, always, answer, named, perfect
 

@@ -12,7 +12,7 @@ import pytest
 
 from hystmpc.sim.jobs.backend import InTurn
 from hystmpc.trials.errors import LogError
-from hystmpc_lab.result_files import ResultFiles, Status, wall_minutes
+from hystmpc_lab.study import ResultFiles, Status, wall_minutes
 
 
 @dataclass(frozen=True)

@@ -15,15 +15,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hystmpc.trials.errors import ConfigError, LogError
-from hystmpc_lab.study import (
-    Bar,
-    Figures,
-    Outcome,
-    Rate,
-    by_device,
-    cell,
-    over,
-)
+from hystmpc_lab.page import Bar, Figures, Rate, by_device, cell, over
+from hystmpc_lab.study import Outcome
 
 sys.path.append(str(Path(__file__).parent))  # which worker processes inherit
 sums = import_module("sums_study")
