@@ -26,8 +26,6 @@ class SumSettings(StudySettings):
     study: Literal["sums"] = "sums"
     count: Annotated[int, Field(ge=1)] = 3
     broken: int = -1
-    seed: int = 1
-    quick: bool = False
 
 
 @dataclass(frozen=True)
