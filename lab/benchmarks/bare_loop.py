@@ -1,4 +1,4 @@
-"""The machine's own floor: a loop that does nothing but sleep until each period's end on the monotonic clock.
+"""Jitter of the machine without any work: a loop that sleeps until each period's end on the monotonic clock.
 
     python lab/benchmarks/bare_loop.py [--rate 250] [--seconds 120] [--busy 0.001] [--priority 80] [--out WAKE_UPS.npy]
 

@@ -45,7 +45,7 @@ _NOTES = {"checking the trials": CHECK, "measuring the gap on the final trials":
 
 
 class Laps:
-    """Wall and processor time of each step, told apart by what the diagnosis says that it does."""
+    """Wall and processor time of each step of a diagnosis, by the notes of its progress."""
 
     def __init__(self) -> None:
         self.wall: dict[str, float] = {}

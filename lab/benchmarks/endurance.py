@@ -103,7 +103,7 @@ def resident_mb() -> float:
 
 
 def endure(settings: dict[str, Any], rate_hz: float, steps: int, realtime: bool) -> Endured:
-    """Take the steps, one device and one planner beside them."""
+    """Run the controller for the steps, on a simulated device, with a planner that sets targets."""
     tip = TipController.from_config(settings)
     device, rng = SimulatedPlant(load_simulator(library_file("tendon-catheter")), seed=1), np.random.default_rng(0)
     y, period = device.reset(), 1.0 / rate_hz
@@ -142,7 +142,7 @@ def endure(settings: dict[str, Any], rate_hz: float, steps: int, realtime: bool)
 
 
 def start_times(settings: dict[str, Any]) -> tuple[float, float]:
-    """Seconds that the import takes, and until the first command is there, in a process of its own."""
+    """Times of the import and of the first command in a new process [s]."""
     code = _START.format(settings=settings)
     words = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
     return float(words[0]), float(words[1])

@@ -1,4 +1,4 @@
-"""The exported C beside the Python controller: greatest difference of the commands, step times, memory.
+"""Comparison of the exported C with the Python controller: greatest difference of the commands, step times, memory.
 
     python lab/benchmarks/exported_c.py [--steps 100000] [--case NAME] [--float32] [--repetitions 5]
 

@@ -1,4 +1,4 @@
-"""Exported FMUs beside the Python simulator: greatest difference of the angle, for each simulator and version.
+"""Comparison of exported FMUs with the Python simulator: greatest difference of the angle, by simulator and version.
 
     python lab/benchmarks/exported_fmu.py [--case NAME]
 

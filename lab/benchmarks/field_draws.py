@@ -109,7 +109,7 @@ def trial(rng: Random, device: Device, dt_s: float, seconds: float, start: float
 
 
 def trials(rng: Random, device: Device, dt_s: float = 0.04, count: int = 4) -> list[hystmpc.Trial]:
-    """Trials of 20 s, each from a rest of its own."""
+    """Trials of 20 s that start at different rest commands."""
     return [trial(rng, device, dt_s, 20.0, rng.uniform(0.5, 5.5), f"trial_{k}.csv") for k in range(1, count + 1)]
 
 

@@ -160,7 +160,7 @@ _COLUMNS = ("recording by", "kills", "unreadable or lost", "nothing flushed yet"
 
 
 def summary(outcomes: list[Outcome]) -> Iterator[tuple[object, ...]]:
-    """A row of the table for each way of dying."""
+    """Rows of the table: one for each kind of kill."""
     for way in WAYS:
         here = [outcome for outcome in outcomes if outcome.way == way]
         if here:

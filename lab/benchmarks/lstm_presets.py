@@ -1,4 +1,4 @@
-"""LSTM presets beside the play kernel: on simulated devices, and on logs each of which is left out once.
+"""Comparison of LSTM presets with the play kernel, on simulated devices and by cross-validation on logs.
 
     python lab/benchmarks/lstm_presets.py [--devices tendon rod] [--models play_kernel lstm:best lstm:stacked]
                                       [--set network.plays=0 ...] [--seed 11]

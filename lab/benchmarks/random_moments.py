@@ -63,7 +63,7 @@ def dies_with_its_parent() -> None:
 
 
 def forked(work: Callable[[], object], output: int | None = None) -> int:
-    """A process of its own that does some work and ends; its number."""
+    """Fork a process that does some work and ends; its process id."""
     child = os.fork()
     if child:
         return child
@@ -94,7 +94,7 @@ def program(*arguments: object) -> Callable[[], None]:
 
 
 def relay(wire: socket.socket, device: int, orders: int) -> NoReturn:
-    """Hand datagrams on, both ways, each controller by a socket of its own; drop them for a time when told to."""
+    """Relay datagrams in both directions, one socket for each controller; drop them for a time on request."""
     waiting = selectors.DefaultSelector()
     waiting.register(wire, selectors.EVENT_READ)
     waiting.register(orders, selectors.EVENT_READ)
@@ -123,7 +123,7 @@ def relay(wire: socket.socket, device: int, orders: int) -> NoReturn:
 
 @dataclass(frozen=True)
 class Lane:
-    """A device and its relay, in processes of their own.
+    """A device process and its relay process.
 
     Attributes:
         folder: of `device.csv`.

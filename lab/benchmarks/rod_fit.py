@@ -71,7 +71,7 @@ def free_run(p: RodParameters, trial: Trial, start_mm: float) -> Vec:
 
 
 def split(x: Vec, trials: Sequence[Trial], base: RodParameters) -> tuple[RodParameters, Vec]:
-    """Parameters and the trials' own pull [mm] at a point of the search."""
+    """Parameters, and the initial pull of each trial [mm], at a point of the search."""
     own = START_MM[0] + (START_MM[1] - START_MM[0]) * x[len(FREE) :] if x.size > len(FREE) else np.zeros(len(trials))
     return decoded(x, base), own - own.mean()
 

@@ -111,7 +111,7 @@ class Soaked:
 
 @dataclass(frozen=True)
 class Row:
-    """A run over a wire beside the same one in process, and what a loop that only spins as long misses."""
+    """A run over a wire, the same run in process, and the misses of a loop that only spins."""
 
     wire: Soaked
     in_process: Soaked
@@ -203,7 +203,7 @@ def _scheduling(plan: Plan, priority: int) -> dict[str, Any]:
 
 
 def soak(folder: Path, plan: Plan, transport: str) -> Soaked:
-    """One run in a new folder, with a device where there is a wire, and the sleeper beside it."""
+    """One run in a new folder, with a device process where there is a wire, while the sleeping loop runs."""
     device_file, run = configurations(folder, plan, transport)
     device = None
     try:
@@ -252,7 +252,7 @@ def _bare(plan: Plan, file: Path, seconds: float, *more: object) -> list[str]:
 
 @contextmanager
 def sleeping(file: Path, plan: Plan) -> Any:
-    """The bare loop in a process of its own while the block runs; `file` gets its wake-ups."""
+    """Context in which the bare loop runs in another process; `file` gets its wake-ups."""
     sleeper = subprocess.Popen(_bare(plan, file, math.inf), stdout=subprocess.PIPE, text=True)
     assert sleeper.stdout is not None
     sleeper.stdout.readline()

@@ -315,7 +315,7 @@ def _share(
 
 
 def _oracle(cases: Sequence[ScoredCase]) -> Bar:
-    """Mean of how far the closed share stays behind that of a diagnosis that was told the class."""
+    """Mean deficit of the closed share to that of a diagnosis that knows the class."""
     told = [case for case in cases if case.oracle is not None]
 
     def behind(case: ScoredCase) -> float:

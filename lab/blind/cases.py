@@ -179,7 +179,7 @@ def sized(effect: Withheld, wanted_deg: float, gap: Callable[[Withheld], float])
 
 
 def _power(before: tuple[float, float] | None, now: tuple[float, float], power: float) -> float:
-    """Exponent of gap over size between two tries, kept within what a smooth effect can have."""
+    """Exponent of the gap over the size between two tries, limited to that of smooth effects."""
     if before is None or abs(math.log(now[0] / before[0])) < 1e-3:
         return power
     return min(max(math.log(now[1] / before[1]) / math.log(now[0] / before[0]), 0.4), 4.0)
@@ -305,7 +305,7 @@ _RATIOS = (3.0, 2.2, 1.5)
 
 @dataclass(frozen=True)
 class Injection:
-    """One way to change measured angles.
+    """Change of measured angles by one effect.
 
     Attributes:
         typical, greatest: size to begin with, and the largest that a log in use could have.
@@ -403,7 +403,7 @@ def _changed(logs: Sequence[Trial], injection: Injection, size: float, seed: int
 
 
 def _injected_gap(simulator: Simulator, logs: Sequence[Trial], changed: Sequence[Trial]) -> float:
-    """RMSE that a refit leaves of the change, added to the simulator's own runs [deg]."""
+    """RMSE that a refit leaves of the change, which is added to the simulator's free runs [deg]."""
     commands = [trial.command for trial in logs]
     base = retune(simulator, commands, [trial.angle for trial in logs])
     target = [run + (b.angle - a.angle) for run, a, b in zip(base.angles, logs, changed, strict=True)]

@@ -107,7 +107,7 @@ _SESSION_S = 1800.0
 
 @dataclass(frozen=True)
 class Generator:
-    """One way to produce an effect; its equation is not the library's.
+    """Generator of an effect; its equation is not the library's.
 
     Attributes:
         label: name of the effect that a diagnosis should give; `unknown` where the library has none, or another word
@@ -149,7 +149,7 @@ def between(**ranges: tuple[float, float]) -> Draw:
 def generates(
     label: str, site: Site, typical: float, greatest: float, draw: Draw = between()
 ) -> Callable[[Apply], Apply]:
-    """Register a function as a generator of its own name; arguments as the attributes of `Generator`."""
+    """Register a function as a generator under its name; arguments as the attributes of `Generator`."""
 
     def register(apply: Apply) -> Apply:
         name = str(getattr(apply, "__name__", label))
@@ -235,7 +235,7 @@ def hertz_contact(angle: Vec, scene: Scene, size: float, shape: Shape) -> Vec:
 
 @generates("nonlinear_gain", "tip", 3.0, 50.0, between(mounting_deg=(-65.0, -20.0)))
 def weight(angle: Vec, scene: Scene, size: float, shape: Shape) -> Vec:
-    """Bending under its own weight: theta + `size` (sin(theta - phi) - sin(rest - phi)), phi the mounting [deg]."""
+    """Bending by gravity: theta + `size` (sin(theta - phi) - sin(rest - phi)), phi the mounting [deg]."""
     turned, rest = (np.deg2rad(a - shape["mounting_deg"]) for a in (angle, scene.rest_deg))
     return angle + size * (np.sin(turned) - np.sin(rest))
 
@@ -250,7 +250,7 @@ def directional_stiffness(angle: Vec, scene: Scene, size: float, shape: Shape) -
 
 @generates("creep", "tip", 0.03, 0.4, between(onset_s=(0.2, 1.0)))
 def wall_log_creep(angle: Vec, scene: Scene, size: float, shape: Shape) -> Vec:
-    """Wall that gives way by a logarithmic law: theta + log_relaxation(theta), `size` the share per decade."""
+    """Wall that creeps by a logarithmic law: theta + log_relaxation(theta), `size` the share per decade."""
     del scene
     return angle + log_relaxation(angle, size, shape["onset_s"])
 
@@ -290,7 +290,7 @@ def plastic_set(angle: Vec, scene: Scene, size: float, shape: Shape) -> Vec:
 
 @generates("trial_shift", "tip", 0.6, 20.0, between(gain=(0.3, 0.8)))
 def remounting(angle: Vec, scene: Scene, size: float, shape: Shape) -> Vec:
-    """Every trial has its own shift, `size` [deg] times Student's t (5 degrees), and its own gain."""
+    """Shift of each trial, `size` [deg] times Student's t (5 degrees), and gain of each trial."""
     random = scene.random("remounting")
     shift, gain = random.standard_t(5), random.standard_normal()
     return angle + size * shift + size * shape["gain"] * gain * scene.unit(angle)

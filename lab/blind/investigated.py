@@ -94,7 +94,7 @@ class InvestigationJob:
 
 @dataclass(frozen=True)
 class ScoredInvestigation:
-    """One investigation beside the truth.
+    """One investigation with the true cause.
 
     Attributes:
         case, truth: name of the case, and of its cause.
@@ -110,11 +110,6 @@ class ScoredInvestigation:
     said: tuple[str, ...]
     device_s: float
     battery_s: float
-
-    @property
-    def first(self) -> bool:
-        """Whether its best single answer is the cause, as the blind check counts a diagnosis."""
-        return self.verdict in ("named", "one_of") and self.said[:1] == (self.truth,)
 
     @property
     def right(self) -> bool:
@@ -215,11 +210,6 @@ def scored_investigations(folder: Path) -> tuple[ScoredInvestigation, ...]:
         except (OSError, ValueError, KeyError) as error:
             raise LogError(f"{path}: not an investigation ({type(error).__name__}: {error})") from None
     return tuple(found)
-
-
-def named_first(found: Sequence[ScoredInvestigation]) -> Rate:
-    """Share of investigations whose best single answer is the cause."""
-    return Rate(sum(one.first for one in found), len(found))
 
 
 def named_right(found: Sequence[ScoredInvestigation]) -> Rate:

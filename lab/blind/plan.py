@@ -94,7 +94,7 @@ def point_to_point(random: np.random.Generator) -> Vec:
 
 
 def fast_small(random: np.random.Generator) -> Vec:
-    """Several sines of 1.5 to 4 Hz, small, about a slow way up and down."""
+    """Small sines of 1.5 to 4 Hz on a slow stroke up and down."""
     t = _clock(30.0)
     slow = 0.5 * TRAVEL_MM * (1 - np.cos(2 * np.pi * t / 15.0)) * random.uniform(0.6, 0.8)
     small = sum(

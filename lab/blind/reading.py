@@ -195,7 +195,7 @@ class ScoredCase:
 
 
 def load_scored(folder: Path, partial: bool = False) -> list[ScoredCase]:
-    """Open the answers and set the diagnoses beside them.
+    """Diagnoses with their opened answers.
 
     Raises:
         LogError: if the answers are not those sealed, a diagnosis is damaged, or one is missing.

@@ -76,7 +76,7 @@ def _correlation(a: Vec, b: Vec) -> float:
 
 
 def fit_rules(selection: Selection, runs: Sequence[Run]) -> dict[str, str]:
-    """Answers of the rules `bic` and `single fit`, from the selection's own fits.
+    """Answers of the rules `bic` and `single fit`, from the fits of the selection.
 
     A rule that chooses several names is asked for the one which alone lowers the error of the fit the most.
     """

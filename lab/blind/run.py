@@ -206,7 +206,7 @@ def diagnose_job(job: DiagnosisJob) -> tuple[DiagnosisJob, bool]:
 def _diagnose(
     trials: Sequence[Trial], simulator: Simulator, job: DiagnosisJob
 ) -> tuple[dict[str, Any], dict[str, Any]]:
-    """The diagnosis in its fixed form, and what goes beside it; the motion that it proposes is written."""
+    """The diagnosis as JSON, and further facts about it; the motion that it proposes is written."""
     from hystmpc.gap.diagnose import conclude, find_causes
     from hystmpc.gap.next.motion_design import write_motion
 

@@ -126,7 +126,7 @@ def _by(
 
 
 def _size(case: ScoredCase) -> str:
-    """The wanted ratio that the found one is nearest to."""
+    """The wanted ratio nearest to the measured one."""
     return f"{min(RATIOS, key=lambda r: abs(math.log(max(case.answer.ratio, 1e-3) / r))):g}"
 
 

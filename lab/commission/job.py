@@ -302,7 +302,7 @@ def _changed(
 
 
 def _sensors(bench: StudyBench, identified: ControllerModel, tip: LawSettings) -> dict[str, float]:
-    """Without a sensor and with frames of an imaging system, beside the PID tuned for those."""
+    """Figures without a sensor, with frames of an imaging system, and of the PID tuned for frames."""
     limits, blind, frames = bench.device.limits, NoSensorSettings(), IMAGING
     alone = _of(tip, {"estimator": dict(blind.estimator_keys())})
     figures, runs = bench.along("none", TakenUp(controller_on(alone, identified, limits), bench.plant), sensor=blind)

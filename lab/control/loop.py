@@ -97,7 +97,7 @@ def needed_files(job: ControlJob, settings: ControlSettings, folder: Path) -> tu
 
 
 def gains_file(folder: Path, plant: str, rate_hz: float, controller: str) -> Path:
-    """File of the gains that a search has found."""
+    """File of the gains of a search."""
     return folder / "models" / f"{plant}-{controller}-{rate_hz:g}hz.json"
 
 
@@ -270,7 +270,7 @@ def _effects(plant: Plant) -> dict[str, float]:
 
 
 def _gains(job: ControlJob, rival: BenchmarkController, settings: ControlSettings, folder: Path) -> dict[str, Any]:
-    """The gains that a search has found, at this rate or, to start another search, at the first one."""
+    """Gains of a search at this rate, or at the first rate as the start of another search."""
     if not rival.tuned or job.stage == "tune":
         return {}
     rate = settings.rates_hz[0] if job.stage == "retune" else job.rate_hz

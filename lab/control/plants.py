@@ -142,7 +142,7 @@ def recordings(plant: Plant, seed: int, quick: bool = False) -> tuple[Trial, ...
 
 
 def fitted_backlash(plant: Plant, seed: int, quick: bool = False) -> Simulator:
-    """The plant's own backlash where it is one, else one identified on recordings behind the lag that is known.
+    """The backlash of the plant where it is one, else a backlash identified on recordings behind the known lag.
 
     Raises:
         FitError: if it cannot be identified.

@@ -185,7 +185,7 @@ class CapstanCore(QuasiStatic):
 @final
 @dataclass(frozen=True)
 class DahlCore(QuasiStatic):
-    """Displacement less the deflection of parallel Dahl elements (P. Dahl, Aerospace Corp. TOR-158, 1968).
+    """Displacement minus the deflection of parallel Dahl elements (P. Dahl, Aerospace Corp. TOR-158, 1968).
 
     Attributes:
         gain: tip angle over distal displacement [deg/mm].
@@ -209,7 +209,7 @@ class DahlCore(QuasiStatic):
         return x - out
 
     def stiffer(self, factor: float) -> Self:
-        """Less angle and less deflection of the elements for the same displacement."""
+        """Smaller angle and smaller deflection of the elements for the same displacement."""
         return replace(self, gain=self.gain / factor, friction=self.friction / factor)
 
     def reweighted(self, factor: float) -> Self:
@@ -310,7 +310,7 @@ class RodCore(Core):
         return replace(self, stiffness_nmm=self.stiffness_nmm * factor)
 
     def reweighted(self, factor: float) -> Self:
-        """More friction that does not come from tension, and less that does."""
+        """More friction that is independent of tension, and a smaller coefficient of friction."""
         return replace(self, drag_n=self.drag_n * factor, friction=self.friction / factor)
 
     def rod(self) -> RodParameters:
@@ -401,7 +401,7 @@ class MuscleCore(QuasiStatic):
 
     @classmethod
     def draw(cls, random: np.random.Generator) -> Self:
-        """A device of this kind whose own presliding is long enough at every pressure."""
+        """A device of this kind with enough presliding at every pressure."""
         numbers = {name: float(random.uniform(*ends)) for name, ends in cls.DRAWN.items()}
         numbers["presliding_bar"] *= numbers["friction"]
         return cls(**numbers)

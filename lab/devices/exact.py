@@ -24,7 +24,7 @@ _BLOCKS = 12
 
 @final
 class ExactPredictor(Predictor):
-    """The device as its own model, whole samples of its delay left out; the state is a copy of the device's.
+    """A predictor that is the device itself, without whole samples of its delay; the state is a copy of the device's.
 
     Derivatives are differences over a five-hundredth of the travel. Plans of more than 12 samples move in 12 blocks, so
     that a step costs as much as 12 roll-outs at most.

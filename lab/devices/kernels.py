@@ -215,7 +215,7 @@ def run(p: Packed, state: Any, commands: Any, theta: Any) -> None:
 
 @njit(cache=True, error_model="numpy")
 def rollout(p: Packed, state: Any, plans: Any, theta: Any) -> None:
-    """Angles (N, H) of plans (N, H) from one state, which is kept."""
+    """Angles (N, H) of plans (N, H) from one state, which does not change."""
     for n in range(plans.shape[0]):
         run(p, state.copy(), plans[n], theta[n])
 

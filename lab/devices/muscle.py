@@ -179,7 +179,7 @@ class MuscleCatheter:
 
 @dataclass(frozen=True)
 class LaserSensor(Quantities):
-    """The laser distance sensor of S1 beside the tip, read by a converter: voltage from true angle (S1 eq. (2)-(4)).
+    """The laser distance sensor of S1 at the tip, read by a converter: voltage from true angle (S1 eq. (2)-(4)).
 
     S1 prints neither noise nor resolution: 0.02 mm (0.04 deg near straight), and the 9.8 mV (0.04 mm) of a 10 V range
     on the 10 bits of its Arduino.

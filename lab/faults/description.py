@@ -190,7 +190,7 @@ class DeviceSpec:
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """One row of a device's own log.
+    """One row of the log of a device.
 
     Attributes:
         t_s: its time [s].

@@ -259,7 +259,7 @@ def played(play: DevicePlay, folder: Path) -> DeviceVerdict:
 
 
 def played_all(plays: Sequence[DevicePlay], folder: Path, jobs: int = 1) -> Iterator[DeviceVerdict]:
-    """All of them, in their order, each in a folder of its own.
+    """Verdicts of all plays in order, each play in a separate folder.
 
     Args:
         jobs: processes.
@@ -276,7 +276,7 @@ def played_all(plays: Sequence[DevicePlay], folder: Path, jobs: int = 1) -> Iter
 
 
 def write_log(device: HostileDevice, file: Path) -> None:
-    """Write a device's own log: one row in 10 ms, and one a command."""
+    """Write the log of a device: one row in 10 ms, and one for each command."""
     lines = ["time_s,motion,received,before,held,told,x_mm,angle_deg,shown_deg,age_s\n"]
     for row in device.rows:
         cells = (row.received, row.before, row.held, row.told, row.x_mm, row.angle_deg, row.shown_deg, row.age_s)

@@ -63,7 +63,7 @@ class DeviceState:
 
 @dataclass(frozen=True, slots=True)
 class DeviceReading:
-    """One reading on its way; times of the device [ns]."""
+    """One reading in transit; times of the device [ns]."""
 
     taken_ns: int
     arrives_ns: int
@@ -223,7 +223,7 @@ class HostileDevice:
             state.returns, state.deaf, state.heard_ns = True, True, None
 
     def _show(self, flight_s: float | None = None) -> None:
-        """One reading, on its way."""
+        """Send one reading."""
         state, spec = self.state, self.spec
         state.sequence += 1
         state.told = self._told()

@@ -170,7 +170,7 @@ class _Watch:
 
 
 def run_device(job: IdentifyJob, settings: IdentifySettings, folder: Path) -> dict[str, Any]:
-    """How the identification went, what it found, and the figures of all controllers; models are written."""
+    """Report of the identification, identified parts, and figures of all controllers; models are written."""
     device = drawn_devices(settings)[job.number]
     watch = _Watch({}, time.process_time())
     plant = DrawnPlant(device, device.seed)

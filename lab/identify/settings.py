@@ -92,7 +92,7 @@ def covered(result: IdentifyResult, part: str) -> bool | None:
 
 
 def invented(result: IdentifyResult, part: str) -> bool | None:
-    """Whether a part was found on a device that has none; None where it has one."""
+    """Whether a part was identified on a device that has none; None where it has one."""
     return None if result.truth[part] else part in result.found
 
 

@@ -171,7 +171,7 @@ def _logs(settings: PaperSettings) -> tuple[Trial, ...]:
 
 
 def _parts(trial: Trial, count: int) -> list[Trial]:
-    """Equal parts of a trial, each with a name of its own."""
+    """Equal parts of a trial with different names."""
     if count == 1:
         return [trial]
     edges, path = [len(trial) * k // count for k in range(count + 1)], Path(trial.source)

@@ -1,4 +1,4 @@
-"""What the two papers print of their models, to stand beside ours, and the parts of every study's page.
+"""Numbers that the two papers print of their models, and the common parts of the pages of the studies.
 
 No computation uses these numbers. Marks: [P] printed in the paper, [C] recovered from the authors' published code, [I]
 inferred from the paper's text.
@@ -8,13 +8,17 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Final, Literal
+from typing import Any, Final, Literal
 
-from hystmpc.trials.report import Heading, Piece
+from hystmpc.trials.report import ACCENTS, COMMAND, MEASURED, MODEL, REFERENCE, Heading, Piece
 
 from ..page import NOTHING, Cell, StudyTable, set_up
 from .job import PaperOutcome, title_of
 from .settings import PaperSettings
+
+DEVICE_LINE: Final[dict[str, Any]] = {"color": REFERENCE, "linewidth": 2.2, "alpha": 0.5}
+COLOURS: Final = (MODEL, MEASURED, COMMAND, *ACCENTS)
+"""Line of the device, and colours of the models, in figures."""
 
 Mark = Literal["P", "C", "I"]
 MARKS: Final = "[P] printed in the paper, [C] in its authors' published code, [I] inferred from its text"

@@ -17,10 +17,6 @@ from hystmpc.models.kinds.catalogue import KINDS
 from hystmpc.trials.config import Settings, read_yaml
 from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.report import (
-    ACCENTS,
-    COMMAND,
-    MEASURED,
-    MODEL,
     REFERENCE,
     Heading,
     Paragraph,
@@ -47,13 +43,11 @@ from .job import (
     steps_for,
     title_of,
 )
-from .printed import jobs_pieces, jobs_table, paper_set_up
+from .printed import COLOURS, jobs_pieces, jobs_table, paper_set_up
 from .settings import PaperSettings
 
 BASELINE = "backlash"
 COUNTS = {"later": "without the first flexure", "errors": "with the first flexure"}
-_DEVICE: Any = {"color": REFERENCE, "linewidth": 2.2, "alpha": 0.5}
-_COLOURS = (MODEL, MEASURED, COMMAND, *ACCENTS)
 _SHOWN = 2  # of the best models beside the backlash
 
 
@@ -249,7 +243,7 @@ def examples_figure(outcome: PaperOutcome, found: Sequence[RealCandidate], unit:
     with new_figure(7.0, 0.6 + 1.3 * len(trials)) as figure:
         rows = figure.subplots(len(trials), 1, sharey=True, squeeze=False)[:, 0]
         for k, (axes, trial) in enumerate(zip(rows, trials, strict=True)):
-            for candidate, colour in zip(shown, _COLOURS, strict=False):
+            for candidate, colour in zip(shown, COLOURS, strict=False):
                 run = outcome.free_run(candidate.results[k].job, trial)
                 axes.plot(trial.t, run.theta - run.trial.angle, color=colour, linewidth=0.8, label=candidate.name)
             axes.axhline(0.0, color=REFERENCE, linewidth=0.6)

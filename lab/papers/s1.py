@@ -32,7 +32,16 @@ from ..reconstruction.protocol import Device, Estimator, Protocol, record_scans
 from ..reconstruction.reconstruct import Reconstruction, reconstruct
 from ..reconstruction.report import ERROR_COLUMNS, TEST_COLUMNS, error_rows, rank_test_rows, reconstruction_pieces
 from .job import JobResult, PaperOutcome, Splits, TrainingJob, TrainingTask, preset_for, steps_for, title_of
-from .printed import S1_ERRORS, S1_HALF_RANGE_DEG, S1_TRAINING, jobs_pieces, jobs_table, label, paper_set_up
+from .printed import (
+    DEVICE_LINE,
+    S1_ERRORS,
+    S1_HALF_RANGE_DEG,
+    S1_TRAINING,
+    jobs_pieces,
+    jobs_table,
+    label,
+    paper_set_up,
+)
 from .settings import PaperSettings
 
 TESTS = {
@@ -50,7 +59,6 @@ _FIGURES = (
 )
 COMPARED = ("lstm", "drdpi")
 _QUICK_SCANS = 2
-_DEVICE: Any = {"color": REFERENCE, "linewidth": 2.2, "alpha": 0.5}
 _COLOURS = (COMMAND, MODEL, MEASURED, *ACCENTS)
 _LINE: Any = {"linewidth": 0.9}
 
@@ -235,7 +243,7 @@ def tracking_figure(outcome: PaperOutcome, results: tuple[JobResult, ...]) -> Fi
         for k, (test, name) in enumerate(TESTS.items()):
             above, below = grid[2 * (k // 2)][k % 2], grid[2 * (k // 2) + 1][k % 2]
             trial = outcome.drawn[test][0]
-            above.plot(trial.t, trial.angle, label="device", **_DEVICE)
+            above.plot(trial.t, trial.angle, label="device", **DEVICE_LINE)
             for result, colour in zip(results, _COLOURS, strict=False):
                 run = outcome.free_run(result.job, trial)
                 above.plot(trial.t, run.theta, color=colour, label=title_of(result.job.kind), **_LINE)

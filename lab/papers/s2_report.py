@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -17,8 +16,6 @@ from hystmpc.models.kernels.chain_kernels import compile_step
 from hystmpc.models.maps import QuadraticMap
 from hystmpc.trials.errors import HystmpcError
 from hystmpc.trials.report import (
-    ACCENTS,
-    COMMAND,
     MEASURED,
     MODEL,
     PALETTE,
@@ -35,7 +32,7 @@ from hystmpc.trials.types import Vec
 
 from ..page import StudyTable
 from .job import JobResult, PaperOutcome, Splits, title_of
-from .printed import S2_FNN_BIAS_DEG, jobs_pieces, jobs_table, paper_set_up
+from .printed import COLOURS, DEVICE_LINE, S2_FNN_BIAS_DEG, jobs_pieces, jobs_table, paper_set_up
 from .s2_tables import (
     BASELINE,
     MOTION_NAMES,
@@ -55,8 +52,6 @@ from .s2_tables import (
     window_table,
 )
 
-_DEVICE: Any = {"color": REFERENCE, "linewidth": 2.2, "alpha": 0.5}
-_COLOURS = (MODEL, MEASURED, COMMAND, *ACCENTS)
 FREQUENCY, REPEATS = "frequency", "repeatability"
 TENSION, TIP_Y = "tension_n", "y_mm"
 
@@ -103,8 +98,8 @@ def training_motion_figure(outcome: PaperOutcome, preset: str, kind: str = "lstm
         rows = figure.subplots(len(MOTIONS), 1)
         for axes, motion in zip(rows, MOTIONS, strict=True):
             trial = median_trial(outcome, motion, next(r for r in models.values() if r))
-            axes.plot(trial.t, trial.angle, label="device", **_DEVICE)
-            for (name, result), colour in zip(found.items(), _COLOURS, strict=False):
+            axes.plot(trial.t, trial.angle, label="device", **DEVICE_LINE)
+            for (name, result), colour in zip(found.items(), COLOURS, strict=False):
                 axes.plot(trial.t, outcome.free_run(result.job, trial).theta, color=colour, label=f"trained on {name}")
             axes.set(ylabel="tip angle [deg]", title=f"{trial.source} ({MOTION_NAMES[motion]})")
         rows[-1].set_xlabel("time [s]")
@@ -141,12 +136,12 @@ def example_figure(views: Mapping[str, Matched], kinds: Sequence[str]) -> Figure
 
 def _example(above: Axes, below: Axes, view: Matched, kinds: Sequence[str], trial: Trial) -> None:
     outcome, unit = view.outcome, UNITS[view.direction]
-    for kind, colour in zip(kinds, _COLOURS, strict=False):
+    for kind, colour in zip(kinds, COLOURS, strict=False):
         run = outcome.free_run(view.results[kind].job, trial)
         above.plot(trial.t, run.theta, color=colour, linewidth=0.9, label=title_of(kind))
         below.plot(trial.t, run.theta - run.trial.angle, color=colour, linewidth=0.8)
     above.plot(
-        trial.t, trial.command if view.direction == "inverse" else trial.angle, zorder=0, label="device", **_DEVICE
+        trial.t, trial.command if view.direction == "inverse" else trial.angle, zorder=0, label="device", **DEVICE_LINE
     )
     below.axhline(0.0, color=REFERENCE, linewidth=0.6)
     what = "tip angle" if view.direction == "forward" else "displacement"

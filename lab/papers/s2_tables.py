@@ -209,7 +209,7 @@ def relative_to_baseline(view: Matched, kind: str) -> tuple[float, float]:
 
 
 def order_table(view: Matched) -> StudyTable:
-    """Models by mean RMSE, least first, beside the paper's order."""
+    """Models in ascending order of mean RMSE, and the order of the paper."""
     ours = sorted(view.results, key=lambda kind: float(np.mean(view.errors(kind))))
     paper = " < ".join(", ".join(map(_title, group)) for group in S2_ORDER[view.motion])
     rows = [["simulated", " < ".join(map(title_of, ours))], ["paper, from its conclusions [P]", paper]]
@@ -221,7 +221,7 @@ def order_table(view: Matched) -> StudyTable:
 
 
 def _title(kind: str) -> str:
-    """A kind's name in tables, its own where the catalogue does not hold it."""
+    """Name of a kind in tables; the kind itself where the catalogue does not hold it."""
     return title_of(kind) if kind in _CATALOGUE else kind
 
 

@@ -40,7 +40,7 @@ def linearised_controller(subject: Subject, settings: BenchSettings) -> GuardedC
 
 
 def linearised_rows(subject: Subject, settings: BenchSettings, clock: Clock) -> list[Comparison]:
-    """One row a peer, and one on our own tail.
+    """One row for each peer, and one for the 99th percentile of our step.
 
     Ours is the whole step: estimate, candidates, roll-out, Jacobian, quadratic program, line search, ladder. The peers
     solve the recorded planning problems of the same steps, from their own last solution; what they would need beside

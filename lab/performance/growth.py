@@ -57,7 +57,7 @@ GROWTHS: Mapping[str, Series] = {
 
 
 def _doubled(middle: int) -> tuple[int, ...]:
-    """Sizes from a quarter of the benchmark's own to four times it, each twice the one before."""
+    """Sizes from a quarter to four times that of the benchmark, each twice the previous one."""
     sizes = [middle * _LARGEST // 2**k for k in range(5)]
     return tuple(sorted({max(size, 4) for size in sizes}))
 

@@ -92,7 +92,7 @@ class SingleShooting:
         self._multipliers: dict[str, Any] = {}
 
     def solve(self, problem: PlanningProblem) -> Answer:
-        """Solve one problem, whose state begins with the model's own."""
+        """Solve one problem, whose state begins with the state of the model."""
         start = np.full(problem.reference.size, problem.u_last)
         if self._plan is not None:
             start[:-1], start[-1] = self._plan[1:], self._plan[-1]

@@ -63,7 +63,7 @@ class Comparison:
 
     @property
     def least_ratio(self) -> float | None:
-        """The ratio of the shortest calls, which other work on the machine disturbs less; None where it has none."""
+        """The ratio of the shortest calls, which other load on the machine hardly disturbs; None where it has none."""
         if self.ratio is None or self.times is None or self.reads is Reads.TAIL:
             return None
         if self.limit_s is not None:

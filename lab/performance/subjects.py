@@ -295,7 +295,7 @@ class Subject:
 
     @property
     def state_size(self) -> int:
-        """Entries S of the model's own state."""
+        """Number S of entries in the state of the model."""
         return int(self.function.numel_in(0))
 
     def scan(self, first: int, horizon: int) -> NDArray[np.float64]:
@@ -371,7 +371,7 @@ class Instant:
 
 
 def record_scan(controller: GuardedController[Any], subject: Subject) -> list[Instant]:
-    """One period of the scan with the model as plant, after the way to it from rest."""
+    """One period of the scan with the model as plant, after the approach from rest."""
     rest = subject.limits.lower
     y, _ = subject.predictor.advance(subject.predictor.initial(subject.metadata.trained_angle.lower, rest), rest)
     state = controller.init(y, rest)

@@ -135,7 +135,7 @@ class ScoredRecord:
     height: float = 1.0
 
     def errors(self, predicted: Vec) -> Vec:
-        """Prediction less measurement where it counts, in the unit of the data set."""
+        """Prediction minus measurement of the samples that count, in the unit of the data set."""
         return self.height * (predicted - self.trial.angle)[self.first :]
 
     @property

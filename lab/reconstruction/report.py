@@ -81,8 +81,6 @@ PAPER_ERROR_MM: Final = {
 PAPER_REDUCTION_PERCENT: Final = {"I": PrintedValue(70.4), "II": PrintedValue(70.4), "III": PrintedValue(63.8)}
 # Mean error of the planar section of pattern I at 45 deg, by model [mm].
 PAPER_SECTION_I_MM: Final = {"LSTM": PrintedValue(0.22), "DRDPI": PrintedValue(0.58)}
-# "around 1 mm" and "ca. 2 mm" at the edge of the cap [mm].
-PAPER_EDGE_MM: Final = {"LSTM": PrintedValue(1.0), "DRDPI": PrintedValue(2.0)}
 # The Mann-Whitney test rejected equal errors in all three patterns below this p.
 PAPER_P: Final = PrintedValue(0.01)
 

@@ -1,4 +1,4 @@
-"""Identification by Adam on short windows, the way S2 trains its operators, on exact compiled sensitivities."""
+"""Identification by Adam on short windows, as S2 trains its operators, with exact compiled sensitivities."""
 
 from __future__ import annotations
 

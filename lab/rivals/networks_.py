@@ -315,7 +315,7 @@ class ParallelNet(Hybrid):
         return main + rest, torch.cat([memory, held], dim=1)
 
     def shown(self, v: torch.Tensor, y: torch.Tensor) -> torch.Tensor:
-        """The backlash's own output: it runs over whole trials, of which a window is a part."""
+        """Output of the backlash: it runs over whole trials, of which a window is a part."""
         return self._backlash(v, self.layer.start(y[:, 0]))[0]
 
     def write(self, writer: GraphWriter, v: str, state: str) -> tuple[str, list[str]]:

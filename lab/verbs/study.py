@@ -159,7 +159,7 @@ def _completed(begun: BegunStudy[Any, Any, Any], name: str, workers: int) -> Out
 
 
 def _over_devices(changes: dict[str, Any], folder: Path, workers: int) -> None:
-    """The study on the logs of each device in a folder of its own, then the tables over all of them.
+    """The study on the logs of each device in a separate folder, then the tables over all devices.
 
     Raises:
         ConfigError: without a list of devices, or with a wrong one; if a folder holds something else.

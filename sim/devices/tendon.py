@@ -117,7 +117,7 @@ class TendonParameters(Quantities):
             raise ConfigError(f"core_from: got {self.core_from}, expected at most core_to = {self.core_to}")
 
     def gap(self, x_mm: float) -> float:
-        """Unloading line less loading line at `x_mm` [deg]."""
+        """Unloading line minus loading line at `x_mm` [deg]."""
         return self.unloading_deg - self.loading_deg + (self.unloading_slope - self.loading_slope) * x_mm
 
     @property
