@@ -12,7 +12,7 @@ import numpy as np
 from pydantic import Field
 
 from hystmpc.gap.diagnosis import TrackingGap
-from hystmpc.gap.tracking.expected import AGREEMENT
+from hystmpc.gap.expected_tracking import AGREEMENT
 
 from ..devices.drawn import FAMILIES, DrawnSettings
 from ..page import Bar, Figures, beyond, by_device, over
