@@ -11,28 +11,30 @@ from typing import TYPE_CHECKING
 from hystmpc.trials import lazily
 
 if TYPE_CHECKING:
-    from .datasets.dataset import read_dataset, write_dataset
-    from .datasets.paper_data import make_dataset
+    from .datasets import make_dataset, read_dataset, write_dataset
+    from .devices.rod import RodParameters, simulate_rod
+    from .reconstruction.geometry import ReconstructionSettings
     from .reconstruction.protocol import Protocol, record_scans
     from .reconstruction.reconstruct import reconstruct
-    from .reconstruction.settings import ReconstructionSettings
 
 __all__ = [
     "Protocol",
     "ReconstructionSettings",
+    "RodParameters",
     "make_dataset",
     "read_dataset",
     "reconstruct",
     "record_scans",
+    "simulate_rod",
     "write_dataset",
 ]
 
 if not TYPE_CHECKING:
     __getattr__ = lazily(
         __name__,
-        ("hystmpc_lab.datasets.dataset", "read_dataset write_dataset"),
-        ("hystmpc_lab.datasets.paper_data", "make_dataset"),
+        ("hystmpc_lab.datasets", "make_dataset read_dataset write_dataset"),
+        ("hystmpc_lab.devices.rod", "RodParameters simulate_rod"),
         ("hystmpc_lab.reconstruction.protocol", "Protocol record_scans"),
         ("hystmpc_lab.reconstruction.reconstruct", "reconstruct"),
-        ("hystmpc_lab.reconstruction.settings", "ReconstructionSettings"),
+        ("hystmpc_lab.reconstruction.geometry", "ReconstructionSettings"),
     )

@@ -94,9 +94,6 @@ def pairwise(errors: Mapping[str, ArrayLike]) -> tuple[SignedRank, ...]:
 
     Args:
         errors: one figure a trial (N,) by model, all over the same trials in the same order.
-
-    Raises:
-        ConfigError: as `signed_rank`.
     """
     names = list(errors)
     return compared(errors, [(row, column) for k, row in enumerate(names) for column in names[:k]])
@@ -107,9 +104,6 @@ def compared(errors: Mapping[str, ArrayLike], pairs: Sequence[tuple[str, str]]) 
 
     Args:
         errors: as for `pairwise`.
-
-    Raises:
-        ConfigError: as `signed_rank`.
     """
     tests = [signed_rank(errors[row], errors[column]) for row, column in pairs]
     corrected = holm([test[3] for test in tests])

@@ -1,55 +1,49 @@
-"""A study: what is drawn, what is run, which bars; its jobs in a run folder, its tables, and its page.
+"""The engine of all studies: what is drawn, what is run, and the results of its jobs, which are resumed.
 
 A study is one value of `Study`. Its jobs are done in processes of their own, each leaves one file, and the same command
-resumes where an earlier one ended. Then the tables, the bars and the page are written.
+resumes where an earlier one ended. Then its tables and its page are written, see `page`.
 """
 
 from __future__ import annotations
 
-import csv
-import io
+import json
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Generic, Literal, Self, TypeVar, final
+from typing import Annotated, Any, ClassVar, Generic, Literal, Self, TypeVar, final
 
-import numpy as np
-from pydantic import BeforeValidator
+from pydantic import BeforeValidator, Field, TypeAdapter
 
-from hystmpc.sim.jobs import attempt, backend_for
+from hystmpc.sim.jobs import Backend, attempt, backend_for, run_jobs
 from hystmpc.trials.config import Settings
+from hystmpc.trials.errors import LogError
 from hystmpc.trials.files import write_atomically
-from hystmpc.trials.json_text import file_text, json_hash, plain
-from hystmpc.trials.report import REFERENCE, Heading, KeyValues, Paragraph, Piece, Report, Table, new_figure
+from hystmpc.trials.json_text import file_text, json_hash
+from hystmpc.trials.report import Report
 from hystmpc.trials.run_folder import RunFolder, resumed_folder
 from hystmpc.trials.types import Progress
 
-from .result_files import ResultFiles, Status, wall_minutes
+from .page import StudyTable, plain_result
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure as Plotted
-
-Cell = str | int | float
-NOTHING = "-"
+Status = Literal["done", "failed"]
 Figure = Annotated[float, BeforeValidator(lambda value: math.nan if value is None else value)]
 """A number of a result; one that is not there is null in the file, and NaN here."""
 
-Figures = Mapping[str, float]
-_NAMED = 6  # devices that a bar names
-_MARKS = "os^v"
-_QUICK_NOTE = "QUICK: the numbers below show that everything runs, and say nothing about the controllers."
-
 
 class StudySettings(Settings):
-    """Settings that every study has: `study`, `seed` and `quick` are fields of each.
+    """Settings that every study has; its name, `study`, is a field of each.
 
     Attributes:
         QUICK: changes of the defaults for a quick run.
+        seed: of everything that is drawn at random: devices, motions, noise, searches, training.
+        quick: few, short and simple jobs: proves that everything runs, and nothing else.
     """
 
     QUICK: ClassVar[Mapping[str, Any]] = {}
+    seed: Annotated[int, Field(ge=0)] = 1
+    quick: bool = False
 
     @classmethod
     def of(cls, **changes: Any) -> Self:
@@ -98,6 +92,105 @@ F = TypeVar("F", bound=Result)
 _T = TypeVar("_T")
 
 
+@final
+class ResultFiles(Generic[F]):
+    """Results of jobs as one JSON file each, `results/KEY.json`, written whole or not at all."""
+
+    def __init__(
+        self, folder: Path, kind: type[F], form: str, encode: Callable[[Any], dict[str, Any]] = asdict
+    ) -> None:
+        self.folder, self._form, self._encode = folder, form, encode
+        self._adapter = TypeAdapter(kind)
+
+    def path(self, job: Any) -> Path:
+        """File of a job's result."""
+        return self.folder / "results" / f"{job.key}.json"
+
+    def save(self, result: F) -> Path:
+        """Write a result."""
+        data = {"format": self._form} | self._encode(result)
+        return write_atomically(self.path(result.job), json.dumps(data, indent=1) + "\n")
+
+    def load(self, job: Any) -> F | None:
+        """The result of a job, None where there is none yet.
+
+        Raises:
+            LogError: if the file is not a result.
+        """
+        path = self.path(job)
+        if not path.exists():
+            return None
+        try:
+            data = json.loads(path.read_text(encoding="utf-8"))
+            found = data.pop("format")
+            result = self._adapter.validate_python(data)
+        except (ValueError, KeyError, TypeError, AttributeError) as error:  # pydantic's errors are ValueErrors
+            reason = " ".join(str(error).split())
+            raise LogError(
+                f"{path}: not a result of a study ({reason}); remove it to have the job done again"
+            ) from None
+        if found != self._form:
+            raise LogError(f"{path}: not of the format {self._form}; remove it to have the job done again")
+        return result
+
+    def kept(self, jobs: Iterable[J], fingerprint: Callable[[J], str]) -> dict[str, F]:
+        """Results by key that are done and up to date; a failed or outdated job is done again."""
+        found = ((job, self.load(job)) for job in jobs)
+        return {
+            job.key: result
+            for job, result in found
+            if result and result.status == "done" and result.fingerprint == fingerprint(job)
+        }
+
+    def complete(
+        self,
+        stages: Sequence[Sequence[J]],
+        do: Callable[[J], F],
+        fingerprint: Callable[[J], str],
+        backend: Backend,
+        costs: Mapping[str, float],
+        progress: Progress | None = None,
+    ) -> tuple[F, ...]:
+        """Results of all jobs in their order: kept ones, and the others done stage by stage, the costliest first.
+
+        Args:
+            stages: jobs with different keys; each stage may need files that the stages before it leave.
+            do: does one job and saves its result.
+            fingerprint: hash of all that a job depends on.
+            costs: expected processor time by key [s].
+            progress: called at the start and after every job, in expected seconds, so that a bar's time left is that
+                of the jobs left.
+        """
+        for half in self.folder.glob("*/.*.part"):
+            half.unlink(missing_ok=True)  # left by a process that was killed while it wrote
+        jobs = [job for stage in stages for job in stage]
+        results = self.kept(jobs, fingerprint)
+        spent, total = 0.0, sum(costs.get(job.key, 0.0) for job in jobs if job.key not in results)
+
+        def tell(note: str = "") -> None:
+            if progress:
+                progress(spent, max(total, 1e-9), f"{len(results)} of {len(jobs)} jobs {note}")
+
+        tell()
+        for stage in stages:
+            # Asked again after the first stage: an earlier one may have changed what these jobs read.
+            fresh = results if stage is stages[0] else self.kept(stage, fingerprint)
+            rest = [job for job in stage if job.key not in fresh]
+            total += sum(costs.get(job.key, 0.0) for job in rest if results.pop(job.key, None))
+            rest.sort(key=lambda job: costs.get(job.key, 0.0), reverse=True)
+            for result in run_jobs(do, rest, backend):
+                results[result.job.key] = result
+                spent += costs.get(result.job.key, 0.0)
+                tell(result.job.key if result.status == "done" else f"{result.job.key} failed")
+        return tuple(results[job.key] for job in jobs)
+
+
+def wall_minutes(costs: Mapping[str, float], workers: int) -> int:
+    """Wall time of jobs of these costs [s] on so many workers, rounded up; never less than the longest job [min]."""
+    longest = max(costs.values(), default=0.0)
+    return math.ceil(max(sum(costs.values()) / workers, longest) / 60)
+
+
 @dataclass(frozen=True, eq=False)
 class Outcome(Generic[S, F]):
     """A study with the results of all its jobs.
@@ -122,11 +215,6 @@ class Outcome(Generic[S, F]):
     def failed(self) -> tuple[F, ...]:
         """Results that hold an error."""
         return tuple(result for result in self.results if result.status == "failed")
-
-
-def plain_result(result: Any) -> dict[str, Any]:
-    """A result as JSON; a number that is not finite is null."""
-    return dict(plain(asdict(result)))
 
 
 def nothing(*given: Any) -> Any:
@@ -282,235 +370,3 @@ class BegunStudy(Generic[S, J, F]):
             write_atomically(folder / "tables" / f"{study.name}.json", file_text(study.data(outcome)))
         self.folder.write_report(page)
         return outcome
-
-
-@dataclass(frozen=True)
-class Rate:
-    """A share of cases."""
-
-    hits: int
-    cases: int
-
-    @property
-    def value(self) -> float:
-        """The share; not-a-number without cases."""
-        return self.hits / self.cases if self.cases else float("nan")
-
-    @property
-    def ci90(self) -> tuple[float, float]:
-        """Wilson's 90 % interval (E. B. Wilson, J. Am. Stat. Assoc. 22, 1927)."""
-        from scipy.stats import binomtest  # slow to import
-
-        if not self.cases:
-            return 0.0, 1.0
-        interval = binomtest(self.hits, self.cases).proportion_ci(0.9, method="wilson")
-        # Rounding may put an end past the rate itself where that is 0 or 1.
-        return min(float(interval.low), self.value), max(float(interval.high), self.value)
-
-
-@dataclass(frozen=True)
-class Bar:
-    """A requirement: a number, its bounds, and the cases that miss it.
-
-    Attributes:
-        value: the number; not-a-number where no case tells.
-        wanted: `lower` and `upper` bound.
-    """
-
-    name: str
-    value: float
-    wanted: tuple[float, float]
-    cases: int
-    misses: tuple[str, ...] = ()
-    ci90: tuple[float, float] | None = None
-
-    @property
-    def state(self) -> Literal["met", "missed", "not measured"]:
-        """Whether the number is within its bounds."""
-        if not self.cases or np.isnan(self.value):
-            return "not measured"
-        return "met" if self.wanted[0] <= self.value <= self.wanted[1] else "missed"
-
-    @property
-    def goal(self) -> str:
-        """The bounds in words."""
-        low, high = self.wanted
-        if low <= 0:
-            return f"<= {high:g}" if high > 0 else "0"
-        return f">= {low:g}" if high >= 1 > low else "1" if low >= 1 else f"{low:g} to {high:g}"
-
-    @property
-    def plain(self) -> dict[str, Any]:
-        """As JSON; a number that is not finite is null."""
-        return {**plain(asdict(self)), "state": self.state}
-
-    @classmethod
-    def at_most(
-        cls, name: str, values: Figures, limit: float, level: float = 1.0, misses: tuple[str, ...] | None = None
-    ) -> Self:
-        """An order statistic of figures by device: at least the share `level` of them is no greater; 1 for the worst.
-
-        Args:
-            values: infinite for a device that was lost.
-            misses: devices against the bar; those beyond the limit where left out.
-        """
-        ranked = np.sort(np.array(list(values.values())))
-        value = float(ranked[math.ceil(level * ranked.size) - 1])
-        return cls(name, value, (0.0, limit), ranked.size, beyond(values, limit) if misses is None else misses)
-
-    @classmethod
-    def share(cls, name: str, hits: Mapping[str, bool], wanted: tuple[float, float], counted: bool = False) -> Self:
-        """The share of the devices that hit; against the bar are those that do not, or that do where `counted`."""
-        rate = Rate(sum(hits.values()), len(hits))
-        misses = tuple(name for name, hit in hits.items() if bool(hit) is counted)
-        return cls(name, rate.value, wanted, len(hits), misses, rate.ci90)
-
-    @classmethod
-    def none(cls, name: str, totals: Figures) -> Self:
-        """A total over devices that has to be 0."""
-        return cls(name, sum(totals.values()), (0.0, 0.0), len(totals), tuple(k for k, n in totals.items() if n))
-
-
-def beyond(values: Figures, limit: float) -> tuple[str, ...]:
-    """Devices whose figure is more than a limit, or not a number."""
-    return tuple(name for name, value in values.items() if not value <= limit)
-
-
-def rmse_of(figures: Figures, controller: str) -> float:
-    """RMSE of a controller over all motions [deg]; infinite where it is not there."""
-    return figures.get(f"{controller}.rmse_deg", math.inf)
-
-
-def over(controller: str, *others: str) -> Callable[[Figures], float]:
-    """RMSE of a controller over the least of others; infinite where one of them is missing."""
-
-    def ratio(figures: Figures) -> float:
-        a, b = rmse_of(figures, controller), min(rmse_of(figures, other) for other in others)
-        return a / b if math.isfinite(a) and b > 0 else math.inf
-
-    return ratio
-
-
-def by_device(devices: Mapping[str, Figures], figure: Callable[[Figures], _T]) -> dict[str, _T]:
-    """A figure of every device."""
-    return {name: figure(figures) for name, figures in devices.items()}
-
-
-@dataclass(frozen=True)
-class StudyTable:
-    """Rows of one table; floats are shown to four digits and written in full.
-
-    Attributes:
-        caption: what it shows, and whether its numbers are simulated, real or printed in a paper.
-    """
-
-    name: str
-    columns: Sequence[str]
-    rows: Sequence[Sequence[Cell]]
-    caption: str
-    shown: bool = True
-
-    @property
-    def piece(self) -> Table:
-        """The table of the report."""
-        return Table(self.columns, self.rows, f"{self.caption} ({self.name}.csv)")
-
-    @property
-    def csv(self) -> str:
-        """Comma-separated text."""
-        out = io.StringIO()
-        writer = csv.writer(out, lineterminator="\n")
-        writer.writerow(self.columns)
-        writer.writerows(self.rows)
-        return out.getvalue()
-
-    def save(self, folder: Path) -> Path:
-        """Write `tables/<name>.csv` below the study's folder."""
-        return write_atomically(folder / "tables" / f"{self.name}.csv", self.csv)
-
-    def only(self, caption: str, *columns: str) -> StudyTable:
-        """Some of the columns."""
-        places = [list(self.columns).index(name) for name in columns]
-        return StudyTable(self.name, columns, [[row[k] for k in places] for row in self.rows], caption)
-
-
-def cell(value: float) -> Cell:
-    """A figure in a table; one that is not there is a dash."""
-    return value if math.isfinite(value) else NOTHING if math.isnan(value) else "infinite"
-
-
-def bars_table(judged: Sequence[Bar]) -> StudyTable:
-    """Every bar with its number and goal."""
-    rows: list[list[Cell]] = []
-    for bar in judged:
-        interval = NOTHING if bar.ci90 is None else f"{bar.ci90[0]:.2f} to {bar.ci90[1]:.2f}"
-        more = f" and {len(bar.misses) - _NAMED} more" if len(bar.misses) > _NAMED else ""
-        named = ", ".join(bar.misses[:_NAMED]) + more
-        rows.append([bar.name, cell(bar.value), interval, bar.goal, bar.cases, bar.state, named or NOTHING])
-    columns = ("bar", "number", "90 % interval", "goal", "devices", "state", "devices beyond it")
-    return StudyTable("bars", columns, rows, "Simulated: the bars.")
-
-
-def bars_summary(judged: Sequence[Bar]) -> StudyTable:
-    """The bars as the command line shows them."""
-    return bars_table(judged).only("Bars", "bar", "number", "goal", "devices", "state")
-
-
-def figures_table(devices: Mapping[str, Figures]) -> StudyTable:
-    """Every figure of every device; CSV only."""
-    rows: list[list[Cell]] = [
-        [name, k, cell(value)] for name, figures in devices.items() for k, value in figures.items()
-    ]
-    return StudyTable("figures", ("device", "figure", "value"), rows, "", shown=False)
-
-
-def set_up(
-    about: str, facts: Mapping[str, object], outcome: Outcome[Any, Any], note: str | None = None
-) -> Iterator[Piece]:
-    """The head of a page: what was done, the settings, and what failed.
-
-    Args:
-        about: the study in some sentences; may be empty.
-        facts: rows of this study, before those that all studies have.
-        note: sentence below the settings; that of a quick run where left out.
-    """
-    settings, results, failed = outcome.settings, outcome.results, outcome.failed
-    yield Heading("Set-up")
-    if about:
-        yield Paragraph(about)
-    yield KeyValues(
-        {
-            **facts,
-            "jobs": f"{len(results) - len(failed)} done, {len(failed)} failed",
-            "seed": settings.seed,
-            "processor time of all jobs": f"{sum(r.seconds for r in results) / 60:.1f} min",
-            "hystmpc": outcome.meta.get("versions", {}).get("hystmpc"),
-            "started": outcome.meta.get("start"),
-        }
-    )
-    if note := (_QUICK_NOTE if settings.quick else "") if note is None else note:
-        yield Paragraph(note)
-    for result in failed:
-        yield Paragraph(f"FAILED: {result.job.key}: {result.message}")
-
-
-def ratios_figure(families: Mapping[str, Sequence[Sequence[float]]], subjects: Sequence[tuple[str, str]]) -> Plotted:
-    """RMSE over that of the better tuned rival, a panel for each family, its devices sorted by the first subject.
-
-    Args:
-        families: a row for each device of the family, with a ratio for each subject.
-        subjects: label and colour of each.
-    """
-    with new_figure(7.0, 3.0) as figure:
-        panels = figure.subplots(1, len(families), sharey=True)
-        for axes, (family, devices) in zip(panels, families.items(), strict=True):
-            ratios = np.array(sorted(devices, key=lambda row: row[0])).reshape(-1, len(subjects))
-            for y, (label, colour), mark in zip(ratios.T, subjects, _MARKS, strict=False):
-                axes.plot(np.arange(y.size), y, mark, color=colour, markersize=3.5, label=label, linestyle="none")
-            axes.axhline(1.0, color=REFERENCE, linewidth=0.8)
-            axes.axhline(0.5, color=REFERENCE, linewidth=0.6, linestyle="--")
-            axes.set(title=family, xticks=[], yscale="log")
-        panels[0].set_ylabel("RMSE over the best tuned PID's")
-        figure.supxlabel("devices, sorted", fontsize=9.0)
-        figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper center", ncols=3)
-    return figure

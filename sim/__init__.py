@@ -13,7 +13,6 @@ from hystmpc.trials import lazily
 
 if TYPE_CHECKING:
     from .config import SimulationConfig
-    from .devices.rod import RodParameters, simulate_rod
     from .gym_ import Disturbance, EnvironmentState, HysteresisEnv
     from .plants.simulated import Effects, SimulatedPlant
     from .study import run_closed_loop
@@ -23,11 +22,9 @@ __all__ = [
     "Effects",
     "EnvironmentState",
     "HysteresisEnv",
-    "RodParameters",
     "SimulatedPlant",
     "SimulationConfig",
     "run_closed_loop",
-    "simulate_rod",
 ]
 
 if not TYPE_CHECKING:  # the environment needs gymnasium, an extra
@@ -35,7 +32,6 @@ if not TYPE_CHECKING:  # the environment needs gymnasium, an extra
         __name__,
         ("hystmpc.sim.study", "run_closed_loop"),
         ("hystmpc.sim.config", "SimulationConfig"),
-        ("hystmpc.sim.devices.rod", "RodParameters simulate_rod"),
         ("hystmpc.sim.gym_", "Disturbance EnvironmentState HysteresisEnv"),
         ("hystmpc.sim.plants.simulated", "Effects SimulatedPlant"),
     )

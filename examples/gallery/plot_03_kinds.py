@@ -4,7 +4,8 @@ Which kind of model?
 
 ``hystmpc.fit`` knows many kinds of models. This page fits five of them to the same trials and compares them on motions
 left out. The device is a rod catheter from the equations of mechanics: an elastic tendon rubs in its lumen and bends a
-rod. None of the models has these equations, so the comparison is fair.
+rod. None of the models has these equations, so the comparison is fair. The rod comes with the laboratory:
+``pip install 'hystmpc[papers]'``.
 """
 
 import time
@@ -13,7 +14,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import hystmpc
-from hystmpc.sim import RodParameters, simulate_rod
+from hystmpc_lab import RodParameters, simulate_rod
 
 plt.style.use("hystmpc.trials.report")
 

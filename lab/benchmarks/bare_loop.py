@@ -1,4 +1,4 @@
-"""The machine's own floor: a loop that does nothing but sleep until each period's end on the monotonic clock.
+"""Jitter of the machine without any work: a loop that sleeps until each period's end on the monotonic clock.
 
     python lab/benchmarks/bare_loop.py [--rate 250] [--seconds 120] [--busy 0.001] [--priority 80] [--out WAKE_UPS.npy]
 
@@ -10,7 +10,6 @@ SCHED_FIFO and with its memory locked. Exit code 1 if a period was missed.
 
 from __future__ import annotations
 
-import argparse
 import sys
 import time
 from array import array
@@ -18,6 +17,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from kit import asked
 
 from hystmpc.rig.realtime import MonotonicClock, SchedulingSettings, scheduled
 from hystmpc.rig.safety.stop import StopFlag, stopping_on_signals
@@ -71,13 +71,14 @@ def floor(wake_ups: Vec, rate_hz: float) -> Floor:
 
 def main() -> int:
     """Sleep, and print one line."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--rate", type=float, default=250.0, help="periods a second")
-    parser.add_argument("--seconds", type=float, default=120.0, help="how long")
-    parser.add_argument("--busy", type=float, default=0.0, help="spin for so long in every period [s]")
-    parser.add_argument("--priority", type=int, help="of SCHED_FIFO, 1 to 99")
-    parser.add_argument("--out", type=Path, help="write wall clock and lateness of every wake-up here (.npy)")
-    given = parser.parse_args()
+    given = asked(
+        __doc__,
+        rate=(250.0, "periods a second"),
+        seconds=(120.0, "how long"),
+        busy=(0.0, "spin for so long in every period [s]"),
+        priority={"type": int, "help": "of SCHED_FIFO, 1 to 99"},
+        out={"type": Path, "help": "write wall clock and lateness of every wake-up here (.npy)"},
+    )
     flag, wanted = StopFlag(), SchedulingSettings(priority=given.priority, lock_memory=given.priority is not None)
     with stopping_on_signals(flag), scheduled(wanted) as notes:
         print("\n".join(notes), end="\n" if notes else "", file=sys.stderr)

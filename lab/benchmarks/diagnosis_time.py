@@ -16,12 +16,12 @@ import argparse
 import os
 import resource
 import time
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from kit import asked
+from kit import show as table
 from rich.console import Console
-from rich.table import Table
 
 from hystmpc.gap.diagnose import conclude, find_causes
 from hystmpc.models.identify.chain_fit import OperatorFitSettings
@@ -45,7 +45,7 @@ _NOTES = {"checking the trials": CHECK, "measuring the gap on the final trials":
 
 
 class Laps:
-    """Wall and processor time of each step, told apart by what the diagnosis says that it does."""
+    """Wall and processor time of each step of a diagnosis, by the notes of its progress."""
 
     def __init__(self) -> None:
         self.wall: dict[str, float] = {}
@@ -85,25 +85,25 @@ def recorded(args: argparse.Namespace) -> tuple[list[Trial], Simulator]:
 
 def show(console: Console, laps: Laps, title: str) -> None:
     """The table of one diagnosis."""
-    table = Table("step", "wall s", "processor s", title=title)
-    for step in laps.wall:
-        table.add_row(step, f"{laps.wall[step]:.2f}", f"{laps.processor[step]:.2f}")
     wall = sum(laps.wall.values())
-    table.add_row("all", f"{wall:.2f}", f"{sum(laps.processor.values()):.2f}", style="bold")
-    console.print(table)
+    rows = [(step, f"{laps.wall[step]:.2f}", f"{laps.processor[step]:.2f}") for step in laps.wall]
+    table(
+        ("step", "wall s", "processor s"), [*rows, ("all", f"{wall:.2f}", f"{sum(laps.processor.values()):.2f}")], title
+    )
     console.print(f"{'within' if wall <= GOAL_S else 'above'} {GOAL_S:g} s")
 
 
-def main(argv: Sequence[str] | None = None) -> None:
+def main() -> None:
     """Record, identify, diagnose, print."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--device", choices=sorted(CORES), default="capstan")
-    parser.add_argument("--model", default="backlash", help="kind of simulator: backlash, pi, ...")
-    parser.add_argument("--trials", type=int, default=10)
-    parser.add_argument("--seconds", type=float, default=60.0)
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--repeat", type=int, default=1, help="diagnoses of the same trials, one after another")
-    args = parser.parse_args(argv)
+    args = asked(
+        __doc__,
+        device={"choices": sorted(CORES), "default": "capstan"},
+        model=("backlash", "kind of simulator: backlash, pi, ..."),
+        trials=10,
+        seconds=60.0,
+        seed=1,
+        repeat=(1, "diagnoses of the same trials, one after another"),
+    )
     console = Console()
     trials, simulator = recorded(args)
     for k in range(args.repeat):

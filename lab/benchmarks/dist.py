@@ -10,7 +10,6 @@ without them. `SHA256SUMS` is written beside the two files. Exit code 1 where th
 
 from __future__ import annotations
 
-import argparse
 import gzip
 import hashlib
 import io
@@ -21,6 +20,8 @@ import sys
 import tarfile
 import tempfile
 from pathlib import Path
+
+from kit import asked
 
 ROOT = Path(__file__).resolve().parents[2]
 _FOLDER, _PROGRAM, _FILE = 0o755, 0o755, 0o644
@@ -61,9 +62,7 @@ def build(clone: Path, epoch: int) -> dict[str, bytes]:
 
 def main() -> int:
     """Build twice, compare, write."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--out", type=Path, default=ROOT / "dist", metavar="DIR")
-    out = parser.parse_args().out
+    out = asked(__doc__, out={"type": Path, "default": ROOT / "dist", "metavar": "DIR"}).out
     if shutil.which("git") is None or not (ROOT / ".git").exists():
         print("error: not a git checkout, expected one: what belongs to the commit is not known", file=sys.stderr)
         return 2

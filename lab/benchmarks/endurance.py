@@ -12,9 +12,7 @@ spins, allocates nothing and calls nothing, and counts how often it was left sta
 
 from __future__ import annotations
 
-import argparse
 import gc
-import json
 import subprocess
 import sys
 import time
@@ -23,9 +21,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from kit import asked, save, show
 from numpy.typing import NDArray
-from rich.console import Console
-from rich.table import Table
 from threadpoolctl import threadpool_limits
 
 from hystmpc.ctrl import TipController
@@ -106,7 +103,7 @@ def resident_mb() -> float:
 
 
 def endure(settings: dict[str, Any], rate_hz: float, steps: int, realtime: bool) -> Endured:
-    """Take the steps, one device and one planner beside them."""
+    """Run the controller for the steps, on a simulated device, with a planner that sets targets."""
     tip = TipController.from_config(settings)
     device, rng = SimulatedPlant(load_simulator(library_file("tendon-catheter")), seed=1), np.random.default_rng(0)
     y, period = device.reset(), 1.0 / rate_hz
@@ -145,7 +142,7 @@ def endure(settings: dict[str, Any], rate_hz: float, steps: int, realtime: bool)
 
 
 def start_times(settings: dict[str, Any]) -> tuple[float, float]:
-    """Seconds that the import takes, and until the first command is there, in a process of its own."""
+    """Times of the import and of the first command in a new process [s]."""
     code = _START.format(settings=settings)
     words = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
     return float(words[0]), float(words[1])
@@ -165,48 +162,46 @@ def _summary(
     return Endured(rate_hz, took.size, misses, *times, *machine, after, after - before, sources)
 
 
-def _table(runs: list[Endured]) -> Table:
-    table = Table(
-        "rate [Hz]",
-        "steps",
-        "missed",
-        "median [ms]",
-        "p99",
-        "greatest",
-        "stalls of a bare loop",
-        "resident [MB]",
-        "grown by",
-        "sources",
-    )
-    for run in runs:
-        times = (f"{1e3 * value:.2f}" for value in (run.median_s, run.p99_s, run.greatest_s))
-        sources = ", ".join(f"{name} {count}" for name, count in run.sources.items())
-        memory = f"{run.resident_mb:.0f}", f"{run.growth_mb:.1f}"
-        machine = f"{run.stalls} in {run.watched_s:.0f} s, up to {1e3 * run.longest_stall_s:.1f} ms"
-        table.add_row(f"{run.rate_hz:g}", str(run.steps), str(run.misses), *times, machine, *memory, sources)
-    return table
+_COLUMNS = (
+    "rate [Hz]",
+    "steps",
+    "missed",
+    "median [ms]",
+    "p99",
+    "greatest",
+    "stalls of a bare loop",
+    "resident [MB]",
+    "grown by",
+    "sources",
+)
+
+
+def _row(run: Endured) -> tuple[object, ...]:
+    times = (f"{1e3 * value:.2f}" for value in (run.median_s, run.p99_s, run.greatest_s))
+    sources = ", ".join(f"{name} {count}" for name, count in run.sources.items())
+    machine = f"{run.stalls} in {run.watched_s:.0f} s, up to {1e3 * run.longest_stall_s:.1f} ms"
+    memory = f"{run.resident_mb:.0f}", f"{run.growth_mb:.1f}"
+    return f"{run.rate_hz:g}", run.steps, run.misses, *times, machine, *memory, sources
 
 
 def main() -> int:
     """Print one row a rate and the start times; 0 if all goals are reached."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--steps", type=int, default=100_000, help="steps a rate")
-    parser.add_argument("--rate", type=float, action="append", help="deadline as a rate [Hz]; may be repeated")
-    parser.add_argument("--model", default="builtin:lstm", help="model file or builtin:NAME")
-    parser.add_argument("--kind", default="linearised_mpc", help="controller")
-    parser.add_argument("--realtime", action="store_true", help="one step a period of the monotonic clock")
-    parser.add_argument("--json", type=Path, help="write the figures here")
-    given = parser.parse_args()
+    given = asked(
+        __doc__,
+        steps=(100_000, "steps a rate"),
+        rate={"type": float, "action": "append", "help": "deadline as a rate [Hz]; may be repeated"},
+        model=("builtin:lstm", "model file or builtin:NAME"),
+        kind=("linearised_mpc", "controller"),
+        realtime=(False, "one step a period of the monotonic clock"),
+        json={"type": Path, "help": "write the figures here"},
+    )
     settings = {"model": given.model, "controller": {"kind": given.kind}}
     start_times(settings)  # kernels that are not in the cache yet are compiled once in a machine's life
     imported, first = start_times(settings)
     runs = [endure(settings, rate, given.steps, given.realtime) for rate in given.rate or [25.0, 250.0]]
-    console = Console()
-    console.print(_table(runs))
-    console.print(f"import {imported:.2f} s, first command {first:.2f} s", highlight=False)
-    if given.json is not None:
-        plain = {"import_s": imported, "first_command_s": first, "runs": [asdict(run) for run in runs]}
-        given.json.write_text(json.dumps(plain, indent=2) + "\n", encoding="utf-8")
+    show(_COLUMNS, map(_row, runs))
+    print(f"import {imported:.2f} s, first command {first:.2f} s")
+    save(given.json, {"import_s": imported, "first_command_s": first, "runs": [asdict(run) for run in runs]})
     return 0 if all(run.passed for run in runs) and imported <= IMPORT_S and first <= FIRST_COMMAND_S else 1
 
 

@@ -1,4 +1,4 @@
-"""The exported C beside the Python controller: greatest difference of the commands, step times, memory.
+"""Comparison of the exported C with the Python controller: greatest difference of the commands, step times, memory.
 
     python lab/benchmarks/exported_c.py [--steps 100000] [--case NAME] [--float32] [--repetitions 5]
 
@@ -13,7 +13,6 @@ warm between two steps, which they may not at the bench.
 
 from __future__ import annotations
 
-import argparse
 import subprocess
 import sys
 import tempfile
@@ -25,6 +24,8 @@ from typing import Any, final
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
+
+from kit import asked
 
 from hystmpc.codegen import ControllerExport, export_controller
 from hystmpc.codegen.build import FLAGS
@@ -117,12 +118,13 @@ def _say(name: str, found: Compared, times: Mat, export: ControllerExport) -> No
 
 def main() -> None:
     """Three lines a case."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--steps", type=int, default=100_000)
-    parser.add_argument("--repetitions", type=int, default=5, help="of the steps in the C program")
-    parser.add_argument("--case", choices=[*CASES, *GRU], action="append")
-    parser.add_argument("--float32", action="store_true")
-    given = parser.parse_args()
+    given = asked(
+        __doc__,
+        steps=100_000,
+        repetitions=(5, "of the steps in the C program"),
+        case={"choices": [*CASES, *GRU], "action": "append"},
+        float32=False,
+    )
     for name in given.case or [*CASES, *GRU]:
         settings, lag_s = CASES[name] if name in CASES else _gru(GRU[name])
         export = export_controller(settings, single=given.float32, folder=EXAMPLES)

@@ -1,4 +1,4 @@
-"""Exported FMUs beside the Python simulator: greatest difference of the angle, for each simulator and version.
+"""Comparison of exported FMUs with the Python simulator: greatest difference of the angle, by simulator and version.
 
     python lab/benchmarks/exported_fmu.py [--case NAME]
 
@@ -7,12 +7,13 @@ fmpy simulates the FMU over a sinusoid and a point-to-point motion of S2, as in 
 
 from __future__ import annotations
 
-import argparse
 import sys
 import tempfile
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
+
+from kit import asked
 
 from tests.codegen.importer import VERSIONS, greatest_difference, written
 from tests.codegen.test_fmu import PLANTS, plant_of
@@ -20,10 +21,9 @@ from tests.codegen.test_fmu import PLANTS, plant_of
 
 def main() -> None:
     """One line a simulator, then the greatest of all."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--case", choices=list(PLANTS), action="append")
+    chosen = asked(__doc__, case={"choices": list(PLANTS), "action": "append"}).case or PLANTS
     worst = dict.fromkeys(VERSIONS, 0.0)
-    for name in parser.parse_args().case or PLANTS:
+    for name in chosen:
         plant, off = plant_of(name), {}
         with tempfile.TemporaryDirectory() as folder:
             for version in VERSIONS:

@@ -12,7 +12,6 @@ nothing of all this: it is the model with parameters off by a fifth.
 
 from __future__ import annotations
 
-import argparse
 import math
 import sys
 from collections import Counter
@@ -22,8 +21,7 @@ from time import perf_counter
 from typing import Any
 
 import numpy as np
-from rich.console import Console
-from rich.table import Table
+from kit import asked, show
 from threadpoolctl import threadpool_limits
 
 from hystmpc.ctrl import CommandLimits, TipController
@@ -268,17 +266,14 @@ def run(steps: int, seed: int = 0) -> dict[str, Tally]:
 
 def main() -> None:
     """Print one row a controller; exit with 1 where anything was counted."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--steps", type=int, default=1_000_000, help="steps of all controllers together")
-    parser.add_argument("--seed", type=int, default=0, help="of the faults")
-    arguments = parser.parse_args()
-    tallies = run(arguments.steps, arguments.seed)
-    table = Table("controller", "steps", "violations", "exceptions", "steps/s", "commands by source")
+    given = asked(__doc__, steps=(1_000_000, "steps of all controllers together"), seed=(0, "of the faults"))
+    tallies = run(given.steps, given.seed)
+    rows = []
     for name, tally in tallies.items():
         sources = ", ".join(f"{source} {count / tally.steps:.1%}" for source, count in tally.sources.most_common())
-        counts = f"{tally.steps:,}", str(tally.violations), str(tally.exceptions), f"{tally.steps / tally.seconds:,.0f}"
-        table.add_row(name, *counts, sources)
-    Console().print(table)
+        per_s = f"{tally.steps / tally.seconds:,.0f}"
+        rows.append((name, f"{tally.steps:,}", tally.violations, tally.exceptions, per_s, sources))
+    show(("controller", "steps", "violations", "exceptions", "steps/s", "commands by source"), rows)
     for name, tally in tallies.items():
         if tally.first_exception:
             print(f"{name}: {tally.first_exception}")

@@ -9,7 +9,6 @@ while something was being mended proves nothing: draw with another.
 
 from __future__ import annotations
 
-import argparse
 import os
 import re
 import subprocess
@@ -22,6 +21,7 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
+from kit import asked
 from numpy.typing import NDArray
 from scipy.io import savemat
 
@@ -109,7 +109,7 @@ def trial(rng: Random, device: Device, dt_s: float, seconds: float, start: float
 
 
 def trials(rng: Random, device: Device, dt_s: float = 0.04, count: int = 4) -> list[hystmpc.Trial]:
-    """Trials of 20 s, each from a rest of its own."""
+    """Trials of 20 s that start at different rest commands."""
     return [trial(rng, device, dt_s, 20.0, rng.uniform(0.5, 5.5), f"trial_{k}.csv") for k in range(1, count + 1)]
 
 
@@ -347,11 +347,7 @@ KINDS: dict[str, Callable[[Random, Path], Outcome]] = {
 
 def main() -> int:
     """Draw and try."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--each", type=int, default=3)
-    parser.add_argument("--only", default="", help="words, one of which a kind's name has to hold")
-    given = parser.parse_args()
+    given = asked(__doc__, seed=1, each=3, only=("", "words, one of which a kind's name has to hold"))
     wrong = 0
     for number, (name, draw) in enumerate(KINDS.items()):
         if given.only and not any(word in name for word in given.only.split()):

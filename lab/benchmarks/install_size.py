@@ -10,7 +10,6 @@ one run (`python -X importtime`).
 
 from __future__ import annotations
 
-import argparse
 import re
 import resource
 import subprocess
@@ -19,6 +18,7 @@ from collections import Counter
 from importlib.metadata import distribution
 from pathlib import Path
 
+from kit import asked
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
@@ -85,10 +85,7 @@ def slowest(module: str, count: int = 4) -> str:
 
 def main() -> None:
     """Print both tables as Markdown."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--largest", type=int, default=12, metavar="N")
-    parser.add_argument("--runs", type=int, default=5, metavar="N")
-    wanted = parser.parse_args()
+    wanted = asked(__doc__, largest=12, runs=5)
     sizes = {name: megabytes(name) for name in required("hystmpc")}
     print(f"| of {len(sizes)} distributions | MB |\n|---|---|")
     for name in sorted(sizes, key=lambda n: -sizes[n])[: wanted.largest]:

@@ -10,7 +10,6 @@ and the controller alone, whose recording then ends its files by itself.
 
 from __future__ import annotations
 
-import argparse
 import contextlib
 import math
 import os
@@ -18,12 +17,12 @@ import signal
 import sys
 import tempfile
 import time
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from rich.console import Console
-from rich.table import Table
+from kit import asked, show
 
 from hystmpc.rig.recording.recorder_process import RecorderProcess, open_recorder_process
 from hystmpc.rig.recording.recording import Recording, RecordingMeta, open_recording
@@ -157,31 +156,18 @@ def _samples(file: Path, rate_hz: float) -> tuple[int, str]:
     return len(trial), ""
 
 
-def summary(outcomes: list[Outcome], rate_hz: float) -> Table:
-    """The table: one row for each way of dying."""
-    grid = Table(title=f"kill -9 while recording at {rate_hz:g} Hz, flush every 0.5 s", title_justify="left")
-    for name in (
-        "recording by",
-        "kills",
-        "unreadable or lost",
-        "nothing flushed yet",
-        "killed at [s]",
-        "samples found",
-    ):
-        grid.add_column(name, justify="left" if name == "recording by" else "right")
+_COLUMNS = ("recording by", "kills", "unreadable or lost", "nothing flushed yet", "killed at [s]", "samples found")
+
+
+def summary(outcomes: list[Outcome]) -> Iterator[tuple[object, ...]]:
+    """Rows of the table: one for each kind of kill."""
     for way in WAYS:
         here = [outcome for outcome in outcomes if outcome.way == way]
         if here:
             times, found = [o.at_s for o in here], [min(o.in_csv, o.in_mcap) for o in here]
-            grid.add_row(
-                way,
-                str(len(here)),
-                str(sum(bool(o.fault) for o in here)),
-                str(sum(not o.promised for o in here)),
-                f"{min(times):.2f} to {max(times):.2f}",
-                f"{min(found)} to {max(found)}",
-            )
-    return grid
+            lost, early = sum(bool(o.fault) for o in here), sum(not o.promised for o in here)
+            ends = f"{min(times):.2f} to {max(times):.2f}", f"{min(found)} to {max(found)}"
+            yield way, len(here), lost, early, *ends
 
 
 def campaign(kills: int, seed: int, rate_hz: float, longest_s: float, folder: Path) -> list[Outcome]:
@@ -192,19 +178,14 @@ def campaign(kills: int, seed: int, rate_hz: float, longest_s: float, folder: Pa
 
 def main() -> int:
     """Run the campaign; exit code 1 if a folder was unreadable or something that was flushed is lost."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--kills", type=int, default=100)
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--rate", type=float, default=250.0, help="samples per second")
-    parser.add_argument("--longest", type=float, default=3.0, help="latest kill [s]")
-    options = parser.parse_args()
+    options = asked(__doc__, kills=100, seed=0, rate=(250.0, "samples per second"), longest=(3.0, "latest kill [s]"))
     with tempfile.TemporaryDirectory() as folder:
         outcomes = campaign(options.kills, options.seed, options.rate, options.longest, Path(folder))
-    console = Console(width=112)
-    console.print(summary(outcomes, options.rate))
+    title = f"kill -9 while recording at {options.rate:g} Hz, flush every 0.5 s"
+    show(_COLUMNS, summary(outcomes), title, width=112)
     for outcome in outcomes:
         if outcome.fault:
-            console.print(f"{outcome.way}, killed at {outcome.at_s:.3f} s: {outcome.fault}", soft_wrap=True)
+            print(f"{outcome.way}, killed at {outcome.at_s:.3f} s: {outcome.fault}")
     return int(any(outcome.fault for outcome in outcomes))
 
 

@@ -1,41 +1,88 @@
-"""LSTM presets beside the play kernel on simulated devices: training time, free run on trials left out, closed loop.
+"""Comparison of LSTM presets with the play kernel, on simulated devices and by cross-validation on logs.
 
     python lab/benchmarks/lstm_presets.py [--devices tendon rod] [--models play_kernel lstm:best lstm:stacked]
                                       [--set network.plays=0 ...] [--seed 11]
+    python lab/benchmarks/lstm_presets.py --logs LOG.csv ... [--models ...]
 
 Ten trials of 60 s train a model, four further ones judge it: S2's sinusoids and ramps with holds (eq. (9)-(11)) at
 25 Hz with 0.15 deg of noise. A linearised MPC then follows a point-to-point motion with holds and scans of 0.2 and
-0.6 Hz. `--set` changes settings of the networks, for ablations. All of this is simulated.
+0.6 Hz. All of this is simulated. `--set` changes settings of the networks, for ablations. With `--logs` every log is
+predicted by a model that was identified on the others, exported and loaded again.
 """
 
 from __future__ import annotations
 
-import argparse
 import tempfile
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from leave_one_out import of_kind
+import yaml
+from kit import asked
 
 from hystmpc.models.contract.export import ExportBundle, export_onnx
 from hystmpc.models.contract.load import load_onnx
 from hystmpc.models.contract.metadata import DeviceLimits, Range
 from hystmpc.models.evaluate import evaluate, free_run
+from hystmpc.models.kinds.catalogue import kind_named
+from hystmpc.models.kinds.kind import FitRequest
+from hystmpc.models.kinds.networks import NetworkKind
+from hystmpc.models.networks.settings import NetworkSettings
+from hystmpc.models.train.networks import fit_network, network_bundle
 from hystmpc.sim.config import PlantSettings, SimulationConfig
 from hystmpc.sim.plants.device import make_plant
 from hystmpc.sim.study import prepare, run_closed_loop
 from hystmpc.trajectories.excitation import s2_point_to_point, s2_sinusoid
 from hystmpc.trajectories.trajectory import Trajectory
-from hystmpc.trials.trial import Trial
+from hystmpc.trials.read import read_trials
+from hystmpc.trials.trial import Trial, resample
 from hystmpc.trials.types import Vec
 
 DT_S, DURATION_S, NOISE_DEG = 0.04, 60.0, 0.15
 RETURN_MM_PER_S = 3.0
 LIMITS = DeviceLimits(Range(lower=0.0, upper=6.0), 12.0)
 HELD_S = 60.0
+
+
+Fit = Callable[[Sequence[Trial]], ExportBundle]
+
+
+def overridden(settings: NetworkSettings, changes: Sequence[str]) -> NetworkSettings:
+    """Settings with `a.b=value` changes."""
+    data = settings.model_dump()
+    for change in changes:
+        key, _, value = change.partition("=")
+        *parents, leaf = key.split(".")
+        node = data
+        for parent in parents:
+            node = node[parent]
+        node[leaf] = yaml.safe_load(value)
+    return NetworkSettings.parse(data, "--set")
+
+
+def of_kind(name: str, training: str, changes: Sequence[str]) -> Fit:
+    """How a kind is identified; trainings of networks may be changed."""
+    kind = kind_named(name)
+    if isinstance(kind, NetworkKind):
+        settings = overridden(kind.settings[training], changes)
+        return lambda trials: network_bundle(fit_network(trials, settings), trials)
+    asked_for = FitRequest(training=training if training in kind.trainings else kind.trainings[0], plays=10)
+    return lambda trials: kind.fit(trials, asked_for).bundle
+
+
+def left_out(logs: Sequence[Trial], model: str, changes: Sequence[str], folder: Path) -> str:
+    """One line of the table over logs: means of errors whole and from the first reversal on, and the hold drift."""
+    kind, _, preset = model.partition(":")
+    fit, rows = of_kind(kind, preset or "best", changes if preset else ()), []
+    for k, log in enumerate(logs):
+        export_onnx(fit([other for i, other in enumerate(logs) if i != k]), folder / "model.onnx")
+        opened = load_onnx(folder / "model.onnx")
+        whole, later = (evaluate(opened, log, skip_first_flexure=skip).errors for skip in (False, True))
+        pairs = [(e.rmse_deg, e.offset_free_rmse_deg) for e in (whole, later)]
+        rows.append([*pairs[0], *pairs[1], later.hold_drift_deg])
+    return " | ".join([model, " ".join(changes), *(f"{value:.3g}" for value in np.mean(rows, axis=0))])
 
 
 def filled(motions: Sequence[Trajectory]) -> Vec:
@@ -125,12 +172,21 @@ def row(device: str, model: str, changes: Sequence[str], seed: int, folder: Path
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--devices", nargs="+", default=["tendon", "rod"])
-    parser.add_argument("--models", nargs="+", default=["play_kernel", "lstm:best", "lstm:stacked"])
-    parser.add_argument("--set", nargs="*", default=[], metavar="KEY=VALUE")
-    parser.add_argument("--seed", type=int, default=11)
-    given = parser.parse_args()
+    given = asked(
+        __doc__,
+        devices={"nargs": "+", "default": ["tendon", "rod"]},
+        models={"nargs": "+", "default": ["play_kernel", "lstm:best", "lstm:stacked"]},
+        logs={"nargs": "*", "default": [], "help": "recorded at 25 Hz"},
+        set={"nargs": "*", "default": [], "metavar": "KEY=VALUE"},
+        seed=11,
+    )
+    if given.logs:
+        logs = [resample(trial, 1 / DT_S) for trial in read_trials(given.logs)]
+        print("model | changes | rmse | offset-free | rmse* | offset-free* | hold drift*; * from the first reversal on")
+        with tempfile.TemporaryDirectory() as folder:
+            for model in given.models:
+                print(left_out(logs, model, given.set, Path(folder)), flush=True)
+        return
     print("device | model | changes | wall s | cpu s | rmse | offset-free | drift 60 s | moves | scan 0.2 | scan 0.6")
     with tempfile.TemporaryDirectory() as folder:
         for device in given.devices:

@@ -8,10 +8,10 @@ lag and the sensor noise of `hystmpc demo`. Everything is seeded; the same machi
 
 from __future__ import annotations
 
-import argparse
 from pathlib import Path
 
 import numpy as np
+from kit import asked
 from rich.progress import Progress
 
 from hystmpc.models.contract.export import export_onnx
@@ -65,10 +65,7 @@ def settings(updates: int) -> NetworkSettings:
 
 def main() -> None:
     """Simulate the trials, identify, write."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--out", type=Path, default=LIBRARY)
-    parser.add_argument("--updates", type=int, default=4000)
-    arguments = parser.parse_args()
+    arguments = asked(__doc__, out=LIBRARY, updates=4000)
     trials = [recorded(name, motion, seed) for seed, (name, motion) in enumerate(excitations().items())]
     device = load_simulator(library_file("tendon-catheter"))
     limits = DeviceLimits(Range(lower=0.0, upper=6.0), device.command_rate_per_s)

@@ -10,7 +10,6 @@ where only a build for GPUs is offered, of several GB. Wheels only. Exit code 1 
 
 from __future__ import annotations
 
-import argparse
 import glob
 import os
 import re
@@ -23,6 +22,8 @@ import xml.etree.ElementTree as ET
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+
+from kit import asked
 
 ROOT = Path(__file__).resolve().parents[2]
 OURS = {"hystmpc": ".", "hystmpc-lab": "./lab"}
@@ -184,12 +185,13 @@ def failures(folder: Path) -> Iterator[str]:
 def main() -> int:
     """Run the cells that are asked for, then print the table."""
     versions = versions_supported()
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--python", nargs="+", choices=versions, default=versions, metavar="3.X")
-    parser.add_argument("--set", nargs="+", choices=SETS, default=list(SETS), dest="sets")
-    parser.add_argument("--keep", action="store_true", help="leave the venvs under .matrix/")
-    parser.add_argument("--table", action="store_true", help="run nothing: print the table of the last runs")
-    wanted = parser.parse_args()
+    wanted = asked(
+        __doc__,
+        python={"nargs": "+", "choices": versions, "default": versions, "metavar": "3.X"},
+        set={"nargs": "+", "choices": SETS, "default": list(SETS), "dest": "sets"},
+        keep=(False, "leave the venvs under .matrix/"),
+        table=(False, "run nothing: print the table of the last runs"),
+    )
     pythons = {version: interpreter(version) for version in versions}
     missing = [version for version, path in pythons.items() if path is None]
     if missing:

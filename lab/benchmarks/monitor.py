@@ -12,7 +12,6 @@ delay is counted in seconds of the run, rests included.
 
 from __future__ import annotations
 
-import argparse
 import math
 from collections import Counter
 from collections.abc import Iterator
@@ -22,8 +21,7 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
-from rich.console import Console
-from rich.table import Table
+from kit import asked, show
 
 from hystmpc.bench.identify import TIP_FILE, tip_settings
 from hystmpc.ctrl.monitor import Change, ChangeMonitor
@@ -143,37 +141,32 @@ def _alarms(monitor: ChangeMonitor, free: Vec, angles: Vec) -> int:
 
 def main() -> None:
     """Print both tables."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("folder", type=Path)
-    parser.add_argument("--hours", type=float, default=100.0)
-    parser.add_argument("--minutes", type=float, default=4.0)
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--jobs", type=int, default=2)
-    asked = parser.parse_args()
-    study = load_settings(CommissionStudySettings, asked.folder / "config.yaml")
+    given = asked(__doc__, folder={"place": True, "type": Path}, hours=100.0, minutes=4.0, seed=0, jobs=2)
+    study = load_settings(CommissionStudySettings, given.folder / "config.yaml")
     devices = draw_devices(study.devices, study.seed, study.quick)
-    there = [d for d in devices if (asked.folder / "commissioned" / d.key / TIP_FILE).is_file()]
-    do = partial(judge, folder=asked.folder, hours=asked.hours / len(there), minutes=asked.minutes, seed=asked.seed)
-    with ProcessPoolExecutor(asked.jobs) as pool:
+    there = [d for d in devices if (given.folder / "commissioned" / d.key / TIP_FILE).is_file()]
+    do = partial(
+        judge,
+        folder=given.folder,
+        hours=given.hours / len(there),
+        minutes=given.minutes,
+        seed=given.seed,
+    )
+    with ProcessPoolExecutor(given.jobs) as pool:
         found = list(pool.map(do, there))
-    console, hours = Console(), sum(one.hours for one in found)
-    alarms = sum(one.alarms for one in found)
+    alarms, hours = sum(one.alarms for one in found), sum(one.hours for one in found)
     noisy = ", ".join(f"{one.key} {one.alarms}" for one in found if one.alarms) or "none"
-    console.print(f"{len(found)} devices, {hours:.0f} h as identified: {alarms} false alarms ({noisy})")
-    table = Table("change", "said", "within a minute", "median delay [s]", "named right", "named")
+    print(f"{len(found)} devices, {hours:.0f} h as identified: {alarms} false alarms ({noisy})")
+    rows = []
     for change, sign in EXPECTED.items():
         delays = np.array([one.delays_s[change] for one in found])
         names = Counter(one.named[change] for one in found)
         said = np.isfinite(delays)
-        table.add_row(
-            change,
-            f"{said.sum()} of {said.size}",
-            str(int((delays[said] <= 60.0).sum())),
-            f"{np.median(delays[said]):.0f}" if said.any() else "",
-            str(names[sign]),
-            ", ".join(f"{name} {count}" for name, count in names.most_common()),
-        )
-    console.print(table)
+        median = f"{np.median(delays[said]):.0f}" if said.any() else ""
+        named = ", ".join(f"{name} {count}" for name, count in names.most_common())
+        quick = int((delays[said] <= 60.0).sum())
+        rows.append((change, f"{said.sum()} of {said.size}", quick, median, names[sign], named))
+    show(("change", "said", "within a minute", "median delay [s]", "named right", "named"), rows)
 
 
 if __name__ == "__main__":

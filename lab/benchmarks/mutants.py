@@ -10,8 +10,6 @@ they fail by themselves nothing is learned. Exit code 1 below 95 % killed, 2 whe
 
 from __future__ import annotations
 
-import argparse
-import json
 import os
 import re
 import shutil
@@ -28,8 +26,8 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Literal
 
+from kit import asked, save, show
 from rich.console import Console
-from rich.table import Table
 
 from hystmpc.trials.config import read_yaml
 
@@ -248,16 +246,6 @@ def run(mutants: Sequence[Mutant], jobs: int, timeout_s: float, tell: Console) -
         return list(pool.map(judged, mutants))
 
 
-def table(results: Sequence[Result]) -> Table:
-    """One row a mutant, and the share of those killed."""
-    grid = Table(title=f"{len(results)} mutants, {share(results):.1%} killed", title_justify="left")
-    for name in ("room", "what is wrong", "verdict", "by", "s"):
-        grid.add_column(name, justify="right" if name == "s" else "left")
-    for r in results:
-        grid.add_row(r.room, r.name, r.verdict, r.by, f"{r.seconds:.0f}")
-    return grid
-
-
 def share(results: Sequence[Result]) -> float:
     """The share of those killed; an error is not one."""
     return sum(r.verdict == "killed" for r in results) / max(len(results), 1)
@@ -265,12 +253,13 @@ def share(results: Sequence[Result]) -> float:
 
 def main() -> int:
     """Judge the mutants; see the module for the exit codes."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--jobs", type=int, default=1, help="workers, each with a copy of its own")
-    parser.add_argument("--only", action="append", default=[], help="a part of a name or file; may be repeated")
-    parser.add_argument("--timeout", type=float, default=300.0, help="for the tests of one mutant [s]")
-    parser.add_argument("--out", type=Path, help="JSON file of the results")
-    options = parser.parse_args()
+    options = asked(
+        __doc__,
+        jobs=(1, "workers, each with a copy of its own"),
+        only={"action": "append", "default": [], "help": "a part of a name or file; may be repeated"},
+        timeout=(300.0, "for the tests of one mutant [s]"),
+        out={"type": Path, "help": "JSON file of the results"},
+    )
     chosen = [m for m in MUTANTS if not options.only or any(t in m.name or t in m.file for t in options.only)]
     console = Console(width=160)
     if not chosen:
@@ -282,10 +271,10 @@ def main() -> int:
     except NotApplicableError as error:
         console.print(f"error: {error}", soft_wrap=True, markup=False)
         return 2
-    console.print(table(results))
-    if options.out is not None:
-        found = {"killed_share": share(results), "mutants": [asdict(r) for r in results]}
-        options.out.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
+    rows = ((r.room, r.name, r.verdict, r.by, f"{r.seconds:.0f}") for r in results)
+    title = f"{len(results)} mutants, {share(results):.1%} killed"
+    show(("room", "what is wrong", "verdict", "by", "s"), rows, title, width=160)
+    save(options.out, {"killed_share": share(results), "mutants": [asdict(r) for r in results]})
     if any(r.verdict == "error" for r in results):
         return 2
     return int(share(results) < LEAST_SHARE)

@@ -16,10 +16,8 @@ before, in order, and, where the controller lives, the stop. Exit code 1 where s
 
 from __future__ import annotations
 
-import argparse
 import contextlib
 import ctypes
-import json
 import math
 import multiprocessing
 import os
@@ -36,8 +34,7 @@ from pathlib import Path
 from typing import NoReturn
 
 import numpy as np
-from rich.console import Console
-from rich.table import Table
+from kit import asked, save, show
 
 from hystmpc.cli.main import main as hystmpc
 from hystmpc.rig.config import load_run
@@ -66,7 +63,7 @@ def dies_with_its_parent() -> None:
 
 
 def forked(work: Callable[[], object], output: int | None = None) -> int:
-    """A process of its own that does some work and ends; its number."""
+    """Fork a process that does some work and ends; its process id."""
     child = os.fork()
     if child:
         return child
@@ -97,7 +94,7 @@ def program(*arguments: object) -> Callable[[], None]:
 
 
 def relay(wire: socket.socket, device: int, orders: int) -> NoReturn:
-    """Hand datagrams on, both ways, each controller by a socket of its own; drop them for a time when told to."""
+    """Relay datagrams in both directions, one socket for each controller; drop them for a time on request."""
     waiting = selectors.DefaultSelector()
     waiting.register(wire, selectors.EVENT_READ)
     waiting.register(orders, selectors.EVENT_READ)
@@ -126,7 +123,7 @@ def relay(wire: socket.socket, device: int, orders: int) -> NoReturn:
 
 @dataclass(frozen=True)
 class Lane:
-    """A device and its relay, in processes of their own.
+    """A device process and its relay process.
 
     Attributes:
         folder: of `device.csv`.
@@ -301,47 +298,44 @@ def _missing(logged: Sequence[float], sequence: Sequence[float], got: Sequence[f
     return f"log: {lost} of {len(got)} commands are missing" if lost else ""
 
 
-def table(moments: Sequence[Moment]) -> Table:
-    """One row a kind of fault."""
-    title = f"faults at random moments; the device may move on by {OVERSHOOT:g} mm"
-    grid = Table(title=title, title_justify="left")
-    for name in (
-        "fault",
-        "moments",
-        "not as it has to be",
-        "held then [mm]",
-        "greatest rise [mm]",
-        "slowest return [s]",
-    ):
-        grid.add_column(name, justify="left" if name == "fault" else "right")
+_COLUMNS = (
+    "fault",
+    "moments",
+    "not as it has to be",
+    "held then [mm]",
+    "greatest rise [mm]",
+    "slowest return [s]",
+)
+
+
+def summary(moments: Sequence[Moment]) -> Iterator[tuple[object, ...]]:
+    """A row of the table for each kind of fault."""
     for kind in KINDS:
         here = [m for m in moments if m.kind == kind]
         if here:
-            held = [m.from_mm for m in here]
+            held, wrong = [m.from_mm for m in here], sum(bool(m.fault) for m in here)
             numbers = f"{max(m.rise_mm for m in here):.2f}", f"{max(m.safe_s for m in here):.1f}"
-            wrong = str(sum(bool(m.fault) for m in here))
-            grid.add_row(kind, str(len(here)), wrong, f"{min(held):.1f} to {max(held):.1f}", *numbers)
-    return grid
+            yield kind, len(here), wrong, f"{min(held):.1f} to {max(held):.1f}", *numbers
 
 
 def main() -> int:
     """Play them; exit code 1 where something is not as it has to be."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--moments", type=int, default=200, help="of each kind of fault")
-    parser.add_argument("--lanes", type=int, default=4, help="devices at a time")
-    parser.add_argument("--seed", type=int, default=0, help="of the moments")
-    parser.add_argument("--only", choices=KINDS, action="append", help="a kind of fault; may be repeated")
-    parser.add_argument("--out", type=Path, help="JSON file of all moments")
-    options = parser.parse_args()
+    options = asked(
+        __doc__,
+        moments=(200, "of each kind of fault"),
+        lanes=(4, "devices at a time"),
+        seed=(0, "of the moments"),
+        only={"choices": KINDS, "action": "append", "help": "a kind of fault; may be repeated"},
+        out={"type": Path, "help": "JSON file of all moments"},
+    )
     with tempfile.TemporaryDirectory() as folder:
         moments = campaign(options.only or KINDS, options.moments, options.lanes, options.seed, Path(folder))
-    console = Console(width=112)
-    console.print(table(moments))
+    title = f"faults at random moments; the device may move on by {OVERSHOOT:g} mm"
+    show(_COLUMNS, summary(moments), title, width=112)
     for m in moments:
         if m.fault:
-            console.print(f"{m.kind} at {m.at_s:.2f} s, {m.from_mm:.2f} mm: {m.fault}", soft_wrap=True, markup=False)
-    if options.out is not None:
-        options.out.write_text(json.dumps([asdict(m) for m in moments], indent=1) + "\n", encoding="utf-8")
+            print(f"{m.kind} at {m.at_s:.2f} s, {m.from_mm:.2f} mm: {m.fault}")
+    save(options.out, [asdict(m) for m in moments])
     return int(any(m.fault for m in moments))
 
 

@@ -11,23 +11,21 @@ docs/reference/devices.md.
 
 from __future__ import annotations
 
-import argparse
 import json
 from collections.abc import Sequence
 from dataclasses import asdict, fields, replace
 from pathlib import Path
 
 import numpy as np
-from rich.console import Console
+from kit import asked, show
 from rich.progress import Progress
-from rich.table import Table
 from scipy.optimize import least_squares, minimize_scalar
 
-from hystmpc.sim.devices.rod import RodCatheter, RodParameters
 from hystmpc.trials.read import read_trials
 from hystmpc.trials.report import MEASURED, MODEL, new_figure, style
 from hystmpc.trials.trial import Trial, resample
 from hystmpc.trials.types import Vec
+from hystmpc_lab.devices.rod import RodCatheter, RodParameters
 
 FREE: dict[str, tuple[float, float]] = {  # searched between; in logarithms where the lower bound is positive
     "rest_deg": (-30.0, 40.0),
@@ -73,7 +71,7 @@ def free_run(p: RodParameters, trial: Trial, start_mm: float) -> Vec:
 
 
 def split(x: Vec, trials: Sequence[Trial], base: RodParameters) -> tuple[RodParameters, Vec]:
-    """Parameters and the trials' own pull [mm] at a point of the search."""
+    """Parameters, and the initial pull of each trial [mm], at a point of the search."""
     own = START_MM[0] + (START_MM[1] - START_MM[0]) * x[len(FREE) :] if x.size > len(FREE) else np.zeros(len(trials))
     return decoded(x, base), own - own.mean()
 
@@ -124,14 +122,14 @@ def rmse(p: RodParameters, trial: Trial, start_mm: float) -> tuple[float, float]
 
 def report(p: RodParameters, trials: Sequence[Trial], own: Vec) -> None:
     """Print one row a log."""
-    table = Table(title="rod device against recorded logs, free run [deg]")
-    for column in ("log", "own pull [mm]", "RMSE", "from the first reversal on"):
-        table.add_column(column, justify="left" if column == "log" else "right")
     rows = [rmse(p, trial, start) for trial, start in zip(trials, own, strict=True)]
-    for trial, start, row in zip(trials, own, rows, strict=True):
-        table.add_row(Path(trial.source).stem, f"{start:+.3f}", f"{row[0]:.3f}", f"{row[1]:.3f}")
-    table.add_row("mean", "", *(f"{value:.3f}" for value in np.mean(rows, axis=0)))
-    Console(width=100).print(table)
+    shown = [
+        (Path(trial.source).stem, f"{start:+.3f}", *(f"{value:.3f}" for value in row))
+        for trial, start, row in zip(trials, own, rows, strict=True)
+    ]
+    mean = ("mean", "", *(f"{value:.3f}" for value in np.mean(rows, axis=0)))
+    columns = ("log", "own pull [mm]", "RMSE", "from the first reversal on")
+    show(columns, [*shown, mean], "rod device against recorded logs, free run [deg]", width=100)
 
 
 def draw(p: RodParameters, trials: Sequence[Trial], own: Vec, folder: Path) -> None:
@@ -157,16 +155,17 @@ def draw(p: RodParameters, trials: Sequence[Trial], own: Vec, folder: Path) -> N
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("logs", nargs="+", type=Path)
-    parser.add_argument("--layout", default="auto", help="layout of the logs")
-    parser.add_argument("--rate-hz", type=float, default=25.0)
-    parser.add_argument("--out", type=Path, help="folder for figure and parameters")
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--starts", type=int, default=2, help="points from which is searched")
-    parser.add_argument("--shared-start", action="store_true", help="no number of a log's own")
-    parser.add_argument("--check", action="store_true", help="the shipped parameters instead of a search")
-    given = parser.parse_args()
+    given = asked(
+        __doc__,
+        logs={"place": True, "nargs": "+", "type": Path},
+        layout=("auto", "layout of the logs"),
+        rate_hz=25.0,
+        out={"type": Path, "help": "folder for figure and parameters"},
+        seed=0,
+        starts=(2, "points from which is searched"),
+        shared_start=(False, "no number of a log's own"),
+        check=(False, "the shipped parameters instead of a search"),
+    )
     trials = [resample(trial, given.rate_hz) for trial in read_trials(given.logs, given.layout)]
     if given.check:
         p, own = RodParameters(), np.zeros(len(trials))

@@ -24,7 +24,6 @@ device's time: `--rate 1000 --faster 40`, `--rate 250 --faster 10`.
 
 from __future__ import annotations
 
-import argparse
 import json
 import math
 import os
@@ -39,9 +38,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from kit import asked, save, show
 from numpy.typing import NDArray
-from rich.console import Console
-from rich.table import Table
 
 from hystmpc.models.contract.export import ExportBundle, export_onnx
 from hystmpc.models.contract.load import load_onnx
@@ -54,7 +52,7 @@ from hystmpc.rig.experiment.review import compare_with_model, review
 from hystmpc.trials.config import dump_yaml
 from hystmpc.trials.errors import ConfigError, HystmpcError
 from hystmpc.trials.run_folder import RunFolder
-from hystmpc_lab.control.controllers import CONTROLLERS
+from hystmpc_lab.control.settings import CONTROLLERS
 from hystmpc_lab.faults.cases import DEVICE, RUN
 from hystmpc_lab.faults.play import end, start, start_device
 from hystmpc_lab.performance.lstm_reference import LstmStep, lstm_step_graph
@@ -114,7 +112,7 @@ class Soaked:
 
 @dataclass(frozen=True)
 class Row:
-    """A run over a wire beside the same one in process, and what a loop that only spins as long misses."""
+    """A run over a wire, the same run in process, and the misses of a loop that only spins."""
 
     wire: Soaked
     in_process: Soaked
@@ -206,7 +204,7 @@ def _scheduling(plan: Plan, priority: int) -> dict[str, Any]:
 
 
 def soak(folder: Path, plan: Plan, transport: str) -> Soaked:
-    """One run in a new folder, with a device where there is a wire, and the sleeper beside it."""
+    """One run in a new folder, with a device process where there is a wire, while the sleeping loop runs."""
     device_file, run = configurations(folder, plan, transport)
     device = None
     try:
@@ -255,7 +253,7 @@ def _bare(plan: Plan, file: Path, seconds: float, *more: object) -> list[str]:
 
 @contextmanager
 def sleeping(file: Path, plan: Plan) -> Any:
-    """The bare loop in a process of its own while the block runs; `file` gets its wake-ups."""
+    """Context in which the bare loop runs in another process; `file` gets its wake-ups."""
     sleeper = subprocess.Popen(_bare(plan, file, math.inf), stdout=subprocess.PIPE, text=True)
     assert sleeper.stdout is not None
     sleeper.stdout.readline()
@@ -267,11 +265,7 @@ def sleeping(file: Path, plan: Plan) -> Any:
 
 
 def _measured(folder: Path, transport: str, rate_hz: float, ended: str, taken_s: float) -> Soaked:
-    """The figures of a run from what it left.
-
-    Raises:
-        HystmpcError: if it left no log, with what it said.
-    """
+    """The figures of a run from what it left."""
     if not (folder / "run" / "timing.json").exists():
         raise ConfigError(f"{transport} at {rate_hz:g} Hz: the run did not begin: {ended}")
     run = RunFolder.open(folder / "run")
@@ -318,18 +312,12 @@ def soaks(folder: Path, plan: Plan, transports: Sequence[str]) -> list[Row]:
     return rows
 
 
-def table(rows: Sequence[Row]) -> Table:
-    """One column a run over a wire."""
-    grid = Table("ms, deg RMS")
+def lines_of(rows: Sequence[Row]) -> list[tuple[str, ...]]:
+    """Lines of the table: one column a run over a wire."""
     figures = [_figures(row) for row in rows]
     sources = sorted({name for row in rows for name in row.wire.sources})
-    for row in rows:
-        grid.add_column(f"{row.wire.transport} {row.wire.rate_hz:g} Hz", justify="right")
-    for name in figures[0]:
-        grid.add_row(name, *(found[name] for found in figures))
-    for name in sources:
-        grid.add_row(f"commands by {name}", *(str(row.wire.sources.get(name, 0)) for row in rows))
-    return grid
+    lines = [(name, *(found[name] for found in figures)) for name in figures[0]]
+    return lines + [(f"commands by {name}", *(str(row.wire.sources.get(name, 0)) for row in rows)) for name in sources]
 
 
 def _figures(row: Row) -> dict[str, str]:
@@ -363,31 +351,38 @@ def _figures(row: Row) -> dict[str, str]:
 
 def main() -> int:
     """Print the table; 0 if every bar is reached."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--rate", type=float, action="append", help="samples a second; may be repeated")
-    parser.add_argument("--minutes", type=float, action="append", help="of tracking, one for each rate or one for all")
-    parser.add_argument("--transport", choices=WIRES, action="append", help="may be repeated; both where left out")
     usable = [name for name, one in CONTROLLERS.items() if one.predictive and one.model not in ("hb2", "oracle")]
-    parser.add_argument("--controller", choices=usable, default="linearised_backlash", help="of the control study")
-    parser.add_argument("--realtime", action="store_true", help="under SCHED_FIFO, memory locked")
-    parser.add_argument("--blocks", type=_blocks, default=(), help="move_blocking of the controller: 1,1,2,4")
-    parser.add_argument("--faster", type=float, default=1.0, help="a device so many times as fast")
-    parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="as `hystmpc run --set`")
-    parser.add_argument("--out", type=Path, help="keep the runs in this new folder")
-    parser.add_argument("--json", type=Path, help="write the figures here")
-    given = parser.parse_args()
+    given = asked(
+        __doc__,
+        rate={"type": float, "action": "append", "help": "samples a second; may be repeated"},
+        minutes={"type": float, "action": "append", "help": "of tracking, one for each rate or one for all"},
+        transport={"choices": WIRES, "action": "append", "help": "may be repeated; both where left out"},
+        controller={"choices": usable, "default": "linearised_backlash", "help": "of the control study"},
+        realtime=(False, "under SCHED_FIFO, memory locked"),
+        blocks={"type": _blocks, "default": [], "help": "move_blocking of the controller: 1,1,2,4"},
+        faster=(1.0, "a device so many times as fast"),
+        set={"action": "append", "default": [], "metavar": "KEY=VALUE", "help": "as `hystmpc run --set`"},
+        out={"type": Path, "help": "keep the runs in this new folder"},
+        json={"type": Path, "help": "write the figures here"},
+    )
     rates = given.rate or [25.0, 250.0]
     minutes = given.minutes or ([10.0, 2.0] if given.rate is None else [2.0])
     minutes = minutes * len(rates) if len(minutes) == 1 else minutes
     if len(minutes) != len(rates):
-        parser.error(f"got {len(minutes)} --minutes and {len(rates)} --rate, expected one for each or one for all")
+        sys.exit(f"got {len(minutes)} --minutes and {len(rates)} --rate, expected one for each or one for all")
     rows: list[Row] = []
     failure = ""
     with tempfile.TemporaryDirectory() as scratch:
         try:
             for rate_hz, length in zip(rates, minutes, strict=True):
                 plan = Plan(
-                    rate_hz, length, given.controller, tuple(given.set), given.realtime, given.blocks, given.faster
+                    rate_hz,
+                    length,
+                    given.controller,
+                    tuple(given.set),
+                    given.realtime,
+                    tuple(given.blocks),
+                    given.faster,
                 )
                 rows += soaks(given.out or Path(scratch), plan, given.transport or WIRES)
         except HystmpcError as error:  # what is done by then is told all the same
@@ -404,16 +399,14 @@ def _blocks(text: str) -> tuple[int, ...]:
 
 
 def _tell(rows: Sequence[Row], file: Path | None) -> None:
-    console = Console()
-    console.print(table(rows))
+    columns = ("ms, deg RMS", *(f"{row.wire.transport} {row.wire.rate_hz:g} Hz" for row in rows))
+    show(columns, lines_of(rows))
     for row in rows:
         for run in (row.wire, row.in_process):
             lines = [f"ended early: {run.ended}"] if run.ended else []
             for line in (*lines, *run.refused):
-                console.print(f"{run.transport} at {run.rate_hz:g} Hz: {line}", soft_wrap=True, markup=False)
-    if file is not None:
-        plain = [{**asdict(row), "ratio": row.ratio, "passed": row.passed} for row in rows]
-        file.write_text(json.dumps(plain, indent=2) + "\n", encoding="utf-8")
+                print(f"{run.transport} at {run.rate_hz:g} Hz: {line}")
+    save(file, [{**asdict(row), "ratio": row.ratio, "passed": row.passed} for row in rows])
 
 
 if __name__ == "__main__":

@@ -59,7 +59,7 @@ class Ablated:
 
     @property
     def found(self) -> bool:
-        """Whether the component is among the names, or left open beside them."""
+        """Whether the component is among the names, or among those that stay ambiguous."""
         return self.component in (*self.said, *self.left_open)
 
 
@@ -80,7 +80,6 @@ def ablate(
 
     Raises:
         ConfigError: if the simulator has no effect around its core.
-        GapError: on unusable trials.
     """
     names = components(simulator.chain)
     if not names:
@@ -107,7 +106,7 @@ def components(chain: Chain) -> tuple[str, ...]:
 
 
 def without(simulator: Simulator, component: str) -> Simulator:
-    """The simulator less a component; nothing is known of what it leaves."""
+    """The simulator without one component; its residuals are unknown."""
     chain = replace(
         simulator.chain,
         before=tuple(o for o in simulator.chain.before if effect_of(o.name) != component),

@@ -5,19 +5,90 @@ A new one is a function under `@generates`; its equation must not be the library
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from scipy.signal import fftconvolve
 
 from hystmpc.models.effects.catalogue import EFFECTS
+from hystmpc.models.kernels.numba_ import njit
 from hystmpc.trials.errors import ConfigError, did_you_mean
 from hystmpc.trials.types import Vec
 
 from ..devices.cores import FINE_S, PARTS, TRAVEL_MM, Scene, rise
-from . import kernels
+
+
+@njit(cache=True, error_model="numpy")
+def second_order(u: Any, dt: float, frequency: float, damping: float, out: Any) -> None:
+    """x'' = w^2 (u - x) - 2 zeta w x', semi-implicit, from rest at u[0]; w in rad/s."""
+    x, v = u[0], 0.0
+    for k in range(u.size):
+        v = (v + dt * frequency**2 * (u[k] - x)) / (1 + 2 * dt * damping * frequency + (dt * frequency) ** 2)
+        x += dt * v
+        out[k] = x
+
+
+@njit(cache=True, error_model="numpy")
+def cascade(u: Any, dt: float, lag: float, inner: float, limit: float, out: Any) -> None:
+    """Position loop over a velocity loop, from rest at u[0]; stays behind a ramp by `lag` [s].
+
+    x' = v,  v' = b (r - v) + b^2 / 4 q,  q' = r - v,  r = clip((u - x) / lag, +-limit),  b = inner / lag.
+    """
+    x, v, q, band = u[0], 0.0, 0.0, inner / lag
+    for k in range(u.size):
+        wanted = min(max((u[k] - x) / lag, -limit), limit)
+        v = (v + dt * band * (wanted + 0.25 * band * q)) / (1 + dt * band)
+        q += dt * (wanted - v)
+        x += dt * v
+        out[k] = x
+
+
+@njit(cache=True, error_model="numpy")
+def lugre(drive: Any, dt: float, break_away: float, ratio: float, speed: float, numbers: Any, out: Any) -> None:
+    """Overdamped LuGre block behind a spring of unit stiffness; all forces are in degrees of the spring.
+
+    drive - y = s0 z + s1 z' + s2 y',  z' = v - s0 |v| z / g(v),  g = Fs (r + (1 - r) exp(-(v / vs)^2)), v = y'
+    (Canudas de Wit et al., IEEE Trans. Automatic Control 40, 1995, eq. (1)-(3)); z' is implicit.
+    """
+    s0, s1, s2 = numbers[0], numbers[1], numbers[2]
+    y, z, v = drive[0], 0.0, 0.0
+    for k in range(drive.size):
+        g = break_away * (ratio + (1 - ratio) * math.exp(-((v / speed) ** 2)))
+        decay = s0 * abs(v) / max(g, 1e-9)
+        # Force balance at the end of the step, z and y implicit in v, the decay rate explicit.
+        keep = 1 / (1 + dt * decay)
+        held = s0 * keep * z - s1 * decay * keep * z
+        per_v = dt + s0 * keep * dt + s1 * (1 - decay * keep * dt) + s2
+        v = (drive[k] - y - held) / per_v
+        z = keep * (z + dt * v)
+        y += dt * v
+        out[k] = y
+
+
+@njit(cache=True, error_model="numpy")
+def direction(x: Any, length: float, out: Any) -> None:
+    """Smoothed direction d in -1..1: dd / d|x| = (sign(dx) - d) / length, from d = 0."""
+    d, before = 0.0, x[0]
+    for k in range(x.size):
+        step = x[k] - before
+        before = x[k]
+        if step != 0.0:
+            side = 1.0 if step > 0 else -1.0
+            d = side + (d - side) * math.exp(-abs(step) / length)
+        out[k] = d
+
+
+@njit(cache=True, error_model="numpy")
+def plastic(bend: Any, dt: float, limit: float, exponent: float, rate: float, out: Any) -> None:
+    """Set s with unit hardening: s' = rate max(bend - limit - s, 0)^exponent (Norton and Hoff), which never shrinks."""
+    s = 0.0
+    for k in range(bend.size):
+        s += dt * rate * max(bend[k] - limit - s, 0.0) ** exponent
+        out[k] = s
+
 
 Shape = Mapping[str, float]
 Site = Literal["drive", "friction", "tip", "sensor"]
@@ -36,7 +107,7 @@ _SESSION_S = 1800.0
 
 @dataclass(frozen=True)
 class Generator:
-    """One way to produce an effect; its equation is not the library's.
+    """Generator of an effect; its equation is not the library's.
 
     Attributes:
         label: name of the effect that a diagnosis should give; `unknown` where the library has none, or another word
@@ -78,7 +149,7 @@ def between(**ranges: tuple[float, float]) -> Draw:
 def generates(
     label: str, site: Site, typical: float, greatest: float, draw: Draw = between()
 ) -> Callable[[Apply], Apply]:
-    """Register a function as a generator of its own name; arguments as the attributes of `Generator`."""
+    """Register a function as a generator under its name; arguments as the attributes of `Generator`."""
 
     def register(apply: Apply) -> Apply:
         name = str(getattr(apply, "__name__", label))
@@ -98,7 +169,7 @@ def cascaded_servo(u: Vec, scene: Scene, size: float, shape: Shape) -> Vec:
     It stays behind by 8 ms at the least, below which it is not stable on the grid; its limit of speed remains.
     """
     out = np.empty(u.size)
-    kernels.cascade(u, FINE_S, max(size, _LEAST_LAG_S), shape["inner"], shape["strokes_per_s"] * scene.travel, out)
+    cascade(u, FINE_S, max(size, _LEAST_LAG_S), shape["inner"], shape["strokes_per_s"] * scene.travel, out)
     return out
 
 
@@ -147,7 +218,7 @@ def lugre_tip(angle: Vec, scene: Scene, size: float, shape: Shape) -> Vec:
     """Tip that sticks in its lumen by LuGre friction; `size` is the break-away [deg of bending]."""
     del scene
     out = np.empty(angle.size)
-    kernels.lugre(angle, FINE_S, size, shape["ratio"], shape["stribeck_deg_s"], _LUGRE, out)
+    lugre(angle, FINE_S, size, shape["ratio"], shape["stribeck_deg_s"], _LUGRE, out)
     return out
 
 
@@ -164,7 +235,7 @@ def hertz_contact(angle: Vec, scene: Scene, size: float, shape: Shape) -> Vec:
 
 @generates("nonlinear_gain", "tip", 3.0, 50.0, between(mounting_deg=(-65.0, -20.0)))
 def weight(angle: Vec, scene: Scene, size: float, shape: Shape) -> Vec:
-    """Bending under its own weight: theta + `size` (sin(theta - phi) - sin(rest - phi)), phi the mounting [deg]."""
+    """Bending by gravity: theta + `size` (sin(theta - phi) - sin(rest - phi)), phi the mounting [deg]."""
     turned, rest = (np.deg2rad(a - shape["mounting_deg"]) for a in (angle, scene.rest_deg))
     return angle + size * (np.sin(turned) - np.sin(rest))
 
@@ -173,13 +244,13 @@ def weight(angle: Vec, scene: Scene, size: float, shape: Shape) -> Vec:
 def directional_stiffness(angle: Vec, scene: Scene, size: float, shape: Shape) -> Vec:
     """Elasticity that depends on the direction: theta + `size` d p(theta), d a smoothed direction in -1..1."""
     d, bend = np.empty(angle.size), scene.unit(angle)
-    kernels.direction(bend, shape["turn"], d)
+    direction(bend, shape["turn"], d)
     return angle + size * d * np.clip(bend, 0.0, 1.2) ** shape["power"]
 
 
 @generates("creep", "tip", 0.03, 0.4, between(onset_s=(0.2, 1.0)))
 def wall_log_creep(angle: Vec, scene: Scene, size: float, shape: Shape) -> Vec:
-    """Wall that gives way by a logarithmic law: theta + log_relaxation(theta), `size` the share per decade."""
+    """Wall that creeps by a logarithmic law: theta + log_relaxation(theta), `size` the share per decade."""
     del scene
     return angle + log_relaxation(angle, size, shape["onset_s"])
 
@@ -213,13 +284,13 @@ def thermal_drift(angle: Vec, scene: Scene, size: float, shape: Shape) -> Vec:
 def plastic_set(angle: Vec, scene: Scene, size: float, shape: Shape) -> Vec:
     """Set by viscoplastic flow with hardening beyond a yield bend, about `size` [deg]; it heals between trials."""
     bend, out = np.maximum.accumulate(scene.unit(angle)), np.empty(angle.size)
-    kernels.plastic(bend, FINE_S, shape["yield"], shape["exponent"], shape["rate_per_s"], out)
+    plastic(bend, FINE_S, shape["yield"], shape["exponent"], shape["rate_per_s"], out)
     return angle + size * out / max(1 - shape["yield"], 0.05)
 
 
 @generates("trial_shift", "tip", 0.6, 20.0, between(gain=(0.3, 0.8)))
 def remounting(angle: Vec, scene: Scene, size: float, shape: Shape) -> Vec:
-    """Every trial has its own shift, `size` [deg] times Student's t (5 degrees), and its own gain."""
+    """Shift of each trial, `size` [deg] times Student's t (5 degrees), and gain of each trial."""
     random = scene.random("remounting")
     shift, gain = random.standard_t(5), random.standard_normal()
     return angle + size * shift + size * shape["gain"] * gain * scene.unit(angle)
@@ -298,7 +369,7 @@ def cross_talk(angle: Vec, scene: Scene, size: float, shape: Shape) -> Vec:
     level = random.uniform(-1, 1, at.size + 1)
     t = np.arange(angle.size) * FINE_S
     moved = np.empty(t.size)
-    kernels.second_order(level[np.searchsorted(at, t)], FINE_S, 9.0, 1.0, moved)
+    second_order(level[np.searchsorted(at, t)], FINE_S, 9.0, 1.0, moved)
     return angle + size * moved * (1 + 0.5 * scene.unit(angle))
 
 
@@ -307,7 +378,7 @@ def tip_resonance(angle: Vec, scene: Scene, size: float, shape: Shape) -> Vec:
     """Lightly damped tip that rings after every acceleration: theta + `size` (ringing - theta)."""
     del scene
     out = np.empty(angle.size)
-    kernels.second_order(angle, FINE_S, 2 * np.pi * shape["frequency_hz"], shape["damping"], out)
+    second_order(angle, FINE_S, 2 * np.pi * shape["frequency_hz"], shape["damping"], out)
     return angle + size * (out - angle)
 
 

@@ -26,7 +26,7 @@ from hystmpc.trials.files import write_atomically
 from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Progress, Vec
 
-from ..study import Rate
+from ..page import Rate
 from .device import BlindDevice
 from .reading import LARGE
 from .run import FAILURE, complete_cases
@@ -94,7 +94,7 @@ class InvestigationJob:
 
 @dataclass(frozen=True)
 class ScoredInvestigation:
-    """One investigation beside the truth.
+    """One investigation with the true cause.
 
     Attributes:
         case, truth: name of the case, and of its cause.
@@ -110,11 +110,6 @@ class ScoredInvestigation:
     said: tuple[str, ...]
     device_s: float
     battery_s: float
-
-    @property
-    def first(self) -> bool:
-        """Whether its best single answer is the cause, as the blind check counts a diagnosis."""
-        return self.verdict in ("named", "one_of") and self.said[:1] == (self.truth,)
 
     @property
     def right(self) -> bool:
@@ -141,10 +136,6 @@ def investigate_blind(
 
     Returns:
         Investigations that failed, in this call.
-
-    Raises:
-        LogError: if the folder holds no blind check.
-        ConfigError: if a worker process died.
     """
     answers = open_answers(folder)
     todo = [
@@ -219,11 +210,6 @@ def scored_investigations(folder: Path) -> tuple[ScoredInvestigation, ...]:
         except (OSError, ValueError, KeyError) as error:
             raise LogError(f"{path}: not an investigation ({type(error).__name__}: {error})") from None
     return tuple(found)
-
-
-def named_first(found: Sequence[ScoredInvestigation]) -> Rate:
-    """Share of investigations whose best single answer is the cause."""
-    return Rate(sum(one.first for one in found), len(found))
 
 
 def named_right(found: Sequence[ScoredInvestigation]) -> Rate:

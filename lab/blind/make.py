@@ -18,10 +18,9 @@ from hystmpc.trials.trial import Trial, resample
 from hystmpc.trials.types import Progress
 
 from ..devices.cores import RATE_HZ, Core, Mounting, MuscleCore
-from .cases import CONTROLS, Wish, affected_case, control_case, set_up
+from .cases import CONTROLS, Wish, affected_case, control_case, injection_case, set_up
 from .device import DEVICES
 from .generators import ALIASED_RATE, CONFIGURATION, FOREIGN_EFFECTS, LABELS, SCATTER, UNKNOWN
-from .injection import injection_case
 from .plan import ALIASED
 from .sealed import Answer, Case, Manifest, Suite, case_name, seal, write_case
 
@@ -90,12 +89,7 @@ def places(suite: str, cases: int | None = None, with_logs: bool = False) -> lis
 
 
 def make_case(seed: int, suite: Suite, number: int, logs: Sequence[Trial] = ()) -> Case:
-    """Case `number` of a suite; equal arguments give equal cases. Devices take turns within each suite.
-
-    Raises:
-        ConfigError: if an injection is asked for without logs.
-        FitError: if no simulator can be identified.
-    """
+    """Case `number` of a suite; equal arguments give equal cases. Devices take turns within each suite."""
     key = (seed, _CODES[suite], number)
     if suite == "injection":
         return injection_case(logs, number, np.random.default_rng(key))
@@ -238,8 +232,6 @@ def make_blind(
 
     Raises:
         ConfigError: on an unknown suite, an occupied folder, a count below 1, or an injection without logs.
-        FitError: if no simulator can be identified for a case.
-        LogError: if a log cannot be read.
     """
     if cases is not None and cases < 1:
         raise ConfigError(f"cases: got {cases}, expected at least 1")

@@ -116,7 +116,6 @@ def reading_of(data: Mapping[str, Any], others: Mapping[str, str] | None = None)
 
     Raises:
         ValueError: on an unknown verdict.
-        KeyError: if a field is missing.
     """
     verdict = data["verdict"]
     if verdict not in VERDICTS:
@@ -196,7 +195,7 @@ class ScoredCase:
 
 
 def load_scored(folder: Path, partial: bool = False) -> list[ScoredCase]:
-    """Open the answers and set the diagnoses beside them.
+    """Diagnoses with their opened answers.
 
     Raises:
         LogError: if the answers are not those sealed, a diagnosis is damaged, or one is missing.

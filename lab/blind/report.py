@@ -13,9 +13,8 @@ from matplotlib.patches import Rectangle
 from hystmpc.models.effects.catalogue import confusable
 from hystmpc.trials.report import MEASURED, MODEL, REFERENCE, Heading, Paragraph, Piece, Plot, Report, Table, new_figure
 
-from ..study import Bar, Rate
-from .bars import true_share
-from .measures import Calibration, Confusion
+from ..page import Bar, Rate
+from .bars import Calibration, Confusion, true_share
 from .score import Score, miss_json
 
 BAR_COLUMNS = ("measure", "number", "90 % interval", "goal", "cases", "state")

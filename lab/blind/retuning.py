@@ -92,7 +92,7 @@ def _errors(runs: FreeRuns, baseline: Baseline, z: Vec) -> tuple[Vec, Vec]:
 
 
 def _step(jacobian: Vec, slope: Vec, damping: float) -> Vec:
-    """Levenberg's step (Q,), each parameter damped by its own curvature."""
+    """Levenberg's step (Q,), each parameter damped by its curvature."""
     normal = jacobian.T @ jacobian
     curvature = np.diag(normal)
     scale = np.maximum(curvature, 1e-9 * max(float(curvature.max(initial=0.0)), 1e-12))

@@ -26,9 +26,6 @@ def correlation_rule(trials: Sequence[Trial], simulator: Simulator) -> str:
     Signatures: speed (lag), acceleration (delay), |speed| times direction of loading (rate_dependence), time in the
     hold (creep), clock (drift), before the first reversal (first_flexure), low command (slack), high command
     (contact), command squared (nonlinear_gain), direction times command (asymmetry), mean by trial (trial_shift).
-
-    Raises:
-        FitError: if the simulator cannot be retuned.
     """
     commands = [trial.command for trial in trials]
     tuned = retune(simulator, commands, [trial.angle for trial in trials])
@@ -79,7 +76,7 @@ def _correlation(a: Vec, b: Vec) -> float:
 
 
 def fit_rules(selection: Selection, runs: Sequence[Run]) -> dict[str, str]:
-    """Answers of the rules `bic` and `single fit`, from the selection's own fits.
+    """Answers of the rules `bic` and `single fit`, from the fits of the selection.
 
     A rule that chooses several names is asked for the one which alone lowers the error of the fit the most.
     """
@@ -100,9 +97,6 @@ def bic_choice(tried: Mapping[frozenset[str], HeldOutErrors], runs: Sequence[Run
     trial), N their number, and r the correlation of neighbouring residuals of the best fit of all, as of an AR(1)
     process, whose mean N samples determine like n independent ones. Source: G. Schwarz, Ann. Stat. 6 (1978) 461; n from
     G. V. Bayley and J. M. Hammersley, J. R. Stat. Soc. Suppl. 8 (1946) 184.
-
-    Raises:
-        ValueError: if nothing was tried.
     """
     best = min((judged.hypothesis for judged in tried.values()), key=lambda h: h.mse)
     n = effective_samples([best.problem.error(best.q, run)[0] for run in runs])

@@ -1,4 +1,4 @@
-"""Diagnosing every case of a blind check, resumable; further motions recorded on a case's device."""
+"""Diagnosing every case of a blind check, resumable; further motions and sessions of a case's device."""
 
 from __future__ import annotations
 
@@ -12,6 +12,8 @@ from typing import Any, Protocol, TypeVar
 import numpy as np
 
 from hystmpc.gap.decide.attribution import Findings
+from hystmpc.gap.decide.gap_closed import FinalErrors, without_sawtooth
+from hystmpc.gap.logs.preparation import prepare
 from hystmpc.models.simulator import Simulator
 from hystmpc.sim.jobs import attempt, backend_for, run_jobs
 from hystmpc.trials.csv_files import write_csv
@@ -48,7 +50,6 @@ def record_motion(folder: Path, case: str, motion: Path) -> Path:
 
     Raises:
         ConfigError: on an unknown case, one of real logs, or a command beyond the device's travel.
-        LogError: if the motion or the answers cannot be read.
     """
     answers = open_answers(folder)
     if case not in answers:
@@ -68,7 +69,6 @@ def record_again(folder: Path, case: str) -> list[Trial]:
 
     Raises:
         ConfigError: on an unknown case, or one without a device.
-        LogError: if logs or answers cannot be read.
     """
     answers = open_answers(folder)
     if case not in answers or not answers[case].device or answers[case].suite == "controls":
@@ -139,10 +139,6 @@ def run_blind(
 
     Returns:
         Diagnoses that failed, in this call.
-
-    Raises:
-        LogError: if the folder holds no blind check.
-        ConfigError: if a worker process died.
     """
     manifest = read_manifest(folder)
     blind = [DiagnosisJob(folder, name, seed, manifest.without.get(name, ())) for name in manifest.cases]
@@ -160,6 +156,33 @@ def run_blind(
         ]
         failed += diagnose_all(told, jobs, progress)
     return failed
+
+
+def run_orders(
+    folder: Path, cases: int = 20, orders: int = 10, jobs: int = 1, seed: int = 0, progress: Progress | None = None
+) -> int:
+    """Diagnose some cases in random orders of their files, the order of recording unknown; resumable.
+
+    Args:
+        folder: made by `make_blind`.
+        cases: how many; the first ones, which are drawn at random.
+        orders: of each.
+
+    Returns:
+        Diagnoses that failed, in this call.
+
+    Raises:
+        ConfigError: on a count below 1, or if a worker process died.
+    """
+    if cases < 1 or orders < 1:
+        raise ConfigError(f"orders: got {orders} of {cases} cases, expected at least 1 of 1")
+    manifest = read_manifest(folder)
+    todo = [
+        DiagnosisJob(folder, name, seed, manifest.without.get(name, ()), (), f"{ORDERS}/{k:02d}", k)
+        for name in manifest.cases[:cases]
+        for k in range(orders)
+    ]
+    return diagnose_all(todo, jobs, progress)
 
 
 def diagnose_job(job: DiagnosisJob) -> tuple[DiagnosisJob, bool]:
@@ -183,7 +206,7 @@ def diagnose_job(job: DiagnosisJob) -> tuple[DiagnosisJob, bool]:
 def _diagnose(
     trials: Sequence[Trial], simulator: Simulator, job: DiagnosisJob
 ) -> tuple[dict[str, Any], dict[str, Any]]:
-    """The diagnosis in its fixed form, and what goes beside it; the motion that it proposes is written."""
+    """The diagnosis as JSON, and further facts about it; the motion that it proposes is written."""
     from hystmpc.gap.diagnose import conclude, find_causes
     from hystmpc.gap.next.motion_design import write_motion
 
@@ -211,8 +234,6 @@ def _renamed(trials: Sequence[Trial], job: DiagnosisJob) -> list[Trial]:
 
 def _beside(findings: Findings, trials: Sequence[Trial], simulator: Simulator, job: DiagnosisJob) -> dict[str, Any]:
     """Answers of simple rules, and the share that the causes close in another session, if the device can have one."""
-    from .later_session import closed_in_later_session
-
     rules = fit_rules(findings.attribution.selection, findings.prepared.development)
     found: dict[str, Any] = {"others": {"correlation": correlation_rule(trials, simulator), **rules}}
     if findings.conclusion.closed.causes:
@@ -304,3 +325,23 @@ def _later(folder: Path, case: str) -> list[Trial]:
     """Trials of a case that were recorded after those it was made with."""
     logs = folder / "follow_up" / case
     return read_trials([logs]) if logs.is_dir() else []
+
+
+def closed_in_later_session(findings: Findings, trials: Sequence[Trial]) -> float:
+    """Closed share of the corrected simulator on trials of a later session, over the floor of the first one.
+
+    The 90 % interval of the closed share refers to this quantity: the corrected simulator on more such trials, not a
+    perfect model. As in `FinalErrors.closed`, what jumps leave by their nature counts as closed.
+
+    Args:
+        findings: of a diagnosis.
+        trials: a whole session of the device, ordered as the first one was.
+    """
+    later = prepare(trials, findings.simulator, ordered=findings.prepared.order == "known")
+    later = replace(later, final=later.everything)
+    attribution, conclusion = findings.attribution, findings.conclusion
+    causes = conclusion.closed.causes.keys()
+    jumps = attribution.jumps if "stick_slip" in causes - conclusion.chosen.effects else None
+    fitted = attribution.validation, attribution.retuned, conclusion.chosen, conclusion.floor
+    errors = FinalErrors(later, *fitted, "sensor" in causes, findings.seed, jumps)
+    return errors.shares.closed(without_sawtooth(errors.after, jumps.mse if jumps else 0.0).mse)

@@ -15,11 +15,24 @@ from hystmpc.models.effects.catalogue import confusable
 from hystmpc.trials.files import write_atomically
 from hystmpc.trials.json_text import plain
 
-from ..study import Bar, Rate
-from .bars import HEALTHY, alarm, bars, confidently_wrong, covers_perfection, metrics
+from ..page import Bar, Rate
+from .bars import (
+    HEALTHY,
+    Calibration,
+    Confusion,
+    alarm,
+    bars,
+    calibration,
+    chance,
+    confidently_wrong,
+    confusion,
+    covers_perfection,
+    metrics,
+    rate,
+    truths_of,
+)
 from .generators import LABELS, NAMES
 from .make import RATIOS, SUITES
-from .measures import Calibration, Confusion, calibration, chance, confusion, rate, truths_of
 from .reading import FAILED, ScoredCase, load_scored, of_suites
 
 FORMAT = "hystmpc-blind-score/1"
@@ -50,11 +63,7 @@ class Score:
 
 
 def score_blind(folder: Path, partial: bool = False) -> Score:
-    """Open the answers, score the diagnoses, write `score.json`.
-
-    Raises:
-        LogError: if diagnoses are missing, or the answers are not those that were sealed.
-    """
+    """Open the answers, score the diagnoses, write `score.json`."""
     result = score_of(load_scored(folder, partial))
     result = replace(result, bars=(*result.bars, *_investigation_bars(folder)))
     write_atomically(folder / "score.json", json.dumps(score_json(result), indent=1))
@@ -117,7 +126,7 @@ def _by(
 
 
 def _size(case: ScoredCase) -> str:
-    """The wanted ratio that the found one is nearest to."""
+    """The wanted ratio nearest to the measured one."""
     return f"{min(RATIOS, key=lambda r: abs(math.log(max(case.answer.ratio, 1e-3) / r))):g}"
 
 

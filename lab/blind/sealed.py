@@ -66,11 +66,7 @@ class EffectAnswer(Settings):
     main: bool = True
 
     def withheld(self) -> Withheld:
-        """The effect itself.
-
-        Raises:
-            ConfigError: if its generator is none of a synthetic device.
-        """
+        """The effect itself."""
         return Withheld(generator_named(self.generator), self.size, self.shape)
 
 
@@ -231,12 +227,7 @@ def open_answers(folder: Path) -> dict[str, Answer]:
 
 
 def read_case(folder: Path, name: str) -> tuple[list[Trial], Simulator]:
-    """Logs and simulator of one case, as the diagnosis gets them.
-
-    Raises:
-        LogError: if a log cannot be used.
-        ModelError: if the simulator cannot.
-    """
+    """Logs and simulator of one case, as the diagnosis gets them."""
     where = folder / "cases" / name
     return read_trials([where]), load_simulator(where / "sim.yaml")
 

@@ -8,41 +8,164 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, final
 
 import numpy as np
 
 from hystmpc.bench.commission import Commissioned, commission_device
+from hystmpc.bench.config import CommissionSettings
 from hystmpc.bench.device import BenchDevice
 from hystmpc.bench.identify import TIP_FILE, tip_settings
 from hystmpc.ctrl.build import build_controller
 from hystmpc.ctrl.command import limits_of_model
 from hystmpc.ctrl.feedback import InverseControllerSettings, PidControllerSettings
-from hystmpc.ctrl.guarded import LawSettings
-from hystmpc.ctrl.loop import Controller, ImagingSettings, NoSensorSettings
+from hystmpc.ctrl.guarded import GuardedController, GuardedState, LawSettings
+from hystmpc.ctrl.loop import Controller, ImagingSettings, NoSensorSettings, Plant
 from hystmpc.ctrl.mpc_settings import LinearisedMpcSettings
 from hystmpc.gap.diagnose import diagnose_trials
 from hystmpc.gap.expected_tracking import DEFAULT_CONTROLLER, covered_motions
+from hystmpc.models.contract.metadata import Range
 from hystmpc.models.kinds.catalogue import kind_named
 from hystmpc.models.prediction.build import ControllerModel, controller_model
 from hystmpc.models.simulator import ChainModel, load_simulator
-from hystmpc.sim.plants.computed import ComputedPlant
+from hystmpc.rig.transports.simulated import SimulatedSettings
+from hystmpc.rig.transports.transport import PlantFactory
+from hystmpc.sim.plants.computed import ComputedPlant, Sensing
 from hystmpc.sim.study import ClosedLoopRun
 from hystmpc.sim.tuning.gains import searched_gains
 from hystmpc.trajectories.drawn import CountedMotion
+from hystmpc.trials.types import Vec
 
-from ..devices.drawn import DrawnDevice, DrawnPlant, draw_devices, worn
+from ..devices.drawn import DrawnDevice, DrawnPlant, drawn_devices, worn
+from ..devices.exact import Rehearsed
 from ..devices.motions import fresh_motions, recordings
-from ..identify.job import DeviceStudy, identified_as, opened_model, tuned_rivals
-from ..identify.scores import AS_IDENTIFIED_NOISE_DEG, IdentifiedPlant, controller_on, tracked
+from ..identify.job import (
+    AS_IDENTIFIED_NOISE_DEG,
+    DeviceStudy,
+    IdentifiedPlant,
+    controller_on,
+    identified_as,
+    opened_model,
+    tracked,
+    tuned_rivals,
+)
 from ..identify.settings import IdentifySettings
-from .device import PreparedPlant, TakenUp, bench_settings, drawn_plants
-from .settings import CommissionJob, CommissionStudySettings
+from .settings import WORN, CommissionJob, CommissionStudySettings
+
+_SLOW_S, _QUICK_S, _TOP_S, _REST_S = 4.0, 1.2, 0.3, 0.5  # of a stroke of either flexure, at its top, and behind it
+_MARGIN = 0.3  # of the reachable angles: how much more than them the sensor shows at either end
+_SENSOR_DEG_S = 5000.0  # an air muscle jumps by 25 deg in a sample of 25 Hz
+_SLACK = 0.8  # of the travel: a slack tendon moves nothing before
+_RAMP = 0.3  # share of the greatest rate at which the bench moves by itself
+
+
+@final
+class PreparedPlant(ComputedPlant):
+    """A drawn device that rests behind two flexures, a slow and a quick one, as after the preparation of a bench.
+
+    Attributes:
+        commands, angles_deg: what was sent, and the angle measured when it was (T,).
+    """
+
+    def __init__(self, plant: DrawnPlant, seed: int) -> None:
+        self._plant, device = plant, plant.device
+        self.command_limits = Range(lower=device.limits.lower, upper=device.limits.upper)
+        asked = np.concatenate([_flexure(device, _SLOW_S), _flexure(device, _QUICK_S)])
+        self.commands = device.limits.clip_plans(asked, plant.rest_command, plant.dt)
+        flexed = plant.reseeded(seed)
+        angle, angles = flexed.reset(), []
+        for u in self.commands.tolist():
+            angles.append(angle)
+            angle = flexed.apply(u)
+        self.angles_deg: Vec = np.array(angles)
+        self._prepared = flexed.true_angle, flexed._state
+        super().__init__(plant.dt, plant.rest_command, plant.command_unit, Sensing(device.noise_deg), seed)
+
+    def _at_rest(self, random: np.random.Generator) -> tuple[float, Any]:
+        del random
+        return self._prepared
+
+    def _advanced(self, state: Vec, u: float, random: np.random.Generator) -> tuple[float, Vec]:
+        return self._plant._advanced(state, u, random)
+
+
+def _flexure(device: DrawnDevice, stroke_s: float) -> Vec:
+    """Commands up over the whole travel and back, with a rest at the top and at the end."""
+    up = np.linspace(0.0, device.limits.upper, round(stroke_s * device.rate_hz) + 1)[1:]
+    top = np.full(round(_TOP_S * device.rate_hz), device.limits.upper)
+    rest = np.zeros(round(_REST_S * device.rate_hz))
+    return np.concatenate([up, top, up[-2::-1], [0.0], rest])
+
+
+@final
+class TakenUp(Rehearsed):
+    """A controller that takes up the preparation of a `PreparedPlant` when it starts, as `hystmpc run` does.
+
+    Args:
+        sensor: an imaging system that has seen the preparation in frames; the angle in every sample where left out.
+    """
+
+    def __init__(
+        self, controller: GuardedController[Any], plant: PreparedPlant, sensor: ImagingSettings | None = None
+    ) -> None:
+        angles = plant.angles_deg
+        if sensor is not None:
+            every = max(round(1.0 / (sensor.rate_hz * plant.dt)), 1)
+            noise = np.random.default_rng(plant.seed).standard_normal(angles.size)
+            seen = np.arange(angles.size) % every == 0
+            angles = np.where(seen, angles + sensor.noise_deg * noise, np.nan)
+        super().__init__(controller, plant.commands, angles)
+
+    def init(self, y: float, u: float) -> GuardedState[Any]:
+        del y, u
+        return self._controller.replay(self._commands, self._angles)
+
+
+def bench_settings(plant: DrawnPlant, commission: Mapping[str, Any], folder: Path) -> CommissionSettings:
+    """The bench of a drawn device and the block `commission`: what a user would write into the file."""
+    device, limits = plant.device, plant.device.limits
+    low, high = plant.reachable_deg
+    margin = _MARGIN * (high - low)
+    ramps = {
+        "velocity_per_s": _RAMP * limits.rate,
+        "acceleration_per_s2": 5 * limits.rate,
+        "jerk_per_s3": 50 * limits.rate,
+    }
+    return CommissionSettings.parse(
+        {
+            "name": device.key,
+            "rate_hz": device.rate_hz,
+            "command_unit": device.unit,
+            "limits": {"lower": limits.lower, "upper": limits.upper, "rate_per_s": limits.rate},
+            "ramps": ramps,
+            "safe_command": limits.lower,
+            "sensor": {
+                "lower_deg": min(low, plant.true_angle) - margin,
+                "upper_deg": high + margin,
+                "rate_limit_deg_s": _SENSOR_DEG_S,
+            },
+            "plausibility": {"travel": _SLACK * limits.upper},
+            "transport": {"kind": "simulated", "plant": {"device": device.key}, "seed": device.seed % 1000},
+            "prepare": [{"step": "flexure", "lower": limits.lower, "upper": limits.upper}],
+            "latch_file": str(folder / "latch.json"),
+            "commission": {**commission, "seed": device.seed % 1000},
+        },
+        device.key,
+    )
+
+
+def drawn_plants(device: DrawnDevice) -> PlantFactory:
+    """Makes the device behind its bench; the seed of the transport is that of the noise."""
+
+    def made(settings: SimulatedSettings, dt_s: float) -> tuple[Plant, float]:
+        del dt_s
+        plant = DrawnPlant(device, settings.seed)
+        return plant, plant.rest_command
+
+    return made
+
 
 IMAGING = ImagingSettings(rate_hz=5.0, latency_s=0.2, noise_deg=0.5)
-WORN = {"friction": (2.0, 1.0), "stiffness": (1.0, 2.0)}
-"""Factors on friction and stiffness of a device that has changed since it was commissioned."""
-
 UNKNOWN_LAG_S = 0.2
 BAND_SIGMAS = 1.645
 """Half of a band that holds 90 % of a normal distribution, in standard deviations."""
@@ -54,11 +177,7 @@ _IMAGING_SHARE = 5  # the search under frames costs more: a share of the evaluat
 
 
 def run_stage(job: CommissionJob, settings: CommissionStudySettings, folder: Path) -> dict[str, Any]:
-    """Message and figures of a job.
-
-    Raises:
-        HystmpcError: if the device cannot be commissioned, or a controller cannot be built.
-    """
+    """Message and figures of a job."""
     bench = StudyBench(settings, folder, drawn_devices(settings)[job.number])
     message, figures = {"commission": _commission, "compare": _compare, "gap": _tracking_gap}[job.stage](bench)
     return {"message": message, "figures": figures}
@@ -101,11 +220,6 @@ class StudyBench:
     ) -> tuple[dict[str, float], list[ClosedLoopRun]]:
         """Figures of a controller over all motions, `name` before each, and the runs."""
         return tracked(name, controller, plant or self.plant, motions or self.motions, self.device, sensor=sensor)
-
-
-def drawn_devices(settings: CommissionStudySettings) -> tuple[DrawnDevice, ...]:
-    """All devices of the draw."""
-    return draw_devices(settings.devices, settings.seed, settings.quick)
 
 
 def _commission(bench: StudyBench) -> tuple[str, dict[str, float]]:
@@ -187,7 +301,7 @@ def _changed(
 
 
 def _sensors(bench: StudyBench, identified: ControllerModel, tip: LawSettings) -> dict[str, float]:
-    """Without a sensor and with frames of an imaging system, beside the PID tuned for those."""
+    """Figures without a sensor, with frames of an imaging system, and of the PID tuned for frames."""
     limits, blind, frames = bench.device.limits, NoSensorSettings(), IMAGING
     alone = _of(tip, {"estimator": dict(blind.estimator_keys())})
     figures, runs = bench.along("none", TakenUp(controller_on(alone, identified, limits), bench.plant), sensor=blind)

@@ -1,43 +1,42 @@
-"""Settings, jobs and results of the commissioning study."""
+"""Settings, results and requirements of the commissioning study."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Annotated, Any, ClassVar, Literal
 
+import numpy as np
 from pydantic import Field
 
-from ..study import Figure, Result, StudySettings
+from hystmpc.gap.diagnosis import TrackingGap
+from hystmpc.gap.expected_tracking import AGREEMENT
+
+from ..devices.drawn import FAMILIES, DrawnSettings
+from ..page import Bar, Figures, beyond, by_device, over
+from ..study import Figure, Outcome, Result
 
 Stage = Literal["commission", "compare", "gap"]
 STAGES: tuple[Stage, ...] = ("commission", "compare", "gap")
+WORN = {"friction": (2.0, 1.0), "stiffness": (1.0, 2.0)}
+"""Factors on friction and stiffness of a device that has changed since it was commissioned."""
 
 
-class CommissionStudySettings(StudySettings):
+class CommissionStudySettings(DrawnSettings):
     """Settings of the study `commission`.
 
     Attributes:
-        study: always `commission`.
-        devices: how many are drawn.
-        rates_hz: of the drawn devices, those of these sample rates are done [Hz]; all where it is empty.
-        evaluations: closed-loop runs over all motions in the search of each rival's gains, about.
         minutes: device time of each commissioning [min]; a computed device is prepared anew before every motion, which
             takes some seconds more.
         diagnose: whether a commissioning diagnoses its model; takes most of the time, and changes no controller.
-        seed: of the draw, the motions, the noise and the searches.
-        quick: few and short motions at 25 Hz: proves that everything runs, and nothing else.
     """
 
     QUICK: ClassVar[Mapping[str, Any]] = {"devices": 8, "evaluations": 12, "diagnose": False}
     study: Literal["commission"] = "commission"
-    devices: Annotated[int, Field(ge=1, le=1000)] = 60
-    rates_hz: tuple[float, ...] = ()
-    evaluations: Annotated[int, Field(ge=10)] = 300
     minutes: Annotated[float, Field(gt=0, le=5)] = 4.6
     diagnose: bool = True
-    seed: Annotated[int, Field(ge=0)] = 1
-    quick: bool = False
 
 
 @dataclass(frozen=True)
@@ -56,9 +55,138 @@ class CommissionResult(Result):
     Attributes:
         message: the error of a failed job, else the verdict of the commissioning.
         facts: of the device, for tables.
-        figures: by controller and figure such as `commissioned.rmse_deg`, see `scores`.
+        figures: by controller and figure such as `commissioned.rmse_deg`, see `identify.job.scores`.
     """
 
     job: CommissionJob
     facts: Mapping[str, str | float] = field(default_factory=dict)
     figures: Mapping[str, Figure] = field(default_factory=dict)
+
+
+RIVALS = ("pid", "inverse_pid")
+MOST_DEVICE_S = 300.0
+
+
+@dataclass(frozen=True, eq=False)
+class CommissionOutcome(Outcome[CommissionStudySettings, CommissionResult]):
+    """The study with the results of all its jobs."""
+
+    @cached_property
+    def figures(self) -> Mapping[str, Figures]:
+        """All figures of a device, of both stages, by its name."""
+        merged: dict[str, dict[str, float]] = {}
+        for result in self.results:
+            merged.setdefault(device_of(result), {}).update(result.figures)
+        return merged
+
+    @cached_property
+    def families(self) -> Mapping[str, str]:
+        """Family of each device."""
+        return {device_of(result): str(result.facts["family"]) for result in self.results}
+
+
+def device_of(result: CommissionResult) -> str:
+    """Name of a job's device."""
+    return result.job.key.removesuffix(f"-{result.job.stage}")
+
+
+def over_rival(controller: str) -> Callable[[Figures], float]:
+    """RMSE of a controller over that of the better tuned rival; infinite where one of them is missing."""
+    return over(controller, *RIVALS)
+
+
+def bars(outcome: CommissionOutcome) -> list[Bar]:
+    """All bars; a device whose job failed counts as infinitely bad."""
+    learned = [(f"{name} changed, learning over none", over(name, f"{name}_off")) for name in WORN]
+    return [
+        *_quantiles(outcome, "commissioned, over the best tuned rival", over_rival("commissioned"), (0.5, 0.8, 1.1)),
+        _worst(outcome, "device time of a commissioning [s]", lambda f: f.get("device_s", math.inf), MOST_DEVICE_S),
+        _worst(outcome, "learning over none, as commissioned: worst", over("commissioned", "learning_off"), 1.05),
+        *_quantiles(outcome, "model of another device of its family", over_rival("sibling"), (0.8, None, 1.1)),
+        _worst(outcome, "model of another family, over the PID: worst", over("stranger", "pid"), 1.1),
+        _worst(outcome, "a lag of 0.2 s in the model too many, over the PID: worst", over("wrong_lag", "pid"), 1.1),
+        *(_worst(outcome, f"{name}: worst", ratio, 1.05) for name, ratio in learned),
+        *(_median(f"{name}: median", by_device(outcome.figures, ratio), 0.5) for name, ratio in learned),
+        _worst(
+            outcome,
+            "without a sensor, as identified, over the inverse: worst",
+            over("as_identified_none", "as_identified_inverse"),
+            1.2,
+        ),
+        _band(outcome),
+        _worst(outcome, "frames over no sensor: worst", over("imaging", "none"), 1.1),
+        *_by_family(outcome, "frames over the PID tuned for them", over("imaging", "imaging_pid"), 0.5),
+        _gap(outcome),
+        _total(outcome, "samples stopped by a controller that learns", "stops", learns=True),
+        _total(outcome, "samples beyond a limit, all controllers", "violations"),
+    ]
+
+
+def _quantiles(
+    outcome: CommissionOutcome,
+    name: str,
+    figure: Callable[[Figures], float],
+    limits: tuple[float, float | None, float],
+) -> list[Bar]:
+    """Median, 90th percentile where it has a limit, and worst."""
+    values, levels = by_device(outcome.figures, figure), {"median": 0.5, "90th percentile": 0.9, "worst": 1.0}
+    return [
+        Bar.at_most(f"{name}: {what}", values, limit, level, None if what == "worst" else ())
+        for (what, level), limit in zip(levels.items(), limits, strict=True)
+        if limit is not None
+    ]
+
+
+def _worst(outcome: CommissionOutcome, name: str, figure: Callable[[Figures], float], limit: float) -> Bar:
+    return Bar.at_most(name, by_device(outcome.figures, figure), limit)
+
+
+def _median(name: str, values: Figures, limit: float) -> Bar:
+    return Bar(name, float(np.median(list(values.values()))), (0.0, limit), len(values), beyond(values, limit))
+
+
+def _by_family(outcome: CommissionOutcome, name: str, figure: Callable[[Figures], float], limit: float) -> list[Bar]:
+    """Median over the devices of each family."""
+    values, judged = by_device(outcome.figures, figure), []
+    for family in FAMILIES:
+        members = [value for device, value in values.items() if outcome.families[device] == family]
+        if members:
+            judged.append(Bar(f"{name}, {family}: median", float(np.median(members)), (0.0, limit), len(members), ()))
+    return judged
+
+
+def _band(outcome: CommissionOutcome) -> Bar:
+    """Share of all samples, each device counting alike."""
+    shares = by_device(outcome.figures, lambda f: f.get("none.within_band", math.nan))
+    known = [share for share in shares.values() if math.isfinite(share)]
+    misses = tuple(name for name, share in shares.items() if not 0.85 <= share <= 0.95)
+    value = float(np.mean(known)) if known else math.nan
+    return Bar("without a sensor, within the band of 90 %", value, (0.85, 0.95), len(known), misses)
+
+
+def gap_agrees(figures: Figures) -> bool | None:
+    """Whether the tracking error fell on the device by the share that was said, give or take 30 % of it; None unsaid.
+
+    Where no fall was said, the error may fall or rise by no more than the floor of the noise, or 30 % of itself.
+    """
+    if not figures.get("gap.said"):
+        return None
+    said = TrackingGap(figures["gap.said_before_deg"], figures["gap.said_after_deg"])
+    before, after, floor = (figures[f"gap.{name}_deg"] for name in ("before", "after", "floor"))
+    if not said.changes(floor):
+        return abs(before - after) <= max(floor, AGREEMENT * before)
+    return abs(1.0 - after / before - said.fall_share) <= AGREEMENT * abs(said.fall_share)
+
+
+def _gap(outcome: CommissionOutcome) -> Bar:
+    judged = {name: agrees for name, f in outcome.figures.items() if (agrees := gap_agrees(f)) is not None}
+    return Bar.share("tracking gap said within 30 %", judged, (0.8, 1.0))
+
+
+def _total(outcome: CommissionOutcome, name: str, figure: str, learns: bool = False) -> Bar:
+    """Samples over all controllers, or those that learn: without, another device's model may end in a latched stop."""
+    totals = {
+        device: sum(v for k, v in values.items() if k.endswith(f".{figure}") and not (learns and "_off." in k))
+        for device, values in outcome.figures.items()
+    }
+    return Bar.none(name, totals)

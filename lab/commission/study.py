@@ -2,16 +2,104 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from ..devices.drawn import DrawnDevice
-from ..study import Study, StudyTable, bars_summary, plain_result
-from .bars import CommissionOutcome, bars
-from .job import drawn_devices, run_stage
-from .report import commission_report
-from .settings import STAGES, CommissionJob, CommissionResult, CommissionStudySettings
+from matplotlib.figure import Figure
+
+from hystmpc.trials.report import MEASURED, MODEL, PALETTE, Heading, Plot, Report
+
+from ..devices.drawn import FAMILIES, DrawnDevice, drawn_devices
+from ..page import Cell, StudyTable, bars_table, cell, figures_table, judged_by, ratios_figure, rmse_of, set_up
+from ..study import Study
+from .job import run_stage
+from .settings import (
+    RIVALS,
+    STAGES,
+    CommissionJob,
+    CommissionOutcome,
+    CommissionResult,
+    CommissionStudySettings,
+    bars,
+    over_rival,
+)
+
+_ABOUT = """Simulated devices drawn at random: a core (rod, capstan, Dahl, muscle) behind a drive with delay, lag or
+servo, and creep, with a noisy sensor. Each is commissioned as `hystmpc commission` does it, on a simulated clock. The
+controller that it writes then follows three fresh motions. Each begins behind two flexures that it takes up, as a run
+at a bench does. The gains of its rivals, PID and inverse with PID, are searched on the very device and motions under
+another realisation of the noise. Every RMSE is of the true angle without the approaches. The same motions are followed
+with the model of another device, on a device that has changed, and with other sensors."""
+_SHOWN = (
+    "commissioned",
+    "learning_off",
+    *RIVALS,
+    "sibling",
+    "sibling_off",
+    "stranger",
+    "stranger_off",
+    "wrong_lag",
+    "friction",
+    "friction_off",
+    "stiffness",
+    "stiffness_off",
+    "none",
+    "imaging",
+    "imaging_pid",
+)
+
+
+def devices_table(outcome: CommissionOutcome) -> StudyTable:
+    """A row for each device: the errors of all controllers."""
+    rows: list[list[Cell]] = []
+    for name, figures in outcome.figures.items():
+        errors: list[Cell] = [cell(rmse_of(figures, controller)) for controller in _SHOWN]
+        more = (
+            figures.get("none.within_band", math.nan),
+            figures.get("device_s", math.nan),
+            over_rival("commissioned")(figures),
+        )
+        rows.append([name, *errors, *map(cell, more)])
+    columns = ("device", *(f"{name} [deg]" for name in _SHOWN), "within band", "device time [s]", "over best rival")
+    return StudyTable("devices", columns, rows, "Simulated: every device; errors are RMSE of the true angle.")
+
+
+def _ratios(outcome: CommissionOutcome) -> Figure:
+    """RMSE over that of the better tuned rival."""
+    named = ("commissioned", "sibling", "stranger")
+    subjects = (("commissioned", MODEL), ("model of another device", MEASURED), ("model of another family", PALETTE[5]))
+    rows: dict[str, list[list[float]]] = {family: [] for family in FAMILIES}
+    for device, figures in outcome.figures.items():
+        rows[outcome.families[device]].append([over_rival(name)(figures) for name in named])
+    return ratios_figure(rows, subjects)
+
+
+def commission_report(outcome: CommissionOutcome) -> tuple[Report, list[StudyTable]]:
+    """The page and all tables that are written as CSV."""
+    judged, devices = bars_table(bars(outcome)), devices_table(outcome)
+    settings = outcome.settings
+    facts = {
+        "devices": len(outcome.figures),
+        "diagnosis in the commissioning": "yes" if settings.diagnose else "no",
+        "evaluations of each search": settings.evaluations,
+    }
+    caption = "Simulated: RMSE over that of the better of PID and inverse with PID; dashed: one half."
+    page = Report(
+        "Commissioned and controlled",
+        (
+            *set_up(_ABOUT, facts, outcome),
+            Heading("Bars"),
+            judged.piece,
+            Plot(_ratios(outcome), caption),
+            Heading("Devices"),
+            devices.piece,
+        ),
+        "simulated devices drawn at random, commissioned, and controlled where something has changed",
+    )
+    return page, [judged, devices, figures_table(outcome.figures)]
+
 
 # Processor seconds of a job on one core of a two-core x86-64 machine, from runs of the study itself.
 _COMMISSION_S = {25.0: 45.0, 50.0: 80.0, 250.0: 400.0}
@@ -22,7 +110,7 @@ _QUICK_S = 30.0
 
 def commission_jobs(settings: CommissionStudySettings, drawn: Sequence[DrawnDevice]) -> tuple[CommissionJob, ...]:
     """For each device a job to commission it, one to compare and one for the gap; a quick run diagnoses nothing."""
-    devices = [d for d in drawn if not settings.rates_hz or d.rate_hz in settings.rates_hz]
+    devices = settings.chosen(drawn)
     stages = STAGES[:2] if settings.quick and not settings.diagnose else STAGES
     return tuple(CommissionJob(d.number, stage, f"{d.key}-{stage}") for stage in stages for d in devices)
 
@@ -56,14 +144,6 @@ def _cost_s(job: CommissionJob, settings: CommissionStudySettings) -> float:
     return _COMMISSION_S[rate] * (_DIAGNOSE if settings.diagnose else 1.0)
 
 
-def _data(outcome: CommissionOutcome) -> dict[str, Any]:
-    return {"bars": [bar.plain for bar in bars(outcome)], "jobs": [plain_result(r) for r in outcome.results]}
-
-
-def _summary(outcome: CommissionOutcome) -> StudyTable:
-    return bars_summary(bars(outcome))
-
-
 STUDY = Study(
     name="commission",
     form="hystmpc-commission-job/1",
@@ -76,8 +156,7 @@ STUDY = Study(
     costs=_costs,
     facts=_facts,
     page=commission_report,
-    data=_data,
-    summary=_summary,
+    **judged_by(bars, "jobs"),
     stages=STAGES,
     outcome=CommissionOutcome,
 )

@@ -15,9 +15,8 @@ from hystmpc.sim.study import ClosedLoopRun
 from hystmpc.trials.types import Vec
 
 from ..study import Outcome
-from .controllers import BASELINES, CONTROLLERS, ORACLE
 from .plants import PLANTS
-from .settings import SCANS_HZ, ControlResult, ControlSettings
+from .settings import BASELINES, CONTROLLERS, ORACLE, SCANS_HZ, ControlResult, ControlSettings
 
 HOLD_RANGE_BAR = 0.1
 """Greatest range of a held command, in half-widths of the backlash."""

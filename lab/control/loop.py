@@ -1,19 +1,19 @@
-"""A job of the benchmark as a closed-loop study: plant, model, motion, controller; the oracle and rehearsals."""
+"""Jobs of the closed-loop benchmark: their files and inputs, and a job as a closed-loop study with its controller."""
 
 from __future__ import annotations
 
+import hashlib
+import io
 import json
 import math
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any, final
 
 import numpy as np
 
-from hystmpc.ctrl.command import Command
 from hystmpc.ctrl.feedback import InversePidControllerSettings, PidControllerSettings, PidSettings
-from hystmpc.ctrl.guarded import GuardedController, GuardedState
 from hystmpc.ctrl.loop import Controller
 from hystmpc.models.model import Predictor
 from hystmpc.models.motions import initialisation_flexure
@@ -23,18 +23,122 @@ from hystmpc.sim.plants.computed import ComputedPlant
 from hystmpc.sim.plants.simulated import Effects
 from hystmpc.sim.study import Study, prepare, run_closed_loop
 from hystmpc.sim.tuning.gains import tuned_gains
-from hystmpc.trials.errors import ConfigError
+from hystmpc.trials.errors import ConfigError, LogError
 from hystmpc.trials.files import write_atomically
 from hystmpc.trials.types import Vec
 
+from ..devices.exact import Rehearsed
 from .bars import control_figures
-from .controllers import CONTROLLERS, NETWORKS, BenchmarkController
-from .job import gains_file, save_signals
-from .models import backlash_file, companion_file, network_file
-from .plants import PLANTS, Plant, half_width
-from .settings import ControlJob, ControlSettings, motion
+from .plants import PLANTS, Plant, backlash_file, companion_file, half_width, network_file
+from .settings import CONTROLLERS, NETWORKS, STAGES, BenchmarkController, ControlJob, ControlSettings, motion
 
-State = GuardedState[Any]
+SIGNALS = ("time_s", "reference_deg", "true_deg", "command")
+
+
+def control_jobs(settings: ControlSettings, drawn: object = None) -> tuple[ControlJob, ...]:
+    """All jobs, stage by stage; controllers whose model does not hold at a rate are left out there."""
+    del drawn  # the plants are always the same
+    runs = tuple(
+        ControlJob("run", plant, rate, controller, motion)
+        for plant in settings.plants
+        for rate in settings.rates_hz
+        for controller in settings.controllers
+        if CONTROLLERS[controller].usable_at(rate)
+        for motion in settings.motions
+    )
+    needs = ((PLANTS[job.plant].family, kind) for job in runs for kind in _models_for(job.subject))
+    fits = [ControlJob("fit", family, 0.0, kind) for family, kind in dict.fromkeys(needs)]
+    loops = dict.fromkeys((job.plant, job.rate_hz, job.subject) for job in runs if CONTROLLERS[job.subject].tuned)
+    first = settings.rates_hz[0]
+    tunes = [ControlJob("tune" if rate == first else "retune", plant, rate, name) for plant, rate, name in loops]
+    order = {stage: k for k, stage in enumerate(STAGES)}
+    return (*fits, *sorted(tunes, key=lambda job: order[job.stage]), *runs)
+
+
+def _models_for(controller: str) -> tuple[str, ...]:
+    model = CONTROLLERS[controller].model
+    if model in NETWORKS:
+        return ("backlash", model)
+    return (model,) if model == "backlash" else ()
+
+
+def job_inputs(job: ControlJob, settings: ControlSettings, folder: Path) -> dict[str, object]:
+    """What a job's result depends on: its settings, and the files that earlier stages left.
+
+    A file that is not there yet counts as empty, so that the job will be found not to be done.
+    """
+    parts: dict[str, object] = {"job": asdict(job), "seed": settings.seed, "quick": settings.quick}
+    if job.stage == "fit":
+        parts |= {"updates": settings.network_updates, "rates": list(settings.rates_hz)}
+        if job.subject in NETWORKS:
+            del parts["rates"]
+    else:
+        parts["files"] = {file.name: _hash(file) for file in needed_files(job, settings, folder)}
+    if job.stage in ("tune", "retune"):
+        parts |= {"motions": list(settings.motions)}
+        parts["evaluations"] = settings.tune_evaluations if job.stage == "tune" else settings.retune_evaluations
+    parts["design"] = _design(job)
+    return parts
+
+
+def needed_files(job: ControlJob, settings: ControlSettings, folder: Path) -> tuple[Path, ...]:
+    """Files of earlier stages that a job reads."""
+    rival, plant = CONTROLLERS[job.subject], PLANTS[job.plant]
+    files = [backlash_file(folder, plant, job.rate_hz)] if rival.model == "backlash" else []
+    if rival.model in NETWORKS:
+        files += [companion_file(folder, plant), network_file(folder, plant, rival.model)]
+    if rival.tuned and job.stage == "run":
+        files.append(gains_file(folder, job.plant, job.rate_hz, job.subject))
+    if job.stage == "retune":
+        files.append(gains_file(folder, job.plant, settings.rates_hz[0], job.subject))
+    return tuple(files)
+
+
+def gains_file(folder: Path, plant: str, rate_hz: float, controller: str) -> Path:
+    """File of the gains of a search."""
+    return folder / "models" / f"{plant}-{controller}-{rate_hz:g}hz.json"
+
+
+def _hash(file: Path) -> str:
+    return hashlib.sha256(file.read_bytes()).hexdigest() if file.exists() else ""
+
+
+def _design(job: ControlJob) -> dict[str, object]:
+    """The plant and the controller's settings as they stand in the code: a changed benchmark is run anew."""
+    plant = PLANTS[job.plant]
+    facts: dict[str, object] = {"plant": repr(plant)}
+    if job.stage != "fit":
+        facts["controller"] = CONTROLLERS[job.subject].settings(1 / job.rate_hz, 0)
+    return facts
+
+
+def signals_file(folder: Path, job: ControlJob) -> Path:
+    """File of a run's signals."""
+    return folder / "runs" / f"{job.key}.npz"
+
+
+def save_signals(folder: Path, job: ControlJob, signals: Mapping[str, Vec]) -> Path:
+    """Write the signals (N,) of a run in single precision, enough for figures."""
+    out = io.BytesIO()
+    time_s, reference, true, command = (np.asarray(signals[name], dtype=np.float32) for name in SIGNALS)
+    np.savez_compressed(out, time_s=time_s, reference_deg=reference, true_deg=true, command=command)
+    return write_atomically(signals_file(folder, job), out.getvalue())
+
+
+def load_signals(folder: Path, job: ControlJob) -> dict[str, Vec]:
+    """The signals (N,) of a run.
+
+    Raises:
+        LogError: if they are gone or damaged.
+    """
+    path = signals_file(folder, job)
+    try:
+        with np.load(path) as stored:
+            return {name: stored[name].astype(np.float64) for name in SIGNALS}
+    except (OSError, ValueError, KeyError) as error:
+        raise LogError(f"{path}: no signals of a run ({error}); remove its result to have it done again") from None
+
+
 _WHOLE = 1e-9
 _REHEARSAL = 1000
 _SETTLED_LAGS = 20.0  # after the flexure, as `SimulatedPlant` waits
@@ -87,44 +191,10 @@ def watched_flexure(plant: ComputedPlant, seed: int) -> tuple[Vec, Vec]:
     return commands, np.array(angles[:-1])
 
 
-@final
-class RehearsedController(Controller[State]):
-    """A controller that starts from a recording instead of a single measurement.
-
-    Args:
-        commands, angles: see `GuardedController.replay`.
-    """
-
-    def __init__(self, controller: GuardedController[Any], commands: Vec, angles: Vec) -> None:
-        self._controller, self._commands, self._angles = controller, commands, angles
-
-    @property
-    def dt(self) -> float:
-        return self._controller.dt
-
-    @property
-    def horizon(self) -> int:
-        return self._controller.horizon
-
-    def init(self, y: float, u: float) -> State:
-        del u  # the recording ends with it
-        return replace(self._controller.replay(self._commands, self._angles), due=y)
-
-    def step(self, state: State, y: float, reference: Vec) -> tuple[Command, State]:
-        return self._controller.step(state, y, reference)
-
-    def measure(self, state: State, y: float, age: float) -> State:
-        return self._controller.measure(state, y, age)
-
-
 def run_along(
     job: ControlJob, settings: ControlSettings, folder: Path
 ) -> tuple[Mapping[str, float], Mapping[str, int]]:
-    """Figures of a controller along a motion, and its samples by source; the signals are written.
-
-    Raises:
-        HystmpcError: what `sim.study.prepare` raises; ConfigError if gains are missing.
-    """
+    """Figures of a controller along a motion, and its samples by source; the signals are written."""
     study = study_of(job, settings, folder, (job.motion,))
     controller = _ready(study, job, settings.seed)
     run = run_closed_loop(controller, study.plant, study.motions[job.motion])
@@ -145,14 +215,14 @@ def _ready(study: Study, job: ControlJob, seed: int) -> Controller[Any]:
     controller = study.controller(study.config.controllers[job.subject])
     if not CONTROLLERS[job.subject].learns:
         return controller
-    return RehearsedController(controller, *watched_flexure(study.plant, seed + _REHEARSAL))
+    return Rehearsed(controller, *watched_flexure(study.plant, seed + _REHEARSAL))
 
 
 def tune(job: ControlJob, settings: ControlSettings, folder: Path) -> tuple[str, Mapping[str, float]]:
     """Search a PID's gains over all motions of the study and write them.
 
     Raises:
-        HystmpcError: what `sim.study.prepare` raises; ConfigError if the gains to start from are missing.
+        ConfigError: if the controller has no PID.
     """
     study = study_of(job, settings, folder, settings.motions)
     evaluations = settings.tune_evaluations if job.stage == "tune" else settings.retune_evaluations
@@ -168,11 +238,7 @@ def tune(job: ControlJob, settings: ControlSettings, folder: Path) -> tuple[str,
 
 
 def study_of(job: ControlJob, settings: ControlSettings, folder: Path, motions: tuple[str, ...]) -> Study:
-    """The job's plant with its model, some motions and its one controller, ready to run.
-
-    Raises:
-        HystmpcError: what `sim.study.prepare` raises; ConfigError if gains are missing.
-    """
+    """The job's plant with its model, some motions and its one controller, ready to run."""
     plant, rival, dt_s = PLANTS[job.plant], CONTROLLERS[job.subject], 1 / job.rate_hz
     rest = plant.device(dt_s).true_angle
     nominal = plant.nominal()
@@ -202,7 +268,7 @@ def _effects(plant: Plant) -> dict[str, float]:
 
 
 def _gains(job: ControlJob, rival: BenchmarkController, settings: ControlSettings, folder: Path) -> dict[str, Any]:
-    """The gains that a search has found, at this rate or, to start another search, at the first one."""
+    """Gains of a search at this rate, or at the first rate as the start of another search."""
     if not rival.tuned or job.stage == "tune":
         return {}
     rate = settings.rates_hz[0] if job.stage == "retune" else job.rate_hz

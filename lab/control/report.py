@@ -11,12 +11,20 @@ from matplotlib.figure import Figure
 
 from hystmpc.trials.report import COMMAND, MEASURED, MODEL, PALETTE, REFERENCE, Heading, Piece, Plot, Report, new_figure
 
-from ..study import NOTHING, Cell, StudyTable, cell, set_up
+from ..page import NOTHING, Cell, StudyTable, cell, set_up
 from .bars import BARS, BarVerdict, ControlOutcome, verdicts
-from .controllers import CONTROLLERS, NETWORK_RATE_HZ, NETWORKS, ORACLE
-from .job import load_signals
+from .loop import load_signals
 from .plants import MISMATCH
-from .settings import POINT_TO_POINT, SCANS_HZ, ControlResult, ControlSettings
+from .settings import (
+    CONTROLLERS,
+    NETWORK_RATE_HZ,
+    NETWORKS,
+    ORACLE,
+    POINT_TO_POINT,
+    SCANS_HZ,
+    ControlResult,
+    ControlSettings,
+)
 
 _RUN_COLUMNS = (
     "RMSE [deg]",

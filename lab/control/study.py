@@ -10,15 +10,13 @@ from typing import Any
 from hystmpc.trajectories.config import parse_motion
 from hystmpc.trials.json_text import plain
 
-from ..study import Study, StudyTable
+from ..page import StudyTable
+from ..study import Study
 from .bars import ControlOutcome, verdicts
-from .controllers import CONTROLLERS
-from .job import control_jobs, job_inputs
-from .loop import run_along, tune
-from .models import save_backlash, save_network
-from .plants import PLANTS
+from .loop import control_jobs, job_inputs, run_along, tune
+from .plants import PLANTS, save_backlash, save_network
 from .report import bars_table, control_report
-from .settings import STAGES, ControlJob, ControlResult, ControlSettings, motion
+from .settings import CONTROLLERS, STAGES, ControlJob, ControlResult, ControlSettings, motion
 
 # Seconds on one core of a two-core x86-64 machine, from runs of the benchmark itself.
 _FIXED_S = 0.3
@@ -34,11 +32,7 @@ _FAST_HZ, _LONG_HORIZON = 100.0, 3.0
 
 
 def run_job(job: ControlJob, settings: ControlSettings, folder: Path) -> dict[str, Any]:
-    """Message, figures and sources of the commands of a job; its files are written.
-
-    Raises:
-        HystmpcError: what identification, search or `sim.study.prepare` raises.
-    """
+    """Message, figures and sources of the commands of a job; its files are written."""
     if job.stage == "run":
         figures, ladder = run_along(job, settings, folder)
         return {"figures": figures, "ladder": ladder}

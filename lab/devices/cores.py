@@ -12,14 +12,12 @@ from typing import Any, ClassVar, Self, final
 
 import numpy as np
 
-from hystmpc.sim.devices import rod_solver
-from hystmpc.sim.devices.muscle import STATES, MuscleNumbers
-from hystmpc.sim.devices.rod import RodCatheter, RodParameters
-from hystmpc.sim.devices.rod_equations import new_knots
-from hystmpc.sim.devices.rod_solver import new_work
 from hystmpc.trials.types import Vec
 
-from . import kernels
+from . import kernels, rod_solver
+from .muscle import STATES, MuscleNumbers
+from .rod import RodCatheter, RodParameters
+from .rod_solver import new_knots, new_work
 
 TRAVEL_MM = 6.0
 STROKE = 0.6
@@ -187,7 +185,7 @@ class CapstanCore(QuasiStatic):
 @final
 @dataclass(frozen=True)
 class DahlCore(QuasiStatic):
-    """Displacement less the deflection of parallel Dahl elements (P. Dahl, Aerospace Corp. TOR-158, 1968).
+    """Displacement minus the deflection of parallel Dahl elements (P. Dahl, Aerospace Corp. TOR-158, 1968).
 
     Attributes:
         gain: tip angle over distal displacement [deg/mm].
@@ -211,7 +209,7 @@ class DahlCore(QuasiStatic):
         return x - out
 
     def stiffer(self, factor: float) -> Self:
-        """Less angle and less deflection of the elements for the same displacement."""
+        """Smaller angle and smaller deflection of the elements for the same displacement."""
         return replace(self, gain=self.gain / factor, friction=self.friction / factor)
 
     def reweighted(self, factor: float) -> Self:
@@ -260,7 +258,7 @@ def rise(signal: Vec) -> Vec:
 @final
 @dataclass(frozen=True)
 class RodCore(Core):
-    """Rod of `hystmpc.sim.devices.rod` on a coarser grid, with its drive, its first flexure and its sensor taken out.
+    """Rod of `devices.rod` on a coarser grid, with its drive, its first flexure and its sensor taken out.
 
     Its segments are standard linear solids: what they relax belongs to the device that the simulator is identified on,
     as every device bends a little late. The numbers are drawn so that this stays within what a backlash or a few plays
@@ -312,7 +310,7 @@ class RodCore(Core):
         return replace(self, stiffness_nmm=self.stiffness_nmm * factor)
 
     def reweighted(self, factor: float) -> Self:
-        """More friction that does not come from tension, and less that does."""
+        """More friction that is independent of tension, and a smaller coefficient of friction."""
         return replace(self, drag_n=self.drag_n * factor, friction=self.friction / factor)
 
     def rod(self) -> RodParameters:
@@ -403,7 +401,7 @@ class MuscleCore(QuasiStatic):
 
     @classmethod
     def draw(cls, random: np.random.Generator) -> Self:
-        """A device of this kind whose own presliding is long enough at every pressure."""
+        """A device of this kind with enough presliding at every pressure."""
         numbers = {name: float(random.uniform(*ends)) for name, ends in cls.DRAWN.items()}
         numbers["presliding_bar"] *= numbers["friction"]
         return cls(**numbers)

@@ -3,25 +3,26 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from types import MappingProxyType
-from typing import Any, final
+from typing import Annotated, Any, final
 
 import numpy as np
+from pydantic import Field
 
 from hystmpc.ctrl.command import CommandLimits
 from hystmpc.models.contract.metadata import Range
-from hystmpc.sim.devices.rod import RodCatheter
-from hystmpc.sim.devices.rod_equations import new_knots
-from hystmpc.sim.devices.rod_solver import new_work
 from hystmpc.sim.plants.computed import ComputedPlant, Sensing
 from hystmpc.trials.types import Vec
 
+from ..study import StudySettings
 from . import kernels
 from .cores import CapstanCore, Core, DahlCore, MuscleCore, RodCore
 from .kernels import CAPSTAN, DAHL, FINE_S, MUSCLE, OWN, ROD, Packed
+from .rod import RodCatheter
+from .rod_solver import new_knots, new_work
 
 FAMILIES = ("rod", "capstan", "dahl", "muscle")
 RATES_HZ = (25.0, 50.0, 250.0)
@@ -129,6 +130,29 @@ def draw_devices(count: int, seed: int, quick: bool = False) -> tuple[DrawnDevic
         rate = rates[(turn + int(starts[k % len(FAMILIES)])) % len(rates)]
         devices.append(_drawn(np.random.default_rng([seed, 17, k]), k, family, rate, [k in which for which in gone]))
     return tuple(devices)
+
+
+class DrawnSettings(StudySettings):
+    """Settings of a study on drawn devices.
+
+    Attributes:
+        devices: how many are drawn.
+        rates_hz: of the drawn devices, those of these sample rates are done [Hz]; all where it is empty.
+        evaluations: closed-loop runs over all motions in the search of each rival's gains, about.
+    """
+
+    devices: Annotated[int, Field(ge=1, le=1000)] = 60
+    rates_hz: tuple[float, ...] = ()
+    evaluations: Annotated[int, Field(ge=10)] = 300
+
+    def chosen(self, drawn: Sequence[DrawnDevice]) -> list[DrawnDevice]:
+        """The devices of the wanted sample rates."""
+        return [device for device in drawn if not self.rates_hz or device.rate_hz in self.rates_hz]
+
+
+def drawn_devices(settings: DrawnSettings) -> tuple[DrawnDevice, ...]:
+    """All devices of a study's draw."""
+    return draw_devices(settings.devices, settings.seed, settings.quick)
 
 
 def _drawn(random: np.random.Generator, number: int, family: str, rate_hz: float, gone: list[bool]) -> DrawnDevice:

@@ -1,13 +1,16 @@
-"""The controller that knows the device exactly: the linearised law with the device itself as its model."""
+"""Controllers of the studies: one whose model is the device itself, and one that starts from a recording."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any, final
 
 import numpy as np
 
 from hystmpc.ctrl.build import build_controller
-from hystmpc.ctrl.guarded import GuardedController
+from hystmpc.ctrl.command import Command
+from hystmpc.ctrl.guarded import GuardedController, GuardedState
+from hystmpc.ctrl.loop import Controller
 from hystmpc.ctrl.mpc_settings import LinearisedMpcSettings
 from hystmpc.models.model import Inverse, Predictor
 from hystmpc.trials.types import Vec
@@ -22,7 +25,7 @@ _BLOCKS = 12
 
 @final
 class ExactPredictor(Predictor):
-    """The device as its own model, whole samples of its delay left out; the state is a copy of the device's.
+    """A predictor that is the device itself, without whole samples of its delay; the state is a copy of the device's.
 
     Derivatives are differences over a five-hundredth of the travel. Plans of more than 12 samples move in 12 blocks, so
     that a step costs as much as 12 roll-outs at most.
@@ -81,3 +84,32 @@ def exact_controller(device: DrawnDevice, settings: LinearisedMpcSettings) -> Gu
     estimator = settings.estimator.model_copy(update={"delay_samples": predictor.delay_samples})
     settings = settings.model_copy(update={"estimator": estimator})
     return build_controller(settings, predictor, ExactInverse(predictor), device.limits)
+
+
+class Rehearsed(Controller[GuardedState[Any]]):
+    """A controller that starts from a recording instead of a single measurement.
+
+    Args:
+        commands, angles: see `GuardedController.replay`.
+    """
+
+    def __init__(self, controller: GuardedController[Any], commands: Vec, angles: Vec) -> None:
+        self._controller, self._commands, self._angles = controller, commands, angles
+
+    @property
+    def dt(self) -> float:
+        return self._controller.dt
+
+    @property
+    def horizon(self) -> int:
+        return self._controller.horizon
+
+    def init(self, y: float, u: float) -> GuardedState[Any]:
+        del u  # the recording ends with it
+        return replace(self._controller.replay(self._commands, self._angles), due=y)
+
+    def step(self, state: GuardedState[Any], y: float, reference: Vec) -> tuple[Command, GuardedState[Any]]:
+        return self._controller.step(state, y, reference)
+
+    def measure(self, state: GuardedState[Any], y: float, age: float) -> GuardedState[Any]:
+        return self._controller.measure(state, y, age)

@@ -12,11 +12,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from hystmpc.models.kernels.numba_ import njit
-from hystmpc.sim.devices import rod_solver
-from hystmpc.sim.devices.muscle import MuscleNumbers, slack
-from hystmpc.sim.devices.muscle import advance as advance_muscle
-from hystmpc.sim.devices.rod_equations import Knots, RodNumbers, StepNumbers
-from hystmpc.sim.devices.rod_solver import Work
+
+from . import rod_solver
+from .muscle import MuscleNumbers, slack
+from .muscle import advance as advance_muscle
+from .rod_solver import Knots, RodNumbers, StepNumbers, Work
 
 CAPSTAN, DAHL, ROD, MUSCLE = range(4)
 FINE_S = 0.002
@@ -215,7 +215,7 @@ def run(p: Packed, state: Any, commands: Any, theta: Any) -> None:
 
 @njit(cache=True, error_model="numpy")
 def rollout(p: Packed, state: Any, plans: Any, theta: Any) -> None:
-    """Angles (N, H) of plans (N, H) from one state, which is kept."""
+    """Angles (N, H) of plans (N, H) from one state, which does not change."""
     for n in range(plans.shape[0]):
         run(p, state.copy(), plans[n], theta[n])
 

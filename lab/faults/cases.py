@@ -291,7 +291,7 @@ def write_run(case: FaultCase, folder: Path, link: Link) -> Path:
 
 
 def watchdog_s(case: FaultCase) -> float:
-    """The longest time that the device's own watchdog takes to bring it to the safe command [s]."""
+    """Longest time in which the watchdog of the device brings it to the safe command [s]."""
     drive = _merged(DEVICE, case.drive)
     return float(drive["watchdog_s"] + (UPPER - LOWER) / drive["watchdog_rate_per_s"])
 

@@ -1,12 +1,115 @@
-"""What a device is, what it does wrong and when, and a row of its own log."""
+"""Description of a device of the campaign: its body, what it does wrong and when, and a row of its log."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections import deque
+from dataclasses import dataclass, field
 from typing import Literal
 
-from .body import NOMINAL, Body
+WEIGHTS = (3.6283, 3.2260, 1.8436, 1.0266, 0.7115)
+"""Of the command itself and of four plays, as in `builtin:pi` [deg/mm]."""
+
+SPACING_MM = 0.2415
+"""Of the thresholds of these plays [mm]."""
+
+_REST_DEG = 25.35
+
+
+@dataclass(frozen=True)
+class Body:
+    """What the tip does with the drive's position x.
+
+        theta = rest_deg + gain (w_0 x' + sum_i w_i play_i(x')),   x' = x after dead time, lag and backlash
+
+    Attributes:
+        gain: against the nominal device's; negative for one that is inverted.
+        rest_deg: angle at rest [deg].
+        weights: w [deg/mm].
+        spacing_mm: of the thresholds of the plays [mm].
+        backlash_mm: width of a play before all of them: so far the drive goes without any motion of the tip [mm].
+        lag_s, dead_s: of the tip behind the drive [s].
+        own_hz, damping: of a second-order oscillation of the tip; 0 Hz for none.
+        creep, creep_s: share of the motion that comes later, and its time constant [s].
+    """
+
+    gain: float = 1.0
+    rest_deg: float = _REST_DEG
+    weights: tuple[float, ...] = WEIGHTS
+    spacing_mm: float = SPACING_MM
+    backlash_mm: float = 0.0
+    lag_s: float = 0.03
+    dead_s: float = 0.0
+    own_hz: float = 0.0
+    damping: float = 0.1
+    creep: float = 0.0
+    creep_s: float = 20.0
+
+    @property
+    def slope(self) -> float:
+        """Greatest slope of the angle over the command, its sign left out [deg/mm]."""
+        return abs(self.gain) * sum(self.weights)
+
+    @property
+    def slow_s(self) -> float:
+        """How long the tip goes on after the drive [s]."""
+        return self.lag_s + self.dead_s
+
+
+NOMINAL = Body()
+"""The body that models of the campaign are of."""
+
+
+@dataclass
+class BodyState:
+    """What of a body changes."""
+
+    x: float
+    slack: float
+    plays: list[float]
+    angle_deg: float
+    tip_deg: float
+    speed_deg_s: float = 0.0
+    slow_deg: float = 0.0
+    time_s: float = 0.0
+    past: deque[tuple[float, float]] = field(default_factory=deque)
+
+
+def at_rest(body: Body, x: float) -> BodyState:
+    """The state at rest at a position [mm]."""
+    angle = body.rest_deg + body.gain * sum(body.weights) * x
+    return BodyState(x, x, [x] * (len(body.weights) - 1), angle, angle, slow_deg=angle)
+
+
+def moved(body: Body, state: BodyState, position: float, dt_s: float) -> float:
+    """Angle after a step with the drive at that position [deg]; the state is moved on."""
+    state.time_s += dt_s
+    if body.dead_s:
+        state.past.append((state.time_s, position))
+        while len(state.past) > 1 and state.past[1][0] <= state.time_s - body.dead_s:
+            state.past.popleft()
+        position = state.past[0][1]
+    state.x += (position - state.x) * (1.0 - math.exp(-dt_s / body.lag_s) if body.lag_s else 1.0)
+    half = 0.5 * body.backlash_mm
+    state.slack = max(state.x - half, min(state.x + half, state.slack))
+    angle = body.weights[0] * state.slack
+    for i, weight in enumerate(body.weights[1:]):
+        threshold = body.spacing_mm * (i + 1)
+        z = state.plays[i] = max(state.slack - threshold, min(state.slack + threshold, state.plays[i]))
+        angle += weight * z
+    angle = body.rest_deg + body.gain * angle
+    if body.own_hz:
+        omega = 2.0 * math.pi * body.own_hz
+        pull = omega * omega * (angle - state.tip_deg) - 2.0 * body.damping * omega * state.speed_deg_s
+        state.speed_deg_s += pull * dt_s
+        state.tip_deg += state.speed_deg_s * dt_s
+        angle = state.tip_deg
+    if body.creep:
+        state.slow_deg += (angle - state.slow_deg) * (1.0 - math.exp(-dt_s / body.creep_s))
+        angle -= body.creep * (angle - state.slow_deg)
+    state.angle_deg = angle
+    return angle
+
 
 SAFE = 0.0
 """The command that a device holds at first, and to which its watchdog leads it [mm]."""
@@ -87,7 +190,7 @@ class DeviceSpec:
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """One row of a device's own log.
+    """One row of the log of a device.
 
     Attributes:
         t_s: its time [s].

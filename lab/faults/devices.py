@@ -1,18 +1,21 @@
-"""The devices of the campaign: hostile ones of every kind and healthy ones, drawn from fixed seeds."""
+"""The devices of the campaign, hostile and healthy, drawn from fixed seeds, and how each is played."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+import multiprocessing
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from .body import Body
-from .description import DeviceFault, DeviceSpec, FaultKind
-from .movers import LAW, How
-from .truth import MOVERS, Mover
+from .description import Body, DeviceFault, DeviceSpec, FaultKind
+from .hostile import HostileDevice
+from .movers import LAW, How, use
+from .truth import MOVERS, DeviceVerdict, Mover, judged
 
 _SEED = 40
 _FAST: Mapping[str, Any] = {"ramps": {"velocity_per_s": 8.0, "acceleration_per_s2": 60.0, "jerk_per_s3": 1000.0}}
@@ -244,3 +247,38 @@ def _over_udp(case: DeviceCase) -> DevicePlay:
     device = case.device if case.device.stream_hz >= _FAST_HZ else replace(case.device, stream_hz=_LOOP_HZ)
     how = How(LAW[0], "c", udp=True, bench=case.bench)
     return DevicePlay(replace(case, device=device), "run", how)
+
+
+def played(play: DevicePlay, folder: Path) -> DeviceVerdict:
+    """Play one, in a new folder, and judge it by the device's log."""
+    folder.mkdir(parents=True)
+    device = HostileDevice(play.case.device)
+    asked, ending = use(play.mover, device, folder, play.how)
+    write_log(device, folder / "device.csv")
+    return judged(play.name, device, asked, ending, play.case.healthy)
+
+
+def played_all(plays: Sequence[DevicePlay], folder: Path, jobs: int = 1) -> Iterator[DeviceVerdict]:
+    """Verdicts of all plays in order, each play in a separate folder.
+
+    Args:
+        jobs: processes.
+    """
+    places = [folder / f"{k:03d}_{play.mover}" for k, play in enumerate(plays)]
+    if jobs == 1:
+        yield from map(played, plays, places)
+        return
+    with ProcessPoolExecutor(jobs, multiprocessing.get_context("spawn")) as pool:
+        try:
+            yield from pool.map(played, plays, places)
+        finally:
+            pool.shutdown(wait=False, cancel_futures=True)
+
+
+def write_log(device: HostileDevice, file: Path) -> None:
+    """Write the log of a device: one row in 10 ms, and one for each command."""
+    lines = ["time_s,motion,received,before,held,told,x_mm,angle_deg,shown_deg,age_s\n"]
+    for row in device.rows:
+        cells = (row.received, row.before, row.held, row.told, row.x_mm, row.angle_deg, row.shown_deg, row.age_s)
+        lines.append(f"{row.t_s:.4f},{row.motion}," + ",".join(f"{cell:.6g}" for cell in cells) + "\n")
+    file.write_text("".join(lines), encoding="utf-8")

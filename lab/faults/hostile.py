@@ -1,11 +1,15 @@
-"""A device on a virtual clock that may be hostile: body, drive, sensor, stream and watchdog, with a log of its own."""
+"""A device on a virtual clock that may be hostile: drive, sensor, stream, watchdog and log; also behind a real wire."""
 
 from __future__ import annotations
 
 import math
+import multiprocessing
+import time
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from multiprocessing.connection import Connection as Pipe
 from typing import Any, ClassVar, final
 
 import numpy as np
@@ -13,10 +17,11 @@ from pydantic import PrivateAttr
 
 from hystmpc.rig.realtime import Clock
 from hystmpc.rig.transports.simulated import SimulatedSettings
-from hystmpc.rig.transports.transport import Reading, RunContext, Transport
+from hystmpc.rig.transports.transport import DeviceLink, Incoming, Outgoing, Reading, RunContext, Transport
+from hystmpc.rig.transports.udp import UdpLink
+from hystmpc.trials.errors import ConfigError
 
-from .body import BodyState, at_rest, moved
-from .description import SAFE, DeviceFault, DeviceSpec, FaultKind, Row
+from .description import SAFE, BodyState, DeviceFault, DeviceSpec, FaultKind, Row, at_rest, moved
 
 _NS = 1_000_000_000
 _STEP_NS = 2_000_000  # of the body, at most
@@ -58,7 +63,7 @@ class DeviceState:
 
 @dataclass(frozen=True, slots=True)
 class DeviceReading:
-    """One reading on its way; times of the device [ns]."""
+    """One reading in transit; times of the device [ns]."""
 
     taken_ns: int
     arrives_ns: int
@@ -218,7 +223,7 @@ class HostileDevice:
             state.returns, state.deaf, state.heard_ns = True, True, None
 
     def _show(self, flight_s: float | None = None) -> None:
-        """One reading, on its way."""
+        """Send one reading."""
         state, spec = self.state, self.spec
         state.sequence += 1
         state.told = self._told()
@@ -348,3 +353,61 @@ def clock_of(run: RunContext) -> Clock:
     assert clock is not None, "a hostile device needs the clock itself"
     found: Clock = clock
     return found
+
+
+_HOST = "127.0.0.1"
+_PAUSE_S = 0.0005
+_PATIENCE_S = 60.0  # a process that starts on a busy machine
+
+
+@contextmanager
+def served(device: HostileDevice) -> Iterator[int]:
+    """The UDP port at which the device answers while the block lasts; it has gone through all of it afterwards.
+
+    Raises:
+        ConfigError: if its process does not start.
+    """
+    context = multiprocessing.get_context("spawn")
+    ours, theirs = context.Pipe()
+    process = context.Process(target=_serve, args=(device.spec, theirs), daemon=True)
+    process.start()
+    try:
+        if not ours.poll(_PATIENCE_S):
+            raise ConfigError(f"device {device.spec.name}: its process has not started within {_PATIENCE_S:g} s")
+        yield int(ours.recv())
+        ours.send("end")
+        device.rows, device.state = ours.recv()
+    finally:
+        process.terminate()
+        process.join()
+
+
+def _serve(spec: DeviceSpec, pipe: Pipe) -> None:
+    """Until somebody ends it."""
+    device, link = HostileDevice(spec), UdpLink(_HOST, 0, spec.watchdog_s)
+    device.begin()
+    offset = time.monotonic_ns() - device.state.ns
+    pipe.send(link.port)
+    while not pipe.poll():
+        device.advance(time.monotonic_ns() - offset)
+        while (message := link.receive()) is not None:
+            _said(device, message)
+        _send(device, link, offset)
+        time.sleep(_PAUSE_S)
+    link.close()
+    pipe.send((device.rows, device.state))
+
+
+def _said(device: HostileDevice, message: Incoming) -> None:
+    if message.says == "command":
+        device.take(message.command)
+    elif message.says == "greeting":
+        device.greet()
+    else:
+        device.leave(goodbye=True)
+
+
+def _send(device: HostileDevice, link: DeviceLink, offset_ns: int) -> None:
+    while (found := device.due()) is not None:
+        stamp = found.taken_ns + offset_ns
+        link.send(Outgoing(found.angle_deg, found.told, found.sequence, stamp, found.listens))

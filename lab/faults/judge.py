@@ -141,7 +141,7 @@ def _safe_s(case: FaultCase, played: Played, rows: Rows, received: Sequence[tupl
 
 
 def _rise_mm(case: FaultCase, played: Played, rows: Rows, received: Sequence[tuple[float, float]]) -> float:
-    """The greatest way away from the safe command since the controller had to notice the fault."""
+    """Greatest distance from the safe command since the controller had to detect the fault."""
     if case.expected in ("goes on", "refuses") or case.device_gone or not received:
         return math.nan
     since = _fault_ns(case, played, received) + 1e9 * (case.notice_s + IN_FLIGHT_S)
@@ -214,7 +214,7 @@ def _wholeness(folder: Path, case: FaultCase, sources: Sequence[str], sequence: 
 
 
 def _seen(said: str) -> str:
-    """The line that matters most to whoever stands beside the device."""
+    """The most important line for the operator."""
     lines = [line.strip() for line in said.splitlines() if line.strip()]
     for start in ("error:", "stopped:"):
         for line in lines:

@@ -37,8 +37,7 @@ from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Vec
 
 from .description import SAFE
-from .hostile import EndlessError, HostileDevice, HostileSettings
-from .over_udp import served
+from .hostile import EndlessError, HostileDevice, HostileSettings, served
 from .truth import Asked, Ending, Mover
 
 LAW: tuple[str, ...] = ("linearised_mpc", "pid", "inverse")
@@ -111,11 +110,7 @@ class RecordedError(Exception):
 
 
 def use(mover: Mover, device: HostileDevice, folder: Path, how: How = How()) -> tuple[Asked, Ending]:
-    """Let one of the movers loose on a device, and watch it until it has to be at rest.
-
-    Raises:
-        ConfigError: if the mover is not there: the ROS 2 node's files are no part of an installed package.
-    """
+    """Let one of the movers loose on a device, and watch it until it has to be at rest."""
     settings = _bench(device, folder, how)
     if how.udp:
         with served(device) as port:

@@ -176,9 +176,6 @@ def play(case: FaultCase, folder: Path, link: Link = Link(), program: Sequence[s
 
     Args:
         program: the command line that starts `hystmpc`.
-
-    Raises:
-        ConfigError: if the device does not start.
     """
     folder.mkdir(parents=True)
     stage = _Stage(case, folder, link, program)

@@ -1,4 +1,4 @@
-"""Verdict on a played device by its own log: commands, rate, angle limits, when a fault showed, when motion ended."""
+"""Verdict on a played device from its log: commands, rate, angle limits, when a fault showed, when motion ended."""
 
 from __future__ import annotations
 
@@ -167,7 +167,7 @@ def beyond(truth: Truth) -> int:
 
 
 def past_deg(truth: Truth) -> float:
-    """How far the tip went beyond the angle limits, less what nobody can avoid [deg]; 0 without limits.
+    """Overshoot of the tip beyond the angle limits, minus the unavoidable part [deg]; 0 without limits.
 
     That is the 2 % which `Bounded` allows, what is sent in one sample and in the one that its median waits for, what
     the tip still has to go after commands sent before, and the overshoot of a stop; twice of it where it swings.
@@ -302,7 +302,7 @@ def _ages(truth: Truth) -> float:
 
 
 def _stray(truth: Truth, fault: DeviceFault) -> float:
-    """Once what it says that it holds lies beside all commands of the last `sensor.dead_after_s`."""
+    """Time from which the reported command differs from all commands of the last `sensor.dead_after_s`."""
     began, at = _began(truth, fault), truth.commands
     if fault.lasts_s < _FOLLOWS_S:
         return math.nan

@@ -1,22 +1,26 @@
-"""One drawn device from its logs to its figures: identified, controlled as identified, beside rivals tuned on it."""
+"""One drawn device: identified from its logs, controlled as identified, beside tuned rivals; figures of its runs."""
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, final
 
 import numpy as np
 
+from hystmpc.ctrl.build import build_controller, pair_for
+from hystmpc.ctrl.command import CommandLimits, Source
 from hystmpc.ctrl.feedback import (
     InverseControllerSettings,
     InversePidControllerSettings,
     PidControllerSettings,
     PidSettings,
 )
-from hystmpc.ctrl.loop import Controller
+from hystmpc.ctrl.guarded import GuardedController, LawSettings
+from hystmpc.ctrl.loop import Controller, ImagingSettings, NoSensorSettings
 from hystmpc.ctrl.mpc_settings import LinearisedMpcSettings, SamplingMpcSettings
 from hystmpc.models.contract.export import export_onnx
 from hystmpc.models.contract.metadata import DeviceLimits, Range
@@ -24,18 +28,119 @@ from hystmpc.models.kinds.catalogue import chosen_kind, kind_named
 from hystmpc.models.kinds.kind import FitRequest, Identified, ModelKind
 from hystmpc.models.prediction.build import ControllerModel, controller_model
 from hystmpc.models.simulator import save_simulator
-from hystmpc.sim.study import run_closed_loop
+from hystmpc.sim.plants.computed import ComputedPlant, Sensing
+from hystmpc.sim.results import holds, violations
+from hystmpc.sim.study import ClosedLoopRun, run_closed_loop
 from hystmpc.sim.tuning.gains import PidLike, searched_gains
 from hystmpc.trajectories.drawn import CountedMotion
 from hystmpc.trials.trial import Trial
+from hystmpc.trials.types import Vec
 
 from ..devices import kernels
-from ..devices.drawn import DrawnDevice, DrawnPlant, draw_devices
+from ..devices.drawn import DrawnDevice, DrawnPlant, drawn_devices
 from ..devices.exact import exact_controller
 from ..devices.kernels import PidNumbers
 from ..devices.motions import fresh_motions, recordings
-from .scores import AS_IDENTIFIED_NOISE_DEG, IdentifiedPlant, controller_on, tracked
 from .settings import IdentifyJob, IdentifySettings, Interval
+
+AS_IDENTIFIED_NOISE_DEG = 0.15
+SETTLED_S = 1.0
+"""Time after which a hold has settled, beside the delay and three lags [s]."""
+
+_AT_REST = 1e-6  # of the command's range
+
+
+def scores(
+    runs: Sequence[ClosedLoopRun],
+    motions: Sequence[CountedMotion],
+    limits: CommandLimits,
+    delay_s: float,
+    lag_s: float,
+) -> dict[str, float]:
+    """Figures of one controller over all motions; only what comes after the approach counts, but for limits and stops.
+
+    `rmse_deg` is the root of the mean over motions of the mean square true error, `rmse_deg.MOTION` that of one.
+    `hold_samples` are those of holds that have settled, until the command may prepare the next move, which is the delay
+    earlier than the move itself; in `rest_samples` of them the command did not move. `violations` are samples beyond a
+    limit, `stops` samples in which the controller gave up.
+    """
+    squares, held, resting, beyond, stops = dict[str, float](), 0, 0, 0, 0
+    for run, motion in zip(runs, motions, strict=True):
+        first = motion.first(run.dt)
+        squares[motion.name] = float(np.mean(run.error_deg[first:] ** 2))
+        still = np.abs(np.diff(run.log.command, prepend=run.rest_command)) <= _AT_REST * (limits.upper - limits.lower)
+        settle, early = round((SETTLED_S + delay_s + 3 * lag_s) / run.dt), math.ceil(delay_s / run.dt) + 1
+        for start, stop in holds(run.log.reference_deg, run.dt):
+            part = still[max(start + settle, first) : max(stop - early, 0)]
+            held, resting = held + part.size, resting + int(np.sum(part))
+        beyond += violations(run.log.command, run.rest_command, limits, run.dt)
+        stops += sum(source == Source.STOP for source in run.log.source)
+    return {
+        "rmse_deg": math.sqrt(float(np.mean(list(squares.values())))),
+        **{f"rmse_deg.{name}": math.sqrt(square) for name, square in squares.items()},
+        "hold_samples": float(held),
+        "rest_samples": float(resting),
+        "violations": float(beyond),
+        "stops": float(stops),
+    }
+
+
+def tracked(
+    name: str,
+    controller: Controller[Any],
+    plant: ComputedPlant,
+    motions: Sequence[CountedMotion],
+    device: DrawnDevice,
+    delay_s: float | None = None,
+    sensor: ImagingSettings | NoSensorSettings | None = None,
+) -> tuple[dict[str, float], list[ClosedLoopRun]]:
+    """Figures of a controller over all motions, `name` before each, and the runs.
+
+    Args:
+        device: whose limits and lag count.
+        delay_s: of the plant [s]; the device's where left out.
+
+    Raises:
+        KeyboardInterrupt: if the user ended it.
+    """
+    runs = []
+    for motion in motions:
+        runs.append(run_closed_loop(controller, plant, motion.trajectory, sensor=sensor))
+        if runs[-1].log.interrupted:
+            raise KeyboardInterrupt
+    figures = scores(runs, motions, device.limits, device.delay_s if delay_s is None else delay_s, device.lag_s)
+    return {f"{name}.{figure}": value for figure, value in figures.items()}, runs
+
+
+def controller_on(settings: LawSettings, known: ControllerModel, limits: CommandLimits) -> GuardedController[Any]:
+    """A controller with a model: predictor and inverse as its law needs them."""
+    return build_controller(settings, *pair_for(settings, known), limits)
+
+
+@final
+class IdentifiedPlant(ComputedPlant):
+    """A model as the device that it says it is.
+
+    Args:
+        rest_deg: angle that it rests at before a run, at its lowest command [deg].
+        noise_deg: standard deviation of the sensor's white noise [deg].
+        seed: of the noise.
+    """
+
+    def __init__(self, known: ControllerModel, rest_deg: float, noise_deg: float, seed: int) -> None:
+        self._predictor, limits = known.predictive[0], known.facts.command_limits
+        self._rest = self._predictor.advance(self._predictor.initial(rest_deg, limits.lower), limits.lower)
+        self.command_limits = Range(lower=limits.lower, upper=limits.upper)
+        super().__init__(self._predictor.dt, limits.lower, known.facts.command_unit, Sensing(noise_deg), seed)
+
+    def _at_rest(self, random: np.random.Generator) -> tuple[float, Vec]:
+        del random
+        return self._rest
+
+    def _advanced(self, state: Vec, u: float, random: np.random.Generator) -> tuple[float, Vec]:
+        del random
+        return self._predictor.advance(state, u)
+
 
 _RIVAL_MODEL = "pi"
 _TUNING, _COMPARED = 1001, 1  # seeds of the noise, beside the device's
@@ -68,18 +173,8 @@ class _Watch:
         self.seconds[f"seconds.{name}"], self.last = now - self.last, now
 
 
-def drawn_devices(settings: IdentifySettings) -> tuple[DrawnDevice, ...]:
-    """All devices of the draw."""
-    return draw_devices(settings.devices, settings.seed, settings.quick)
-
-
 def run_device(job: IdentifyJob, settings: IdentifySettings, folder: Path) -> dict[str, Any]:
-    """How the identification went, what it found, and the figures of all controllers; models are written.
-
-    Raises:
-        FitError: if a model cannot be identified.
-        HystmpcError: if a controller cannot be built.
-    """
+    """Report of the identification, identified parts, and figures of all controllers; models are written."""
     device = drawn_devices(settings)[job.number]
     watch = _Watch({}, time.process_time())
     plant = DrawnPlant(device, device.seed)
@@ -126,7 +221,6 @@ def identified_as(kind: ModelKind, trials: Sequence[Trial], device: DrawnDevice,
     """A model of a kind, from a device's trials.
 
     Raises:
-        FitError: if it cannot be identified.
         KeyboardInterrupt: if the user ended it.
     """
     command = Range(lower=device.limits.lower, upper=device.limits.upper)

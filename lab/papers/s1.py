@@ -26,15 +26,22 @@ from hystmpc.trials.report import (
 )
 from hystmpc.trials.types import Vec
 
+from ..page import NOTHING, Cell, StudyTable
+from ..reconstruction.geometry import ReconstructionSettings
 from ..reconstruction.protocol import Device, Estimator, Protocol, record_scans
 from ..reconstruction.reconstruct import Reconstruction, reconstruct
 from ..reconstruction.report import ERROR_COLUMNS, TEST_COLUMNS, error_rows, rank_test_rows, reconstruction_pieces
-from ..reconstruction.settings import ReconstructionSettings
-from ..study import NOTHING, Cell, StudyTable
-from .common import jobs_pieces, jobs_table, label, paper_set_up
-from .job import Splits, TrainingJob, TrainingTask, preset_for, steps_for
-from .printed import S1_ERRORS, S1_HALF_RANGE_DEG, S1_TRAINING
-from .result import JobResult, PaperOutcome, title_of
+from .job import JobResult, PaperOutcome, Splits, TrainingJob, TrainingTask, preset_for, steps_for, title_of
+from .printed import (
+    DEVICE_LINE,
+    S1_ERRORS,
+    S1_HALF_RANGE_DEG,
+    S1_TRAINING,
+    jobs_pieces,
+    jobs_table,
+    label,
+    paper_set_up,
+)
 from .settings import PaperSettings
 
 TESTS = {
@@ -52,7 +59,6 @@ _FIGURES = (
 )
 COMPARED = ("lstm", "drdpi")
 _QUICK_SCANS = 2
-_DEVICE: Any = {"color": REFERENCE, "linewidth": 2.2, "alpha": 0.5}
 _COLOURS = (COMMAND, MODEL, MEASURED, *ACCENTS)
 _LINE: Any = {"linewidth": 0.9}
 
@@ -169,12 +175,7 @@ def relative_change(result: JobResult) -> float:
 
 
 def scan_study(outcome: PaperOutcome, preset_of: dict[str, str]) -> Reconstruction | None:
-    """Scan the cap with the simulated catheter and draw it from every forward model's angle; None without a model.
-
-    Raises:
-        ConfigError: if a ray misses the cap or an angle is beyond its range.
-        ModelError: if a model's angle is not finite or beyond the range.
-    """
+    """Scan the cap with the simulated catheter and draw it from every forward model's angle; None without a model."""
     jobs = {
         title_of(kind): found[0].job
         for kind, preset in preset_of.items()
@@ -204,8 +205,8 @@ def scan_study(outcome: PaperOutcome, preset_of: dict[str, str]) -> Reconstructi
 
 def _device(seed: int, dt_s: float) -> Device:
     """The simulated catheter of S1 with its laser: another specimen than those of the training groups."""
-    from hystmpc.sim.devices.muscle import MuscleCatheter, MuscleRecorder
-    from hystmpc.sim.devices.recorder import generator
+    from ..devices.muscle import MuscleCatheter, MuscleRecorder
+    from ..devices.recorder import generator
 
     recorder = MuscleRecorder()
     random = generator(seed, "s1/scan", "device")
@@ -242,7 +243,7 @@ def tracking_figure(outcome: PaperOutcome, results: tuple[JobResult, ...]) -> Fi
         for k, (test, name) in enumerate(TESTS.items()):
             above, below = grid[2 * (k // 2)][k % 2], grid[2 * (k // 2) + 1][k % 2]
             trial = outcome.drawn[test][0]
-            above.plot(trial.t, trial.angle, label="device", **_DEVICE)
+            above.plot(trial.t, trial.angle, label="device", **DEVICE_LINE)
             for result, colour in zip(results, _COLOURS, strict=False):
                 run = outcome.free_run(result.job, trial)
                 above.plot(trial.t, run.theta, color=colour, label=title_of(result.job.kind), **_LINE)

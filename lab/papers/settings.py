@@ -49,7 +49,6 @@ class PaperSettings(StudySettings):
             reported; None for the preset's own.
         epochs_scale: share of the papers' epochs that networks are trained for with the preset `paper`. 0.08 for S2,
             where all 100 would take hours on two cores; the report says so.
-        quick: a hundredth of the training on a few short trials: proves that everything runs, and nothing else.
         logs: recorded trials or folders of them, for `real`.
         rate_hz: rate to which logs are resampled [Hz].
         parts: equal parts that each log is cut into.
@@ -62,8 +61,6 @@ class PaperSettings(StudySettings):
     stages: Annotated[tuple[str, ...], Field(min_length=1)]
     betas: Annotated[tuple[NotNegative | None, ...], Field(min_length=1)] = (0.0, 1e-4)
     epochs_scale: Annotated[float, Field(gt=0, le=10)] = 1.0
-    seed: Annotated[int, Field(ge=0)] = 1
-    quick: bool = False
     logs: tuple[str, ...] = ()
     layout: str = "auto"
     rate_hz: Annotated[float, Field(gt=0)] = 25.0

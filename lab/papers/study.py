@@ -11,15 +11,14 @@ from typing import Any
 
 from hystmpc.trials.report import Report
 
-from ..study import Study, StudyTable
-from .job import Splits, TrainingTask, study_splits
+from ..page import StudyTable
+from ..study import Study
+from .job import JobResult, PaperOutcome, Splits, TrainingTask, estimated_seconds, run_task, study_splits
 from .real import real_report, real_tasks
-from .result import JobResult, PaperOutcome
 from .s1 import s1_report, s1_tasks
-from .s2_plan import s2_tasks
 from .s2_report import s2_report
+from .s2_tables import s2_tasks
 from .settings import PaperSettings
-from .worker import estimated_seconds, run_task
 
 PaperStudy = Study[PaperSettings, TrainingTask, JobResult]
 

@@ -19,11 +19,9 @@ from hystmpc.ctrl.mpc import PlanCost
 from hystmpc.ctrl.mpc_settings import LinearisedMpcSettings, SamplingMpcSettings, WeightsSettings
 from hystmpc.trials.types import Vec
 
-from . import pytorch_mppi_
-from .casadi_peer_ import METHODS, SQP_ONCE, Answer, Method, SingleShooting
+from .peers_ import METHODS, SQP_ONCE, Answer, Method, SingleShooting, TorchMppi, pytorch_mppi_installed
 from .report import Comparison, Reads
-from .subjects import Instant, Subject, in_turn, record_scan
-from .timing import WEIGHTS, BenchSettings, Clock, TimedCall, Times
+from .subjects import WEIGHTS, BenchSettings, Clock, Instant, Subject, TimedCall, Times, in_turn, record_scan
 
 OURS = "linearised MPC, whole step"
 _SPEED, _TAIL = 60.0, 2.0
@@ -40,7 +38,7 @@ def linearised_controller(subject: Subject, settings: BenchSettings) -> GuardedC
 
 
 def linearised_rows(subject: Subject, settings: BenchSettings, clock: Clock) -> list[Comparison]:
-    """One row a peer, and one on our own tail.
+    """One row for each peer, and one for the 99th percentile of our step.
 
     Ours is the whole step: estimate, candidates, roll-out, Jacobian, quadratic program, line search, ladder. The peers
     solve the recorded planning problems of the same steps, from their own last solution; what they would need beside
@@ -170,7 +168,7 @@ def sampling_rows(subject: Subject, settings: BenchSettings, clock: Clock, threa
     sigma = subject.limits.rate * subject.metadata.dt_s
     peers = [_MppiPeer(n, k) for n in (wanted.samples, settings.samples) for k in sorted({1, threads})]
     answers: dict[_MppiPeer, list[tuple[int, Vec]]] = defaultdict(list)
-    if pytorch_mppi_.installed():
+    if pytorch_mppi_installed():
         jobs += [_peer_job(subject, settings.horizon, sigma, peer, instants, answers[peer]) for peer in peers]
     times = clock.measure(jobs, threads)
     section = f"{subject.name}, sampling MPC, {threads} thread{'s' if threads > 1 else ''}"
@@ -180,7 +178,7 @@ def sampling_rows(subject: Subject, settings: BenchSettings, clock: Clock, threa
         row = Comparison(section, f"{_SAMPLING}, N={wanted.samples}", f"{_MPPI}, N={count}", Reads.FASTER, goal)
         row = row.with_times(times.get(_SAMPLING), None)
         alike = [peer for peer in peers if peer.samples == count and peer.name in times]
-        if not pytorch_mppi_.installed():
+        if not pytorch_mppi_installed():
             row = row.without_peer()
         elif row.times is not None and alike:
             fastest = min(alike, key=lambda peer: times[peer.name].median_s)
@@ -239,9 +237,7 @@ def _peer_job(
     """The peer on the recorded planning problems; `answers` takes number and plan of each."""
     if subject.weights is None:
         raise TypeError(f"{subject.name}: the peer wants a network")
-    mppi = pytorch_mppi_.TorchMppi(
-        subject.weights, subject.limits, WEIGHTS, peer.samples, horizon, subject.metadata.dt_s, sigma
-    )
+    mppi = TorchMppi(subject.weights, subject.limits, WEIGHTS, peer.samples, horizon, subject.metadata.dt_s, sigma)
 
     def solve(k: int, instant: Instant) -> None:
         mppi.use_threads(peer.threads)

@@ -13,8 +13,7 @@ from hystmpc.ctrl.config import AnyControllerSettings
 from hystmpc.ctrl.mpc_settings import LinearisedMpcSettings, SamplingMpcSettings
 
 from .report import Growth
-from .subjects import Subject, in_turn, lstm_subject, record_scan
-from .timing import BenchSettings, Clock, TimedCall
+from .subjects import BenchSettings, Clock, Subject, TimedCall, in_turn, lstm_subject, record_scan
 
 Series = Callable[[BenchSettings, Clock], list[Growth]]
 _QUADRATIC = 2.0
@@ -58,7 +57,7 @@ GROWTHS: Mapping[str, Series] = {
 
 
 def _doubled(middle: int) -> tuple[int, ...]:
-    """Sizes from a quarter of the benchmark's own to four times it, each twice the one before."""
+    """Sizes from a quarter to four times that of the benchmark, each twice the previous one."""
     sizes = [middle * _LARGEST // 2**k for k in range(5)]
     return tuple(sorted({max(size, 4) for size in sizes}))
 

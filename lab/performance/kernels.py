@@ -15,8 +15,7 @@ from hystmpc.models.model import Predictor
 from hystmpc.models.prediction.exported import RoutedPredictor
 
 from .report import Comparison, Reads
-from .subjects import Subject
-from .timing import BenchSettings, Clock, TimedCall, Times
+from .subjects import BenchSettings, Clock, Subject, TimedCall, Times
 
 Float32 = NDArray[np.float32]
 _RUN_FLOPS = 2e7  # a run of one job: long enough for the clock, short enough to be interrupted

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from typing import Any
 
-from .timing import Times
+from .subjects import Times
 
 FORMAT = "hystmpc-bench/1"
 COLUMNS = ("measured", "median", "p99", "against", "median", "ratio", "goal", "note")
@@ -63,7 +63,7 @@ class Comparison:
 
     @property
     def least_ratio(self) -> float | None:
-        """The ratio of the shortest calls, which other work on the machine disturbs less; None where it has none."""
+        """The ratio of the shortest calls, which other load on the machine hardly disturbs; None where it has none."""
         if self.ratio is None or self.times is None or self.reads is Reads.TAIL:
             return None
         if self.limit_s is not None:

@@ -16,8 +16,7 @@ from .controllers import linearised_rows, program_rows, sampling_rows
 from .growth import GROWTHS
 from .kernels import kernel_rows
 from .report import BenchReport, Comparison, Growth
-from .subjects import lstm_subject, operator_subjects
-from .timing import BenchSettings, Clock, thread_limit
+from .subjects import BenchSettings, Clock, lstm_subject, operator_subjects, thread_limit
 
 _PACKAGES = ("numpy", "numba", "casadi", "osqp", "onnxruntime", "daqp", "torch", "pytorch-mppi")
 _SECTIONS = 8 + len(GROWTHS)

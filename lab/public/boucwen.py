@@ -22,8 +22,7 @@ from hystmpc.trials.mat_ import open_mat
 from hystmpc.trials.trial import Trial, Units
 from hystmpc.trials.types import Vec
 
-from .records import Case, PublicData, Published, ScoredRecord
-from .settings import PublicSettings
+from .records import Case, PublicData, PublicSettings, Published, ScoredRecord
 
 RATE_HZ = 750.0
 PERIOD = 8192

@@ -14,7 +14,7 @@ from hystmpc.trials.config import Settings
 from hystmpc.trials.errors import ConfigError, ModelError
 from hystmpc.trials.types import Vec
 
-from .settings import NotNegative, Positive
+from .geometry import NotNegative, Positive
 
 # Command (N,) [bar] at the session's rate to true and sensed angles (N,) [deg]; starts at rest at command 0.
 Device = Callable[[Vec], tuple[Vec, Vec]]

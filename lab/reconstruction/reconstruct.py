@@ -13,9 +13,8 @@ from scipy.stats import mannwhitneyu
 from hystmpc.trials.errors import ConfigError, HystmpcError, ModelError, did_you_mean
 from hystmpc.trials.types import Mask, Mat, Vec
 
-from .geometry import Segment, checked_angles, measured_distance, rotated, surface_distance
+from .geometry import ReconstructionSettings, Segment, checked_angles, measured_distance, rotated, surface_distance
 from .protocol import Scan
-from .settings import ReconstructionSettings
 
 Unit = Literal["points", "scans"]
 _SAME_DEG = 1e-6
@@ -142,7 +141,6 @@ class Reconstruction:
         """Mean, spread and maximum of a model's errors over `points`, all of them where left out.
 
         Raises:
-            ModelError: if there is no such model.
             ConfigError: if `points` are none.
         """
         error = self.errors(model)
@@ -156,11 +154,7 @@ class Reconstruction:
         return np.sqrt(np.sum((self.truth_mm - self.surface_mm) ** 2, axis=1))
 
     def compare(self, first: str, second: str, unit: Unit = "points") -> tuple[RankTest, ...]:
-        """Mann-Whitney U test of two models in every pattern.
-
-        Raises:
-            ModelError: if one of them is unknown.
-        """
+        """Mann-Whitney U test of two models in every pattern."""
         errors = (self.errors(first), self.errors(second))
         tests = []
         for pattern in self.patterns:

@@ -17,9 +17,8 @@ from matplotlib.projections.polar import PolarAxes
 from hystmpc.trials.report import PALETTE, REFERENCE, Heading, Paragraph, Piece, Plot, Table, new_figure
 from hystmpc.trials.types import Vec
 
-from .geometry import Segment, profile, surface_distance
+from .geometry import ReconstructionSettings, Segment, profile, surface_distance
 from .reconstruct import ErrorSummary, Reconstruction
-from .settings import ReconstructionSettings
 
 PRINTED: Final = "printed in the paper"
 INFERRED: Final = "inferred [I]"
@@ -82,8 +81,6 @@ PAPER_ERROR_MM: Final = {
 PAPER_REDUCTION_PERCENT: Final = {"I": PrintedValue(70.4), "II": PrintedValue(70.4), "III": PrintedValue(63.8)}
 # Mean error of the planar section of pattern I at 45 deg, by model [mm].
 PAPER_SECTION_I_MM: Final = {"LSTM": PrintedValue(0.22), "DRDPI": PrintedValue(0.58)}
-# "around 1 mm" and "ca. 2 mm" at the edge of the cap [mm].
-PAPER_EDGE_MM: Final = {"LSTM": PrintedValue(1.0), "DRDPI": PrintedValue(2.0)}
 # The Mann-Whitney test rejected equal errors in all three patterns below this p.
 PAPER_P: Final = PrintedValue(0.01)
 
@@ -143,11 +140,7 @@ def colours(models: Sequence[str]) -> dict[str, str]:
 
 
 def setup_figure(settings: ReconstructionSettings, angles_deg: Sequence[float] = (0.0, 10.0, 20.0, 30.0)) -> Figure:
-    """Cross-section of every pattern with the segment at some angles and its rays.
-
-    Raises:
-        ConfigError: if a ray misses the cap.
-    """
+    """Cross-section of every pattern with the segment at some angles and its rays."""
     segment, patterns = Segment(settings.segment_length_mm), settings.cap.patterns
     with new_figure(7.0, 5.2) as figure:
         row = figure.subplots(1, len(patterns), sharex=True, sharey=True, squeeze=False)[0]
@@ -168,10 +161,6 @@ def section_figure(result: Reconstruction, rotation_deg: float = 45.0, models: S
 
     Args:
         rotation_deg: of the scan; S1 Fig. 7d is that of pattern I at 45 [deg].
-
-    Raises:
-        ConfigError: if there is no such scan.
-        ModelError: on an unknown model.
     """
     here, names, colour = result.in_scan(rotation_deg), models or result.models, colours(result.models)
     pattern = result.settings.cap.pattern_at(rotation_deg)
@@ -198,9 +187,6 @@ def error_map_figure(result: Reconstruction, models: Sequence[str] | None = None
     """Mean error over rings of 0.5 mm and sectors of a scan, seen along the axis; one colour scale for all models.
 
     A scan's cell starts at its rotation and ends at the next one's, so that cells fill the patterns.
-
-    Raises:
-        ModelError: on an unknown model.
     """
     names = models or result.models
     columns = 2 if len(names) == 4 else min(len(names), 3)

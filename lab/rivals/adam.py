@@ -1,4 +1,4 @@
-"""Identification by Adam on short windows, the way S2 trains its operators, on exact compiled sensitivities."""
+"""Identification by Adam on short windows, as S2 trains its operators, with exact compiled sensitivities."""
 
 from __future__ import annotations
 
@@ -86,9 +86,6 @@ def fit_by_adam(task: ChainTask, settings: AdamSettings, progress: FitProgress |
 
     Parameters stay within their physical bounds. KeyboardInterrupt ends it and keeps the best epoch so far; progress
     gets the epoch and the root of the best loss.
-
-    Raises:
-        FitError: on unusable trials, or trials shorter than a window.
     """
     dt, template = check_trial_set(task.trials), task.starts[0]
     pieces = [_counted(trial, settings) for trial in task.trials]

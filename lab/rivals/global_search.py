@@ -69,9 +69,6 @@ def fit_globally(
     """Run a search over the task's box and report how it converged.
 
     KeyboardInterrupt ends it and keeps the best so far; progress gets the iteration and the best rmse.
-
-    Raises:
-        FitError: on unusable trials, or if no point has a finite error.
     """
     loss = FreeRuns(task.starts[0], task.trials, settings.skip_first_flexure)
     free = task.free

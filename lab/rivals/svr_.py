@@ -139,9 +139,6 @@ def fit_svr(
         settings: see `SvrSettings`.
         skip_first_flexure: leave out each trial up to the first reversal of its command.
         progress: called with the fits so far and the least error; KeyboardInterrupt keeps the best choice.
-
-    Raises:
-        FitError: on unusable trials, or if scikit-learn is not installed.
     """
     settings = settings or SvrSettings()
     check_trial_set(trials)
@@ -175,9 +172,6 @@ def svr_bundle(fit: SvrFit, trials: Sequence[Trial], settings: SvrSettings, limi
     """Graph, facts, reference and probe of a support-vector regression, ready for `export_onnx`.
 
     Fresh and conditioned devices start alike: a window forgets what is older, and the warm-up fills it.
-
-    Raises:
-        FitError: on unusable trials.
     """
     past = fit.weights.state_size
     rest = fixed_rule(np.full(past, float(np.mean([trial.command[0] for trial in trials]))))

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from hystmpc.cli.bars import bar
+from hystmpc.cli.bars import progress_of
 from hystmpc.cli.console import INTERRUPTED, errors, out, plain_console, table
 from hystmpc.cli.options import Force
 from hystmpc.tasks.outputs import BENCHMARK, check_output
@@ -42,16 +42,14 @@ def bench(
     from ..performance.growth import save_growth
     from ..performance.report import report_json
     from ..performance.run import run_bench
-    from ..performance.timing import QUICK, BenchSettings
+    from ..performance.subjects import QUICK, BenchSettings
 
     if json_file is not None:
         check_output("--json", json_file, (BENCHMARK,), (), force)
     if folder is not None:
         require_vacant(folder)
-    with bar("bench") as show:
-        report = run_bench(
-            QUICK if quick else BenchSettings(), lambda done, total, note="": show(done, note, total=total)
-        )
+    with progress_of("bench") as progress:
+        report = run_bench(QUICK if quick else BenchSettings(), progress)
     _print(report, out)
     content = json.dumps(report_json(report), indent=2) + "\n"
     if json_file is not None:

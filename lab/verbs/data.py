@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from hystmpc.cli.bars import bar
+from hystmpc.cli.bars import progress_of
 from hystmpc.cli.console import out, table
 from hystmpc.trials.run_folder import require_vacant
 
@@ -31,14 +31,13 @@ def make(
     seed: Annotated[int, typer.Option("--seed", help="Of devices, motions and noise.", min=0)] = 0,
 ) -> None:
     """Record a whole data set and write it as canonical CSV files with a manifest; all of it or nothing."""
-    from ..datasets.dataset import write_dataset
-    from ..datasets.paper_data import make_dataset
+    from ..datasets import make_dataset, write_dataset
 
     require_vacant(folder)
-    with bar("record") as show:
-        made = make_dataset(name, seed, progress=lambda done, total, note="": show(done, total=total))
-    with bar("write") as show:
-        write_dataset(made, folder, lambda done, total, note="": show(done, total=total))
+    with progress_of("record") as progress:
+        made = make_dataset(name, seed, progress=progress)
+    with progress_of("write") as progress:
+        write_dataset(made, folder, progress)
     rows = [
         [split, str(len(trials)), str(made.samples[split]), f"{sum(t.duration_s for t in trials):.0f}"]
         for split, trials in made.splits.items()

@@ -6,12 +6,12 @@ import math
 import os
 import signal
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from textwrap import shorten
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal, Protocol, TypeVar
 
 import typer
 from rich.console import Console
@@ -22,16 +22,38 @@ from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.run_folder import require_vacant
 
 from ..faults.cases import CASES, FaultCase
-from .fault_devices import FAILED, play_devices
 
 if TYPE_CHECKING:
     from ..faults.cases import Kind, Link
+    from ..faults.devices import DevicePlay
     from ..faults.judge import FaultVerdict
+    from ..faults.truth import DeviceVerdict
+
+FAILED = 1
+"""Exit code of a campaign in which something is not as it has to be."""
 
 _COUNTS = ("commands", "beyond", "safe after s", "rise after fault mm")
-_COLUMNS = ("fault", "over", "has to", "does", *_COUNTS, "log", "says")
+_WIRE_COLUMNS = ("fault", "over", "has to", "does", *_COUNTS, "log", "says")
+_DEVICE_COLUMNS = ("device", "mover", "does", "commands", "beyond", "shows at s", "moves on s", "past deg")
 _WIDTH = 132
 _DOMAINS = range(10, 100)  # of DDS; beyond 100 their ports lie among those that the system gives away
+
+
+class Verdict(Protocol):
+    """Verdict on one case of either campaign."""
+
+    @property
+    def name(self) -> str:
+        """Of the case."""
+        ...
+
+    @property
+    def failures(self) -> tuple[str, ...]:
+        """What is not as it has to be."""
+        ...
+
+
+V = TypeVar("V", bound=Verdict)
 
 
 @dataclass(frozen=True)
@@ -66,25 +88,72 @@ def faults(
     """
     _check(devices, mover, transport, backend)
     if devices:
-        play_devices(folder, only or [], mover or [], jobs)
+        _play_devices(folder, only or [], mover or [], jobs)
         return
-    plays = _chosen(folder, only or [], transport or "both", backend or "python")
+    plays = _over_wires(folder, only or [], transport or "both", backend or "python")
     signal.signal(signal.SIGTERM, lambda number, frame: sys.exit(128 + number))  # no device may be left behind
-    verdicts: list[FaultVerdict] = []
+    title = "fault campaign, device and controller in two processes"
+    verdicts, failed = _told(title, len(plays), _judged(plays, jobs), _WIRE_COLUMNS, _wire_row)
+    if failed:
+        raise typer.Exit(FAILED)
+    out.print(f"{len(verdicts)} cases, all as they have to be; no command beyond the limits")
+
+
+def _play_devices(folder: Path, only: Sequence[str], movers: Sequence[str], jobs: int) -> None:
+    from ..faults.devices import played_all
+
+    plays = _of_devices(only, movers)
+    require_vacant(folder)
+    title = "devices on a computed clock, judged by their own logs"
+    verdicts, failed = _told(title, len(plays), played_all(plays, folder, jobs), _DEVICE_COLUMNS, _device_row)
+    healthy = sum(v.healthy for v in verdicts)
+    out.print(f"{len(verdicts)} plays, {healthy} of them with healthy devices; {failed} not as they have to be")
+    if failed:
+        raise typer.Exit(FAILED)
+
+
+def _told(
+    title: str,
+    count: int,
+    played: Iterable[V],
+    columns: Sequence[str],
+    row: Callable[[V], tuple[str, list[str], str]],
+) -> tuple[list[V], int]:
+    """The verdicts and how many failed: a bar meanwhile, then the table, what the user sees, and the failures.
+
+    Args:
+        row: of a verdict its place, the cells after its name, and the words that the user sees.
+    """
+    verdicts: list[V] = []
     try:
-        with bar("faults", len(plays)) as show:
-            for verdict in _judged(plays, jobs):
+        with bar("faults", count) as show:
+            for verdict in played:
                 verdicts.append(verdict)
                 show(len(verdicts), verdict.name)
     finally:  # an interrupted campaign shows what it has found
-        _show(verdicts)
-    failed = [v for v in verdicts if not v.passed]
-    if failed:
-        for v in failed:
-            text = f"failed: {v.name}, {v.wire}: {', '.join(v.failures)}"
-            errors.print(text, style="red", soft_wrap=True, markup=False, highlight=False)
-        raise typer.Exit(FAILED)
-    out.print(f"{len(verdicts)} cases, all as they have to be; no command beyond the limits")
+        rows = [(v.name, *row(v)) for v in verdicts]
+        grid = table(title, columns, [[name, where, *cells] for name, where, cells, _ in rows])
+        Console(width=max(out.width, _WIDTH)).print(grid)  # a narrow terminal breaks its lines; a file keeps them
+        out.print("what the user sees:")
+        for name, where, _, words in rows:
+            if words:
+                out.print(f"  {name}, {where}: {words}", soft_wrap=True, markup=False, highlight=False)
+    failed = [v for v in verdicts if v.failures]
+    for v in failed:
+        text = f"failed: {v.name}, {row(v)[0]}: {'; '.join(v.failures)}"
+        errors.print(text, style="red", soft_wrap=True, markup=False, highlight=False)
+    return verdicts, len(failed)
+
+
+def _wire_row(v: FaultVerdict) -> tuple[str, list[str], str]:
+    counts = [str(v.commands), str(v.beyond), _number(v.safe_s), _number(v.rise_mm)]
+    return v.wire, [v.expected, v.got, *counts, v.log, v.claim or "-"], v.seen
+
+
+def _device_row(v: DeviceVerdict) -> tuple[str, list[str], str]:
+    moved = v.moved_s if math.isfinite(v.shows_s) else math.nan
+    counts = [str(v.commands), str(v.beyond), _number(v.shows_s), _number(moved), _number(v.past_deg)]
+    return v.mover, [v.how, *counts], v.words
 
 
 def _check(devices: bool, mover: list[str] | None, transport: str | None, backend: str | None) -> None:
@@ -95,7 +164,7 @@ def _check(devices: bool, mover: list[str] | None, transport: str | None, backen
         raise ConfigError("--mover: got no --devices, expected it beside --mover")
 
 
-def _chosen(folder: Path, only: list[str], transport: str, backend: str) -> list[_Play]:
+def _over_wires(folder: Path, only: list[str], transport: str, backend: str) -> list[_Play]:
     """The cases to play, in a folder that is new or empty.
 
     Raises:
@@ -145,27 +214,23 @@ def _judged(plays: list[_Play], jobs: int) -> Iterator[FaultVerdict]:
         pool.shutdown(cancel_futures=True)
 
 
-def _show(verdicts: list[FaultVerdict]) -> None:
-    rows = [
-        [
-            v.name,
-            v.wire,
-            v.expected,
-            v.got,
-            str(v.commands),
-            str(v.beyond),
-            _number(v.safe_s),
-            _number(v.rise_mm),
-            v.log,
-        ]
-        + [v.claim or "-"]
-        for v in verdicts
-    ]
-    grid = table("fault campaign, device and controller in two processes", _COLUMNS, rows)
-    Console(width=max(out.width, _WIDTH)).print(grid)  # a narrow terminal breaks its lines; a file keeps them
-    out.print("what the user sees:")
-    for v in verdicts:
-        out.print(f"  {v.name}, {v.wire}: {v.seen}", soft_wrap=True, markup=False, highlight=False)
+def _of_devices(only: Sequence[str], movers: Sequence[str]) -> tuple[DevicePlay, ...]:
+    """The plays of devices.
+
+    Raises:
+        ConfigError: on an unknown device or mover.
+    """
+    from ..faults.devices import device_cases, device_plays
+    from ..faults.truth import MOVERS
+
+    if unknown := sorted(set(movers) - set(MOVERS)):
+        raise ConfigError(f"--mover: got {', '.join(unknown)}, available: {', '.join(MOVERS)}")
+    plays = device_plays(device_cases(), tuple(m for m in MOVERS if not movers or m in movers))
+    chosen = tuple(play for play in plays if not only or any(text in play.name for text in only))
+    if not chosen:
+        names = "; ".join(dict.fromkeys(play.case.name for play in plays))
+        raise ConfigError(f"--only: got {', '.join(only)}, available: {shorten(names, 200, placeholder=' ...')}")
+    return chosen
 
 
 def _number(value: float) -> str:

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from hystmpc.cli.bars import bar
-from hystmpc.cli.console import INTERRUPTED, errors, out, table
+from hystmpc.cli.bars import progress_of
+from hystmpc.cli.console import errors, out, table
 from hystmpc.cli.options import LayoutName, Logs
 from hystmpc.models.simulator import load_simulator
 from hystmpc.trials.read import read_trials
@@ -57,18 +55,8 @@ def make(
     """Write cases without labels, and their answers in one sealed file."""
     from ..blind.make import make_blind  # kept out of the way of the other verbs' start
 
-    with bar("make cases") as show:
-        workers = jobs or _cores()
-        manifest = make_blind(
-            folder,
-            seed,
-            cases,
-            suite,
-            logs or [],
-            workers,
-            lambda done, total, note="": show(done, total=total),
-            layout,
-        )
+    with progress_of("make cases") as progress:
+        manifest = make_blind(folder, seed, cases, suite, logs or [], jobs or _cores(), progress, layout)
     out.print(f"{len(manifest.cases)} cases in {folder / 'cases'}; answers sealed, sha256 {manifest.answers_sha256}")
 
 
@@ -87,17 +75,9 @@ def run(
     """Diagnose every case that is not diagnosed yet; Ctrl-C keeps what is done."""
     from ..blind.run import run_blind
 
-    with _kept("diagnoses", folder), bar("diagnose") as show:
-        failed = run_blind(
-            folder,
-            jobs or _cores(),
-            seed,
-            follow_up,
-            not without_truth,
-            lambda done, total, note="": show(done, note, total=total),
-        )
-    if failed:
-        errors.print(f"{failed} diagnoses failed, see failure.txt beside them; the same command tries again")
+    with progress_of("diagnose", kept=_kept("diagnoses", folder)) as progress:
+        failed = run_blind(folder, jobs or _cores(), seed, follow_up, not without_truth, progress)
+    _say_failed(failed, "diagnoses")
     out.print(f"diagnoses: {folder / 'diagnoses'}")
 
 
@@ -110,24 +90,17 @@ def order(
     seed: Annotated[int, typer.Option(min=0, help="Of the diagnoses and the orders.")] = 0,
 ) -> None:
     """Diagnose cases in random orders of their files, order unknown; the names should be the same."""
-    from ..blind.order import orders_of, run_orders
+    from ..blind.bars import orders_of
+    from ..blind.run import run_orders
 
-    with _kept("diagnoses", folder), bar("diagnose in orders") as show:
-        failed = run_orders(
-            folder,
-            cases,
-            orders,
-            jobs or _cores(),
-            seed,
-            lambda done, total, note="": show(done, note, total=total),
-        )
-    if failed:
-        errors.print(f"{failed} diagnoses failed, see failure.txt beside them; the same command tries again")
-    found = orders_of(folder)
-    lines = [[row.case, str(row.orders), row.sets] for row in found.rows]
-    out.print(table(f"names in {orders} orders of the files", ("case", "orders", "sets of names"), lines))
-    low, high = found.rate.ci90
-    out.print(f"same names: {found.rate.value:.3f} ({low:.2f} to {high:.2f}) of {found.rate.cases}, goal {found.goal}")
+    with progress_of("diagnose in orders", kept=_kept("diagnoses", folder)) as progress:
+        failed = run_orders(folder, cases, orders, jobs or _cores(), seed, progress)
+    _say_failed(failed, "diagnoses")
+    rows, found = orders_of(folder)
+    columns = ("case", "orders", "sets of names")
+    out.print(table(f"names in {orders} orders of the files", columns, [[*map(str, row)] for row in rows]))
+    low, high = found.ci90 or (0.0, 1.0)
+    out.print(f"same names: {found.value:.3f} ({low:.2f} to {high:.2f}) of {found.cases}, goal {found.goal}")
 
 
 @blind.command()
@@ -140,12 +113,9 @@ def investigate(
     """Play `hystmpc investigate` on the device of every single effect; Ctrl-C keeps what is done."""
     from ..blind.investigated import FOLDER, investigate_blind
 
-    with _kept("investigations", folder), bar("investigate") as show:
-        failed = investigate_blind(
-            folder, minutes, jobs or _cores(), seed, lambda done, total, note="": show(done, note, total=total)
-        )
-    if failed:
-        errors.print(f"{failed} investigations failed, see failure.txt in their folders; the same command tries again")
+    with progress_of("investigate", kept=_kept("investigations", folder)) as progress:
+        failed = investigate_blind(folder, minutes, jobs or _cores(), seed, progress)
+    _say_failed(failed, "investigations")
     out.print(f"investigations: {folder / FOLDER}")
 
 
@@ -189,8 +159,8 @@ def ablate(
 
     require_vacant(folder)
     trials, simulator = read_trials(logs, layout), load_simulator(sim)
-    with bar("ablate") as show:
-        rows = ablate_all(trials, simulator, folder, seed, lambda done, total, note="": show(done, note, total=total))
+    with progress_of("ablate") as progress:
+        rows = ablate_all(trials, simulator, folder, seed, progress)
     cells = []
     for row in rows:
         answer = ("not needed", "", "") if not row.needed else (row.verdict, ", ".join(row.said) or "-", _mark(row))
@@ -218,14 +188,13 @@ def record(
     out.print(f"recorded: {record_motion(folder, case, motion)}")
 
 
-@contextmanager
-def _kept(what: str, folder: Path) -> Iterator[None]:
-    """Ctrl-C ends with its own exit code, and a line that says that nothing is lost."""
-    try:
-        yield
-    except KeyboardInterrupt:
-        errors.print(f"interrupted: finished {what} are kept in {folder}, the same command goes on", style="yellow")
-        raise typer.Exit(INTERRUPTED) from None
+def _kept(what: str, folder: Path) -> str:
+    return f"interrupted: finished {what} are kept in {folder}, the same command goes on"
+
+
+def _say_failed(failed: int, what: str) -> None:
+    if failed:
+        errors.print(f"{failed} {what} failed, see failure.txt beside them; the same command tries again")
 
 
 def _cores() -> int:

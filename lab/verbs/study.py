@@ -21,7 +21,8 @@ from hystmpc.trials.run_folder import require_resumable
 from ..papers.settings import STAGES
 
 if TYPE_CHECKING:
-    from ..study import BegunStudy, Outcome, Study, StudyTable
+    from ..page import StudyTable
+    from ..study import BegunStudy, Outcome, Study
 
 
 class Name(StrEnum):
@@ -158,12 +159,12 @@ def _completed(begun: BegunStudy[Any, Any, Any], name: str, workers: int) -> Out
 
 
 def _over_devices(changes: dict[str, Any], folder: Path, workers: int) -> None:
-    """The study on the logs of each device in a folder of its own, then the tables over all of them.
+    """The study on the logs of each device in a separate folder, then the tables over all devices.
 
     Raises:
         ConfigError: without a list of devices, or with a wrong one; if a folder holds something else.
     """
-    from ..papers.devices import device_settings, kinds_report  # as other studies: late
+    from ..papers.real import device_settings, kinds_report
 
     file = changes.pop("data")
     if file is None:

@@ -1,5 +1,4 @@
-"""The catheters of the papers S1 and S2 and a rod as simulated devices with their benches.
+"""Simulated devices by name: the tendon catheter of S2, and those that installed packages add.
 
-`tendon`, `muscle` and `rod` are the devices, `recorder` the sensors. The devices are not made of the operators that are
-identified on them (`models.operators`).
+They are not made of the operators that are identified on them (`models.operators`).
 """

@@ -1,8 +1,9 @@
-"""Interface of simulated devices (explicit state, commands in, motion out), and parameters with unit and bounds."""
+"""Interface of simulated devices (explicit state, commands in, motion out), their parameters, and a device by name."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field, fields
 from typing import Any, Protocol
 
@@ -66,3 +67,19 @@ class Quantities:
                         f"{type(self).__name__}.{f.name}: got {value} {f.metadata['unit']}, "
                         f"expected {lower:g} to {upper:g} {f.metadata['unit']}"
                     )
+
+
+@dataclass(frozen=True)
+class NamedDevice:
+    """A simulated device that settings files give by its name.
+
+    Attributes:
+        make: the device, from its parameters.
+        parameters: their class, a block of `Quantities`.
+        varied: parameters that differ from one specimen to the next, which a tuning draws where nothing else is said.
+    """
+
+    name: str
+    make: Callable[[Any], Device]
+    parameters: type[Any]
+    varied: tuple[str, ...]

@@ -3,41 +3,28 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, fields, replace
+from collections.abc import Mapping
+from dataclasses import asdict, fields, replace
 from typing import Any
 
 from hystmpc.trials.errors import ConfigError, did_you_mean
+from hystmpc.trials.from_outside import installed_objects
 from hystmpc.trials.json_text import plain
 
-from .device import Device
-from .muscle import MuscleCatheter, MuscleParameters
-from .rod import RodCatheter, RodParameters
+from .device import Device, NamedDevice
 from .tendon import TendonCatheter, TendonParameters
 
+GROUP = "hystmpc.devices"
+"""Entry points by which installed packages add a device; the value is MODULE:NAME of a `NamedDevice`."""
 
-@dataclass(frozen=True)
-class NamedDevice:
-    """One entry of `DEVICES`.
-
-    Attributes:
-        varied: those that differ from one specimen to the next, for tunings that are not told what to draw.
-    """
-
-    make: Callable[[Any], Device]
-    parameters: type[Any]
-    varied: tuple[str, ...]
-
-
+_TENDON = NamedDevice("tendon", TendonCatheter, TendonParameters, ("friction", "roughness", "viscoelastic"))
 DEVICES: Mapping[str, NamedDevice] = {
-    "tendon": NamedDevice(TendonCatheter, TendonParameters, ("friction", "roughness", "viscoelastic")),
-    "muscle": NamedDevice(MuscleCatheter, MuscleParameters, ("friction", "slack_bar", "greatest_deg", "half_bar")),
-    "rod": NamedDevice(
-        RodCatheter,
-        RodParameters,
-        ("friction", "shaft_drag_n", "rod_drag_n", "stiffness_nmm", "shaft_n_per_mm", "rod_n_per_mm", "set_share"),
-    ),
+    _TENDON.name: _TENDON,
+    **installed_objects(GROUP, "device", NamedDevice, [_TENDON.name]),
 }
+"""Simulated devices by name, those of installed packages last."""
+
+_OF_THE_LABORATORY = ("muscle", "rod")
 
 
 class DeviceError(ConfigError):
@@ -60,7 +47,9 @@ def device_parameters(name: str, parameters: Mapping[str, float], factors: Mappi
             bounds.
     """
     if name not in DEVICES:
-        raise DeviceError(f"no device {name!r}, {did_you_mean(name, DEVICES)}", ("device",))
+        where = "a device of the laboratory: pip install 'hystmpc[papers]'"
+        hint = where if name in _OF_THE_LABORATORY else did_you_mean(name, DEVICES)
+        raise DeviceError(f"no device {name!r}, {hint}", ("device",))
     made = DEVICES[name].parameters()
     known = {f.name: f for f in fields(made)}
     values: dict[str, Any] = {}
@@ -86,7 +75,8 @@ def named_device(name: str, parameters: Mapping[str, float], factors: Mapping[st
     Raises:
         DeviceError: as `device_parameters`.
     """
-    return DEVICES[name].make(device_parameters(name, parameters, factors))
+    numbers = device_parameters(name, parameters, factors)
+    return DEVICES[name].make(numbers)
 
 
 def parameter_lines(name: str) -> list[str]:

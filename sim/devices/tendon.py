@@ -1,9 +1,9 @@
-"""The tendon catheter of S2 and its bench: distributed friction between two lines."""
+"""The tendon catheter of S2: distributed friction between two lines."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 from typing import Any, NamedTuple, final
 
 import numpy as np
@@ -12,8 +12,7 @@ from hystmpc.models.kernels.numba_ import njit
 from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.types import Vec
 
-from .device import Device, DeviceMotion, Quantities, quantity
-from .recorder import TrackedBench
+from .device import DeviceMotion, Quantities, quantity
 
 DRIVE, ROUGHNESS, VISCOUS, CREEP, REACHED = range(5)  # of the state, after the elements
 EXTRA_STATES = 5
@@ -131,29 +130,6 @@ class TendonParameters(Quantities):
         return np.concatenate([band, self.core_to + 2 * (tail_mean - self.core_to) * (np.arange(rest) + 0.5) / rest])
 
 
-@dataclass(frozen=True)
-class TendonVariation(Quantities):
-    """Variation of the device between trials: standard deviations of normal draws.
-
-    S2 accepts a pretension when the standard deviation over trials is below 0.5 deg.
-    """
-
-    offset_deg: float = quantity(0.3, "deg", 0.0, 10.0, "shift of all angles")
-    slope: float = quantity(0.004, "1", 0.0, 0.2, "relative change of both slopes")
-    friction: float = quantity(0.04, "1", 0.0, 0.3, "relative change of the friction")
-
-    def __call__(self, parameters: TendonParameters, random: np.random.Generator) -> TendonParameters:
-        """The device of one trial."""
-        offset, slope, friction = random.standard_normal(3)
-        return replace(
-            parameters,
-            offset_deg=parameters.offset_deg + self.offset_deg * offset,
-            loading_slope=parameters.loading_slope * (1 + self.slope * slope),
-            unloading_slope=parameters.unloading_slope * (1 + self.slope * slope),
-            friction=parameters.friction * (1 + self.friction * friction),
-        )
-
-
 @final
 class TendonCatheter:
     """Tendon displacement [mm] to tip angle [deg] through N friction elements between two lines.
@@ -236,15 +212,3 @@ class TendonCatheter:
 def _share(dt_s: float, lag_s: float) -> float:
     """Share of a step that a first-order lag has made after one sample, exact for a held input."""
     return 1 - math.exp(-dt_s / lag_s) if lag_s > 0 else 1.0
-
-
-@final
-@dataclass(frozen=True, kw_only=True)
-class TendonRecorder(TrackedBench):
-    """The bench of S2."""
-
-    device: TendonParameters = field(default_factory=TendonParameters)
-    variation: TendonVariation = field(default_factory=TendonVariation)
-
-    def mounted(self, random: np.random.Generator) -> Device:
-        return TendonCatheter(self.variation(self.device, random))

@@ -2,34 +2,18 @@
 
 from __future__ import annotations
 
-import importlib.util
 import math
-import sys
-from pathlib import Path
-from types import ModuleType
 
 import pytest
 
 from hystmpc.ctrl import CommandLimits, Source
 
-ROOT = Path(__file__).resolve().parents[2]
-
-
-def script(path: str) -> ModuleType:
-    """A script as a module, found by its path."""
-    file = ROOT / path
-    spec = importlib.util.spec_from_file_location(f"script_{file.stem}", file)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module  # dataclasses look their module up
-    spec.loader.exec_module(module)
-    return module
+from ..scripts import script
 
 
 @pytest.mark.slow
 def test_faults_neither_raise_nor_leave_the_limits() -> None:
-    faults = script("lab/benchmarks/faults.py")
+    faults = script("faults")
     tallies = faults.run(300 * len(faults.CONTROLLERS), seed=3)
     for name, tally in tallies.items():
         assert (name, tally.exceptions, tally.violations) == (name, 0, 0), tally.first_exception
@@ -39,7 +23,7 @@ def test_faults_neither_raise_nor_leave_the_limits() -> None:
 
 @pytest.mark.slow
 def test_endurance_counts_what_it_says() -> None:
-    endure = script("lab/benchmarks/endurance.py").endure
+    endure = script("endurance").endure
     settings = {"model": "builtin:backlash", "controller": {"kind": "linearised_mpc"}}
     run = endure(settings, 1e-3, 60, False)
     assert (run.misses, run.steps, sum(run.sources.values())) == (0, 60, 60)
@@ -50,7 +34,7 @@ def test_endurance_counts_what_it_says() -> None:
 
 @pytest.mark.parametrize("u", [math.nan, math.inf, -0.1, 6.1, 3.9, 2.1])
 def test_commands_beyond_the_limits_are_counted(u: float) -> None:
-    violates = script("lab/benchmarks/faults.py").violates
+    violates = script("faults").violates
     limits = CommandLimits(0.0, 6.0, 20.0)
     assert violates(limits, u, 3.0, 0.04)
     assert not violates(limits, 3.0 + 20.0 * 0.04, 3.0, 0.04)

@@ -23,7 +23,7 @@ from hystmpc.models.operators.slow_changes import Creep
 from hystmpc.models.simulator import Simulator
 from hystmpc.trials.errors import GapError
 from hystmpc.trials.trial import Trial
-from hystmpc_lab.blind.later_session import closed_in_later_session
+from hystmpc_lab.blind.run import closed_in_later_session
 
 from ..models.zoo import BACKLASH
 from .consistency import contradictions

@@ -16,7 +16,7 @@ from hystmpc.models.chain import Chain
 from hystmpc.models.identify.cross_validation import CrossValidation
 from hystmpc.trials.trial import Trial
 from hystmpc_lab.blind.generators import lugre_tip
-from hystmpc_lab.blind.later_session import closed_in_later_session
+from hystmpc_lab.blind.run import closed_in_later_session
 from hystmpc_lab.devices.cores import FINE_S, Scene
 
 from ..models.zoo import BACKLASH

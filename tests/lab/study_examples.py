@@ -6,8 +6,7 @@ import numpy as np
 
 from hystmpc.models.simulator import ChainModel
 from hystmpc.trials.trial import Trial
-from hystmpc_lab.papers.job import Splits, TrainingJob
-from hystmpc_lab.papers.result import JobResult
+from hystmpc_lab.papers.job import JobResult, Splits, TrainingJob
 
 from ..models.zoo import CHAINS, simulator
 

@@ -15,7 +15,8 @@ from pydantic import Field
 
 from hystmpc.trials.errors import FitError
 from hystmpc.trials.report import Heading, Report
-from hystmpc_lab.study import Figure, Outcome, Result, Study, StudySettings, StudyTable, figures_table, set_up
+from hystmpc_lab.page import StudyTable, figures_table, set_up
+from hystmpc_lab.study import Figure, Outcome, Result, Study, StudySettings
 
 
 class SumSettings(StudySettings):
@@ -25,8 +26,6 @@ class SumSettings(StudySettings):
     study: Literal["sums"] = "sums"
     count: Annotated[int, Field(ge=1)] = 3
     broken: int = -1
-    seed: int = 1
-    quick: bool = False
 
 
 @dataclass(frozen=True)

@@ -13,10 +13,9 @@ from hystmpc.trials.csv_files import read_csv
 from hystmpc.trials.errors import ConfigError, LogError
 from hystmpc.trials.read import read_trials
 from hystmpc.trials.trial import Trial, resample
-from hystmpc_lab.blind.cases import sized
+from hystmpc_lab.blind.cases import INJECTIONS, Injection, injection_case, sized
 from hystmpc_lab.blind.device import DEVICES
 from hystmpc_lab.blind.generators import GENERATORS, LABELS, Withheld, generator_named
-from hystmpc_lab.blind.injection import INJECTIONS, Injection, injection_case
 from hystmpc_lab.blind.make import CASES, SUITES, WHEEL, device_of, make_blind, make_case, places
 from hystmpc_lab.blind.plan import ALIASED, POOR, draw_plan
 from hystmpc_lab.blind.reading import load_scored

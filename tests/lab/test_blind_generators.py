@@ -31,7 +31,7 @@ from hystmpc_lab.blind.generators import (
     log_relaxation,
     lugre_tip,
 )
-from hystmpc_lab.blind.motions import RAMP_HOLD, SINE, STEPS, TRIANGLES
+from hystmpc_lab.blind.plan import RAMP_HOLD, SINE, STEPS, TRIANGLES
 from hystmpc_lab.devices import kernels as cores
 from hystmpc_lab.devices.cores import (
     FINE_S,

@@ -10,7 +10,6 @@ import pytest
 from hystmpc_lab.blind.investigated import (
     ScoredInvestigation,
     investigate_blind,
-    named_first,
     named_right,
     scored_investigations,
     time_share,
@@ -27,8 +26,6 @@ def test_only_the_cause_alone_is_right() -> None:
         replace(ONE, verdict="one_of"),
     )
     assert [one.right for one in (ONE, two, wrong, either)] == [True, False, False, False]
-    assert [one.first for one in (ONE, two, wrong, either)] == [True, True, False, True]
-    assert named_first((ONE, two, wrong, either)).value == 0.75
     assert named_right((ONE, two, wrong, either)).value == 0.25
     assert time_share((ONE, replace(ONE, device_s=100.0))) == pytest.approx(0.375)
 

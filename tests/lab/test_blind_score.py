@@ -11,13 +11,23 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hystmpc.models.effects.catalogue import confusable
-from hystmpc_lab.blind.bars import bars, metrics, orders_bar, resolved, true_share
+from hystmpc_lab.blind.bars import (
+    bars,
+    calibration,
+    chance,
+    confusion,
+    metrics,
+    orders_bar,
+    overlap,
+    resampled,
+    resolved,
+    true_share,
+)
 from hystmpc_lab.blind.generators import ALIASED_RATE, CONFIGURATION, LABELS, SCATTER
-from hystmpc_lab.blind.measures import calibration, chance, confusion, overlap, resampled
 from hystmpc_lab.blind.reading import DiagnosisReading, ScoredCase, reading_of
 from hystmpc_lab.blind.report import blind_report
 from hystmpc_lab.blind.score import kind_of_miss, score_json, score_of
-from hystmpc_lab.study import Rate
+from hystmpc_lab.page import Rate
 
 from .blind_examples import all_answers, always, answer, named, perfect
 
@@ -121,10 +131,10 @@ def test_a_motion_resolves_what_it_leaves_true(truth: tuple[str, ...], after: Di
 
 def test_orders_count_against_the_usual_set_of_their_case() -> None:
     a, b = frozenset({"lag"}), frozenset({"creep"})
-    found, share = orders_bar({"001": (a, a, a, b), "002": (a,) * 4})
-    assert (share.hits, share.cases) == (7, 8)
+    found = orders_bar({"001": (a, a, a, b), "002": (a,) * 4})
+    assert (found.value, found.cases) == (7 / 8, 8)
     assert found.misses == ("001",)
-    assert orders_bar({})[0].state == "not measured"
+    assert orders_bar({}).state == "not measured"
 
 
 def test_a_name_that_raises_the_error_is_counted() -> None:

@@ -8,11 +8,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hystmpc_lab.commission.bars import CommissionOutcome, bars, gap_agrees, over_rival
-from hystmpc_lab.commission.device import PreparedPlant, bench_settings
-from hystmpc_lab.commission.report import commission_report
-from hystmpc_lab.commission.settings import CommissionResult, CommissionStudySettings
-from hystmpc_lab.commission.study import STUDY
+from hystmpc_lab.commission.job import PreparedPlant, bench_settings
+from hystmpc_lab.commission.settings import (
+    CommissionOutcome,
+    CommissionResult,
+    CommissionStudySettings,
+    bars,
+    gap_agrees,
+    over_rival,
+)
+from hystmpc_lab.commission.study import STUDY, commission_report
 from hystmpc_lab.devices.drawn import DrawnDevice, DrawnPlant, draw_devices, worn
 
 FOUR = draw_devices(4, 3, quick=True)  # one of each family
@@ -106,19 +111,3 @@ def test_the_fall_that_was_said_agrees_within_thirty_per_cent_of_its_share(
     said = {"gap.said": 1.0, "gap.said_before_deg": 1.0, "gap.said_after_deg": 0.5, "gap.floor_deg": 0.02}
     assert gap_agrees({**said, "gap.before_deg": before, "gap.after_deg": after}) is agrees
     assert gap_agrees({"gap.said": 0.0}) is None
-
-
-@pytest.mark.slow
-def test_one_device_from_the_bench_to_the_table(tmp_path: Path) -> None:
-    """A device with nothing to compare with: commissioned, changed, without a sensor; nothing beyond a limit."""
-    settings = CommissionStudySettings.of(devices=1, seed=3, quick=True, evaluations=10)
-    study = STUDY.begin(settings, tmp_path)
-    outcome = study.finish()
-    assert not outcome.failed, [result.message for result in outcome.failed]
-    judged = {bar.name: bar for bar in bars(outcome)}
-    assert judged["samples beyond a limit, all controllers"].value == 0
-    assert judged["samples stopped by a controller that learns"].value == 0
-    assert np.isfinite(judged["commissioned, over the best tuned rival: worst"].value)  # quick: how good says nothing
-    assert judged["device time of a commissioning [s]"].state == "met"
-    assert (tmp_path / "report.html").is_file()
-    assert study.minutes(1) >= 0

@@ -14,11 +14,10 @@ from hystmpc.sim.study import ClosedLoopRun
 from hystmpc.trajectories.config import parse_motion
 from hystmpc.trials.errors import ConfigError
 from hystmpc_lab.control.bars import BARS, BarVerdict, ControlOutcome, control_figures, exact, limit_cycle, verdicts
-from hystmpc_lab.control.controllers import CONTROLLERS
-from hystmpc_lab.control.job import control_jobs, gains_file
+from hystmpc_lab.control.loop import control_jobs, gains_file
 from hystmpc_lab.control.plants import MISMATCH, PLANTS, half_width
 from hystmpc_lab.control.report import bars_table, loop_table
-from hystmpc_lab.control.settings import MOTIONS, ControlJob, ControlResult, ControlSettings, motion
+from hystmpc_lab.control.settings import CONTROLLERS, MOTIONS, ControlJob, ControlResult, ControlSettings, motion
 from hystmpc_lab.control.study import STUDY
 
 DT = 0.1

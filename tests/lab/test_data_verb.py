@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from hystmpc.trials.csv_files import read_csv
-from hystmpc_lab.datasets.dataset import read_dataset
+from hystmpc_lab.datasets import read_dataset
 
 from ..cli.test_verbs import run
 

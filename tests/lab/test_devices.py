@@ -18,9 +18,8 @@ from hystmpc.models.simulator import ChainModel
 from hystmpc.trials.csv_files import write_csv
 from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.trial import Trial, Units
-from hystmpc_lab.papers.devices import device_settings
 from hystmpc_lab.papers.job import study_splits
-from hystmpc_lab.papers.real import real_tasks
+from hystmpc_lab.papers.real import device_settings, real_tasks
 
 from ..gap.engine_examples import moves, simulator_of, trials_of
 from ..models.zoo import BACKLASH

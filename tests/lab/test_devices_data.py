@@ -10,14 +10,13 @@ import numpy as np
 import pytest
 
 from hystmpc.models.maps import LaserConversion, TipMap
-from hystmpc.sim.devices.muscle import MuscleRecorder
-from hystmpc.sim.devices.tendon import TendonRecorder
 from hystmpc.trajectories.excitation import s2_sinusoid
 from hystmpc.trials.errors import ConfigError, LogError
 from hystmpc.trials.trial import Trial
-from hystmpc_lab.datasets.dataset import Dataset, read_dataset, write_dataset
-from hystmpc_lab.datasets.paper_commands import s1_test_b
-from hystmpc_lab.datasets.paper_data import S1Settings, S2Settings, make_dataset
+from hystmpc_lab.datasets import Dataset, S1Settings, S2Settings, make_dataset, read_dataset, write_dataset
+from hystmpc_lab.devices.muscle import MuscleRecorder
+from hystmpc_lab.devices.recorder import TendonRecorder
+from hystmpc_lab.paper_commands import s1_test_b
 
 SMALL = S2Settings(
     train_hz=(0.5,), val_hz=(0.5,), test_hz=(0.5,), train_moves=2, val_moves=1, test_moves=1, repeats=2, check_hz=(0.5,)

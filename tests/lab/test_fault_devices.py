@@ -23,13 +23,10 @@ from hystmpc.rig.safety.gate import Anchor, Gate
 from hystmpc.rig.safety.plausibility import MotionWatch
 from hystmpc.rig.transports.transport import Conversion, Reading, RunContext
 from hystmpc.rig.transports.udp import UdpSettings
-from hystmpc_lab.faults.body import Body
-from hystmpc_lab.faults.campaign import played, played_all
-from hystmpc_lab.faults.description import DeviceFault, DeviceSpec, FaultKind, Row
-from hystmpc_lab.faults.devices import DeviceCase, DevicePlay, device_cases, device_plays
-from hystmpc_lab.faults.hostile import HostileDevice
+from hystmpc_lab.faults.description import Body, DeviceFault, DeviceSpec, FaultKind, Row
+from hystmpc_lab.faults.devices import DeviceCase, DevicePlay, device_cases, device_plays, played, played_all
+from hystmpc_lab.faults.hostile import HostileDevice, served
 from hystmpc_lab.faults.movers import How
-from hystmpc_lab.faults.over_udp import served
 from hystmpc_lab.faults.truth import MOVERS, Asked, DeviceVerdict, Ending, Mover, judged
 
 pytestmark = pytest.mark.slow  # seconds together

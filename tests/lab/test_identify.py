@@ -19,8 +19,14 @@ from hystmpc_lab.devices.drawn import FAMILIES, DrawnDevice, DrawnPlant, draw_de
 from hystmpc_lab.devices.exact import ExactInverse, ExactPredictor, exact_controller
 from hystmpc_lab.devices.kernels import PidNumbers
 from hystmpc_lab.devices.motions import fresh_motions, recordings
-from hystmpc_lab.identify.bars import CONTROLLERS, IdentifyOutcome, bars
-from hystmpc_lab.identify.settings import IdentifyJob, IdentifyResult, IdentifySettings
+from hystmpc_lab.identify.settings import (
+    CONTROLLERS,
+    IdentifyJob,
+    IdentifyOutcome,
+    IdentifyResult,
+    IdentifySettings,
+    bars,
+)
 
 DEVICES = draw_devices(12, seed=3)
 QUIET = [replace(device, noise_deg=0.0) for device in draw_devices(4, seed=3, quick=True)]

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from hystmpc.models.evaluate import Errors
 from hystmpc.trials.errors import ConfigError, LogError
-from hystmpc_lab.papers.job import TrainingTask, study_splits
+from hystmpc_lab.papers.job import Score, TrainingTask, study_splits
 from hystmpc_lab.papers.printed import (
     S1_ERRORS,
     S1_TRAINING,
@@ -23,9 +23,8 @@ from hystmpc_lab.papers.printed import (
     S2_WINDOWS,
     s2_symbol,
 )
-from hystmpc_lab.papers.result import Score
 from hystmpc_lab.papers.s1 import TESTS, relative_change
-from hystmpc_lab.papers.s2_plan import s2_tasks
+from hystmpc_lab.papers.s2_tables import s2_tasks
 from hystmpc_lab.papers.settings import S1_KINDS, S2_KINDS, PaperSettings
 from hystmpc_lab.papers.study import STUDIES
 from hystmpc_lab.statistics import compared, holm, least_p, pairwise, signed_rank

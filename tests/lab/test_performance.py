@@ -18,8 +18,7 @@ from hystmpc.models.kernels.vector_emitter import host_shape
 from hystmpc.models.model import Predictor
 from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.types import Progress
-from hystmpc_lab.performance import pytorch_mppi_, run, timing
-from hystmpc_lab.performance.casadi_peer_ import METHODS, SQP, Method, SingleShooting
+from hystmpc_lab.performance import controllers, run, subjects
 from hystmpc_lab.performance.controllers import (
     linearised_controller,
     program_rows,
@@ -27,10 +26,24 @@ from hystmpc_lab.performance.controllers import (
     sampling_rows,
 )
 from hystmpc_lab.performance.kernels import jacobian_flops, products, rollout_flops, step_flops
+from hystmpc_lab.performance.peers_ import METHODS, SQP, Method, SingleShooting, TorchMppi, pytorch_mppi_installed
 from hystmpc_lab.performance.report import COLUMNS, FORMAT, BenchReport, Comparison, Reads, report_json, table_rows
 from hystmpc_lab.performance.run import run_bench
-from hystmpc_lab.performance.subjects import Instant, Subject, in_turn, lstm_subject, operator_subjects, record_scan
-from hystmpc_lab.performance.timing import QUICK, WEIGHTS, BenchSettings, Clock, Effort, TimedCall, Times
+from hystmpc_lab.performance.subjects import (
+    QUICK,
+    WEIGHTS,
+    BenchSettings,
+    Clock,
+    Effort,
+    Instant,
+    Subject,
+    TimedCall,
+    Times,
+    in_turn,
+    lstm_subject,
+    operator_subjects,
+    record_scan,
+)
 
 pytestmark = pytest.mark.slow
 
@@ -74,7 +87,7 @@ def check_complete(content: dict[str, Any], settings: BenchSettings) -> None:
 
 
 def installed(peer: str) -> bool:
-    return not peer.startswith("pytorch-mppi") or pytorch_mppi_.installed()
+    return not peer.startswith("pytorch-mppi") or pytorch_mppi_installed()
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,7 +116,7 @@ def ran(tmp_path_factory: pytest.TempPathFactory) -> Ran:
         return reports[0]
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(timing, "QUICK", SMALL)
+        patch.setattr(subjects, "QUICK", SMALL)
         patch.setattr(run, "run_bench", told_too)
         bench(folder / "out", folder / "bench.json", quick=True)
     content = json.loads((folder / "bench.json").read_text(encoding="utf-8"))
@@ -154,11 +167,11 @@ def test_a_peer_plans_within_the_limits_at_the_cost_that_we_count(subject: Subje
 
 
 def test_the_torch_peer_runs_the_same_network(lstm: Subject) -> None:
-    if not pytorch_mppi_.installed():
+    if not pytorch_mppi_installed():
         pytest.skip("pytorch-mppi or torch is not installed")
     assert lstm.weights is not None
     sizes = (SMALL.samples, SMALL.horizon, lstm.metadata.dt_s, 0.3)
-    peer = pytorch_mppi_.TorchMppi(lstm.weights, lstm.limits, WEIGHTS, *sizes)
+    peer = TorchMppi(lstm.weights, lstm.limits, WEIGHTS, *sizes)
     state = lstm.own.initial(29.0, 1.0)
     plan = np.array([1.2, 1.5, 1.9, 1.6, 1.3, 0.9])
     np.testing.assert_allclose(peer.angles(state, 1.0, plan), lstm.own.rollout(state, plan[None])[0], atol=1e-3)
@@ -166,14 +179,14 @@ def test_the_torch_peer_runs_the_same_network(lstm: Subject) -> None:
 
 
 def test_a_missing_peer_is_said_and_nothing_else(lstm: Subject, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(pytorch_mppi_, "installed", lambda: False)
+    monkeypatch.setattr(controllers, "pytorch_mppi_installed", lambda: False)
     for row in sampling_rows(lstm, SMALL, Clock(TINY), threads=1):
         assert (row.state, row.ratio) == ("not installed", None)
         assert row.times is not None
 
 
 def test_costs_of_both_samplers_stand_beside_the_ratio(lstm: Subject) -> None:
-    if not pytorch_mppi_.installed():
+    if not pytorch_mppi_installed():
         pytest.skip("pytorch-mppi or torch is not installed")
     for row in sampling_rows(lstm, SMALL, Clock(TINY), threads=1):
         assert 0.0 <= row.facts["plan_cost_mean"] < row.facts["peer_plan_cost_mean"]

@@ -16,7 +16,6 @@ from hystmpc.models.operators.oscillator import Oscillator
 from hystmpc.trials.errors import ConfigError, LogError
 from hystmpc.trials.layouts import load_mapping
 from hystmpc.trials.trial import Trial
-from hystmpc_lab.public import rig, seals
 from hystmpc_lab.public.boucwen import (
     COLUMNS,
     PERIOD,
@@ -27,9 +26,8 @@ from hystmpc_lab.public.boucwen import (
     read_record,
     simulated_tests,
 )
-from hystmpc_lab.public.records import withheld_end
-from hystmpc_lab.public.seals import SealData
-from hystmpc_lab.public.settings import PublicSettings
+from hystmpc_lab.public.logs import RIG_LAYOUT, SEAL_LAYOUT, RigData, SealData
+from hystmpc_lab.public.records import PublicSettings, withheld_end
 from hystmpc_lab.public.study import STUDY
 
 from ..models.running import run_chain
@@ -198,8 +196,8 @@ def test_a_test_file_is_of_the_same_seal_or_refused(tmp_path: Path) -> None:
 
 def test_the_layouts_are_those_of_the_examples() -> None:
     examples = Path(__file__).parents[2] / "examples"
-    assert load_mapping(examples / "seal_friction.yaml") == seals.LAYOUT
-    assert load_mapping(examples / "fatigue_rig.yaml") == rig.LAYOUT
+    assert load_mapping(examples / "seal_friction.yaml") == SEAL_LAYOUT
+    assert load_mapping(examples / "fatigue_rig.yaml") == RIG_LAYOUT
 
 
 def test_the_last_third_of_a_rig_is_scored_and_test_files_whole(tmp_path: Path) -> None:
@@ -208,7 +206,7 @@ def test_the_last_third_of_a_rig_is_scored_and_test_files_whole(tmp_path: Path) 
         rows = "\n".join(f"{a},0,{np.sin(a)},0,{np.cos(a)}" for a in t.tolist())
         (tmp_path / f"{name}.csv").write_text(f"t,r,u,y,d\n{rows}\n")
     settings = PublicSettings.of(dataset="rig", data=tmp_path / "one.csv", test=[tmp_path / "two.csv"])
-    (case,) = rig.RigData().cases(settings)
+    (case,) = RigData().cases(settings)
     last, whole = case.tests
     assert sum(map(len, case.training)) == last.first == round(2 / 3 * len(last.trial))
     assert (last.name, whole.name, whole.first) == ("last third", "two.csv", 125)

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from hystmpc.trials.errors import ConfigError, ModelError
 from hystmpc.trials.report import Report
-from hystmpc_lab.reconstruction.geometry import Segment
+from hystmpc_lab.reconstruction.geometry import Oct, ReconstructionSettings, Segment
 from hystmpc_lab.reconstruction.protocol import Protocol, Scan, record_scans, session
 from hystmpc_lab.reconstruction.reconstruct import Reconstruction, rank_test, reconstruct
 from hystmpc_lab.reconstruction.report import (
@@ -30,7 +30,6 @@ from hystmpc_lab.reconstruction.report import (
     section_figure,
     setup_figure,
 )
-from hystmpc_lab.reconstruction.settings import Oct, ReconstructionSettings
 
 IDEAL = ReconstructionSettings(oct=Oct(noise_mm=0.0, axial_resolution_mm=0.0))
 NOISY = ReconstructionSettings(seed=3)

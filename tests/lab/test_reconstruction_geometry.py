@@ -10,8 +10,18 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hystmpc.trials.errors import ConfigError
-from hystmpc_lab.reconstruction.geometry import Segment, measured_distance, profile, rotated, surface_distance
-from hystmpc_lab.reconstruction.settings import Cap, Groove, Oct, Pattern, ReconstructionSettings
+from hystmpc_lab.reconstruction.geometry import (
+    Cap,
+    Groove,
+    Oct,
+    Pattern,
+    ReconstructionSettings,
+    Segment,
+    measured_distance,
+    profile,
+    rotated,
+    surface_distance,
+)
 
 SETTINGS = ReconstructionSettings()
 SEGMENT = Segment(SETTINGS.segment_length_mm)

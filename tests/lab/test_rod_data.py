@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 from hystmpc.ctrl.loop import Plant
-from hystmpc.sim.devices.rod import RodBench, RodCatheter, RodParameters, RodRecorder, RodVariation, simulate_rod
 from hystmpc.sim.plants.device import DevicePlant
 from hystmpc.trajectories.excitation import s2_sinusoid
 from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.read import read_trials
 from hystmpc.trials.trial import resample
-from hystmpc_lab.datasets.paper_data import RodSettings, S2Settings, make_dataset
+from hystmpc_lab.datasets import RodSettings, S2Settings, make_dataset
+from hystmpc_lab.devices.rod import RodBench, RodCatheter, RodParameters, RodRecorder, RodVariation, simulate_rod
 
 DT = 0.04
 FEW = S2Settings(train_hz=(0.5,), val_hz=(0.5,), test_hz=(0.4,), train_moves=1, val_moves=1, test_moves=1, repeats=1)

@@ -15,15 +15,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hystmpc.trials.errors import ConfigError, LogError
-from hystmpc_lab.study import (
-    Bar,
-    Figures,
-    Outcome,
-    Rate,
-    by_device,
-    cell,
-    over,
-)
+from hystmpc_lab.page import Bar, Figures, Rate, by_device, cell, over
+from hystmpc_lab.study import Outcome, wall_minutes
 
 sys.path.append(str(Path(__file__).parent))  # which worker processes inherit
 sums = import_module("sums_study")
@@ -125,6 +118,32 @@ def test_a_folder_of_something_else_is_refused(
     (copy / "results" / "half-0.json").write_text("{}")
     with pytest.raises(LogError, match="remove it"):
         STUDY.begin(SETTINGS, copy)
+
+
+def test_the_costliest_job_of_a_stage_comes_first(tmp_path: Path) -> None:
+    dear, seen = replace(STUDY, costs=lambda jobs, settings: {job.key: float(job.number) for job in jobs}), list[str]()
+    dear.begin(SETTINGS, tmp_path).finish(progress=lambda done, total, note="": seen.append(note))
+    keys = ["", "half-2", "half-1", "half-0", "sum-0"]
+    assert seen == [f"{k} of 4 jobs {key}" for k, key in enumerate(keys)]
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["{", '{"format": "hystmpc-sums-job/1"}', '{"format": "other/1", "job": {"stage": "sum", "number": 0}}', "[]"],
+)
+def test_a_damaged_result_is_named(tmp_path: Path, text: str) -> None:
+    files = STUDY.files(tmp_path)
+    path = files.path(SumJob("sum", 0))
+    path.parent.mkdir()
+    path.write_text(text)
+    with pytest.raises(LogError, match=r"sum-0\.json.*remove it"):
+        files.load(SumJob("sum", 0))
+
+
+def test_the_wall_time_is_never_less_than_the_longest_job() -> None:
+    assert wall_minutes({"a": 600.0, "b": 60.0}, 8) == 10
+    assert wall_minutes({"a": 60.0, "b": 60.0}, 2) == 1
+    assert wall_minutes({}, 2) == 0
 
 
 def test_results_survive_their_file(tmp_path: Path) -> None:

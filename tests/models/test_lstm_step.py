@@ -70,7 +70,7 @@ def test_torch_agrees_over_a_long_run(weights: LstmWeights) -> None:
     torch = pytest.importorskip("torch")
     from hystmpc.models.networks.network_ import numbers
     from hystmpc.models.networks.recurrent_ import lstm_layers
-    from hystmpc_lab.performance.pytorch_mppi_ import net_of
+    from hystmpc_lab.performance.peers_ import net_of
 
     net, scaling, u = net_of(weights), weights.scaling, commands()
     with torch.no_grad():

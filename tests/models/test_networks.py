@@ -24,7 +24,7 @@ from hystmpc.models.train.runs import prepared, rest_of, scaling_of
 from hystmpc.trials.errors import ConfigError, FitError
 from hystmpc.trials.trial import Trial, Units
 from hystmpc_lab.rivals.backlash import fitted_backlash, scaled_operator
-from hystmpc_lab.rivals.forms import FeedForwardSettings, HybridSettings
+from hystmpc_lab.rivals.kinds import FeedForwardSettings, HybridSettings
 
 from .lstm_examples import DT, four_trials
 from .tiny_kinds import NETWORKS
@@ -32,7 +32,7 @@ from .zoo import BACKLASH, simulator
 
 torch = pytest.importorskip("torch", reason="torch is an extra")
 
-from hystmpc_lab.rivals.hybrid_ import operator_step  # noqa: E402  (needs torch)
+from hystmpc_lab.rivals.networks_ import operator_step  # noqa: E402
 
 FORWARD, INVERSE = Scaling(3.0, 3.0, 60.0, 30.0), Scaling(60.0, 30.0, 3.0, 3.0)
 OPERATORS: dict[str, tuple[Operator, Scaling]] = {
@@ -82,7 +82,7 @@ def test_a_hybrid_that_has_learned_nothing_is_the_operator(form: str, operator: 
 
 @every_operator
 def test_gradients_through_the_recursion_are_those_of_finite_differences(operator: Operator, scaling: Scaling) -> None:
-    from hystmpc_lab.rivals.hybrid_ import OperatorLayer
+    from hystmpc_lab.rivals.networks_ import OperatorLayer
 
     inside = scaled_operator(operator, scaling)
     layer, rng = OperatorLayer(operator_step(inside)), np.random.default_rng(1)

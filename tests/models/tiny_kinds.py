@@ -19,7 +19,7 @@ from hystmpc.models.kinds.networks import NetworkKind
 from hystmpc.models.networks.settings import NetworkSettings, StreamTraining
 from hystmpc.models.operators.dynamics import Delay, Lag
 from hystmpc.trials.trial import Trial
-from hystmpc_lab.rivals.forms import FeedForwardSettings
+from hystmpc_lab.rivals.kinds import FeedForwardSettings
 
 from .lstm_examples import four_trials
 from .zoo import BACKLASH, DT, simulator

@@ -70,7 +70,7 @@ COMPUTED = {
     "lab/benchmarks/make_library.py",
     "lab/benchmarks/monitor.py",
     "lab/control/loop.py",
-    "lab/control/models.py",
+    "lab/control/plants.py",
     "lab/devices/motions.py",
     "testing/plant.py",
     "examples/exported_c/loop.py",

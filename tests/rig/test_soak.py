@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import importlib.util
 import json
 import subprocess
 import sys
 from pathlib import Path
-from types import ModuleType
 
 import numpy as np
 import pytest
@@ -15,28 +13,17 @@ import pytest
 from hystmpc.rig.safety.stop import StopFlag
 
 from ..conftest import ROOT
-
-SCRIPTS = ROOT / "lab" / "benchmarks"
-
-
-def bare_loop() -> ModuleType:
-    specification = importlib.util.spec_from_file_location("bare_loop", SCRIPTS / "bare_loop.py")
-    assert specification is not None
-    assert specification.loader is not None
-    module = importlib.util.module_from_spec(specification)
-    sys.modules["bare_loop"] = module
-    specification.loader.exec_module(module)
-    return module
+from ..scripts import script
 
 
 def test_the_sleeper_counts_what_came_later_than_a_period() -> None:
     wake_ups = np.array([[0.0, 0.0], [0.04, 0.039], [0.08, 0.041], [0.2, 0.1]])
-    found = bare_loop().floor(wake_ups, 25.0)
+    found = script("bare_loop").floor(wake_ups, 25.0)
     assert (found.wake_ups, found.late, found.greatest_s) == (4, 2, 0.1)
 
 
 def test_a_loop_that_is_busy_for_longer_than_a_period_is_late_every_time() -> None:
-    loop = bare_loop()
+    loop = script("bare_loop")
     wake_ups = loop.sleep_on(100.0, 0.2, StopFlag(), busy_s=0.012)
     assert 0 < len(wake_ups) <= 10
     assert loop.floor(wake_ups, 100.0).late == len(wake_ups)

@@ -9,11 +9,11 @@ from hypothesis import strategies as st
 
 from hystmpc.ctrl.loop import Plant
 from hystmpc.sim.devices.device import Device
-from hystmpc.sim.devices.muscle import MuscleCatheter, MuscleParameters
 from hystmpc.sim.devices.tendon import TendonCatheter, TendonParameters
 from hystmpc.sim.plants.device import DevicePlant
 from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.types import Vec
+from hystmpc_lab.devices.muscle import MuscleCatheter, MuscleParameters
 
 DT = 0.01
 SMOOTH = TendonParameters(roughness=0.0)

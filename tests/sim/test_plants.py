@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from hystmpc.bench.device import make_plant as bench_plant
 from hystmpc.models.contract.metadata import Range
 from hystmpc.sim.config import PlantSettings, SimulationConfig, load_simulation
-from hystmpc.sim.devices.names import DEVICES, parameter_lines
+from hystmpc.sim.devices.names import DEVICES, named_device, parameter_lines
 from hystmpc.sim.plants.computed import ComputedPlant
 from hystmpc.sim.plants.device import make_plant
 from hystmpc.sim.study import prepare
@@ -118,6 +118,15 @@ def test_parameters_and_factors_reach_the_device() -> None:
     assert given[-1][1] < plain[-1][1] - 3
     factor = {"stiffness_nmm": 2.0}
     assert seen(plant(device="rod", parameters={"segments": 4}, mismatch=factor), u) == given
+
+
+def test_a_device_of_the_laboratory_without_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The line says what to install; a name that nobody has gets the nearest right one."""
+    monkeypatch.setattr("hystmpc.sim.devices.names.DEVICES", {"tendon": DEVICES["tendon"]})
+    with pytest.raises(ConfigError, match=r"no device 'rod', a device of the laboratory: pip install 'hystmpc\[pa"):
+        named_device("rod", {}, {})
+    with pytest.raises(ConfigError, match=r"no device 'tedon', .*tendon"):
+        named_device("tedon", {}, {})
 
 
 @pytest.mark.parametrize(

@@ -190,7 +190,7 @@ def test_the_first_trial_has_the_settings_given_and_the_best_is_no_worse(whole: 
 
 @pytest.mark.slow
 def test_tuning_helps_on_plants_that_it_has_not_seen(whole: tuple[Path, Tuning]) -> None:
-    """The honest figure with its spread over seeds is what lab/benchmarks/tuning_gain.py prints."""
+    """The honest figure with its spread over seeds stands in docs/howto/tuning.md."""
     check = whole[1].check
     assert check.gain > 0.1
     assert check.interval()[0] > 0.0

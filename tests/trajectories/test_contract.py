@@ -13,7 +13,7 @@ from hystmpc.trajectories import excitation
 from hystmpc.trajectories.config import MOTIONS, parse_motion
 from hystmpc.trajectories.point_to_point import PointToPoint
 from hystmpc.trajectories.trajectory import PreviewTable, Sampled, Trajectory, TrajectoryChain, preview, sample
-from hystmpc_lab.datasets import paper_commands
+from hystmpc_lab import paper_commands
 
 SCAN = {"start_deg": 30, "centre_deg": 60, "frequency_hz": 0.5, "cycles": 1.5}
 EXAMPLES: list[tuple[dict[str, Any], float]] = [  # motion, start value

@@ -13,7 +13,7 @@ from hystmpc.trajectories import excitation as ex
 from hystmpc.trajectories import sample
 from hystmpc.trajectories.excitation import DecayingSine, RampHold, RampHoldDraw
 from hystmpc.trials.errors import TrajectoryError
-from hystmpc_lab.datasets import paper_commands
+from hystmpc_lab import paper_commands
 
 S2_HZ = [f for group in paper_commands.S2_FREQUENCIES_HZ.values() for f in group]
 OFFSETS = list(ex.S2_OFFSETS)

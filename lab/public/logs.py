@@ -1,6 +1,6 @@
-"""Friction of the seals of 3D-printed pneumatic pistons: displacement to force; strokes or a pressure withheld.
+"""Public logs as data sets: friction of the seals of 3D-printed pneumatic pistons, and a fatigue rig.
 
-Source: github.com/EvaZillen/3D-printed-pneumatic-actuator (CC0).
+Sources: github.com/EvaZillen/3D-printed-pneumatic-actuator (CC0), github.com/decargroup/system_norm_koopman (MIT).
 """
 
 from __future__ import annotations
@@ -20,10 +20,9 @@ from hystmpc.trials.read import read_trials
 from hystmpc.trials.segments import Motion
 from hystmpc.trials.trial import Trial, Units
 
-from .records import Case, PublicData, ScoredRecord, files_in, unsettled, withheld_end
-from .settings import PublicSettings
+from .records import Case, PublicData, PublicSettings, ScoredRecord, files_in, unsettled, withheld_end
 
-LAYOUT = LogMapping.parse(
+SEAL_LAYOUT = LogMapping.parse(
     {
         "command": {"signal": "[4]", "unit": "mm"},
         "angle": {"signal": "[6]", "unit": "N"},
@@ -33,7 +32,7 @@ LAYOUT = LogMapping.parse(
     },
     "seals",
 )
-RATE_HZ, _SEEN, _LAW = 25.0, 0.6, 2  # pressures from which friction is extrapolated, at least
+RATE_HZ, _SEEN_STROKES, _LAW = 25.0, 0.6, 2  # pressures from which friction is extrapolated, at least
 _NAME = re.compile(r"(.+)_([0-9.]+)bar")
 
 
@@ -54,7 +53,7 @@ the mean of each file is taken off. Compare the errors less their mean: the offs
         return (*files_in(settings.data, "*bar.tsv"), *map(Path, settings.test))
 
     def cases(self, settings: PublicSettings) -> Sequence[Case]:
-        logs = {path: _read(path) for path in self.files(settings)}
+        logs = {path: _seal_log(path) for path in self.files(settings)}
         given = {Path(path) for path in settings.test}
         seen = [path for path in logs if path not in given]
         found = [_strokes(path, logs[path]) for path in seen]
@@ -79,9 +78,9 @@ def _named(path: Path) -> tuple[str, float]:
     return match[1], float(match[2])
 
 
-def _read(path: Path) -> list[Trial]:
+def _seal_log(path: Path) -> list[Trial]:
     _named(path)
-    return read_trials(path, LAYOUT, rate_hz=RATE_HZ)
+    return read_trials(path, SEAL_LAYOUT, rate_hz=RATE_HZ)
 
 
 def half_height(trials: Sequence[Trial]) -> float:
@@ -94,7 +93,7 @@ def half_height(trials: Sequence[Trial]) -> float:
 
 def _strokes(path: Path, parts: Sequence[Trial]) -> Case:
     """The first strokes of a file fitted, the last scored."""
-    seen, left = withheld_end(parts, _SEEN, "last strokes")
+    seen, left = withheld_end(parts, _SEEN_STROKES, "last strokes")
     facts = {"friction [N]": half_height(parts), "spread of the force [N]": _spread(parts)}
     return Case(path.stem, seen, left, facts)
 
@@ -135,3 +134,40 @@ def _scored(parts: Sequence[Trial], height: float) -> list[ScoredRecord]:
         start, first = float(divided.angle[0]), unsettled(part)
         found.append(ScoredRecord(name, divided, start, first=first, height=height))
     return found
+
+
+RIG_LAYOUT = LogMapping.parse(
+    {"command": {"signal": "u", "unit": "V"}, "angle": {"signal": "d", "unit": "mm"}, "time": "t"}, "rig"
+)
+_SEEN_OF_RIG = 2 / 3
+
+
+@final
+class RigData(PublicData):
+    """Each log alone: its first two thirds are fitted, its last third is scored, and every test file whole."""
+
+    title = "A fatigue rig"
+    about = """A beam in a hydraulic rig: the voltage of the valve in V to the displacement in mm, at 25 Hz. The first
+two thirds of a log are identified from. A free run begins with the log, and its last third is scored. Files of --test
+are scored whole but for their first 5 s, by free runs from their first samples."""
+    units = Units("V", "mm")
+    note = "We know of no published figure for this prediction."
+
+    def files(self, settings: PublicSettings) -> tuple[Path, ...]:
+        return (*files_in(settings.data, "*.csv"), *map(Path, settings.test))
+
+    def cases(self, settings: PublicSettings) -> Sequence[Case]:
+        given = [
+            ScoredRecord(Path(part.source).name, part, float(part.angle[0]), first=unsettled(part))
+            for parts in map(_rig_log, map(Path, settings.test))
+            for part in parts
+        ]
+        found = []
+        for path in files_in(settings.data, "*.csv"):
+            seen, left = withheld_end(_rig_log(path), _SEEN_OF_RIG, "last third")
+            found.append(Case(path.stem, seen, [*left, *given]))
+        return found
+
+
+def _rig_log(path: Path) -> list[Trial]:
+    return read_trials(path, RIG_LAYOUT, rate_hz=RATE_HZ)

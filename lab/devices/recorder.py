@@ -1,20 +1,21 @@
-"""Recording on a simulated bench: sampled commands, the papers' sensors, seeds by trial name, S2's tracked bench."""
+"""Recording on a simulated bench: sampled commands, seeds by trial name, and the bench of S2 with its tracker."""
 
 from __future__ import annotations
 
 import zlib
 from abc import ABC, abstractmethod
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from typing import final
 
 import numpy as np
 
-from hystmpc.models.maps import S2_TIP_MAP, LaserConversion, TipMap
+from hystmpc.models.maps import S2_TIP_MAP, TipMap
+from hystmpc.sim.devices.device import Device, Quantities, quantity
+from hystmpc.sim.devices.tendon import TendonCatheter, TendonParameters
 from hystmpc.trajectories.excitation import s2_initialisation
 from hystmpc.trajectories.trajectory import Trajectory
 from hystmpc.trials.trial import Trial, Units, resample
 from hystmpc.trials.types import Vec
-
-from .device import Device, Quantities, quantity
 
 _TURN_DEG = 40.0  # tip angle over which the field's distortion turns once
 _ROUNDING = 1e-9  # of a sample, so that a duration of whole samples is not cut short
@@ -46,30 +47,6 @@ class EmTracker(Quantities):
         x = x + self.distortion_mm * np.sin(phase + 1.0) + self.noise_mm * noise[1]
         y = y + self.distortion_mm * np.sin(phase + 2.0) + self.noise_mm * noise[2]
         return quantised(angle, self.quantisation_deg), x, y
-
-
-@dataclass(frozen=True)
-class LaserSensor(Quantities):
-    """Laser distance sensor of S1, read by a converter: voltage from true angle (S1 eq. (2)-(4)).
-
-    S1 prints neither noise nor resolution: 0.02 mm (0.04 deg near straight), and the 9.8 mV (0.04 mm) of a 10 V range
-    on the 10 bits of its Arduino.
-    """
-
-    straight_mm: float = quantity(60.0, "mm", 0.0, 1000.0, "distance to the tip of the straight catheter")
-    noise_mm: float = quantity(0.02, "mm", 0.0, 10.0, "standard deviation of the noise of the distance")
-    quantisation_v: float = quantity(10.0 / 2**10, "V", 0.0, 10.0, "step of the converter")
-    conversion: LaserConversion = field(default_factory=LaserConversion)
-
-    def __call__(self, angle_deg: Vec, random: np.random.Generator) -> Vec:
-        """Voltage [V] at true angles (T,) [deg].
-
-        Raises:
-            ModelError: if an angle is beyond what the conversion can tell.
-        """
-        distance = self.straight_mm - self.conversion.displacement(angle_deg)
-        noisy = distance + self.noise_mm * random.standard_normal(angle_deg.size)
-        return quantised(self.conversion.voltage(noisy), self.quantisation_v)
 
 
 def quantised(values: Vec, step: float) -> Vec:
@@ -115,10 +92,7 @@ class TrackedBench(Quantities, ABC):
     def record(self, excitation: Trajectory, seed: int, source: str) -> Trial:
         """One trial; equal seed and source give equal trials, another seed or source another device and noise.
 
-        Channels: `x_mm`, `y_mm` of the tip, `displacement_mm` of the drive, `tension_n`.
-
-        Raises:
-            ConfigError: through `resample`, if the log's rate is too low for the trial's.
+        Channels: `x_mm`, `y_mm` of the tip, `displacement_mm` that the drive reached, `tension_n`.
         """
         random = generator(seed, source, "device")
         device = self.mounted(random)
@@ -141,3 +115,38 @@ class TrackedBench(Quantities, ABC):
             source,
         )
         return resample(log, self.rate_hz)
+
+
+@dataclass(frozen=True)
+class TendonVariation(Quantities):
+    """Variation of the device between trials: standard deviations of normal draws.
+
+    S2 accepts a pretension when the standard deviation over trials is below 0.5 deg.
+    """
+
+    offset_deg: float = quantity(0.3, "deg", 0.0, 10.0, "shift of all angles")
+    slope: float = quantity(0.004, "1", 0.0, 0.2, "relative change of both slopes")
+    friction: float = quantity(0.04, "1", 0.0, 0.3, "relative change of the friction")
+
+    def __call__(self, parameters: TendonParameters, random: np.random.Generator) -> TendonParameters:
+        """The device of one trial."""
+        offset, slope, friction = random.standard_normal(3)
+        return replace(
+            parameters,
+            offset_deg=parameters.offset_deg + self.offset_deg * offset,
+            loading_slope=parameters.loading_slope * (1 + self.slope * slope),
+            unloading_slope=parameters.unloading_slope * (1 + self.slope * slope),
+            friction=parameters.friction * (1 + self.friction * friction),
+        )
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class TendonRecorder(TrackedBench):
+    """The bench of S2."""
+
+    device: TendonParameters = field(default_factory=TendonParameters)
+    variation: TendonVariation = field(default_factory=TendonVariation)
+
+    def mounted(self, random: np.random.Generator) -> Device:
+        return TendonCatheter(self.variation(self.device, random))

@@ -12,11 +12,10 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from hystmpc.sim.devices.device import DeviceMotion
-from hystmpc.sim.devices.rod import RodCatheter, RodParameters
-from hystmpc.sim.devices.rod_equations import gravity
-from hystmpc.sim.devices.rod_solver import TOLERANCE_MM
 from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.types import Vec
+from hystmpc_lab.devices.rod import RodCatheter, RodParameters
+from hystmpc_lab.devices.rod_solver import TOLERANCE_MM, gravity
 
 pytestmark = pytest.mark.slow
 

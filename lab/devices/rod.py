@@ -9,14 +9,13 @@ from typing import final
 import numpy as np
 from numpy.typing import ArrayLike
 
+from hystmpc.sim.devices.device import Device, DeviceMotion, NamedDevice, Quantities, quantity
 from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.types import Vec
 
 from . import rod_solver
-from .device import Device, DeviceMotion, Quantities, quantity
 from .recorder import EmTracker, TrackedBench
-from .rod_equations import RodNumbers, StepNumbers, new_knots
-from .rod_solver import new_work
+from .rod_solver import RodNumbers, StepNumbers, new_knots, new_work
 
 _SINKING = 0.5  # greatest weight moment over stiffness: beyond, a rod buckles under its own weight
 _PULL = 40  # steps in which the virgin tendon is tensioned
@@ -139,8 +138,8 @@ class RodCatheter:
 
     The tendon runs from the drive through a passive, curved shaft and the rod to the tip. It is elastic and can only
     pull; at m contacts along its way it sticks or slips by the capstan law, each with a memory of its own. The rod's
-    segments are standard linear solids, and the first flexure leaves them a set. Equations: `rod_equations`; one
-    step: `rod_solver`. The sources are those of tendon-sheath mechanics: Kaneko et al., IEEE T-RA 7 (1991), elastic
+    segments are standard linear solids, and the first flexure leaves them a set. Equations and one step:
+    `rod_solver`. The sources are those of tendon-sheath mechanics: Kaneko et al., IEEE T-RA 7 (1991), elastic
     tendon in a capstan; Agrawal et al., IEEE T-RO 26 (2010), its lumps in series; and for the rod Rucker and Webster,
     IEEE T-RO 27 (2011), whose planar case at a constant offset is the moment offset x tension.
 
@@ -279,3 +278,12 @@ def simulate_rod(parameters: RodParameters, commands: ArrayLike, dt_s: float, se
     """
     trial = RodBench(parameters).run(commands, dt_s, seed)
     return trial.true, trial.measured
+
+
+DEVICE = NamedDevice(
+    "rod",
+    RodCatheter,
+    RodParameters,
+    ("friction", "shaft_drag_n", "rod_drag_n", "stiffness_nmm", "shaft_n_per_mm", "rod_n_per_mm", "set_share"),
+)
+"""The entry of `hystmpc.devices`."""

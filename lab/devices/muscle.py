@@ -9,12 +9,13 @@ from typing import Any, Literal, NamedTuple, final
 import numpy as np
 
 from hystmpc.models.kernels.numba_ import njit
+from hystmpc.models.maps import LaserConversion
+from hystmpc.sim.devices.device import DeviceMotion, NamedDevice, Quantities, quantity
 from hystmpc.trajectories.trajectory import Trajectory
 from hystmpc.trials.trial import Trial, Units
 from hystmpc.trials.types import Vec
 
-from .device import DeviceMotion, Quantities, quantity
-from .recorder import LaserSensor, generator, sampled
+from .recorder import generator, quantised, sampled
 
 PRESSURE, BLADDER, FRICTION, LATE, BEND = range(5)
 STATES = 5
@@ -22,7 +23,7 @@ _STEP_S = 1e-3  # longest step of the recursion
 
 
 class MuscleNumbers(NamedTuple):
-    """Parameters as the recursion reads them; see `muscle.MuscleParameters`."""
+    """Parameters as the recursion reads them; see `MuscleParameters`."""
 
     supply_bar: float
     valve_s: float
@@ -177,6 +178,26 @@ class MuscleCatheter:
 
 
 @dataclass(frozen=True)
+class LaserSensor(Quantities):
+    """The laser distance sensor of S1 at the tip, read by a converter: voltage from true angle (S1 eq. (2)-(4)).
+
+    S1 prints neither noise nor resolution: 0.02 mm (0.04 deg near straight), and the 9.8 mV (0.04 mm) of a 10 V range
+    on the 10 bits of its Arduino.
+    """
+
+    straight_mm: float = quantity(60.0, "mm", 0.0, 1000.0, "distance to the tip of the straight catheter")
+    noise_mm: float = quantity(0.02, "mm", 0.0, 10.0, "standard deviation of the noise of the distance")
+    quantisation_v: float = quantity(10.0 / 2**10, "V", 0.0, 10.0, "step of the converter")
+    conversion: LaserConversion = field(default_factory=LaserConversion)
+
+    def __call__(self, angle_deg: Vec, random: np.random.Generator) -> Vec:
+        """Voltage [V] at true angles (T,) [deg]."""
+        distance = self.straight_mm - self.conversion.displacement(angle_deg)
+        noisy = distance + self.noise_mm * random.standard_normal(angle_deg.size)
+        return quantised(self.conversion.voltage(noisy), self.quantisation_v)
+
+
+@dataclass(frozen=True)
 class MuscleRecorder(Quantities):
     """The bench of S1.
 
@@ -203,9 +224,6 @@ class MuscleRecorder(Quantities):
         """One trial; equal seed and source give equal trials, either of them another gives another device and noise.
 
         Channels: `voltage_v` of the laser, `pressure_bar` in the muscle.
-
-        Raises:
-            ModelError: if the device bends beyond what the laser can tell.
         """
         random = generator(seed, source, "device")
         device = MuscleCatheter(self.variation(self.device, random))
@@ -221,3 +239,7 @@ class MuscleRecorder(Quantities):
         angle = conversion.angles_of_group(voltage[start:], straight_mm)
         channels = {"voltage_v": voltage[start:], "pressure_bar": done.actuator[start:]}
         return Trial(t, motion, angle, channels, Units(command=device.command_unit), source)
+
+
+DEVICE = NamedDevice("muscle", MuscleCatheter, MuscleParameters, ("friction", "slack_bar", "greatest_deg", "half_bar"))
+"""The entry of `hystmpc.devices`."""

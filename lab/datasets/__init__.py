@@ -1,1 +1,0 @@
-"""The data sets of the papers, recorded on simulated devices."""
