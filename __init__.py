@@ -33,17 +33,14 @@ if TYPE_CHECKING:
     from hystmpc.sim.closed_loop import run_closed_loop
     from hystmpc.sim.plants.simulated import Effects, SimulatedPlant
     from hystmpc.tasks.check import check
-    from hystmpc.tasks.commission import commission
-    from hystmpc.tasks.controller import build_controller
+    from hystmpc.tasks.device import commission, investigate
     from hystmpc.tasks.diagnose import diagnose
     from hystmpc.tasks.evaluate import Evaluation, evaluate
     from hystmpc.tasks.export import export, export_c, export_fmu
     from hystmpc.tasks.fit import Fit, fit
     from hystmpc.tasks.inputs import load_model
-    from hystmpc.tasks.investigate import investigate
     from hystmpc.tasks.report import report
-    from hystmpc.tasks.simulate import reproduce, simulate, sweep
-    from hystmpc.tasks.tune import tune
+    from hystmpc.tasks.simulate import build_controller, reproduce, simulate, sweep, tune
     from hystmpc.trajectories.point_to_point import PointToPoint
     from hystmpc.trajectories.scan import SinusoidScan, TriangleScan
     from hystmpc.trials.csv_files import write_csv
@@ -107,17 +104,14 @@ if not TYPE_CHECKING:  # a type checker knows the names above and no others
         ("hystmpc.sim.closed_loop", "run_closed_loop"),
         ("hystmpc.sim.plants.simulated", "Effects SimulatedPlant"),
         ("hystmpc.tasks.check", "check"),
-        ("hystmpc.tasks.commission", "commission"),
-        ("hystmpc.tasks.controller", "build_controller"),
+        ("hystmpc.tasks.device", "commission investigate"),
         ("hystmpc.tasks.diagnose", "diagnose"),
         ("hystmpc.tasks.evaluate", "Evaluation evaluate"),
         ("hystmpc.tasks.export", "export export_c export_fmu"),
         ("hystmpc.tasks.fit", "Fit fit"),
         ("hystmpc.tasks.inputs", "load_model"),
-        ("hystmpc.tasks.investigate", "investigate"),
         ("hystmpc.tasks.report", "report"),
-        ("hystmpc.tasks.simulate", "reproduce simulate sweep"),
-        ("hystmpc.tasks.tune", "tune"),
+        ("hystmpc.tasks.simulate", "build_controller reproduce simulate sweep tune"),
         ("hystmpc.trajectories.point_to_point", "PointToPoint"),
         ("hystmpc.trajectories.scan", "SinusoidScan TriangleScan"),
         ("hystmpc.trials.csv_files", "write_csv"),

@@ -74,9 +74,9 @@ def check(
 
     Args:
         logs: logs, data frames or trials.
-        layout: of the logs.
-        sampled_hz: rate [Hz] of logs that were sampled evenly, whose time stamps are not looked at.
-        simulator: with which a diagnosis would compare them: what it would show, from the commands alone.
+        layout: layout of the logs: auto, canonical, tendon-catheter, or a mapping file *.yaml.
+        sampled_hz: rate [Hz] of logs sampled evenly; stands in for a broken or missing clock.
+        simulator: simulator of a diagnosis: what it would show, from the commands alone.
         show: called with the findings on each log as soon as they are there.
         progress: called with the logs done and their number.
 

@@ -133,28 +133,29 @@ def fit(
     """Identify a model from recorded trials; Ctrl-C keeps the best so far.
 
     Args:
-        kind: `auto` for the whole device, or `backlash`, `pi`, `drdpi`, `bouc_wen`, `oscillator`,
-            `state_network`, `play_kernel`, `svr`, `fnn`, `fnn_hib`, `lstm`, `gru`, `hb1` or `hb2`.
+        kind: model: auto for the whole device, or backlash, pi, drdpi, bouc_wen, maxwell_slip, maxwell_slip_rate,
+            oscillator, state_network, lstm, gru, play_kernel; with hystmpc-lab fnn, fnn_hib, hb1, hb2, svr.
         trials: logs, data frames or trials, see `read_trials`.
-        out: file to write, `.onnx`, or `.yaml` for an operator; it is scored as it is read back.
-        layout: of the logs.
-        sampled_hz: rate [Hz] of logs that were sampled evenly, whose time stamps are not looked at.
-        rate_hz: rate at which the model runs, and to which the trials are resampled [Hz]; 25 where left out.
+        out: file to write: .onnx, or .yaml for an operator; it is scored as it is read back.
+        layout: layout of the logs: auto, canonical, tendon-catheter, or a mapping file *.yaml.
+        sampled_hz: rate [Hz] of logs sampled evenly; stands in for a broken or missing clock.
+        rate_hz: rate [Hz] of the model, to which the logs are resampled; 25 where left out.
         skip_first_flexure: count each trial only from the command's first reversal on.
         inverse: identify the map from angle to command.
-        plays: number of plays of a Prandtl-Ishlinskii model.
-        drive: what a network or a regression stands behind: `auto` to identify it, or a simulator that has it.
-        residual: with `auto`, network of what its operators leave, `lstm` or `gru`; kept only if it helps held out.
-        training: settings of the training, `best` or `paper`; the kind's own where left out.
-        steps: greatest number of epochs, updates or iterations.
-        hold_out: whole trials by which a network is stopped early.
-        validation: trials that only judge, in place of held-out ones.
-        constancy_weight: of a network's constant-in, constant-out term.
-        seed: of everything drawn at random.
+        plays: plays of a pi (4 where left out) or drdpi (10).
+        drive: drive before a network or kernel: auto, or a simulator (.yaml, builtin:NAME) that has it.
+        residual: with auto: network of what its operators leave, lstm or gru; used only if it helps on held-out trials.
+        training: settings of the training: best or paper; those of the kind where left out.
+        steps: greatest number of epochs (paper), updates (best) or iterations.
+        hold_out: whole trials by which a network is stopped early; the number of the training where left out.
+        validation: log or folder that only judges, in place of trials held out.
+        constancy_weight: weight of a network's constant-in, constant-out term; S2 has 1e-4.
+        seed: seed of everything drawn at random.
         limits: what the device may be sent; what the trials show where left out, also of a part that is None.
-        test: trials to score on, which the fit does not see.
-        report, figures: file for a page, .html, and new folder for its figures.
-        force: replace older files of the same kind.
+        test: log or folder to score on, which the fit does not see.
+        report: write one page with tables and figures here, .html.
+        figures: new folder for every figure of the report: SVG, PDF, and its data as CSV.
+        force: replace an older file of the same kind; never one of another.
         progress: called with steps done, their number (infinite where it is not known) and the error so far.
         say: called with each note and warning.
 

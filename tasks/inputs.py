@@ -6,12 +6,13 @@ import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from copy import deepcopy
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, Protocol, TypeAlias
+from typing import TYPE_CHECKING, Any, Literal, Protocol, TypeAlias, TypeVar
 
 from hystmpc.trials.check import Severity, check
 from hystmpc.trials.clock_findings import gaps_text
 from hystmpc.trials.command_noise import noise_text
-from hystmpc.trials.config import override
+from hystmpc.trials.config import Settings as Keys
+from hystmpc.trials.config import load_settings, override
 from hystmpc.trials.errors import ConfigError, ModelError
 from hystmpc.trials.from_outside import allow_python
 from hystmpc.trials.read import AnyLayout, Log, at_rate, expand_logs, read_trials
@@ -23,6 +24,8 @@ if TYPE_CHECKING:
     from hystmpc.models.contract.load import OnnxModel
     from hystmpc.models.model import LoadedModel
     from hystmpc.models.simulator import ChainModel, Simulator
+
+S = TypeVar("S", bound=Keys)
 
 Logs: TypeAlias = Log | Iterable[Log]
 Start = Literal["initial", "conditioned"]
@@ -162,16 +165,18 @@ def allow_classes(allow: bool) -> None:
         allow_python()
 
 
-def changed(settings: Mapping[str, Any], overrides: Iterable[str]) -> dict[str, Any]:
-    """A copy of plain settings with changes such as `plant.lag_s=0.1`.
+def settings_of(kind: type[S], given: Settings, overrides: Iterable[str]) -> S:
+    """Settings of a YAML file or of a mapping, with changes such as `plant.lag_s=0.1`.
 
     Raises:
-        ConfigError: on a malformed change.
+        ConfigError: on an unreadable file, a malformed change, an unknown key or a value out of bounds.
     """
-    data = deepcopy(dict(settings))
+    if isinstance(given, Path | str):
+        return load_settings(kind, given, overrides)
+    data = deepcopy(dict(given))
     for text in overrides:
         override(data, text)
-    return data
+    return kind.parse(data)
 
 
 def processes(jobs: int | None) -> int:

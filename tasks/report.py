@@ -46,9 +46,9 @@ def report(
 
     Args:
         run: run folder, or that of a commissioning.
-        before: earlier runs on the same reference.
-        diagnosis: folder of `diagnose`.
-        figures: new folder for every figure of the report.
+        before: earlier run on the same reference.
+        diagnosis: folder of `diagnose`: the fall of the tracking error that it lets expect.
+        figures: new folder for every figure of the report: SVG, PDF, and its data as CSV.
 
     Raises:
         LogError: if the folder holds no complete run.

@@ -6,8 +6,7 @@ from collections.abc import Iterable, Iterator
 from functools import cache
 from typing import Literal, get_args, get_origin
 
-from hystmpc.cli.schema import FILES, settings_of
-from hystmpc.cli.settings_reference import Key, keys_of, reachable, summary_of
+from hystmpc.cli.reference import FILES, Key, keys_of, reachable, settings_of, summary_of
 from hystmpc.models.contract.metadata import ModelMetadata
 from hystmpc.trials.config import Settings
 

@@ -11,8 +11,7 @@ import pytest
 from typer.testing import CliRunner
 
 from hystmpc.cli.main import app
-from hystmpc.cli.schema import FILES, settings_of
-from hystmpc.cli.settings_reference import json_schema, keys_of, reachable
+from hystmpc.cli.reference import FILES, json_schema, keys_of, reachable, settings_of
 from hystmpc.trials.config import read_yaml
 from hystmpc.trials.errors import ConfigError
 

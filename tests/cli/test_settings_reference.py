@@ -9,7 +9,7 @@ import jsonschema
 import pytest
 from pydantic import Field, ValidationError
 
-from hystmpc.cli.settings_reference import json_schema, keys_of, meanings_of, reachable, summary_of
+from hystmpc.cli.reference import json_schema, keys_of, meanings_of, reachable, summary_of
 from hystmpc.trials.config import Settings
 
 
