@@ -23,78 +23,50 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from hystmpc.ctrl.command import Command
-    from hystmpc.ctrl.command import CommandLimits as Limits
-    from hystmpc.ctrl.planner.tip_controller import TipController
-    from hystmpc.gap.diagnosis import Diagnosis
-    from hystmpc.models.effects.place import with_effect
-    from hystmpc.models.operators.operator import Number, Operator
-    from hystmpc.models.simulator import Simulator
-    from hystmpc.sim.closed_loop import run_closed_loop
-    from hystmpc.sim.plants.simulated import Effects, SimulatedPlant
-    from hystmpc.tasks.check import check
-    from hystmpc.tasks.device import commission, investigate
-    from hystmpc.tasks.diagnose import diagnose
-    from hystmpc.tasks.evaluate import Evaluation, evaluate
-    from hystmpc.tasks.export import export, export_c, export_fmu
-    from hystmpc.tasks.fit import Fit, fit
-    from hystmpc.tasks.inputs import load_model
-    from hystmpc.tasks.report import report
-    from hystmpc.tasks.simulate import build_controller, reproduce, simulate, sweep, tune
-    from hystmpc.trajectories.point_to_point import PointToPoint
-    from hystmpc.trajectories.scan import SinusoidScan, TriangleScan
-    from hystmpc.trials.csv_files import write_csv
-    from hystmpc.trials.errors import HystmpcError
-    from hystmpc.trials.read import read_trials
-    from hystmpc.trials.trial import Trial
+    from hystmpc.ctrl.command import Command as Command
+    from hystmpc.ctrl.command import CommandLimits
+    from hystmpc.ctrl.planner.tip_controller import TipController as TipController
+    from hystmpc.gap.diagnosis import Diagnosis as Diagnosis
+    from hystmpc.models.effects.place import with_effect as with_effect
+    from hystmpc.models.operators.operator import Number as Number
+    from hystmpc.models.operators.operator import Operator as Operator
+    from hystmpc.models.simulator import Simulator as Simulator
+    from hystmpc.sim.closed_loop import run_closed_loop as run_closed_loop
+    from hystmpc.sim.plants.simulated import Effects as Effects
+    from hystmpc.sim.plants.simulated import SimulatedPlant as SimulatedPlant
+    from hystmpc.tasks.check import check as check
+    from hystmpc.tasks.device import commission as commission
+    from hystmpc.tasks.device import investigate as investigate
+    from hystmpc.tasks.diagnose import diagnose as diagnose
+    from hystmpc.tasks.evaluate import Evaluation as Evaluation
+    from hystmpc.tasks.evaluate import evaluate as evaluate
+    from hystmpc.tasks.export import export as export
+    from hystmpc.tasks.export import export_c as export_c
+    from hystmpc.tasks.export import export_fmu as export_fmu
+    from hystmpc.tasks.fit import Fit as Fit
+    from hystmpc.tasks.fit import fit as fit
+    from hystmpc.tasks.inputs import load_model as load_model
+    from hystmpc.tasks.report import report as report
+    from hystmpc.tasks.simulate import build_controller as build_controller
+    from hystmpc.tasks.simulate import reproduce as reproduce
+    from hystmpc.tasks.simulate import simulate as simulate
+    from hystmpc.tasks.simulate import sweep as sweep
+    from hystmpc.tasks.simulate import tune as tune
+    from hystmpc.trajectories.point_to_point import PointToPoint as PointToPoint
+    from hystmpc.trajectories.scan import SinusoidScan as SinusoidScan
+    from hystmpc.trajectories.scan import TriangleScan as TriangleScan
+    from hystmpc.trials.csv_files import write_csv as write_csv
+    from hystmpc.trials.errors import HystmpcError as HystmpcError
+    from hystmpc.trials.read import read_trials as read_trials
+    from hystmpc.trials.trial import Trial as Trial
 
+    Limits = CommandLimits
     __version__: str
-
-__all__ = [
-    "Command",
-    "Diagnosis",
-    "Effects",
-    "Evaluation",
-    "Fit",
-    "HystmpcError",
-    "Limits",
-    "Number",
-    "Operator",
-    "PointToPoint",
-    "SimulatedPlant",
-    "Simulator",
-    "SinusoidScan",
-    "TipController",
-    "Trial",
-    "TriangleScan",
-    "__version__",
-    "build_controller",
-    "check",
-    "commission",
-    "diagnose",
-    "evaluate",
-    "export",
-    "export_c",
-    "export_fmu",
-    "fit",
-    "investigate",
-    "load_model",
-    "read_trials",
-    "report",
-    "reproduce",
-    "run_closed_loop",
-    "simulate",
-    "sweep",
-    "tune",
-    "with_effect",
-    "write_csv",
-]
 
 if not TYPE_CHECKING:  # a type checker knows the names above and no others
     from hystmpc.trials import lazily
 
-    _named = lazily(
-        __name__,
+    _HOMES = (
         ("hystmpc.ctrl.command", "Command Limits=CommandLimits"),
         ("hystmpc.ctrl.planner.tip_controller", "TipController"),
         ("hystmpc.gap.diagnosis", "Diagnosis"),
@@ -119,6 +91,8 @@ if not TYPE_CHECKING:  # a type checker knows the names above and no others
         ("hystmpc.trials.read", "read_trials"),
         ("hystmpc.trials.trial", "Trial"),
     )
+    __all__ = [entry.partition("=")[0] for _, entries in _HOMES for entry in entries.split()] + ["__version__"]
+    _named = lazily(__name__, *_HOMES)
 
     def __getattr__(name: str) -> object:
         if name == "__version__":

@@ -25,9 +25,8 @@ from .steps import (
     functions_used,
     inverted_source,
     model_source,
-    network_warm_up,
+    network_rest_source,
     number,
-    rest_source,
 )
 
 PARTS = (
@@ -223,7 +222,6 @@ def _models(problem: Problem) -> str:
     ]
     if problem.network is not None:
         sources.append(problem.network.source())
-    rule = rest.offset, rest.by_angle, rest.by_command
-    if problem.network is None:
-        return "\n".join([*sources, chain_rest_source(*rule, rest.warmup)])
-    return "\n".join([*sources, rest_source(*rule, network_warm_up(rest.warmup, rest.beside))])
+    rule = rest.offset, rest.by_angle, rest.by_command, rest.warmup
+    at_rest = chain_rest_source(*rule) if problem.network is None else network_rest_source(*rule, rest.beside)
+    return "\n".join([*sources, at_rest])

@@ -1,14 +1,15 @@
-"""What every transport owes to the loop, whatever the wire: a contract that a lab runs against its own class."""
+"""Contract tests of transports, and the far end of a serial line, which needs no hardware."""
 
 from __future__ import annotations
 
 import math
+import os
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass
-from typing import TypeVar
+from typing import Self, TypeVar, final
 
 from hystmpc.rig.transports.from_outside import missing_methods, reading_fault
 from hystmpc.rig.transports.transport import Reading, Transport
@@ -169,6 +170,65 @@ class TransportContract(Wired):
                     c.transport.write(1.0)
             with suppress(Exception):
                 c.transport.stop()
+
+
+@final
+class LineDevice:
+    """A device that speaks in lines; a transport opens `port` as it opens a serial port. Linux and macOS.
+
+    Args:
+        say: the line of a measurement, of angle and held command; without its newline.
+        hear: the command that a line holds; None for a line that is no command.
+    """
+
+    def __init__(self, say: Callable[[float, float], bytes], hear: Callable[[bytes], float | None]) -> None:
+        import tty  # not on Windows
+
+        self._say, self._hear = say, hear
+        self._own, self._port = os.openpty()
+        tty.setraw(self._port)
+        os.set_blocking(self._own, False)
+        self.port = os.ttyname(self._port)
+        self._rest, self._commands = b"", list[float]()
+        self._open = True
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.cut()
+
+    def tell(self, angle: float, held: float) -> None:
+        """Send one measurement; it is lost where nobody reads the line, as on a real one."""
+        self.say(self._say(angle, held) + b"\n")
+
+    def say(self, data: bytes) -> None:
+        """Send any bytes."""
+        if self._open:
+            with suppress(BlockingIOError):
+                os.write(self._own, data)
+
+    def spoil(self) -> None:
+        """Send lines that are no measurement, of rubbish and of none."""
+        self.say(b"\n\x00\xff\xfe\nA\nnan\n" + bytes(range(128, 256)) + b"\n")
+
+    def heard(self) -> list[float]:
+        """Every command that has come so far, the oldest first."""
+        while self._open:
+            try:
+                self._rest += os.read(self._own, 4096)
+            except OSError:  # nothing more has come
+                break
+        *lines, self._rest = self._rest.split(b"\n")
+        self._commands += [command for line in lines if (command := self._hear(line)) is not None]
+        return list(self._commands)
+
+    def cut(self) -> None:
+        """Pull the plug; may be done twice."""
+        if self._open:
+            self._open = False
+            os.close(self._own)
+            os.close(self._port)
 
 
 def require(holds: bool, text: str) -> None:
