@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from hystmpc.ctrl.planner.tip_controller import TipController as TipController
     from hystmpc.gap.diagnosis import Diagnosis as Diagnosis
     from hystmpc.models.effects.place import with_effect as with_effect
+    from hystmpc.models.load import load_model as load_model
     from hystmpc.models.operators.operator import Number as Number
     from hystmpc.models.operators.operator import Operator as Operator
     from hystmpc.models.simulator import Simulator as Simulator
@@ -45,7 +46,6 @@ if TYPE_CHECKING:
     from hystmpc.tasks.export import export_fmu as export_fmu
     from hystmpc.tasks.fit import Fit as Fit
     from hystmpc.tasks.fit import fit as fit
-    from hystmpc.tasks.inputs import load_model as load_model
     from hystmpc.tasks.report import report as report
     from hystmpc.tasks.simulate import build_controller as build_controller
     from hystmpc.tasks.simulate import reproduce as reproduce
@@ -66,11 +66,13 @@ if TYPE_CHECKING:
 if not TYPE_CHECKING:  # a type checker knows the names above and no others
     from hystmpc.trials import lazily
 
-    _HOMES = (
+    _named = lazily(
+        __name__,
         ("hystmpc.ctrl.command", "Command Limits=CommandLimits"),
         ("hystmpc.ctrl.planner.tip_controller", "TipController"),
         ("hystmpc.gap.diagnosis", "Diagnosis"),
         ("hystmpc.models.effects.place", "with_effect"),
+        ("hystmpc.models.load", "load_model"),
         ("hystmpc.models.operators.operator", "Number Operator"),
         ("hystmpc.models.simulator", "Simulator"),
         ("hystmpc.sim.closed_loop", "run_closed_loop"),
@@ -81,7 +83,6 @@ if not TYPE_CHECKING:  # a type checker knows the names above and no others
         ("hystmpc.tasks.evaluate", "Evaluation evaluate"),
         ("hystmpc.tasks.export", "export export_c export_fmu"),
         ("hystmpc.tasks.fit", "Fit fit"),
-        ("hystmpc.tasks.inputs", "load_model"),
         ("hystmpc.tasks.report", "report"),
         ("hystmpc.tasks.simulate", "build_controller reproduce simulate sweep tune"),
         ("hystmpc.trajectories.point_to_point", "PointToPoint"),
@@ -91,8 +92,7 @@ if not TYPE_CHECKING:  # a type checker knows the names above and no others
         ("hystmpc.trials.read", "read_trials"),
         ("hystmpc.trials.trial", "Trial"),
     )
-    __all__ = [entry.partition("=")[0] for _, entries in _HOMES for entry in entries.split()] + ["__version__"]
-    _named = lazily(__name__, *_HOMES)
+    __all__ = [*_named.names, "__version__"]
 
     def __getattr__(name: str) -> object:
         if name == "__version__":
@@ -100,12 +100,12 @@ if not TYPE_CHECKING:  # a type checker knows the names above and no others
 
             return version("hystmpc")
         value = _named(name)
-        if getattr(value, "__module__", "").startswith("hystmpc.tasks.") and not isinstance(value, type):
+        home = getattr(value, "__module__", "")
+        if home.startswith(("hystmpc.tasks.", "hystmpc.models.load")) and not isinstance(value, type):
             from hystmpc.trials.errors import in_a_line
 
             value = globals()[name] = in_a_line(value)  # an argument of a wrong type is refused in a line, too
         return value
 
-
-def __dir__() -> list[str]:
-    return __all__
+    def __dir__() -> list[str]:
+        return __all__

@@ -87,7 +87,7 @@ class TimeLeft:
         self._steady = Steady()
 
     def told(self, share: float, now: float) -> None:
-        """A share of the steps, 0 to 1, is done at a time [s]; a smaller one than before begins a new count."""
+        """Set the share of the steps, 0 to 1, that is done at a time [s]; a smaller one than before restarts it."""
         step = share - self._done
         if self._began is None or step < 0.0:
             self._began, self._paused, self._steady, step = now, 0.0, Steady(), 0.0
@@ -98,12 +98,12 @@ class TimeLeft:
         self._at = self._elapsed(now)
 
     def pause(self, now: float) -> None:
-        """The computation waits for something that is not part of it."""
+        """Stop the clock: the computation waits for something that is not part of it."""
         if self._pause is None:
             self._pause = now
 
     def go_on(self, now: float) -> None:
-        """The computation goes on."""
+        """Start the clock again after a pause."""
         if self._pause is not None:
             self._paused += now - self._pause
             self._pause = None
@@ -324,7 +324,7 @@ class Screen:
     def _bar(
         self, number: int, title: str, total: float | None, share: float | None, left: float | None, note: str = ""
     ) -> None:
-        """Draw a bar, or draw it further."""
+        """Update the bar of a computation, which is added at the first call."""
         if self._bars is None:
             columns = (
                 TextColumn("{task.description}", markup=False),
@@ -344,7 +344,7 @@ class Screen:
         self._bars.update(self._drawn[number], total=total, completed=done, note=note, left=clock_words(left))
 
     def _end(self) -> None:
-        """Leave what is drawn as it stands."""
+        """Stop drawing; the bars stay on the terminal as they are."""
         if self._bars is not None:
             self._bars.stop()
             self._bars = None
@@ -373,7 +373,7 @@ SCREEN = Screen(errors)
 
 @contextmanager
 def bar(title: str, total: float | None = None, pace: Pace = EVEN) -> Iterator[Callable[..., None]]:
-    """Show progress and time left while the block runs.
+    """Context in which the progress and the time left of a computation are shown.
 
     Args:
         title: name of the computation.
@@ -396,7 +396,7 @@ def bar(title: str, total: float | None = None, pace: Pace = EVEN) -> Iterator[C
 
 @contextmanager
 def progress_of(title: str, pace: Pace = EVEN, kept: str = "", after: float = 0.0) -> Iterator[Report]:
-    """The callback `progress` of a task, whose progress is shown while the block runs.
+    """Context in which the progress of a task is shown; it gives the callback `progress`.
 
     Args:
         title: name of the computation.

@@ -11,7 +11,7 @@ from rich.table import Table
 
 
 def plain_console(**options: Any) -> Console:
-    """A console that shows text as it is: a file may be called `[/red].csv` or `:bell:.csv`."""
+    """Console that prints text without markup: a file may be called `[/red].csv` or `:bell:.csv`."""
     return Console(markup=False, emoji=False, **options)
 
 
@@ -23,7 +23,7 @@ INTERRUPTED = 130
 
 
 def line(text: str) -> None:
-    """Print a line on standard output; it is not wrapped."""
+    """Print a line without line breaks on standard output."""
     out.print(text, soft_wrap=True, highlight=False)
 
 

@@ -19,7 +19,7 @@ from .verb import OPTIONAL, Call, verb
 if TYPE_CHECKING:
     from hystmpc.bench.commission import Commissioned
     from hystmpc.bench.rounds import Investigated
-    from hystmpc.rig.config import BenchSettings
+    from hystmpc.rig.config import BenchSettings, RecordSettings, RunSettings
     from hystmpc.rig.histogram import TimingSummary
     from hystmpc.rig.live.desk import Desk
     from hystmpc.rig.loop import RunOutcome
@@ -79,7 +79,10 @@ def run(call: Call) -> None:
 
 @verb("device:commission", config={"help": "Bench and excitations (YAML)."}, out=_FOLDER, logs=None)
 def record(call: Call) -> None:
-    """Play every excitation and write trials that `check`, `fit` and `diagnose` read. Exit code 3 after a stop."""
+    """Apply every excitation to the device and write trials that `check`, `fit` and `diagnose` read.
+
+    Exit code 3 after a stop.
+    """
     from hystmpc.bench.plants import plants_in
     from hystmpc.rig.config import load_record
     from hystmpc.rig.experiment.record import record as play
@@ -123,7 +126,7 @@ def _begun(call: Call, load: Callable[..., S]) -> S:
 
 
 def _recording(
-    call: Call, settings: BenchSettings, meta: RecordingMeta, desk: Desk, report: bool = True
+    call: Call, settings: RunSettings | RecordSettings, meta: RecordingMeta, desk: Desk, report: bool = True
 ) -> Callable[[], RecorderProcess]:
     """Function that opens the recording once the device has answered, and prints the address of the page."""
     from hystmpc.rig.recording.recorder_process import Views, open_recorder_process
@@ -164,7 +167,7 @@ def _print_outcome(settings: BenchSettings, result: BenchResult) -> None:
 
 
 def _end_of(settings: BenchSettings, outcome: RunOutcome) -> str:
-    """What became of the safe command, in words that claim no more than the device has said."""
+    """Sentence on the safe command: sent, confirmed by the device, or neither."""
     safe = f"safe command {settings.safe_command:g} {settings.command_unit}"
     if math.isnan(outcome.safe_s):
         return f"{safe} not sent: the device's own watchdog has to act, look at the device"
@@ -180,7 +183,7 @@ def _row(name: str, times: TimingSummary) -> list[str]:
 
 
 def _exit(result: BenchResult) -> None:
-    """Exit code 3 after a stop."""
+    """End the program with exit code 3 after a stop."""
     if result.outcome.cause:
         raise typer.Exit(STOPPED)
 
@@ -274,7 +277,7 @@ def _print_plan(plan: DevicePlan, part: str) -> None:
 
 @contextmanager
 def _stages_kept(folder: Path | None) -> Iterator[None]:
-    """Print how a device that was moved stage by stage has stopped, or why a stage was not completed.
+    """Context that prints how the device has stopped, or why a stage was not completed.
 
     Raises:
         Exit: of typer.
@@ -299,7 +302,7 @@ def device(
     overrides: Annotated[list[str] | None, typer.Option("--set", help="Change a setting: link.bind_port=0.")] = None,
     seconds: Annotated[float, typer.Option(min=0, help="End after this time; 0 for Ctrl-C.")] = 0.0,
 ) -> None:
-    """It listens on the loopback unless the file has another address, and ends with Ctrl-C."""
+    """The device listens on the loopback unless the file has another address, until Ctrl-C."""
     from hystmpc.bench.plants import make_plant
     from hystmpc.rig.device import DeviceSettings, serve
     from hystmpc.trials.config import load_settings

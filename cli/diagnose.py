@@ -1,4 +1,4 @@
-"""`hystmpc diagnose`: where a simulator departs from recorded trials, why, how far it can be mended, what to record."""
+"""Verb `diagnose`: causes of the gap between a simulator and its device, and the motion to record next."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def diagnose(
 
 
 def print_diagnosis(diagnosis: Diagnosis) -> None:
-    """The verdict in words, then the sizes of the gap, the effects and what to record next."""
+    """Print the verdict, the sizes of the gap, the effects, and the motion to record next."""
     from hystmpc.gap.report import words
     from hystmpc.gap.report.words import in_words, percent
 
@@ -87,7 +87,7 @@ def print_diagnosis(diagnosis: Diagnosis) -> None:
 
 
 def _self_test(seed: int) -> None:
-    """Print what became of each known truth; exit code 1 where one was missed."""
+    """Print for each known truth whether it was recovered; exit code 1 if one was not."""
     from hystmpc.gap.self_test import self_test
 
     with progress_of("self-test") as progress:

@@ -34,7 +34,7 @@ _SEEN_PART = {"--command-limits": "the range", "--command-rate": "the rate"}
 
 @verb("check:check", logs=LOGS, simulator=SIM)
 def check(call: Call) -> None:
-    """Time base, jitter, gaps, duplicates, NaN, units, sign, segments, first flexure.
+    """The check covers time base, jitter, gaps, duplicates, NaN, units, sign, segments, first flexure.
 
     Exit code 1 if a log cannot be used. With --sim also the least size at which `diagnose` would show each effect, from
     the commands alone.
@@ -59,7 +59,7 @@ def _print_findings(report: CheckReport) -> None:
 
 
 class FitCommand(TyperCommand):
-    """Refuses logs of the fit on both sides of `--test LOG`: `--test a.csv b.csv` would fit b.csv."""
+    """Parser of `fit`, which refuses logs on both sides of `--test LOG`: `--test a.csv b.csv` would fit b.csv."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Parse as usual, then look at what stands right behind the log of each `--test`.
@@ -111,7 +111,7 @@ def fit(
         typer.Option(min=0.0, help="Greatest command change per second; the one in the logs where left out."),
     ] = None,
 ) -> None:
-    """Ctrl-C keeps the best so far."""
+    """Ctrl-C ends the search; the best model so far is written."""
     from hystmpc.models.contract.metadata import DeviceLimits, Range
     from hystmpc.models.evaluate import error_sentence
 
@@ -129,7 +129,7 @@ def fit(
 
 
 def _print_model(made: Fit, limits: DeviceLimits) -> None:
-    """What each part of the device explains, the limits that the model stores, and how it was written."""
+    """Print what each part of the device explains, the stored limits, and the errors of the export."""
     from hystmpc.tasks.fit import part_tables
 
     done, gate, units = made.identified, made.exported, made.trials[0].units
@@ -166,7 +166,7 @@ def limits_line(stored: ModelMetadata, given: DeviceLimits) -> str:
     trials=LOGS,
 )
 def evaluate(call: Call) -> None:
-    """Free run from the command alone against the measured angle.
+    """The free run starts at the measured angle and uses the command alone.
 
     An inverse map runs from the angle to the command.
     """
@@ -180,7 +180,7 @@ def evaluate(call: Call) -> None:
 
 
 def _print_errors(title: str, evaluation: Evaluation) -> None:
-    """Errors of each trial and their mean; `no bias` is the offset-free RMSE."""
+    """Print the errors of each trial and their mean; `no bias` is the offset-free RMSE."""
     from hystmpc.models.evaluate import ERROR_COLUMNS, error_rows, start_sentences
 
     runs = evaluation.trials
@@ -199,7 +199,7 @@ def _print_page(call: Call) -> None:
     model={"metavar": "SIMULATOR", "help": "A simulator (.yaml of `fit`, or builtin:NAME)."},
 )
 def export(call: Call) -> None:
-    """Compared with its reference in onnxruntime and CasADi before it is written."""
+    """The step is compared with its reference in onnxruntime and CasADi before it is written."""
     from hystmpc.models.contract.load import load_onnx
 
     gate: EquivalenceReport = call.run("compare and export")
@@ -217,7 +217,7 @@ def export(call: Call) -> None:
     single={"flag": "--float32"},
 )
 def export_c(call: Call) -> None:
-    """One file and its header, without heap or further libraries.
+    """The export is one file and its header, without heap or further libraries.
 
     Its commands are those of the Python controller.
     """
@@ -242,7 +242,7 @@ def export_c(call: Call) -> None:
     platforms={"flag": "--platform"},
 )
 def export_fmu(call: Call) -> None:
-    """Co-simulation: its input is the command, its output the true angle without the noise of a sensor.
+    """The input of the co-simulation FMU is the command, its output the true angle without sensor noise.
 
     The FMU holds its C sources, and a binary where a compiler is found: CC, cc, or the package ziglang.
     """
@@ -263,7 +263,7 @@ def export_fmu(call: Call) -> None:
 
 @verb("report:report")
 def report(call: Call) -> None:
-    """Of an experiment it says what is due: nothing, `fit` or `diagnose`.
+    """For an experiment the report says what is due: nothing, `fit` or `diagnose`.
 
     With an earlier run it says how far the tracking error fell, and with a diagnosis how far it was expected to fall on
     this reference.

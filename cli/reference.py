@@ -1,4 +1,4 @@
-"""Verbs on what can stand in files and be written by a laboratory: `schema`, `effects`, `new`."""
+"""Verbs of reference: `schema` of configuration files, `effects` of the library, `new` templates of classes."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def effects(
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the library as JSON.")] = False,
 ) -> None:
-    """Equation, parameters, units, bounds, sides."""
+    """Each effect is listed with equation, parameters, units, bounds and sides."""
     from rich.box import SIMPLE_HEAD
     from rich.table import Table
 
@@ -90,7 +90,7 @@ def new(
     kind: Annotated[str, typer.Argument(help="Kind of class: transport, effect or controller.")],
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="New or empty folder.")],
 ) -> None:
-    """The contract tests pass as they are; a file to try the class with lies beside them."""
+    """The folder has the class, contract tests that pass as they are, and a file to try the class with."""
     from hystmpc.testing.templates import write_template
 
     for file in write_template(kind, folder):
@@ -137,7 +137,7 @@ def mapping_in(body: dict[str, Any]) -> dict[str, Any]:
 
 
 def summary_of(kind: type[Settings]) -> str:
-    """What the block is: its docstring before `Attributes:`."""
+    """Summary of a block of settings: its docstring before `Attributes:`."""
     return (inspect.getdoc(kind) or "").partition("\n\n")[0].replace("\n", " ")
 
 

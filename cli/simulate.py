@@ -1,4 +1,4 @@
-"""Verbs on simulated devices: `simulate`, also as a sweep of thousands of runs, `tune` and `demo`."""
+"""Verbs of the simulated closed loop: `simulate` of a study or a sweep, `tune` and `demo`."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def simulate(
         tuple[Path, str] | None, typer.Option(metavar="DIR ID", help="Make one row of a sweep again and compare.")
     ] = None,
 ) -> None:
-    """Ctrl-C keeps the finished runs.
+    """Ctrl-C ends the simulation; finished runs are kept.
 
     Raises:
         ConfigError: if there is not one thing to do, no folder, or an option that does nothing.
@@ -141,7 +141,7 @@ def _row(run: Result, best: Container[tuple[str, str]]) -> list[str]:
 def demo(
     folder: Annotated[Path, typer.Option("--out", help="Run folder to make; new or empty.")] = Path("demo"),
 ) -> None:
-    """A point-to-point motion and a scan, on the tendon catheter that ships."""
+    """The motions are point-to-point and a scan, on the tendon catheter of the package."""
     from hystmpc.sim.compare import demo as run_demo
 
     with progress_of("demo", kept=_NOTHING_KEPT) as progress:
@@ -151,7 +151,7 @@ def demo(
 
 @verb("simulate:tune", jobs=OPTIONAL)
 def tune(call: Call) -> None:
-    """The settings are checked on plants that the search has not seen; writes controller.yaml and a report."""
+    """The settings are verified on plants outside the search; controller.yaml and a report are written."""
     kept = f"interrupted: finished trials are kept in {call.out}, the same command goes on"
     tuning: Tuning = call.run("tune", kept=kept)
     for failed in tuning.failed:

@@ -46,7 +46,7 @@ _ENTRY = re.compile(r"^ {4}(\w+(?:, \w+)*): (.*(?:\n {5,}.*)*)", re.MULTILINE)
 
 
 def entries_of(docstring: str | None, section: str) -> dict[str, str]:
-    """Entries of a section of a docstring, such as `Args` or `Attributes`: a line of text by name."""
+    """Texts of a section of a docstring, such as `Args` or `Attributes`, by the names that they explain."""
     found = re.search(_SECTION.format(section), inspect.cleandoc(docstring or "") + "\n", re.MULTILINE)
     entries = _ENTRY.finditer(found[1] if found else "")
     return {name: " ".join(entry[2].split()) for entry in entries for name in entry[1].split(", ")}
@@ -54,7 +54,7 @@ def entries_of(docstring: str | None, section: str) -> dict[str, str]:
 
 @final
 class Call:
-    """One call of a verb: its task, and as attributes the arguments from the command line."""
+    """Call of a verb; its attributes are the arguments from the command line."""
 
     def __init__(self, tasks: tuple[Task, ...], given: Mapping[str, Any]) -> None:
         self._tasks, self._given = tasks, given
@@ -79,7 +79,7 @@ class Call:
 @final
 @dataclass(frozen=True)
 class Verb:
-    """A verb with the parameters of tasks.
+    """Command whose arguments and options are the parameters of tasks.
 
     Attributes:
         tasks: MODULE:NAME of each function in `hystmpc.tasks`; a parameter of several is that of the first.
@@ -130,7 +130,15 @@ def _task(place: str) -> Task:
 
 
 def _parameter(parameter: Parameter, *, flag: str = "", kind: Any = None, help: str, **more: Any) -> Parameter:
-    """An option where the parameter is a keyword or has a flag, else an argument; with `default` in `more`, of that."""
+    """Parameter of the command: an option if it is a keyword or has a flag, else an argument.
+
+    Args:
+        parameter: of the task.
+        flag: name of the option, in place of the one made of the parameter's name.
+        kind: type, in place of that of the annotation.
+        help: text of the help.
+        more: `default` in place of the task's, and keywords of typer.
+    """
     kind = kind or _TYPES.get(parameter.annotation.removesuffix(" | None"), Path)
     flag = flag or _FLAGS.get(parameter.name, "")
     if not flag and parameter.kind is Parameter.KEYWORD_ONLY:
@@ -142,5 +150,5 @@ def _parameter(parameter: Parameter, *, flag: str = "", kind: Any = None, help: 
         info: Any = typer.Option(flag, help=meaning, **more)
     else:
         info = typer.Argument(help=meaning, **{"metavar": parameter.name.upper(), **more})
-    annotation = Annotated[kind | None if default is None else kind, info]
+    annotation = Annotated[kind | None if default is None else kind, info]  # type: ignore[valid-type]
     return Parameter(parameter.name, Parameter.KEYWORD_ONLY, default=default, annotation=annotation)

@@ -77,7 +77,7 @@ _MOST_SAMPLES = 1_000_000_000
 
 @dataclass(frozen=True)
 class ControllerExport:
-    """A controller as C.
+    """Predictive controller as C99.
 
     Attributes:
         header, source: text of hystmpc.h and hystmpc.c.
@@ -115,7 +115,7 @@ class ControllerExport:
 def export_controller(
     source: Path | str | Mapping[str, Any] | TipSettings, *, single: bool = False, folder: Path | None = None
 ) -> ControllerExport:
-    """The controller that `TipController.from_config(source)` is, as C.
+    """Export the predictive controller of `TipController.from_config(source)` as C99.
 
     Its commands are those of the Python controller, `GuardedController.step`, to rounding. A model of operators, an
     LSTM or a GRU, the linearised controller, a continuous sensor or none.
@@ -185,7 +185,7 @@ def _guarded(name: str, text: str) -> str:
 
 
 def _sizes(problem: Problem, single: bool) -> str:
-    """The scalar type, and whole numbers."""
+    """C of the scalar type and of whole numbers."""
     lines = [f"typedef {'float' if single else 'double'} hystmpc_real;", f"#define HYSTMPC_SINGLE {int(single)}"]
     public = {"sample_s": "dt_s", "lowest": "lower", "highest": "upper"}
     lines += [f"#define HYSTMPC_{name.upper()} {problem.numbers[key]!r}" for name, key in public.items()]
@@ -194,7 +194,7 @@ def _sizes(problem: Problem, single: bool) -> str:
 
 
 def _numbers(problem: Problem, single: bool) -> str:
-    """Numbers of the scalar type: scalars, and initialisers of arrays."""
+    """C of the numbers of the scalar type: scalars, and initialisers of arrays."""
     suffix = "##f" if single else ""
     math = "name##f" if single else "name"
     lines = [f"#define HYSTMPC_REAL(x) x{suffix}", f"#define MATH(name) {math}"]

@@ -1,4 +1,4 @@
-"""The structs of a C header as ctypes: their size without a compiler, their fields from Python."""
+"""Structs of a C header as ctypes, whose sizes and fields are known without a compiler."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def structs(header: str, sizes: Mapping[str, int], real: Any) -> Mapping[str, ty
 
 
 def _chosen(text: str, sizes: Mapping[str, int]) -> Iterator[str]:
-    """Lines whose conditions hold."""
+    """Lines of the header whose conditions hold."""
     conditions: list[bool] = []
     for line in text.splitlines():
         words = line.split()
@@ -63,5 +63,5 @@ def _fields(line: str, sizes: Mapping[str, int], known: Mapping[str, Any]) -> It
 
 
 def _size(expression: str, sizes: Mapping[str, int]) -> int:
-    """A number, a macro, or a sum of them."""
+    """Value of a dimension: a number, a macro, or a sum of them."""
     return sum(int(part) if part.isdigit() else sizes[part] for part in expression.replace(" ", "").split("+"))

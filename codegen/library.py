@@ -25,7 +25,7 @@ _made: dict[tuple[str, str, str], Path] = {}
 
 
 def controller_library(export: ControllerExport, beside: str = "") -> Path:
-    """The compiled controller, in a folder that is this process's own and ends with it.
+    """Shared library of a controller, compiled into a temporary folder of this process.
 
     No library that an earlier program has left is ever loaded: what moves a device was compiled by the process that
     moves it.
@@ -93,35 +93,35 @@ class LoadedController:
 
     @property
     def memory(self) -> bytes:
-        """What is remembered now."""
+        """Snapshot of what is remembered from step to step."""
         return ctypes.string_at(self._at, self._size)
 
     def remember(self, memory: bytes) -> None:
-        """Be as at the moment of `memory`."""
+        """Restore a snapshot."""
         if len(memory) != self._size:
             raise ValueError(f"memory: got {len(memory)} bytes, expected {self._size}")
         ctypes.memmove(self._at, memory, self._size)
 
     def init(self, angle_deg: float, command: float) -> int:
-        """At rest; 0, or why it cannot start."""
+        """Start at rest; returns 0, or the code of the reason why it cannot start."""
         return int(self._init(self._at, angle_deg, command))
 
     def look_on(self, angle_deg: float, command: float) -> int:
-        """A sample in which another has sent `command`; for how many samples the model has failed."""
+        """Update the state with a command of another source; returns for how many samples the model has failed."""
         return int(self._look_on(self._at, angle_deg, command))
 
     def step(self, angle_deg: float, reference: Vec) -> Any:
-        """The struct `hystmpc_command` of the header; `reference` is contiguous and as long as it says."""
+        """Compute the command: the struct `hystmpc_command` of the header; `reference` (N,) is contiguous."""
         return self._step(self._at, angle_deg, reference.ctypes.data)
 
     def hold(self, command: float) -> None:
-        """The device holds `command`, whatever was sent last."""
+        """Set the command that the device holds, whatever was sent last."""
         for name in ("estimate", "plain"):
             if hasattr(self.view, name):
                 getattr(self.view, name).command = command
 
     def hurry(self) -> None:
-        """The next step makes no plan."""
+        """Let the next step make no plan."""
         self._hurry(self._at)
 
     def stop(self) -> None:

@@ -1,4 +1,4 @@
-"""What a controller's C is made from: its sizes, its numbers, its steps; and what cannot be exported."""
+"""Sizes, numbers and model steps of a controller that is exported as C; refuses what has no C."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ class Rest:
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """One controller in numbers.
+    """Controller in numbers.
 
     Attributes:
         sizes: of arrays, and which parts there are; whole numbers.
@@ -129,7 +129,7 @@ def problem_of(settings: TipSettings, folder: Path) -> Problem:
 
 @dataclass(frozen=True, eq=False)
 class _Model:
-    """A model in parts; `known` is what the Python controller has of it."""
+    """Model in parts; `known` is the model of the Python controller."""
 
     known: ControllerModel
     parts: Mapping[str, Chain]
@@ -139,7 +139,7 @@ class _Model:
 
 
 def _of_chain(model: ChainModel, settings: TipSettings) -> _Model:
-    """Operators, with those that are dynamics on either side."""
+    """Parts of a chain of operators, with linear dynamics on either side."""
     lag_s, facts = settings.actuator_lag_s, model.metadata
     parts = _parts(model.simulator.chain, lag_s)
     sizes = {name: chain.state_size for name, chain in parts.items()}
@@ -151,7 +151,7 @@ def _of_chain(model: ChainModel, settings: TipSettings) -> _Model:
 
 
 def _of_network(model: LoadedModel, settings: TipSettings) -> _Model:
-    """A network, with the operator that stands in for it where an inverse is needed."""
+    """Parts of a network and of the operator whose inverse is used in its place."""
     from hystmpc.models.contract.load import OnnxModel  # onnxruntime is not loaded for a simulator
 
     assert isinstance(model, OnnxModel)  # there are these two
@@ -168,7 +168,7 @@ def _of_network(model: LoadedModel, settings: TipSettings) -> _Model:
 
 
 def _inverted(inverse: Inverse, step: Step) -> Step:
-    """The step that is inverted: one sample of the model, or its hold where that is inverted, see `steady_inverse`."""
+    """Step that is inverted: one sample of the model, or its response to a hold, see `steady_inverse`."""
     inner = inverse.inner if isinstance(inverse, DrivenInverse) else inverse
     if not (inverted_after_a_hold(inner) and isinstance(inner, CompiledInverse)):
         return step
@@ -202,7 +202,7 @@ def _check(controller: LinearisedMpcSettings) -> None:
 
 
 def _parts(chain: Chain, lag_s: float) -> Mapping[str, Chain]:
-    """The whole, what is inverted sample by sample, and dynamics on either side of it."""
+    """Parts of a chain: the whole, the part inverted sample by sample, and dynamics on either side."""
     front, middle, back = split(chain)
     if lag_s and (front or back):
         words = ", ".join(operator.name for operator in (*front, *back))

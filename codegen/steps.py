@@ -92,7 +92,7 @@ def model_source(name: str, step: Step) -> str:
 
 
 def inverted_source(name: str, step: Step) -> str:
-    """C of what is inverted sample by sample: its step, and `slope_<name>(x, u, theta, d)` with d theta / d u alone."""
+    """C of a step that is inverted sample by sample, and of `slope_<name>(x, u, theta, d)` with d theta / d u."""
     return "\n".join(
         [
             step_source(name, step, "HYSTMPC_LOCAL"),
@@ -210,7 +210,7 @@ def _tangent(function: Any) -> Any:
 
 
 def _body(function: Any, outputs: Sequence[str | None], known: Mapping[int, Vec]) -> list[str]:
-    """Statements with single assignments; an argument that is not read is said to be so. An output None is left out."""
+    """Statements with single assignments; arguments without use are marked, and an output None is left out."""
     lines = _used(list(_statements(function, outputs, known)))
     text = "\n".join(lines)
     unread = [name for name in ("x", "u") if (f" {name}[" if name == "x" else " = u;") not in text]
@@ -247,7 +247,7 @@ def _statements(function: Any, outputs: Sequence[str | None], known: Mapping[int
 
 
 def _value(step: Instruction, where: Mapping[int, str | float], known: Mapping[int, Vec]) -> str | float:
-    """What an instruction gives: a number where it reads nothing that changes, else an expression."""
+    """Result of an instruction: a number if its arguments are known, else an expression."""
     if step.name == "const":
         return step.value
     if step.name == "input":

@@ -1,4 +1,4 @@
-"""Check of recorded logs: can they be used, what is in them, and what would they show of a simulator's gap?"""
+"""Check of recorded logs before they are used."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def check(
     show: Callable[[CheckReport], object] | None = None,
     progress: Progress | None = None,
 ) -> LogsCheck:
-    """Look at time base, jitter, gaps, duplicates, values, units, sign, excitation, segments and first flexure.
+    """Check time base, jitter, gaps, duplicates, values, units, sign, excitation, segments and first flexure.
 
     A file or frame is read leniently: what `read_trials` would refuse becomes a finding.
 

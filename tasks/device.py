@@ -47,7 +47,7 @@ def commission(
     progress: Progress | None = None,
     say: Say | None = None,
 ) -> Commissioned:
-    """From a device to a verified controller: range, recordings, model, controller, verification, report.
+    """Commission a device: safe range, recordings, model, controller, verification, report.
 
     The device moves for five minutes at most, in real time; one of `kind: simulated` is computed faster. The same call
     goes on after the last complete stage.
@@ -89,7 +89,7 @@ def commission(
 
 
 def commission_plan(config: Settings, overrides: Iterable[str] = (), *, allow_python: bool = False) -> DevicePlan:
-    """Stages, motions, minutes and limits of a commissioning; nothing moves.
+    """Plan of a commissioning: stages, motions, minutes and limits; the device does not move.
 
     Raises:
         ConfigError: if a setting is wrong.
@@ -116,7 +116,7 @@ def investigate(
     progress: Progress | None = None,
     say: Say | None = None,
 ) -> Investigated:
-    """Find out why a simulator and its device differ: record, diagnose, record what decides most, until it has a name.
+    """Find the causes of the gap between a simulator and its device by recording and diagnosing in turn.
 
     The device moves for the minutes given at most, in real time; one of `kind: simulated` is computed faster. The same
     call goes on after the last complete part.
@@ -159,7 +159,7 @@ def investigation_plan(
     minutes: float | None = None,
     allow_python: bool = False,
 ) -> DevicePlan:
-    """Parts, motions, minutes and limits of an investigation; nothing moves.
+    """Plan of an investigation: parts, motions, minutes and limits; the device does not move.
 
     Raises:
         ConfigError: if a setting is wrong.

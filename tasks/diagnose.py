@@ -32,7 +32,7 @@ def diagnose(
     progress: Progress | None = None,
     say: Say | None = None,
 ) -> Diagnosis:
-    """Say where a simulator departs from its device, which effects cause it, and how far they close the gap.
+    """Diagnose the gap between a simulator and its device: its size, the effects that cause it, and their shares.
 
     Args:
         trials: logs, data frames or trials of one device.

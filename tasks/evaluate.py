@@ -98,7 +98,7 @@ def evaluate(
     progress: Progress | None = None,
     say: Say | None = None,
 ) -> Evaluation:
-    """Run a model freely over the commands of trials and compare its angle with the measured one.
+    """Compare the free run of a model over the commands of trials with the measured angle.
 
     Args:
         model: a fit, simulator, opened model or file.

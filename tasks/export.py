@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from hystmpc.trials.config import read_yaml
 from hystmpc.trials.errors import ExportError
 
-from .outputs import C_HEADER, C_SOURCE, FMU, MODEL, check_output
+from .outputs import C_CODE, FMU, MODEL, check_output
 
 if TYPE_CHECKING:
     from hystmpc.codegen.controller import ControllerExport
@@ -77,8 +77,8 @@ def export_c(
     from hystmpc.codegen import export_controller
 
     inputs = [Path(settings)] if isinstance(settings, Path | str) else []
-    for name, kind in (("hystmpc.h", C_HEADER), ("hystmpc.c", C_SOURCE)):
-        check_output("--out", Path(out) / name, (kind,), inputs, force)
+    for name in ("hystmpc.h", "hystmpc.c"):
+        check_output("--out", Path(out) / name, (C_CODE,), inputs, force)
     made = export_controller(settings, single=single)
     made.write(Path(out))
     return made
@@ -163,7 +163,7 @@ def _plant_settings(source: Path) -> PlantSettings:
 
 
 def _left_out(plant: SimulatedPlant) -> tuple[str, ...]:
-    """What the plant has and the FMU has not."""
+    """Parts of the plant that the FMU does not have."""
     sensing = plant.sensing
     parts = [f"noise of {sensing.noise_deg:g} deg"] if sensing.noise_deg else []
     parts += [f"steps of {sensing.quantisation_deg:g} deg"] if sensing.quantisation_deg else []

@@ -60,14 +60,17 @@ class Fit:
     def __repr__(self) -> str:
         return in_brief(self, f"{self.kind} from {len(self.trials)} trials: {self.identified.report}")
 
-    @property
+    @cached_property
     def model(self) -> LoadedModel:
         """The model, as `load_model` opens it from a file."""
-        return self._model
+        if self.identified.simulator is not None:
+            from hystmpc.models.simulator import ChainModel
 
-    @cached_property
-    def _model(self) -> LoadedModel:
-        return _model_of(self.kind, self.identified)
+            return ChainModel(self.identified.simulator)
+        from hystmpc.models.contract.export import model_bytes
+        from hystmpc.models.contract.load import OnnxModel
+
+        return OnnxModel(model_bytes(self.identified.bundle), self.kind)
 
     @property
     def simulator(self) -> Simulator:
@@ -207,7 +210,7 @@ def _scored(
     report: Path | str | None,
     progress: Progress | None,
 ) -> Fit:
-    """The fit with free runs over each set of trials, of the model as it is read back; and its page."""
+    """The fit with free runs of the written model over each set of trials; writes its page."""
     model = opened(made if out is None else out)
     scores = [(which, free_runs(model, trials, skip, progress)) for which, trials in sets.items()]
     made = replace(made, evaluations=tuple(scores))
@@ -218,7 +221,7 @@ def _scored(
 
 @dataclass(frozen=True)
 class _Reader:
-    """Logs at the rate of the fit; the refusal of one that is too slow for the default rate names a rate for it."""
+    """Reader of logs at the rate of the fit; it names a rate for a log too slow for the default one."""
 
     layout: AnyLayout
     rate_hz: float | None
@@ -236,7 +239,7 @@ class _Reader:
 
 
 def _unseen(test: Sequence[Log], seen: Sequence[Path]) -> list[Path]:
-    """The files of the test.
+    """Files of the test, none of which the fit sees.
 
     Raises:
         ConfigError: on one that the fit sees.
@@ -296,17 +299,6 @@ def _identify(
     return done
 
 
-def _model_of(kind: str, done: Identified) -> LoadedModel:
-    if done.simulator is not None:
-        from hystmpc.models.simulator import ChainModel
-
-        return ChainModel(done.simulator)
-    from hystmpc.models.contract.export import model_bytes
-    from hystmpc.models.contract.load import OnnxModel
-
-    return OnnxModel(model_bytes(done.bundle), kind)
-
-
 def _written(done: Identified, path: Path, progress: Progress | None = None) -> EquivalenceReport | None:
     """Write the readable form or the exported model; returns the comparison of the latter with its reference."""
     if done.simulator is not None and path.suffix.lower() in SIMULATOR.endings:
@@ -334,7 +326,7 @@ def _write_page(made: Fit, path: Path | str, name: str, model: LoadedModel) -> N
 
 
 def part_tables(parts: AutoFit, units: Units) -> Iterator[tuple[str, Sequence[str], Sequence[Sequence[str]]]]:
-    """Title, columns and rows: the error without and with each part of the device, and the identified numbers."""
+    """Tables (title, columns, rows) of the error without and with each part of the device, and of the parameters."""
     if parts.rows:
         rows = [(r.part, r.form, _error(r.without_deg), _error(r.with_deg)) for r in parts.rows]
         yield f"what each part buys, RMSE on trials left out, in {units.angle}", _PARTS, rows
@@ -344,7 +336,7 @@ def part_tables(parts: AutoFit, units: Units) -> Iterator[tuple[str, Sequence[st
 
 
 def _interval(row: ParameterRow) -> str:
-    """The interval, one-sided of a number at the end of what was searched."""
+    """Text of a confidence interval; one-sided for a parameter at the end of its search range."""
     low, high = row.ci90
     if row.at_bound and math.isinf(high):
         return f"{low:.4g} or more"

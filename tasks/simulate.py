@@ -73,7 +73,7 @@ def sweep(
     allow_python: bool = False,
     progress: Progress | None = None,
 ) -> SweepOutcome:
-    """Run many studies in one: a grid, draws and seeds; the same call goes on in the folder of a sweep.
+    """Simulate many studies: a grid, draws and seeds; the same call continues an unfinished sweep.
 
     Args:
         config: a YAML file.
@@ -100,7 +100,7 @@ def sweep(
 
 
 def reproduce(folder: Path | str, row: str, out: Path | str | None = None) -> tuple[ReproducedFigure, ...]:
-    """Run one row of a sweep once more, from nothing but what its table says.
+    """Simulate one row of a sweep a second time, from the settings in its table.
 
     Args:
         folder: of the sweep.
@@ -121,7 +121,7 @@ def reproduce(folder: Path | str, row: str, out: Path | str | None = None) -> tu
 
 
 def _added(name: str, controller: Settings) -> str:
-    """The override that puts a controller's settings into a study.
+    """Override that adds the settings of a controller to a study.
 
     Raises:
         ConfigError: if the name has a dot, or the file holds no controller.
@@ -146,7 +146,7 @@ def tune(
     allow_python: bool = False,
     progress: Progress | None = None,
 ) -> Tuning:
-    """Search the settings of a controller over simulated plants with drawn effects; check them on plants not seen.
+    """Search the settings of a controller on simulated plants with drawn effects; verify them on other plants.
 
     Args:
         config: a tuning of study, ranges and plants: a YAML file or a mapping.
@@ -183,7 +183,7 @@ def build_controller(
     limits: CommandLimits | None = None,
     actuator_lag_s: float = 0.0,
 ) -> GuardedController[Any]:
-    """A controller of the tip angle: `init` and `step` with explicit state.
+    """Build a controller of the tip angle, with methods `init` and `step` and explicit state.
 
     Args:
         controller: `inverse`, `pid`, `inverse_pid`, `linearised_mpc` or `sampling_mpc`; or its settings.

@@ -1,4 +1,4 @@
-"""Contract tests that a lab runs against its own classes, simulated devices for them, and templates to begin with."""
+"""Contract tests for classes of a laboratory, simulated devices for these tests, and templates of classes."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ if TYPE_CHECKING:
     from .wire import TransportContract as TransportContract
 
 if not TYPE_CHECKING:
-    _HOMES = (
+    __getattr__ = lazily(
+        __name__,
         ("hystmpc.testing.effect", "EffectContract"),
         ("hystmpc.testing.law", "ControllerContract"),
         ("hystmpc.testing.loop", "LoopContract"),
         ("hystmpc.testing.model", "KindContract ModelContract PlantContract"),
         ("hystmpc.testing.wire", "Connected LineDevice TransportContract"),
     )
-    __all__ = [name for _, names in _HOMES for name in names.split()]
-    __getattr__ = lazily(__name__, *_HOMES)
+    __all__ = __getattr__.names

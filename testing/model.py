@@ -28,7 +28,7 @@ _HOLD_S = 20.0
 
 
 class ModelContract(ABC):
-    """Derive a class whose name begins with `Test`, give it `model`, and run pytest.
+    """Contract tests of a model: derive a class whose name begins with `Test`, give it `model`, run pytest.
 
     Attributes:
         low, high: ends of the command's range [mm or bar].
@@ -51,7 +51,7 @@ class ModelContract(ABC):
         self._same(self._model.output(x), y, "the output of the state at the start is not the measured angle")
 
     def test_a_step_leaves_the_state_alone_and_repeats_itself(self) -> None:
-        """All memory is in the state that the caller holds: a planner can branch and return."""
+        """A step does not change its arguments and depends on them alone: a planner can branch and return."""
         x, u = self._states(), np.full((4, 1), 0.5 * (self.low + self.high))
         kept = x.copy()
         once = np.array(self._model.step(x, u))
@@ -60,13 +60,13 @@ class ModelContract(ABC):
         self._same(self._model.step(x, u), once, "the same state and command give another next state")
 
     def test_a_batch_is_its_rows(self) -> None:
-        """Plans are predicted side by side."""
+        """A batch gives the same as its rows one by one."""
         x, u = self._states(), np.linspace(self.low, self.high, 4)[:, None]
         rows = [self._model.output(self._model.step(x[k : k + 1], u[k : k + 1])) for k in range(4)]
         self._same(self._model.output(self._model.step(x, u)), np.vstack(rows), "a batch differs from its rows")
 
     def test_every_command_gives_an_angle_and_some_give_others(self) -> None:
-        """Finite over slow and fast motions of the whole range, and not constant."""
+        """The angle is finite over slow and fast motions of the whole range, and not constant."""
         require(bool(np.all(np.isfinite(self._angles))), "the angle is not finite")
         require(float(np.ptp(self._angles)) > 0.0, "the angle does not depend on the command")
 
@@ -84,7 +84,7 @@ class ModelContract(ABC):
 
     @cached_property
     def _angles(self) -> Vec:
-        """Of a motion over the whole range: a slow sine, then jumps."""
+        """Angles of a motion over the whole range: a slow sine, then jumps."""
         t = np.arange(self._count(20.0)) * self._model.dt
         share = np.where(t < 12.0, 0.5 - 0.5 * np.cos(np.pi * t / 3.0), np.floor(t) % 2)
         return _run(self._model, self.low + (self.high - self.low) * share, self._first())
@@ -110,7 +110,7 @@ class ModelContract(ABC):
 
 
 class KindContract(ModelContract):
-    """Derive a class whose name begins with `Test`, give it `kind`, and run pytest.
+    """Contract tests of a kind of model: derive a class whose name begins with `Test`, give it `kind`, run pytest.
 
     The trials are those of a simulated catheter with backlash. The model that is identified from them is exported,
     loaded, and has to keep `ModelContract` as well.
@@ -153,7 +153,7 @@ class KindContract(ModelContract):
         require(off <= 1e-3, f"file and reference differ by {off:.3g} deg, expected at most 0.001 deg")
 
     def test_its_report_is_one_line_and_its_facts_are_those_of_the_trials(self) -> None:
-        """Units, sample time and range come from what was recorded."""
+        """The report is one line; units and sample time are those of the trials."""
         facts, units = self._found.bundle.metadata, self._trials[0].units
         require("\n" not in self._found.report, "the report has several lines")
         require((facts.command_unit, facts.angle_unit) == (units.command, units.angle), "the units are not the trials'")
@@ -194,7 +194,9 @@ class KindContract(ModelContract):
 
 
 class PlantContract(ABC):
-    """Derive a class whose name begins with `Test`, give it `plant`, and run pytest. A real device moves meanwhile.
+    """Contract tests of a plant: derive a class whose name begins with `Test`, give it `plant`, run pytest.
+
+    A real device moves in these tests.
 
     Attributes:
         low, high: ends of the command's range that the tests may use [mm or bar].
@@ -216,11 +218,11 @@ class PlantContract(ABC):
         require(off <= self.noise_deg, f"the same motion after a reset differs by {off:.3g} deg")
 
     def test_its_sample_time_is_a_time(self) -> None:
-        """Positive and finite [s]."""
+        """The sample time is positive and finite."""
         require(0.0 < self._plant.dt < math.inf, f"dt is {self._plant.dt} s")
 
     def test_every_command_is_answered_by_a_finite_angle(self) -> None:
-        """Moves and jumps over the whole range."""
+        """Angles are finite for motions and jumps over the whole range."""
         angles = self._motion()
         require(bool(np.all(np.isfinite(angles))), "an angle is not finite")
 
@@ -230,7 +232,7 @@ class PlantContract(ABC):
         require(moved > 3.0 * self.noise_deg, f"the angle moves by {moved:.3g} deg over the whole range")
 
     def test_stop_is_allowed_at_any_time_and_twice(self) -> None:
-        """Before the first reset, in motion, and again; a reset then begins anew."""
+        """A stop is allowed before the first reset, in motion, and twice; a reset then starts as before."""
         plant = self.plant()
         plant.stop()
         first = plant.reset()

@@ -40,7 +40,7 @@ class Connected:
 
 
 class Wired(ABC):
-    """Base of contracts: how a transport is connected to a device that the test plays.
+    """Base of the contracts of transports: the connection to a device that the test simulates.
 
     Attributes:
         resolution: of angles and commands on the wire, in its units.
@@ -55,15 +55,15 @@ class Wired(ABC):
         """A transport and its device; both are closed behind it."""
 
     def near(self, got: float, expected: float) -> bool:
-        """Whether two numbers are the same on this wire."""
+        """Whether two numbers are equal to the resolution of the wire."""
         return abs(got - expected) <= self.resolution
 
 
 class TransportContract(Wired):
-    """The wire alone. Derive a class whose name begins with `Test`, give it `connected`, and run pytest."""
+    """Contract tests of a transport: derive a class whose name begins with `Test`, give it `connected`, run pytest."""
 
     def test_it_has_what_a_transport_has(self) -> None:
-        """Four methods and the mapping `counters`."""
+        """A transport has four methods and the mapping `counters`."""
         with self.connected() as c:
             require(not missing_methods(c.transport), f"it lacks {missing_methods(c.transport)}")
             require(
@@ -71,7 +71,7 @@ class TransportContract(Wired):
             )
 
     def test_a_measurement_comes_once_and_as_it_was_sent(self) -> None:
-        """With a sequence that rises, one session, and a stamp of this process's monotonic clock."""
+        """A measurement is read once, with rising sequence, one session, and a stamp of the monotonic clock."""
         with self.connected() as c:
             first = contact(c)
             for k in range(1, 4):
@@ -88,7 +88,7 @@ class TransportContract(Wired):
                 require(c.transport.read() is None, "a measurement was read twice")
 
     def test_the_sequence_rises_where_a_counter_of_one_byte_starts_again(self) -> None:
-        """Over 300 measurements."""
+        """The sequence rises over 300 measurements."""
         with self.connected() as c:
             last = contact(c).sequence
             for _ in range(300):
@@ -99,7 +99,7 @@ class TransportContract(Wired):
                 last = found
 
     def test_measurements_that_pile_up_come_in_order(self) -> None:
-        """The oldest first, none lost; left out where `keeps` is not set."""
+        """Measurements are read in order and none is lost; left out where `keeps` is not set."""
         if not self.keeps:
             return
         with self.connected() as c:
@@ -110,7 +110,7 @@ class TransportContract(Wired):
             require(all(self.near(a, 40.0 + k) for k, a in enumerate(angles)), f"sent 40 to 44, read {angles}")
 
     def test_commands_arrive_in_order_and_as_they_were_written(self) -> None:
-        """Each of them, to the resolution of the wire."""
+        """Every command arrives, in order and to the resolution of the wire."""
         with self.connected() as c:
             contact(c)
             wanted = [0.0, 0.125, 1.5, 5.9, 0.25]
@@ -132,7 +132,7 @@ class TransportContract(Wired):
                 require(not c.heard(), f"the device got {list(c.heard())} without a write")
 
     def test_after_stop_nothing_is_sent_and_stop_may_come_twice(self) -> None:
-        """The loop closes the wire whatever has happened before."""
+        """After `stop`, which may come twice, no command is sent."""
         with self.connected() as c:
             contact(c)
             c.transport.stop()
@@ -143,7 +143,7 @@ class TransportContract(Wired):
             require(not c.heard(), f"the device got {list(c.heard())} after stop")
 
     def test_rubbish_is_no_measurement_and_the_next_good_one_is_read(self) -> None:
-        """It may raise on rubbish, or pass it over; left out where `spoil` is None."""
+        """Invalid data raise or are ignored, and the next measurement is read; left out where `spoil` is None."""
         with self.connected() as c:
             if c.spoil is None:
                 return
@@ -155,7 +155,7 @@ class TransportContract(Wired):
             require(self.near(found.angle_deg, 47.0), f"sent rubbish and 47, read {found.angle_deg}")
 
     def test_a_dead_wire_gives_no_measurement(self) -> None:
-        """It may raise, or return None; left out where `cut` is None."""
+        """Reading a cut wire raises or returns None; left out where `cut` is None."""
         with self.connected() as c:
             if c.cut is None:
                 return
@@ -174,7 +174,7 @@ class TransportContract(Wired):
 
 @final
 class LineDevice:
-    """A device that speaks in lines; a transport opens `port` as it opens a serial port. Linux and macOS.
+    """Simulated device on a pseudo-terminal, which a transport opens as a serial port; Linux and macOS.
 
     Args:
         say: the line of a measurement, of angle and held command; without its newline.
@@ -199,7 +199,7 @@ class LineDevice:
         self.cut()
 
     def tell(self, angle: float, held: float) -> None:
-        """Send one measurement; it is lost where nobody reads the line, as on a real one."""
+        """Send one measurement; it is lost if nobody reads the line, as on a real one."""
         self.say(self._say(angle, held) + b"\n")
 
     def say(self, data: bytes) -> None:
@@ -209,11 +209,11 @@ class LineDevice:
                 os.write(self._own, data)
 
     def spoil(self) -> None:
-        """Send lines that are no measurement, of rubbish and of none."""
+        """Send lines that are no measurement."""
         self.say(b"\n\x00\xff\xfe\nA\nnan\n" + bytes(range(128, 256)) + b"\n")
 
     def heard(self) -> list[float]:
-        """Every command that has come so far, the oldest first."""
+        """All commands received so far, the oldest first."""
         while self._open:
             try:
                 self._rest += os.read(self._own, 4096)
@@ -224,7 +224,7 @@ class LineDevice:
         return list(self._commands)
 
     def cut(self) -> None:
-        """Pull the plug; may be done twice."""
+        """Close the line; may be called twice."""
         if self._open:
             self._open = False
             os.close(self._own)
@@ -232,7 +232,7 @@ class LineDevice:
 
 
 def require(holds: bool, text: str) -> None:
-    """Fail a test with a line.
+    """Fail a test with a line of text if a condition does not hold.
 
     Raises:
         AssertionError: where it does not hold.
@@ -256,7 +256,7 @@ def until(get: Callable[[], T | None]) -> T:
 
 
 def number(transport: Transport) -> Reading | None:
-    """The next reading with an angle; a transport may raise on rubbish, and may show it as not-a-number."""
+    """The next reading with a finite angle, if any; a transport may raise on invalid data."""
     with suppress(Exception):
         found = transport.read()
         return found if found is not None and math.isfinite(found.angle_deg) else None
@@ -264,7 +264,7 @@ def number(transport: Transport) -> Reading | None:
 
 
 def contact(c: Connected) -> Reading:
-    """The last of the first readings: the device talks, listens, and nothing is under way any more."""
+    """Wait until the device sends and listens and no reading is left on the wire; returns the last one."""
 
     def answer() -> Reading | None:
         c.heard()

@@ -33,7 +33,7 @@ _EXPERIMENT_S = 10.0
 
 @dataclass(frozen=True)
 class Described:
-    """What the descriptions say of a device.
+    """Facts of a device in its descriptions.
 
     Attributes:
         name, identifier: for people, and for C and file names.
@@ -64,7 +64,7 @@ class Described:
 
     @property
     def words(self) -> str:
-        """One line for people."""
+        """Description in one line."""
         return (
             f"{self.chain}; command [{self.command_unit}] to {self.output} [{self.output_unit}], "
             f"a step every {self.sample_s:g} s; without the noise of a sensor"

@@ -52,7 +52,7 @@ class Platform:
     ending: str
 
     def path(self, identifier: str, version: str) -> str:
-        """Of its binary inside the FMU."""
+        """Path of its binary inside the FMU."""
         folder = self.tuple3 if version == "3.0" else _NAMES_2[self.tuple3]
         return f"binaries/{folder}/{identifier}.{self.ending}"
 
@@ -70,7 +70,7 @@ PLATFORMS: Mapping[str, Platform] = MappingProxyType(
 
 @dataclass(frozen=True)
 class FmuExport:
-    """A simulator as an FMU.
+    """Simulator as an FMU.
 
     Attributes:
         described: what modelDescription.xml says of it.
@@ -107,7 +107,7 @@ def export_fmu(
     platforms: Sequence[str] | None = None,
     rest_command: float | None = None,
 ) -> FmuExport:
-    """A simulator as a co-simulation FMU: command in, output out, one step a sample.
+    """Export a simulator as a co-simulation FMU: command in, output out, one step a sample.
 
     It starts where `rest` says and repeats the Python simulator to rounding. The command is held over a step.
 
@@ -162,13 +162,13 @@ def _check(simulator: Simulator, version: str) -> None:
 
 
 def _identifier(name: str) -> str:
-    """A name that C takes."""
+    """Name of the model as an identifier of C."""
     plain = re.sub(r"\W+", "_", name, flags=re.ASCII).strip("_")[:60]
     return plain if re.match("[A-Za-z]", plain) else f"device_{plain}".rstrip("_")
 
 
 def _token(described: Described, step: str, rest: tuple[float, Vec], version: str) -> str:
-    """A name for exactly this device: its states are accepted by no other FMU."""
+    """Token of exactly this device: its states are accepted by no other FMU."""
     text = repr((described, step, rest[0], rest[1].tolist(), version))
     digits = text_hash(text)
     return "{" + "-".join((digits[:8], digits[8:12], digits[12:16], digits[16:20], digits[20:32])) + "}"

@@ -17,7 +17,7 @@ KINDS: Mapping[str, str] = MappingProxyType(
 
 
 def write_template(kind: str, folder: Path) -> tuple[Path, ...]:
-    """Write the template of a kind into a new or empty folder; returns its files.
+    """Write the template of a kind of class into a new or empty folder; returns its files.
 
     Raises:
         ConfigError: if there is no such kind, or the folder holds something or cannot be written.
