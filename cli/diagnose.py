@@ -27,6 +27,7 @@ _PACE: Pace = ((0, 0), (0.05, 0.12), (0.34, 0.31), (0.51, 0.44), (0.62, 0.57), (
     "diagnose:diagnose",
     trials={"metavar": "LOG...", "help": "Trials of one device, or folders of *.csv.", **OPTIONAL},
     simulator={**SIM, **OPTIONAL},
+    out={"help": "Folder to write: new, empty, or an older diagnosis."},
     seed={"min": 0},
 )
 def diagnose(

@@ -23,6 +23,7 @@ DIFFERENT = 1
 
 _COLUMNS = ("controller", "RMSE", "max", "hold", "hold p-p", "step ms", "p99 ms", "beyond")
 _TUNED = ("settings", "objective", "mean error", "worst plant", "travel", "violations")
+_JOBS = {**OPTIONAL, "help": "Processes of one thread each; one a core where left out."}
 _NOTHING_KEPT = "interrupted before a run was finished: nothing is kept"
 
 
@@ -35,7 +36,8 @@ _NOTHING_KEPT = "interrupted before a run was finished: nothing is kept"
         "kind": list[str],
         "help": "Add a controller from a file: NAME=controller.yaml.",
     },
-    jobs=OPTIONAL,
+    out={**OPTIONAL, "help": "Run folder; new or empty, or a sweep to go on."},
+    jobs=_JOBS,
 )
 def simulate(
     call: Call,
@@ -149,7 +151,7 @@ def demo(
     print_study(result, folder)
 
 
-@verb("simulate:tune", jobs=OPTIONAL)
+@verb("simulate:tune", config={"help": "A tuning: study, ranges, plants (YAML)."}, jobs=_JOBS)
 def tune(call: Call) -> None:
     """The settings are verified on plants outside the search; controller.yaml and a report are written."""
     kept = f"interrupted: finished trials are kept in {call.out}, the same command goes on"
