@@ -54,13 +54,15 @@ def entries_of(docstring: str | None, section: str) -> dict[str, str]:
 
 @final
 class Call:
-    """Call of a verb; its attributes are the arguments from the command line."""
+    """Call of a verb; its attributes are the arguments from the command line, () for a list without entries."""
 
     def __init__(self, tasks: tuple[Task, ...], given: Mapping[str, Any]) -> None:
         self._tasks, self._given = tasks, given
 
     def __getattr__(self, name: str) -> Any:
-        return self._given.get(name, ())  # a list without entries
+        if name not in self._given:
+            raise AttributeError(f"no argument {name!r}, expected one of: {', '.join(self._given)}")
+        return self._given[name]
 
     def run(self, title: str, k: int = 0, *, pace: Pace = EVEN, kept: str = "", after: float = 0.0, **more: Any) -> Any:
         """Run the verb's k-th task and show its progress; returns its result.
@@ -73,7 +75,7 @@ class Call:
         with progress_of(title, pace, kept, after) as progress:
             arguments = {"progress": progress, "say": say, **self._given, **more}
             names = inspect.signature(self._tasks[k]).parameters
-            return self._tasks[k](**{name: arguments[name] for name in names if name in arguments})
+            return self._tasks[k](**{name: arguments[name] for name in names if arguments.get(name, ()) != ()})
 
 
 @final
@@ -108,7 +110,7 @@ class Verb:
 
         def call(**values: Any) -> None:
             rest = {parameter.name: values.pop(parameter.name) for parameter in own}
-            given = {name: value for name, value in values.items() if value or name not in lists}
+            given = {name: value or () if name in lists else value for name, value in values.items()}
             self.shows(Call(tasks, given), **rest)
 
         lists = [name for name, parameter in parameters.items() if "list[" in str(parameter.annotation)]
@@ -144,7 +146,7 @@ def _parameter(parameter: Parameter, *, flag: str = "", kind: Any = None, help: 
     if not flag and parameter.kind is Parameter.KEYWORD_ONLY:
         flag = f"--{parameter.name.replace('_', '-')}"
     default = more.pop("default", None if parameter.default == () else parameter.default)
-    meaning = f"{help[:1].upper()}{help[1:]}".replace("; repeatable.", ".")
+    meaning = f"{help[:1].upper()}{help[1:]}"
     if flag.startswith("--"):
         meaning = f"{meaning.rstrip('.')}; repeatable." if kind in (_FILES, _TEXTS) else meaning
         info: Any = typer.Option(flag, help=meaning, **more)
