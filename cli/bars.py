@@ -148,7 +148,7 @@ def clock_words(seconds: float | None) -> str:
 
 @final
 @dataclass
-class Work:
+class Computation:
     """State of one computation.
 
     Attributes:
@@ -230,7 +230,7 @@ class Screen:
     def __init__(self, console: Console, clock: Callable[[], float] = time.monotonic, ticks: bool = True) -> None:
         self._console, self._clock, self._ticks = console, clock, ticks
         self._lock = threading.RLock()
-        self._works: dict[int, Work] = {}
+        self._works: dict[int, Computation] = {}
         self._compiling = Compiling()
         self._bars: Progress | None = None
         self._drawn: dict[int, TaskID] = {}  # number of a computation, 0 of the compilation, and its bar
@@ -242,7 +242,7 @@ class Screen:
         """Begin to show a computation; returns its number."""
         with self._lock:
             self._number += 1
-            work = self._works[self._number] = Work(title, self._clock(), TimeLeft(pace), total)
+            work = self._works[self._number] = Computation(title, self._clock(), TimeLeft(pace), total)
             if self._compiling.state.busy:
                 work.left.pause(work.began)
             self._watch()

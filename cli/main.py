@@ -95,14 +95,14 @@ class Verbs(TyperGroup):
         """Command of a verb, None for an unknown one."""
         if cmd_name not in VERBS and cmd_name not in verbs_of_others():
             return None
-        own = cmd_name in VERBS
-        module, _, name = (VERBS if own else verbs_of_others())[cmd_name][0].partition(":")
-        verb = getattr(import_module(f".{module}" if own else module, __package__), name)
+        builtin = cmd_name in VERBS
+        module, _, name = (VERBS if builtin else verbs_of_others())[cmd_name][0].partition(":")
+        verb = getattr(import_module(f".{module}" if builtin else module, __package__), name)
         group = typer.Typer(add_completion=False, **_PLAIN)
         group.callback()(_nothing)  # a group, however many verbs it has
         if isinstance(verb, typer.Typer):
             group.add_typer(verb, name=cmd_name)
-        elif own:
+        elif builtin:
             words = str(inspect.getdoc(getattr(verb, "shows", verb))).partition("\n\nRaises:")[0]
             callback = verb.callback() if hasattr(verb, "shows") else verb
             group.command(cmd_name, cls=getattr(verb, "cls", None), help=f"{VERBS[cmd_name][1]}\n\n{words}")(callback)

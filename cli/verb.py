@@ -47,8 +47,8 @@ _ENTRY = re.compile(r"^ {4}(\w+(?:, \w+)*): (.*(?:\n {5,}.*)*)", re.MULTILINE)
 
 def entries_of(docstring: str | None, section: str) -> dict[str, str]:
     """Texts of a section of a docstring, such as `Args` or `Attributes`, by the names that they explain."""
-    found = re.search(_SECTION.format(section), inspect.cleandoc(docstring or "") + "\n", re.MULTILINE)
-    entries = _ENTRY.finditer(found[1] if found else "")
+    matched = re.search(_SECTION.format(section), inspect.cleandoc(docstring or "") + "\n", re.MULTILINE)
+    entries = _ENTRY.finditer(matched[1] if matched else "")
     return {name: " ".join(entry[2].split()) for entry in entries for name in entry[1].split(", ")}
 
 
@@ -106,15 +106,15 @@ class Verb:
                 if differs is not None and name not in (*parameters, *_INJECTED):
                     parameters[name] = _parameter(parameter, **{"help": meanings.get(name, ""), **differs})
         further = list(inspect.signature(self.shows, eval_str=True).parameters.values())[1:]
-        own = [parameter.replace(kind=Parameter.KEYWORD_ONLY) for parameter in further]
+        further_options = [parameter.replace(kind=Parameter.KEYWORD_ONLY) for parameter in further]
 
         def call(**values: Any) -> None:
-            rest = {parameter.name: values.pop(parameter.name) for parameter in own}
+            rest = {parameter.name: values.pop(parameter.name) for parameter in further_options}
             given = {name: value or () if name in lists else value for name, value in values.items()}
             self.shows(Call(tasks, given), **rest)
 
         lists = [name for name, parameter in parameters.items() if "list[" in str(parameter.annotation)]
-        call.__signature__ = inspect.Signature([*parameters.values(), *own])  # type: ignore[attr-defined]
+        call.__signature__ = inspect.Signature([*parameters.values(), *further_options])  # type: ignore[attr-defined]
         return call
 
 

@@ -52,11 +52,11 @@ def _chosen(text: str, sizes: Mapping[str, int]) -> Iterator[str]:
 
 
 def _fields(line: str, sizes: Mapping[str, int], known: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
-    found = _FIELD.match(line)
-    if found is None:
+    matched = _FIELD.match(line)
+    if matched is None:
         return
-    for name, dimensions in _NAME.findall(found[2]):
-        kind = known[found[1]]
+    for name, dimensions in _NAME.findall(matched[2]):
+        kind = known[matched[1]]
         for dimension in reversed(re.findall(r"\[([^\]]+)\]", dimensions)):
             kind = kind * _size(dimension, sizes)
         yield name, kind

@@ -128,7 +128,7 @@ def problem_of(settings: TipSettings, folder: Path) -> Problem:
 
 
 @dataclass(frozen=True, eq=False)
-class _Model:
+class _ModelParts:
     """Model in parts; `known` is the model of the Python controller."""
 
     known: ControllerModel
@@ -138,7 +138,7 @@ class _Model:
     network: NetworkC | None = None
 
 
-def _of_chain(model: ChainModel, settings: TipSettings) -> _Model:
+def _of_chain(model: ChainModel, settings: TipSettings) -> _ModelParts:
     """Parts of a chain of operators, with linear dynamics on either side."""
     lag_s, facts = settings.actuator_lag_s, model.metadata
     parts = _parts(model.simulator.chain, lag_s)
@@ -147,10 +147,10 @@ def _of_chain(model: ChainModel, settings: TipSettings) -> _Model:
         raise ExportError("export-c: got a delay with a longer store than its time needs, expected the store it needs")
     rest = _behind(parts["front"] if lag_s else None, _at_rest(facts), model.simulator.chain.rest_samples)
     words = " + ".join(operator.name for operator in parts["whole"].operators)
-    return _Model(controller_model(model, None, lag_s), parts, rest, words)
+    return _ModelParts(controller_model(model, None, lag_s), parts, rest, words)
 
 
-def _of_network(model: LoadedModel, settings: TipSettings) -> _Model:
+def _of_network(model: LoadedModel, settings: TipSettings) -> _ModelParts:
     """Parts of a network and of the operator whose inverse is used in its place."""
     from hystmpc.models.contract.load import OnnxModel  # onnxruntime is not loaded for a simulator
 
@@ -164,7 +164,7 @@ def _of_network(model: LoadedModel, settings: TipSettings) -> _Model:
     shown = np.array([[0.0], [1.0], [0.0]])  # the measured angle, by both
     at_rest = np.concatenate([_at_rest(facts), shown, _at_rest(beside), shown], axis=1)
     rest = _behind(parts.get("front"), at_rest, facts.warmup_samples, beside.warmup_samples)
-    return _Model(known, parts, rest, f"{facts.kind} of {network.layers} x {network.hidden}", network)
+    return _ModelParts(known, parts, rest, f"{facts.kind} of {network.layers} x {network.hidden}", network)
 
 
 def _inverted(inverse: Inverse, step: Step) -> Step:
@@ -265,12 +265,12 @@ def _law(
         **_program_sizes(settings, horizon, dt),
     }
     observer = settings.estimator.observer(predictor)
-    found: list[Mapping[str, Any]] = [observer.numbers()] if isinstance(observer, OutputEstimator) else []
+    parts_of_law: list[Mapping[str, Any]] = [observer.numbers()] if isinstance(observer, OutputEstimator) else []
     if isinstance(learned[0], LearnedPredictor):
-        found.append(learned[0].filters(delay).numbers())
+        parts_of_law.append(learned[0].filters(delay).numbers())
     if settings.supervisor is not None:
-        found.append(_supervisor(settings, predictor))
-    for more in (numbers, *found):
+        parts_of_law.append(_supervisor(settings, predictor))
+    for more in (numbers, *parts_of_law):
         sizes |= {name: value for name, value in more.items() if isinstance(value, int)}
         numbers = numbers | dict(more)
     if sizes["blocks"]:

@@ -172,7 +172,7 @@ def fit(
     from hystmpc.models.kinds.kind import FitRequest
 
     chosen = chosen_kind(kind, None if drive is None else str(drive), residual)
-    logs, tests, read = as_list(trials), as_list(test), _Reader(layout, rate_hz, sampled_hz)
+    logs, tests, read = as_list(trials), as_list(test), _LogReader(layout, rate_hz, sampled_hz)
     files = [*(seen := files_read(logs, layout)), *_unseen(tests, seen)]
     if out is not None:
         check_output("--out", out, (MODEL, SIMULATOR)[: 1 + chosen.readable], files, force, of=chosen.name)
@@ -220,7 +220,7 @@ def _scored(
 
 
 @dataclass(frozen=True)
-class _Reader:
+class _LogReader:
     """Reader of logs at the rate of the fit; it names a rate for a log too slow for the default one."""
 
     layout: AnyLayout

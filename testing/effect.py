@@ -65,9 +65,9 @@ class EffectContract:
                 bounds = ({f.name: f.lower for f in candidate.free}, {f.name: f.upper for f in candidate.free})
                 for values in bounds:
                     names = [p.name for p in operator.parameters]
-                    found = [values.get(n, v) for n, v in zip(names, operator.values, strict=True)]
+                    at_bounds = [values.get(n, v) for n, v in zip(names, operator.values, strict=True)]
                     _, u = next(self._signals())
-                    y = _run(operator.with_values(found), u)
+                    y = _run(operator.with_values(at_bounds), u)
                     require(bool(np.all(np.isfinite(y))), f"not finite at the bounds {values}")
 
     def test_its_derivatives_are_those_of_its_equation(self) -> None:

@@ -70,8 +70,8 @@ class ControllerContract(ABC):
     def test_its_settings_are_read_again_as_they_are_written(self) -> None:
         """Settings that are written and read back are equal, and unknown keys are refused."""
         settings = self.settings()
-        again = type(settings).parse(settings.model_dump(mode="json"))
-        require(again == settings, f"written {settings}, read {again}")
+        second = type(settings).parse(settings.model_dump(mode="json"))
+        require(second == settings, f"written {settings}, read {second}")
         try:
             type(settings).parse({"no_such_key": 1})
         except ConfigError:
@@ -99,8 +99,8 @@ class ControllerContract(ABC):
         wanted = np.full(controller.horizon, self._device.middle_deg + 0.3)
         first = controller.step(run.state, run.y, wanted)[0].u
         controller.step(run.state, run.y + 5.0, wanted + 3.0)
-        again = controller.step(run.state, run.y, wanted)[0].u
-        require(first == again, f"the same state gives {first} and then {again}")
+        second = controller.step(run.state, run.y, wanted)[0].u
+        require(first == second, f"the same state gives {first} and then {second}")
 
     def test_nothing_brings_it_beyond_the_limits(self) -> None:
         """Commands stay finite, within range and rate, for any measurement and reference."""

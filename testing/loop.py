@@ -53,7 +53,7 @@ class _Failing(Transport):
     """Transport that fails once a command has come near the target of the run."""
 
     inner: Transport
-    reads: Callable[[Reading | None], object] = lambda found: found
+    reads: Callable[[Reading | None], object] = lambda reading: reading
     writes: Callable[[], object] = lambda: None
     wrote: list[float] = field(default_factory=list)
 
@@ -67,8 +67,8 @@ class _Failing(Transport):
         return max(self.wrote, default=0.0) > 0.8 * _AWAY
 
     def read(self) -> Reading | None:
-        found = self.inner.read()
-        return self.reads(found) if self.fails else found  # type: ignore[return-value]  # nonsense is what it is for
+        reading = self.inner.read()
+        return self.reads(reading) if self.fails else reading  # type: ignore[return-value]  # nonsense is what it is for
 
     def write(self, command: float) -> None:
         if self.fails:
@@ -108,21 +108,21 @@ class LoopContract(Wired):
 
     def test_a_read_that_returns_nonsense_ends_in_a_stop(self) -> None:
         """A reading of a wrong type stops the run."""
-        self._stops(True, reads=lambda found: "30.0")
+        self._stops(True, reads=lambda reading: "30.0")
 
     def test_a_reading_without_numbers_ends_in_a_stop(self) -> None:
         """Text in place of the angle stops the run."""
 
-        def spoilt(found: Reading | None) -> Reading | None:
-            return found and replace(found, angle_deg="30.0", held=None)  # type: ignore[arg-type]  # nonsense
+        def spoilt(reading: Reading | None) -> Reading | None:
+            return reading and replace(reading, angle_deg="30.0", held=None)  # type: ignore[arg-type]  # nonsense
 
         self._stops(True, reads=spoilt)
 
     def test_a_reading_from_the_future_ends_in_a_stop(self) -> None:
         """A time stamp in the future, with which no angle would ever be old, stops the run."""
 
-        def ahead(found: Reading | None) -> Reading | None:
-            return found and replace(found, received_ns=found.received_ns + 10**15)
+        def ahead(reading: Reading | None) -> Reading | None:
+            return reading and replace(reading, received_ns=reading.received_ns + 10**15)
 
         self._stops(True, reads=ahead)
 
@@ -130,8 +130,8 @@ class LoopContract(Wired):
         """A measurement that is repeated for ever stops the run."""
         kept: list[Reading] = []
 
-        def same(found: Reading | None) -> Reading | None:
-            kept.extend([found] if found else [])
+        def same(reading: Reading | None) -> Reading | None:
+            kept.extend([reading] if reading else [])
             return kept[0] if kept else None
 
         self._stops(True, reads=same)
@@ -240,8 +240,8 @@ def _hanging() -> Iterator[Callable[..., None]]:
     """Context with a function that blocks until its end."""
     over = Event()
 
-    def hang(*found: object) -> None:
-        del found
+    def hang(*reading: object) -> None:
+        del reading
         over.wait()
 
     try:
@@ -252,8 +252,8 @@ def _hanging() -> Iterator[Callable[..., None]]:
 
 
 def _raise(error: BaseException) -> Callable[..., object]:
-    def fail(*found: object) -> object:
-        del found
+    def fail(*reading: object) -> object:
+        del reading
         raise error
 
     return fail

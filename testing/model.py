@@ -132,7 +132,7 @@ class KindContract(ModelContract):
     def _loaded(self) -> LoadedModel:
         with tempfile.TemporaryDirectory() as folder:
             file = Path(folder) / "model.onnx"
-            export_onnx(self._found.bundle, file)
+            export_onnx(self._identified.bundle, file)
             return load_onnx(file)
 
     def test_it_follows_a_trial_that_it_has_not_seen(self) -> None:
@@ -144,7 +144,7 @@ class KindContract(ModelContract):
 
     def test_the_file_runs_as_its_reference(self) -> None:
         """The graph that onnxruntime runs is the step that was identified, in every sample of a trial."""
-        reference, trial = self._found.bundle.reference, self._trials[-1]
+        reference, trial = self._identified.bundle.reference, self._trials[-1]
         state, angles = self._loaded.at_rest(float(trial.angle[0]), float(trial.command[0]))[None], []
         for u in trial.command.tolist():
             theta, state = reference.advance(state, np.array([[u]]))
@@ -154,8 +154,8 @@ class KindContract(ModelContract):
 
     def test_its_report_is_one_line_and_its_facts_are_those_of_the_trials(self) -> None:
         """The report is one line; units and sample time are those of the trials."""
-        facts, units = self._found.bundle.metadata, self._trials[0].units
-        require("\n" not in self._found.report, "the report has several lines")
+        facts, units = self._identified.bundle.metadata, self._trials[0].units
+        require("\n" not in self._identified.report, "the report has several lines")
         require((facts.command_unit, facts.angle_unit) == (units.command, units.angle), "the units are not the trials'")
         require(abs(facts.dt_s - self._trials[0].dt) < 1e-9, f"sample time {facts.dt_s} s, the trials' is another")
 
@@ -189,7 +189,7 @@ class KindContract(ModelContract):
         ]
 
     @cached_property
-    def _found(self) -> Identified:
+    def _identified(self) -> Identified:
         return self.kind.fit(self._trials[:-1], self.request)
 
 
@@ -213,8 +213,8 @@ class PlantContract(ABC):
 
     def test_a_reset_finds_it_at_rest_and_the_same_each_time(self) -> None:
         """The same commands give the same angles, whatever was done before the reset."""
-        first, again = self._motion(), self._motion()
-        off = float(np.max(np.abs(first - again)))
+        first, second = self._motion(), self._motion()
+        off = float(np.max(np.abs(first - second)))
         require(off <= self.noise_deg, f"the same motion after a reset differs by {off:.3g} deg")
 
     def test_its_sample_time_is_a_time(self) -> None:

@@ -76,15 +76,15 @@ class TransportContract(Wired):
             first = contact(c)
             for k in range(1, 4):
                 c.tell(40.0 + k, 0.5 * k)
-                found = until(c.transport.read)
-                require(reading_fault(found, time.monotonic_ns()) == "", reading_fault(found, time.monotonic_ns()))
-                require(self.near(found.angle_deg, 40.0 + k), f"sent angle {40.0 + k}, read {found.angle_deg}")
-                told = math.isnan(found.held) or self.near(found.held, 0.5 * k)
-                require(told, f"the device holds {0.5 * k}, read {found.held}; NaN where the wire does not tell")
-                require(found.sequence > first.sequence, "the sequence has to rise by every measurement")
-                require(found.session == first.session, "the session has to stay while the device runs")
-                require(found.received_ns >= first.received_ns, "received_ns has to rise")
-                first = found
+                reading = until(c.transport.read)
+                require(reading_fault(reading, time.monotonic_ns()) == "", reading_fault(reading, time.monotonic_ns()))
+                require(self.near(reading.angle_deg, 40.0 + k), f"sent angle {40.0 + k}, read {reading.angle_deg}")
+                holds_it = math.isnan(reading.held) or self.near(reading.held, 0.5 * k)
+                require(holds_it, f"the device holds {0.5 * k}, read {reading.held}; NaN where the wire does not tell")
+                require(reading.sequence > first.sequence, "the sequence has to rise by every measurement")
+                require(reading.session == first.session, "the session has to stay while the device runs")
+                require(reading.received_ns >= first.received_ns, "received_ns has to rise")
+                first = reading
                 require(c.transport.read() is None, "a measurement was read twice")
 
     def test_the_sequence_rises_where_a_counter_of_one_byte_starts_again(self) -> None:
@@ -93,10 +93,10 @@ class TransportContract(Wired):
             last = contact(c).sequence
             for _ in range(300):
                 c.tell(40.0, 0.0)
-                found = until(c.transport.read).sequence
+                reading = until(c.transport.read).sequence
                 carry = "carry on a counter n that starts again: count += (n - count) % 256"
-                require(found > last, f"the sequence went from {last} to {found}, it has to rise; {carry}")
-                last = found
+                require(reading > last, f"the sequence went from {last} to {reading}, it has to rise; {carry}")
+                last = reading
 
     def test_measurements_that_pile_up_come_in_order(self) -> None:
         """Measurements are read in order and none is lost; left out where `keeps` is not set."""
@@ -151,8 +151,8 @@ class TransportContract(Wired):
             c.spoil()
             time.sleep(_QUIET_S)
             c.tell(47.0, 0.0)
-            found = until(lambda: number(c.transport))
-            require(self.near(found.angle_deg, 47.0), f"sent rubbish and 47, read {found.angle_deg}")
+            reading = until(lambda: number(c.transport))
+            require(self.near(reading.angle_deg, 47.0), f"sent rubbish and 47, read {reading.angle_deg}")
 
     def test_a_dead_wire_gives_no_measurement(self) -> None:
         """Reading a cut wire raises or returns None; left out where `cut` is None."""
@@ -162,10 +162,10 @@ class TransportContract(Wired):
             contact(c)
             c.cut()
             for _ in range(20):
-                found = None
+                reading = None
                 with suppress(Exception):
-                    found = c.transport.read()
-                require(found is None, f"the plug is pulled, read {found}")
+                    reading = c.transport.read()
+                require(reading is None, f"the plug is pulled, read {reading}")
                 with suppress(Exception):
                     c.transport.write(1.0)
             with suppress(Exception):
@@ -185,9 +185,9 @@ class LineDevice:
         import tty  # not on Windows
 
         self._say, self._hear = say, hear
-        self._own, self._port = os.openpty()
+        self._device_end, self._port = os.openpty()
         tty.setraw(self._port)
-        os.set_blocking(self._own, False)
+        os.set_blocking(self._device_end, False)
         self.port = os.ttyname(self._port)
         self._rest, self._commands = b"", list[float]()
         self._open = True
@@ -206,7 +206,7 @@ class LineDevice:
         """Send any bytes."""
         if self._open:
             with suppress(BlockingIOError):
-                os.write(self._own, data)
+                os.write(self._device_end, data)
 
     def spoil(self) -> None:
         """Send lines that are no measurement."""
@@ -216,7 +216,7 @@ class LineDevice:
         """All commands received so far, the oldest first."""
         while self._open:
             try:
-                self._rest += os.read(self._own, 4096)
+                self._rest += os.read(self._device_end, 4096)
             except OSError:  # nothing more has come
                 break
         *lines, self._rest = self._rest.split(b"\n")
@@ -227,7 +227,7 @@ class LineDevice:
         """Close the line; may be called twice."""
         if self._open:
             self._open = False
-            os.close(self._own)
+            os.close(self._device_end)
             os.close(self._port)
 
 
@@ -249,8 +249,8 @@ def until(get: Callable[[], T | None]) -> T:
     """
     end = time.monotonic() + _COMES_S
     while time.monotonic() < end:
-        if (found := get()) is not None:
-            return found
+        if (reading := get()) is not None:
+            return reading
         time.sleep(0.001)
     raise AssertionError(f"nothing came within {_COMES_S:g} s")
 
@@ -258,8 +258,8 @@ def until(get: Callable[[], T | None]) -> T:
 def number(transport: Transport) -> Reading | None:
     """The next reading with a finite angle, if any; a transport may raise on invalid data."""
     with suppress(Exception):
-        found = transport.read()
-        return found if found is not None and math.isfinite(found.angle_deg) else None
+        reading = transport.read()
+        return reading if reading is not None and math.isfinite(reading.angle_deg) else None
     return None
 
 
@@ -270,15 +270,15 @@ def contact(c: Connected) -> Reading:
         c.heard()
         c.tell(40.0, 0.0)
         time.sleep(0.002)
-        found = number(c.transport)
-        if found is not None and not found.listens:
+        reading = number(c.transport)
+        if reading is not None and not reading.listens:
             c.transport.greet()
             return None
-        return found
+        return reading
 
     newest, quiet = until(answer), time.monotonic() + _QUIET_S
     while time.monotonic() < quiet:
-        if (found := number(c.transport)) is not None:
-            newest, quiet = found, time.monotonic() + _QUIET_S
+        if (reading := number(c.transport)) is not None:
+            newest, quiet = reading, time.monotonic() + _QUIET_S
         time.sleep(0.001)
     return newest
