@@ -1,1 +1,1 @@
-"""The command line: one file a verb, no logic of its own."""
+"""Command line of the package: its verbs call the functions of `tasks` and print the results."""

@@ -1,4 +1,4 @@
-"""Progress of what takes long: bars where standard error is a terminal, lines elsewhere; compilation is one of them."""
+"""Progress and time left of long computations: bars on a terminal, else lines; compilation is one of them."""
 
 from __future__ import annotations
 
@@ -6,59 +6,176 @@ import math
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from bisect import bisect_right
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, final
 
 import typer
 from rich.progress import BarColumn, Progress, TaskID, TaskProgressColumn, TextColumn, TimeElapsedColumn
 
 from hystmpc.models.kernels.compiling import Compilation, about, sentence
-from hystmpc.trials.types import Progress as Told
 
-from .console import INTERRUPTED, errors
-from .time_left import EVEN, Pace, Steady, TimeLeft, clock_words
+from .console import INTERRUPTED, errors, say
 
 if TYPE_CHECKING:
     from rich.console import Console
 
-FIRST_S, EVERY_S = 2.0, 10.0
-"""A line is said of what takes longer than the first, then one in each of the second [s]."""
+    from hystmpc.trials.types import Progress as Report
 
+Pace = Sequence[tuple[float, float]]
+"""Points (share of the steps, share of the time), rising from (0, 0) to (1, 1): how long the steps take."""
+
+EVEN: Pace = ((0.0, 0.0), (1.0, 1.0))
+
+RISE_PER_S = 0.02
+"""Greatest rise of a displayed time left in a second, as a share of itself."""
+
+FIRST_S, EVERY_S = 2.0, 10.0
+"""A computation prints a line after the first time, then one in each of the second [s]."""
+
+_FALL_S = 3.0  # time constant with which a displayed time left falls to a shorter estimate
+_LEAST_S, _LEAST_SHARE = 1.0, 0.01  # before which no time left is estimated
 _TICK_S = 0.25
-_DRAWN_S = 1.0  # after which a bar is drawn that has told nothing yet
-_RESTED_S = 3.0  # without compilation, after which it is taken to be over
+_DRAWN_S = 1.0  # after which a bar is drawn whose computation has not reported yet
+_RESTED_S = 3.0  # without compilation, after which it counts as ended
 _COMPILING = "compiling, first use only"
 
 
+@final
+class Steady:
+    """Filter of a displayed time left: it counts down, and follows its estimate without jumps."""
+
+    def __init__(self) -> None:
+        self._shown: float | None = None
+        self._read = 0.0
+
+    def show(self, wanted: float | None, now: float, paused: bool) -> float | None:
+        """The time left to display for an estimate [s] at a time [s]; during a pause it does not count down."""
+        gone, self._read = now - self._read, now
+        if wanted is None or self._shown is None:
+            self._shown = wanted
+            return wanted
+        before = self._shown if paused else max(self._shown - gone, 0.0)
+        if wanted <= before:
+            self._shown = wanted + (before - wanted) * math.exp(-gone / _FALL_S)
+        else:
+            self._shown = min(wanted, self._shown * (1 + RISE_PER_S * gone))
+        return self._shown
+
+
+@final
+class TimeLeft:
+    """Estimate of the time left by the mean speed since the start.
+
+    With elapsed time E and the share p of the time that has passed, E (1 - p) / p is left. The mean speed errs by the
+    factor between the fastest and the slowest stage at most; the speed of the last seconds would jump at each stage.
+    Between two reports p goes on at that speed, as far as the last step was wide. Pauses do not count.
+
+    Args:
+        pace: share of the time by share of the steps, as measured; steps of one length where left out.
+    """
+
+    def __init__(self, pace: Pace = EVEN) -> None:
+        self._steps, self._times = zip(*pace, strict=True)
+        self._began: float | None = None
+        self._paused = 0.0  # duration of the pauses that have ended [s]
+        self._pause: float | None = None  # when the present one began
+        self._done, self._share, self._at = 0.0, 0.0, 0.0  # shares of steps and time at the last report; elapsed time
+        self._farthest = 0.0  # share of the time where a step as wide as the last one ends
+        self._steady = Steady()
+
+    def told(self, share: float, now: float) -> None:
+        """Set the share of the steps, 0 to 1, that is done at a time [s]; a smaller one than before restarts it."""
+        step = share - self._done
+        if self._began is None or step < 0.0:
+            self._began, self._paused, self._steady, step = now, 0.0, Steady(), 0.0
+            self._pause = None if self._pause is None else now
+        elif step == 0.0:
+            return
+        self._done, self._share, self._farthest = share, self._passed(share), self._passed(share + step)
+        self._at = self._elapsed(now)
+
+    def pause(self, now: float) -> None:
+        """Stop the clock: the computation waits for something that is not part of it."""
+        if self._pause is None:
+            self._pause = now
+
+    def go_on(self, now: float) -> None:
+        """Start the clock again after a pause."""
+        if self._pause is not None:
+            self._paused += now - self._pause
+            self._pause = None
+
+    def seconds(self, now: float) -> float | None:
+        """The time left to display [s]; None as long as nothing is known."""
+        return self._steady.show(self._estimate(now), now, self._pause is not None)
+
+    def _passed(self, share: float) -> float:
+        """Share of the time that has passed when a share of the steps is done."""
+        k = min(max(bisect_right(self._steps, share), 1), len(self._steps) - 1)
+        wide = self._steps[k] - self._steps[k - 1]
+        part = min((share - self._steps[k - 1]) / wide, 1.0)
+        return self._times[k - 1] + part * (self._times[k] - self._times[k - 1])
+
+    def _estimate(self, now: float) -> float | None:
+        elapsed = self._elapsed(now)
+        if self._share >= 1.0:
+            return 0.0
+        if self._share < _LEAST_SHARE or elapsed < _LEAST_S or self._at <= 0.0:
+            return None
+        # No farther than the last step went: where a step takes longer, the mean speed falls.
+        share = min(self._share * elapsed / self._at, self._farthest)
+        return elapsed * (1.0 - share) / share
+
+    def _elapsed(self, now: float) -> float:
+        """Time since the start without the pauses [s]."""
+        if self._began is None:
+            return 0.0
+        return (now if self._pause is None else self._pause) - self._began - self._paused
+
+
+def clock_words(seconds: float | None) -> str:
+    """Text of a time left, no finer than an estimate is: 0:07, 0:35, 2:40; empty where it is not known."""
+    if seconds is None:
+        return ""
+    step = 10.0 if seconds > 120.0 else 5.0 if seconds > 20.0 else 1.0
+    whole = int(step * math.ceil(seconds / step))
+    hours, minutes = divmod(whole // 60, 60)
+    return f"{hours}:{minutes:02}:{whole % 60:02}" if hours else f"{minutes}:{whole % 60:02}"
+
+
+@final
 @dataclass
-class Work:
-    """One computation, as it has been told.
+class Computation:
+    """State of one computation.
 
     Attributes:
-        share: that is done, None where it is not known.
+        share: of the steps that are done, None where it is not known.
         left: estimate of the time left.
-        began: when it began, and `said` when a line was said of it last [s]; None before.
-        stage: first word of the note of that line.
+        began: when it began [s].
+        reported: whether it has reported yet.
+        said: when its last line was printed [s], and `stage` the first word of that line's note.
     """
 
     title: str
     began: float
+    left: TimeLeft
     total: float | None = None
     share: float | None = None
     note: str = ""
-    told: bool = False
-    left: TimeLeft = field(default_factory=TimeLeft)
+    reported: bool = False
     said: float | None = None
     stage: str = ""
 
     def line(self, now: float) -> str | None:
-        """The line that is due at a time, if one is: of a new stage, else after `EVERY_S`."""
-        if now - self.began < FIRST_S:
-            return None
-        stage = _stage(self.note)
-        if self.said is not None and stage == self.stage and now - self.said < EVERY_S:
+        """The line that is due at a time, if any: at once for a new stage, else after `EVERY_S`."""
+        # What counts, `3 of 9`, and what names a part, `lag/command`, begins no stage.
+        stage = self.note.partition(" ")[0].strip(":,")
+        stage = "" if stage[:1].isdigit() or "/" in stage else stage
+        late = self.said is None or stage != self.stage or now - self.said >= EVERY_S
+        if now - self.began < FIRST_S or not late:
             return None
         self.said, self.stage = now, stage
         seconds = self.left.seconds(now)
@@ -67,89 +184,75 @@ class Work:
         return f"{self.title}: {', '.join(filter(None, (share, self.note, left))) or 'going on'}"
 
 
-def _stage(note: str) -> str:
-    """First word of a note; what counts, `3 of 9`, and what names a part, `lag/command`, begins no stage."""
-    word = note.partition(" ")[0].strip(":,")
-    return "" if word[:1].isdigit() or "/" in word else word
-
-
 @final
 class Compiling:
-    """Compilation as a computation of its own."""
+    """State of the compilation of kernels, which is shown as a computation."""
 
     def __init__(self) -> None:
-        self.found = Compilation(0.0, 0.0, False)
-        self.at, self._shown = 0.0, False
-        self._said: float | None = None  # when a line was said last
+        self.state, self.at = Compilation(0.0, 0.0, False), 0.0  # as reported last, and when
+        self._shown = False
+        self._said: float | None = None  # when its last line was printed
         self._steady = Steady()
 
-    def told(self, found: Compilation, now: float) -> None:
-        """It has begun, gone on or paused."""
-        self.found, self.at = found, now
-
-    def worth(self, now: float) -> bool:
+    def shown(self, now: float) -> bool:
         """Whether it goes on, and takes long enough to be shown."""
-        if self.found.busy or now - self.at < _RESTED_S:
-            self._shown |= self.found.worth_telling(now - self.at)
-        else:
-            self._shown = False
+        goes_on = self.state.busy or now - self.at < _RESTED_S
+        self._shown = goes_on and (self._shown or self.state.worth_telling(now - self.at))
         return self._shown
 
-    def state(self, now: float) -> tuple[float, float]:
+    def left(self, now: float) -> tuple[float, float]:
         """Share that is done, and the time left [s]."""
-        done = self.found.done_s + (now - self.at if self.found.busy else 0.0)
-        left = self._steady.show(max(self.found.total_s - done, 0.0), now, not self.found.busy) or 0.0
+        done = self.state.done_s + (now - self.at if self.state.busy else 0.0)
+        left = self._steady.show(max(self.state.total_s - done, 0.0), now, not self.state.busy) or 0.0
         return (done / (done + left) if done + left > 0 else 0.0), left
 
     def line(self, now: float) -> str | None:
-        """The line that is due at a time, if one is."""
-        if not self.worth(now):
+        """The line that is due at a time, if any."""
+        if not self.shown(now):
             return None
-        if self._said is not None and (now - self._said < EVERY_S or not self.found.busy):
+        if self._said is not None and (now - self._said < EVERY_S or not self.state.busy):
             return None
         first, self._said = self._said is None, now
-        share, left = self.state(now)
+        share, left = self.left(now)
         return sentence(left) if first else f"{_COMPILING}: {100 * share:.0f} %, about {about(left)} left"
 
 
 @final
 class Screen:
-    """All that is shown of the computations of this program.
+    """Display of the computations of this program.
 
     Args:
         console: standard error.
         clock: time [s].
-        ticks: whether a thread looks after it; else `tick` is called from outside.
+        ticks: whether a thread updates it; else `tick` is called from outside.
     """
 
     def __init__(self, console: Console, clock: Callable[[], float] = time.monotonic, ticks: bool = True) -> None:
         self._console, self._clock, self._ticks = console, clock, ticks
         self._lock = threading.RLock()
-        self._works: dict[int, Work] = {}
+        self._works: dict[int, Computation] = {}
         self._compiling = Compiling()
-        self._drawn: Progress | None = None
-        self._tasks: dict[int, TaskID] = {}
+        self._bars: Progress | None = None
+        self._drawn: dict[int, TaskID] = {}  # number of a computation, 0 of the compilation, and its bar
         self._thread: threading.Thread | None = None
         self._over = threading.Event()
         self._number = 0
 
     def open(self, title: str, total: float | None, pace: Pace) -> int:
-        """Begin to show a computation; its number."""
+        """Begin to show a computation; returns its number."""
         with self._lock:
             self._number += 1
-            now = self._clock()
-            work = Work(title, now, total, left=TimeLeft(pace))
-            if self._compiling.found.busy:
-                work.left.pause(now)
-            self._works[self._number] = work
+            work = self._works[self._number] = Computation(title, self._clock(), TimeLeft(pace), total)
+            if self._compiling.state.busy:
+                work.left.pause(work.began)
             self._watch()
             return self._number
 
     def tell(self, number: int, done: float, note: str, total: float | None) -> None:
-        """So much of a computation is done."""
+        """Set how many steps of a computation are done; a total may become known or change."""
         with self._lock:
             work, now = self._works[number], self._clock()
-            first, work.told = not work.told, True
+            first, work.reported = not work.reported, True
             work.note, work.total = note, work.total if total is None else total
             if work.total:
                 work.share = min(max(done / work.total, 0.0), 1.0)
@@ -158,28 +261,28 @@ class Screen:
                 self.tick()
 
     def close(self, number: int) -> None:
-        """A computation is over; what was never drawn leaves nothing."""
+        """End a computation; one that was never drawn leaves nothing on the screen."""
         with self._lock:
             self.tick()
             work = self._works.pop(number)
             if work.said is not None and not self._console.is_terminal:
-                self._say(f"{work.title}: ended after {about(self._clock() - work.began)}")
-            self._tasks.pop(number, None)
+                self._print(f"{work.title}: ended after {about(self._clock() - work.began)}")
+            self._drawn.pop(number, None)
             if not self._works:
                 self._end()
 
-    def compiles(self, found: Compilation) -> None:
-        """Kernels are compiled, or not any more."""
+    def compiles(self, state: Compilation) -> None:
+        """Set how far the compilation of kernels is."""
         with self._lock:
-            now = self._clock()
-            self._compiling.told(found, now)
+            self._compiling.state = state
+            now = self._compiling.at = self._clock()
             for work in self._works.values():
-                work.left.pause(now) if found.busy else work.left.go_on(now)
+                work.left.pause(now) if state.busy else work.left.go_on(now)
             self._watch()
             self.tick()
 
     def stop(self) -> None:
-        """Show nothing more: a thread that draws while the interpreter ends would end it with an error."""
+        """End the display: a thread that draws while the interpreter ends would end it with an error."""
         with self._lock:
             thread, self._thread = self._thread, None
             self._over.set()
@@ -188,52 +291,41 @@ class Screen:
         self._end()
 
     def tick(self) -> None:
-        """Show what is to be shown now; a screen that is gone is no reason to end the work."""
+        """Update the display; a terminal that has been closed does not end the computation."""
         with self._lock, suppress(OSError):
             now = self._clock()
             if self._console.is_terminal:
                 self._draw(now)
-            else:
-                self._lines(now)
+                return
+            if line := self._compiling.line(now):
+                self._print(line)
+            if not (self._compiling.shown(now) and self._compiling.state.busy):
+                for work in self._works.values():
+                    if line := work.line(now):
+                        self._print(line)
 
-    def _lines(self, now: float) -> None:
-        compiling = self._compiling
-        if line := compiling.line(now):
-            self._say(line)
-        if compiling.worth(now) and compiling.found.busy:
-            return
-        for work in self._works.values():
-            if line := work.line(now):
-                self._say(line)
-
-    def _say(self, line: str) -> None:
+    def _print(self, line: str) -> None:
         self._console.print(line, soft_wrap=True, highlight=False)
 
     def _draw(self, now: float) -> None:
         for number, work in self._works.items():
-            if number not in self._tasks and (work.told or now - work.began >= _DRAWN_S):
-                self._tasks[number] = self._progress().add_task(work.title, total=work.total, note="", left="")
-            if number in self._tasks:
-                left = clock_words(work.left.seconds(now))
-                done = None if work.share is None or not work.total else work.share * work.total
-                self._progress().update(
-                    self._tasks[number], total=work.total, completed=done, note=work.note, left=left
-                )
-        if self._compiling.worth(now):
-            share, left_s = self._compiling.state(now)
-            if 0 not in self._tasks:
-                self._tasks[0] = self._progress().add_task(_COMPILING, total=1.0, note="", left="")
-            self._progress().update(self._tasks[0], completed=share, left=clock_words(left_s))
-        elif 0 in self._tasks:
-            self._progress().update(self._tasks.pop(0), completed=1.0, left="")
+            if number in self._drawn or work.reported or now - work.began >= _DRAWN_S:
+                self._bar(number, work.title, work.total, work.share, work.left.seconds(now), work.note)
+        if self._compiling.shown(now):
+            self._bar(0, _COMPILING, 1.0, *self._compiling.left(now))
+        elif 0 in self._drawn:
+            self._bar(0, _COMPILING, 1.0, 1.0, None)
+            del self._drawn[0]
             if not self._works:
                 self._end()
-        if self._drawn is not None:
-            self._drawn.refresh()
+        if self._bars is not None:
+            self._bars.refresh()
 
-    def _progress(self) -> Progress:
-        """The bars, drawn from now on."""
-        if self._drawn is None:
+    def _bar(
+        self, number: int, title: str, total: float | None, share: float | None, left: float | None, note: str = ""
+    ) -> None:
+        """Update the bar of a computation, which is added at the first call."""
+        if self._bars is None:
             columns = (
                 TextColumn("{task.description}", markup=False),
                 BarColumn(),
@@ -242,21 +334,24 @@ class Screen:
                 TextColumn("left {task.fields[left]}", markup=False),
                 TextColumn("{task.fields[note]}", markup=False),
             )
-            # What goes to a file is not drawn over, and has to get there.
+            # Standard output that goes to a file is not drawn over, and has to get there.
             both = sys.stdout.isatty()
-            self._drawn = Progress(*columns, console=self._console, auto_refresh=False, redirect_stdout=both)
-            self._drawn.start()
-        return self._drawn
+            self._bars = Progress(*columns, console=self._console, auto_refresh=False, redirect_stdout=both)
+            self._bars.start()
+        if number not in self._drawn:
+            self._drawn[number] = self._bars.add_task(title, total=total, note="", left="")
+        done = None if share is None or not total else share * total
+        self._bars.update(self._drawn[number], total=total, completed=done, note=note, left=clock_words(left))
 
     def _end(self) -> None:
-        """Leave what is drawn as it stands."""
-        if self._drawn is not None:
-            self._drawn.stop()
-            self._drawn = None
-            self._tasks.clear()
+        """Stop drawing; the bars stay on the terminal as they are."""
+        if self._bars is not None:
+            self._bars.stop()
+            self._bars = None
+            self._drawn.clear()
 
     def _watch(self) -> None:
-        """Have a thread tick as long as there is something to show."""
+        """Let a thread tick as long as there is something to show."""
         if self._ticks and self._thread is None:
             self._over.clear()
             self._thread = threading.Thread(target=self._go, name="progress", daemon=True)
@@ -266,66 +361,57 @@ class Screen:
         while not self._over.wait(_TICK_S):
             with self._lock:
                 self.tick()
-                if not self._works and not self._compiling.worth(self._clock()):
+                if not self._works and not self._compiling.shown(self._clock()):
                     self._end()
                     self._thread = None
                     return
 
 
 SCREEN = Screen(errors)
-"""Of this program."""
-
-
-@final
-class Bar:
-    """Tells the screen how far one computation is."""
-
-    def __init__(self, screen: Screen, title: str, total: float | None, pace: Pace) -> None:
-        self._screen = screen
-        self._number = screen.open(title, total, pace)
-
-    def __call__(self, done: float, note: str = "", total: float | None = None) -> None:
-        """Move to `done`, with a note; a total may become known or change on the way."""
-        self._screen.tell(self._number, done, note, total)
-
-    def close(self) -> None:
-        """End it as it stands."""
-        self._screen.close(self._number)
+"""Display of this program."""
 
 
 @contextmanager
-def bar(title: str, total: float | None = None, pace: Pace = EVEN) -> Iterator[Bar]:
-    """Show progress and time left while the block runs.
+def bar(title: str, total: float | None = None, pace: Pace = EVEN) -> Iterator[Callable[..., None]]:
+    """Context in which the progress and the time left of a computation are shown.
 
     Args:
-        title: what is done.
+        title: name of the computation.
         total: steps in all, if they are known.
         pace: share of the time by share of the steps.
+
+    Yields:
+        A function of the steps done, a note, and a total that has become known or has changed.
     """
-    shown = Bar(SCREEN, title, total, pace)
+    number = SCREEN.open(title, total, pace)
+
+    def tell(done: float, note: str = "", total: float | None = None) -> None:
+        SCREEN.tell(number, done, note, total)
+
     try:
-        yield shown
+        yield tell
     finally:
-        shown.close()
+        SCREEN.close(number)
 
 
 @contextmanager
-def progress_of(title: str, pace: Pace = EVEN, kept: str = "") -> Iterator[Told]:
-    """What a task is given as `progress`, shown while the block runs.
+def progress_of(title: str, pace: Pace = EVEN, kept: str = "", after: float = 0.0) -> Iterator[Report]:
+    """Context in which the progress of a task is shown; it gives the callback `progress`.
 
     Args:
-        title: what is done.
+        title: name of the computation.
         pace: share of the time by share of the steps.
-        kept: line on what Ctrl-C leaves behind; where empty Ctrl-C ends the block as any other exception.
+        kept: line on what Ctrl-C leaves; where empty Ctrl-C ends the block as any other exception.
+        after: steps that follow those which the task counts.
 
     Raises:
         typer.Exit: with 130 if the user ended it and something is kept.
     """
     try:
-        with bar(title, pace=pace) as show:
-            yield lambda done, total, note="", /: show(done, note, total if math.isfinite(total) else None)
+        with bar(title, pace=pace) as tell:
+            yield lambda done, total, note="", /: tell(done, note, total + after if math.isfinite(total) else None)
     except KeyboardInterrupt:
         if not kept:
             raise
-        errors.print(kept, style="yellow", soft_wrap=True)
+        say(kept)
         raise typer.Exit(INTERRUPTED) from None

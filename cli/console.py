@@ -1,4 +1,4 @@
-"""Consoles and tables that the verbs share."""
+"""Consoles, lines and tables of the verbs."""
 
 from __future__ import annotations
 
@@ -11,21 +11,25 @@ from rich.table import Table
 
 
 def plain_console(**options: Any) -> Console:
-    """A console that shows text as it is: a file may be called `[/red].csv` or `:bell:.csv`."""
+    """Console that prints text without markup: a file may be called `[/red].csv` or `:bell:.csv`."""
     return Console(markup=False, emoji=False, **options)
 
 
 out = plain_console()
 errors = plain_console(stderr=True)
 
-
-def say(line: str) -> None:
-    """A note, a warning or an event on standard error; all but a note in yellow."""
-    errors.print(line, style=None if line.startswith("note:") else "yellow", soft_wrap=True, highlight=False)
-
-
 INTERRUPTED = 130
 """Exit status of a command that the user ended."""
+
+
+def line(text: str) -> None:
+    """Print a line without line breaks on standard output."""
+    out.print(text, soft_wrap=True, highlight=False)
+
+
+def say(text: str, style: str = "yellow") -> None:
+    """Print a note, a warning or an event on standard error; a note has no colour."""
+    errors.print(text, style=None if text.startswith("note:") else style, soft_wrap=True, highlight=False)
 
 
 def table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]], last_apart: bool = False) -> Table:

@@ -1,104 +1,72 @@
-"""`hystmpc diagnose`: where a simulator departs from recorded trials, why, how far it can be mended, what to record."""
+"""Verb `diagnose`: causes of the gap between a simulator and its device, and the motion to record next."""
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping
 from dataclasses import asdict
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from hystmpc.tasks.diagnose import diagnose as diagnose_logs
 from hystmpc.trials.errors import ConfigError
 
-from .bars import bar, progress_of
-from .console import errors, out, say, table
-from .options import Figures, LayoutName, Sim, SkipFirstFlexure
-from .time_left import Pace
+from .bars import Pace, progress_of
+from .console import line, out, say, table
+from .verb import OPTIONAL, SIM, Call, verb
 
 if TYPE_CHECKING:
     from hystmpc.gap.diagnosis import Diagnosis
 
 FAILED = 1
-_REPORT = 10  # steps of the report, beside the hundred of the diagnosis
+_REPORT = 10  # steps of the report, after the hundred of the diagnosis
 # Three rounds of the selection, as on logs of a catheter with a simulator that was identified from others.
 _PACE: Pace = ((0, 0), (0.05, 0.12), (0.34, 0.31), (0.51, 0.44), (0.62, 0.57), (0.77, 0.6), (0.91, 0.69), (1, 1))
 
-Logs = Annotated[
-    list[Path] | None,
-    typer.Argument(metavar="LOG...", help="Trials of one device, or folders of *.csv."),
-]
 
-
+@verb(
+    "diagnose:diagnose",
+    trials={"metavar": "LOG...", "help": "Trials of one device, or folders of *.csv.", **OPTIONAL},
+    simulator={**SIM, **OPTIONAL},
+    out={"help": "Folder to write: new, empty, or an older diagnosis."},
+    seed={"min": 0},
+)
 def diagnose(
-    logs: Logs = None,
-    sim: Sim = None,
-    folder: Annotated[
-        Path | None, typer.Option("--out", help="Folder to write: new, empty, or an older diagnosis.")
-    ] = None,
-    layout: LayoutName = "auto",
+    call: Call,
     as_json: Annotated[bool, typer.Option("--json", help="Print diagnosis.json and nothing else.")] = False,
-    seed: Annotated[int, typer.Option(min=0, help="Seed of everything drawn at random.")] = 1,
-    without: Annotated[
-        list[str] | None, typer.Option("--without", help="Leave this effect out of the library; repeatable.")
-    ] = None,
-    only: Annotated[
-        list[str] | None, typer.Option("--only", help="Look for this effect and those named so alone; repeatable.")
-    ] = None,
-    ordered: Annotated[
-        bool, typer.Option("--ordered", help="LOG... are in recording order; else time stamps or a manifest tell it.")
-    ] = False,
-    skip_first_flexure: SkipFirstFlexure = False,
-    figures: Figures = None,
     self_test: Annotated[
         bool, typer.Option("--self-test", help="Recover known truths instead of reading logs.")
     ] = False,
 ) -> None:
-    """Diagnose the gap between a simulator and its device.
+    """Exit code 0 whatever the verdict.
 
-    Exit code 0 whatever the verdict.
+    Raises:
+        ConfigError: if logs, simulator or folder are missing.
     """
     if self_test:
-        _self_test(seed)
+        _self_test(call.seed)
         return
-    files, sim, folder = _complete(logs, sim, folder)
-    with bar("diagnose", pace=_PACE) as show:
-        diagnosis = diagnose_logs(
-            files,
-            sim,
-            folder,
-            layout=layout,
-            seed=seed,
-            without=without or (),
-            only=only,
-            ordered=ordered,
-            skip_first_flexure=skip_first_flexure,
-            figures=figures,
-            progress=lambda done, total, note="", /: show(done, note, total=total + _REPORT),
-            say=say,
-        )
-        show(100 + _REPORT, "writing the report", total=100 + _REPORT)
+    given = {"LOG...": call.trials, "--sim": call.simulator, "--out": call.out}
+    if absent := [name for name, value in given.items() if not value]:
+        raise ConfigError(f"diagnose: lacks {', '.join(absent)}, expected LOG... --sim SIM --out DIR, or --self-test")
+    diagnosis: Diagnosis = call.run("diagnose", pace=_PACE, after=_REPORT)
     if as_json:
         from hystmpc.gap.report.folder import diagnosis_json
 
         sys.stdout.write(diagnosis_json(diagnosis))
         return
     print_diagnosis(diagnosis)
-    out.print(f"report: {folder / 'report.html'}", soft_wrap=True, highlight=False)
+    line(f"report: {call.out / 'report.html'}")
 
 
 def print_diagnosis(diagnosis: Diagnosis) -> None:
-    """The verdict in words, then the sizes of the gap, the effects and what to record next."""
+    """Print the verdict, the sizes of the gap, the effects, and the motion to record next."""
     from hystmpc.gap.report import words
     from hystmpc.gap.report.words import in_words, percent
 
     said = (words.closed_sentence, words.mis_set_sentence, words.stability_sentence, words.tracking_sentence)
     sentences = (*(sentence(diagnosis) for sentence in said), *words.order_sentences(diagnosis))
-    for line in (words.headline(diagnosis), diagnosis.reason, *sentences):
-        if line:
-            out.print(line, highlight=False)
+    for text in filter(None, (words.headline(diagnosis), diagnosis.reason, *sentences)):
+        line(text)
     if diagnosis.ranking:
         named = {effect.name: effect for effect in diagnosis.effects}
         rows = []
@@ -113,37 +81,22 @@ def print_diagnosis(diagnosis: Diagnosis) -> None:
         out.print(table("effects", ("effect", "probability", "closes", "90 % interval", "parameters"), rows))
     if (motion := diagnosis.next_motion) is not None:
         names = ", ".join(in_words(name) for name in motion.separates)
-        out.print(
+        line(
             f"next: record {motion.file} ({motion.duration_s:.0f} s) to tell apart {names}: "
-            f"{percent(motion.expected_probability)} expected",
-            highlight=False,
+            f"{percent(motion.expected_probability)} expected"
         )
 
 
-def _complete(logs: list[Path] | None, sim: Path | None, folder: Path | None) -> tuple[list[Path], Path, Path]:
-    """All three, or one line that says what lacks."""
-    if not logs or sim is None or folder is None:
-        given = {"LOG...": logs, "--sim": sim, "--out": folder}
-        gone = [name for name, value in given.items() if not value]
-        raise ConfigError(f"diagnose: lacks {', '.join(gone)}, expected LOG... --sim SIM --out DIR, or --self-test")
-    return logs, sim, folder
-
-
 def _self_test(seed: int) -> None:
-    """Print what became of each known truth; exit code 1 where one was missed."""
+    """Print for each known truth whether it was recovered; exit code 1 if one was not."""
     from hystmpc.gap.self_test import self_test
 
     with progress_of("self-test") as progress:
-        rows = [_fields(row) for row in self_test(seed, progress)]
-    columns = list(rows[0]) if rows else []
-    out.print(table("self-test", columns, [[_text(value) for value in row.values()] for row in rows]))
-    if any(row.get("passed") is False for row in rows):
-        errors.print("self-test: not every truth was recovered", style="red")
+        rows = [asdict(row) for row in self_test(seed, progress)]
+    out.print(table("self-test", list(rows[0]), [[_text(value) for value in row.values()] for row in rows]))
+    if not all(row["passed"] for row in rows):
+        say("self-test: not every truth was recovered", style="red")
         raise typer.Exit(FAILED)
-
-
-def _fields(row: Any) -> Mapping[str, Any]:
-    return row if isinstance(row, Mapping) else asdict(row)
 
 
 def _text(value: object) -> str:

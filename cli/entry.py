@@ -1,4 +1,4 @@
-"""Where the program starts: Ctrl-C is quiet also while the verbs are being imported."""
+"""Start of the program, in which Ctrl-C prints no traceback even while modules are imported."""
 
 from __future__ import annotations
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import sys
 from collections.abc import Mapping
 from difflib import get_close_matches
@@ -19,30 +20,36 @@ from hystmpc.trials.from_outside import installed, object_named
 
 UNUSABLE = 2
 
-VERBS: Mapping[str, str] = MappingProxyType(
+VERBS: Mapping[str, tuple[str, str]] = MappingProxyType(
     {
-        "check": "Check logs: can they be used, and what is in them.",
-        "fit": "Identify a model from recorded trials.",
-        "evaluate": "Compare a model's free run with recorded trials.",
-        "export": "Export a simulator as a stateful ONNX step.",
-        "export-c": "Export a predictive controller as C99.",
-        "export-fmu": "Export a simulator with its effects as an FMU.",
-        "diagnose": "Diagnose the gap between a simulator and its device.",
-        "simulate": "Simulate the closed loop; write a run folder and its report.",
-        "tune": "Search the settings of a controller on simulated plants.",
-        "commission": "From a device to a verified controller, in five minutes of device time.",
-        "investigate": "Record and diagnose, round by round, until a simulator's gap has a name.",
-        "run": "Track a reference on a device.",
-        "record": "Record identification trials on a device.",
-        "device": "Serve a simulated device over UDP or DDS.",
-        "report": "Write report.html of a run folder again.",
-        "new": "Write a class of yours to fill in, with its contract tests.",
-        "schema": "Print the JSON schema of a configuration file, for editors.",
-        "effects": "List the effects that can be put into any simulator.",
-        "demo": "Track two motions with every controller on a simulated device.",
+        "check": ("models:check", "Check logs: can they be used, and what is in them."),
+        "fit": ("models:fit", "Identify a model from recorded trials."),
+        "evaluate": ("models:evaluate", "Compare a model's free run with recorded trials."),
+        "export": ("models:export", "Export a simulator as a stateful ONNX step."),
+        "export-c": ("models:export_c", "Export a predictive controller as C99."),
+        "export-fmu": ("models:export_fmu", "Export a simulator with its effects as an FMU."),
+        "diagnose": ("diagnose:diagnose", "Diagnose the gap between a simulator and its device."),
+        "simulate": ("simulate:simulate", "Simulate the closed loop; write a run folder and its report."),
+        "tune": ("simulate:tune", "Search the settings of a controller on simulated plants."),
+        "commission": (
+            "device:commission",
+            "From a device to a verified controller, in five minutes of device time.",
+        ),
+        "investigate": (
+            "device:investigate",
+            "Record and diagnose, round by round, until a simulator's gap has a name.",
+        ),
+        "run": ("device:run", "Track a reference on a device."),
+        "record": ("device:record", "Record identification trials on a device."),
+        "device": ("device:device", "Serve a simulated device over UDP or DDS."),
+        "report": ("models:report", "Write report.html of a run folder again."),
+        "new": ("reference:new", "Write a class of yours to fill in, with its contract tests."),
+        "schema": ("reference:schema", "Print the JSON schema of a configuration file, for editors."),
+        "effects": ("reference:effects", "List the effects that can be put into any simulator."),
+        "demo": ("simulate:demo", "Track two motions with every controller on a simulated device."),
     }
 )
-"""Every verb and its line in `hystmpc --help`. Its module and function, or group, have its name, with `_` for `-`."""
+"""Every verb: MODULE:NAME of its function in this package, and its line in `hystmpc --help`."""
 
 GROUP = "hystmpc.verbs"
 """Entry points by which installed packages add verbs. The value is MODULE:NAME of a mapping of the same form as `VERBS`
@@ -73,11 +80,11 @@ def verbs_of_others() -> Mapping[str, tuple[str, str]]:
 
 def _lines() -> dict[str, str]:
     """Every verb and its line in `hystmpc --help`."""
-    return {**VERBS, **{name: line for name, (_, line) in verbs_of_others().items()}}
+    return {name: line for name, (_, line) in {**VERBS, **verbs_of_others()}.items()}
 
 
 class Verbs(TyperGroup):
-    """Finds a verb by name and imports its module, and no other, when it is called."""
+    """Group of the verbs, which imports the module of the verb that is called and no other."""
 
     def list_commands(self, ctx: Any) -> list[str]:
         """Names in the order of `VERBS`, then those of installed packages."""
@@ -85,22 +92,22 @@ class Verbs(TyperGroup):
         return list(_lines())
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
-        """The verb's command, None for an unknown one."""
-        if cmd_name in VERBS:
-            name = cmd_name.replace("-", "_")
-            module = import_module(f".{name}", __package__)
-        elif cmd_name in verbs_of_others():
-            place, _, name = verbs_of_others()[cmd_name][0].partition(":")
-            module = import_module(place)
-        else:
+        """Command of a verb, None for an unknown one."""
+        if cmd_name not in VERBS and cmd_name not in verbs_of_others():
             return None
-        verb = getattr(module, name)
+        builtin = cmd_name in VERBS
+        module, _, name = (VERBS if builtin else verbs_of_others())[cmd_name][0].partition(":")
+        verb = getattr(import_module(f".{module}" if builtin else module, __package__), name)
         group = typer.Typer(add_completion=False, **_PLAIN)
         group.callback()(_nothing)  # a group, however many verbs it has
         if isinstance(verb, typer.Typer):
             group.add_typer(verb, name=cmd_name)
+        elif builtin:
+            words = str(inspect.getdoc(getattr(verb, "shows", verb))).partition("\n\nRaises:")[0]
+            callback = verb.callback() if hasattr(verb, "shows") else verb
+            group.command(cmd_name, cls=getattr(verb, "cls", None), help=f"{VERBS[cmd_name][1]}\n\n{words}")(callback)
         else:
-            group.command(cmd_name, cls=getattr(module, "Command", None))(verb)
+            group.command(cmd_name)(verb)
         return typer.main.get_command(group).get_command(ctx, cmd_name)  # type: ignore[attr-defined]  # it is a group
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
@@ -164,8 +171,7 @@ def main() -> None:
 
 
 def _end(text: str) -> NoReturn:
-    from .console import errors
+    from .console import say
 
-    line = " ".join(text.split())
-    errors.print(f"error: {line}", style="red", soft_wrap=True, highlight=False)
+    say(f"error: {' '.join(text.split())}", style="red")
     sys.exit(UNUSABLE)

@@ -1,91 +1,72 @@
-"""`hystmpc simulate`: every controller along every motion on a simulated device; or thousands of such runs."""
+"""Verbs of the simulated closed loop: `simulate` of a study or a sweep, `tune` and `demo`."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Container, Mapping
+from collections.abc import Container
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from hystmpc.sim.results import Result, StudyResult, approach_sentence, best_figures, conclusion
-from hystmpc.tasks.simulate import reproduce, sweep
-from hystmpc.tasks.simulate import simulate as simulate_study
 from hystmpc.trials.errors import ConfigError
-from hystmpc.trials.types import Progress
 
 from .bars import progress_of
-from .console import errors, out, table
-from .options import AllowPython, Cluster, Overrides
+from .console import line, out, say, table
+from .verb import OPTIONAL, Call, verb
+
+if TYPE_CHECKING:
+    from hystmpc.sim.results import Result, StudyResult
+    from hystmpc.sim.sweep.run import SweepOutcome
+    from hystmpc.sim.tuning.objective import Tuning
 
 DIFFERENT = 1
 
 _COLUMNS = ("controller", "RMSE", "max", "hold", "hold p-p", "step ms", "p99 ms", "beyond")
+_TUNED = ("settings", "objective", "mean error", "worst plant", "travel", "violations")
+_JOBS = {**OPTIONAL, "help": "Processes of one thread each; one a core where left out."}
+_NOTHING_KEPT = "interrupted before a run was finished: nothing is kept"
 
 
+@verb(
+    "simulate:simulate",
+    "simulate:sweep",
+    config={**OPTIONAL, "metavar": "[CONFIG]", "help": "A study: plant, model, motions, controllers (YAML)."},
+    controllers={
+        "flag": "--controller",
+        "kind": list[str],
+        "help": "Add a controller from a file: NAME=controller.yaml.",
+    },
+    out={**OPTIONAL, "help": "Run folder; new or empty, or a sweep to go on."},
+    jobs=_JOBS,
+)
 def simulate(
-    config: Annotated[
-        Path | None, typer.Argument(metavar="[CONFIG]", help="A study: plant, model, motions, controllers (YAML).")
-    ] = None,
-    folder: Annotated[Path | None, typer.Option("--out", help="Run folder; new or empty, or a sweep to go on.")] = None,
-    overrides: Overrides = None,
-    controllers: Annotated[
-        list[str] | None, typer.Option("--controller", help="Add a controller from a file: NAME=controller.yaml.")
-    ] = None,
+    call: Call,
     many: Annotated[Path | None, typer.Option("--sweep", help="Many studies: grid, draws, seeds (YAML).")] = None,
-    jobs: Annotated[int | None, typer.Option(help="Processes of a sweep; else one a core.")] = None,
-    cluster: Cluster = None,
     row: Annotated[
         tuple[Path, str] | None, typer.Option(metavar="DIR ID", help="Make one row of a sweep again and compare.")
     ] = None,
-    allow: AllowPython = False,
 ) -> None:
-    """Simulate the closed loop; write a run folder and its report.
-
-    Ctrl-C keeps the finished runs.
-    """
-    _check(config, many, row, folder)
-    _check_use(many, config, {"--jobs": jobs, "--cluster": cluster}, {"--controller": controllers or None})
-    changes = overrides or ()
-    if row is not None:
-        _reproduce(row[0], row[1], folder)
-    elif folder is not None and many is not None:
-        _sweep(many, folder, {"overrides": changes, "jobs": jobs, "cluster": cluster, "allow_python": allow})
-    elif folder is not None and config is not None:
-        added = dict(map(_named, controllers or ()))
-        show_study(
-            "simulate",
-            folder,
-            lambda progress: simulate_study(
-                config, folder, overrides=changes, controllers=added, allow_python=allow, progress=progress
-            ),
-        )
-
-
-def _check(config: Path | None, sweep: Path | None, row: tuple[Path, str] | None, folder: Path | None) -> None:
-    """One thing to do, and where to.
+    """Ctrl-C ends the simulation; finished runs are kept.
 
     Raises:
-        ConfigError: if there is none or more than one, or no folder.
+        ConfigError: if there is not one thing to do, no folder, or an option that does nothing.
     """
-    if sum(given is not None for given in (config, sweep, row)) != 1:
+    if sum(given is not None for given in (call.config, many, row)) != 1:
         raise ConfigError("simulate: expected one of CONFIG, --sweep FILE and --row DIR ID")
-    if row is None and folder is None:
+    if row is None and call.out is None:
         raise ConfigError("simulate: no --out, expected a run folder")
-
-
-def _check_use(
-    sweep: Path | None, config: Path | None, of_sweep: Mapping[str, object], of_study: Mapping[str, object]
-) -> None:
-    """Options that would do nothing are no slip to pass over.
-
-    Raises:
-        ConfigError: if one is given for something else.
-    """
-    for given, options, place in ((sweep, of_sweep, "--sweep FILE"), (config, of_study, "CONFIG")):
-        for name, value in options.items():
-            if value is not None and given is None:
-                raise ConfigError(f"simulate: {name} does nothing here, expected it with {place} only")
+    if many is None and (call.jobs is not None or call.cluster is not None):
+        name = "--cluster" if call.jobs is None else "--jobs"
+        raise ConfigError(f"simulate: {name} does nothing here, expected it with --sweep FILE only")
+    if call.config is None and call.controllers:
+        raise ConfigError("simulate: --controller does nothing here, expected it with CONFIG only")
+    if row is not None:
+        _reproduce(*row, call.out)
+    elif many is not None:
+        _sweep(call, many)
+    else:
+        added = dict(map(_named, call.controllers))
+        print_study(call.run("simulate", controllers=added, kept=_NOTHING_KEPT), call.out)
 
 
 def _named(text: str) -> tuple[str, Path]:
@@ -100,64 +81,54 @@ def _named(text: str) -> tuple[str, Path]:
     return name, Path(file)
 
 
-def show_study(title: str, folder: Path, run: Callable[[Progress], StudyResult]) -> None:
-    """Do a study behind a bar and print its result; what Ctrl-C left of it is said too.
-
-    Raises:
-        ConfigError: if the folder is not new or empty, or the study cannot be run.
-        typer.Exit: with 130 if the user ended it before a run was finished.
-    """
-    with progress_of(title, kept="interrupted before a run was finished: nothing is kept") as progress:
-        result = run(progress)
-    print_study(result)
-    wanted, done = len(result.config.motions) * len(result.config.controllers), len(result.results)
-    if done < wanted:
-        errors.print(f"interrupted: {done} of {wanted} runs were finished and are kept", style="yellow")
-    out.print(f"report: {folder / 'report.html'}", soft_wrap=True)
-
-
-def _sweep(file: Path, folder: Path, options: Mapping[str, Any]) -> None:
-    """Do what of a sweep is not done yet."""
-    kept = f"interrupted: finished runs are kept in {folder}, the same command goes on"
-    with progress_of("sweep", kept=kept) as progress:
-        outcome = sweep(file, folder, **options, progress=progress)
+def _sweep(call: Call, file: Path) -> None:
+    """Compute the runs of a sweep that are not in its folder yet."""
+    kept = f"interrupted: finished runs are kept in {call.out}, the same command goes on"
+    outcome: SweepOutcome = call.run("sweep", 1, config=file, kept=kept)
     if outcome.failed:
-        errors.print(f"failed: {outcome.failed} runs, the first: {outcome.message}", style="red")
-    out.print(f"{outcome.rows} runs, {outcome.kept} of them from before, {outcome.failed} failed")
+        say(f"failed: {outcome.failed} runs, the first: {outcome.message}", style="red")
+    line(f"{outcome.rows} runs, {outcome.kept} of them from before, {outcome.failed} failed")
     if outcome.others:
-        out.print(f"{outcome.others} more rows are of another form of this sweep: in the table, not in the report")
-    out.print(f"table: {outcome.table}")
-    out.print(f"report: {outcome.report}")
+        line(f"{outcome.others} more rows are of another form of this sweep: in the table, not in the report")
+    line(f"table: {outcome.table}")
+    line(f"report: {outcome.report}")
 
 
 def _reproduce(folder: Path, identity: str, target: Path | None) -> None:
-    """Make a row again; exit code 1 if a figure differs."""
+    """Compute a row of a sweep a second time; exit code 1 if a figure differs."""
+    from hystmpc.tasks.simulate import reproduce
+
     figures = reproduce(folder, identity, target)
     rows = [[f.name, str(f.before), str(f.again), "yes" if f.equal else "NO"] for f in figures]
     out.print(table(f"row {identity}", ("figure", "table", "again", "equal"), rows))
     if target is not None:
-        out.print(f"report: {target / 'report.html'}")
+        line(f"report: {target / 'report.html'}")
     if not all(figure.equal for figure in figures):
-        errors.print("the run came out otherwise: another version, machine or library?", style="red")
+        say("the run came out otherwise: another version, machine or library?", style="red")
         raise typer.Exit(DIFFERENT)
 
 
-def print_study(result: StudyResult) -> None:
-    """A table a motion.
+def print_study(result: StudyResult, folder: Path) -> None:
+    """Print a table for each motion of a study, its conclusions, and how many runs Ctrl-C has left.
 
     Angles in degrees, commands in their unit, times in milliseconds: error over the run, over the last halves of holds,
     greatest command range over one of those, time of a step, samples beyond a limit. A star marks the least RMSE.
     """
+    from hystmpc.sim.results import approach_sentence, best_figures, conclusion
+
     for motion in result.motions:
         runs = result.of_motion(motion)
         best = best_figures(runs)
         rows = [_row(run, best) for run in runs]
         out.print(table(f"{motion}: true tip angle less reference [deg], command [{result.unit}]", _COLUMNS, rows))
     for warning in result.warnings:
-        errors.print(f"warning: {warning}", style="yellow", soft_wrap=True, highlight=False)
-    for sentence in (conclusion(result), approach_sentence(result)):
-        if sentence:
-            out.print(sentence, soft_wrap=True, highlight=False)
+        say(f"warning: {warning}")
+    for sentence in filter(None, (conclusion(result), approach_sentence(result))):
+        line(sentence)
+    wanted, done = len(result.config.motions) * len(result.config.controllers), len(result.results)
+    if done < wanted:
+        say(f"interrupted: {done} of {wanted} runs were finished and are kept")
+    line(f"report: {folder / 'report.html'}")
 
 
 def _row(run: Result, best: Container[tuple[str, str]]) -> list[str]:
@@ -167,3 +138,30 @@ def _row(run: Result, best: Container[tuple[str, str]]) -> list[str]:
     times = (1e3 * m.step_mean_s, 1e3 * m.step_p99_s)
     figures = [f"{v:.3f}" for v in others] + [f"{v:.1f}" for v in times]
     return [run.controller, rmse, *("-" if text == "nan" else text for text in figures), str(m.limit_violations)]
+
+
+def demo(
+    folder: Annotated[Path, typer.Option("--out", help="Run folder to make; new or empty.")] = Path("demo"),
+) -> None:
+    """The motions are point-to-point and a scan, on the tendon catheter of the package."""
+    from hystmpc.sim.compare import demo as run_demo
+
+    with progress_of("demo", kept=_NOTHING_KEPT) as progress:
+        result = run_demo(folder, progress)
+    print_study(result, folder)
+
+
+@verb("simulate:tune", config={"help": "A tuning: study, ranges, plants (YAML)."}, jobs=_JOBS)
+def tune(call: Call) -> None:
+    """The settings are verified on plants outside the search; controller.yaml and a report are written."""
+    kept = f"interrupted: finished trials are kept in {call.out}, the same command goes on"
+    tuning: Tuning = call.run("tune", kept=kept)
+    for failed in tuning.failed:
+        say(f"failed: trial {failed.slot}: {failed.message}", style="red")
+    check = tuning.check
+    rows = [[name, *(f"{value:.3f}" for value in figures), str(beyond)] for name, *figures, beyond in check.rows()]
+    out.print(table(f"{len(check.given)} plants that the search has not seen [deg]", _TUNED, rows))
+    low, high = check.interval()
+    line(f"objective {100 * check.gain:.1f} % lower, 90 % interval over plants {100 * low:.1f} to {100 * high:.1f} %")
+    line(f"controller: {call.out / 'controller.yaml'}")
+    line(f"report: {call.out / 'report.html'}")

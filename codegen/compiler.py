@@ -30,8 +30,8 @@ def compiler() -> tuple[str, ...] | None:
     named = tuple(shlex.split(os.environ.get("CC", "")))
     if named and shutil.which(named[0]) is None:
         raise ExportError(f"got CC={named[0]}, which is no program, expected a C compiler")
-    own = shutil.which("cc")
-    return named or ((own,) if own else zig())
+    cc = shutil.which("cc")
+    return named or ((cc,) if cc else zig())
 
 
 def zig(*arguments: str) -> tuple[str, ...] | None:

@@ -25,9 +25,8 @@ from .steps import (
     functions_used,
     inverted_source,
     model_source,
-    network_warm_up,
+    network_rest_source,
     number,
-    rest_source,
 )
 
 PARTS = (
@@ -46,31 +45,18 @@ PARTS = (
 )
 """The hand-written files `codegen/c/*.c`, in the order in which they are laid end to end."""
 
-# What counts as solved, dependent or equal, by the digits of the scalar type.
-_TOLERANCES: Mapping[bool, Mapping[str, float]] = {
-    False: {
-        "miss": 1e-11,
-        "narrow": 1e-13,
-        "sign": 1e-10,
-        "linear": 1e-6,
-        "dependent": 1e-12,
-        "violation": 1e-6,
-        "rounding": 1e-9,
-        "grain": 1e-7,
-        "least_weight": 1e-300,
-    },
-    True: {
-        "miss": 1e-6,
-        "narrow": 1e-6,
-        "sign": 1e-5,
-        "linear": 1e-4,
-        "dependent": 1e-6,
-        "violation": 1e-5,
-        "rounding": 1e-5,
-        "grain": 1e-5,
-        "least_weight": 1e-30,
-        "edge": 1e-6,
-    },
+# What counts as solved, dependent or equal, in double and in single precision; None where `problem` has the number.
+_TOLERANCES: Mapping[str, tuple[float | None, float]] = {
+    "miss": (1e-11, 1e-6),
+    "narrow": (1e-13, 1e-6),
+    "sign": (1e-10, 1e-5),
+    "linear": (1e-6, 1e-4),
+    "dependent": (1e-12, 1e-6),
+    "violation": (1e-6, 1e-5),
+    "rounding": (1e-9, 1e-5),
+    "grain": (1e-7, 1e-5),
+    "least_weight": (1e-300, 1e-30),
+    "edge": (None, 1e-6),
 }
 _CHANGES = 1000  # of the active set in one program
 _MOST_SAMPLES = 1_000_000_000
@@ -78,7 +64,7 @@ _MOST_SAMPLES = 1_000_000_000
 
 @dataclass(frozen=True)
 class ControllerExport:
-    """A controller as C.
+    """Predictive controller as C99.
 
     Attributes:
         header, source: text of hystmpc.h and hystmpc.c.
@@ -116,7 +102,7 @@ class ControllerExport:
 def export_controller(
     source: Path | str | Mapping[str, Any] | TipSettings, *, single: bool = False, folder: Path | None = None
 ) -> ControllerExport:
-    """The controller that `TipController.from_config(source)` is, as C.
+    """Export the predictive controller of `TipController.from_config(source)` as C99.
 
     Its commands are those of the Python controller, `GuardedController.step`, to rounding. A model of operators, an
     LSTM or a GRU, the linearised controller, a continuous sensor or none.
@@ -186,7 +172,7 @@ def _guarded(name: str, text: str) -> str:
 
 
 def _sizes(problem: Problem, single: bool) -> str:
-    """The scalar type, and whole numbers."""
+    """C of the scalar type and of whole numbers."""
     lines = [f"typedef {'float' if single else 'double'} hystmpc_real;", f"#define HYSTMPC_SINGLE {int(single)}"]
     public = {"sample_s": "dt_s", "lowest": "lower", "highest": "upper"}
     lines += [f"#define HYSTMPC_{name.upper()} {problem.numbers[key]!r}" for name, key in public.items()]
@@ -195,12 +181,12 @@ def _sizes(problem: Problem, single: bool) -> str:
 
 
 def _numbers(problem: Problem, single: bool) -> str:
-    """Numbers of the scalar type: scalars, and initialisers of arrays."""
+    """C of the numbers of the scalar type: scalars, and initialisers of arrays."""
     suffix = "##f" if single else ""
     math = "name##f" if single else "name"
     lines = [f"#define HYSTMPC_REAL(x) x{suffix}", f"#define MATH(name) {math}"]
     lines += [f"#define HYSTMPC_CHANGES {_CHANGES}", f"#define HYSTMPC_MOST_SAMPLES {_MOST_SAMPLES}"]
-    values = {**problem.numbers, **_TOLERANCES[single]}
+    values = {**problem.numbers, **{k: pair[single] for k, pair in _TOLERANCES.items() if pair[single] is not None}}
     lines += [f"#define HYSTMPC_{name.upper()} {_initialiser(value)}" for name, value in sorted(values.items())]
     return "\n".join([*lines, ""])
 
@@ -223,7 +209,6 @@ def _models(problem: Problem) -> str:
     ]
     if problem.network is not None:
         sources.append(problem.network.source())
-    rule = rest.offset, rest.by_angle, rest.by_command
-    if problem.network is None:
-        return "\n".join([*sources, chain_rest_source(*rule, rest.warmup)])
-    return "\n".join([*sources, rest_source(*rule, network_warm_up(rest.warmup, rest.beside))])
+    rule = rest.offset, rest.by_angle, rest.by_command, rest.warmup
+    at_rest = chain_rest_source(*rule) if problem.network is None else network_rest_source(*rule, rest.beside)
+    return "\n".join([*sources, at_rest])

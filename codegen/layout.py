@@ -1,4 +1,4 @@
-"""The structs of a C header as ctypes: their size without a compiler, their fields from Python."""
+"""Structs of a C header as ctypes, whose sizes and fields are known without a compiler."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def structs(header: str, sizes: Mapping[str, int], real: Any) -> Mapping[str, ty
 
 
 def _chosen(text: str, sizes: Mapping[str, int]) -> Iterator[str]:
-    """Lines whose conditions hold."""
+    """Lines of the header whose conditions hold."""
     conditions: list[bool] = []
     for line in text.splitlines():
         words = line.split()
@@ -52,16 +52,16 @@ def _chosen(text: str, sizes: Mapping[str, int]) -> Iterator[str]:
 
 
 def _fields(line: str, sizes: Mapping[str, int], known: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
-    found = _FIELD.match(line)
-    if found is None:
+    matched = _FIELD.match(line)
+    if matched is None:
         return
-    for name, dimensions in _NAME.findall(found[2]):
-        kind = known[found[1]]
+    for name, dimensions in _NAME.findall(matched[2]):
+        kind = known[matched[1]]
         for dimension in reversed(re.findall(r"\[([^\]]+)\]", dimensions)):
             kind = kind * _size(dimension, sizes)
         yield name, kind
 
 
 def _size(expression: str, sizes: Mapping[str, int]) -> int:
-    """A number, a macro, or a sum of them."""
+    """Value of a dimension: a number, a macro, or a sum of them."""
     return sum(int(part) if part.isdigit() else sizes[part] for part in expression.replace(" ", "").split("+"))

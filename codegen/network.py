@@ -1,4 +1,4 @@
-"""Recurrent networks as C: which there are, the operators beside them, and their weights."""
+"""Recurrent networks as C: sizes, weights and scaling."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _A_LINE = 8
 
 @dataclass(frozen=True, eq=False)
 class NetworkC:
-    """A network in numbers.
+    """Recurrent network in numbers.
 
     Attributes:
         kind: `lstm` or `gru`.

@@ -1,4 +1,4 @@
-"""What a controller's C is made from: its sizes, its numbers, its steps; and what cannot be exported."""
+"""Sizes, numbers and model steps of a controller that is exported as C; refuses what has no C."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ class Rest:
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """One controller in numbers.
+    """Controller in numbers.
 
     Attributes:
         sizes: of arrays, and which parts there are; whole numbers.
@@ -126,8 +126,8 @@ def problem_of(settings: TipSettings, folder: Path) -> Problem:
 
 
 @dataclass(frozen=True, eq=False)
-class _Model:
-    """A model in parts; `known` is what the Python controller has of it."""
+class _ModelParts:
+    """Model in parts; `known` is the model of the Python controller."""
 
     known: ControllerModel
     parts: Mapping[str, Chain]
@@ -136,8 +136,8 @@ class _Model:
     network: NetworkC | None = None
 
 
-def _of_chain(model: ChainModel, settings: TipSettings) -> _Model:
-    """Operators, with those that are dynamics on either side."""
+def _of_chain(model: ChainModel, settings: TipSettings) -> _ModelParts:
+    """Parts of a chain of operators, with linear dynamics on either side."""
     lag_s, facts = settings.actuator_lag_s, model.metadata
     parts = _parts(model.simulator.chain, lag_s)
     sizes = {name: chain.state_size for name, chain in parts.items()}
@@ -145,11 +145,11 @@ def _of_chain(model: ChainModel, settings: TipSettings) -> _Model:
         raise ExportError("export-c: got a delay with a longer store than its time needs, expected the store it needs")
     rest = _behind(parts["front"] if lag_s else None, _at_rest(facts), model.simulator.chain.rest_samples)
     words = " + ".join(operator.name for operator in parts["whole"].operators)
-    return _Model(controller_model(model, None, lag_s), parts, rest, words)
+    return _ModelParts(controller_model(model, None, lag_s), parts, rest, words)
 
 
-def _of_network(model: LoadedModel, settings: TipSettings) -> _Model:
-    """A network, with the operator that stands in for it where an inverse is needed."""
+def _of_network(model: LoadedModel, settings: TipSettings) -> _ModelParts:
+    """Parts of a network and of the operator whose inverse is used in its place."""
     from hystmpc.models.contract.load import OnnxModel  # onnxruntime is not loaded for a simulator
 
     assert isinstance(model, OnnxModel)  # there are these two
@@ -162,11 +162,11 @@ def _of_network(model: LoadedModel, settings: TipSettings) -> _Model:
     shown = np.array([[0.0], [1.0], [0.0]])  # the measured angle, by both
     at_rest = np.concatenate([_at_rest(facts), shown, _at_rest(beside), shown], axis=1)
     rest = _behind(parts.get("front"), at_rest, facts.warmup_samples, beside.warmup_samples)
-    return _Model(known, parts, rest, f"{facts.kind} of {network.layers} x {network.hidden}", network)
+    return _ModelParts(known, parts, rest, f"{facts.kind} of {network.layers} x {network.hidden}", network)
 
 
 def _inverted(inverse: Inverse, step: Step) -> Step:
-    """The step that is inverted: one sample of the model, or its hold where that is inverted, see `steady_inverse`."""
+    """Step that is inverted: one sample of the model, or its response to a hold, see `steady_inverse`."""
     inner = inverse.inner if isinstance(inverse, DrivenInverse) else inverse
     if not (inverted_after_a_hold(inner) and isinstance(inner, CompiledInverse)):
         return step
@@ -200,7 +200,7 @@ def _check(controller: LinearisedMpcSettings) -> None:
 
 
 def _parts(chain: Chain, lag_s: float) -> Mapping[str, Chain]:
-    """The whole, what is inverted sample by sample, and dynamics on either side of it."""
+    """Parts of a chain: the whole, the part inverted sample by sample, and dynamics on either side."""
     front, middle, back = split(chain)
     if lag_s and (front or back):
         words = ", ".join(operator.name for operator in (*front, *back))
@@ -263,12 +263,12 @@ def _law(
         **_program_sizes(settings, horizon, dt),
     }
     observer = settings.estimator.observer(predictor)
-    found: list[Mapping[str, Any]] = [observer.numbers()] if isinstance(observer, OutputEstimator) else []
+    parts_of_law: list[Mapping[str, Any]] = [observer.numbers()] if isinstance(observer, OutputEstimator) else []
     if isinstance(learned[0], LearnedPredictor):
-        found.append(learned[0].filters(delay).numbers())
+        parts_of_law.append(learned[0].filters(delay).numbers())
     if settings.supervisor is not None:
-        found.append(_supervisor(settings, predictor))
-    for more in (numbers, *found):
+        parts_of_law.append(_supervisor(settings, predictor))
+    for more in (numbers, *parts_of_law):
         sizes |= {name: value for name, value in more.items() if isinstance(value, int)}
         numbers = numbers | dict(more)
     if sizes["blocks"]:

@@ -12,23 +12,15 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from hystmpc.models.kernels.program import Instruction, dense, instructions
+from hystmpc.models.kernels.program import SCALAR, Instruction, dense, instructions
 from hystmpc.trials.types import Vec
 
 # Conditions are numbers, 1.0 or 0.0, as in CasADi, so that they can be added and multiplied.
 _TEMPLATES = MappingProxyType(
-    {
-        "add": "{0} + {1}",
-        "sub": "{0} - {1}",
-        "mul": "{0} * {1}",
-        "div": "{0} / {1}",
-        "neg": "-{0}",
-        "sq": "{0} * {0}",
-        "twice": "{0} + {0}",
+    {name: SCALAR[name] for name in ("add", "sub", "mul", "div", "neg", "sq", "twice", "and", "assign")}
+    | {
         "inv": "R(1.0) / {0}",
         "not": "R(1.0) - {0}",
-        "and": "{0} * {1}",
-        "assign": "{0}",
         "lt": "{0} < {1} ? R(1.0) : R(0.0)",
         "le": "{0} <= {1} ? R(1.0) : R(0.0)",
         "eq": "{0} == {1} ? R(1.0) : R(0.0)",
@@ -41,34 +33,10 @@ _TEMPLATES = MappingProxyType(
         "sign": "{0} > R(0.0) ? R(1.0) : {0} < R(0.0) ? R(-1.0) : R(0.0)",
     }
 )
-_OF_ONE: dict[str, Callable[[float], float]] = {
-    "neg": lambda a: -a,
-    "sq": lambda a: a * a,
-    "twice": lambda a: a + a,
-    "inv": lambda a: 1.0 / a,
-    "not": lambda a: 1.0 - a,
-    "assign": lambda a: a,
-    "fabs": lambda a: abs(a),
-    "sign": lambda a: float(a > 0.0) - float(a < 0.0),
-    **{name: getattr(math, name) for name in ("sqrt", "exp", "log", "tanh", "sin", "cos", "floor")},
-}
-_OF_TWO: dict[str, Callable[[float, float], float]] = {
-    "add": lambda a, b: a + b,
-    "sub": lambda a, b: a - b,
-    "mul": lambda a, b: a * b,
-    "div": lambda a, b: a / b,
-    "and": lambda a, b: a * b,
-    "lt": lambda a, b: float(a < b),
-    "le": lambda a, b: float(a <= b),
-    "eq": lambda a, b: float(a == b),
-    "ne": lambda a, b: float(a != b),
-    "or": lambda a, b: float(a + b > 0.0),
-    "if_else_zero": lambda a, b: b if a != 0.0 else 0.0,
-    "fmin": lambda a, b: a if a <= b else b,
-    "fmax": lambda a, b: a if a >= b else b,
-    "pow": lambda a, b: a**b,
-}
-_FOLDED: Mapping[str, Callable[..., float]] = MappingProxyType({**_OF_ONE, **_OF_TWO})
+# Operations on numbers that are known here, as kernels compute them.
+_FOLDED: Mapping[str, Callable[..., float]] = MappingProxyType(
+    {name: eval(f"lambda a, b=0.0: {text.format('a', 'b')}", {"math": math}) for name, text in SCALAR.items()}
+)
 EXACT = ("sqrt", "rint", "floor", "fmaf")
 """Functions of <math.h> whose results are exact or rounded correctly wherever floating point is IEC 60559."""
 INEXACT = ("exp", "log", "tanh", "sin", "cos", "pow")
@@ -124,7 +92,7 @@ def model_source(name: str, step: Step) -> str:
 
 
 def inverted_source(name: str, step: Step) -> str:
-    """C of what is inverted sample by sample: its step, and `slope_<name>(x, u, theta, d)` with d theta / d u alone."""
+    """C of a step that is inverted sample by sample, and of `slope_<name>(x, u, theta, d)` with d theta / d u."""
     return "\n".join(
         [
             step_source(name, step, "HYSTMPC_LOCAL"),
@@ -193,26 +161,25 @@ def chain_rest_source(offset: Vec, by_angle: Vec, by_command: Vec, held: int) ->
     )
 
 
-def network_warm_up(samples: int, beside: int) -> Sequence[str]:
-    """Statements: so many samples of the network, and of the operators beside it; both show the measured angle."""
-    return [
-        "    real theta, next[HYSTMPC_CHAIN];",
-        "    real *network = x + HYSTMPC_FRONT, *chain = network + HYSTMPC_NETWORK + 1;",
-        f"    for (int k = 0; k < {samples}; k++) network_step(network, u);",
-        f"    for (int k = 0; k < {beside}; k++) {{",
-        "        step_middle(chain, u, &theta, next);",
-        "        copy(next, chain, HYSTMPC_BESIDE);",
-        "    }",
-    ]
+def network_rest_source(offset: Vec, by_angle: Vec, by_command: Vec, held: int, beside: int) -> str:
+    """C of the state at rest of a network: offset + by_angle y + by_command u, with the command held for some samples.
 
-
-def rest_source(offset: Vec, by_angle: Vec, by_command: Vec, warm_up: Sequence[str]) -> str:
-    """C of the state at rest: offset + by_angle y + by_command u, then the warm-up."""
+    Args:
+        offset, by_angle, by_command: of the state.
+        held: samples of the network.
+        beside: samples of the operators next to it, which show the measured angle as well.
+    """
     return "\n".join(
         [
             "HYSTMPC_LOCAL void hystmpc_rest(real y, real u, real *x) {",
             *_affine(offset, by_angle, by_command),
-            *warm_up,
+            "    real theta, next[HYSTMPC_CHAIN];",
+            "    real *network = x + HYSTMPC_FRONT, *chain = network + HYSTMPC_NETWORK + 1;",
+            f"    for (int k = 0; k < {held}; k++) network_step(network, u);",
+            f"    for (int k = 0; k < {beside}; k++) {{",
+            "        step_middle(chain, u, &theta, next);",
+            "        copy(next, chain, HYSTMPC_BESIDE);",
+            "    }",
             "}\n",
         ]
     )
@@ -243,7 +210,7 @@ def _tangent(function: Any) -> Any:
 
 
 def _body(function: Any, outputs: Sequence[str | None], known: Mapping[int, Vec]) -> list[str]:
-    """Statements with single assignments; an argument that is not read is said to be so. An output None is left out."""
+    """Statements with single assignments; arguments without use are marked, and an output None is left out."""
     lines = _used(list(_statements(function, outputs, known)))
     text = "\n".join(lines)
     unread = [name for name in ("x", "u") if (f" {name}[" if name == "x" else " = u;") not in text]
@@ -280,7 +247,7 @@ def _statements(function: Any, outputs: Sequence[str | None], known: Mapping[int
 
 
 def _value(step: Instruction, where: Mapping[int, str | float], known: Mapping[int, Vec]) -> str | float:
-    """What an instruction gives: a number where it reads nothing that changes, else an expression."""
+    """Result of an instruction: a number if its arguments are known, else an expression."""
     if step.name == "const":
         return step.value
     if step.name == "input":

@@ -19,11 +19,11 @@ _ENDINGS = (".yaml", ".onnx")
 
 
 def load_model(path: Path | str, start: Start = "initial") -> ChainModel | OnnxModel:
-    """Open a model by its ending.
+    """Open a model file; `.simulator` of the result is the readable form of an operator-based model.
 
     Args:
-        path: `.yaml` or `.yml` for a simulator, `.onnx` for an exported model, or `builtin:NAME`.
-        start: rule for the state at the start, see `ModelMetadata`.
+        path: a simulator (`.yaml`), an exported model (`.onnx`), or `builtin:NAME` for one that ships.
+        start: state at the start of a free run: `initial` of a fresh device, `conditioned` after its first flexure.
 
     Raises:
         ModelError: if the ending is another, the file is missing, foreign or corrupt, or a name unknown.

@@ -1,4 +1,4 @@
-"""Check of recorded logs: can they be used, what is in them, and what would they show of a simulator's gap?"""
+"""Check of recorded logs before they are used."""
 
 from __future__ import annotations
 
@@ -68,15 +68,15 @@ def check(
     show: Callable[[CheckReport], object] | None = None,
     progress: Progress | None = None,
 ) -> LogsCheck:
-    """Look at time base, jitter, gaps, duplicates, values, units, sign, excitation, segments and first flexure.
+    """Check time base, jitter, gaps, duplicates, values, units, sign, excitation, segments and first flexure.
 
     A file or frame is read leniently: what `read_trials` would refuse becomes a finding.
 
     Args:
         logs: logs, data frames or trials.
-        layout: of the logs.
-        sampled_hz: rate [Hz] of logs that were sampled evenly, whose time stamps are not looked at.
-        simulator: with which a diagnosis would compare them: what it would show, from the commands alone.
+        layout: layout of the logs: auto, canonical, tendon-catheter, or a mapping file *.yaml.
+        sampled_hz: rate [Hz] of logs sampled evenly; stands in for a broken or missing clock.
+        simulator: simulator of a diagnosis: what it would show, from the commands alone.
         show: called with the findings on each log as soon as they are there.
         progress: called with the logs done and their number.
 

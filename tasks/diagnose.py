@@ -32,20 +32,20 @@ def diagnose(
     progress: Progress | None = None,
     say: Say | None = None,
 ) -> Diagnosis:
-    """Say where a simulator departs from its device, which effects cause it, and how far they close the gap.
+    """Diagnose the gap between a simulator and its device: its size, the effects that cause it, and their shares.
 
     Args:
         trials: logs, data frames or trials of one device.
         simulator: a fit, simulator, opened model or file.
-        out: folder for report, corrected simulator and next motion; nothing is written where left out.
-        layout: of the logs.
-        seed: of every resampling.
-        without: effects left out of the library.
-        only: the library itself, where it is not to be all effects.
-        ordered: whether the trials stand in the order of recording. If not, time stamps or a manifest may tell it; else
-            it is unknown, and the result does not depend on the order given.
+        out: folder to write: new, empty, or an older diagnosis; without it nothing is written.
+        layout: layout of the logs: auto, canonical, tendon-catheter, or a mapping file *.yaml.
+        seed: seed of everything drawn at random.
+        without: leave this effect out of the library.
+        only: look for this effect, and no other that is not named so.
+        ordered: the logs are in recording order. Else time stamps or a manifest may tell it; where they do not, the
+            result does not depend on the order given.
         skip_first_flexure: count each trial only from the command's first reversal on.
-        figures: new folder for the figures of the report.
+        figures: new folder for every figure of the report: SVG, PDF, and its data as CSV.
         progress: called with steps done, steps in all and what is done.
         say: called with each note and warning.
 

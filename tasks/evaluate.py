@@ -98,17 +98,18 @@ def evaluate(
     progress: Progress | None = None,
     say: Say | None = None,
 ) -> Evaluation:
-    """Run a model freely over the commands of trials and compare its angle with the measured one.
+    """Compare the free run of a model over the commands of trials with the measured angle.
 
     Args:
         model: a fit, simulator, opened model or file.
         trials: logs, data frames or trials, resampled to the model's rate; an inverse map runs over them swapped.
-        layout: of the logs.
-        sampled_hz: rate [Hz] of logs that were sampled evenly, whose time stamps are not looked at.
+        layout: layout of the logs: auto, canonical, tendon-catheter, or a mapping file *.yaml.
+        sampled_hz: rate [Hz] of logs sampled evenly; stands in for a broken or missing clock.
         skip_first_flexure: count each trial only from the command's first reversal on.
-        json: file for the errors, hystmpc-evaluation/1.
-        report, figures: file for a page, .html, and new folder for its figures.
-        force: replace older files of the same kind.
+        json: write hystmpc-evaluation/1 here.
+        report: write one page with tables and figures here, .html.
+        figures: new folder for every figure of the report: SVG, PDF, and its data as CSV.
+        force: replace an older file of the same kind; never one of another.
         progress: called with trials done and their number.
         say: called with each note and warning.
 

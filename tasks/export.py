@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from hystmpc.trials.config import read_yaml
 from hystmpc.trials.errors import ExportError
 
-from .outputs import C_HEADER, C_SOURCE, FMU, MODEL, check_output
+from .outputs import C_CODE, FMU, MODEL, check_output
 
 if TYPE_CHECKING:
     from hystmpc.codegen.controller import ControllerExport
@@ -29,8 +29,8 @@ def export(model: Fit | Simulator | Path | str, out: Path | str, *, force: bool 
 
     Args:
         model: a fit, a simulator or a simulator file.
-        out: the file to write, .onnx.
-        force: replace an older ONNX model.
+        out: the ONNX file to write.
+        force: replace an older file of the same kind; never one of another.
 
     Returns:
         The largest differences seen between onnxruntime, CasADi and the reference.
@@ -65,9 +65,9 @@ def export_c(
 
     Args:
         settings: of the controller, as a planner gives them: a `tip.yaml` or a mapping.
-        out: folder of the two files.
+        out: folder for hystmpc.c and hystmpc.h.
         single: float in the place of double.
-        force: replace older exported controllers.
+        force: replace older files of the same kind; never those of another.
 
     Raises:
         ConfigError: if a setting is wrong or a file may not be written.
@@ -77,8 +77,8 @@ def export_c(
     from hystmpc.codegen import export_controller
 
     inputs = [Path(settings)] if isinstance(settings, Path | str) else []
-    for name, kind in (("hystmpc.h", C_HEADER), ("hystmpc.c", C_SOURCE)):
-        check_output("--out", Path(out) / name, (kind,), inputs, force)
+    for name in ("hystmpc.h", "hystmpc.c"):
+        check_output("--out", Path(out) / name, (C_CODE,), inputs, force)
     made = export_controller(settings, single=single)
     made.write(Path(out))
     return made
@@ -101,8 +101,8 @@ def export_fmu(
         simulator: a simulator, a simulated plant, a simulator file, `builtin:NAME`, or the file of a study.
         out: the FMU to write, .fmu.
         fmi: version of the standard.
-        platforms: for which binaries are made: linux64, win64, darwin64; this machine's where left out.
-        force: replace an older FMU.
+        platforms: binary to make: linux64, win64, darwin64; this machine's where left out.
+        force: replace an older file of the same kind; never one of another.
 
     Raises:
         ConfigError: if the file may not be written.
@@ -163,7 +163,7 @@ def _plant_settings(source: Path) -> PlantSettings:
 
 
 def _left_out(plant: SimulatedPlant) -> tuple[str, ...]:
-    """What the plant has and the FMU has not."""
+    """Parts of the plant that the FMU does not have."""
     sensing = plant.sensing
     parts = [f"noise of {sensing.noise_deg:g} deg"] if sensing.noise_deg else []
     parts += [f"steps of {sensing.quantisation_deg:g} deg"] if sensing.quantisation_deg else []

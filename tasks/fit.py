@@ -60,14 +60,17 @@ class Fit:
     def __repr__(self) -> str:
         return in_brief(self, f"{self.kind} from {len(self.trials)} trials: {self.identified.report}")
 
-    @property
+    @cached_property
     def model(self) -> LoadedModel:
         """The model, as `load_model` opens it from a file."""
-        return self._model
+        if self.identified.simulator is not None:
+            from hystmpc.models.simulator import ChainModel
 
-    @cached_property
-    def _model(self) -> LoadedModel:
-        return _model_of(self.kind, self.identified)
+            return ChainModel(self.identified.simulator)
+        from hystmpc.models.contract.export import model_bytes
+        from hystmpc.models.contract.load import OnnxModel
+
+        return OnnxModel(model_bytes(self.identified.bundle), self.kind)
 
     @property
     def simulator(self) -> Simulator:
@@ -133,28 +136,29 @@ def fit(
     """Identify a model from recorded trials; Ctrl-C keeps the best so far.
 
     Args:
-        kind: `auto` for the whole device, or `backlash`, `pi`, `drdpi`, `bouc_wen`, `oscillator`,
-            `state_network`, `play_kernel`, `svr`, `fnn`, `fnn_hib`, `lstm`, `gru`, `hb1` or `hb2`.
+        kind: model: auto for the whole device, or backlash, pi, drdpi, bouc_wen, maxwell_slip, maxwell_slip_rate,
+            oscillator, state_network, lstm, gru, play_kernel; with hystmpc-lab fnn, fnn_hib, hb1, hb2, svr.
         trials: logs, data frames or trials, see `read_trials`.
-        out: file to write, `.onnx`, or `.yaml` for an operator; it is scored as it is read back.
-        layout: of the logs.
-        sampled_hz: rate [Hz] of logs that were sampled evenly, whose time stamps are not looked at.
-        rate_hz: rate at which the model runs, and to which the trials are resampled [Hz]; 25 where left out.
+        out: file to write: .onnx, or .yaml for an operator; it is scored as it is read back.
+        layout: layout of the logs: auto, canonical, tendon-catheter, or a mapping file *.yaml.
+        sampled_hz: rate [Hz] of logs sampled evenly; stands in for a broken or missing clock.
+        rate_hz: rate [Hz] of the model, to which the logs are resampled; 25 where left out.
         skip_first_flexure: count each trial only from the command's first reversal on.
         inverse: identify the map from angle to command.
-        plays: number of plays of a Prandtl-Ishlinskii model.
-        drive: what a network or a regression stands behind: `auto` to identify it, or a simulator that has it.
-        residual: with `auto`, network of what its operators leave, `lstm` or `gru`; kept only if it helps held out.
-        training: settings of the training, `best` or `paper`; the kind's own where left out.
-        steps: greatest number of epochs, updates or iterations.
-        hold_out: whole trials by which a network is stopped early.
-        validation: trials that only judge, in place of held-out ones.
-        constancy_weight: of a network's constant-in, constant-out term.
-        seed: of everything drawn at random.
+        plays: plays of a pi (4 where left out) or drdpi (10).
+        drive: drive before a network or kernel: auto, or a simulator (.yaml, builtin:NAME) that has it.
+        residual: with auto: network of what its operators leave, lstm or gru; used only if it helps on held-out trials.
+        training: settings of the training: best or paper; those of the kind where left out.
+        steps: greatest number of epochs (paper), updates (best) or iterations.
+        hold_out: whole trials by which a network is stopped early; the number of the training where left out.
+        validation: log or folder that only judges, in place of trials held out.
+        constancy_weight: weight of a network's constant-in, constant-out term; S2 has 1e-4.
+        seed: seed of everything drawn at random.
         limits: what the device may be sent; what the trials show where left out, also of a part that is None.
-        test: trials to score on, which the fit does not see.
-        report, figures: file for a page, .html, and new folder for its figures.
-        force: replace older files of the same kind.
+        test: log or folder to score on, which the fit does not see.
+        report: write one page with tables and figures here, .html.
+        figures: new folder for every figure of the report: SVG, PDF, and its data as CSV.
+        force: replace an older file of the same kind; never one of another.
         progress: called with steps done, their number (infinite where it is not known) and the error so far.
         say: called with each note and warning.
 
@@ -168,7 +172,7 @@ def fit(
     from hystmpc.models.kinds.kind import FitRequest
 
     chosen = chosen_kind(kind, None if drive is None else str(drive), residual)
-    logs, tests, read = as_list(trials), as_list(test), _Reader(layout, rate_hz, sampled_hz)
+    logs, tests, read = as_list(trials), as_list(test), _LogReader(layout, rate_hz, sampled_hz)
     files = [*(seen := files_read(logs, layout)), *_unseen(tests, seen)]
     if out is not None:
         check_output("--out", out, (MODEL, SIMULATOR)[: 1 + chosen.readable], files, force, of=chosen.name)
@@ -206,7 +210,7 @@ def _scored(
     report: Path | str | None,
     progress: Progress | None,
 ) -> Fit:
-    """The fit with free runs over each set of trials, of the model as it is read back; and its page."""
+    """The fit with free runs of the written model over each set of trials; writes its page."""
     model = opened(made if out is None else out)
     scores = [(which, free_runs(model, trials, skip, progress)) for which, trials in sets.items()]
     made = replace(made, evaluations=tuple(scores))
@@ -216,8 +220,8 @@ def _scored(
 
 
 @dataclass(frozen=True)
-class _Reader:
-    """Logs at the rate of the fit; the refusal of one that is too slow for the default rate names a rate for it."""
+class _LogReader:
+    """Reader of logs at the rate of the fit; it names a rate for a log too slow for the default one."""
 
     layout: AnyLayout
     rate_hz: float | None
@@ -235,7 +239,7 @@ class _Reader:
 
 
 def _unseen(test: Sequence[Log], seen: Sequence[Path]) -> list[Path]:
-    """The files of the test.
+    """Files of the test, none of which the fit sees.
 
     Raises:
         ConfigError: on one that the fit sees.
@@ -295,17 +299,6 @@ def _identify(
     return done
 
 
-def _model_of(kind: str, done: Identified) -> LoadedModel:
-    if done.simulator is not None:
-        from hystmpc.models.simulator import ChainModel
-
-        return ChainModel(done.simulator)
-    from hystmpc.models.contract.export import model_bytes
-    from hystmpc.models.contract.load import OnnxModel
-
-    return OnnxModel(model_bytes(done.bundle), kind)
-
-
 def _written(done: Identified, path: Path, progress: Progress | None = None) -> EquivalenceReport | None:
     """Write the readable form or the exported model; returns the comparison of the latter with its reference."""
     if done.simulator is not None and path.suffix.lower() in SIMULATOR.endings:
@@ -333,7 +326,7 @@ def _write_page(made: Fit, path: Path | str, name: str, model: LoadedModel) -> N
 
 
 def part_tables(parts: AutoFit, units: Units) -> Iterator[tuple[str, Sequence[str], Sequence[Sequence[str]]]]:
-    """Title, columns and rows: the error without and with each part of the device, and the identified numbers."""
+    """Tables (title, columns, rows) of the error without and with each part of the device, and of the parameters."""
     if parts.rows:
         rows = [(r.part, r.form, _error(r.without_deg), _error(r.with_deg)) for r in parts.rows]
         yield f"what each part buys, RMSE on trials left out, in {units.angle}", _PARTS, rows
@@ -343,7 +336,7 @@ def part_tables(parts: AutoFit, units: Units) -> Iterator[tuple[str, Sequence[st
 
 
 def _interval(row: ParameterRow) -> str:
-    """The interval, one-sided of a number at the end of what was searched."""
+    """Text of a confidence interval; one-sided for a parameter at the end of its search range."""
     low, high = row.ci90
     if row.at_bound and math.isinf(high):
         return f"{low:.4g} or more"

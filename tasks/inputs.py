@@ -6,11 +6,12 @@ import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from copy import deepcopy
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, Protocol, TypeAlias
+from typing import TYPE_CHECKING, Any, Protocol, TypeAlias, TypeVar
 
 from hystmpc.trials.check import Severity, check
 from hystmpc.trials.command_noise import noise_text
-from hystmpc.trials.config import override
+from hystmpc.trials.config import Settings as Keys
+from hystmpc.trials.config import load_settings, override
 from hystmpc.trials.errors import ConfigError, ModelError
 from hystmpc.trials.findings import gaps_text
 from hystmpc.trials.from_outside import allow_python
@@ -20,12 +21,13 @@ from hystmpc.trials.tables import FrameLike
 from hystmpc.trials.trial import Trial, parts_at_gaps
 
 if TYPE_CHECKING:
-    from hystmpc.models.contract.load import OnnxModel
+    from hystmpc.models.contract.metadata import Start
     from hystmpc.models.model import LoadedModel
-    from hystmpc.models.simulator import ChainModel, Simulator
+    from hystmpc.models.simulator import Simulator
+
+S = TypeVar("S", bound=Keys)
 
 Logs: TypeAlias = Log | Iterable[Log]
-Start = Literal["initial", "conditioned"]
 Settings: TypeAlias = Path | str | Mapping[str, Any]
 """A YAML file, or the same as a mapping."""
 
@@ -34,7 +36,7 @@ Say: TypeAlias = Callable[[str], None]
 
 
 class Fitted(Protocol):
-    """The result of an identification, see `Fit`."""
+    """Result of an identification, see `Fit`."""
 
     @property
     def model(self) -> LoadedModel:
@@ -46,28 +48,14 @@ Model: TypeAlias = "Fitted | Simulator | LoadedModel | Path | str"
 """A model: a fit, a simulator, an opened model, a model file, or `builtin:NAME`."""
 
 
-def load_model(path: Path | str, start: Start = "initial") -> ChainModel | OnnxModel:
-    """Open a model file; `.simulator` of the result is the readable form of an operator-based model.
-
-    Args:
-        path: a simulator (`.yaml`), an exported model (`.onnx`), or `builtin:NAME` for one that ships.
-        start: state at the start of a free run: `initial` of a fresh device, `conditioned` after its first flexure.
-
-    Raises:
-        ModelError: if the file is missing, foreign or corrupt, or the name unknown.
-    """
-    from hystmpc.models.load import load_model as open_file
-
-    return open_file(path, start)
-
-
 def opened(model: Model, start: Start = "initial") -> LoadedModel:
-    """The model of whatever stands for one, ready to run."""
-    if isinstance(model, Path | str):
-        return load_model(model, start)
+    """Open a model given as a file, a fit or a simulator; an opened model is returned as it is."""
+    from hystmpc.models.load import load_model
     from hystmpc.models.model import LoadedModel
     from hystmpc.models.simulator import ChainModel, Simulator
 
+    if isinstance(model, Path | str):
+        return load_model(model, start)
     if not isinstance(model, Simulator | LoadedModel):
         runs = model.model
         model = runs.simulator if isinstance(runs, ChainModel) else runs
@@ -75,23 +63,18 @@ def opened(model: Model, start: Start = "initial") -> LoadedModel:
 
 
 def chain_or_model(model: Model) -> Simulator | LoadedModel:
-    """The chain of operators of whatever stands for a model; a network as the model that it is.
+    """Chain of operators of a model, or the model itself if it is a network.
 
     Raises:
         ModelError: if a file has another ending, or cannot be opened.
     """
-    from hystmpc.models.load import load_model as open_file
     from hystmpc.models.load import model_path
-    from hystmpc.models.simulator import ChainModel, load_simulator
+    from hystmpc.models.simulator import ChainModel
 
-    if isinstance(model, Path | str):
-        path = model_path(str(model))
-        suffix = path.suffix.lower()
-        if suffix in (".yaml", ".yml"):
-            return load_simulator(path)
-        if suffix == ".onnx":
-            return open_file(path)
-        raise ModelError(f"--sim {path}: ending {suffix or 'missing'}, expected .yaml, .onnx or builtin:NAME")
+    path = model_path(str(model)) if isinstance(model, Path | str) else None
+    if path is not None and path.suffix.lower() not in (".yaml", ".yml", ".onnx"):
+        ending = path.suffix.lower() or "missing"
+        raise ModelError(f"--sim {path}: ending {ending}, expected .yaml, .onnx or builtin:NAME")
     runs = opened(model)
     return runs.simulator if isinstance(runs, ChainModel) else runs
 
@@ -102,7 +85,7 @@ def as_list(logs: Logs) -> list[Log]:
 
 
 def files_read(logs: Sequence[Log], layout: AnyLayout) -> list[Path]:
-    """The files among logs and their layout, folders expanded.
+    """Files among logs and layout, with the logs of each folder.
 
     Raises:
         LogError: if nothing is given, or a folder holds no log.
@@ -113,7 +96,7 @@ def files_read(logs: Sequence[Log], layout: AnyLayout) -> list[Path]:
 
 
 def recorded_trials(logs: Sequence[Log], layout: AnyLayout, sampled_hz: float | None = None) -> list[Trial]:
-    """Logs as recorded, all of them fit to learn from.
+    """Read logs as recorded; proposed motions and misread signals are refused.
 
     Raises:
         LogError: if a log cannot be read, is a proposed motion, or its signals are read wrongly.
@@ -128,7 +111,7 @@ def recorded_trials(logs: Sequence[Log], layout: AnyLayout, sampled_hz: float | 
 def trials_at(
     logs: Sequence[Log], layout: AnyLayout, rate_hz: float, sampled_hz: float | None = None, say: Say | None = None
 ) -> list[Trial]:
-    """Logs on a uniform grid; `say` gets what is made of gaps and noise, and what seems to be in another unit.
+    """Read logs and resample them to a rate; `say` gets notes on gaps, noise and doubtful units.
 
     Raises:
         LogError: as `recorded_trials`, or if a log cannot be resampled.
@@ -149,7 +132,7 @@ def trials_at(
 
 
 def warn_of_units(trials: Iterable[Trial], say: Say) -> None:
-    """Warn where a signal looks like another unit or has another clock: no error of a model would tell either."""
+    """Warn of signals that seem to have another unit or clock, which no error of a model shows."""
     for trial in trials:
         for finding in check(trial).findings:
             if finding.topic.startswith(("units", "clocks")) and finding.severity is Severity.WARNING:
@@ -162,16 +145,18 @@ def allow_classes(allow: bool) -> None:
         allow_python()
 
 
-def changed(settings: Mapping[str, Any], overrides: Iterable[str]) -> dict[str, Any]:
-    """A copy of plain settings with changes such as `plant.lag_s=0.1`.
+def settings_of(kind: type[S], given: Settings, overrides: Iterable[str]) -> S:
+    """Settings of a YAML file or of a mapping, with changes such as `plant.lag_s=0.1`.
 
     Raises:
-        ConfigError: on a malformed change.
+        ConfigError: on an unreadable file, a malformed change, an unknown key or a value out of bounds.
     """
-    data = deepcopy(dict(settings))
+    if isinstance(given, Path | str):
+        return load_settings(kind, given, overrides)
+    data = deepcopy(dict(given))
     for text in overrides:
         override(data, text)
-    return data
+    return kind.parse(data)
 
 
 def processes(jobs: int | None) -> int:

@@ -1,4 +1,4 @@
-"""Outputs of the tasks: what may be written where, refused before any work is done."""
+"""Outputs of the tasks: files that may not be written are refused before any computation."""
 
 from __future__ import annotations
 
@@ -8,10 +8,7 @@ import zipfile
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
-from hystmpc.models.contract.load import parse_model
-from hystmpc.models.contract.metadata import PREFIX
 from hystmpc.trials.config import read_yaml
 from hystmpc.trials.errors import ConfigError, HystmpcError
 from hystmpc.trials.files import require_writable
@@ -43,26 +40,23 @@ class Output:
 
 
 def _of_model(path: Path) -> str:
+    from hystmpc.models.contract.load import parse_model
+    from hystmpc.models.contract.metadata import PREFIX
+
     entries = parse_model(path.read_bytes(), str(path)).metadata_props
     return next((str(entry.value) for entry in entries if entry.key == f"{PREFIX}format"), "").strip('"')
 
 
-def _of_yaml(path: Path) -> str:
-    return _format(read_yaml(path))
+def _of_data(path: Path) -> str:
+    data = json.loads(path.read_text(encoding="utf-8")) if path.suffix.lower() == ".json" else read_yaml(path)
+    return str(data.get("format", "")) if isinstance(data, dict) else ""
 
 
-def _of_json(path: Path) -> str:
-    return _format(json.loads(path.read_text(encoding="utf-8")))
-
-
-def _of_page(path: Path) -> str:
+def _of_text(path: Path) -> str:
     with path.open(encoding="utf-8") as file:
-        return "hystmpc" if '<meta name="generator" content="hystmpc">' in file.read(1000) else ""
-
-
-def _of_c(path: Path) -> str:
-    with path.open(encoding="utf-8") as file:
-        return "hystmpc" if "Written by hystmpc" in file.read(1000) else ""
+        head = file.read(1000)
+    marks = ('<meta name="generator" content="hystmpc">', "Written by hystmpc")
+    return "hystmpc" if any(mark in head for mark in marks) else ""
 
 
 def _of_fmu(path: Path) -> str:
@@ -71,22 +65,17 @@ def _of_fmu(path: Path) -> str:
     return "hystmpc" if 'generationTool="hystmpc' in description else ""
 
 
-def _format(data: Any) -> str:
-    return str(data.get("format", "")) if isinstance(data, dict) else ""
-
-
 MODEL = Output("an ONNX model of hystmpc", (".onnx",), _of_model, ("hystmpc-model/",))
-SIMULATOR = Output("a simulator file", (".yaml", ".yml"), _of_yaml, ("hystmpc-simulator/",))
-EVALUATION = Output("an evaluation", (".json",), _of_json, ("hystmpc-evaluation/", "hystmpc-inverse-evaluation/"))
-BENCHMARK = Output("a benchmark's result", (".json",), _of_json, ("hystmpc-bench/",))
-C_SOURCE = Output("an exported controller", (".c",), _of_c, ("hystmpc",))
-C_HEADER = Output("an exported controller", (".h",), _of_c, ("hystmpc",))
+SIMULATOR = Output("a simulator file", (".yaml", ".yml"), _of_data, ("hystmpc-simulator/",))
+EVALUATION = Output("an evaluation", (".json",), _of_data, ("hystmpc-evaluation/", "hystmpc-inverse-evaluation/"))
+BENCHMARK = Output("a benchmark's result", (".json",), _of_data, ("hystmpc-bench/",))
+C_CODE = Output("an exported controller", (".c", ".h"), _of_text, ("hystmpc",))
 FMU = Output("an FMU of hystmpc", (".fmu",), _of_fmu, ("hystmpc",))
-REPORT = Output("a report of hystmpc", (".html",), _of_page, ("hystmpc",))
+REPORT = Output("a report of hystmpc", (".html",), _of_text, ("hystmpc",))
 
 
 def check_figures(figures: Path | str | None) -> None:
-    """Refuse a folder of `--figures` before any work is done.
+    """Refuse a folder of `--figures` that is not vacant.
 
     Raises:
         ConfigError: if it is not new or empty, or cannot be written.
@@ -96,7 +85,7 @@ def check_figures(figures: Path | str | None) -> None:
 
 
 def check_page(page: Path | str | None, figures: Path | str | None, inputs: Iterable[Path], force: bool) -> None:
-    """`check_output` for `--report`, where it is given; and `--figures` of it.
+    """Refuse a page of `--report`, or a folder of its `--figures`, that may not be written.
 
     Raises:
         ConfigError: if the page or its figures may not be written.
@@ -116,7 +105,7 @@ def check_output(
     force: bool = False,
     of: str = "",
 ) -> None:
-    """Refuse a file that a verb may not write: nothing is overwritten but, with `--force`, a file of the same kind.
+    """Refuse a file that may not be written; only `--force` replaces one, and only one of the same kind.
 
     Args:
         option: that names the file, for messages.

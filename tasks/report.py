@@ -1,4 +1,4 @@
-"""The report of a run folder, made once more from what lies in it."""
+"""Report of a run folder, written from the files in it."""
 
 from __future__ import annotations
 
@@ -46,9 +46,9 @@ def report(
 
     Args:
         run: run folder, or that of a commissioning.
-        before: earlier runs on the same reference.
-        diagnosis: folder of `diagnose`.
-        figures: new folder for every figure of the report.
+        before: earlier run on the same reference.
+        diagnosis: folder of `diagnose`: the fall of the tracking error that it lets expect.
+        figures: new folder for every figure of the report: SVG, PDF, and its data as CSV.
 
     Raises:
         LogError: if the folder holds no complete run.
@@ -76,7 +76,7 @@ def report(
 
 
 def _commissioning(run: Path, compared: bool) -> WrittenReport:
-    """The report of a commissioning; it compares with no other run."""
+    """Write the report of a commissioning, which compares with no other run."""
     if compared:
         raise ConfigError("report: a commissioning has no use for --before and --diagnosis, expected a run of `run`")
     from hystmpc.bench.commission import rewrite_report
@@ -85,7 +85,7 @@ def _commissioning(run: Path, compared: bool) -> WrittenReport:
 
 
 def _fall(run: Path, before: list[Path], diagnosis: Path | None) -> tuple[tuple[str, ...], tuple[Piece, ...]]:
-    """How far the tracking error fell: in sentences, and for the page."""
+    """Fall of the tracking error since earlier runs: sentences, and pieces of the page."""
     if not before and diagnosis is None:
         return (), ()
     from hystmpc.gap.measured_tracking import fall_lines, fall_pieces, tracking_falls

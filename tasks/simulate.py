@@ -1,23 +1,27 @@
-"""Simulation of the closed loop: one study, a sweep over many, one row of a sweep once more."""
+"""Tasks of the closed loop: a controller, a simulated study, a sweep of studies, and a search of settings."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from json import dumps
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from hystmpc.trials.config import read_yaml
-from hystmpc.trials.errors import ConfigError
+from hystmpc.trials.errors import ConfigError, ControllerError
 from hystmpc.trials.run_folder import require_resumable, require_vacant
 from hystmpc.trials.types import Progress
 
-from .inputs import Settings, allow_classes, changed, processes
+from .inputs import Model, Settings, allow_classes, opened, processes, settings_of
 
 if TYPE_CHECKING:
+    from hystmpc.ctrl.command import CommandLimits
+    from hystmpc.ctrl.config import AnyControllerSettings
+    from hystmpc.ctrl.guarded import GuardedController
     from hystmpc.sim.config import SimulationConfig
     from hystmpc.sim.results import StudyResult
     from hystmpc.sim.sweep.run import ReproducedFigure, SweepOutcome
+    from hystmpc.sim.tuning.objective import Tuning
 
 
 def simulate(
@@ -32,11 +36,11 @@ def simulate(
     """Run every controller of a study along every motion on a simulated device; Ctrl-C keeps the finished runs.
 
     Args:
-        config: plant, model, motions and controllers: a YAML file, a mapping or the settings.
-        out: a new or empty run folder for logs and report; nothing is written where left out.
-        overrides: changes of a file or mapping, such as `plant.lag_s=0.1`.
+        config: study of plant, model, motions and controllers: a YAML file, a mapping or the settings.
+        out: run folder for logs and report, new or empty, or that of a sweep to go on; without it nothing is written.
+        overrides: change a setting of the file: KEY.KEY=VALUE.
         controllers: added under their names, each a YAML file or a mapping.
-        allow_python: import classes that the file names as `python: MODULE:CLASS`; you trust it.
+        allow_python: import classes that the file names as python: MODULE:CLASS; you trust it.
         progress: called with the steps done and their number.
 
     Raises:
@@ -51,7 +55,7 @@ def simulate(
     if isinstance(config, Path | str):
         config = load_simulation(config, changes)
     elif isinstance(config, Mapping):
-        config = SimulationConfig.parse(changed(config, changes))
+        config = settings_of(SimulationConfig, config, changes)
     elif changes:
         raise ConfigError("simulate: --set does nothing with settings that are complete, expected a file or a mapping")
     if out is not None:
@@ -69,15 +73,16 @@ def sweep(
     allow_python: bool = False,
     progress: Progress | None = None,
 ) -> SweepOutcome:
-    """Run many studies in one: a grid, draws and seeds; the same call goes on in the folder of a sweep.
+    """Simulate many studies: a grid, draws and seeds; the same call continues an unfinished sweep.
 
     Args:
         config: a YAML file.
         out: a new or empty folder, or one of a sweep, whose rows are kept.
-        overrides: changes of its settings, such as `count=200`.
-        jobs: processes, None for one a core; with more than one a script needs `if __name__ == "__main__":`.
-        cluster: Dask scheduler, `tcp://host:8786`; `local`: processes of this machine.
-        allow_python: import classes that the file names as `python: MODULE:CLASS`; you trust it.
+        overrides: change a setting of the file: KEY.KEY=VALUE.
+        jobs: processes of one thread each; None for one a core. A script with more than one needs
+            `if __name__ == "__main__":`.
+        cluster: Dask scheduler, tcp://host:8786; `local`: processes of this machine.
+        allow_python: import classes that the file names as python: MODULE:CLASS; you trust it.
         progress: called with the runs done, their number and a note.
 
     Raises:
@@ -95,7 +100,7 @@ def sweep(
 
 
 def reproduce(folder: Path | str, row: str, out: Path | str | None = None) -> tuple[ReproducedFigure, ...]:
-    """Run one row of a sweep once more, from nothing but what its table says.
+    """Simulate one row of a sweep a second time, from the settings in its table.
 
     Args:
         folder: of the sweep.
@@ -116,7 +121,7 @@ def reproduce(folder: Path | str, row: str, out: Path | str | None = None) -> tu
 
 
 def _added(name: str, controller: Settings) -> str:
-    """The override that puts a controller's settings into a study.
+    """Override that adds the settings of a controller to a study.
 
     Raises:
         ConfigError: if the name has a dot, or the file holds no controller.
@@ -128,3 +133,83 @@ def _added(name: str, controller: Settings) -> str:
         where = controller if isinstance(controller, Path | str) else f"--controller {name}"
         raise ConfigError(f"{where}: expected the settings of one controller, with the key 'kind'")
     return f"controllers.{name}={dumps(dict(data))}"
+
+
+def tune(
+    config: Settings,
+    out: Path | str,
+    *,
+    overrides: Iterable[str] = (),
+    jobs: int | None = 1,
+    cluster: str | None = None,
+    storage: str | None = None,
+    allow_python: bool = False,
+    progress: Progress | None = None,
+) -> Tuning:
+    """Search the settings of a controller on simulated plants with drawn effects; verify them on other plants.
+
+    Args:
+        config: a tuning of study, ranges and plants: a YAML file or a mapping.
+        out: run folder; an unfinished tuning in it goes on.
+        overrides: change a setting of the file: KEY.KEY=VALUE.
+        jobs: processes of one thread each; None for one a core. A script with more than one needs
+            `if __name__ == "__main__":`.
+        cluster: Dask scheduler, tcp://host:8786, with a shared storage; `local`: processes of this machine.
+        storage: where trials are kept, such as postgresql://host/db, which several machines share; a file in `out`
+            where left out.
+        allow_python: import classes that the file names as python: MODULE:CLASS; you trust it.
+        progress: called with trials done, their number and a note.
+
+    Raises:
+        HystmpcError: if a setting is wrong, the folder holds something else, or no trial came to an end.
+    """
+    from hystmpc.sim.jobs import backend_for
+    from hystmpc.sim.tuning.run import run_tuning
+    from hystmpc.sim.tuning.settings import TuneSettings, complete
+
+    allow_classes(allow_python)
+    workers = processes(jobs)
+    place = Path("mapping") if isinstance(config, Mapping) else Path(config)
+    settings = complete(settings_of(TuneSettings, config, overrides), place)
+    require_resumable(out)
+    return run_tuning(settings, out, backend_for(workers, cluster, str(out)), storage, progress)
+
+
+def build_controller(
+    controller: str | Mapping[str, Any] | AnyControllerSettings,
+    model: Model,
+    *,
+    inverse: Path | str | None = None,
+    limits: CommandLimits | None = None,
+    actuator_lag_s: float = 0.0,
+) -> GuardedController[Any]:
+    """Build a controller of the tip angle, with methods `init` and `step` and explicit state.
+
+    Args:
+        controller: `inverse`, `pid`, `inverse_pid`, `linearised_mpc` or `sampling_mpc`; or its settings.
+        model: that it predicts with: a fit, simulator, opened model or file.
+        inverse: file of what is inverted in the model's place, for a network.
+        limits: hard limits of command and rate; those of the model where left out.
+        actuator_lag_s: first-order lag of the command that the model does not contain [s].
+
+    Raises:
+        ConfigError: on an unknown controller or setting.
+        ControllerError: if the settings contradict each other, or the limits go beyond the model's.
+        ModelError: if a model cannot be used.
+        FitError: if a network has no `inverse` and none can be fitted.
+    """
+    from hystmpc.ctrl.build import build_controller as build
+    from hystmpc.ctrl.build import pair_for
+    from hystmpc.ctrl.command import limits_of_model
+    from hystmpc.ctrl.config import parse_controller
+    from hystmpc.models.prediction.build import controller_model
+
+    if isinstance(controller, str):
+        controller = {"kind": controller}
+    settings = parse_controller(dict(controller), "controller") if isinstance(controller, Mapping) else controller
+    runs = opened(model, "conditioned")
+    made_for = limits_of_model(runs.metadata)
+    if limits is not None and not made_for.contains(limits):
+        raise ControllerError(f"limits: got {limits}, expected them within what the model was made for, {made_for}")
+    pair = pair_for(settings, controller_model(runs, inverse, actuator_lag_s))
+    return build(settings, *pair, limits or made_for)

@@ -1,4 +1,4 @@
-"""Contract tests that a lab runs against its own classes, simulated devices for them, and templates to begin with."""
+"""Contract tests for classes of a laboratory, simulated devices for these tests, and templates of classes."""
 
 from __future__ import annotations
 
@@ -7,34 +7,23 @@ from typing import TYPE_CHECKING
 from hystmpc.trials import lazily
 
 if TYPE_CHECKING:
-    from .effect import EffectContract
-    from .law import ControllerContract
-    from .line_device import LineDevice
-    from .loop import LoopContract
-    from .model import KindContract, ModelContract
-    from .plant import PlantContract
-    from .wire import Connected, TransportContract
-
-__all__ = [
-    "Connected",
-    "ControllerContract",
-    "EffectContract",
-    "KindContract",
-    "LineDevice",
-    "LoopContract",
-    "ModelContract",
-    "PlantContract",
-    "TransportContract",
-]
+    from .effect import EffectContract as EffectContract
+    from .law import ControllerContract as ControllerContract
+    from .loop import LoopContract as LoopContract
+    from .model import KindContract as KindContract
+    from .model import ModelContract as ModelContract
+    from .model import PlantContract as PlantContract
+    from .wire import Connected as Connected
+    from .wire import LineDevice as LineDevice
+    from .wire import TransportContract as TransportContract
 
 if not TYPE_CHECKING:
     __getattr__ = lazily(
         __name__,
         ("hystmpc.testing.effect", "EffectContract"),
         ("hystmpc.testing.law", "ControllerContract"),
-        ("hystmpc.testing.line_device", "LineDevice"),
         ("hystmpc.testing.loop", "LoopContract"),
-        ("hystmpc.testing.model", "KindContract ModelContract"),
-        ("hystmpc.testing.plant", "PlantContract"),
-        ("hystmpc.testing.wire", "Connected TransportContract"),
+        ("hystmpc.testing.model", "KindContract ModelContract PlantContract"),
+        ("hystmpc.testing.wire", "Connected LineDevice TransportContract"),
     )
+    __all__ = __getattr__.names

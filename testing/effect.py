@@ -1,4 +1,4 @@
-"""What every effect owes to a simulator and to the diagnosis: a contract that a lab runs against its own effect."""
+"""Contract tests of effects: what simulators and the diagnosis rely on."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _STEP, _NEAR = 1e-5, 1e-3  # of a difference quotient, and its tolerance
 
 
 class EffectContract:
-    """Derive a class whose name begins with `Test`, give it `effect`, and run pytest.
+    """Contract tests of an effect: derive a class whose name begins with `Test`, give it `effect`, run pytest.
 
     Attributes:
         effect: that is tested; it need not be installed for that.
@@ -32,7 +32,7 @@ class EffectContract:
     moves_at_rest: bool = False
 
     def test_with_its_neutral_values_it_changes_nothing(self) -> None:
-        """A simulator with it is then the simulator without it."""
+        """With neutral values the output of an operator is its input."""
         operator = next(self._operators())
         neutral = operator.with_values(self.effect.neutral_values(operator))
         for side, u in self._signals():
@@ -47,7 +47,7 @@ class EffectContract:
             require(off > 0.01 * float(np.ptp(u)), f"with {dict(values)} it changes the signal by {off:.3g} only")
 
     def test_at_rest_nothing_moves(self) -> None:
-        """The state of `at_rest` stays where it is while the input does, after `settling_samples`."""
+        """The output stays constant under a constant input after `settling_samples`."""
         if self.moves_at_rest:
             return
         for operator in self._each():
@@ -56,7 +56,7 @@ class EffectContract:
             require(float(np.ptp(y)) < 1e-9, f"the input rests, and the output moves by {float(np.ptp(y)):.3g}")
 
     def test_finite_signals_stay_finite(self) -> None:
-        """Also with parameters at their bounds, where these are of the size of signals."""
+        """Finite inputs give finite outputs, also with parameters at their bounds."""
         for operator in self._each():
             for _, u in self._signals():
                 require(bool(np.all(np.isfinite(_run(operator, u)))), f"not finite with {operator}")
@@ -65,13 +65,13 @@ class EffectContract:
                 bounds = ({f.name: f.lower for f in candidate.free}, {f.name: f.upper for f in candidate.free})
                 for values in bounds:
                     names = [p.name for p in operator.parameters]
-                    found = [values.get(n, v) for n, v in zip(names, operator.values, strict=True)]
+                    at_bounds = [values.get(n, v) for n, v in zip(names, operator.values, strict=True)]
                     _, u = next(self._signals())
-                    y = _run(operator.with_values(found), u)
+                    y = _run(operator.with_values(at_bounds), u)
                     require(bool(np.all(np.isfinite(y))), f"not finite at the bounds {values}")
 
     def test_its_derivatives_are_those_of_its_equation(self) -> None:
-        """By input and parameters, against one-sided difference quotients: at a kink between both.
+        """Derivatives by input and parameters lie between the two one-sided difference quotients.
 
         Fits and controllers go by these derivatives. They are compared with the values of `shown`.
         """
@@ -81,7 +81,7 @@ class EffectContract:
             require(wrong <= self.jumps, f"the derivatives differ in {100 * wrong:.0f} % of the samples")
 
     def test_every_parameter_says_what_it_is(self) -> None:
-        """Unit and meaning stand in tables and in files; a neutral value has to be one of a parameter's."""
+        """Each parameter has unit, meaning and bounds; neutral values belong to parameters."""
         known = {base_name(p.name) for operator in self._operators() for p in operator.parameters}
         for operator in self._operators():
             for p in operator.parameters:
@@ -92,7 +92,7 @@ class EffectContract:
         require(bool(self.effect.equation and self.effect.apart), "equation and apart have to be said")
 
     def test_its_forms_can_be_fitted(self) -> None:
-        """Freedoms name parameters, starts lie within the bounds, and the side is allowed."""
+        """Each form frees existing parameters, starts within their bounds, and acts on an allowed side."""
         forms = self.effect.forms(_SCALE)
         require(bool(forms), "no forms: a diagnosis cannot look for it")
         for form in forms:
@@ -110,7 +110,7 @@ class EffectContract:
                     require(f.lower <= value <= f.upper, f"{form.label}: {f.name} starts at {value}, beyond its bounds")
 
     def _operators(self) -> Iterator[Operator]:
-        """Some operator of every form, the effect's own first."""
+        """An operator of each form of the effect."""
         kinds = (self.effect.operator, *self.effect.other_forms)
         for kind in kinds:
             yield kind.template(**{key: kind.default_sizes.get(key, 1) for key in kind.shape})
@@ -128,7 +128,7 @@ class EffectContract:
             yield self._with(values)
 
     def _signals(self) -> Iterator[tuple[str, Vec]]:
-        """A motion on each side, in the range of a catheter: steps, holds, a sine that grows, noise."""
+        """Test signal for each side: a growing sine, holds, steps and noise in the range of a catheter."""
         random, t = np.random.default_rng(1), _DT_S * np.arange(150)
         motion = 3.0 - np.cos(2.0 * t) * np.minimum(t, 3.0)
         motion[50:65] = motion[50]
@@ -146,7 +146,7 @@ def _stepped(operator: Operator) -> tuple[ca.Function, int]:
 
 
 def _run(operator: Operator, u: Vec) -> Vec:
-    """Output over `u` from rest at its first value."""
+    """Output of an operator for an input (T,), from rest at its first value."""
     step, _ = _stepped(operator)
     values = ca.DM(list(operator.values))
     x, y = operator.at_rest(ca.DM(u[0]), ca.DM(u[0]), values), np.empty(u.size)
@@ -157,7 +157,7 @@ def _run(operator: Operator, u: Vec) -> Vec:
 
 
 def _derivative_errors(operator: Operator, u: Vec) -> Vec:
-    """How far derivatives lie beyond the two one-sided difference quotients, relative; for each sample."""
+    """Relative distance of the derivatives from the interval of the one-sided difference quotients, by sample."""
     step, size = _stepped(operator)
     x, given, p = ca.SX.sym("x", size), ca.SX.sym("u"), ca.SX.sym("p", len(operator.values))
     y = step(x, given, p)[1]

@@ -1,4 +1,4 @@
-"""What every controller owes to the loop: a contract that a lab runs against its own control law."""
+"""Contract tests of control laws: what the closed loop relies on."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _STEPS = 200
 
 @dataclass(frozen=True, eq=False)
 class KnownDevice:
-    """A device that is known exactly: its model, limits, and the angles at its ends [deg]."""
+    """Simulated device whose model the control law knows exactly; the angles at its limits in [deg]."""
 
     known: ControllerModel
     limits: CommandLimits
@@ -35,13 +35,13 @@ class KnownDevice:
 
     @property
     def middle_deg(self) -> float:
-        """Angle half way [deg]."""
+        """Angle in the middle of the range [deg]."""
         return 0.5 * (self.low_deg + self.high_deg)
 
 
 @dataclass(frozen=True, eq=False)
 class LawRun:
-    """Angles (T,) [deg], commands (T,), where each came from; the controller's state and the angle at the end."""
+    """Closed-loop run: angles (T,) [deg], commands (T,) and their sources; state and angle at the end."""
 
     angles: Vec
     commands: Vec
@@ -51,7 +51,7 @@ class LawRun:
 
 
 class ControllerContract(ABC):
-    """Derive a class whose name begins with `Test`, give it `settings`, and run pytest.
+    """Contract tests of a control law: derive a class whose name begins with `Test`, give it `settings`, run pytest.
 
     The device is a Prandtl-Ishlinskii model, which the law may know: `model` names another.
 
@@ -65,13 +65,13 @@ class ControllerContract(ABC):
 
     @abstractmethod
     def settings(self) -> LawSettings:
-        """Of the controller that is tested."""
+        """Settings of the controller under test."""
 
     def test_its_settings_are_read_again_as_they_are_written(self) -> None:
-        """A run folder keeps them, and unknown keys are refused."""
+        """Settings that are written and read back are equal, and unknown keys are refused."""
         settings = self.settings()
-        again = type(settings).parse(settings.model_dump(mode="json"))
-        require(again == settings, f"written {settings}, read {again}")
+        second = type(settings).parse(settings.model_dump(mode="json"))
+        require(second == settings, f"written {settings}, read {second}")
         try:
             type(settings).parse({"no_such_key": 1})
         except ConfigError:
@@ -85,7 +85,7 @@ class ControllerContract(ABC):
         require(moved < 0.01 * (limits.upper - limits.lower), f"in a hold the command moves by {moved:.3g}")
 
     def test_it_settles_on_a_target_without_its_fallbacks(self) -> None:
-        """On the device that it knows, from rest to the middle of the range."""
+        """From rest the controller settles in the middle of the range, without its fallbacks."""
         target = self._device.middle_deg
         run = self._follow(np.full(_STEPS, target))
         wrong = sorted({str(s) for s in run.sources} - {str(Source.CONTROLLER), str(Source.MPC)})
@@ -94,16 +94,16 @@ class ControllerContract(ABC):
         require(off <= self.settled_deg, f"{off:.2f} deg off at the end of the hold, at most {self.settled_deg} deg")
 
     def test_the_same_state_gives_the_same_command(self) -> None:
-        """A state is its own snapshot: nothing is remembered elsewhere."""
+        """The command depends on the given state alone."""
         controller, run = self._controller, self._follow(np.full(_STEPS, self._device.middle_deg))
         wanted = np.full(controller.horizon, self._device.middle_deg + 0.3)
         first = controller.step(run.state, run.y, wanted)[0].u
         controller.step(run.state, run.y + 5.0, wanted + 3.0)
-        again = controller.step(run.state, run.y, wanted)[0].u
-        require(first == again, f"the same state gives {first} and then {again}")
+        second = controller.step(run.state, run.y, wanted)[0].u
+        require(first == second, f"the same state gives {first} and then {second}")
 
     def test_nothing_brings_it_beyond_the_limits(self) -> None:
-        """Missing and absurd measurements, absurd references; commands stay finite, within range and rate."""
+        """Commands stay finite, within range and rate, for any measurement and reference."""
         controller, limits = self._controller, self._device.limits
         random = np.random.default_rng(3)
         state, last = controller.init(self._device.low_deg, limits.lower), limits.lower
@@ -125,7 +125,7 @@ class ControllerContract(ABC):
             last = command.u
 
     def test_it_goes_on_after_missing_measurements(self) -> None:
-        """Five samples without an angle are bridged, and it settles on the target as before."""
+        """The controller settles on the target after five samples without a measurement."""
         target = self._device.middle_deg
         angles = self._follow(np.full(_STEPS, target), missing=range(20, 25)).angles
         off = float(np.max(np.abs(angles[-20:] - target)))
@@ -144,7 +144,7 @@ class ControllerContract(ABC):
         return build_controller(settings, *pair_for(settings, self._device.known), self._device.limits)
 
     def _follow(self, reference: Vec, missing: range = range(0)) -> LawRun:
-        """The closed loop on the known device."""
+        """Simulate the closed loop on the known device."""
         plant, controller, y = self._device.known.predictive[0], self._controller, self._device.low_deg
         device = plant.initial(y, self._device.limits.lower)
         state = controller.init(y, self._device.limits.lower)

@@ -1,4 +1,4 @@
-"""What holds at the device with any transport in the loop, also with one that raises, hangs or talks nonsense.
+"""Contract tests of the control loop with a transport that raises, hangs or returns invalid readings.
 
 Limits, ramps, stop and latch are the loop's. A transport can lose them nothing: it only can lose the wire, and then the
 run ends, says that the safe command was not sent, and the device's own watchdog has to act.
@@ -35,7 +35,7 @@ _AWAY = 1.0  # command to which the tests move, far from the safe one
 @final
 @dataclass
 class _Dropped:
-    """A sink that keeps nothing."""
+    """Sink that counts samples and stores none."""
 
     samples: int = 0
 
@@ -50,10 +50,10 @@ class _Dropped:
 @final
 @dataclass
 class _Failing(Transport):
-    """A transport that fails in its own way once a command has come near to where the run leads."""
+    """Transport that fails once a command has come near the target of the run."""
 
     inner: Transport
-    reads: Callable[[Reading | None], object] = lambda found: found
+    reads: Callable[[Reading | None], object] = lambda reading: reading
     writes: Callable[[], object] = lambda: None
     wrote: list[float] = field(default_factory=list)
 
@@ -67,8 +67,8 @@ class _Failing(Transport):
         return max(self.wrote, default=0.0) > 0.8 * _AWAY
 
     def read(self) -> Reading | None:
-        found = self.inner.read()
-        return self.reads(found) if self.fails else found  # type: ignore[return-value]  # nonsense is what it is for
+        reading = self.inner.read()
+        return self.reads(reading) if self.fails else reading  # type: ignore[return-value]  # nonsense is what it is for
 
     def write(self, command: float) -> None:
         if self.fails:
@@ -84,13 +84,13 @@ class _Failing(Transport):
 
 
 class LoopContract(Wired):
-    """Short runs of the real loop over the transport, on a device that follows at once; each takes about a second.
+    """Contract tests of short runs over a transport, on a device that follows at once; each takes a second.
 
     The wire speaks degrees and the run's unit.
     """
 
     def test_a_run_ends_at_the_safe_command(self) -> None:
-        """A run that nothing disturbs."""
+        """An undisturbed run ends at the safe command."""
         with self.connected() as c:
             outcome = self._run(c, c.transport, silence_s=1.0).outcome
             got = list(c.heard())
@@ -99,78 +99,73 @@ class LoopContract(Wired):
             self._is_safe(got)
 
     def test_a_read_that_raises_ends_in_a_stop(self) -> None:
-        """Any exception of a driver."""
-        with self.connected() as c:
-            self._stops(c, _Failing(c.transport, reads=_raise(RuntimeError("a driver's own"))), reached=True)
+        """An exception of a driver stops the run."""
+        self._stops(True, reads=_raise(RuntimeError("a driver's own")))
 
     def test_a_read_that_ends_the_program_ends_in_a_stop(self) -> None:
-        """A driver that calls `sys.exit` ends no program beside a moving device."""
-        with self.connected() as c:
-            self._stops(c, _Failing(c.transport, reads=_raise(SystemExit(1))), reached=True)
+        """A driver that calls `sys.exit` stops the run and does not end the program."""
+        self._stops(True, reads=_raise(SystemExit(1)))
 
     def test_a_read_that_returns_nonsense_ends_in_a_stop(self) -> None:
-        """Something that is no `Reading`."""
-        with self.connected() as c:
-            self._stops(c, _Failing(c.transport, reads=lambda found: "30.0"), reached=True)
+        """A reading of a wrong type stops the run."""
+        self._stops(True, reads=lambda reading: "30.0")
 
     def test_a_reading_without_numbers_ends_in_a_stop(self) -> None:
-        """Text in place of the angle."""
+        """Text in place of the angle stops the run."""
 
-        def spoilt(found: Reading | None) -> Reading | None:
-            return found and replace(found, angle_deg="30.0", held=None)  # type: ignore[arg-type]  # nonsense
+        def spoilt(reading: Reading | None) -> Reading | None:
+            return reading and replace(reading, angle_deg="30.0", held=None)  # type: ignore[arg-type]  # nonsense
 
-        with self.connected() as c:
-            self._stops(c, _Failing(c.transport, reads=spoilt), reached=True)
+        self._stops(True, reads=spoilt)
 
     def test_a_reading_from_the_future_ends_in_a_stop(self) -> None:
-        """A stamp of another clock, with which no angle would ever be old."""
+        """A time stamp in the future, with which no angle would ever be old, stops the run."""
 
-        def ahead(found: Reading | None) -> Reading | None:
-            return found and replace(found, received_ns=found.received_ns + 10**15)
+        def ahead(reading: Reading | None) -> Reading | None:
+            return reading and replace(reading, received_ns=reading.received_ns + 10**15)
 
-        with self.connected() as c:
-            self._stops(c, _Failing(c.transport, reads=ahead), reached=True)
+        self._stops(True, reads=ahead)
 
     def test_a_read_that_repeats_itself_ends_in_a_stop(self) -> None:
-        """One measurement for ever, and never None."""
+        """A measurement that is repeated for ever stops the run."""
         kept: list[Reading] = []
 
-        def same(found: Reading | None) -> Reading | None:
-            kept.extend([found] if found else [])
+        def same(reading: Reading | None) -> Reading | None:
+            kept.extend([reading] if reading else [])
             return kept[0] if kept else None
 
-        with self.connected() as c:
-            self._stops(c, _Failing(c.transport, reads=same), reached=True)
+        self._stops(True, reads=same)
 
     def test_a_write_that_raises_ends_the_run(self) -> None:
-        """The device talks, and no command leaves."""
-        with self.connected() as c:
-            self._stops(c, _Failing(c.transport, writes=_raise(RuntimeError("a driver's own"))), reached=False)
+        """A run ends if no command can be sent."""
+        self._stops(False, writes=_raise(RuntimeError("a driver's own")))
 
     def test_a_read_that_hangs_ends_the_run(self) -> None:
-        """It never comes back, so that nothing can be written either."""
-        with self.connected() as c, _hanging() as hang:
-            self._stops(c, _Failing(c.transport, reads=hang), reached=False)
+        """A run ends if reading blocks for ever."""
+        self._stops(False, hangs="reads")
 
     def test_a_write_that_hangs_ends_the_run(self) -> None:
-        """It never comes back."""
-        with self.connected() as c, _hanging() as hang:
-            self._stops(c, _Failing(c.transport, writes=hang), reached=False)
+        """A run ends if writing blocks for ever."""
+        self._stops(False, hangs="writes")
 
-    def _stops(self, c: Connected, transport: _Failing, reached: bool) -> None:
-        """The run stops, whatever the transport does, and says no more than is true.
+    def _stops(self, reached: bool, hangs: str = "", **how: Callable[..., object]) -> None:
+        """Run the loop over a transport that fails; it stops, and claims no more than is true.
 
         Args:
             reached: whether the wire still takes commands, so that the device is led to the safe one.
+            hangs: call that does not come back, `reads` or `writes`.
+            how: what the calls do, see `_Failing`.
         """
-        with TemporaryDirectory() as folder:
+        with self.connected() as c, TemporaryDirectory() as folder, _hanging() as hang:
+            how |= {hangs: hang} if hangs else {}
+            transport = _Failing(c.transport, **how)  # type: ignore[arg-type]  # names of its fields
             outcome = self._run(c, transport, _SILENCE_S, Path(folder)).outcome
             latched = json.loads((Path(folder) / "latch.json").read_text())["cause"]
+            got = list(c.heard())
         require(transport.fails, "the run ended before the transport failed")
         require(outcome.cause != "", "the run has to be stopped")
         require(latched == outcome.cause, f"latched {latched!r}, stopped for {outcome.cause!r}")
         require(math.isfinite(outcome.safe_s) == reached, f"safe command at {outcome.safe_s}, {outcome.cause}")
-        got = list(c.heard())
         self._is_within(got)
         if reached:
             self._is_safe(got)
@@ -188,7 +183,7 @@ class LoopContract(Wired):
         require(self.near(got[-1], 0.0), f"the last command has to be the safe one, 0; the device got {got[-1]}")
 
     def _run(self, c: Connected, transport: Transport, silence_s: float, folder: Path | None = None) -> BenchResult:
-        """Up to `_AWAY` and rest there for a second."""
+        """Run the loop: a motion to `_AWAY` and a hold of a second."""
         with TemporaryDirectory() as spare:
             settings = BenchSettings.parse(
                 {
@@ -223,7 +218,7 @@ class LoopContract(Wired):
 
 @contextmanager
 def _following(c: Connected) -> Iterator[None]:
-    """The device's end, 100 times a second: it holds what it was sent last, and its angle follows at once."""
+    """Context with a simulated device, 100 samples a second, that holds the last command and follows at once."""
     over = Event()
 
     def go() -> None:
@@ -242,11 +237,11 @@ def _following(c: Connected) -> Iterator[None]:
 
 @contextmanager
 def _hanging() -> Iterator[Callable[..., None]]:
-    """A call that does not come back while the block lasts."""
+    """Context with a function that blocks until its end."""
     over = Event()
 
-    def hang(*found: object) -> None:
-        del found
+    def hang(*reading: object) -> None:
+        del reading
         over.wait()
 
     try:
@@ -257,8 +252,8 @@ def _hanging() -> Iterator[Callable[..., None]]:
 
 
 def _raise(error: BaseException) -> Callable[..., object]:
-    def fail(*found: object) -> object:
-        del found
+    def fail(*reading: object) -> object:
+        del reading
         raise error
 
     return fail

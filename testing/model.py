@@ -1,7 +1,8 @@
-"""What every model and every kind of model owes: contracts that a lab runs against its own."""
+"""Contract tests of models, of kinds of models, and of plants behind the closed loop."""
 
 from __future__ import annotations
 
+import math
 import tempfile
 from abc import ABC, abstractmethod
 from functools import cached_property
@@ -9,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from hystmpc.ctrl.loop import Plant
 from hystmpc.models.contract.export import export_onnx
 from hystmpc.models.contract.load import load_onnx
 from hystmpc.models.evaluate import evaluate, free_run
@@ -26,7 +28,7 @@ _HOLD_S = 20.0
 
 
 class ModelContract(ABC):
-    """Derive a class whose name begins with `Test`, give it `model`, and run pytest.
+    """Contract tests of a model: derive a class whose name begins with `Test`, give it `model`, run pytest.
 
     Attributes:
         low, high: ends of the command's range [mm or bar].
@@ -49,7 +51,7 @@ class ModelContract(ABC):
         self._same(self._model.output(x), y, "the output of the state at the start is not the measured angle")
 
     def test_a_step_leaves_the_state_alone_and_repeats_itself(self) -> None:
-        """All memory is in the state that the caller holds: a planner can branch and return."""
+        """A step does not change its arguments and depends on them alone: a planner can branch and return."""
         x, u = self._states(), np.full((4, 1), 0.5 * (self.low + self.high))
         kept = x.copy()
         once = np.array(self._model.step(x, u))
@@ -58,13 +60,13 @@ class ModelContract(ABC):
         self._same(self._model.step(x, u), once, "the same state and command give another next state")
 
     def test_a_batch_is_its_rows(self) -> None:
-        """Plans are predicted side by side."""
+        """A batch gives the same as its rows one by one."""
         x, u = self._states(), np.linspace(self.low, self.high, 4)[:, None]
         rows = [self._model.output(self._model.step(x[k : k + 1], u[k : k + 1])) for k in range(4)]
         self._same(self._model.output(self._model.step(x, u)), np.vstack(rows), "a batch differs from its rows")
 
     def test_every_command_gives_an_angle_and_some_give_others(self) -> None:
-        """Finite over slow and fast motions of the whole range, and not constant."""
+        """The angle is finite over slow and fast motions of the whole range, and not constant."""
         require(bool(np.all(np.isfinite(self._angles))), "the angle is not finite")
         require(float(np.ptp(self._angles)) > 0.0, "the angle does not depend on the command")
 
@@ -82,7 +84,7 @@ class ModelContract(ABC):
 
     @cached_property
     def _angles(self) -> Vec:
-        """Of a motion over the whole range: a slow sine, then jumps."""
+        """Angles of a motion over the whole range: a slow sine, then jumps."""
         t = np.arange(self._count(20.0)) * self._model.dt
         share = np.where(t < 12.0, 0.5 - 0.5 * np.cos(np.pi * t / 3.0), np.floor(t) % 2)
         return _run(self._model, self.low + (self.high - self.low) * share, self._first())
@@ -108,7 +110,7 @@ class ModelContract(ABC):
 
 
 class KindContract(ModelContract):
-    """Derive a class whose name begins with `Test`, give it `kind`, and run pytest.
+    """Contract tests of a kind of model: derive a class whose name begins with `Test`, give it `kind`, run pytest.
 
     The trials are those of a simulated catheter with backlash. The model that is identified from them is exported,
     loaded, and has to keep `ModelContract` as well.
@@ -130,7 +132,7 @@ class KindContract(ModelContract):
     def _loaded(self) -> LoadedModel:
         with tempfile.TemporaryDirectory() as folder:
             file = Path(folder) / "model.onnx"
-            export_onnx(self._found.bundle, file)
+            export_onnx(self._identified.bundle, file)
             return load_onnx(file)
 
     def test_it_follows_a_trial_that_it_has_not_seen(self) -> None:
@@ -142,7 +144,7 @@ class KindContract(ModelContract):
 
     def test_the_file_runs_as_its_reference(self) -> None:
         """The graph that onnxruntime runs is the step that was identified, in every sample of a trial."""
-        reference, trial = self._found.bundle.reference, self._trials[-1]
+        reference, trial = self._identified.bundle.reference, self._trials[-1]
         state, angles = self._loaded.at_rest(float(trial.angle[0]), float(trial.command[0]))[None], []
         for u in trial.command.tolist():
             theta, state = reference.advance(state, np.array([[u]]))
@@ -151,9 +153,9 @@ class KindContract(ModelContract):
         require(off <= 1e-3, f"file and reference differ by {off:.3g} deg, expected at most 0.001 deg")
 
     def test_its_report_is_one_line_and_its_facts_are_those_of_the_trials(self) -> None:
-        """Units, sample time and range come from what was recorded."""
-        facts, units = self._found.bundle.metadata, self._trials[0].units
-        require("\n" not in self._found.report, "the report has several lines")
+        """The report is one line; units and sample time are those of the trials."""
+        facts, units = self._identified.bundle.metadata, self._trials[0].units
+        require("\n" not in self._identified.report, "the report has several lines")
         require((facts.command_unit, facts.angle_unit) == (units.command, units.angle), "the units are not the trials'")
         require(abs(facts.dt_s - self._trials[0].dt) < 1e-9, f"sample time {facts.dt_s} s, the trials' is another")
 
@@ -187,8 +189,73 @@ class KindContract(ModelContract):
         ]
 
     @cached_property
-    def _found(self) -> Identified:
+    def _identified(self) -> Identified:
         return self.kind.fit(self._trials[:-1], self.request)
+
+
+class PlantContract(ABC):
+    """Contract tests of a plant: derive a class whose name begins with `Test`, give it `plant`, run pytest.
+
+    A real device moves in these tests.
+
+    Attributes:
+        low, high: ends of the command's range that the tests may use [mm or bar].
+        noise_deg: greatest difference between two readings of one angle [deg].
+    """
+
+    low: float = 0.0
+    high: float = 6.0
+    noise_deg: float = 1e-9
+
+    @abstractmethod
+    def plant(self) -> Plant:
+        """The plant that is tested."""
+
+    def test_a_reset_finds_it_at_rest_and_the_same_each_time(self) -> None:
+        """The same commands give the same angles, whatever was done before the reset."""
+        first, second = self._motion(), self._motion()
+        off = float(np.max(np.abs(first - second)))
+        require(off <= self.noise_deg, f"the same motion after a reset differs by {off:.3g} deg")
+
+    def test_its_sample_time_is_a_time(self) -> None:
+        """The sample time is positive and finite."""
+        require(0.0 < self._plant.dt < math.inf, f"dt is {self._plant.dt} s")
+
+    def test_every_command_is_answered_by_a_finite_angle(self) -> None:
+        """Angles are finite for motions and jumps over the whole range."""
+        angles = self._motion()
+        require(bool(np.all(np.isfinite(angles))), "an angle is not finite")
+
+    def test_it_moves(self) -> None:
+        """The angle follows the command by more than the noise."""
+        moved = float(np.ptp(self._motion()))
+        require(moved > 3.0 * self.noise_deg, f"the angle moves by {moved:.3g} deg over the whole range")
+
+    def test_stop_is_allowed_at_any_time_and_twice(self) -> None:
+        """A stop is allowed before the first reset, in motion, and twice; a reset then starts as before."""
+        plant = self.plant()
+        plant.stop()
+        first = plant.reset()
+        for _ in range(5):
+            plant.apply(self.high)
+        plant.stop()
+        plant.stop()
+        off = abs(plant.reset() - first)
+        require(off <= self.noise_deg, f"after a stop a reset finds it {off:.3g} deg away")
+
+    @cached_property
+    def _plant(self) -> Plant:
+        return self.plant()
+
+    def _motion(self) -> Vec:
+        """Angles (T,) from a reset on [deg]; the plant is stopped behind it."""
+        k = np.arange(60)
+        share = np.where(k < 40, 0.5 - 0.5 * np.cos(0.3 * k), k % 2)
+        try:
+            first = self._plant.reset()
+            return np.array([first, *(self._plant.apply(float(u)) for u in self.low + (self.high - self.low) * share)])
+        finally:
+            self._plant.stop()
 
 
 def _run(model: Model, commands: Vec, y: float) -> Vec:

@@ -32,7 +32,7 @@ def lazily(package: str, *names: tuple[str, str]) -> Callable[[str], Any]:
     """The `__getattr__` of a package (PEP 562) that imports a module when one of its names is first asked for.
 
     Args:
-        package: `__name__` of the package, which lists the same names in `__all__`.
+        package: `__name__` of the package, whose `__all__` has the same names: `names` of what is returned.
         names: module and names in it, separated by blanks; `NAME=OTHER` makes the module's OTHER the package's NAME.
     """
     home = {entry.partition("=")[0]: (module, entry) for module, text in names for entry in text.split()}
@@ -45,6 +45,7 @@ def lazily(package: str, *names: tuple[str, str]) -> Callable[[str], Any]:
         setattr(import_module(package), name, value)  # asked for once
         return value
 
+    getattribute.names = list(home)  # type: ignore[attr-defined]  # for `__all__`
     return getattribute
 
 

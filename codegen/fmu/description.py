@@ -28,13 +28,12 @@ _BASE_UNITS: Mapping[str, Mapping[str, str]] = MappingProxyType(
         "A": {"A": "1"},
     }
 )
-_STEPS = "canHandleVariableCommunicationStepSize"
 _EXPERIMENT_S = 10.0
 
 
 @dataclass(frozen=True)
 class Described:
-    """What the descriptions say of a device.
+    """Facts of a device in its descriptions.
 
     Attributes:
         name, identifier: for people, and for C and file names.
@@ -65,7 +64,7 @@ class Described:
 
     @property
     def words(self) -> str:
-        """One line for people."""
+        """Description in one line."""
         return (
             f"{self.chain}; command [{self.command_unit}] to {self.output} [{self.output_unit}], "
             f"a step every {self.sample_s:g} s; without the noise of a sensor"
@@ -79,7 +78,34 @@ def model_description(described: Described, version: str, source: str) -> str:
     root.set("description", described.words)
     root.set("generationTool", described.tool)
     root.set("variableNamingConvention", "flat")
-    (_body_2 if version == "2.0" else _body_3)(root, described, source)
+    two = version == "2.0"
+    kind = SubElement(root, "CoSimulation", modelIdentifier=described.identifier)
+    kind.set("canHandleVariableCommunicationStepSize", "false")
+    for name in ("canGetAndSetFMU", "canSerializeFMU"):
+        kind.set(f"{name}{'state' if two else 'State'}", "true")
+    if two:
+        root.set("numberOfEventIndicators", "0")
+        SubElement(SubElement(kind, "SourceFiles"), "File", name=source)
+    else:  # its sources stand in buildDescription.xml
+        kind.set("fixedInternalStepSize", repr(described.sample_s))
+    _add_units(root, described)
+    categories = SubElement(root, "LogCategories")
+    for name in ("logStatusDiscard", "logStatusError"):
+        SubElement(categories, "Category", name=name)
+    stop = max(1, round(_EXPERIMENT_S / described.sample_s)) * described.sample_s
+    SubElement(root, "DefaultExperiment", startTime="0", stopTime=repr(stop), stepSize=repr(described.sample_s))
+    variables = SubElement(root, "ModelVariables")
+    for shared, real in _variables(described):
+        if two:
+            SubElement(SubElement(variables, "ScalarVariable", shared), "Real", real)
+        else:
+            SubElement(variables, "Float64", {**shared, **real})
+    structure = SubElement(root, "ModelStructure")
+    for group in ("Output", "InitialUnknown"):
+        if two:  # the index counts variables from one
+            SubElement(SubElement(structure, f"{group}s"), "Unknown", index=str(OUTPUT + 1), dependencies="")
+        else:
+            SubElement(structure, group, valueReference=str(OUTPUT), dependencies="")
     return _text(root)
 
 
@@ -93,77 +119,30 @@ def build_description(described: Described, source: str) -> str:
     return _text(root)
 
 
-def _body_2(root: Element, described: Described, source: str) -> None:
-    root.set("numberOfEventIndicators", "0")
-    kind = SubElement(root, "CoSimulation", modelIdentifier=described.identifier)
-    kind.set(_STEPS, "false")
-    kind.set("canGetAndSetFMUstate", "true")
-    kind.set("canSerializeFMUstate", "true")
-    SubElement(SubElement(kind, "SourceFiles"), "File", name=source)
-    _units(root, described)
-    _categories(root)
-    _experiment(root, described)
-    variables = SubElement(root, "ModelVariables")
-    for shared, unit, real in _variables(described):
-        SubElement(SubElement(variables, "ScalarVariable", shared), "Real", {"unit": unit, **real})
-    structure = SubElement(root, "ModelStructure")
-    for group in ("Outputs", "InitialUnknowns"):  # the index counts variables from one
-        SubElement(SubElement(structure, group), "Unknown", index=str(OUTPUT + 1), dependencies="")
-
-
-def _body_3(root: Element, described: Described, source: str) -> None:
-    del source  # stands in buildDescription.xml
-    kind = SubElement(root, "CoSimulation", modelIdentifier=described.identifier)
-    kind.set(_STEPS, "false")
-    kind.set("canGetAndSetFMUState", "true")
-    kind.set("canSerializeFMUState", "true")
-    kind.set("fixedInternalStepSize", repr(described.sample_s))
-    _units(root, described)
-    _categories(root)
-    _experiment(root, described)
-    variables = SubElement(root, "ModelVariables")
-    for shared, unit, real in _variables(described):
-        SubElement(variables, "Float64", {**shared, "unit": unit, **real})
-    structure = SubElement(root, "ModelStructure")
-    for group in ("Output", "InitialUnknown"):
-        SubElement(structure, group, valueReference=str(OUTPUT), dependencies="")
-
-
-def _variables(described: Described) -> list[tuple[dict[str, str], str, dict[str, str]]]:
-    """Attributes of the variable, its unit, attributes of its type."""
+def _variables(described: Described) -> list[tuple[dict[str, str], dict[str, str]]]:
+    """Attributes of each variable, and of its type."""
     low, high = described.limits
     held = {"min": repr(low), "max": repr(high), "start": repr(described.rest_command)}
-    found = [
+    rows = [
         (TIME, "time", "independent", "", "s", {}),
         (COMMAND, "command", "input", "held over each step", described.command_unit, held),
         (OUTPUT, described.output, "output", "true value at the end of each step", described.output_unit, {}),
     ]
-    made = []
-    for reference, name, causality, text, unit, more in found:
+    variables = []
+    for reference, name, causality, text, unit, more in rows:
         shared = {"name": name, "valueReference": str(reference), "causality": causality, "variability": "continuous"}
         shared |= {"description": text} if text else {}
         shared |= {"initial": "calculated"} if reference == OUTPUT else {}
-        made.append((shared, unit, more))
-    return made
+        variables.append((shared, {"unit": unit, **more}))
+    return variables
 
 
-def _units(root: Element, described: Described) -> None:
+def _add_units(root: Element, described: Described) -> None:
     units = SubElement(root, "UnitDefinitions")
     for name in dict.fromkeys(("s", described.command_unit, described.output_unit)):
         unit = SubElement(units, "Unit", name=name)
         if name in _BASE_UNITS:
             SubElement(unit, "BaseUnit", dict(_BASE_UNITS[name]))
-
-
-def _categories(root: Element) -> None:
-    categories = SubElement(root, "LogCategories")
-    for name in ("logStatusDiscard", "logStatusError"):
-        SubElement(categories, "Category", name=name)
-
-
-def _experiment(root: Element, described: Described) -> None:
-    stop = max(1, round(_EXPERIMENT_S / described.sample_s)) * described.sample_s
-    SubElement(root, "DefaultExperiment", startTime="0", stopTime=repr(stop), stepSize=repr(described.sample_s))
 
 
 def _text(root: Element) -> str:

@@ -1,8 +1,9 @@
-"""`export_fmu`: a simulator becomes an FMU with sources and binaries."""
+"""Export of a simulator as an FMU, with C sources, and binaries from the machine's compiler or the wheel `ziglang`."""
 
 from __future__ import annotations
 
 import io
+import platform
 import re
 import zipfile
 from collections.abc import Mapping, Sequence
@@ -10,6 +11,7 @@ from dataclasses import dataclass, replace
 from importlib import resources
 from importlib.metadata import version as version_of
 from pathlib import Path
+from types import MappingProxyType
 from typing import Literal, get_args
 
 from hystmpc.models.operators.measurement import Sensor
@@ -19,8 +21,8 @@ from hystmpc.trials.files import write_atomically
 from hystmpc.trials.json_text import text_hash
 from hystmpc.trials.types import Vec
 
+from ..compiler import compiler, shared_library, zig
 from ..steps import Step, functions_used, number, step_source
-from .binary import PLATFORMS, compiled, host_platform
 from .description import Described, build_description, model_description
 
 FmuVersion = Literal["2.0", "3.0"]
@@ -34,8 +36,41 @@ _OLDEST = (1980, 1, 1, 0, 0, 0)  # of a zip file: equal devices give equal bytes
 
 
 @dataclass(frozen=True)
+class Platform:
+    """A machine for which a binary can be made.
+
+    Attributes:
+        system: as Python names it.
+        tuple3: name in FMI 3.0; the key in `PLATFORMS` is that in FMI 2.0.
+        target: of ziglang; an old C library, so that the binary runs on older systems too.
+        ending: of a shared library.
+    """
+
+    system: str
+    tuple3: str
+    target: str
+    ending: str
+
+    def path(self, identifier: str, version: str) -> str:
+        """Path of its binary inside the FMU."""
+        folder = self.tuple3 if version == "3.0" else _NAMES_2[self.tuple3]
+        return f"binaries/{folder}/{identifier}.{self.ending}"
+
+
+_NAMES_2 = MappingProxyType({"x86_64-linux": "linux64", "x86_64-windows": "win64", "x86_64-darwin": "darwin64"})
+PLATFORMS: Mapping[str, Platform] = MappingProxyType(
+    {
+        "linux64": Platform("Linux", "x86_64-linux", "x86_64-linux-gnu.2.17", "so"),
+        "win64": Platform("Windows", "x86_64-windows", "x86_64-windows-gnu", "dll"),
+        "darwin64": Platform("Darwin", "x86_64-darwin", "x86_64-macos", "dylib"),
+    }
+)
+"""Machines by the names that FMI 2.0 has for them."""
+
+
+@dataclass(frozen=True)
 class FmuExport:
-    """A simulator as an FMU.
+    """Simulator as an FMU.
 
     Attributes:
         described: what modelDescription.xml says of it.
@@ -72,7 +107,7 @@ def export_fmu(
     platforms: Sequence[str] | None = None,
     rest_command: float | None = None,
 ) -> FmuExport:
-    """A simulator as a co-simulation FMU: command in, output out, one step a sample.
+    """Export a simulator as a co-simulation FMU: command in, output out, one step a sample.
 
     It starts where `rest` says and repeats the Python simulator to rounding. The command is held over a step.
 
@@ -127,13 +162,13 @@ def _check(simulator: Simulator, version: str) -> None:
 
 
 def _identifier(name: str) -> str:
-    """A name that C takes."""
+    """Name of the model as an identifier of C."""
     plain = re.sub(r"\W+", "_", name, flags=re.ASCII).strip("_")[:60]
     return plain if re.match("[A-Za-z]", plain) else f"device_{plain}".rstrip("_")
 
 
 def _token(described: Described, step: str, rest: tuple[float, Vec], version: str) -> str:
-    """A name for exactly this device: its states are accepted by no other FMU."""
+    """Token of exactly this device: its states are accepted by no other FMU."""
     text = repr((described, step, rest[0], rest[1].tolist(), version))
     digits = text_hash(text)
     return "{" + "-".join((digits[:8], digits[8:12], digits[12:16], digits[16:20], digits[20:32])) + "}"
@@ -180,12 +215,20 @@ def _binaries(
     for name in platforms or ():
         if name not in PLATFORMS:
             raise ExportError(f"export-fmu: got platform {name}, {did_you_mean(name, PLATFORMS)}")
-    own = host_platform()
-    wanted = ((own,) if own else ()) if platforms is None else tuple(platforms)
-    found = {PLATFORMS[name].path(identifier, version): compiled(name, sources, _SOURCE) for name in wanted}
-    missing = [name for name in platforms or () if found[PLATFORMS[name].path(identifier, version)] is None]
-    if missing:
+    usual = platform.machine().lower() in ("x86_64", "amd64")  # the standards have no common name for others
+    host = [name for name, known in PLATFORMS.items() if usual and known.system == platform.system()]
+    wanted, binaries, missing = host if platforms is None else platforms, {}, []
+    for name in wanted:
+        command = (compiler() if name in host else None) or zig("-target", PLATFORMS[name].target)
+        if command is None:
+            missing.append(name)
+            continue
+        flags = ["-O2", "-fvisibility=hidden", "-DFMI3_OVERRIDE_FUNCTION_PREFIX", "-s"]
+        flags += [] if name == "win64" else ["-fPIC"]
+        path = PLATFORMS[name].path(identifier, version)
+        binaries[path] = shared_library(command, flags, sources, _SOURCE)
+    if missing and platforms is not None:
         raise ExportError(
             f"export-fmu: no compiler for {', '.join(missing)}: install ziglang (pip install ziglang), or a C compiler"
         )
-    return {path: content for path, content in found.items() if content is not None}
+    return binaries

@@ -6,11 +6,11 @@ from collections.abc import Iterable, Iterator
 from functools import cache
 from typing import Literal, get_args, get_origin
 
-from hystmpc.cli.schema import FILES, settings_of
-from hystmpc.cli.settings_reference import Key, keys_of, reachable, summary_of
+from hystmpc.cli.reference import FILES, reachable, settings_of, summary_of
 from hystmpc.models.contract.metadata import ModelMetadata
 from hystmpc.trials.config import Settings
 
+from .keys import Key, keys_of
 from .tables import anchor, sentence, table
 
 Block = type[Settings]

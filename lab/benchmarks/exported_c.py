@@ -28,8 +28,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 from kit import asked
 
 from hystmpc.codegen import ControllerExport, export_controller
-from hystmpc.codegen.build import FLAGS
 from hystmpc.codegen.compiler import compiler
+from hystmpc.codegen.library import FLAGS
 from hystmpc.trials.types import Mat
 from tests.codegen.compiled import EXAMPLES, Library
 from tests.codegen.loops import Compared, compare

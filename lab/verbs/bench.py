@@ -11,7 +11,6 @@ import typer
 
 from hystmpc.cli.bars import progress_of
 from hystmpc.cli.console import INTERRUPTED, errors, out, plain_console, table
-from hystmpc.cli.options import Force
 from hystmpc.tasks.outputs import BENCHMARK, check_output
 from hystmpc.trials.files import write_atomically
 from hystmpc.trials.run_folder import require_vacant
@@ -31,7 +30,7 @@ def bench(
     ] = None,
     json_file: Annotated[Path | None, typer.Option("--json", help="Write hystmpc-bench/1 here.")] = None,
     quick: Annotated[bool, typer.Option("--quick", help="Few repetitions: rough ratios.")] = False,
-    force: Force = False,
+    force: Annotated[bool, typer.Option("--force", help="Replace an older file of the same kind.")] = False,
 ) -> None:
     """Time the controllers and their peers on this machine.
 

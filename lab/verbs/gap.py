@@ -10,7 +10,6 @@ import typer
 
 from hystmpc.cli.bars import progress_of
 from hystmpc.cli.console import errors, out, table
-from hystmpc.cli.options import LayoutName, Logs
 from hystmpc.models.simulator import load_simulator
 from hystmpc.trials.read import read_trials
 from hystmpc.trials.run_folder import require_vacant
@@ -24,6 +23,10 @@ blind = typer.Typer(no_args_is_help=True, help="Sealed cases with known causes: 
 gap.add_typer(blind, name="blind")
 
 Folder = Annotated[Path, typer.Argument(metavar="DIR", help="Folder of `hystmpc gap blind make`.")]
+Logs = Annotated[list[Path], typer.Argument(metavar="LOG", help="Recorded trials or folders of them.")]
+LayoutName = Annotated[
+    str, typer.Option("--layout", help="Layout of the logs: auto, a name, or a mapping file *.yaml.")
+]
 Jobs = Annotated[int | None, typer.Option(min=1, help="Processes, one thread each; else one a core.")]
 
 

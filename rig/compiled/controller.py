@@ -14,10 +14,9 @@ from typing import Any, final
 
 import numpy as np
 
-from hystmpc.codegen.build import controller_library
 from hystmpc.codegen.controller import ControllerExport, export_controller
 from hystmpc.codegen.layout import structs
-from hystmpc.codegen.loaded import LoadedController
+from hystmpc.codegen.library import LoadedController, controller_library
 from hystmpc.ctrl.command import EMPTY, Command, Source, Stopwatch, Timing
 from hystmpc.ctrl.estimation.observer import Estimate, usable_angle
 from hystmpc.ctrl.feedback import LEVELS

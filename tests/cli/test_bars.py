@@ -10,8 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rich.console import Console
 
-from hystmpc.cli.bars import EVERY_S, FIRST_S, Screen
-from hystmpc.cli.time_left import EVEN
+from hystmpc.cli.bars import EVEN, EVERY_S, FIRST_S, Screen
 from hystmpc.models.kernels.compiling import Compilation, watching
 from hystmpc.sim.jobs import Processes
 

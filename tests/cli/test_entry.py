@@ -10,10 +10,13 @@ import time
 from importlib.metadata import version
 
 import pytest
+import typer
 
-from hystmpc.cli.main import VERBS
-
-from ..conftest import ROOT
+from hystmpc.cli.main import VERBS, app
+from hystmpc.cli.verb import entries_of
+from hystmpc.models.kinds.catalogue import kind_names
+from hystmpc.tasks.fit import fit
+from hystmpc.trials.layouts import LAYOUTS
 
 
 @pytest.mark.slow
@@ -97,5 +100,15 @@ def test_a_shell_completes_verbs_and_options(typed: str, word: str, offered: set
     assert set(program(**shell).stdout.split()) == offered
 
 
-def test_every_verb_has_a_file_of_its_name() -> None:
-    assert [verb for verb in VERBS if not (ROOT / "cli" / f"{verb.replace('-', '_')}.py").is_file()] == []
+def test_every_verb_can_be_made_and_explains_each_option() -> None:
+    program = typer.main.get_command(app)
+    context = program.make_context("hystmpc", [], resilient_parsing=True)
+    for verb in VERBS:
+        command = program.get_command(context, verb)  # type: ignore[attr-defined]  # it is a group
+        assert [option.name for option in command.params if not getattr(option, "help", "")] == []
+
+
+def test_the_help_names_every_kind_of_model_and_every_layout() -> None:
+    meanings = entries_of(fit.__doc__, "Args")
+    assert [name for name in kind_names() if name not in meanings["kind"]] == []
+    assert [layout.name for layout in LAYOUTS if layout.name not in meanings["layout"]] == []

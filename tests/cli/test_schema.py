@@ -11,8 +11,7 @@ import pytest
 from typer.testing import CliRunner
 
 from hystmpc.cli.main import app
-from hystmpc.cli.schema import FILES, settings_of
-from hystmpc.cli.settings_reference import json_schema, keys_of, reachable
+from hystmpc.cli.reference import FILES, json_schema, settings_of
 from hystmpc.trials.config import read_yaml
 from hystmpc.trials.errors import ConfigError
 
@@ -57,13 +56,6 @@ def test_examples_fit_their_schema(name: str, kind: str) -> None:
 @pytest.mark.parametrize("file", sorted((ROOT / "models" / "library").glob("*.yaml")), ids=lambda file: file.stem)
 def test_simulators_that_ship_fit_theirs(file: Path) -> None:
     assert [error.message for error in checker("simulator").iter_errors(read_yaml(file))] == []
-
-
-@pytest.mark.parametrize("kind", FILES)
-def test_every_key_has_a_meaning(kind: str) -> None:
-    blocks = reachable(settings_of(kind))
-    assert blocks
-    assert [f"{block.__name__}.{key.name}" for block in blocks for key in keys_of(block) if not key.meaning] == []
 
 
 def descriptions(schema: dict[str, Any]) -> list[str]:

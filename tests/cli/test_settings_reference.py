@@ -9,8 +9,10 @@ import jsonschema
 import pytest
 from pydantic import Field, ValidationError
 
-from hystmpc.cli.settings_reference import json_schema, keys_of, meanings_of, reachable, summary_of
+from hystmpc.cli.reference import json_schema, meanings_of, reachable, summary_of
 from hystmpc.trials.config import Settings
+
+from ..front.site_pages import extension
 
 
 class Inner(Settings):
@@ -65,7 +67,7 @@ class Outer(Base):
 
 @pytest.fixture
 def keys() -> dict[str, Any]:
-    return {key.name: key for key in keys_of(Outer)}
+    return {key.name: key for key in extension().keys.keys_of(Outer)}
 
 
 def test_meanings_are_those_of_the_nearest_class() -> None:
@@ -92,7 +94,7 @@ def test_keys_in_words(keys: dict[str, Any]) -> None:
 
 
 def test_the_key_that_tells_kinds_apart_stands_first() -> None:
-    first, width = keys_of(Inner)
+    first, width = extension().keys.keys_of(Inner)
     assert (first.name, first.accepts) == ("kind", "`inner`")
     assert first.meaning
     assert (width.unit, width.bounds) == ("mm", "above 0")

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hystmpc.cli.time_left import EVEN, RISE_PER_S, Pace, TimeLeft, clock_words
+from hystmpc.cli.bars import EVEN, RISE_PER_S, Pace, TimeLeft, clock_words
 
 SPEEDS = st.lists(st.floats(0.25, 1.0), min_size=2, max_size=6)  # of stages, four times as fast at most
 

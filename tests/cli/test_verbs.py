@@ -14,8 +14,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hystmpc.cli.fit import limits_line
 from hystmpc.cli.main import main
+from hystmpc.cli.models import limits_line
 from hystmpc.models.contract.metadata import DeviceLimits, Range
 from hystmpc.models.simulator import ChainModel
 from hystmpc.trials.csv_files import read_csv, write_csv

@@ -21,7 +21,7 @@ from typer.testing import CliRunner
 from hystmpc.cli.main import app
 from hystmpc.codegen import export_fmu
 from hystmpc.codegen.fmu import FmuVersion
-from hystmpc.codegen.fmu.binary import PLATFORMS
+from hystmpc.codegen.fmu.export import PLATFORMS
 from hystmpc.models.chain import Chain, operators
 from hystmpc.models.load import library_file
 from hystmpc.models.operators.measurement import Sensor
@@ -332,7 +332,7 @@ def test_binaries_for_other_machines(tmp_path: Path) -> None:
 
 def test_without_a_compiler_there_are_sources(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     for name in ("compiler", "zig"):
-        monkeypatch.setattr(f"hystmpc.codegen.fmu.binary.{name}", lambda *_: None)
+        monkeypatch.setattr(f"hystmpc.codegen.fmu.export.{name}", lambda *_: None)
     done = CliRunner().invoke(app, ["export-fmu", "builtin:pi", "--out", str(tmp_path / "pi.fmu")])
     assert done.exit_code == 0, done.output
     assert "sources only: no C compiler was found for this machine" in " ".join(done.output.split())

@@ -48,7 +48,10 @@ def test_every_name_is_there_and_known_to_a_type_checker(package: str) -> None:
     tree = ast.parse(Path(str(module.__file__)).read_text(encoding="utf-8"))
     guards = [n for n in tree.body if isinstance(n, ast.If) and ast.unparse(n.test) == "TYPE_CHECKING"]
     typed = {a.asname or a.name for g in guards for n in g.body if isinstance(n, ast.ImportFrom) for a in n.names}
-    assert set(module.__all__) - {"__version__"} == typed
+    renamed = {
+        ast.unparse(n.value): ast.unparse(n.targets[0]) for g in guards for n in g.body if isinstance(n, ast.Assign)
+    }
+    assert set(module.__all__) - {"__version__"} == {renamed.get(name, name) for name in typed}
     assert [name for name in module.__all__ if getattr(module, name, None) is None] == []
     assert not hasattr(module, "nothing_of_this_name")
 

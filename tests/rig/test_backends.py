@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hystmpc.codegen import build
+from hystmpc.codegen import library
 from hystmpc.codegen.compiler import EXPECTED, compiler
 from hystmpc.ctrl import TipController
 from hystmpc.ctrl.planner.settings import TipSettings, assemble
@@ -272,10 +272,10 @@ def test_no_compiler_is_said_in_one_line_that_lists_what_would_do(monkeypatch: p
 
 
 def test_a_compiler_that_fails_leaves_no_library(monkeypatch: pytest.MonkeyPatch) -> None:
-    before = dict(build._made)
+    before = dict(library._made)
     monkeypatch.setenv("CC", "false")
     assert "the C compiler false fails" in refused(horizon=7)  # nobody has compiled this one
-    assert build._made == before
+    assert library._made == before
 
 
 def test_a_recording_has_no_controller_to_compile() -> None:

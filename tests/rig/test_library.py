@@ -10,10 +10,9 @@ from typing import Any
 
 import pytest
 
-from hystmpc.codegen import build, export_controller
-from hystmpc.codegen.build import controller_library
+from hystmpc.codegen import export_controller
 from hystmpc.codegen.compiler import EXPECTED, compiler
-from hystmpc.codegen.loaded import LoadedController
+from hystmpc.codegen.library import LoadedController, controller_library
 from hystmpc.ctrl.planner.settings import TipSettings, assemble
 from hystmpc.rig.compiled.controller import compiled_controller
 from hystmpc.trials.errors import ConfigError, ExportError
@@ -33,7 +32,7 @@ def test_a_process_compiles_a_source_once_and_loads_nothing_that_another_has_lef
 ) -> None:
     """A file that was planted, cut or broken since in a folder of caches is not even looked at."""
     monkeypatch.setenv("HYSTMPC_CACHE_DIR", str(tmp_path))
-    monkeypatch.setattr(build, "_made", {})
+    monkeypatch.setattr("hystmpc.codegen.library._made", {})
     export = export_controller(PLAIN)
     made = controller_library(export)
     assert stat.S_IMODE(made.parent.stat().st_mode) == 0o700
@@ -42,7 +41,7 @@ def test_a_process_compiles_a_source_once_and_loads_nothing_that_another_has_lef
     assert controller_library(export) == made
     with pytest.raises(ExportError):
         controller_library(export_controller({**PLAIN, "model": "builtin:backlash"}))
-    monkeypatch.setattr(build, "_made", {})  # as another process
+    monkeypatch.setattr("hystmpc.codegen.library._made", {})  # as another process
     with pytest.raises(ExportError):
         controller_library(export)
 

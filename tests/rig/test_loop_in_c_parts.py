@@ -14,8 +14,8 @@ from typing import Any
 
 import pytest
 
-from hystmpc.codegen.build import FLAGS
 from hystmpc.codegen.compiler import EXPECTED, compiler, shared_library
+from hystmpc.codegen.library import FLAGS
 from hystmpc.rig.compiled.controller import CompiledLoop, available, source
 from hystmpc.rig.transports.udp import Datagram, Kind, decode, encode
 

@@ -47,7 +47,7 @@ THE_DEVICE = {
     "rig/device.py: self._wire.sendto": 1,
     "rig/transports/udp.py: self._wire.sendto": 1,
     "rig/transports/dds_.py: self._wire.write": 1,
-    "testing/line_device.py: os.write": 1,
+    "testing/wire.py: os.write": 1,
 }
 # Wires under test, with a device of the test behind them; the page's answers; a terminal's key.
 NO_DEVICE = {
@@ -72,7 +72,7 @@ COMPUTED = {
     "lab/control/loop.py",
     "lab/control/plants.py",
     "lab/devices/motions.py",
-    "testing/plant.py",
+    "testing/model.py",
     "examples/exported_c/loop.py",
     "examples/mujoco_tendon/tendon.py",
     "examples/serial_line/simulated.py",

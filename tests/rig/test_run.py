@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from hystmpc.cli.device_runs import _end_of
+from hystmpc.cli.device import _end_of
 from hystmpc.ctrl.loop import Plant
 from hystmpc.rig.config import BenchSettings
 from hystmpc.rig.experiment.experiment import run_experiment

@@ -23,7 +23,7 @@ from hystmpc.models.model import Inverse, Predictor
 from hystmpc.models.operators.operator import Memoryless, Number, Symbol
 from hystmpc.sim.config import load_simulation
 from hystmpc.testing import ControllerContract, EffectContract
-from hystmpc.testing.new import write_template
+from hystmpc.testing.templates import write_template
 from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.from_outside import ALLOWED
 

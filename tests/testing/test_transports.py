@@ -21,7 +21,7 @@ from hystmpc.rig.transports.dds import DdsSettings
 from hystmpc.rig.transports.transport import Conversion, DeviceLink, Outgoing, Transport
 from hystmpc.rig.transports.udp import UdpLink, UdpSettings, UdpTransport
 from hystmpc.testing import Connected, LoopContract, TransportContract
-from hystmpc.testing.new import write_template
+from hystmpc.testing.templates import write_template
 from hystmpc.trials.errors import ConfigError
 
 SAME = Conversion(1.0, 0.0, 1.0)

@@ -1,16 +1,67 @@
-"""A compiled controller in this process: its functions and its memory, through ctypes."""
+"""An exported controller in this process: compiled for this machine, and called through ctypes."""
 
 from __future__ import annotations
 
+import atexit
 import ctypes
+import os
+import shutil
+import tempfile
+from functools import cache
 from pathlib import Path
 from typing import Any, final
 
+from hystmpc.trials.errors import ExportError
 from hystmpc.trials.types import Vec
 
+from .compiler import EXPECTED, compiler, shared_library
 from .controller import ControllerExport
 
+FLAGS = ("-O3", "-march=native", "-fno-math-errno", "-fno-trapping-math", "-fPIC")
+"""For speed on this machine. With `-ffp-contract=off` of `shared_library` they leave every number as it is."""
+
 _REAL = ctypes.c_double
+_made: dict[tuple[str, str, str], Path] = {}
+
+
+def controller_library(export: ControllerExport, beside: str = "") -> Path:
+    """Shared library of a controller, compiled into a temporary folder of this process.
+
+    No library that an earlier program has left is ever loaded: what moves a device was compiled by the process that
+    moves it.
+
+    Args:
+        beside: a file of C that is compiled with it; it finds the header as hystmpc.h.
+
+    Raises:
+        ExportError: if there is no compiler, or it fails; with the first thing that it says.
+        OSError: if there is no place for a temporary file.
+    """
+    text = export.header, export.source, beside
+    if text not in _made:
+        library = _compiled(export, beside)
+        handle, name = tempfile.mkstemp(prefix="hystmpc_controller_", suffix=".so", dir=_folder())
+        with os.fdopen(handle, "wb") as file:  # a new one each time: a file that is loaded is never written again
+            file.write(library)
+        _made[text] = Path(name)
+    return _made[text]
+
+
+@cache
+def _folder() -> Path:
+    """A new folder that no other user may enter."""
+    folder = tempfile.mkdtemp(prefix="hystmpc-controller-")
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    return Path(folder)
+
+
+def _compiled(export: ControllerExport, beside: str) -> bytes:
+    command = compiler()
+    if command is None:
+        raise ExportError(f"got no C compiler, expected one of: {EXPECTED}")
+    sources = {"hystmpc.h": export.header, "hystmpc.c": export.source, "beside.c": beside}
+    mains = ("hystmpc.c", "beside.c") if beside else ("hystmpc.c",)
+    return shared_library(command, FLAGS, sources, *mains)
 
 
 @final
@@ -42,35 +93,35 @@ class LoadedController:
 
     @property
     def memory(self) -> bytes:
-        """What is remembered now."""
+        """Snapshot of what is remembered from step to step."""
         return ctypes.string_at(self._at, self._size)
 
     def remember(self, memory: bytes) -> None:
-        """Be as at the moment of `memory`."""
+        """Restore a snapshot."""
         if len(memory) != self._size:
             raise ValueError(f"memory: got {len(memory)} bytes, expected {self._size}")
         ctypes.memmove(self._at, memory, self._size)
 
     def init(self, angle_deg: float, command: float) -> int:
-        """At rest; 0, or why it cannot start."""
+        """Start at rest; returns 0, or the code of the reason why it cannot start."""
         return int(self._init(self._at, angle_deg, command))
 
     def look_on(self, angle_deg: float, command: float) -> int:
-        """A sample in which another has sent `command`; for how many samples the model has failed."""
+        """Update the state with a command of another source; returns for how many samples the model has failed."""
         return int(self._look_on(self._at, angle_deg, command))
 
     def step(self, angle_deg: float, reference: Vec) -> Any:
-        """The struct `hystmpc_command` of the header; `reference` is contiguous and as long as it says."""
+        """Compute the command: the struct `hystmpc_command` of the header; `reference` (N,) is contiguous."""
         return self._step(self._at, angle_deg, reference.ctypes.data)
 
     def hold(self, command: float) -> None:
-        """The device holds `command`, whatever was sent last."""
+        """Set the command that the device holds, whatever was sent last."""
         for name in ("estimate", "plain"):
             if hasattr(self.view, name):
                 getattr(self.view, name).command = command
 
     def hurry(self) -> None:
-        """The next step makes no plan."""
+        """Let the next step make no plan."""
         self._hurry(self._at)
 
     def stop(self) -> None:
