@@ -11,7 +11,7 @@ import pytest
 from hypothesis import HealthCheck, is_hypothesis_test, settings
 
 ROOT = Path(__file__).resolve().parent.parent
-EXAMPLES, FAST_EXAMPLES = 60, 12
+EXAMPLES, FAST_EXAMPLES = 60, 5
 
 # A busy machine must not fail a test: no deadline, and no complaint about slow examples. Every run draws the same.
 settings.register_profile(

@@ -52,12 +52,12 @@ def fuzz(settings_: Mapping[str, Any], single: bool, folder: Path, steps: int) -
 @pytest.mark.slow
 @pytest.mark.parametrize("case", FUZZED)
 def test_any_call_in_any_order_keeps_the_limits_and_a_finite_state(case: str, tmp_path: Path) -> None:
-    fuzz(*FUZZED[case], tmp_path, 5000)
+    fuzz(*FUZZED[case], tmp_path, 1500)
 
 
 @pytest.mark.slow
 def test_any_call_on_a_network_keeps_the_limits_and_a_finite_state(tmp_path: Path) -> None:
-    fuzz(tip(small_network("gru", 5, 1, tmp_path), **PLAIN), False, tmp_path, 800)
+    fuzz(tip(small_network("gru", 5, 1, tmp_path), **PLAIN), False, tmp_path, 200)
 
 
 @pytest.fixture(scope="module")
