@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from hystmpc.gap.report.report_data import FIXED_FILE
+from hystmpc.gap.diagnosis import FIXED_FILE
 from hystmpc.models.simulator import load_simulator
 from hystmpc.trajectories.excitation import WHOLE_S
 from hystmpc.trials.errors import ConfigError, ModelError

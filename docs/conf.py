@@ -67,6 +67,7 @@ if any(GALLERY.glob("plot_*.py")):
         "remove_config_comments": True,
         "abort_on_example_error": True,
         "show_signature": False,
+        "image_scrapers": ("extension.gallery.figures",),
     }
 
 for threads in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):

@@ -22,7 +22,7 @@ from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Progress, no_progress
 
 from .decide.ambiguity import limited_by_inclusion, probability, ranking
-from .decide.attribution import DiagnosisSettings, Findings, as_given_if_better, attribute, confirm
+from .decide.attribution import Findings, as_given_if_better, attribute, confirm
 from .decide.remaining_structure import NAME, SHIFT, UNITS, Configuration, configuration_of
 from .decide.retuning import moved_numbers, retuned_with
 from .decide.stability import stability_of
@@ -31,14 +31,12 @@ from .logs.detectable import smallest_detectable
 from .logs.preparation import PreparedTrials, prepare
 from .logs.trial_choice import NEEDS_ORDER
 from .next.open_hypotheses import next_step, unseparated
-from .residual.localise import Localisation, localise
-from .residual.memory import explainable_share
+from .residual import Localisation, explainable_share, localise
 
 if TYPE_CHECKING:
     from .report.report_data import ReportData
 
 
-DEFAULT_SETTINGS = DiagnosisSettings()
 _STEPS, _CONCLUDED = 100, 97  # of the progress
 _COMPILES_S = 75.0  # where nothing is on disk: the kernels of all effects
 _LEFT_BY_A_ROUND = 0.6  # of the progress of the selection
@@ -56,7 +54,6 @@ def find_causes(
     without: Sequence[str] = (),
     only: Sequence[str] | None = None,
     progress: Progress | None = None,
-    settings: DiagnosisSettings = DEFAULT_SETTINGS,
     say: Callable[[str], None] | None = None,
     ordered: bool = True,
     skip_first_flexure: bool = False,
@@ -88,17 +85,17 @@ def find_causes(
     if say:
         for line in filter(None, (*prepared.checked.left_out, prepared.checked.workload.estimate)):
             say(line)
-    detectable = smallest_detectable(prepared, settings.verdict.no_gap, left_out)
+    detectable = smallest_detectable(prepared, left_out)
     validation = CrossValidation(prepared.baseline, prepared.development)
     prepared, validation, retuned = retuned_with(prepared, validation)
     clock.lap("check and retune")
-    attribution = attribute(prepared, validation, retuned, left_out, settings, seed, _selection_progress(progress))
+    attribution = attribute(prepared, validation, retuned, left_out, seed, _selection_progress(progress))
     clock.lap("which")
     progress(88, _STEPS, "measuring the gap on the final trials")
     attribution = as_given_if_better(prepared, attribution)
-    conclusion = confirm(prepared, attribution, settings.verdict, seed)
+    conclusion = confirm(prepared, attribution, seed)
     clock.lap("how far")
-    stability = stability_of(prepared, attribution, conclusion, settings, seed)
+    stability = stability_of(prepared, attribution, conclusion, seed)
     clock.lap("how stable")
     progress(94, _STEPS, "where and what next")
     localisation = _localisation(prepared, seed)
@@ -124,37 +121,32 @@ def conclude(findings: Findings, progress: Progress | None = None) -> tuple[Diag
 
     clock = _Clock()
     prepared = findings.prepared
-    rows = _parameters(findings)
+    values = {name: cause.parameters for name, cause in findings.conclusion.closed.causes.items()}
+    rows = parameter_rows(findings.conclusion.chosen, prepared.development, values)
     diagnosis = _diagnosis(findings, rows)
     proposal = next_step(findings)
     diagnosis = replace(diagnosis, next_motion=proposal.summary() if proposal else None)
     clock.lap("what next")
     findings = replace(findings, seconds={**findings.seconds, **clock.seconds})
-    shown = tuple(_in_log_units(row, prepared) for row in rows)
+    units, decades = prepared.checked.trials[0].units, prepared.decades
+    shown = tuple(replace(row.times(decades.in_log(row.unit)), unit=units.named(row.unit) or "1") for row in rows)
     data = report_data(findings, diagnosis, proposal, shown)
     (progress or no_progress)(_CONCLUDED, _STEPS, diagnosis.verdict)
     return diagnosis, data
 
 
-def detectable_in_logs(
-    trials: Sequence[Trial], simulator: Simulator | LoadedModel, settings: DiagnosisSettings = DEFAULT_SETTINGS
-) -> DetectableSizes:
+def detectable_in_logs(trials: Sequence[Trial], simulator: Simulator | LoadedModel) -> DetectableSizes:
     """Smallest detectable size of each effect on these trials, from their commands alone.
-
-    Args:
-        trials: of one device, in any order.
-        simulator: a chain of operators or an exported model.
-        settings: thresholds.
 
     Raises:
         GapError: on unusable trials (`check_trials`).
         ModelError: if the simulator is an inverse map.
     """
-    return smallest_detectable(prepare(trials, simulator, ordered=False), settings.verdict.no_gap)
+    return smallest_detectable(prepare(trials, simulator, ordered=False))
 
 
 def _selection_progress(progress: Progress) -> Callable[[float, str], None]:
-    """Progress of the selection, 5 to 85 %: each round, of which nobody knows the number, is 40 % of what is left.
+    """Progress of the selection, 5 to 85 %: each round takes 40 % of the remaining progress.
 
     Every round counts its candidates anew, which tells where one begins.
     """
@@ -190,7 +182,7 @@ def _left_out(without: Sequence[str], only: Sequence[str] | None) -> tuple[str, 
 
 
 def _localisation(prepared: PreparedTrials, seed: int) -> Localisation | None:
-    """Localisation of the residual of a simulator retuned to all trials; it decides nothing, so none is held out."""
+    """Localisation of the residual of a simulator that is retuned to all trials, since it decides nothing."""
     retuned = CrossValidation(prepared.baseline, prepared.counted).retuned()
     errors = prepared.scored(prepared.residuals(retuned))
     if not any(np.any(error) for error in errors):
@@ -206,10 +198,11 @@ def _diagnosis(findings: Findings, parameters: Sequence[ParameterRow]) -> Diagno
     prepared, attribution, conclusion = findings.prepared, findings.attribution, findings.conclusion
     decision, jumps, hypothesis = conclusion.decision, attribution.jumps, attribution.retuned
     grouped = configuration_of(conclusion.chosen, prepared.everything)
-    probabilities = _probabilities(findings, grouped)
+    public = {SHIFT: NAME} if grouped else {}  # shifts of whole groups of trials are a configuration change
+    probabilities = _probabilities(findings, public)
     effects = _effects(findings, probabilities, parameters, grouped)
     sets = sorted(decision.ambiguity, key=lambda names: -probabilities.get(names[0], 0.0))
-    ambiguity = tuple(tuple(_public_name(name, grouped) for name in names) for names in sets)
+    ambiguity = tuple(tuple(public.get(name, name) for name in names) for names in sets)
     decades, units = prepared.decades, prepared.checked.trials[0].units
     nominal, retuned = (
         {name: decades.log_value(v, BASELINE_UNITS[name]) for name, v in prepared.baseline.quantities(z).items()}
@@ -220,20 +213,14 @@ def _diagnosis(findings: Findings, parameters: Sequence[ParameterRow]) -> Diagno
     sizes, checked = decades.log_sizes(conclusion.closed.gap), prepared.checked
     rivals = decision.ambiguity or (unseparated(findings),)
     ranked = ranking(probabilities, attribution.inclusion, rivals, library, _unnamed_probability(findings))
+    unusable, said = (prepared.too_little, checked.unrelated), replace(decision, ambiguity=ambiguity)
+    reason = reason_for(said, effects, sizes, *unusable, moved, units.angle)
     return Diagnosis(
         verdict=decision.verdict,
-        reason=reason_for(
-            replace(decision, ambiguity=ambiguity),
-            effects,
-            sizes,
-            prepared.too_little,
-            checked.unrelated,
-            moved,
-            units.angle,
-        ),
+        reason=reason,
         effects=effects,
         ambiguity=ambiguity,
-        ranking=tuple((_public_name(name, grouped), probability) for name, probability in ranked),
+        ranking=tuple((public.get(name, name), probability) for name, probability in ranked),
         gap=sizes,
         retuned={name: (nominal[name], retuned[name]) for name in nominal},
         where=dict(findings.localisation.places) if findings.localisation else {},
@@ -262,19 +249,6 @@ def _explainable_share(findings: Findings) -> float | None:
     return float(np.clip(explained / structural, 0.0, 1.0))
 
 
-def _parameters(findings: Findings) -> tuple[ParameterRow, ...]:
-    """Every number of the corrected simulator, in working units."""
-    prepared, conclusion = findings.prepared, findings.conclusion
-    values = {name: cause.parameters for name, cause in conclusion.closed.causes.items()}
-    return parameter_rows(conclusion.chosen, prepared.development, values)
-
-
-def _in_log_units(row: ParameterRow, prepared: PreparedTrials) -> ParameterRow:
-    """A number in the units of the log, which have their own names."""
-    units = prepared.checked.trials[0].units
-    return replace(row.times(prepared.decades.in_log(row.unit)), unit=units.named(row.unit) or "1")
-
-
 def _untestable(findings: Findings) -> tuple[Untestable, ...]:
     """Effects that need the unknown order of recording, without those left out of the library."""
     if findings.prepared.order == "known":
@@ -282,7 +256,7 @@ def _untestable(findings: Findings) -> tuple[Untestable, ...]:
     return tuple(Untestable(name, why) for name, why in NEEDS_ORDER.items() if name not in findings.left_out)
 
 
-def _probabilities(findings: Findings, grouped: Configuration | None) -> dict[str, float]:
+def _probabilities(findings: Findings, public: Mapping[str, str]) -> dict[str, float]:
     """Probability of each identified effect; grouped shifts are less likely to imitate another effect."""
     causes, missing = findings.conclusion.closed.causes, set(findings.left_out)
     ambiguous = {name for names in findings.conclusion.decision.ambiguity for name in names}
@@ -290,10 +264,8 @@ def _probabilities(findings: Findings, grouped: Configuration | None) -> dict[st
     ambiguous |= {name for name in causes if untestable_names & set(EFFECTS[name].also_taken_for)}
     probabilities = {}
     for name, cause in causes.items():
-        untried = bool(confounders(name) & missing)
-        chance = probability(
-            _public_name(name, grouped), cause.share, name in ambiguous, _stability_share(findings), untried
-        )
+        untried, stability = bool(confounders(name) & missing), _stability_share(findings)
+        chance = probability(public.get(name, name), cause.share, name in ambiguous, stability, untried)
         probabilities[name] = limited_by_inclusion(chance, findings.attribution.inclusion.get(name, 1.0))
     return probabilities
 
@@ -312,18 +284,13 @@ def _stability_share(findings: Findings) -> float:
     return findings.stability.share if findings.stability else _STABILITY_UNKNOWN
 
 
-def _public_name(name: str, grouped: Configuration | None) -> str:
-    """Public name of an effect; shifts of whole groups of trials are a configuration change."""
-    return NAME if grouped and name == SHIFT else name
-
-
 def _effects(
     findings: Findings,
     probabilities: Mapping[str, float],
     parameters: Sequence[ParameterRow],
     grouped: Configuration | None,
 ) -> tuple[IdentifiedEffect, ...]:
-    """Effects found, the most probable first."""
+    """Identified effects, the most probable first."""
     closed, decades, log = findings.conclusion.closed, findings.prepared.decades, findings.prepared.checked.trials[0]
     units = {
         name: dict(UNITS) if grouped and name == SHIFT else {r.name: r.unit for r in parameters if r.owner == name}
@@ -331,7 +298,7 @@ def _effects(
     }
     effects = (
         IdentifiedEffect(
-            name=_public_name(name, grouped),
+            name=NAME if grouped and name == SHIFT else name,
             probability=probabilities[name],
             inclusion=findings.attribution.inclusion.get(name, 1.0),
             closed_share=cause.share,
@@ -352,12 +319,7 @@ def _effects(
 
 @dataclass(frozen=True, eq=False)
 class DiagnosisResult:
-    """Result of a diagnosis with the results of its steps.
-
-    Attributes:
-        findings: result of every step.
-        data: what its report shows.
-    """
+    """Result of a diagnosis with the results of its steps."""
 
     findings: Findings
     data: ReportData
@@ -397,8 +359,8 @@ def diagnose_trials(
         LogError, GapError, ModelError: see `find_causes`.
         ConfigError: if `out` holds anything but an older diagnosis, or cannot be written.
     """
+    from .expected_tracking import with_tracking
     from .report.folder import require_free, save_diagnosis
-    from .tracking.expected import with_tracking
 
     if out is not None:
         require_free(out)

@@ -17,6 +17,9 @@ FORMAT = "hystmpc-diagnosis/2"
 FORMATS = ("hystmpc-diagnosis/1", FORMAT)
 """What readers accept; version 2 has all keys of version 1, with their meaning."""
 
+FIXED_FILE, MOTION_FILE = "sim.fixed.yaml", "next_motion.csv"
+"""Files of the corrected simulator and of the proposed motion in the folder of a diagnosis."""
+
 Verdict = Literal["named", "one_of", "retuned", "unknown", "none", "too_little"]
 FloorKind = Literal["repeats", "noise"]
 Order = Literal["known", "unknown"]
@@ -60,7 +63,7 @@ class IdentifiedEffect:
 
     @property
     def words(self) -> str:
-        """Its name in words, of a sensor with the steps of its readings."""
+        """Name of the effect in words; for a sensor with the resolution of its readings."""
         name, step = self.name.replace("_", " "), self.parameters.get("resolution_deg", 0.0)
         return f"{name} with steps of {step:.3g} {self.units.get('resolution_deg', '')}".strip() if step > 0 else name
 
@@ -182,13 +185,7 @@ class DetectableSizes:
 
 @dataclass(frozen=True)
 class Stability:
-    """Stability of the verdict over resampled splits of the trials.
-
-    Attributes:
-        share: of the resamples with the same verdict and the same set of names.
-        resamples: their number.
-        otherwise: the most frequent other results, each with its share.
-    """
+    """Stability of the verdict over resampled splits of the trials."""
 
     share: float
     resamples: int
@@ -196,7 +193,7 @@ class Stability:
 
     @property
     def flips(self) -> bool:
-        """Whether the verdict depends on which trials were kept for the end."""
+        """Whether the verdict depends on the choice of the final trials."""
         return self.share < _STABLE
 
 
@@ -251,12 +248,12 @@ class TrackingGap:
 
     @property
     def fall_deg(self) -> float:
-        """By how much the error falls; negative where it rises."""
+        """Fall of the error [deg]; negative if it rises."""
         return self.before_deg - self.after_deg
 
     @property
     def fall_share(self) -> float:
-        """The same as a share of the error before."""
+        """Fall of the error as a share of the error before."""
         return self.fall_deg / self.before_deg if self.before_deg > 0 else 0.0
 
     def changes(self, floor_deg: float) -> bool:
@@ -324,6 +321,11 @@ class Diagnosis:
         return bool(self.effects) and self.stability is not None and self.stability.flips
 
     @property
+    def probabilities(self) -> dict[str, float]:
+        """Probability of every effect by name."""
+        return dict(self.ranking) | {effect.name: effect.probability for effect in self.effects}
+
+    @property
     def kept_as_given(self) -> bool:
         """Whether retuning was not taken, since it did not lower the error of the final trials."""
         return bool(self.retuned) and all(given == retuned for given, retuned in self.retuned.values())
@@ -381,7 +383,7 @@ class Diagnosis:
 
 
 def _plain(value: Any) -> Any:
-    """Tuples as lists, inside dicts too."""
+    """Data with lists in place of tuples, also inside dicts."""
     if isinstance(value, dict):
         return {key: _plain(item) for key, item in value.items()}
     return [_plain(item) for item in value] if isinstance(value, tuple) else value

@@ -1,4 +1,4 @@
-"""Self-test: known truths, made with the package's own operators, that the diagnosis has to find."""
+"""Self-test of the diagnosis on simulated devices with known effects."""
 
 from __future__ import annotations
 
@@ -39,11 +39,7 @@ class SelfTestRow:
     """Result of one case of the self-test.
 
     Attributes:
-        name: of the case.
-        truth: effects that were put in.
         verdict, found: of the diagnosis; found effects, those that it cannot tell apart joined by `|`.
-        closed_share: of the structural gap, on the final trials.
-        seconds: that it took [s].
         passed: whether the truth was found, alone or in a set that these trials cannot tell apart.
     """
 
@@ -61,11 +57,9 @@ class _Case:
     """Device of the self-test with known effects.
 
     Attributes:
-        truth: effects that are put in.
         before, after: their operators on the command and on the angle.
         off: gain, and offset [deg], by which the device is off its simulator.
         own: operator of each trial, drawn from a generator.
-        sensor: of the angle.
     """
 
     truth: tuple[str, ...] = ()
@@ -85,7 +79,7 @@ def _shift(random: np.random.Generator) -> Operator:
 
 
 def _as_shown(name: str) -> _Case:
-    """An effect at the size of its picture, on its first side."""
+    """Case with one effect at the size of its picture in the catalogue."""
     placed = effect_from({"effect": name, "parameters": dict(EFFECTS[name].shown[0])}, _DT_S)
     operators = (placed.operator,)
     return _Case((name,), before=operators) if placed.side == "command" else _Case((name,), after=operators)
@@ -121,11 +115,6 @@ def self_test(
 
     The device is a Prandtl-Ishlinskii model of three plays, its simulator a backlash that was identified on trials of
     the device without any effect; so the simulator's form is never exact.
-
-    Args:
-        seed: of noise, of motions and of the diagnoses.
-        progress: called with truths done, truths in all and the present one.
-        cases: names from `CASES`; all where left out.
     """
     names = tuple(CASES) if cases is None else tuple(cases)
     simulator = identify("backlash", record(CASES["none"], seed + 1000))[0]
@@ -140,7 +129,7 @@ def self_test(
 
 
 def record(case: _Case, seed: int) -> list[Trial]:
-    """Trials of a device, one after another; states that persist between trials are kept."""
+    """Trials of a device, one after another; persistent states carry over."""
     random, trials = np.random.default_rng(seed), []
     shifts = np.random.default_rng(_SHIFT_SEED)
     gain, offset = case.off
@@ -200,13 +189,13 @@ def _row(name: str, case: _Case, simulator: Simulator, seed: int) -> SelfTestRow
 
 
 def _sets(diagnosis: Diagnosis) -> list[tuple[str, ...]]:
-    """Each effect found, with those that could replace it."""
+    """Identified effects, each with its alternatives."""
     sets = {names[0]: names for names in diagnosis.ambiguity}
     return [sets.get(effect.name, (effect.name,)) for effect in diagnosis.effects]
 
 
 def _recovered(diagnosis: Diagnosis, truth: tuple[str, ...]) -> bool:
-    """Whether each effect of the truth has one set of its own, and none is left over."""
+    """Whether the identified effects match the truth one to one."""
     if not truth:
         return diagnosis.verdict in ("none", "retuned")
     sets = _sets(diagnosis)

@@ -14,9 +14,16 @@ from hystmpc.ctrl.loop import AnySensorSettings, ContinuousSensorSettings, Simul
 from hystmpc.models.effects.place import EffectError, effect_from
 from hystmpc.models.load import model_path
 from hystmpc.trajectories.config import Motion, SampledSettings
-from hystmpc.trials.config import FolderName, NotNegative, NotNegativeInt, Settings, load_settings
+from hystmpc.trials.config import (
+    FolderName,
+    MisplacedError,
+    NotNegative,
+    NotNegativeInt,
+    Settings,
+    load_settings,
+    place_in,
+)
 from hystmpc.trials.errors import ModelError
-from hystmpc.trials.yaml_ import MisplacedError, place_in
 
 from .devices.names import DeviceError, device_parameters
 

@@ -9,14 +9,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, Protocol, TypeAlias
 
 from hystmpc.trials.check import Severity, check
-from hystmpc.trials.clock_findings import gaps_text
 from hystmpc.trials.command_noise import noise_text
 from hystmpc.trials.config import override
 from hystmpc.trials.errors import ConfigError, ModelError
+from hystmpc.trials.findings import gaps_text
 from hystmpc.trials.from_outside import allow_python
 from hystmpc.trials.read import AnyLayout, Log, at_rate, expand_logs, read_trials
 from hystmpc.trials.recording import require_recorded
-from hystmpc.trials.tables import Frame
+from hystmpc.trials.tables import FrameLike
 from hystmpc.trials.trial import Trial, parts_at_gaps
 
 if TYPE_CHECKING:
@@ -98,7 +98,7 @@ def chain_or_model(model: Model) -> Simulator | LoadedModel:
 
 def as_list(logs: Logs) -> list[Log]:
     """One or several logs as a list."""
-    return [logs] if isinstance(logs, Path | str | Frame | Trial) else list(logs)
+    return [logs] if isinstance(logs, Path | str | FrameLike | Trial) else list(logs)
 
 
 def files_read(logs: Sequence[Log], layout: AnyLayout) -> list[Path]:

@@ -88,7 +88,7 @@ def _fall(run: Path, before: list[Path], diagnosis: Path | None) -> tuple[tuple[
     """How far the tracking error fell: in sentences, and for the page."""
     if not before and diagnosis is None:
         return (), ()
-    from hystmpc.gap.tracking.measured import fall_lines, fall_pieces, tracking_falls
+    from hystmpc.gap.measured_tracking import fall_lines, fall_pieces, tracking_falls
 
     falls = tracking_falls(run, before, diagnosis)
     return tuple(fall_lines(falls)), fall_pieces(falls)

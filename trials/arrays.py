@@ -1,18 +1,29 @@
-"""Signals of logs that hold named arrays: variables, struct fields, rows or columns of matrices."""
+"""Logs of named arrays: variables, struct fields, rows or columns of matrices; NumPy files and TDMS of LabVIEW.
+
+Pickled objects are not read, since they can run code.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import logging
+import math
+import zipfile
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, final
+from io import BytesIO
+from pathlib import Path
+from typing import Any, BinaryIO, cast, final
 
 import numpy as np
+from numpy.lib import format as npy
 from numpy.typing import NDArray
 
-from .errors import LogError, shown
+from .errors import LogError, require, shown
+from .formats import MOST_BYTES, damaged, read_bytes, reading, seconds_since_first
 from .layouts import HEADER_TIME, LOG_TIME
-from .signals import Series, missing, split_path, walk
+from .signals import Series, SignalLog, missing, split_path, walk
 from .types import Vec
 
 _MOST_SIGNALS = 64  # of a matrix or a list that are listed
@@ -20,13 +31,11 @@ _MOST_SIGNALS = 64  # of a matrix or a list that are listed
 
 @final
 @dataclass(frozen=True, eq=False)
-class ArrayLog:
-    """A `Source` over named arrays, such as the variables of a MATLAB file.
+class ArrayLog(SignalLog):
+    """A `SignalLog` over named arrays, such as the variables of a MATLAB file.
 
     Attributes:
-        path: the file.
         variables: by name; a struct is a mapping, a struct array or a cell a list, numbers are arrays.
-        note: what a user should know about the file.
         clocks: time stamps [s] of signals that have their own, by name of the signal.
         unread: variables that cannot be read, by name, and what to do.
         times: names of signals that were dates; they are in seconds since the first.
@@ -40,8 +49,8 @@ class ArrayLog:
     times: frozenset[str] = frozenset()
 
     @property
-    def clock(self) -> str:
-        """Signal that is used as time where none has a known name; empty for none."""
+    def clock(self) -> str:  # type: ignore[override]  # read only, as all of it
+        """A signal of dates, else the times of waveforms."""
         return min(self.times, default=LOG_TIME if self.clocks else "")
 
     def names(self) -> tuple[str, ...]:
@@ -56,7 +65,7 @@ class ArrayLog:
         return dict(_vectors(self.variables, ""))
 
     def series(self, signals: Sequence[str], time: str) -> list[Series]:
-        """The signals asked for; see `Source`.
+        """The signals asked for; see `SignalLog`.
 
         Raises:
             LogError: on an unknown signal, one that is no vector, or one of another length than time.
@@ -81,7 +90,7 @@ class ArrayLog:
         *way, last = split_path(signal) or [signal]
         try:
             holder = walk(self.variables, way, single=True)
-            of_matrix = _is_matrix(holder) and isinstance(last, int)
+            of_matrix = isinstance(last, int) and isinstance(holder, np.ndarray) and np.squeeze(holder).ndim <= 2
             value = _along(holder, int(last)) if of_matrix else walk(holder, [last], single=True)
         except (KeyError, IndexError, TypeError):
             raise self._missing(signal) from None
@@ -97,18 +106,15 @@ class ArrayLog:
     def _missing(self, signal: str) -> LogError:
         """Error for a signal that is missing, or that cannot be read."""
         first = str((split_path(signal) or [signal])[0])
-        if self.unread and first not in self.variables:
-            return self.not_read(first)
-        return missing(self.path, signal, self.names())
+        unread = None if first in self.variables else self.not_read(first)
+        return unread or missing(self.path, signal, self.names())
 
-    def not_read(self, name: str = "") -> LogError:
+    def not_read(self, name: str = "") -> LogError | None:
         """Error for a variable that cannot be read: the named one, otherwise the first such variable."""
+        if not self.unread:
+            return None
         known = name if name in self.unread else next(iter(self.unread))
         return LogError(f"{self.path}: {shown(known, 40)} is {self.unread[known]}")
-
-
-def _is_matrix(value: Any) -> bool:
-    return isinstance(value, np.ndarray) and np.squeeze(value).ndim <= 2 and value.ndim >= 1
 
 
 def _along(value: Any, signal: int) -> Any:
@@ -134,3 +140,177 @@ def _vectors(value: Any, prefix: str) -> list[tuple[str, NDArray[Any]]]:
     if plain.ndim > 2:
         return []
     return [(f"{prefix}[{k}]", _along(plain, k)) for k in range(min(*plain.shape, _MOST_SIGNALS))]
+
+
+_MOST_ARRAYS = 2000
+_LONGEST_HEADER = 10_000
+_PICKLED = "an array of pickled objects, which can run code; save plain numbers instead"
+
+
+def open_npz(path: Path | str) -> ArrayLog:
+    """Read the arrays of a file of NumPy: of an `.npz` by name, the one of an `.npy` as `[0]`, `[1]`, ... or `data`.
+
+    Fields of a structured array have names of their own.
+
+    Raises:
+        LogError: if the file is missing, cut off, no file of NumPy, or unpacks to more than `MOST_BYTES`.
+    """
+    data = read_bytes(path)
+    unread: dict[str, str] = {}
+    with reading(path, "file of NumPy"):
+        if data.startswith(b"PK"):
+            variables = _members(str(path), data, unread)
+        else:
+            array = _array(str(path), BytesIO(data), len(data), MOST_BYTES)
+            if array is None:
+                raise LogError(f"{path}: {_PICKLED}")
+            variables = _single(array)
+    if not variables and not unread:
+        raise LogError(f"{path}: holds no array")
+    return ArrayLog(str(path), variables, unread=unread)
+
+
+def _members(path: str, data: bytes, unread: dict[str, str]) -> dict[str, Any]:
+    arrays: dict[str, Any] = {}
+    left = MOST_BYTES
+    with zipfile.ZipFile(BytesIO(data)) as archive:
+        parts = archive.infolist()
+        if len(parts) > _MOST_ARRAYS:
+            raise LogError(f"{path}: {len(parts)} arrays, expected at most {_MOST_ARRAYS}")
+        for part in parts:
+            name = part.filename.removesuffix(".npy")
+            with archive.open(part) as file:
+                value = _array(path, cast(BinaryIO, file), part.file_size, left)
+            if value is None:
+                unread[name] = _PICKLED
+                continue
+            left -= value.nbytes
+            arrays[name] = _fields(value)
+    return arrays
+
+
+def _array(path: str, file: BinaryIO, size: int, left: int) -> np.ndarray[Any, Any] | None:
+    """Read one array, after a check of its size; None if it holds pickled objects."""
+    version = npy.read_magic(file)
+    if version == (1, 0):
+        shape, by_columns, dtype = npy.read_array_header_1_0(file, max_header_size=_LONGEST_HEADER)
+    elif version in ((2, 0), (3, 0)):
+        shape, by_columns, dtype = npy.read_array_header_2_0(file, max_header_size=_LONGEST_HEADER)
+    else:
+        raise ValueError(f"version {version} of the format")
+    if dtype.hasobject:
+        return None
+    needed = math.prod(shape) * dtype.itemsize
+    if min(shape, default=0) < 0 or needed > left:
+        raise LogError(f"{path}: an array of shape {shown(shape, 60)} unpacks to more than {MOST_BYTES} bytes")
+    if needed > size:
+        raise ValueError(f"an array of {needed} bytes in {size}")
+    content = file.read(needed)
+    if len(content) < needed:
+        raise ValueError("it ends within an array")
+    if dtype.kind == "M":  # dates
+        return seconds_since_first(np.frombuffer(content, dtype=dtype))
+    flat = np.frombuffer(content, dtype=dtype, count=math.prod(shape)) if dtype.itemsize else np.empty(0)
+    return flat.reshape(shape, order="F" if by_columns else "C") if flat.size else np.empty(0)
+
+
+def _single(value: np.ndarray[Any, Any]) -> dict[str, Any]:
+    """The signals of a file with one array."""
+    if value.dtype.names:
+        return dict(cast(Mapping[str, Any], _fields(value)))
+    plain = np.squeeze(value)
+    if plain.ndim != 2:
+        return {"data": plain}
+    signals = plain.T if plain.shape[0] >= plain.shape[1] else plain
+    return {f"[{k}]": row for k, row in enumerate(signals)}
+
+
+def _fields(value: np.ndarray[Any, Any]) -> Any:
+    return {name: value[name] for name in value.dtype.names} if value.dtype.names else value
+
+
+_MOST_CHANNELS = 2000
+
+
+def open_tdms(path: Path | str) -> ArrayLog:
+    """Read the channels of a TDMS file; those of numbers and of time stamps, which become seconds since the first.
+
+    A channel that was written as a waveform has a time of its own (`time: log` in a mapping file): its start and its
+    increment, counted from the earliest start of all channels.
+
+    Raises:
+        LogError: if `npTDMS` is not installed, the file is missing, cut off or no TDMS file, or says to hold more
+            samples than it has room for.
+    """
+    require("nptdms", "logs", f"{path}: reading TDMS files")
+    data = read_bytes(path)
+    with reading(path, "TDMS file"), _warnings() as warnings:
+        variables, clocks, times = _read(str(path), data)
+    if not variables:
+        raise LogError(f"{path}: holds no channel of numbers")
+    note = damaged(warnings[0][:100]) if warnings else ""
+    return ArrayLog(str(path), variables, note, clocks, times=times)
+
+
+@contextmanager
+def _warnings() -> Iterator[list[str]]:
+    """Collect the warnings of the library on a damaged file."""
+    logger, warnings = logging.getLogger("nptdms"), list[str]()
+    handler = logging.Handler(logging.WARNING)
+    handler.emit = lambda record: warnings.append(" ".join(record.getMessage().split()))  # type: ignore[method-assign]
+    before = logger.propagate
+    logger.propagate = False
+    logger.addHandler(handler)
+    try:
+        yield warnings
+    finally:
+        logger.removeHandler(handler)
+        logger.propagate = before
+
+
+def _read(path: str, data: bytes) -> tuple[dict[str, Any], dict[str, Vec], frozenset[str]]:
+    from nptdms import TdmsFile
+
+    variables: dict[str, dict[str, Any]] = {}
+    waves: dict[str, tuple[Any, float, float, int]] = {}
+    times: set[str] = set()
+    with TdmsFile.open(BytesIO(data)) as file:  # of bytes: of a path, an index file beside it would be read too
+        channels = [channel for group in file.groups() for channel in group.channels()]
+        if len(channels) > _MOST_CHANNELS:
+            raise LogError(f"{path}: {len(channels)} channels, expected at most {_MOST_CHANNELS}")
+        if sum(len(channel) for channel in channels) > min(len(data), MOST_BYTES // 8):  # a sample takes a byte or more
+            raise LogError(f"{path}: says to hold more samples than {len(data)} bytes have room for, expected a log")
+        for channel in channels:
+            values = _numbers(channel)
+            if values is None:
+                continue
+            variables.setdefault(channel.group_name, {})[channel.name] = values
+            name = f"{channel.group_name}.{channel.name}"
+            if np.dtype(channel.dtype).kind == "M":
+                times.add(name)
+            step = channel.properties.get("wf_increment")
+            if step:
+                began = channel.properties.get("wf_start_time")
+                offset = float(channel.properties.get("wf_start_offset", 0.0))
+                waves[name] = (began, offset, float(step), values.size)
+    return dict(variables), _clocks(waves), frozenset(times)
+
+
+def _numbers(channel: Any) -> np.ndarray[Any, Any] | None:
+    kind = np.dtype(channel.dtype).kind
+    if not len(channel) or kind not in "fiubM":
+        return None
+    values = np.asarray(channel[:])
+    if values.dtype.kind == "M":
+        return seconds_since_first(values)
+    return values if values.dtype.kind in "fiub" else None
+
+
+def _clocks(waves: dict[str, tuple[Any, float, float, int]]) -> dict[str, Vec]:
+    starts = [began for began, *_ in waves.values() if began is not None]
+    origin = min(starts) if starts and len(starts) == len(waves) else None
+    clocks: dict[str, Vec] = {}
+    for name, (began, offset, step, count) in waves.items():
+        since = 0.0 if origin is None else float((began - origin) / np.timedelta64(1, "s"))
+        clocks[name] = np.asarray(since + offset + step * np.arange(count), dtype=np.float64)
+    return clocks

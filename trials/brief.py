@@ -16,12 +16,7 @@ _MOST_NUMBERS = 3  # of a sequence that is written out
 
 
 def in_brief(kind: object, text: str) -> str:
-    """Text `Kind(text)` on one line, cut to at most `LONGEST` characters.
-
-    Args:
-        kind: whose class is named.
-        text: what it is, in words and numbers.
-    """
+    """Text `Kind(text)` on one line, cut to at most `LONGEST` characters."""
     name, line = type(kind).__name__, " ".join(text.split())
     room = LONGEST - len(name) - 2
     return f"{name}({line})" if len(line) <= room else f"{name}({line[: room - 3]}...)"

@@ -79,7 +79,6 @@ def convert(columns: Sequence[Sequence[str]], comma_likely: bool) -> list[Conver
     """Convert every column of a table; a decimal mark that is certain in one column holds for all of them.
 
     Args:
-        columns: cells, stripped, (T,) each.
         comma_likely: whether a lone comma is a decimal mark where nothing tells, as in cells that semicolons separate.
     """
     plain = [_floats(cells) for cells in columns]
@@ -199,7 +198,7 @@ def _times(cells: Sequence[str]) -> Converted:
 
 
 def _second(stamp: re.Match[str], unit: int) -> tuple[int, int]:
-    """Time of day, less its zone: whole seconds and nanoseconds."""
+    """Time of day minus its zone: whole seconds and nanoseconds."""
     hour, minute, second = (int(stamp[name] or 0) for name in ("h", "m", "sec"))
     if half := stamp["half"]:
         hour = hour % 12 + (12 if half[0] in "pP" else 0)
@@ -213,11 +212,7 @@ def _second(stamp: re.Match[str], unit: int) -> tuple[int, int]:
 
 
 def _since_first(days: Sequence[int], seconds: Sequence[tuple[int, int]], turn: int | None) -> Vec:
-    """Stamps [s] counted from the first one, in whole numbers so that no digit is lost.
-
-    Args:
-        turn: after how many seconds a clock without a date begins anew; None where there is a date.
-    """
+    """Stamps [s] counted from the first one, in whole numbers so that no digit is lost."""
     if not seconds:
         return np.zeros(0)
     whole = np.array([day * _DAY_S + second for day, (second, _) in zip(days, seconds, strict=True)], dtype=np.int64)

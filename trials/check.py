@@ -2,22 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
 
 import numpy as np
 
-from .clock_findings import clock_of, sampled_time, time_findings
-from .clock_shift import IMPOSSIBLE_S, clock_shift
+from .clock_shift import DELAY_S, IMPOSSIBLE_S, clock_shift, correlations
 from .clocks import SLOWEST_HZ, UNUSUAL_HZ, suspected_unit
+from .encodings import MODULI, Encoding, encodings
 from .errors import LogError, in_a_line
 from .findings import CheckReport as CheckReport
 from .findings import Finding as Finding
 from .findings import Severity as Severity
-from .layouts import ANGLE_UNIT_OF, COMMAND_UNIT_OF, LogMapping, SignalSettings
+from .findings import clock_of, sampled_time, time_findings
+from .layouts import ANGLE_UNIT_OF, COMMAND_UNIT_OF, LogMapping
 from .read import AnyLayout, Log, read_unchecked, resolve
-from .signal_findings import Conversion, encoding_findings, motion_findings
+from .segments import Motion, Segments, segment
 from .signals import UncheckedLog
-from .trial import Trial, even_time
+from .trial import Trial, even_time, parts_at_gaps, resample
 from .types import Vec
 
 LEAST_SAMPLES = 50
@@ -33,8 +35,6 @@ def check(log: Log, layout: AnyLayout = "auto", sampled_hz: float | None = None)
     A file or frame is read leniently: what `read_trials` would refuse becomes a finding.
 
     Args:
-        log: a file, a ROS 2 bag, a data frame or a trial.
-        layout: its layout, see `read_trials`.
         sampled_hz: rate [Hz] of a log that was sampled evenly, whose time stamps are not looked at.
 
     Raises:
@@ -65,24 +65,15 @@ def _report(log: UncheckedLog, layout: AnyLayout | None = None) -> CheckReport:
         t, command, angle = rows.T[:3]
         findings += _short(t)
         trial = Trial(t, command, angle, units=log.units, source=log.source)
-        encoded, trial = encoding_findings(trial, _conversions(mapping), lambda k: log.where(int(rows[k, 3])))
+        scales = dict[str, tuple[float, float]]()
+        if mapping is not None:
+            mapped = ("command", mapping.command, COMMAND_UNIT_OF), ("angle", mapping.angle, ANGLE_UNIT_OF)
+            for name, signal, units in mapped:
+                factor = units.get(signal.unit, ("", 1.0))[1]
+                scales[name] = factor * signal.scale, factor * signal.offset
+        encoded, trial = encoding_findings(trial, scales, lambda k: log.where(int(rows[k, 3])))
         findings += [*encoded, *motion_findings(trial, log.ranges)]
     return CheckReport(log.source, log.layout, tuple(findings))
-
-
-def _conversions(mapping: LogMapping | None) -> tuple[Conversion, Conversion]:
-    """Conversions from the numbers in the log to command and angle."""
-    if mapping is None:
-        return Conversion(), Conversion()
-    command, angle = mapping.command, mapping.angle
-    return (
-        _from(command, COMMAND_UNIT_OF.get(command.unit, ("", 1.0))[1]),
-        _from(angle, ANGLE_UNIT_OF.get(angle.unit, ("", 1.0))[1]),
-    )
-
-
-def _from(settings: SignalSettings, factor: float) -> Conversion:
-    return Conversion(factor * settings.scale, factor * settings.offset)
 
 
 def _short(t: Vec) -> Iterator[Finding]:
@@ -98,7 +89,7 @@ def _short(t: Vec) -> Iterator[Finding]:
 
 
 def _value_findings(log: UncheckedLog) -> Iterator[Finding]:
-    """Cells without a finite number, per signal."""
+    """Findings on samples without a finite number, per signal."""
     clean = True
     main = {"time": log.t, "command": log.command, "angle": log.angle}
     for name, values in {**main, **log.channels}.items():
@@ -118,8 +109,13 @@ def require_sound(trial: Trial) -> None:
     Raises:
         LogError: with what `check` says of it.
     """
-    _require_seconds(trial)
-    findings, _ = encoding_findings(trial, (Conversion(), Conversion()), "sample {}".format)
+    unit = suspected_unit(trial.t)
+    if unit is not None and unit.certain:
+        raise LogError(
+            f"{trial.source}: time_s runs from {trial.t[0]:.15g} to {trial.t[-1]:.15g}, sampling rate "
+            f"{1 / trial.dt:.3g} Hz, expected {SLOWEST_HZ:g} Hz to {UNUSUAL_HZ / 1e3:g} kHz: {unit.text}"
+        )
+    findings, _ = encoding_findings(trial, {}, "sample {}".format)
     for finding in findings:
         raise LogError(f"{trial.source}: {finding.topic}: {finding.message}")
     shift = clock_shift(trial.t, trial.command, trial.angle)
@@ -127,16 +123,352 @@ def require_sound(trial: Trial) -> None:
         raise LogError(f"{trial.source}: {shift.text}")
 
 
-def _require_seconds(trial: Trial) -> None:
-    """Refuse a trial whose time is most likely not in seconds.
+_SEGMENT_RATE_HZ = 50.0  # enough for tip motions up to a few Hz
+_FOLLOWS, _SURE = 0.3, 0.85  # correlation of angle and command below which the sign cannot be told, or is in doubt
+_MUCH_MORE, _FAR_MORE = 0.5, 0.1  # of the variance left without a delay, or with the other sign
+_ALIKE = 0.95  # correlation at a delay that tells the sign where that without one does not
+_ROUNDING = 1e-9
 
-    Raises:
-        LogError: if its samples are a second or more apart, or come faster than those of any loop of this field.
+# Range of a signal -> what its numbers look like: (from, to, suspicion); between the rows they look right. Only where
+# travel in mm or pressure in bar bends a tip by degrees: of any other device nothing is known that could be compared.
+_MISTAKEN: dict[str, tuple[tuple[float, float, str], ...]] = {
+    "mm": ((0.0, 0.05, "metres"), (200.0, np.inf, "micrometres")),
+    "bar": ((0.0, 0.02, "MPa or a valve signal"), (20.0, 5e3, "kPa or psi"), (5e3, np.inf, "Pa")),
+    "deg": ((0.0, 3.5, "radians"), (400.0, np.inf, "sensor counts")),
+}
+
+
+Range = tuple[float, float]
+_COMMANDS, _ANGLES, _ANY = (-100.0, 100.0), (-200.0, 200.0), (-np.inf, np.inf)  # plausible values: mm or bar, deg
+
+
+def motion_findings(trial: Trial, ranges: tuple[Range | None, Range | None]) -> Iterator[Finding]:
+    """Findings on a trial whose values are finite and in order.
+
+    Args:
+        ranges: plausible values of command and angle; None for those of a tip that bends.
     """
-    unit = suspected_unit(trial.t)
-    if unit is not None and unit.certain:
-        rate = 1 / trial.dt
-        raise LogError(
-            f"{trial.source}: time_s runs from {trial.t[0]:.15g} to {trial.t[-1]:.15g}, sampling rate {rate:.3g} Hz, "
-            f"expected {SLOWEST_HZ:g} Hz to {UNUSUAL_HZ / 1e3:g} kHz: {unit.text}"
+    span = float(np.ptp(trial.command))
+    bends = trial.units.angle == "deg" and trial.units.command in ("mm", "bar")
+    commands, angles = (ranges[0] or _COMMANDS, ranges[1] or _ANGLES) if bends else (_ANY, _ANY)
+    yield _units("command", trial.command, trial.units.command, commands, bends)
+    yield _units("angle", trial.angle, trial.units.angle, angles, bends)
+    if span == 0:
+        text = f"the command is {trial.command[0]:g} {trial.units.command} throughout: nothing can be identified"
+        yield Finding(Severity.ERROR, "excitation", text)
+        return
+    if np.ptp(trial.angle) == 0:
+        text = f"the angle is {trial.angle[0]:g} {trial.units.angle} throughout: nothing can be identified"
+        yield Finding(Severity.ERROR, "excitation", text)
+        return
+    shift = clock_shift(trial.t, trial.command, trial.angle)
+    if shift is not None:
+        yield Finding(Severity.WARNING, "clocks", shift.text)
+        trial = _moved(trial, shift.late_s)
+    yield _sign(trial)
+    try:
+        longest = max(parts_at_gaps(trial), key=len)
+        even = resample(longest, min(_SEGMENT_RATE_HZ, 1 / longest.dt))
+    except LogError as error:
+        yield Finding(Severity.ERROR, "segments", f"not looked for: {str(error).removeprefix(f'{trial.source}: ')}")
+        return
+    parts = segment(even)
+    yield _excitation(even, parts)
+    yield _segments(even, parts)
+    yield _first_flexure(even, parts)
+
+
+def _moved(trial: Trial, late_s: float) -> Trial:
+    """Trial with its angle shifted earlier by `late_s`."""
+    at = trial.t + late_s
+    inside = (at >= trial.t[0]) & (at <= trial.t[-1])
+    angle = np.interp(at[inside], trial.t, trial.angle)
+    return Trial(trial.t[inside], trial.command[inside], angle, units=trial.units, source=trial.source)
+
+
+def _units(name: str, values: Vec, unit: str, plausible: tuple[float, float], bends: bool) -> Finding:
+    low, high, topic = float(values.min()), float(values.max()), f"units of {name}"
+    text = f"{low:.4g} to {high:.4g} {unit}"
+    for least, most, suspicion in _MISTAKEN.get(unit, ()) if bends else ():
+        # 30.0 to 30.1 is no angle in radians: a signal in a larger unit has small values, not a small range alone.
+        if least < high - low <= most and max(-low, high) <= 2 * most:
+            return Finding(Severity.WARNING, topic, f"{text}: looks like {suspicion}, expected {unit}")
+    if low < plausible[0] or high > plausible[1]:
+        return Finding(
+            Severity.WARNING, topic, f"{text}: expected {plausible[0]:g} to {plausible[1]:g}; offset or another unit?"
         )
+    return Finding(Severity.OK, topic, text)
+
+
+def _sign(trial: Trial) -> Finding:
+    """Sign and size of the gain from command to angle, at the delay of best correlation."""
+    lag, together = _best_delay(trial)
+    u, y = trial.command[: len(trial) - lag], trial.angle[lag:]
+    u, y = u - u.mean(), y - y.mean()
+    slope = float(u @ y / (u @ u))
+    delay = f", {lag * trial.dt:.2g} s later" if lag else ""
+    text = f"{slope:.3g} {trial.units.angle} per {trial.units.command} (correlation {together:.2f}{delay})"
+    if abs(together) < _FOLLOWS:
+        return Finding(Severity.WARNING, "sign", f"the angle hardly follows the command: {text}{_WHY}")
+    if together >= 0:
+        return Finding(Severity.OK, "sign", f"the angle rises with the command: {text}")
+    advice = "flip one of them"
+    if together > -_SURE:
+        advice = "feedback, a long delay or two clocks may be why; flip one only if it is wired so"
+    return Finding(Severity.WARNING, "sign", f"the angle falls as the command rises: {text}; {advice}")
+
+
+_WHY = "; a play wider than the motion, a long delay, or signals of two devices?"
+
+
+def _best_delay(trial: Trial) -> tuple[int, float]:
+    """Delay of best correlation [samples] within what a device may have, and the correlation; 0 if a delay adds little.
+
+    A periodic command is like its opposite half a period later: the sign is that without a delay, unless the other one
+    leaves next to nothing.
+    """
+    u, y = trial.command, trial.angle
+    lags, like = correlations(u, y, min(round(DELAY_S / trial.dt), len(trial) // 4))
+    like = like[lags >= 0]
+    now = float(like[0])
+    same, other = like * np.sign(now or 1.0), -like * np.sign(now or 1.0)
+    if other.max() >= _ALIKE and 1 - float(other.max()) ** 2 < _FAR_MORE * (1 - float(same.max()) ** 2):
+        best = int(np.argmax(other))
+        return best, float(like[best])
+    fallen = np.flatnonzero(same < 0.5 * np.maximum.accumulate(same))
+    best = int(np.argmax(same[: int(fallen[0])] if fallen.size else same))
+    useful = 1 - same[best] ** 2 < _MUCH_MORE * (1 - now**2)
+    # Of a weak likeness that only grows with the delay, such as that of a force and its motion, nothing is known.
+    best = best if useful and (abs(now) >= _FOLLOWS or same[best] >= _ALIKE) else 0
+    return best, float(like[best])
+
+
+def _excitation(trial: Trial, parts: Segments) -> Finding:
+    count = parts.reversals.size
+    speed = np.abs(np.diff(trial.command)) / trial.dt
+    text = f"{count} reversals of the command, fastest {float(speed.max()):.3g} {trial.units.command}/s"
+    if not count:
+        return Finding(Severity.WARNING, "excitation", f"{text}: hysteresis shows only after a reversal")
+    return Finding(Severity.OK, "excitation", text)
+
+
+def _segments(trial: Trial, parts: Segments) -> Finding:
+    texts = []
+    for motion in (Motion.LOADING, Motion.UNLOADING, Motion.HOLD):
+        seconds = float(np.count_nonzero(parts.labels == motion)) * trial.dt
+        texts.append(f"{len(parts.runs(motion))} {motion.name.lower()} ({seconds:.3g} s)")
+    return Finding(Severity.OK, "segments", ", ".join(texts))
+
+
+SAME = 0.005
+"""Share of the command's range within which two rests are at one command."""
+
+LEAST_SET = 0.02
+"""Share of the angle's range below which a change is none; three times the noise of an electromagnetic tracker."""
+
+_LEAST_NOISES = 4.0  # standard errors
+_BENDS = 0.2  # of the range of the angle: less of a first flexure does not tell which way the angle goes
+_SAME_READING = 1e-6  # of the range of the angle
+_TAIL = 0.5  # of a rest, at its end: what is looked at
+_CREEP = 0.5  # of the bend: the most that creep adds
+_FULL_LOOP = 1.2  # of the half-way gap, by which the gap at the start is greater if plays from rest are not its cause
+
+
+@dataclass(frozen=True)
+class HoldEnd:
+    """The end of a hold of the command.
+
+    Attributes:
+        start, stop: samples of the hold.
+        angle: a recorded one of its end, their median.
+        error: standard error of that angle.
+        drift: speed of the angle there, its standard error on top [angle/s].
+    """
+
+    start: int
+    stop: int
+    command: float
+    angle: float
+    error: float
+    drift: float
+
+
+def _first_flexure(trial: Trial, parts: Segments) -> Finding:
+    """Permanent set after the first flexure: change of the angle between two rests at one command.
+
+    The angle has to stand still in both, so that lag, drift and creep are no set. Creep of time constant tau that
+    drifts by d is still off by d tau, and not by more than 0.5 T / tau of the bend if it had the time T to grow; for no
+    tau that is more than sqrt(0.5 d T bend).
+
+    A play leaves the angle above where it began, if the flexure was upwards and came back from there, whatever the
+    play: a change the other way is a set. Of a change this way, the gap between the way there and the way back tells:
+    of plays that begin between their middle and the side of the flexure it is never wider at the start than half-way.
+    Plays begin so where the command begins at zero, the end of its range. Anywhere else it is a set, or a play that
+    began elsewhere.
+    """
+    unit, u = trial.units.command, trial.command
+    if not parts.reversals.size:
+        return _no_two_rests("", "the command never turns back")
+    top, span = int(parts.reversals[0]), float(np.ptp(u))
+    opening = f"ends at {trial.t[top]:.4g} s, at {u[top]:.3g} {unit}; "
+    steps = np.abs(np.diff(trial.angle))
+    grain = 2 * float(steps[steps > _SAME_READING * np.ptp(trial.angle)].min(initial=float(np.ptp(trial.angle))))
+    rests = [_rest(trial, start, stop, grain) for start, stop in parts.holds]
+    before = next((r for r in rests if r.start < top and abs(r.command - u[top]) > SAME * span), None)
+    if before is None:
+        return _no_two_rests(opening, "the command does not rest before it")
+    later = [r for r in rests if r.start > top and abs(r.command - before.command) <= SAME * span]
+    finding = _no_two_rests(opening, f"the command does not rest again at {before.command:.4g} {unit}, where it began")
+    for after in later:
+        finding = _set(trial, before, after, top, opening)
+        if finding.severity is not Severity.NOTE:
+            break
+    return finding
+
+
+def _no_two_rests(opening: str, why: str) -> Finding:
+    advice = "it takes two rests of the command at one value, one before and one after the first motion"
+    return Finding(Severity.NOTE, "first flexure", f"{opening}a set cannot be told: {why}; {advice}")
+
+
+def _set(trial: Trial, before: HoldEnd, after: HoldEnd, top: int, opening: str) -> Finding:
+    """Finding on the change of the angle between two rests at one command."""
+    bend, change = float(np.ptp(trial.angle)), after.angle - before.angle
+    elapsed, moved = trial.t[after.stop - 1] - trial.t[before.stop - 1], trial.t[after.start] - trial.t[before.stop - 1]
+    drift = max(before.drift, after.drift)
+    creeping = max(drift * float(elapsed), float(np.sqrt(_CREEP * drift * moved * bend)))
+    topic, out = "first flexure", trial.units.angle
+    text = (
+        f"{opening}at rest at {after.command:.4g} {trial.units.command} the angle was {before.angle:.4g} {out} before "
+        f"it and is {after.angle:.4g} {out} after it"
+    )
+    if abs(change) <= max(LEAST_SET * bend, _LEAST_NOISES * float(np.hypot(before.error, after.error))):
+        return Finding(Severity.OK, topic, f"{text}: it comes back")
+    if abs(change) <= creeping:
+        why = "the angle had not come to rest in the holds, or is too noisy there"
+        return Finding(Severity.NOTE, topic, f"{opening}a set cannot be told: {why}")
+    what = f"{change:+.2g} {out}, by a set or by a play that began elsewhere"
+    if not _may_be_play(trial, before, after, top):
+        what = f"a set of {change:+.2g} {out}"
+    return Finding(Severity.WARNING, topic, f"{text}: {what}; score later motions only (--skip-first-flexure)")
+
+
+def _rest(trial: Trial, start: int, stop: int, grain: float = 0.0) -> HoldEnd:
+    """Angle at the end of a hold; `grain` is the drift that a constant reading may hide."""
+    first = stop - max(2, round((stop - start) * _TAIL))
+    first = max(first, start)
+    t, y = trial.t[first:stop], trial.angle[first:stop]
+    median = float(np.partition(y, y.size // 2)[y.size // 2])
+    moment = t - t.mean()
+    power = float(moment @ moment)
+    slope = float(moment @ y) / power if power > 0 else 0.0
+    grain = grain if float(np.ptp(y)) <= _SAME_READING * float(np.ptp(trial.angle)) else 0.0
+    noise, seconds = float(np.std(y - y.mean() - slope * moment)), float(np.ptp(t)) or trial.dt
+    error = noise / np.sqrt(power) if power > 0 else 0.0
+    return HoldEnd(
+        start,
+        stop,
+        float(np.median(trial.command[start:stop])),
+        median,
+        noise / y.size**0.5 + grain / 8,
+        abs(slope) + error + grain / seconds,
+    )
+
+
+def _may_be_play(trial: Trial, before: HoldEnd, after: HoldEnd, top: int) -> bool:
+    """Whether a play that begins elsewhere explains a change of the angle between two rests."""
+    u, y = trial.command, trial.angle
+    span, change = float(np.ptp(u)), after.angle - before.angle
+    way = y[before.stop : top + 1 + round(DELAY_S / trial.dt)] - before.angle
+    farthest = float(way[np.argmax(np.abs(way))])
+    if abs(farthest) < _BENDS * float(np.ptp(y)):
+        return True
+    out, rises = float(np.sign(u[top] - before.command)), float(np.sign(farthest))
+    if change * rises < 0:
+        return float((out * (u[top : after.start + 1] - before.command)).min()) < -SAME * span
+    at_end = min(abs(before.command - u.min()), abs(before.command - u.max())) <= SAME * span
+    if not at_end or abs(before.command) > SAME * span:
+        return True
+    half = 0.5 * (before.command + float(u[top]))
+    there, back = _at(u, y, before.stop - 1, top, half), _at(u, y, top, after.start, half)
+    if there is None or back is None:
+        return True
+    gap = (back - there) * rises
+    middle, start = 0.5 * (there + back), 0.5 * (before.angle + after.angle)
+    far = abs(float(y[top]) - middle)  # the slopes of the first and second half of the flexure differ by this ratio
+    steeper = max(1.0, abs(middle - start) / far if far > 0 else np.inf)
+    return not abs(change) > _FULL_LOOP * steeper * max(gap, 0.0)
+
+
+def _at(u: Vec, y: Vec, start: int, stop: int, level: float) -> float | None:
+    """Angle where the command first passes a level between two samples; None where it does not."""
+    side = u[start : stop + 1] >= level
+    passed = np.flatnonzero(side[1:] != side[:-1])
+    if not passed.size:
+        return None
+    k = start + int(passed[0])
+    share = (level - u[k]) / (u[k + 1] - u[k])
+    return float(y[k] + share * (y[k + 1] - y[k]))
+
+
+def _numbers(values: Vec, scale: float, offset: float) -> Vec:
+    """Numbers (T,) in the log behind a signal = scale * number + offset; integers are exact."""
+    if scale == 1.0 and offset == 0.0:
+        return values
+    numbers = (values - offset) / scale
+    whole = np.rint(numbers)
+    return np.where(np.abs(numbers - whole) <= _ROUNDING * np.maximum(np.abs(numbers), 1.0), whole, numbers)
+
+
+def encoding_findings(
+    trial: Trial, scales: Mapping[str, tuple[float, float]], where: Callable[[int], str]
+) -> tuple[list[Finding], Trial]:
+    """Findings on missing-value codes, wraps and sign bits of command and angle, and the decoded trial.
+
+    Args:
+        scales: scale and offset by which `command` and `angle` were made of the numbers in the log, if not 1 and 0.
+    """
+    findings = []
+    signals = {"angle": trial.angle, "command": trial.command}
+    for name in signals:
+        scale, offset = scales.get(name, (1.0, 0.0))
+        other = signals["command" if name == "angle" else "angle"]
+        known = np.flatnonzero(np.isfinite(other))
+        if known.size < 2:
+            break
+        numbers = _numbers(signals[name][known], scale, offset)
+        repairs = encodings(numbers, other[known], trial.dt, is_command=name == "command")
+        if repairs:
+            whole = np.full(len(trial), np.nan)
+            whole[known] = scale * repairs[-1].values + offset
+            signals[name] = whole
+        for repair in repairs:
+            at = where(int(known[repair.samples[0]]))
+            findings.append(Finding(Severity.ERROR, f"numbers of {name}", _encoding(repair, name, known.size, at)))
+    if not findings:
+        return [], trial
+    kept = np.isfinite(signals["command"]) & np.isfinite(signals["angle"])
+    if np.count_nonzero(kept) < 2:
+        return findings, trial
+    t = trial.t[kept]
+    repaired = Trial(t, signals["command"][kept], signals["angle"][kept], units=trial.units, source=trial.source)
+    return findings, repaired
+
+
+def _encoding(encoding: Encoding, name: str, count: int, where: str) -> str:
+    value, times = f"{encoding.value:.10g}", len(encoding.samples)
+    if encoding.key == "missing":
+        return (
+            f"{times} of {count} are {value}, first at {where}: a code for a missing value; a mapping file with "
+            f"`{name}: {{..., missing: [{value}]}}` leaves them out"
+        )
+    if encoding.key == "sign_bit":
+        return (
+            f"{times} jumps by about {2**encoding.value:g}, first at {where}: bit {value} is the sign; a mapping file "
+            f"with `{name}: {{..., sign_bit: {value}}}` reads it"
+        )
+    exact = "" if encoding.value in MODULI else ", or the sensor's own exact range,"
+    return (
+        f"{times} jumps by about {value}, first at {where}: it wraps there; a mapping file with "
+        f"`{name}: {{..., wraps_at: {value}}}`{exact} takes them out"
+    )

@@ -61,10 +61,6 @@ def clock_shift(t: Vec, command: Vec, angle: Vec) -> ClockShift | None:
     It is told where a shift makes the two look alike (correlation of 0.9 and more) and leaves less than 0.3 of the
     variance that is left by every delay of up to `DELAY_S`, and by every first-order lag. A periodic command tells no
     shift from another one a period later: where the command is like itself after this time, none is told.
-
-    Args:
-        t: time, increasing (T,) [s].
-        command, angle: (T,).
     """
     duration = float(t[-1] - t[0])
     dt = max(duration / _GRID, float(np.median(np.diff(t))))
@@ -112,12 +108,7 @@ def _like_a_device(u: Vec, y: Vec, lag: int, dt: float, whole: Vec) -> float:
 
 
 def shift_between(command_t: Vec, command: Vec, angle_t: Vec, angle: Vec) -> ClockShift | None:
-    """Time shift between two signals with separate clocks; None if they do not correlate.
-
-    Args:
-        command_t, command: (T,), stamps increasing [s].
-        angle_t, angle: (S,).
-    """
+    """Time shift between two signals with separate clocks; None if they do not correlate."""
     duration = max(float(np.ptp(command_t)), float(np.ptp(angle_t)))
     dt = duration / _GRID
     if not dt > 0:
@@ -134,11 +125,7 @@ def shift_between(command_t: Vec, command: Vec, angle_t: Vec, angle: Vec) -> Clo
 
 
 def correlations(u: Vec, y: Vec, most: int) -> tuple[Index, Vec]:
-    """Correlation of y(k + lag) with u(k) over their common samples, for lags of up to `most` samples either way.
-
-    Returns:
-        lags (L,) in samples, and correlations (L,) in [-1, 1].
-    """
+    """Lags (L,) from -`most` to `most` samples, and correlations (L,) of y(k + lag) with u(k) over common samples."""
     n, m = u.size, y.size
     u, y = u - u.mean(), y - y.mean()
     size = 1 << (n + m).bit_length()

@@ -28,11 +28,7 @@ _SAME = 1.5  # a step of a clock that is longer than that many usual ones is a g
 
 @dataclass(frozen=True)
 class Interval:
-    """Bounds of the sampling interval of an evenly sampled log.
-
-    Attributes:
-        least, most: bounds [s].
-    """
+    """Bounds [s] of the sampling interval of an evenly sampled log."""
 
     least: float
     most: float
@@ -108,7 +104,6 @@ class SuspectedUnit:
     Attributes:
         units: the unit, or two that are as likely, keys of `SECONDS`.
         certain: in seconds the rate would be none of this field.
-        read: what a mapping file needs to say.
     """
 
     units: tuple[str, ...]
@@ -128,7 +123,6 @@ def suspected_unit(t: Vec, turns: int = 0) -> SuspectedUnit | None:
     reversals of the command are most usual.
 
     Args:
-        t: stamps, in any order.
         turns: reversals of the command; 0 where they are not known.
     """
     interval = interval_of(t)
@@ -184,13 +178,9 @@ class CounterWrap:
 _PERIODS = (60.0, 3600.0, 43200.0, 86400.0)  # seconds of a minute, of an hour, of half a day, of a day
 
 
-def _moduli() -> dict[float, int]:
-    counters = {2.0**bits / scale: bits for bits in range(8, 65) for scale in (1e9, 1e6, 1e3, 1.0)}
-    others = [second * scale for second in (1.0, *_PERIODS) for scale in (1.0, 1e3, 1e6, 1e9)]
-    return counters | dict.fromkeys(others, 0)
-
-
-_MODULI = _moduli()
+_MODULI = {2.0**bits / scale: bits for bits in range(8, 65) for scale in (1e9, 1e6, 1e3, 1.0)} | dict.fromkeys(
+    [second * scale for second in (1.0, *_PERIODS) for scale in (1.0, 1e3, 1e6, 1e9)], 0
+)  # modulus: bits of its counter, 0 of a clock
 
 
 def counter_wrap(t: Vec) -> CounterWrap | None:

@@ -37,7 +37,7 @@ _TURN = 2.5  # standard deviations of the noise: a smaller motion back and forth
 
 
 def remove_command_noise(trials: Sequence[Trial]) -> list[Trial]:
-    """Remove the measurement noise of the command from trials of one device; its size is kept in `command_noise`.
+    """Remove the measurement noise of the command from trials of one device; its size is stored in `command_noise`.
 
     One without such noise is left as it is. Where it is found in one trial, others whose quietest parts are as noisy
     have it, too.
@@ -77,20 +77,15 @@ def _like(trial: Trial, sigma: float, stride: int) -> tuple[float, int]:
     return (level, stride) if sigma / _ALIKE < level < _ALIKE * sigma else (0.0, 1)
 
 
-def command_noise(trial: Trial) -> float:
-    """Standard deviation of the noise of a recorded command, in its unit; 0 where there is none.
+def _noise_level(trial: Trial) -> tuple[float, int]:
+    """Standard deviation of the noise of a command, 0 for none, and the number of samples over which it is correlated.
 
     Noise is what is left of a sample by a cubic through its neighbours, if all this holds in the half of the log that
     moves least: it is there at all times, it is white (as large between samples that are farther apart, and with a flat
     spectrum), it is no rounding, and the angle does not answer to it. What was sent in steps or lines is not there at
     all times, a smooth or a wandering command is not white, and a random one is large or is answered. Samples that hang
-    together, as of a filtered sensor, are looked at again at greater intervals.
+    together, as of a filtered sensor, are looked at at greater intervals.
     """
-    return _noise_level(trial)[0]
-
-
-def _noise_level(trial: Trial) -> tuple[float, int]:
-    """Standard deviation of the noise, and the number of samples over which it is correlated."""
     stride, signals = 1, np.column_stack([trial.command, trial.angle])
     while stride == 1 or stride * trial.dt <= _LONGEST_S:
         sigma = _white(trial.t[::stride], signals[::stride])

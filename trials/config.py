@@ -1,17 +1,24 @@
-"""Configuration files: YAML, validated by pydantic; an unknown key is refused with the nearest known name."""
+"""Configuration files: strict YAML, validated by pydantic; an unknown key is refused with the nearest known name.
+
+PyYAML follows YAML 1.1, in which `010` is 8, `1:30` is 90 and `on` is true. Here a plain scalar is a number only where
+it is written as JSON writes one (`12`, `-0.5`, `1e-3`; also `+1`, `.5`, `2.`, `.inf`, `.nan`), and a truth value only
+where it is `true` or `false`. Everything else is text, dates and octal, hexadecimal and sexagesimal numbers among it,
+and `Settings` refuses text where it expects a number.
+"""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from types import NoneType, UnionType
 from typing import Annotated, Any, ClassVar, Self, TypeVar, Union, get_args, get_origin
 
+import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from .errors import ConfigError, did_you_mean, shown
 from .from_outside import MEMORY, given_by
-from .yaml_ import Location, MisplacedError, YamlError, format_yaml, parse_yaml, place_in
 
 Positive = Annotated[float, Field(gt=0)]
 NotNegative = Annotated[float, Field(ge=0)]
@@ -22,6 +29,228 @@ Port = Annotated[int, Field(ge=0, le=65535)]
 FolderName = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$", max_length=80)]
 """A name that becomes a folder of a run."""
 LARGEST_FILE = 4_000_000  # bytes of a configuration
+
+
+DEEPEST = 100  # levels of blocks within blocks
+MOST_ENTRIES = 500_000  # keys, values and blocks; an alias counts as all that it stands for
+LONGEST_INTEGER = 100  # digits
+
+_TAG = "tag:yaml.org,2002:"
+_BOOLEANS = {"true": True, "True": True, "TRUE": True, "false": False, "False": False, "FALSE": False}
+_INTEGER = re.compile(r"[-+]?(?:0|[1-9][0-9]*)\Z")
+_NUMBER = re.compile(
+    r"(?:[-+]?(?:(?:0|[1-9][0-9]*)(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][-+]?[0-9]+)?|[-+]?\.(?:inf|Inf|INF)|\.(?:nan|NaN|NAN))\Z"
+)
+_FIRST_OF_NUMBER = [*"-+.0123456789"]
+
+
+class YamlError(ValueError):
+    """A text that is not strict YAML; one line.
+
+    Attributes:
+        line, column: where, from 1; None where that is unknown.
+    """
+
+    def __init__(self, problem: str, line: int | None = None, column: int | None = None) -> None:
+        super().__init__(" ".join(problem.split()))
+        self.line: int | None = line
+        self.column: int | None = column
+
+
+def _refusal(problem: str, mark: Any) -> yaml.MarkedYAMLError:
+    return yaml.MarkedYAMLError(problem=problem, problem_mark=mark)
+
+
+class _StrictLoader(yaml.SafeLoader):
+    """Strict YAML loader, see the module's docstring; its bounds hold before any object is built."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__(text)
+        self._depth = self._entries = 0
+        self._sizes: dict[int, int] = {}  # entries of each anchored node, itself included
+
+    def compose_node(self, parent: Any, index: Any) -> Any:
+        """Compose a node and everything below it, within the bounds of depth and size."""
+        event: Any = self.peek_event()  # type: ignore[no-untyped-call]  # the stubs leave it open
+        before = self._entries
+        if self._depth >= DEEPEST:
+            raise _refusal(f"nested deeper than {DEEPEST} levels", event.start_mark)
+        self._depth += 1
+        node = super().compose_node(parent, index)
+        self._depth -= 1
+        if not isinstance(event, yaml.AliasEvent):
+            self._entries += 1
+            if event.anchor is not None:
+                self._sizes[id(node)] = self._entries - before
+        elif id(node) in self._sizes:
+            self._entries += self._sizes[id(node)]
+        else:
+            raise _refusal(f"alias *{event.anchor} inside its own block", event.start_mark)
+        if self._entries > MOST_ENTRIES:
+            problem = f"more than {MOST_ENTRIES} entries, each alias counted with all that it stands for"
+            raise _refusal(problem, event.start_mark)
+        return node
+
+    def compose_mapping_node(self, anchor: Any) -> Any:
+        """Compose a block of keys and refuse a repeated key, before `<<` merges others into it."""
+        node = super().compose_mapping_node(anchor)
+        lines: dict[tuple[str, str], int] = {}
+        for key, _ in node.value:
+            if not isinstance(key, yaml.ScalarNode):
+                continue
+            name = key.tag, key.value
+            if name in lines:
+                problem = f"key {key.value!r} stands twice in one block, first on line {lines[name]}"
+                raise _refusal(problem, key.start_mark)
+            lines[name] = key.start_mark.line + 1
+        return node
+
+    def truth_value(self, node: Any) -> bool:
+        """`true` or `false`."""
+        text = self.construct_scalar(node)
+        if text not in _BOOLEANS:
+            raise _refusal(f"got {text!r}, expected true or false", node.start_mark)
+        return _BOOLEANS[text]
+
+    def integer(self, node: Any) -> int:
+        """A decimal integer of any but absurd length."""
+        text = self.construct_scalar(node)
+        if not _INTEGER.match(text):
+            raise _refusal(f"got {text[:40]!r}, expected a decimal integer", node.start_mark)
+        if len(text) > LONGEST_INTEGER:
+            problem = f"got an integer of {len(text)} characters, expected at most {LONGEST_INTEGER}"
+            raise _refusal(problem, node.start_mark)
+        return int(text)
+
+    def number(self, node: Any) -> float:
+        """A decimal number, an infinity or not-a-number."""
+        text = self.construct_scalar(node)
+        if not _NUMBER.match(text):
+            raise _refusal(f"got {text[:40]!r}, expected a decimal number", node.start_mark)
+        return float(re.sub(r"\.(?=[iInN])", "", text))
+
+
+_StrictLoader.yaml_implicit_resolvers = {}
+for _name, _pattern, _first in (
+    ("bool", re.compile(f"(?:{'|'.join(_BOOLEANS)})\\Z"), [*"tTfF"]),
+    ("int", _INTEGER, _FIRST_OF_NUMBER),
+    ("float", _NUMBER, _FIRST_OF_NUMBER),
+    ("null", re.compile(r"(?:~|null|Null|NULL|)\Z"), [*"~nN", ""]),
+    ("merge", re.compile(r"<<\Z"), ["<"]),
+):
+    _StrictLoader.add_implicit_resolver(f"{_TAG}{_name}", _pattern, _first)
+_StrictLoader.yaml_constructors = {
+    f"{_TAG}bool": _StrictLoader.truth_value,
+    f"{_TAG}int": _StrictLoader.integer,
+    f"{_TAG}float": _StrictLoader.number,
+    f"{_TAG}null": _StrictLoader.construct_yaml_null,
+    f"{_TAG}str": _StrictLoader.construct_yaml_str,
+    f"{_TAG}seq": _StrictLoader.construct_yaml_seq,
+    f"{_TAG}map": _StrictLoader.construct_yaml_map,
+    None: _StrictLoader.construct_undefined,  # any other tag is refused
+}
+
+
+def parse_yaml(text: str) -> Any:
+    """Plain data: mappings, lists, texts, numbers, truth values and None.
+
+    Raises:
+        YamlError: if the text is not YAML, holds a key twice in one block, an unknown tag, an alias inside its own
+            block or an absurd integer, or is deeper or larger than the bounds above.
+    """
+    return _read(text, _StrictLoader.get_single_data)
+
+
+def _read(text: str, get: Any) -> Any:
+    try:
+        loader = _StrictLoader(text)
+        try:
+            return get(loader)
+        finally:
+            loader.dispose()
+    except yaml.MarkedYAMLError as error:
+        mark, problem = error.problem_mark, str(error.problem)
+        place = (mark.line + 1, mark.column + 1) if mark is not None else (None, None)
+        raise YamlError(f"{error.context}, {problem}" if problem.startswith("but ") else problem, *place) from None
+    except yaml.YAMLError as error:
+        raise YamlError(str(error)) from None
+
+
+class _Dumper(yaml.SafeDumper):
+    """YAML writer that quotes every text that `parse_yaml` or YAML 1.1 would read as another type."""
+
+
+def _text(dumper: Any, text: str) -> Any:
+    """Represent a text, with double quotes if it has a Unicode line break."""
+    style = '"' if re.search("[\x85\u2028\u2029]", text) else None
+    return dumper.represent_scalar(f"{_TAG}str", text, style=style)
+
+
+_Dumper.add_representer(str, _text)
+_Dumper.add_implicit_resolver(f"{_TAG}float", _NUMBER, _FIRST_OF_NUMBER)
+
+
+Location = Sequence[str | int]
+
+
+class MisplacedError(ValueError):
+    """Error of a validator that knows the offending entry within its block.
+
+    Args:
+        at: keys and indices from the validated block to the entry.
+    """
+
+    def __init__(self, message: str, at: Location = ()) -> None:
+        super().__init__(message)
+        self.at: tuple[str | int, ...] = tuple(at)
+
+
+def line_of(text: str, at: Location) -> int | None:
+    """Line, from 1, of the entry at keys and indices `at`, or of the innermost block around it that is there.
+
+    Entries of `at` that are no key of the file (a validator's own marks) are passed over. None if the text is no YAML
+    or nothing of `at` is there.
+    """
+    try:
+        node: yaml.Node | None = _read(text, _StrictLoader.get_single_node)
+    except YamlError:
+        return None
+    line = None
+    for part in at:
+        entry = _entry(node, part)
+        if entry is not None:
+            line, node = entry
+    return line
+
+
+def place_in(path: Path | str, overrides: Sequence[str] = ()) -> Callable[[Location], str]:
+    """Function that names the place of an entry: `file.yaml, line 3`, or the override that set it."""
+
+    def place(at: Location) -> str:
+        parts = [str(part) for part in at]
+        for text in reversed(overrides):
+            changed = text.partition("=")[0].split(".")
+            if parts[: len(changed)] == changed:
+                return f"{path}, --set {text}"
+        try:
+            line = line_of(Path(path).read_text(encoding="utf-8"), at)
+        except (OSError, UnicodeDecodeError):
+            line = None
+        return str(path) if line is None else f"{path}, line {line}"
+
+    return place
+
+
+def _entry(node: yaml.Node | None, part: str | int) -> tuple[int, yaml.Node] | None:
+    """Line and value of one entry of a block."""
+    if isinstance(node, yaml.MappingNode):
+        for key, value in node.value:
+            if isinstance(key, yaml.ScalarNode) and key.value == str(part):
+                return key.start_mark.line + 1, value
+    if isinstance(node, yaml.SequenceNode) and isinstance(part, int) and 0 <= part < len(node.value):
+        item = node.value[part]
+        return item.start_mark.line + 1, item
+    return None
 
 
 class _MisreadError(MisplacedError):
@@ -65,7 +294,6 @@ class Settings(BaseModel):
         """Validate plain data.
 
         Args:
-            data: mappings, lists and scalars.
             where: the source's name, or a function that tells it for the keys and indices of an entry; left out, they
                 are the program's own, and may name classes of it.
 
@@ -92,13 +320,6 @@ def _misread_number(value: Any, annotation: Any) -> tuple[tuple[Any, ...], Any] 
     """First text or Boolean in `value` at a place where `annotation` allows only numbers.
 
     pydantic turns `true` into 1.0 and `"010"` into 10.0. Blocks (pydantic models) look after their own fields.
-
-    Args:
-        value: plain data.
-        annotation: of the field.
-
-    Returns:
-        Keys and indices from `value` to the entry, and the entry; None where there is none.
     """
     members = tuple(_members(annotation))
     if isinstance(value, str | bool):
@@ -112,7 +333,7 @@ def _misread_number(value: Any, annotation: Any) -> tuple[tuple[Any, ...], Any] 
 
 
 def _members(annotation: Any) -> Iterator[Any]:
-    """What a value may be: the members of unions, without constraints."""
+    """Types that an annotation allows: members of unions, without constraints."""
     origin = get_origin(annotation)
     if origin is Annotated:
         yield from _members(get_args(annotation)[0])
@@ -140,7 +361,7 @@ S = TypeVar("S", bound=Settings)
 
 
 def read_yaml(path: Path | str) -> Any:
-    """Read plain data from a YAML file; see `yaml_` for what is refused that YAML 1.1 would read otherwise.
+    """Read plain data from a file of strict YAML.
 
     Raises:
         ConfigError: if the file cannot be read, is larger than `LARGEST_FILE` or is not strict YAML; names file, line
@@ -197,5 +418,5 @@ def override(data: dict[str, Any], text: str) -> None:
 
 
 def dump_yaml(data: Any) -> str:
-    """Return plain data as YAML in the order given."""
-    return format_yaml(data)
+    """Plain data as YAML in the order given; read back as the same by `parse_yaml` and by YAML 1.1."""
+    return yaml.dump(data, Dumper=_Dumper, sort_keys=False, allow_unicode=True)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import get_args
@@ -30,10 +30,10 @@ from .layouts import (
     layout_named,
     unit_of,
 )
-from .lvm import is_lvm, lvm_table
 from .signals import Cells, UncheckedLog, is_merged, merged, merged_note
-from .tables import Frame, Table, frame_table, text_table
+from .tables import FrameLike, LogTable, frame_table, sheet_table, text_table
 from .trial import Trial, Units, even_time
+from .types import Vec
 from .xlsx_ import open_xlsx
 
 
@@ -50,7 +50,7 @@ def format_table(columns: Mapping[str, Sequence[str] | NDArray[np.generic]]) -> 
 
 
 def read_columns(
-    log: Path | str | Frame, layout: str | Layout = "auto", sampled_hz: float | None = None
+    log: Path | str | FrameLike, layout: str | Layout = "auto", sampled_hz: float | None = None
 ) -> UncheckedLog:
     """Read a log without any check of its values: empty cells are not-a-number, time may repeat.
 
@@ -95,22 +95,17 @@ def read_columns(
     return UncheckedLog(t, u, angle, channels, units, path, layout.name, note, ranges, cells)
 
 
-def read_csv(log: Path | str | Frame, layout: str | Layout = "auto", sampled_hz: float | None = None) -> Trial:
+def read_csv(log: Path | str | FrameLike, layout: str | Layout = "auto") -> Trial:
     """Read one trial from a file or a data frame.
 
     Time, command and angle must be finite and time must increase; further columns may hold empty cells (read as
     not-a-number), and columns of text are left out.
 
-    Args:
-        log: the file or frame.
-        layout: its layout: a name, a `Layout`, or `auto` to tell it from the header.
-        sampled_hz: rate [Hz] of a log that was sampled evenly, whose time stamps are not looked at.
-
     Raises:
         LogError: on anything else; one line with file, row, column, what was got and what was expected.
         ConfigError: on an unknown layout.
     """
-    return read_columns(log, layout, sampled_hz).trial()
+    return read_columns(log, layout).trial()
 
 
 def write_csv(trial: Trial, path: Path | str) -> Path:
@@ -135,42 +130,38 @@ def write_csv(trial: Trial, path: Path | str) -> Path:
     return write_atomically(path, format_table(columns))
 
 
-def open_table(log: Path | str | Frame, wanted: Iterable[str] = (), names: Sequence[str] = ()) -> Table:
+def open_table(log: Path | str | FrameLike, wanted: Iterable[str] = ()) -> LogTable:
     """The columns of delimited text, a LabVIEW measurement, a sheet of a workbook, or a data frame.
 
     Args:
-        log: the file or frame.
         wanted: names that tell the header row, and the sheet.
-        names: of the columns, where no row of the file names them.
-
-    Raises:
-        LogError: if the file cannot be read as a table.
     """
-    if isinstance(log, Frame):
+    if isinstance(log, FrameLike):
         return frame_table(log)
     if format_of(Path(log)) == "xlsx":
         return open_xlsx(log, wanted)
     lines = read_lines(log)
-    return lvm_table(lines, str(log)) if is_lvm(lines) else text_table(lines, str(log), wanted, names)
+    is_lvm = lines[0].lstrip("\ufeff").startswith(_LVM)
+    return lvm_table(lines, str(log)) if is_lvm else text_table(lines, str(log), wanted)
 
 
-def _table_and_layout(log: Path | str | Frame, layout: Layout | None) -> tuple[Table, Layout]:
+def _table_and_layout(log: Path | str | FrameLike, layout: Layout | None) -> tuple[LogTable, Layout]:
     """Columns of a log, and their layout: the given one, otherwise the one that matches the header."""
     wanted = layout.known() if layout is not None else [name for layout in LAYOUTS for name in layout.known()]
-    table = open_table(log, wanted, layout.columns if layout is not None else ())
+    table = open_table(log, wanted)
     header, clock = table.header, _clock(table, (layout or CANONICAL).spelled(table.header), (layout or CANONICAL).time)
     if layout is None:
         try:
             layout = detect_layout([CANONICAL.time if name == clock else name for name in header])
         except LogError as error:
-            where = table.source if isinstance(log, Frame) else f"{table.source}, row {table.header_row}"
+            where = table.source if isinstance(log, FrameLike) else f"{table.source}, row {table.header_row}"
             raise LogError(f"{where}: {error}{_header_hint(table)}") from None
     if clock and layout.time not in header:
         layout = replace(layout, time=clock)
     return table.renamed(layout.spelled(header)), layout
 
 
-def _clock(table: Table, header: Sequence[str], time: str) -> str:
+def _clock(table: LogTable, header: Sequence[str], time: str) -> str:
     """Column of dates or times of day that replaces a missing time column: the one with most different values."""
     dates = sorted(name for name in table.times if name in table.numbers)
     if time in header or not dates:
@@ -181,7 +172,7 @@ def _clock(table: Table, header: Sequence[str], time: str) -> str:
 _TIME_UNITS = ("s", "ms", "us", "ns", "min", "h", "d")
 
 
-def _require_units(table: Table, expected: Mapping[str, str]) -> None:
+def _require_units(table: LogTable, expected: Mapping[str, str]) -> None:
     """Refuse a row of units that contradicts the names of the columns."""
     for name, unit in expected.items():
         said = unit_of(table.units.get(name, ""))
@@ -192,8 +183,95 @@ def _require_units(table: Table, expected: Mapping[str, str]) -> None:
             )
 
 
-def _header_hint(table: Table) -> str:
+def _header_hint(table: LogTable) -> str:
     """Advice for an error line, if the header holds no known name."""
     if table.named:
         return MAPPING_HINT
     return " (the first row holds numbers, expected column names; a mapping file can name columns '[0]', '[1]')"
+
+
+_LVM = "LabVIEW Measurement"
+_END = "***End_of_Header***"
+X_VALUE, _COMMENT = "X_Value", "Comment"
+_SEPARATORS = {"tab": "\t", "comma": ",", "semicolon": ";", "space": " "}
+
+
+def lvm_table(lines: Sequence[str], source: str) -> LogTable:
+    """Columns of a measurement; `X_Value` is in seconds, computed from `X0` and `Delta_X` if it is empty.
+
+    Raises:
+        LogError: if a header is cut off, channels have times of their own, or there are no rows.
+    """
+    ends = [k for k, line in enumerate(lines) if line.startswith(_END)]
+    if not ends:
+        raise LogError(f"{source}: LabVIEW measurement without {_END}, expected a whole file")
+    declared = next((line[len("Separator") :] for line in lines[: ends[0]] if line.startswith("Separator")), "\t")
+    separator = _SEPARATORS.get(declared.strip(" \t,;").lower(), declared[:1])
+    keys = _keys(lines[: ends[0]], separator)
+    comma = keys.get("decimal_separator", ["."])[0] == ","
+    blocks = list(_blocks(lines, ends, separator))
+    if not blocks:
+        raise LogError(f"{source}: LabVIEW measurement with a header only, expected rows of numbers")
+    about, names, _ = blocks[0]
+    if any(other != names for _, other, _ in blocks):
+        raise LogError(
+            f"{source}: LabVIEW measurement whose parts have other channels; write each to a file of its own"
+        )
+    kept = [k for k, name in enumerate(names) if name and name != _COMMENT]
+    x = [k for k in kept if names[k] == X_VALUE]
+    if len(x) > 1:
+        raise LogError(
+            f"{source}: LabVIEW measurement with a time column for each channel (X_Columns Multi), expected one: "
+            "set X value columns to `one` in LabVIEW, or write each channel to a file of its own"
+        )
+    first = 1 + next(k for k, line in enumerate(lines) if k > ends[0] and X_VALUE in line)
+    rows: list[list[str]] = [[] for _ in range(first - 1)] + [[names[k] for k in kept]]
+    for _, _, cells in blocks:
+        rows += [[row[k] if k < len(row) else "" for k in kept] for row in cells]
+    if comma:
+        rows[first:] = [[cell.replace(",", ".") for cell in row] for row in rows[first:]]
+    table = sheet_table(rows, source, [X_VALUE])
+    if not x or about.get("x_dimension", ["Time"])[0].lower() != "time":
+        return table
+    stamps: Vec = table.numbers.get(X_VALUE, np.array([np.nan]))
+    if np.isnan(stamps).all():
+        start, step = (_number(source, about, key) for key in ("x0", "delta_x"))
+        count = len(next(iter(table.numbers.values())))
+        stamps = start + step * np.arange(count, dtype=np.float64)
+    return replace(table, numbers={**table.numbers, X_VALUE: stamps}, times=table.times | {X_VALUE})
+
+
+def _keys(lines: Sequence[str], separator: str) -> Mapping[str, list[str]]:
+    """Keys of a header in small letters, and their values; of several channels one each."""
+    rows = [[cell.strip() for cell in line.split(separator)] for line in lines]
+    return {row[0].lower(): [cell for cell in row[1:] if cell] or [""] for row in rows if row and row[0]}
+
+
+def _blocks(
+    lines: Sequence[str], ends: Sequence[int], separator: str
+) -> Iterator[tuple[Mapping[str, list[str]], list[str], list[list[str]]]]:
+    """Header, names of the columns and rows of every part of a file."""
+    for number, end in enumerate(ends):
+        begin = ends[number - 1] + 1 if number else 0
+        stop = ends[number + 1] if number + 1 < len(ends) else len(lines)
+        body = [[cell.strip() for cell in line.split(separator)] for line in lines[end + 1 : stop]]
+        head = next((k for k, row in enumerate(body) if row[0] == X_VALUE), None)
+        if head is None:
+            continue
+        rows = []
+        for row in body[head + 1 :]:
+            if row[0].lower() in ("channels", _LVM.lower()):  # the header of the next part
+                break
+            if any(row):
+                rows.append(row)
+        yield _keys(lines[begin:end], separator), body[head], rows
+
+
+def _number(source: str, about: Mapping[str, list[str]], key: str) -> float:
+    text = about.get(key, [""])[0].replace(",", ".")
+    try:
+        return float(text)
+    except ValueError:
+        raise LogError(
+            f"{source}: LabVIEW measurement without times, whose {key} is {text[:40]!r}, expected a number"
+        ) from None

@@ -97,7 +97,6 @@ def encodings(values: Vec, other: Vec, dt: float, is_command: bool) -> list[Enco
         values: as logged (T,), finite.
         other: the command of an angle, the angle of a command (T,).
         dt: usual sample interval [s].
-        is_command: whether `values` is the command.
     """
     repairs: list[Encoding] = []
     late = max(1, round(_LATE_S / dt))
@@ -137,8 +136,11 @@ def _code(values: Vec, known: Mask, dt: float, is_command: bool, far_only: bool)
         low, high = (float(end) for end in np.percentile(rest, [1, 99]))
         away = max(low - value, value - high) / max(high - low, 1e-12 * abs(value), 1e-300)
         starts, stops = runs(here)
-        jump = _least_jump(signal, value, starts, stops)
-        usual = float(np.percentile(_steps_beside(signal, here), _USUAL if far_only else 100.0))
+        # The smaller of the steps into and out of each run of the value; at an end of the log the only one.
+        into = np.where(starts > 0, np.abs(value - signal[np.maximum(starts - 1, 0)]), np.inf)
+        out = np.where(stops < signal.size, np.abs(signal[np.minimum(stops, signal.size - 1)] - value), np.inf)
+        jump, beside = np.minimum(into, out), np.abs(np.diff(signal))[~(here[1:] | here[:-1])]
+        usual = float(np.percentile(beside, _USUAL if far_only else 100.0)) if beside.size else 0.0
         isolated = jump > max(_JUMP * usual, 0.2 * (high - low))
         if far_only:
             bad = away > _FAR and bool(isolated.all())
@@ -150,19 +152,6 @@ def _code(values: Vec, known: Mask, dt: float, is_command: bool, far_only: bool)
             cleaned[index[here]] = np.nan
             return Encoding("missing", float(value), tuple(index[here].tolist()), cleaned)
     return None
-
-
-def _least_jump(signal: Vec, value: float, starts: Index, stops: Index) -> Vec:
-    """Smaller of the two steps into and out of each run of a value; at an end of the log the only one."""
-    into = np.where(starts > 0, np.abs(value - signal[np.maximum(starts - 1, 0)]), np.inf)
-    out = np.where(stops < signal.size, np.abs(signal[np.minimum(stops, signal.size - 1)] - value), np.inf)
-    return np.minimum(into, out)
-
-
-def _steps_beside(signal: Vec, here: Mask) -> Vec:
-    """Sizes of the steps that neither begin nor end in `here`."""
-    steps = np.abs(np.diff(signal))[~(here[1:] | here[:-1])]
-    return steps if steps.size else np.zeros(1)
 
 
 def _jumps(values: Vec, other: Vec, late: int, is_command: bool) -> Encoding | None:

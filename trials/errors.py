@@ -47,39 +47,39 @@ class HystmpcError(Exception):
 
 
 class LogError(HystmpcError):
-    """A recorded log cannot be used; the text names file, row and what was expected."""
+    """Error of a recorded log that cannot be used; the text names file, row and what was expected."""
 
 
 class ConfigError(HystmpcError):
-    """A configuration is wrong: unknown key, wrong unit, value out of bounds."""
+    """Error of a configuration: unknown key, wrong unit, value out of bounds."""
 
 
 class ModelError(HystmpcError):
-    """A model or simulator file is foreign, corrupt, of another version, or does not fit its use."""
+    """Error of a model or simulator file that is foreign, corrupt, of another version, or does not fit its use."""
 
 
 class ExportError(HystmpcError):
-    """An exported model differs from its reference; nothing is left on disk."""
+    """Error of an exported model that differs from its reference; nothing is left on disk."""
 
 
 class FitError(HystmpcError):
-    """An identification cannot start or has diverged."""
+    """Error of an identification that cannot start or has diverged."""
 
 
 class FitInterruptedError(FitError):
-    """The user ended a fit that had nothing to keep yet."""
+    """End of a fit by the user before it had a result."""
 
 
 class TrajectoryError(HystmpcError):
-    """A reference cannot be generated within its limits."""
+    """Error of a reference that cannot be generated within its limits."""
 
 
 class ControllerError(HystmpcError):
-    """A controller is misconfigured; raised before the first sample, never inside the loop."""
+    """Error of a controller configuration; raised before the first sample, never inside the loop."""
 
 
 class GapError(HystmpcError):
-    """Recorded trials cannot be compared with a simulator: nothing recorded, another unit, sign or device."""
+    """Error of trials that cannot be compared with a simulator: nothing recorded, another unit, sign or device."""
 
 
 def shown(value: object, longest: int = 100) -> str:
@@ -133,11 +133,6 @@ def nearest(got: str, available: Iterable[str]) -> str:
 
 def require(package: str, extra: str, purpose: str) -> None:
     """Require an optional package; the error says what to install.
-
-    Args:
-        package: import name.
-        extra: extra of hystmpc that brings it.
-        purpose: what it is needed for, such as `reading ROS 2 bags`.
 
     Raises:
         LogError: if the package is not installed.

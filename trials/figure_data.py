@@ -63,7 +63,7 @@ class Curve:
 
 
 def curves_of(axes: Axes) -> Iterator[Curve]:
-    """Curves in the data's own coordinates; lines across the whole panel are none."""
+    """Curves of a panel, without lines across the whole panel."""
     for line in axes.get_lines():
         if line.get_transform() != axes.transData or not line.get_visible():
             continue
@@ -81,19 +81,6 @@ def curves_of(axes: Axes) -> Iterator[Curve]:
                 "steps": line.get_drawstyle() == "steps-pre",
             },
         )
-
-
-def _rules(axes: Axes) -> list[float]:
-    """Heights of the lines across the whole panel."""
-    across = (line for line in axes.get_lines() if line.get_transform() == axes.get_yaxis_transform(which="grid"))
-    return [float(np.asarray(line.get_ydata(), dtype=np.float64)[0]) for line in across]
-
-
-def _bands(axes: Axes) -> list[tuple[float, float]]:
-    """Begin and end of the stretches of x that are shaded over the whole height."""
-    shaded = (patch for patch in axes.patches if isinstance(patch, Rectangle) and patch.get_height() == 1.0)
-    bands = [p for p in shaded if p.get_data_transform() == axes.get_xaxis_transform(which="grid")]
-    return [(float(patch.get_x()), float(patch.get_x() + patch.get_width())) for patch in bands]
 
 
 def rows_of(figure: Figure) -> Iterator[tuple[object, ...]]:
@@ -182,6 +169,10 @@ def zoomed(figure: Figure) -> dict[str, Any]:
     panels, legend = [], dict[str, dict[str, Any]]()
     for axes in figure.axes:
         box, first = axes.get_position(), axes.get_shared_x_axes().get_siblings(axes)
+        across, up = axes.get_yaxis_transform(which="grid"), axes.get_xaxis_transform(which="grid")
+        lines = [line for line in axes.get_lines() if line.get_transform() == across]
+        shaded = [p for p in axes.patches if isinstance(p, Rectangle) and p.get_height() == 1.0]
+        bands = [p for p in shaded if p.get_data_transform() == up]
         curves = [_of_zoom(curve) for curve in curves_of(axes)]
         panel_entries = dict[str, dict[str, Any]]()
         entries = panel_entries if figure.legends and axes.get_legend() is not None else legend
@@ -198,8 +189,8 @@ def zoomed(figure: Figure) -> dict[str, Any]:
                 "xlabel": _plain(axes.get_xlabel()),
                 "ylabel": axes.get_ylabel(),
                 "ticks": bool(axes.xaxis.get_tick_params().get("labelbottom", True)),
-                "rules": _rules(axes),
-                "bands": _bands(axes),
+                "rules": [float(np.asarray(line.get_ydata(), dtype=np.float64)[0]) for line in lines],
+                "bands": [(float(p.get_x()), float(p.get_x() + p.get_width())) for p in bands],
                 "curves": curves,
                 "legend": list(panel_entries.items()),
             }
@@ -208,18 +199,13 @@ def zoomed(figure: Figure) -> dict[str, Any]:
 
 
 def _of_zoom(curve: Curve) -> dict[str, Any]:
+    """A curve with six digits, which no screen shows; null where there is no number."""
     step = max(1, -(-curve.x.size // MOST_ZOOMED))
-    return {
-        "label": curve.series,
-        "look": curve.look,
-        "x": [_short(v) for v in curve.x[::step].tolist()],
-        "y": [_short(v) for v in curve.y[::step].tolist()],
-    }
-
-
-def _short(value: float) -> float | None:
-    """Six digits, which no screen shows; null where there is no number."""
-    return float(f"{value:.6g}") if np.isfinite(value) else None
+    x, y = (
+        [float(f"{v:.6g}") if np.isfinite(v) else None for v in values[::step].tolist()]
+        for values in (curve.x, curve.y)
+    )
+    return {"label": curve.series, "look": curve.look, "x": x, "y": y}
 
 
 _WORDS = 4  # of heading and of caption
@@ -227,11 +213,7 @@ _WORD = re.compile(r"[a-z0-9]+")
 
 
 def write_figures(named: Iterable[tuple[str, str, Figure]]) -> None:
-    """Write figures where `figures_to` asks for them: `01-WORDS.svg`, `.pdf` and `.csv` for each, in their order.
-
-    Args:
-        named: heading above it, caption, figure.
-    """
+    """Write figures where `figures_to` asks for them: `01-WORDS.svg`, `.pdf` and `.csv` for each, in their order."""
     folder = figures_folder()
     if folder is None:
         return

@@ -28,8 +28,6 @@ class TrackedLine:
     """One closed loop along a motion.
 
     Attributes:
-        t: time [s], (T,).
-        angle_deg: (T,).
         lower: command or error, (T,).
     """
 
@@ -44,7 +42,6 @@ class TrackedMotion:
     """Closed loops along one motion.
 
     Attributes:
-        t: time [s], (T,).
         reference_deg: (T,); not drawn where all of it is NaN.
         approach_s: end of the approach, which does not count [s]; shaded.
     """
@@ -64,14 +61,7 @@ def tracking_figure(
     limits: Sequence[float] = (),
     held: bool = False,
 ) -> Figure:
-    """Reference and angles over time, and below them the command or the error; a column for each motion.
-
-    Args:
-        lower_label: of the lower axes, with the unit.
-        height: of the figure [inch].
-        limits: of the command, drawn across the lower axes.
-        held: whether the lower lines go in steps, as a command does that is held for a sample.
-    """
+    """Reference and angles over time, and below them the command or the error; a column for each motion."""
     drawn: Look = {"drawstyle": "steps-pre"} if held else {}
     with new_figure(7.0, height) as figure:
         rows = figure.subplots(2, len(motions), squeeze=False, sharex="col", sharey="row", height_ratios=(3, 2))
@@ -101,10 +91,8 @@ class SimulatedTrial:
     """A recorded trial and simulations of it.
 
     Attributes:
-        t: time [s], (T,).
         measured: output and its look, (T,).
         runs: simulated outputs and their looks, (T,).
-        unit: of the output.
         first: first sample of the error that is drawn.
     """
 
@@ -117,11 +105,7 @@ class SimulatedTrial:
 
 
 def time_figure(trials: Sequence[SimulatedTrial], error: str = "residual") -> Figure:
-    """Measured and simulated output of each trial over time, and below them simulation less measurement.
-
-    Args:
-        error: name of the difference.
-    """
+    """Measured and simulated output of each trial over time, and below them simulation minus measurement."""
     with new_figure(7.0, 0.7 + 2.6 * len(trials)) as figure:
         rows = figure.subplots(2 * len(trials), 1, height_ratios=(5, 3) * len(trials))
         for upper, lower, trial in zip(rows[::2], rows[1::2], trials, strict=True):

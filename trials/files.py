@@ -67,11 +67,7 @@ def require_writable(path: Path | str) -> None:
 
 
 def _mode(path: Path) -> int | None:
-    """File mode at a path, without following links; None if nothing is there.
-
-    Raises:
-        OSError: if that cannot be told.
-    """
+    """File mode at a path, without following links; None if nothing is there."""
     try:
         return os.lstat(path).st_mode
     except FileNotFoundError:
@@ -92,5 +88,5 @@ def figures_to(folder: Path | str | None) -> Iterator[None]:
 
 
 def figures_folder() -> Path | None:
-    """The folder that `figures_to` asks for."""
+    """Folder of the active `figures_to`; None if there is none."""
     return _WANTED.get()

@@ -84,7 +84,7 @@ _MARKUP = re.compile(r"\s*<(\?xml|!doctype|html|[a-z][\w:.-]*[\s/>])", re.IGNORE
 
 
 def format_of(path: Path) -> str:
-    """Name of the format of a file: of `ENDINGS`, or `text` for all that has no reader of its own.
+    """Name of the format of a file: of `ENDINGS`, or `text` for all without a special reader.
 
     What lies at the path is not judged: a reader says that a file is missing or cannot be read.
     """
@@ -99,6 +99,11 @@ def format_of(path: Path) -> str:
     if head.startswith(b"PK\x03\x04"):
         return _packed(path) or by_ending
     return next((name for start, name in _READ if head.startswith(start)), by_ending)
+
+
+def is_bag(folder: Path) -> bool:
+    """Whether a folder is a ROS 2 bag: metadata.yaml and at least one storage file."""
+    return (folder / "metadata.yaml").is_file() and any(any(folder.glob(f"*{end}*")) for end in (".db3", ".mcap"))
 
 
 def _packed(path: Path) -> str | None:
@@ -129,16 +134,6 @@ def require_known(path: Path | str, data: bytes) -> None:
         raise LogError(f"{path}: {name}, which is not read; {remedy}")
 
 
-def foreign_text(text: str) -> str:
-    """Name and remedy of text in a known format that is no table; empty if it may be one."""
-    head = text[:_HEAD]
-    if _JSON.match(head):
-        return f"JSON, which is not read; {_CSV}"
-    if _MARKUP.match(head):
-        return f"XML or HTML, which is not read; {_CSV}"
-    return ""
-
-
 _CONTROL = re.compile(r"[\x00-\x08\x0e-\x1f]")
 _MARKS = (
     (codecs.BOM_UTF8, "utf-8"),
@@ -164,8 +159,9 @@ def read_lines(path: Path | str) -> list[str]:
     text = _decoded(path, data)
     if not text.strip():
         raise LogError(f"{path}: empty file, expected a header row and at least two rows of numbers")
-    if foreign := foreign_text(text):
-        raise LogError(f"{path}: {foreign}")
+    for form, name in ((_JSON, "JSON"), (_MARKUP, "XML or HTML")):
+        if form.match(text[:_HEAD]):
+            raise LogError(f"{path}: {name}, which is not read; {_CSV}")
     return text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
 
 
@@ -210,7 +206,7 @@ def damaged(reason: str) -> str:
 
 @contextmanager
 def reading(path: Path | str, what: str) -> Iterator[None]:
-    """A block that reads a file with a third-party library, which may raise anything on a damaged file.
+    """Context for reading a file by a third-party library, which may raise anything on a damaged file.
 
     Raises:
         LogError: for whatever the library raises; names the file and what it was expected to be.

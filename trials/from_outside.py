@@ -41,9 +41,6 @@ def allow_python(*names: str) -> None:
     """Allow classes that files name as `python: MODULE:CLASS`: their modules may be imported.
 
     It holds for this process and for those that it starts from now on.
-
-    Args:
-        names: MODULE:CLASS; any class where left out.
     """
     given = os.environ.get(ALLOWED, "").split()
     os.environ[ALLOWED] = " ".join(dict.fromkeys([*given, *(names or (_ALL,))]))
@@ -78,11 +75,7 @@ def is_reading() -> bool:
 
 
 def refusal(name: str, group: str) -> str:
-    """Reason why MODULE:NAME may not be imported now; empty if it may.
-
-    Args:
-        group: of the entry points among which it may be.
-    """
+    """Reason why MODULE:NAME may not be imported now; empty if it may."""
     if name in installed(group).values():
         return ""
     said = os.environ.get(ALLOWED, "").split()
@@ -132,9 +125,7 @@ def object_named(name: str, what: str, group: str, fits: Callable[[Any], bool], 
     """Import the object MODULE:NAME from an installed package or the working folder.
 
     Args:
-        name: module and name in it.
         what: the object's place in a sentence, such as `transport`.
-        group: of the entry points among which it may be.
         fits: whether a value of the module is of the right kind.
         wanted: that kind in a sentence, such as `class`.
 
@@ -169,11 +160,7 @@ def object_named(name: str, what: str, group: str, fits: Callable[[Any], bool], 
 
 
 def class_named(name: str, what: str, group: str, base: type[T]) -> type[T]:
-    """Import the class MODULE:CLASS; errors as of `object_named`.
-
-    Args:
-        base: class that it has to derive from.
-    """
+    """Import the class MODULE:CLASS; errors as of `object_named`."""
     wanted = "class" if base is object else f"class derived from {base.__name__}"
 
     def fits(value: Any) -> bool:
@@ -188,8 +175,6 @@ def installed_objects(group: str, what: str, kind: type[T], taken: Iterable[str]
 
     Args:
         group: of the entry points; the value of each is MODULE:NAME.
-        what: their place in a sentence, such as `effect`.
-        kind: class of the instances.
         taken: names of the package's own.
 
     Raises:
@@ -236,11 +221,7 @@ def with_kind(known: Iterable[str], group: str) -> Callable[[Any], Any]:
 
 
 def _judge(name: Any, group: str) -> None:
-    """Refuse a class that may not be imported; allow one that the program itself names.
-
-    Raises:
-        ValueError: if it may not be.
-    """
+    """Refuse a class that may not be imported; allow one that the program itself names."""
     if not isinstance(name, str) or not re.match(MODULE_AND_CLASS, name) or _reading.get():
         return  # the field itself says what is wrong, or nothing is imported
     if refused := refusal(name, group):

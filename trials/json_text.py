@@ -15,7 +15,7 @@ from .errors import ConfigError
 
 
 def plain(value: Any) -> Any:
-    """Only what JSON knows: numbers of NumPy as plain ones, tuples as lists, not-a-number and infinity as null."""
+    """Data for JSON: NumPy numbers as plain ones, tuples as lists, not-a-number and infinity as null."""
     if isinstance(value, Mapping):
         return {str(key): plain(item) for key, item in value.items()}
     if isinstance(value, np.ndarray | np.generic):
@@ -26,20 +26,12 @@ def plain(value: Any) -> Any:
 
 
 def file_text(data: Any, indent: int = 1) -> str:
-    """Text of a JSON file, which ends in a line break.
-
-    Raises:
-        ValueError: if a number in the data is not finite: JSON has no word for it, see `plain`.
-    """
+    """Text of a JSON file, which ends in a line break."""
     return json.dumps(data, indent=indent, allow_nan=False) + "\n"
 
 
 def canonical(data: Any, default: Callable[[Any], Any] | None = None) -> str:
-    """One line of JSON, keys in order: equal texts for equal data.
-
-    Args:
-        default: makes plain data of anything that JSON does not know.
-    """
+    """One line of JSON, keys in order: equal texts for equal data."""
     return json.dumps(data, sort_keys=True, default=default)
 
 

@@ -26,12 +26,8 @@ class Layout:
         command: command columns and their units; of these a log holds exactly one, or the first, which wins.
         angle: column of the tip angle [deg].
         channels: readable names of further columns; columns not listed keep the name they have in the log.
-        columns: column names of a log without a header row, in order; empty where the log has a header row.
         command_range, angle_range: least and greatest plausible value, for the quality check; None for any device.
         other_angles: columns of an output that is no angle, and their units; of these and `angle` a log holds one.
-
-    Raises:
-        ConfigError: if `columns` lacks the time, the command or the angle.
     """
 
     name: str
@@ -40,28 +36,16 @@ class Layout:
     command: Mapping[str, str]
     angle: str
     channels: Mapping[str, str] = field(default_factory=dict)
-    columns: tuple[str, ...] = ()
     command_range: tuple[float, float] | None = None
     angle_range: tuple[float, float] | None = None
     other_angles: Mapping[str, str] = field(default_factory=dict)
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "command", MappingProxyType(dict(self.command)))
-        object.__setattr__(self, "channels", MappingProxyType(dict(self.channels)))
-        if self.columns and (gone := self.missing(self.columns)):
-            raise ConfigError(f"layout {self.name}: columns lack {', '.join(gone)}, got {', '.join(self.columns)}")
-
-    @property
-    def has_header(self) -> bool:
-        """Whether the first row of the log names the columns."""
-        return not self.columns
 
     def known(self) -> tuple[str, ...]:
         """Names that time, command and output may have."""
         return (self.time, self.angle, *self.command, *self.other_angles)
 
     def spelled(self, header: Sequence[str]) -> tuple[str, ...]:
-        """The header with the names of this layout as it writes them, where only capitals or the micro sign differ.
+        """Header in the spelling of this layout, where only capitals or the micro sign differ.
 
         A name that the layout knows as it stands is kept: capitals tell nm from Nm.
         """
@@ -81,14 +65,11 @@ class Layout:
         if not any(name in header for name in (self.angle, *self.other_angles)):
             gone.append(self.angle)
         if not any(name in header for name in self.command):
-            gone.insert(1 if self.time in gone else 0, self._command_names())
+            first, *others = self.command
+            several = len(others) > 1 and all(name.startswith(f"{first}_") for name in others)
+            names = f"{first} or {first}_UNIT" if several else " or ".join(self.command)
+            gone.insert(1 if self.time in gone else 0, names)
         return gone
-
-    def _command_names(self) -> str:
-        """Short text of the names that a command may have."""
-        first, *others = self.command
-        several = len(others) > 1 and all(name.startswith(f"{first}_") for name in others)
-        return f"{first} or {first}_UNIT" if several else " or ".join(self.command)
 
     def command_column(self, header: Sequence[str]) -> str:
         """The column of `header` that holds the command.
@@ -138,7 +119,7 @@ _ALIASES = MappingProxyType(
 
 
 def unit_of(text: str) -> str:
-    """A unit as this package writes it: `um` for both spellings of micrometres, `deg` for a degree sign."""
+    """Normalised spelling of a unit: `um` for both spellings of micrometres, `deg` for a degree sign."""
     plain = text.strip("[](){}<> ").translate(_MICRO)
     return _ALIASES.get(plain.lower(), plain)
 
@@ -208,9 +189,9 @@ def detect_layout(header: Sequence[str]) -> Layout:
         LogError: if none fits; lists what each would need and what there is.
     """
     for layout in LAYOUTS:
-        if layout.has_header and not layout.missing(layout.spelled(header)):
+        if not layout.missing(layout.spelled(header)):
             return layout
-    nearest = min((p for p in LAYOUTS if p.has_header), key=lambda p: len(p.missing(p.spelled(header))))
+    nearest = min(LAYOUTS, key=lambda p: len(p.missing(p.spelled(header))))
     gone = ", ".join(nearest.missing(nearest.spelled(header)))
     raise LogError(f"columns fit no layout: {nearest.name} misses {gone}; available: {few(header, 50)}")
 
@@ -330,7 +311,7 @@ class LogMapping(Settings):
 
     @property
     def name(self) -> str:
-        """What messages call this layout."""
+        """Name of this layout in messages."""
         return "mapping"
 
     def signals(self) -> tuple[SignalSettings, ...]:

@@ -124,10 +124,6 @@ class _Hdf5Tree:
     """Bounded reader of the objects of an HDF5 file, whose links may form loops.
 
     Nothing outside the file is opened, whatever the file says.
-
-    Raises:
-        LogError: if a group or a cell lies within itself, there are more objects or bytes than in any log, or data lie
-            outside the file.
     """
 
     def __init__(self, path: str, file: Any) -> None:
@@ -155,7 +151,7 @@ class _Hdf5Tree:
         return place
 
     def read(self, item: Any) -> Any:
-        """Groups as mappings; matrices the way MATLAB shows them, which stores them transposed."""
+        """Read groups as mappings, and matrices transposed, as MATLAB shows them."""
         import h5py
 
         self._left -= 1
@@ -229,12 +225,12 @@ def _require_bounded(path: str, data: bytes) -> None:
     ends = {b"IM": "<", b"MI": ">"}.get(data[126:128])
     if ends is None or not any(data[:4]):
         return
-    _File(path, ends, MOST_BYTES).walk(memoryview(data)[_HEADER:])
+    _MatElements(path, ends, MOST_BYTES).walk(memoryview(data)[_HEADER:])
 
 
 @dataclass
-class _File:
-    """The elements of a file.
+class _MatElements:
+    """Bounded walk over the elements of a MATLAB file.
 
     Attributes:
         ends: byte order, as `struct` names it.

@@ -1,13 +1,14 @@
-"""MCAP logs: writing of a run as one channel of JSON messages; reading of JSON and ROS 2 messages."""
+"""MCAP logs and ROS bags, without ROS: reading of their messages, and writing of a run as JSON messages."""
 
 from __future__ import annotations
 
+import bz2
 import importlib.util
 import json
 import math
 import struct
 import zlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
@@ -17,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .errors import LogError, require
-from .formats import damaged, one_line, read_bytes
+from .formats import MOST_BYTES, damaged, one_line, read_bytes
 from .messages import Decoder, MessageLog, Topic, UnreadableError, late_decoder
 
 TOPIC = "/hystmpc/log"
@@ -44,34 +45,26 @@ def format_mcap(
     out = BytesIO()
     writer = Writer(out)
     writer.start(profile="", library="hystmpc")
-    schema = writer.register_schema("hystmpc.Sample", "jsonschema", json.dumps(_schema(columns)).encode())
+    kinds = {name: ["number", "null"] if isinstance(c, np.ndarray) else ["string"] for name, c in columns.items()}
+    fields = {"type": "object", "properties": {name: {"type": kind} for name, kind in kinds.items()}}
+    schema = writer.register_schema("hystmpc.Sample", "jsonschema", json.dumps(fields).encode())
     channel = writer.register_channel(TOPIC, "json", schema)
     stamps = (start_ns + np.rint(1e9 * t).astype(np.int64)).tolist()
     for k, stamp in enumerate(stamps):
-        message = {name: _null_for_nan(column[k]) for name, column in values.items()}
+        row = {name: column[k] for name, column in values.items()}
+        message = {name: None if isinstance(v, float) and not math.isfinite(v) else v for name, v in row.items()}
         writer.add_message(channel, stamp, json.dumps(message, allow_nan=False).encode(), stamp, k)
     writer.finish()
     return out.getvalue()
 
 
-def _null_for_nan(value: Any) -> Any:
-    return None if isinstance(value, float) and not math.isfinite(value) else value
-
-
-def _schema(columns: Mapping[str, Any]) -> dict[str, Any]:
-    kinds = {name: ["number", "null"] if isinstance(c, np.ndarray) else ["string"] for name, c in columns.items()}
-    return {"type": "object", "properties": {name: {"type": kind} for name, kind in kinds.items()}}
-
-
 MAGIC = b"\x89MCAP0\r\n"
 _PREFIX = struct.Struct("<BQ")
-_HEADER, _FOOTER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _DATA_END = 1, 2, 3, 4, 5, 6, 15
-_MOST_BYTES = 1 << 30  # of all chunks, unpacked: neither a damaged length nor a packed file may fill the memory
-_ID = struct.Struct("<H")
+_FOOTER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _DATA_END = 2, 3, 4, 5, 6, 15
 
 
 class _DamagedError(Exception):
-    """The rest of the file cannot be trusted."""
+    """Damage after which the rest of a file cannot be trusted."""
 
 
 @dataclass
@@ -79,7 +72,6 @@ class McapRecords:
     """Messages of one file in the order in which they were written.
 
     Attributes:
-        path: the file.
         schemas, channels: by their ids, as far as they have been met.
         note: why reading ended before the end of the file; empty if it did not.
         left: bytes that may still be unpacked.
@@ -89,7 +81,7 @@ class McapRecords:
     schemas: dict[int, Any] = field(default_factory=dict)
     channels: dict[int, Any] = field(default_factory=dict)
     note: str = ""
-    left: int = field(default_factory=lambda: _MOST_BYTES)
+    left: int = field(default_factory=lambda: MOST_BYTES)
 
     def messages(self) -> Iterator[Any]:
         """Every whole message; `mcap.records.Message`, its channel in `channels`.
@@ -166,16 +158,12 @@ class McapRecords:
 
 
 def _unpacked(chunk: Any, most: int) -> bytes:
-    """Unpack the records of a chunk, within its declared size.
-
-    Raises:
-        ValueError: if it cannot be unpacked, or has other bytes.
-    """
+    """Unpack the records of a chunk, within its declared size; a ValueError says why it cannot be."""
     if chunk.compression == "":
         return chunk.data
     size = chunk.uncompressed_size
     if size > most:
-        raise ValueError(f"more than {_MOST_BYTES} bytes unpacked")
+        raise ValueError(f"more than {MOST_BYTES} bytes unpacked")
     if chunk.compression == "zstd":
         import zstandard
 
@@ -215,14 +203,14 @@ def open_mcap(path: Path | str) -> MessageLog:
     for channel in records.channels.values():
         schema = records.schemas.get(channel.schema_id)
         kind = schema.name if schema is not None else channel.message_encoding
-        topics[channel.topic] = Topic(channel.topic, kind, _decoder(channel.message_encoding, schema))
+        topics[channel.topic] = Topic(kind, _decoder(channel.message_encoding, schema))
     names = {number: channel.topic for number, channel in records.channels.items()}
     messages = [(names[number], stamp, data) for number, stamp, data in kept]
     return MessageLog(str(path), topics, messages, records.note)
 
 
 def _decoder(encoding: str, schema: Any) -> Decoder:
-    """How to read the messages of a channel."""
+    """Decoder of the messages of a channel."""
     if encoding == "json":
         return _parse_json
     if encoding == "cdr" and schema is not None:
@@ -239,3 +227,143 @@ def _parse_json(raw: bytes) -> Any:
         return json.loads(raw)
     except (ValueError, RecursionError) as error:
         raise UnreadableError(f"not JSON ({one_line(error)})") from None
+
+
+_ROS1, _ROS2 = {"MSG": "ros1msg"}, {"MSG": "ros2msg", "IDL": "ros2idl"}  # encodings of definitions
+_MAGIC = b"#ROSBAG V2.0\n"
+_BAG_CHUNK = b"\x05"
+_SIZE = struct.Struct("<I")
+
+
+def open_bag(path: Path | str) -> MessageLog:
+    """Read the messages of a ROS 2 bag (sqlite3 or mcap storage).
+
+    A bag whose recorder was killed has no metadata.yaml: name the storage file itself. An mcap storage that was cut
+    off gives what stands before the cut; an sqlite3 storage what the database still yields.
+
+    Raises:
+        LogError: if `rosbags` is not installed, or the bag cannot be read or holds no message.
+    """
+    place = Path(path)
+    if not place.exists():
+        raise LogError(f"{path}: no such file")
+    require("rosbags", "logs", f"{path}: reading ROS 2 bags")
+    from rosbags.rosbag2 import Reader
+
+    log = _read(place, Reader, _ROS2)
+    storage = sorted(place.glob("*.mcap")) if place.is_dir() else []
+    return _recovered(str(path), storage) if log.note and storage else _not_empty(log, "ROS 2 bag")
+
+
+def open_bag1(path: Path | str) -> MessageLog:
+    """Read the messages of a ROS 1 bag.
+
+    Raises:
+        LogError: if `rosbags` is not installed, or the file is missing, cut off, no bag, unpacks to more than
+            `MOST_BYTES`, or holds no message.
+    """
+    require("rosbags", "logs", f"{path}: reading ROS 1 bags")
+    from rosbags.rosbag1 import Reader
+
+    data = read_bytes(path)
+    if not data.startswith(_MAGIC):
+        raise LogError(f"{path}: not a ROS 1 bag of version 2.0 (starts with {data[:13]!r})")
+
+    def bounded(place: Path) -> Any:
+        _require_bounded(str(path), data)
+        return Reader(place)
+
+    return _not_empty(_read(Path(path), bounded, _ROS1), "ROS 1 bag")
+
+
+def _read(path: Path, reader: Callable[[Path], Any], encodings: Mapping[str, str]) -> MessageLog:
+    """Topics and messages of a bag up to its first fault, which becomes the note."""
+    topics: dict[str, Topic] = {}
+    messages: list[tuple[str, int, bytes]] = []
+    note = ""
+    try:
+        with reader(path) as bag:
+            for connection in bag.connections:
+                encoding = encodings.get(connection.msgdef.format.name, "")
+                decode = late_decoder(connection.msgtype, encoding, connection.msgdef.data)
+                topics[connection.topic] = Topic(connection.msgtype, decode)
+            for connection, stamp, raw in bag.messages():
+                messages.append((connection.topic, stamp, bytes(raw)))
+    except LogError:
+        raise
+    except Exception as error:  # noqa: BLE001 - on damaged files the library raises whatever it meets
+        reason = one_line(error)[:100]
+        unindexed = encodings is _ROS1 and "index" in reason.lower()
+        note = damaged("it was not closed: run `rosbag reindex FILE`" if unindexed else reason)
+    return MessageLog(str(path), topics, messages, note)
+
+
+def _not_empty(log: MessageLog, kind: str) -> MessageLog:
+    if not log.messages:
+        note = f" ({log.note})" if log.note else ""
+        raise LogError(f"{log.path}: not a readable {kind}, or one without a message{note}")
+    return log
+
+
+def _recovered(path: str, storage: list[Path]) -> MessageLog:
+    """The mcap files of a bag one by one, each up to where it is whole."""
+    require("mcap", "logs", f"{path}: reading a damaged bag")
+    logs, notes = [], []
+    for file in storage:
+        try:
+            logs.append(open_mcap(file))
+            notes.append(logs[-1].note)
+        except LogError as error:
+            notes.append(str(error))
+    if not logs:
+        raise LogError(f"{path}: not a readable ROS 2 bag ({notes[0]})")
+    topics = {name: topic for log in logs for name, topic in log.topics.items()}
+    messages = [message for log in logs for message in log.messages]
+    return MessageLog(path, topics, messages, next((note for note in notes if note), ""))
+
+
+def _require_bounded(path: str, data: bytes) -> None:
+    """Refuse a bag whose chunks unpack to more than a log holds, before the library unpacks any."""
+    left = MOST_BYTES
+    for fields, content in _records(data):
+        if fields.get(b"op") == _BAG_CHUNK:
+            left -= _unpacked_size(fields.get(b"compression", b"none"), content, left)
+            if left < 0:
+                raise LogError(f"{path}: unpacks to more than {MOST_BYTES} bytes, expected a log")
+
+
+def _records(data: bytes) -> Iterator[tuple[dict[bytes, bytes], memoryview]]:
+    """Header fields and content of every whole record."""
+    at, view = len(_MAGIC), memoryview(data)
+    while at + 4 <= len(data):
+        length = _SIZE.unpack_from(data, at)[0]
+        head = data[at + 4 : at + 4 + length]
+        at += 4 + length
+        if at + 4 > len(data):
+            return
+        size = _SIZE.unpack_from(data, at)[0]
+        yield _header_fields(head), view[at + 4 : at + 4 + size]
+        at += 4 + size
+
+
+def _header_fields(head: bytes) -> dict[bytes, bytes]:
+    fields, at = {}, 0
+    while at + 4 <= len(head):
+        length = _SIZE.unpack_from(head, at)[0]
+        name, _, value = head[at + 4 : at + 4 + length].partition(b"=")
+        fields[name] = value
+        at += 4 + length
+    return fields
+
+
+def _unpacked_size(compression: bytes, content: memoryview, most: int) -> int:
+    """Bytes of a chunk, unpacked; more than `most` where it has more."""
+    if compression == b"none":
+        return 0  # as large as it lies
+    if compression == b"bz2":
+        return len(bz2.BZ2Decompressor().decompress(content, most + 1))
+    if compression == b"lz4":
+        import lz4.frame
+
+        return len(lz4.frame.LZ4FrameDecompressor().decompress(content, most + 1))
+    raise ValueError(f"compression {compression[:20]!r}")

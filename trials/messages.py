@@ -13,13 +13,13 @@ import numpy as np
 from .errors import LogError, require
 from .formats import one_line
 from .layouts import HEADER_TIME, LOG_TIME, few
-from .signals import Series, split_path, walk
+from .signals import Series, SignalLog, split_path, walk
 
 Decoder = Callable[[bytes], Any]
 
 
 class UnreadableError(Exception):
-    """A message, or its definition, cannot be read; the text says why."""
+    """Error of a message, or of its definition, that cannot be read."""
 
 
 @lru_cache(maxsize=64)  # parsing a definition takes longer than reading thousands of messages
@@ -27,10 +27,8 @@ def cdr_decoder(message_type: str, encoding: str, definition: str) -> Decoder:
     """Decoder from the bytes of a message to an object with its fields.
 
     Args:
-        message_type: such as `std_msgs/msg/Float64`.
         encoding: of the definition, `ros2msg`, `ros2idl`, `ros1msg` (then the messages are those of ROS 1), or empty
             where the bag has none: then it must be one of the message types that come with ROS 2.
-        definition: the text of the definition.
 
     Raises:
         UnreadableError: if the type is not known or its definition cannot be read.
@@ -105,26 +103,21 @@ class Topic:
     """One topic of a log.
 
     Attributes:
-        name: as published.
         kind: message type or schema, for messages.
         decode: from the bytes of a message to mappings, sequences and numbers, or to an object with fields.
     """
 
-    name: str
     kind: str
     decode: Decoder
 
 
 @final
 @dataclass(frozen=True, eq=False)
-class MessageLog:
-    """A `Source` over messages.
+class MessageLog(SignalLog):
+    """A `SignalLog` over messages.
 
     Attributes:
-        path: the log.
-        topics: by name.
         messages: topic, time of the log [ns] and bytes of every message, in the order of the log.
-        note: what a user should know about the file.
     """
 
     path: str
@@ -151,12 +144,9 @@ class MessageLog:
         return values
 
     def series(self, signals: Sequence[str], time: str) -> list[Series]:
-        """The signals asked for; see `Source`.
+        """The signals asked for; see `SignalLog`.
 
         A time signal is a field of the same message: `/tip.time_s`, or `time_s` for one of that name in every topic.
-
-        Raises:
-            LogError: on an unknown topic or field, a message that cannot be read, or a time on another topic.
         """
         places = [self._place(signal) for signal in signals]
         clocks = [self._clock(time, topic) for topic, _ in places]
@@ -180,7 +170,7 @@ class MessageLog:
         return [Series(np.array(t), np.array(y)) for t, y in zip(stamps, values, strict=True)]
 
     def _place(self, signal: str) -> tuple[str, list[str | int]]:
-        """Topic and way into its messages."""
+        """Topic and path into its messages."""
         fitting = [name for name in self.topics if signal == name or signal.startswith((f"{name}.", f"{name}["))]
         if not fitting:
             topics = sorted(self.topics)
@@ -189,7 +179,7 @@ class MessageLog:
         return topic, split_path(signal[len(topic) :])
 
     def _clock(self, time: str, topic: str) -> list[str | int] | None:
-        """Way to the time field; None where time is the log's or the header's."""
+        """Path to the time field; None where time is the log's or the header's."""
         if time in (LOG_TIME, HEADER_TIME):
             return None
         if not time.startswith("/"):

@@ -4,25 +4,22 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from dataclasses import replace
+from importlib import import_module
 from pathlib import Path
 
 import numpy as np
 
-from .arrays import ArrayLog
 from .command_noise import remove_command_noise
 from .csv_files import open_table, read_columns
 from .errors import ConfigError, LogError, in_a_line
-from .formats import ENDINGS, format_of
+from .formats import ENDINGS, format_of, is_bag
 from .layouts import Layout, LogMapping, is_mapping_file, layout_named, load_mapping
-from .mat_ import open_mat
-from .mcap_ import open_mcap
-from .npz_ import open_npz
-from .rosbag_ import is_bag, open_bag, open_bag1
 from .signals import (
     Series,
-    Source,
+    SignalLog,
     UncheckedLog,
     canonical_mapping,
     filled_rows,
@@ -31,27 +28,27 @@ from .signals import (
     missing,
     read_mapped,
 )
-from .tables import Frame, Table
-from .tdms_ import open_tdms
+from .tables import FrameLike, LogTable
 from .trial import Trial, even_time, parts_at_gaps, positive_rate, require_uniform, resample
 from .types import Vec
 
 AnyLayout = str | Layout | LogMapping
 """A layout's name, a mapping file (`*.yaml`), a `Layout` (tables), a `LogMapping`, or `auto`."""
 
-Log = Path | str | Frame | Trial
+Log = Path | str | FrameLike | Trial
 """One recorded trial: a file, the folder of a ROS 2 bag, a data frame, or the trial itself."""
 
-OPENERS: dict[str, Callable[[Path], Source]] = {
-    "mcap": open_mcap,
-    "rosbag2": open_bag,
-    "rosbag1": open_bag1,
-    "mat": open_mat,
-    "npz": open_npz,
-    "npy": open_npz,
-    "tdms": open_tdms,
+OPENERS = {
+    "mcap": ("mcap_", "open_mcap"),
+    "rosbag2": ("mcap_", "open_bag"),
+    "rosbag1": ("mcap_", "open_bag1"),
+    "mat": ("mat_", "open_mat"),
+    "npz": ("arrays", "open_npz"),
+    "npy": ("arrays", "open_npz"),
+    "tdms": ("arrays", "open_tdms"),
 }
-"""Formats of named signals; all others are tables."""
+"""Formats of named signals, each with module and name of its reader, which is imported when asked for; all others are
+tables."""
 
 
 @in_a_line
@@ -76,24 +73,17 @@ def read_trials(
         ConfigError: on an unknown layout or a wrong mapping file.
     """
     layout = resolve(layout)
-    several = [logs] if isinstance(logs, Path | str | Frame | Trial) else list(logs)
+    several = [logs] if isinstance(logs, Path | str | FrameLike | Trial) else list(logs)
     trials = []
     for log in several or expand_logs([]):  # which refuses to do without any
         files = expand_logs([log]) if isinstance(log, Path | str) else [log]
         trials += [read_log(file, layout, sampled_hz) for file in files]
-    trials = _with_unique_names(trials)
-    return trials if rate_hz is None else at_rate(trials, rate_hz)
-
-
-def _with_unique_names(trials: list[Trial]) -> list[Trial]:
-    """Trials with unique names: a number follows each name that occurs more than once."""
     counts, seen = Counter(trial.source for trial in trials), Counter[str]()
-    named = []
-    for trial in trials:
+    for k, trial in enumerate(trials):
         seen[trial.source] += 1
-        name = f"{trial.source} {seen[trial.source]}"
-        named.append(trial if counts[trial.source] == 1 else replace(trial, source=name))
-    return named
+        if counts[trial.source] > 1:
+            trials[k] = replace(trial, source=f"{trial.source} {seen[trial.source]}")
+    return trials if rate_hz is None else at_rate(trials, rate_hz)
 
 
 def read_log(log: Log, layout: AnyLayout = "auto", sampled_hz: float | None = None) -> Trial:
@@ -141,7 +131,7 @@ _NO_LOGS = (".", "~$")  # what macOS and Excel leave beside files
 
 
 def read_unchecked(
-    log: Path | str | Frame, layout: AnyLayout = "auto", sampled_hz: float | None = None
+    log: Path | str | FrameLike, layout: AnyLayout = "auto", sampled_hz: float | None = None
 ) -> UncheckedLog:
     """Read a log without any check of its values.
 
@@ -151,7 +141,8 @@ def read_unchecked(
     """
     layout = resolve(layout)
     if isinstance(layout, LogMapping):
-        return _read_mapping(log, layout, sampled_hz)
+        names = (name for signal in layout.signals() for name in (signal.signal, signal.minus or signal.signal))
+        return _read_mapped(_open(log, (layout.time, *names)), layout, sampled_hz)
     if _is_table(log):
         return read_columns(log, layout, sampled_hz)
     source = _open(log, ())
@@ -162,56 +153,44 @@ def read_unchecked(
                 f"{source.path}: layout {name} is for delimited text, expected auto or a mapping file (*.yaml)"
             )
     try:
-        clock = source.clock if isinstance(source, ArrayLog) else ""
-        mapping = canonical_mapping(source.names(), source.path, clock)
-    except LogError:
-        if isinstance(source, ArrayLog) and source.unread:
-            raise source.not_read() from None
-        raise
-    return read_mapped(source, _sampled(mapping, sampled_hz))
+        mapping = canonical_mapping(source.names(), source.path, source.clock)
+    except LogError as error:
+        raise source.not_read() or error from None
+    return _read_mapped(source, mapping, sampled_hz)
 
 
-def _read_mapping(log: Path | str | Frame, mapping: LogMapping, sampled_hz: float | None) -> UncheckedLog:
-    source = _open(log, (mapping.time, *(name for s in mapping.signals() for name in (s.signal, s.minus or s.signal))))
-    times = source.table.times if isinstance(source, _TableLog) else getattr(source, "times", ())
-    if mapping.time in times:
-        mapping = mapping.model_copy(update={"time_unit": "s"})  # a date has no other
-    return read_mapped(source, _sampled(mapping, sampled_hz))
-
-
-def _sampled(mapping: LogMapping, sampled_hz: float | None) -> LogMapping:
-    """The mapping of a log that was sampled evenly, where its rate is given."""
-    return mapping if sampled_hz is None else mapping.model_copy(update={"rate_hz": positive_rate(sampled_hz)})
+def _read_mapped(source: SignalLog, mapping: LogMapping, sampled_hz: float | None) -> UncheckedLog:
+    changes: dict[str, object] = {"time_unit": "s"} if mapping.time in source.times else {}  # a date has no other
+    changes |= {} if sampled_hz is None else {"rate_hz": positive_rate(sampled_hz)}
+    return read_mapped(source, mapping.model_copy(update=changes))
 
 
 def resolve(layout: AnyLayout) -> AnyLayout:
-    """Resolve `--layout`: read a mapping from its file, or check a name.
-
-    Raises:
-        ConfigError: on an unknown layout or a wrong mapping file.
-    """
+    """Resolve `--layout`: read a mapping from its file, or check a name."""
     if not isinstance(layout, str) or layout == "auto":
         return layout
     return load_mapping(layout) if is_mapping_file(layout) else layout_named(layout)
 
 
-def _is_table(log: Path | str | Frame) -> bool:
+def _is_table(log: Path | str | FrameLike) -> bool:
     """Whether a log is delimited text, a workbook or a data frame."""
-    return isinstance(log, Frame) or not (is_bag(Path(log)) or format_of(Path(log)) in OPENERS)
+    return isinstance(log, FrameLike) or not (is_bag(Path(log)) or format_of(Path(log)) in OPENERS)
 
 
-def _open(log: Path | str | Frame, wanted: Iterable[str]) -> Source:
-    if isinstance(log, Frame) or _is_table(log):
+def _open(log: Path | str | FrameLike, wanted: Iterable[str]) -> SignalLog:
+    if isinstance(log, FrameLike) or _is_table(log):
         return _TableLog(open_table(log, wanted))
     path = Path(log)
-    return open_bag(path) if is_bag(path) else OPENERS[format_of(path)](path)
+    module, name = OPENERS["rosbag2" if is_bag(path) else format_of(path)]
+    source: SignalLog = getattr(import_module(f".{module}", __package__), name)(path)
+    return source
 
 
-class _TableLog:
-    """A `Source` over the columns of a table, for mapping files."""
+class _TableLog(SignalLog):
+    """A `SignalLog` over the columns of a table, for mapping files."""
 
-    def __init__(self, table: Table) -> None:
-        self.path, self.table, self.note = table.source, table, ""
+    def __init__(self, table: LogTable) -> None:
+        self.path, self.table, self.note, self.times = table.source, table, "", table.times
 
     def names(self) -> tuple[str, ...]:
         return tuple(name for name in self.table.numbers if name)
@@ -248,16 +227,11 @@ def at_rate(trials: Iterable[Trial], rate_hz: float) -> list[Trial]:
     """Trials cut at their gaps, on a uniform grid, without the noise of a measured command (`remove_command_noise`).
 
     One without such noise that lies on the grid is left as it is.
-
-    Raises:
-        ConfigError, LogError: see `parts_at_gaps` and `resample`.
     """
     parts = remove_command_noise([part for trial in trials for part in parts_at_gaps(trial)])
-    return [part if _lies_at(part, rate_hz) else resample(part, rate_hz) for part in parts]
-
-
-def _lies_at(trial: Trial, rate_hz: float) -> bool:
-    try:
-        return bool(np.isclose(require_uniform(trial) * rate_hz, 1.0, rtol=1e-9))
-    except LogError:
-        return False
+    for k, part in enumerate(parts):
+        even = False
+        with suppress(LogError):
+            even = bool(np.isclose(require_uniform(part) * rate_hz, 1.0, rtol=1e-9))
+        parts[k] = part if even else resample(part, rate_hz)
+    return parts

@@ -1,4 +1,4 @@
-"""Recordings: which trials may be identified from, and the order in which they were recorded."""
+"""Recordings: check that a trial is a recording, and the order in which trials were recorded."""
 
 from __future__ import annotations
 
@@ -24,8 +24,7 @@ def require_recorded(trial: Trial) -> None:
     """Refuse a trial that is no recording: a motion proposed by a diagnosis, or wrong signals.
 
     Raises:
-        LogError: if its angle is the one that a diagnosis expects, or `check` finds time in
-            another unit, codes or jumps, see `require_sound`.
+        LogError: if its angle is the one that a diagnosis expects, or as `require_sound`.
     """
     if SEPARATION_COLUMN in trial.channels:
         raise LogError(f"{trial.source}: is a motion proposed by a diagnosis, expected what was recorded on it")
@@ -38,7 +37,7 @@ WALL_CLOCK = "wall_ns"  # column of a bench's log: time since 1970 [ns]
 
 
 class RecordingManifest(Settings):
-    """`manifest.yaml` beside logs: which trials one session has recorded, the first one first.
+    """Manifest of a session, `manifest.yaml` in the folder of its logs: the recorded trials in their order.
 
     Attributes:
         recorded: names of the files in the order of recording.
@@ -51,13 +50,7 @@ class RecordingManifest(Settings):
 
 
 def write_manifest(folder: Path, files: Sequence[Path], start: datetime | None = None) -> Path:
-    """Write the manifest of logs that were recorded into a folder in that order.
-
-    Args:
-        folder: of the logs.
-        files: in the order of recording.
-        start: of the session; now where left out.
-    """
+    """Write the manifest of logs that were recorded into a folder in that order; the session started now or then."""
     begun = (start or datetime.now(UTC)).isoformat()
     content = {"format": FORMAT, "start": begun, "recorded": [file.name for file in files]}
     return write_atomically(folder / MANIFEST, dump_yaml(content))
@@ -80,9 +73,6 @@ def by_manifest(sources: Sequence[str]) -> list[int] | None:
     """Indices of the logs in the order of the manifests in their folders; None if a log is not listed.
 
     Logs of several folders are ordered by the starts of their sessions.
-
-    Raises:
-        ConfigError: if a manifest of this format cannot be used.
     """
     places: list[tuple[str, int]] = []
     manifests = {folder: _manifest(folder) for folder in {Path(source).parent for source in sources}}

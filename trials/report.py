@@ -30,7 +30,7 @@ from .files import write_atomically
 
 @cache
 def _style() -> mpl.RcParams:
-    """The style file beside this one, which a script takes by `plt.style.use("hystmpc.trials.report")`."""
+    """Style of the figures, from a file that a script takes by `plt.style.use("hystmpc.trials.report")`."""
     with as_file(files("hystmpc.trials").joinpath("report.mplstyle")) as path:
         return mpl.rc_params_from_file(path, use_default_template=False)
 
@@ -58,12 +58,9 @@ class StyledFigure(Figure):
 
 @contextmanager
 def new_figure(width: float = 7.0, height: float = 3.2) -> Iterator[StyledFigure]:
-    """A figure in the style of the project, to be drawn on inside the `with` block; it stays valid after it.
+    """A figure of a size [inch] in the style of the project, to be drawn on inside the `with` block; it stays valid.
 
     Not made through pyplot: nothing global keeps it alive, and no display is needed.
-
-    Args:
-        width, height: size [inch].
     """
     with mpl.rc_context(_style()):
         yield StyledFigure(figsize=(width, height))
@@ -147,13 +144,7 @@ Piece = Heading | Paragraph | Points | KeyValues | Table | Plot | Folded
 
 @dataclass(frozen=True)
 class Report:
-    """A page made of pieces.
-
-    Attributes:
-        title: title of the page.
-        pieces: what it shows, in order.
-        subtitle: one line below the title.
-    """
+    """A page made of pieces."""
 
     title: str
     pieces: tuple[Piece, ...]
@@ -205,7 +196,6 @@ def figure_svg(figure: Figure, prefix: str = "") -> str:
     """A figure as an `<svg>` element to be set into a page.
 
     Args:
-        figure: any matplotlib figure.
         prefix: put before every id, so that the figures of one page do not refer to each other's parts.
     """
     _print_as_it_is(figure)
@@ -260,7 +250,7 @@ def _print_as_it_is(figure: Figure) -> None:
 
 
 def _bitmap(figure: Figure, prefix: str = "") -> str:
-    """A figure as an `<img>` element that holds its own data."""
+    """A figure as an `<img>` element with embedded data."""
     del prefix
     three_ticks(figure)
     out = io.BytesIO()
@@ -270,7 +260,7 @@ def _bitmap(figure: Figure, prefix: str = "") -> str:
 
 
 def _block(piece: Piece, number: str, drawn: Callable[[Figure, str], str] = figure_svg) -> dict[str, Any]:
-    """Fields of one piece for the page template."""
+    """Fields of one piece of a report for the page template."""
     if isinstance(piece, Heading):
         return {"kind": "heading", "text": piece.text, "level": piece.level, "id": f"section-{number}"}
     if isinstance(piece, Paragraph):
@@ -289,13 +279,11 @@ def _block(piece: Piece, number: str, drawn: Callable[[Figure, str], str] = figu
         ]
         return {"kind": "table", "columns": piece.columns, "rows": rows, "caption": piece.caption}
     svg = drawn(piece.figure, f"figure-{number}-")
-    zoom = _in_script(zoomed(piece.figure)) if piece.zoom and drawn is figure_svg else ""
+    zoom = Markup("")
+    if piece.zoom and drawn is figure_svg:  # inside a script element, where `<` would end it
+        data = json.dumps(zoomed(piece.figure), separators=(",", ":"), allow_nan=False)
+        zoom = Markup(data.replace("<", "\\u003c"))
     return {"kind": "figure", "svg": Markup(svg), "caption": piece.caption, "id": f"figure-{number}", "zoom": zoom}
-
-
-def _in_script(data: Any) -> Markup:
-    """JSON text for a script element of a page, with `<` escaped."""
-    return Markup(json.dumps(data, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c"))
 
 
 def _cell(value: object) -> dict[str, object]:
@@ -303,11 +291,6 @@ def _cell(value: object) -> dict[str, object]:
     is_number = isinstance(value, int | float) and not isinstance(value, bool)
     text = ("-" if math.isnan(value) else f"{value:.4g}") if isinstance(value, float) else str(value)
     return {"text": text, "is_number": is_number, "marked": False}
-
-
-def _prose(text: str) -> Markup:
-    """A sentence with what stands between backticks set as code."""
-    return Markup(_CODE.sub(r"<code>\1</code>", str(escape(text))))
 
 
 def _resource(name: str) -> str:
@@ -319,5 +302,5 @@ def _template() -> jinja2.Template:
     environment = jinja2.Environment(
         autoescape=True, trim_blocks=True, lstrip_blocks=True, undefined=jinja2.StrictUndefined
     )
-    environment.filters["prose"] = _prose
+    environment.filters["prose"] = lambda text: Markup(_CODE.sub(r"<code>\1</code>", str(escape(text))))
     return environment.from_string(_resource("report.html.j2"))

@@ -7,12 +7,12 @@ import os
 import platform
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from filelock import FileLock, Timeout
@@ -29,19 +29,14 @@ from .layouts import CANONICAL
 from .tables import read_table
 from .trial import Trial
 
+if TYPE_CHECKING:
+    from .report import Report
+
 FORMAT = "hystmpc-run/1"
 _META = {"start": str, "versions": dict}  # of meta.json, that readers rely on
 _PACKAGES = ("hystmpc", "numpy", "casadi", "onnxruntime", "osqp")
 
 Column = NDArray[np.float64] | tuple[str, ...]
-
-
-class Saved(Protocol):
-    """A page that can be written, such as a `Report`."""
-
-    def save(self, path: Path | str) -> Path:
-        """Write it, whole or not at all."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -71,8 +66,6 @@ class RunFolder:
         """Start a run: make the folder and write what was asked for.
 
         Args:
-            path: a new or empty folder.
-            settings: resolved settings, defaults included.
             seed: of the run's random numbers, None where it draws none.
             models: model files of the run; their SHA-256 is kept.
             command_line: how the run was started; the process's own where not given.
@@ -80,8 +73,11 @@ class RunFolder:
         Raises:
             ConfigError: if the path is a file, a folder that is not empty, or cannot be made; or a model is missing.
         """
-        folder = Path(path)
+        folder, installed = Path(path), dict[str, str]()
         require_vacant(folder)
+        for name in _PACKAGES:
+            with suppress(PackageNotFoundError):
+                installed[name] = version(name)
         meta = {
             "format": FORMAT,
             "start": datetime.now(UTC).isoformat(),
@@ -90,7 +86,7 @@ class RunFolder:
             "command_line": list(sys.argv if command_line is None else command_line),
             "seed": seed,
             "models": {str(model): file_hash(Path(model)) for model in models},
-            "versions": {"python": platform.python_version()} | {name: _version(name) for name in _PACKAGES},
+            "versions": {"python": platform.python_version()} | dict.fromkeys(_PACKAGES) | installed,
         }
         plain = settings.model_dump(mode="json") if isinstance(settings, Settings) else dict(settings)
         try:
@@ -143,7 +139,7 @@ class RunFolder:
             t = np.asarray(arrays[CANONICAL.time], dtype=np.float64)
             write_atomically(self.path / "log.mcap", mcap_.format_mcap(arrays, t, start_ns))
 
-    def write_report(self, report: Saved) -> Path:
+    def write_report(self, report: Report) -> Path:
         """Write `report.html`."""
         return report.save(self.path / "report.html")
 
@@ -152,11 +148,7 @@ class RunFolder:
         return read_yaml(self.path / "config.yaml")
 
     def log(self) -> dict[str, Column]:
-        """All columns of `log.csv`: numbers as arrays (T,), texts as tuples.
-
-        Raises:
-            LogError: if the log is missing or not a table.
-        """
+        """All columns of `log.csv`: numbers as arrays (T,), texts as tuples."""
         file = self.path / "log.csv"
         table = read_table(read_lines(file), str(file))
         return {name: table.numbers[name] if name in table.numbers else table.texts[name] for name in table.header}
@@ -203,10 +195,7 @@ def require_resumable(folder: Path | str) -> None:
 
 
 def resumed_folder(path: Path, settings: Mapping[str, Any], seed: int, refusal: Callable[[Any], str]) -> RunFolder:
-    """A new run folder, or the one in which the same work was begun; its settings are written anew.
-
-    Args:
-        refusal: why a folder with these earlier settings cannot be gone on with; empty where it can.
+    """Create a run folder, or open the folder of the same unfinished work; its settings are written anew.
 
     Raises:
         ConfigError: if the folder holds something else.
@@ -223,7 +212,7 @@ def resumed_folder(path: Path, settings: Mapping[str, Any], seed: int, refusal: 
 
 @contextmanager
 def alone_in(folder: Path) -> Iterator[None]:
-    """One process at a time writes into a folder; the lock of a process that died does not hold.
+    """Context with exclusive write access to a folder for one process; a lock of a dead process does not count.
 
     Raises:
         ConfigError: if another process works in it.
@@ -247,11 +236,3 @@ def _column(values: ArrayLike | Sequence[str]) -> NDArray[np.generic] | tuple[st
     if array.dtype.kind == "b":
         return array.astype(np.int64)
     return tuple(str(value) for value in np.asarray(values, dtype=object))
-
-
-def _version(package: str) -> str | None:
-    """Installed version, None where the package is absent."""
-    try:
-        return version(package)
-    except PackageNotFoundError:
-        return None

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .clocks import runs
-from .errors import ConfigError, LogError
+from .errors import LogError
 from .trial import Trial, require_uniform
 from .types import Index, Vec
 
@@ -30,18 +30,11 @@ class SegmentRule:
         reversal: the command turns where it comes back by more than this share of its range; less is noise.
         hold_band: the command is held where it stays within this share of its range ...
         hold_s: ... for at least this long [s]; the crest of a slow sine is shorter.
-
-    Raises:
-        ConfigError: if a threshold is not positive, or a share not below 1.
     """
 
     reversal: float = 0.01
     hold_band: float = 0.001
     hold_s: float = 0.6
-
-    def __post_init__(self) -> None:
-        if not (0 < self.reversal < 1 and 0 < self.hold_band < 1 and self.hold_s > 0):
-            raise ConfigError(f"segment rule: got {self}, expected shares in (0, 1) and hold_s > 0")
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,7 +88,7 @@ def segment(trial: Trial, rule: SegmentRule = DEFAULT_RULE) -> Segments:
     return Segments(labels, reversals)
 
 
-def first_flexure_end(trial: Trial, rule: SegmentRule = DEFAULT_RULE) -> int:
+def first_flexure_end(trial: Trial) -> int:
     """Sample at which the command first turns: the first flexure, which differs from all later ones, ends here.
 
     Raises:
@@ -103,7 +96,7 @@ def first_flexure_end(trial: Trial, rule: SegmentRule = DEFAULT_RULE) -> int:
     """
     require_uniform(trial)
     command = _device_command(trial)
-    _, reversals = turning_points(command, rule.reversal * float(np.ptp(command)))
+    _, reversals = turning_points(command, DEFAULT_RULE.reversal * float(np.ptp(command)))
     if not reversals.size:
         unit = trial.units.angle if trial.inverted else trial.units.command
         raise LogError(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +25,7 @@ from .layouts import (
     SignalSettings,
     few,
 )
-from .tables import Table
+from .tables import LogTable
 from .trial import Trial, Units, clock_advice
 from .types import Index, Vec
 
@@ -48,34 +48,36 @@ class Series:
     left_out: NDArray[np.bool_] | None = None
 
 
-class Source(Protocol):
-    """An open log of named signals."""
+class SignalLog:
+    """An open log of named signals.
 
-    @property
-    def path(self) -> str:
-        """The file or folder, for messages."""
-        ...
+    Attributes:
+        path: the file or folder, for messages.
+        note: note to the user about the file, such as that it is cut off; empty for none.
+        clock: signal that is used as time where none has a known name; empty for none.
+        times: names of signals that were dates; they are in seconds since the first.
+    """
 
-    @property
-    def note(self) -> str:
-        """Note to the user about the file, such as that it is cut off; empty for none."""
-        ...
+    path: str
+    note: str
+    clock: str = ""
+    times: frozenset[str] = frozenset()
 
     def names(self) -> tuple[str, ...]:
         """Every signal that can be asked for."""
-        ...
+        raise NotImplementedError
 
     def series(self, signals: Sequence[str], time: str) -> list[Series]:
-        """The signals asked for.
-
-        Args:
-            signals: names, as in `names`.
-            time: `log`, `header`, or the name of a signal that holds time.
+        """The signals asked for; time is `log`, `header`, or the name of a signal that holds it.
 
         Raises:
             LogError: on a signal that is not there; names it and those that are.
         """
-        ...
+        raise NotImplementedError
+
+    def not_read(self) -> LogError | None:
+        """Error for a part of the file that cannot be read; None if everything can."""
+        return None
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,11 +86,7 @@ class UncheckedLog:
 
     Attributes:
         t, command, angle: time [s], command and output in `units`, each (T,).
-        channels: further signals, (T,) each.
-        units: of command and angle.
-        source: path of the log.
         layout: name of the layout it was read with; empty for a trial from memory.
-        note: what a user should know about the file; empty if nothing.
         ranges: plausible values of command and angle; None for any.
         cells: of a table, where its samples stand.
     """
@@ -125,12 +123,11 @@ class Cells:
     """Cells of a table behind the samples of a log.
 
     Attributes:
-        table: of the log.
         names: columns of the log behind `t`, `command` and `angle`.
         rows: of the table, one a sample; None where every row is a sample.
     """
 
-    table: Table
+    table: LogTable
     names: Mapping[str, str]
     rows: Index | None = None
 
@@ -159,7 +156,7 @@ def _require_valid(log: UncheckedLog, cells: Cells) -> None:
         )
 
 
-def read_mapped(source: Source, mapping: LogMapping) -> UncheckedLog:
+def read_mapped(source: SignalLog, mapping: LogMapping) -> UncheckedLog:
     """Join the signals of a mapping on one time base.
 
     The base is the time stamps of the angle (or of the command, as the mapping says) that lie inside the span of the
@@ -177,13 +174,16 @@ def read_mapped(source: Source, mapping: LogMapping) -> UncheckedLog:
     logged = source.series([*wanted, *taken], mapping.time if mapping.rate_hz is None else LOG_TIME)
     for name, series in zip([*wanted, *taken], logged, strict=True):
         if not series.values.size:
-            raise LogError(f"{source.path}: signal {name!r} is empty, expected samples{_and(source.note)}")
+            note = f" ({source.note})" if source.note else ""
+            raise LogError(f"{source.path}: signal {name!r} is empty, expected samples{note}")
     owners = [*mapping.signals(), *(signal for signal in mapping.signals() if signal.minus is not None)]
     logged = _differences(source.path, mapping, [_decoded(s, owner) for s, owner in zip(logged, owners, strict=True)])
     if mapping.rate_hz is not None:
         logged = [Series(np.arange(s.values.size) / mapping.rate_hz, s.values, s.left_out) for s in logged]
     elif own_time:
-        logged = [Series(_seconds(s.t, mapping), s.values, s.left_out) for s in logged]
+        wrap, unit_s = mapping.time_wraps_at, SECONDS[mapping.time_unit]
+        stamps = [s.t if wrap is None else without_wraps(s.t, wrap) for s in logged]
+        logged = [Series(t * unit_s, s.values, s.left_out) for t, s in zip(stamps, logged, strict=True)]
     elif np.isnan(logged[0].t).all():
         raise LogError(f"{source.path}: no time stamps of its own, expected `time: SIGNAL` or `rate_hz` in the mapping")
     else:
@@ -199,12 +199,6 @@ def _decoded(series: Series, settings: SignalSettings) -> Series:
     return Series(series.t, values, np.isnan(values) & ~np.isnan(series.values))
 
 
-def _seconds(t: Vec, mapping: LogMapping) -> Vec:
-    """Stamps of a time signal [s]."""
-    whole = t if mapping.time_wraps_at is None else without_wraps(t, mapping.time_wraps_at)
-    return whole * SECONDS[mapping.time_unit]
-
-
 def _shifted(series: Series, shift_s: float) -> Series:
     """Valid samples of a signal, with its stamps shifted."""
     if series.left_out is None or not series.left_out.any():
@@ -216,8 +210,6 @@ def canonical_mapping(names: Sequence[str], path: str, clock: str = "") -> LogMa
     """Mapping of a log whose signals have the names of canonical columns.
 
     Args:
-        names: of the signals.
-        path: of the log, for messages.
         clock: what stands in for a missing `time_s`: a signal that is one by its kind, or `log`; empty for none.
 
     Raises:
@@ -256,8 +248,6 @@ def walk(value: Any, steps: Sequence[str | int], single: bool = False) -> Any:
     """Follow keys, attributes and indices into a message; a text index looks up the message's list `name`.
 
     Args:
-        value: the message.
-        steps: as `split_path` gives them.
         single: whether the one element of a list may also be written without it, and `[0]` of what is no list: MATLAB
             makes no difference between a struct and an array of one.
 
@@ -284,7 +274,7 @@ def missing(path: str, name: str, names: Sequence[str]) -> LogError:
 
 
 def _enter(value: Any, step: str | int, owner: Any) -> Any:
-    """One step of `walk`; KeyError, not raised, where there is no such way."""
+    """Value after one step of `walk`; the class KeyError if there is none."""
     if isinstance(value, Mapping):
         return value.get(step, KeyError)
     if not hasattr(value, "__len__") or isinstance(value, str):
@@ -314,7 +304,7 @@ def _differences(path: str, mapping: LogMapping, logged: Sequence[Series]) -> li
     return left
 
 
-def _joined(source: Source, mapping: LogMapping, logged: Sequence[Series]) -> UncheckedLog:
+def _joined(source: SignalLog, mapping: LogMapping, logged: Sequence[Series]) -> UncheckedLog:
     command, angle = (_ordered(s) for s in logged[:2])
     base, other = (logged[1], command) if mapping.base == "angle" else (logged[0], angle)
     with np.errstate(invalid="ignore"):
@@ -383,17 +373,13 @@ def at_times(t: Vec, series: Series, hold: bool) -> Vec:
     return np.where((t < known.t[0]) | (t > known.t[-1]), np.nan, values)
 
 
-def _and(note: str) -> str:
-    return f" ({note})" if note else ""
-
-
 _LEAST_ROWS = 10
 _SHARE = 0.2  # of rows that lack one of the two; fewer are single cells that went missing, which are named
 _EVEN = 3.0  # times the median: a longer run of empty cells is a dropout
 
 
 def is_merged(command: Vec, angle: Vec) -> bool:
-    """Whether the signals of a table lie in rows of their own, so that empty cells are no lost values.
+    """Whether command and angle of a table lie in separate rows, so that empty cells are no lost values.
 
     So it is where at least a fifth of the rows hold one of the two signals only, and one of these is true: the command
     is in every row that holds the angle; fewer than half of the rows hold both; or the command has a value every few
@@ -431,7 +417,7 @@ def merged(t: Vec, command: Vec, angle: Vec, channels: Mapping[str, Vec]) -> tup
 
 
 def merged_note(command: Vec, angle: Vec) -> str:
-    """Note on a log whose signals lie in rows of their own."""
+    """Note on a log whose signals lie in separate rows."""
     return (
         f"signals lie in rows of their own: {np.count_nonzero(~np.isnan(command))} of the command, "
         f"{np.count_nonzero(~np.isnan(angle))} of the angle; the command keeps its value until its next row"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import re
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
@@ -32,6 +33,7 @@ degrees bar mbar kpa pa mpa psi v mv kv volt volts a ma n mn kn nmm k c °c degc
 units
 """
 _UNITS = frozenset(_UNIT_WORDS.split())
+_DECLARED = re.compile("sep=([^ ])", re.IGNORECASE)  # the first line of a file of Excel
 
 
 @dataclass(frozen=True)
@@ -40,7 +42,6 @@ class Grid:
 
     Attributes:
         delimiter: of the cells; empty where they are apart already.
-        header: names of the columns; empty where no row names them.
         header_row: index of the row that holds them, or of the first row of data.
         units: cells of the row of units below the header; empty where there is none.
         start, stop: rows of data, by index.
@@ -74,11 +75,6 @@ def grid_of_lines(lines: Sequence[str], source: str, wanted: Iterable[str] = ())
 
     The delimiter is the one that leaves the greatest share of cells with a number, a date or a time.
 
-    Args:
-        lines: of the file.
-        source: its path, for messages.
-        wanted: names of columns that a layout knows.
-
     Raises:
         LogError: if there are no rows, or more columns than in any log.
     """
@@ -94,17 +90,20 @@ def grid_of_lines(lines: Sequence[str], source: str, wanted: Iterable[str] = ())
         raise LogError(
             f"{source}, row {sample[0] + 1}: {len(lines[sample[0]])} characters in one row, expected delimited text"
         )
-    if declared := _declared_delimiter(lines[sample[0]]):
+    declared = _DECLARED.fullmatch(lines[sample[0]].strip("\r\n ").strip('"'))
+    if declared:
         del sample[0]
     if not sample:
         raise LogError(f"{source}: no rows, expected a header row and at least two rows of numbers")
     choices = {}
-    for delimiter in (declared,) if declared else _DELIMITERS:
+    for delimiter in (declared[1],) if declared else _DELIMITERS:
         choices[delimiter] = _judge([_judged(cells_of(_uncommented(lines[k]), delimiter)) for k in sample])
     delimiter = max(choices, key=lambda d: (choices[d][0], d != BLANK, choices[d][1]))
     purity, width = choices[delimiter]
-    if not purity:
-        delimiter = declared or _of_header(lines[sample[0]])
+    if not purity and not declared:  # names alone
+        names = lines[sample[0]]
+        delimiter = max(_DELIMITERS[:-1], key=names.count)
+        delimiter = delimiter if delimiter in names or len(names.split()) < 2 else BLANK
     return _located(lambda k: cells_of(lines[k], delimiter), sample, len(lines), delimiter, width, source, wanted)
 
 
@@ -119,18 +118,6 @@ def grid_of_cells(rows: Sequence[Sequence[str]], source: str, wanted: Iterable[s
         raise LogError(f"{source}: empty, expected a header row and at least two rows of numbers")
     _, width = _judge([_judged(rows[k]) for k in sample])
     return _located(lambda k: list(rows[k]), sample, len(rows), "", width, source, wanted)
-
-
-def _declared_delimiter(line: str) -> str:
-    """The delimiter that the first line of a file of Excel names: `sep=;`."""
-    text = line.strip("\r\n ").strip('"')
-    return text[4:5] if text[:4].lower() == "sep=" and len(text) <= 5 and text[4:5].strip(" ") else ""
-
-
-def _of_header(line: str) -> str:
-    """The delimiter of a row of names."""
-    delimiter = max(_DELIMITERS[:-1], key=line.count)
-    return delimiter if delimiter in line or len(line.split()) < 2 else BLANK
 
 
 def _uncommented(line: str) -> str:
@@ -177,14 +164,14 @@ def _located(
     judged = {k: _judged(cells(k)) for k in sample}
     data = next((k for k in sample if judged[k][0] == width and _is_data(judged[k])), None)
     if data is None:  # names alone, or cells of which none is a number
-        header = tuple(_trimmed(_named(cells(sample[0]), delimiter)))
+        header = _names(cells(sample[0]), delimiter)
         if not header:
             raise LogError(f"{source}: no name and no number in any row, expected a header and rows of numbers")
         _require_width(header, source, sample[0])
         return Grid(delimiter, header, sample[0], (), sample[0] + 1, count)
     known = {name.casefold() for name in wanted}
     above = [k for k in sample if k < data]
-    names = {k: tuple(_trimmed(_named(cells(k), delimiter))) for k in above}
+    names = {k: _names(cells(k), delimiter) for k in above}
     names = {k: row for k, row in names.items() if len(row) > 1 and not _is_data(_judged(row))}
     hits = {k: sum(name.casefold() in known for name in row) for k, row in names.items()}
     narrow = width - 1 if not any(cells(k)[-1] for k in sample if k >= data and judged[k][0] == width) else width
@@ -201,17 +188,13 @@ def _located(
     return Grid(delimiter, names[head], head, unit_cells, start, _end(cells, start, count))
 
 
-def _named(cells: list[str], delimiter: str) -> list[str]:
-    """The cells of a row of names, without the mark of a comment."""
+def _names(cells: list[str], delimiter: str) -> tuple[str, ...]:
+    """Cells of a row of names, without the mark of a comment and the empty cells at its end."""
     first = _uncommented(cells[0]).strip() if cells else ""
-    return [first, *cells[1:]] if first or delimiter != BLANK else cells[1:]
-
-
-def _trimmed(cells: list[str]) -> list[str]:
-    """Cells without the empty ones at the end of the row."""
-    while cells and not cells[-1]:
-        cells = cells[:-1]
-    return cells
+    names = [first, *cells[1:]] if first or delimiter != BLANK else cells[1:]
+    while names and not names[-1]:
+        names = names[:-1]
+    return tuple(names)
 
 
 def _are_units(cells: Iterable[str]) -> bool:
@@ -236,11 +219,10 @@ Row = tuple[int, Sequence[str]]  # its number, counted from 1 as an editor shows
 
 
 @dataclass(frozen=True, eq=False)
-class Table:
+class LogTable:
     """Columns of one file or data frame.
 
     Attributes:
-        source: path of the file, for messages.
         header: names of all columns in the order of the file; `[0]`, `[1]`, ... where no row names them.
         numbers: columns of numbers, each (T,), not-a-number where the cell is empty or says so.
         texts: columns of anything else, each of length T.
@@ -270,7 +252,7 @@ class Table:
         number, cells = self.rows()[sample]
         return number, cells[self.header.index(column)].strip()
 
-    def renamed(self, header: tuple[str, ...]) -> Table:
+    def renamed(self, header: tuple[str, ...]) -> LogTable:
         """The table with other names of its columns, in their order."""
         new = dict(zip(self.header, header, strict=True))
         return replace(
@@ -302,7 +284,7 @@ class Table:
 
 
 @runtime_checkable
-class Frame(Protocol):
+class FrameLike(Protocol):
     """Named columns in memory, such as a pandas or polars `DataFrame`; neither package is imported."""
 
     @property
@@ -315,13 +297,13 @@ class Frame(Protocol):
         ...
 
 
-def frame_table(frame: Frame, source: str = "<frame>") -> Table:
+def frame_table(frame: FrameLike) -> LogTable:
     """Columns of a data frame; an index that has a name is a column too, and dates are seconds since the first.
 
     Raises:
         LogError: if a name occurs twice, or there is no row.
     """
-    header = tuple(map(str, frame.columns))
+    header, source = tuple(map(str, frame.columns)), "<frame>"
     columns = {name: np.asarray(frame[key]) for name, key in zip(header, frame.columns, strict=True)}
     index = getattr(frame, "index", None)
     name = getattr(index, "name", None)
@@ -339,29 +321,21 @@ def frame_table(frame: Frame, source: str = "<frame>") -> Table:
             with suppress(TypeError, ValueError):
                 numbers[k] = np.array([np.nan if cell is None else cell for cell in v], dtype=np.float64)
     texts = {k: tuple(map(str, v)) for k, v in columns.items() if k not in numbers}
-    return Table(source, header, numbers, texts, times)
+    return LogTable(source, header, numbers, texts, times)
 
 
-def text_table(lines: Sequence[str], source: str, wanted: Iterable[str] = (), names: Sequence[str] = ()) -> Table:
+def text_table(lines: Sequence[str], source: str, wanted: Iterable[str] = ()) -> LogTable:
     """Columns of delimited text, wherever in it the table lies; see `grid_of_lines`.
 
     A last line that has no line end and too few cells was cut off while it was written: it is left out. A column that
     holds both numbers and texts is left to `texts`, with a fault.
-
-    Args:
-        lines: of the file; one of them is not blank.
-        source: its path, for messages.
-        wanted: names of columns that a layout knows.
-        names: of the columns, where no row of the file names them.
-
-    Raises:
-        LogError: on a column named twice, no rows or a ragged row.
     """
     grid = grid_of_lines(lines, source, wanted)
-    header = tuple(names) or grid.header or _numbered(len(cells_of(lines[grid.start], grid.delimiter)))
+    header = grid.header or _numbered(len(cells_of(lines[grid.start], grid.delimiter)))
     _require_once(header, f"{source}, row {grid.header_row + 1}")
     stop = grid.stop
-    if grid.start < stop == len(lines) and _is_unfinished(lines[-1], grid.delimiter, len(header)):
+    last = lines[-1]
+    if grid.start < stop == len(lines) and last.strip() and len(cells_of(last, grid.delimiter)) < len(header):
         stop -= 1
 
     @cache
@@ -375,15 +349,11 @@ def text_table(lines: Sequence[str], source: str, wanted: Iterable[str] = (), na
     else:
         converted = [Converted("number", np.ascontiguousarray(column)) for column in block.T]
         kept = []
-    return _table(source, grid, header, converted, kept, rows, bool(names) or bool(grid.header))
+    return _table(source, grid, header, converted, kept, rows, bool(grid.header))
 
 
-def sheet_table(rows: Sequence[Sequence[str]], source: str, wanted: Iterable[str] = ()) -> Table:
-    """Columns of rows of cells, such as those of a sheet; see `text_table`.
-
-    Raises:
-        LogError: on a column named twice, no rows or a ragged row.
-    """
+def sheet_table(rows: Sequence[Sequence[str]], source: str, wanted: Iterable[str] = ()) -> LogTable:
+    """Columns of rows of cells, such as those of a sheet; errors as of `text_table`."""
     grid = grid_of_cells(rows, source, wanted)
     width = max((len(row) for row in rows[grid.start : grid.stop]), default=0)
     header = grid.header or _numbered(width)
@@ -394,7 +364,7 @@ def sheet_table(rows: Sequence[Sequence[str]], source: str, wanted: Iterable[str
     return _table(source, grid, header, converted, kept, lambda: kept, bool(grid.header))
 
 
-def read_table(lines: Sequence[str], source: str) -> Table:
+def read_table(lines: Sequence[str], source: str) -> LogTable:
     """Columns of a text that this package wrote, in which a column is all numbers or all text.
 
     Raises:
@@ -403,16 +373,12 @@ def read_table(lines: Sequence[str], source: str) -> Table:
     table = text_table(lines, source)
     for name in table.faults:
         raise table.not_numbers(name)
-    empty = {name: k for k, name in enumerate(table.header) if name in table.numbers and _is_empty(table.numbers[name])}
+    empty = {n: k for k, n in enumerate(table.header) if n in table.numbers and np.isnan(table.numbers[n]).all()}
     rows = table.rows() if table.rows is not None and empty else ()
     cells = {name: tuple(row[k].strip() for _, row in rows) for name, k in empty.items()}
     words = {name: texts for name, texts in cells.items() if not {*map(str.lower, texts)} <= {"", "nan", "-nan"}}
     numbers = {name: values for name, values in table.numbers.items() if name not in words}
     return replace(table, numbers=numbers, texts={**table.texts, **words})  # `-` is a word of this package's own
-
-
-def _is_empty(values: Vec) -> bool:
-    return bool(np.isnan(values).all())
 
 
 def _table(
@@ -423,7 +389,7 @@ def _table(
     kept: Sequence[Row],
     rows: Callable[[], Sequence[Row]],
     named: bool,
-) -> Table:
+) -> LogTable:
     if not converted:
         raise LogError(f"{source}: header only, expected at least two rows of numbers")
     columns = dict(zip(header, converted, strict=True))
@@ -432,7 +398,7 @@ def _table(
     faults = {name: c.fault for name, c in columns.items() if c.fault is not None and c.kind != "text"}
     times = frozenset(name for name, c in columns.items() if c.kind == "time")
     units = dict(zip(header, grid.units, strict=False))
-    return Table(source, header, whole, texts, times, units, named, grid.header_row + 1, faults, rows)
+    return LogTable(source, header, whole, texts, times, units, named, grid.header_row + 1, faults, rows)
 
 
 def _numbered(width: int) -> tuple[str, ...]:
@@ -468,7 +434,7 @@ def _is_comment(cells: Sequence[str]) -> bool:
 
 
 def _checked(rows: Iterable[Row], header: Sequence[str], source: str) -> list[Row]:
-    """The rows, all as wide as the header; further cells that are empty fall away."""
+    """Rows of the width of the header, without empty cells at their end."""
     kept, width = [], len(header)
     for number, cells in rows:
         if len(cells) != width and (len(cells) < width or any(cells[width:])):
@@ -479,11 +445,6 @@ def _checked(rows: Iterable[Row], header: Sequence[str], source: str) -> list[Ro
 
 def _columns(rows: Sequence[Row], width: int) -> list[list[str]]:
     return [[cells[k] for _, cells in rows] for k in range(width)]
-
-
-def _is_unfinished(line: str, delimiter: str, width: int) -> bool:
-    """Whether the last line, which has no line end, was cut off before its last cell."""
-    return bool(line.strip()) and len(cells_of(line, delimiter)) < width
 
 
 def _fast(lines: Sequence[str], delimiter: str, width: int) -> Vec | None:

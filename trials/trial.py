@@ -77,7 +77,12 @@ class Trial:
 
     def __post_init__(self) -> None:
         for name in ("t", "command", "angle"):
-            object.__setattr__(self, name, _signal(getattr(self, name), name, self.source))
+            vector = _vector(getattr(self, name), name, self.source)
+            bad = np.flatnonzero(~np.isfinite(vector))
+            if bad.size:
+                got = f"{name} is {vector[bad[0]]} at sample {bad[0]}"
+                raise LogError(f"{self.source}: {got}, expected finite values ({bad.size} such)")
+            object.__setattr__(self, name, vector)
         channels = {k: _vector(v, k, self.source) for k, v in self.channels.items()}
         object.__setattr__(self, "channels", MappingProxyType(channels))
         sizes = {"command": self.command.size, "angle": self.angle.size} | {k: v.size for k, v in channels.items()}
@@ -128,7 +133,7 @@ class Trial:
         return float(np.median(np.diff(self.t)))
 
     def select(self, start: int, stop: int | None = None) -> Trial:
-        """Return samples start to stop (exclusive) as a trial of its own; time keeps its origin."""
+        """Return samples start to stop (exclusive) as a separate trial with the same time origin."""
         part = slice(start, stop)
         channels = {name: values[part] for name, values in self.channels.items()}
         return replace(self, t=self.t[part], command=self.command[part], angle=self.angle[part], channels=channels)
@@ -172,16 +177,6 @@ def _vector(values: ArrayLike, name: str, source: str) -> Vec:
     return vector
 
 
-def _signal(values: ArrayLike, name: str, source: str) -> Vec:
-    """Read-only copy of `values` with one dimension and finite numbers."""
-    vector = _vector(values, name, source)
-    bad = np.flatnonzero(~np.isfinite(vector))
-    if bad.size:
-        k = int(bad[0])
-        raise LogError(f"{source}: {name} is {vector[k]} at sample {k}, expected finite values ({bad.size} such)")
-    return vector
-
-
 def positive_rate(rate_hz: float) -> float:
     """Check that a rate [Hz] is a positive number.
 
@@ -222,12 +217,12 @@ with a history that nobody knows. The longest part always counts."""
 _RATE_MARGIN = 1.5  # a grid this much finer than the log itself would only invent samples
 
 
-def gap_limit_s(median_interval_s: float, max_gap_s: float = MAX_GAP_S) -> float:
+def gap_limit_s(median_interval_s: float) -> float:
     """Sample interval above which a log has a gap [s]."""
-    return max(max_gap_s, GAP_INTERVALS * median_interval_s)
+    return max(MAX_GAP_S, GAP_INTERVALS * median_interval_s)
 
 
-def parts_at_gaps(trial: Trial, max_gap_s: float = MAX_GAP_S) -> tuple[Trial, ...]:
+def parts_at_gaps(trial: Trial) -> tuple[Trial, ...]:
     """Cut a trial at its gaps and drop parts that are too short, see `PART_S`.
 
     Time keeps its origin. Of several parts each says in its source from when it is.
@@ -235,7 +230,7 @@ def parts_at_gaps(trial: Trial, max_gap_s: float = MAX_GAP_S) -> tuple[Trial, ..
     Raises:
         LogError: if the parts that are too short make more than `LEFT_OUT` of the trial.
     """
-    limit = gap_limit_s(trial.dt, max_gap_s)
+    limit = gap_limit_s(trial.dt)
     gaps = np.flatnonzero(np.diff(trial.t) > limit)
     if not gaps.size:
         return (trial,)
@@ -275,16 +270,11 @@ class SlowLogError(LogError):
         return SlowLogError, (self.source, self.log_hz, *self._rest)  # it travels out of worker processes
 
 
-def resample(trial: Trial, rate_hz: float, max_gap_s: float = MAX_GAP_S) -> Trial:
+def resample(trial: Trial, rate_hz: float) -> Trial:
     """Interpolate all signals linearly onto t[0] + k / rate_hz, up to the last sample.
 
     Short parts beside a gap are left out first (`parts_at_gaps`). There is no anti-aliasing filter: a command that a
     controller sent is not band-limited, and a filter would shift its turning points.
-
-    Args:
-        trial: recorded at any, also varying, rate.
-        rate_hz: rate of the result [Hz].
-        max_gap_s: longest sample interval that is bridged [s].
 
     Raises:
         ConfigError: if the rate is not a positive number.
@@ -292,9 +282,9 @@ def resample(trial: Trial, rate_hz: float, max_gap_s: float = MAX_GAP_S) -> Tria
         LogError: at a gap, or if the trial is shorter than one interval.
     """
     positive_rate(rate_hz)
-    first, *others = parts_at_gaps(trial, max_gap_s)
+    first, *others = parts_at_gaps(trial)
     if others:
-        raise LogError(f"{_widest_gap(trial, gap_limit_s(trial.dt, max_gap_s))}; cut the log there")
+        raise LogError(f"{_widest_gap(trial, gap_limit_s(trial.dt))}; cut the log there")
     trial = first
     log_hz = 1.0 / trial.dt
     if rate_hz > _RATE_MARGIN * log_hz:

@@ -29,12 +29,7 @@ class Progress(Protocol):
 
 
 def parts(progress: Progress | None, seconds: Sequence[float]) -> tuple[Progress, ...]:
-    """Progress callbacks of the parts of a computation, scaled to the progress of the whole.
-
-    Args:
-        progress: of the whole; None where nobody looks.
-        seconds: expected time of each part, in their order; only their ratios matter.
-    """
+    """Progress callbacks of the parts of a computation, scaled by their expected times."""
     total = sum(seconds)
 
     def part(before: float, share: float) -> Progress:

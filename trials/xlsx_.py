@@ -11,7 +11,7 @@ from typing import Any
 
 from .errors import LogError, require
 from .formats import reading
-from .tables import MOST_COLUMNS, Table, sheet_table
+from .tables import MOST_COLUMNS, LogTable, sheet_table
 
 MOST_BYTES = 1 << 28
 """Of all parts of a workbook, unpacked: a million rows of four columns have half of it."""
@@ -24,7 +24,7 @@ _DOCTYPE = b"<!doctype"
 _UTF_16 = (b"<\0", b"\0<", b"\xff\xfe", b"\xfe\xff")
 
 
-def open_xlsx(path: Path | str, wanted: Iterable[str] = ()) -> Table:
+def open_xlsx(path: Path | str, wanted: Iterable[str] = ()) -> LogTable:
     """Read the sheet of a workbook that holds most of the wanted names, otherwise the first one with a table.
 
     Formulas count with the values that they had when the workbook was saved; dates and times of day are seconds since

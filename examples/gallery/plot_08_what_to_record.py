@@ -90,4 +90,10 @@ for shift, (label, diagnosis) in zip((-0.2, 0.2), (("before", first), ("after", 
 axes.set_yticks(np.arange(2), LIBRARY)
 axes.set(xlim=(0, 1), xlabel="probability [1]", title="The device has a lag of 0.12 s")
 axes.legend(loc="lower right")
+# sphinx_gallery_start_ignore
+# What this page claims; `make docs` checks it.
+assert set(first.next_motion.separates) == {"lag", "delay"}
+assert dict(first.ranking)["lag"] == dict(first.ranking)["delay"] < 0.5 < dict(second.ranking)["lag"]
+assert [effect.name for effect in second.effects] == ["lag"]
+# sphinx_gallery_end_ignore
 plt.show()

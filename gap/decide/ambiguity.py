@@ -21,26 +21,24 @@ from hystmpc.models.identify.selection import Selection, line_share
 from hystmpc.models.identify.timing import timing_errors
 from hystmpc.models.identify.uncertainty import uncertainty
 
-from .verdict import VerdictSettings
-
 # Ridge logistic regression on 407 names of three blind checks, seeds 3171823, 4172611 and 5290417; frozen.
 _BIAS, _AMBIGUOUS, _SURE, _GENERIC = 1.4, -1.85, 1.45, -1.1
 _UNTRIED = -2.0  # set by judgement, not fitted: keeps the probability below 0.8
 _DRAWS = 300
 
+_NEARER = 0.2  # how much nearer the measurement is to the chosen explanation than to another, -1 to 1 ...
+_NEARER_ERRORS = 1.5  # ... and by how many standard errors, for the two to be told apart
+_TIMING_ERRORS, _QUICK_ERRORS = 2.0, 3.0  # the same for lag, delay and rate dependence, held out in parts, or quick
+_SIGNIFICANT_DRIFT = 3.0  # standard errors by which a drift shows within trials
+_SCATTER = 0.01  # chance by which shifts that scatter follow the clock so well, below which they are a drift
+_SIMPLICITY = 0.04  # share of the structural error that a resample has to gain by one more cause
 
-def ambiguity_of(
-    selection: Selection, settings: VerdictSettings, drift_shows: Callable[[Hypothesis], bool]
-) -> tuple[tuple[str, ...], ...]:
+
+def ambiguity_of(selection: Selection, drift_shows: Callable[[Hypothesis], bool]) -> tuple[tuple[str, ...], ...]:
     """Sets of effects that explain the development trials equally well, the chosen effect first.
 
     A drift and shifts between trials are told apart by the drift within the trials, or by shifts that follow the clock
     as scatter does not.
-
-    Args:
-        selection: of the causes.
-        settings: thresholds.
-        drift_shows: see `drift_is_significant`.
     """
     chosen, sets = selection.chosen, []
     names = chosen.hypothesis.effects
@@ -49,13 +47,13 @@ def ambiguity_of(
         others = []
         for tried, judged in selection.tried.items():
             exchanged = len(tried) == len(names) and rest < tried and tried != names
-            if not exchanged or _distinguishable(chosen, judged, settings):
+            if not exchanged or _distinguishable(chosen, judged):
                 continue
             (other,) = tried - rest
             if (effect, other) == ("drift", "trial_shift"):
                 neither = selection.tried.get(rest)
                 share = line_share(neither, judged, chosen) if neither else 0.0
-                if _follows_line(share, len(chosen.errors), settings) or drift_shows(chosen.hypothesis):
+                if _follows_line(share, len(chosen.errors)) or drift_shows(chosen.hypothesis):
                     continue
             others.append(other)
         if others:
@@ -63,39 +61,32 @@ def ambiguity_of(
     return tuple(sets)
 
 
-def _distinguishable(chosen: HeldOutErrors, other: HeldOutErrors, settings: VerdictSettings) -> bool:
+def _distinguishable(chosen: HeldOutErrors, other: HeldOutErrors) -> bool:
     """Whether held-out trials are significantly closer to the chosen prediction than to the other one.
-
-    With the predictions a and b of the two and the measurement y,
 
         (|y - b|^2 - |y - a|^2) / |a - b|^2  =  1 - 2 (y - a) . (b - a) / |a - b|^2
 
-    is 1 where a is true, -1 where b is, and 0 where the truth lies half way, as it does when it is neither. The measure
-    does not depend on how small the difference of the errors is beside the gap. A lag, a delay and a rate dependence
-    are told apart by errors of their own (`timing_rivals`).
+    with predictions a, b and measurement y is 1 where a is true, -1 where b is, and 0 where the truth lies half way.
     """
     if chosen.parts is not None and other.parts is not None:
         held_out, quick = timing_errors(other, chosen)
-        return held_out > settings.timing_errors or quick > settings.quick_errors
+        return held_out > _TIMING_ERRORS or quick > _QUICK_ERRORS
     fall, error = gain(other, chosen)
-    return fall > settings.nearer * mean_square_difference(chosen, other) and fall > settings.nearer_errors * error
+    return fall > _NEARER * mean_square_difference(chosen, other) and fall > _NEARER_ERRORS * error
 
 
-def _follows_line(share: float, trials: int, settings: VerdictSettings) -> bool:
+def _follows_line(share: float, trials: int) -> bool:
     """Whether the shifts of the trials follow a line over time more closely than independent shifts do by chance.
 
     The share r^2 of independent normal shifts has the distribution Beta(1/2, (N - 2)/2).
     """
-    return trials > 2 and bool(beta.sf(min(share, 1.0), 0.5, 0.5 * (trials - 2)) < settings.scatter)
+    return trials > 2 and bool(beta.sf(min(share, 1.0), 0.5, 0.5 * (trials - 2)) < _SCATTER)
 
 
-def drift_is_significant(validation: CrossValidation, hypothesis: Hypothesis, errors: float) -> bool:
-    """Whether a drift shows within trials when each trial may have a shift of its own as well.
+def drift_is_significant(validation: CrossValidation, hypothesis: Hypothesis) -> bool:
+    """Whether a drift shows within the development runs when each run may also have an individual shift.
 
-    Args:
-        validation: development runs.
-        hypothesis: with a drift and without `trial_shift`.
-        errors: standard errors by which its rate has to differ from zero, in the direction that it had without shifts.
+    Its rate has to differ from zero in the direction that it had without shifts.
     """
     problem = hypothesis.problem
     values = [list(v.values()) for v in problem.effect_values(hypothesis.q)]
@@ -106,19 +97,23 @@ def drift_is_significant(validation: CrossValidation, hypothesis: Hypothesis, er
     for c in problem.effects:
         for _ in c.free:
             error = float(np.sqrt(known.covariance[k, k]))
-            if c.effect == "drift" and error > 0 and shifted.q[k] * np.sign(hypothesis.q[k]) > errors * error:
+            if (
+                c.effect == "drift"
+                and error > 0
+                and shifted.q[k] * np.sign(hypothesis.q[k]) > _SIGNIFICANT_DRIFT * error
+            ):
                 return True
             k += 1
     return False
 
 
-def inclusion_shares(selection: Selection, floor_mse: float, settings: VerdictSettings, seed: int) -> dict[str, float]:
+def inclusion_shares(selection: Selection, floor_mse: float, seed: int) -> dict[str, float]:
     """Inclusion frequency of each effect: share of block resamples whose best penalised hypothesis contains it."""
     rng = np.random.default_rng(seed)
     tried = list(selection.tried.values())
     energy = np.stack([judged.energy for judged in tried], axis=1)
     samples = tried[0].samples
-    price = settings.simplicity * max(selection.baseline.mse - floor_mse, 0.0) + 0.05 * floor_mse
+    price = _SIMPLICITY * max(selection.baseline.mse - floor_mse, 0.0) + 0.05 * floor_mse
     sizes = np.array([len(judged.hypothesis.effects) for judged in tried])
     draws = rng.integers(0, samples.size, (_DRAWS, samples.size))
     counts = np.stack([np.bincount(draw, minlength=samples.size) for draw in draws])
@@ -131,27 +126,18 @@ def inclusion_shares(selection: Selection, floor_mse: float, settings: VerdictSe
 def probability(name: str, share: float, ambiguous: bool, stability: float, untried: bool = False) -> float:
     """Calibrated probability that a chosen effect is present.
 
-    logit P = b_0 + b_1 ambiguous + b_2 sure + b_3 generic (1 - sure) + b_4 untried,    sure = share stability^2
-
-    Sure is what closes the gap and comes out on whatever trials: neither is enough alone. A generic effect that does
-    both is no imitation of another cause.
+        logit P = b_0 + b_1 ambiguous + b_2 sure + b_3 generic (1 - sure) + b_4 untried,    sure = share stability^2
 
     Args:
-        name: of the effect.
         share: of the structural gap that it closes, 0 to 1.
         ambiguous: whether another effect could replace it.
-        stability: share of other splits of the trials in which the verdict is the same, 0 to 1; its square is the
-            chance that two of them both give it.
+        stability: share of other splits of the trials with the same verdict, 0 to 1.
         untried: whether the library lacks an effect with which it can be confounded.
     """
     sure = min(max(share, 0.0), 1.0) * stability**2
-    logit = _BIAS + _AMBIGUOUS * ambiguous + _SURE * sure + _GENERIC * _is_generic(name) * (1 - sure)
+    generic = name in EFFECTS and EFFECTS[name].generic  # it can imitate almost any other: its name is less certain
+    logit = _BIAS + _AMBIGUOUS * ambiguous + _SURE * sure + _GENERIC * generic * (1 - sure)
     return 1 / (1 + math.exp(-logit - _UNTRIED * untried))
-
-
-def _is_generic(name: str) -> bool:
-    """Whether an effect can imitate almost any other, and causes that the library lacks: its name is less certain."""
-    return name in EFFECTS and EFFECTS[name].generic
 
 
 def limited_by_inclusion(chance: float, inclusion: float) -> float:
@@ -173,17 +159,14 @@ def ranking(
 ) -> tuple[tuple[str, float], ...]:
     """Effects of the library by probability, highest first; of equal ones the chosen effect comes first.
 
-    Effects that could replace a chosen one, or that these motions do not tell from it, share the probability that it
-    leaves; the others have half of that times their inclusion. None of them explains the trials better than what was
-    chosen, so that none is likelier than what it could replace, or than the likeliest that was chosen.
+    Effects that could replace a chosen one share the probability that it leaves; the others have half of that times
+    their inclusion. None is likelier than what it could replace, or than the likeliest that was chosen.
 
     Args:
-        chosen: probability of each effect found.
+        chosen: probability of each identified effect.
         inclusion: share of the resamples in whose best explanation each effect is.
         ambiguity: sets of effects that could replace each other, the chosen one first.
-        library: names of all effects.
-        left_open: probability that an effect is there of which the verdict does not speak: small where nothing is
-            missing.
+        left_open: probability of an effect that the verdict does not name.
     """
     most = max(chosen.values(), default=1.0)
     left = left_open * (1 - max(chosen.values(), default=0.0))

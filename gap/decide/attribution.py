@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -18,32 +18,23 @@ from hystmpc.models.model import LoadedModel
 from hystmpc.models.simulator import Simulator
 
 from ..diagnosis import DetectableSizes, Stability
+from ..logs.detectable import NO_GAP
 from ..logs.noise_floor import NoiseFloor
 from ..logs.preparation import PreparedTrials
 from ..logs.sensor import white_noise
 from ..logs.trial_choice import NEEDS_ORDER
-from ..residual.localise import Localisation
+from ..residual import Localisation
 from .ambiguity import ambiguity_of, drift_is_significant, inclusion_shares
-from .gap_closed import GapClosed, measure, measured_blocks
-from .jumps import Jumps, find_jumps
-from .remaining_structure import structure_left
+from .gap_closed import FinalErrors, GapClosed, measured_blocks
+from .remaining_structure import Jumps, find_jumps, structure_left
 from .retuning import Retuning, reidentified_share, retuning_of, width_grown
-from .verdict import FinalFacts, VerdictDecision, VerdictFacts, VerdictSettings, decide_verdict, residual_ratio
+from .verdict import AT_FLOOR, WIDTH_GROWN, FinalFacts, VerdictDecision, VerdictFacts, decide_verdict, residual_ratio
 
 _PREDICTABLE = 0.5  # of the retuned error: largest part of it that jumps may add to the floor of the selection
-
-
-@dataclass(frozen=True)
-class DiagnosisSettings:
-    """Frozen thresholds of the diagnosis.
-
-    Attributes:
-        selection: of the causes.
-        verdict: of the verdict.
-    """
-
-    selection: SelectionSettings = field(default_factory=SelectionSettings)
-    verdict: VerdictSettings = field(default_factory=VerdictSettings)
+_NOISE_SHARE, _MENDED_SHARE = 0.3, 0.1  # of the remaining error: noise and resolution, outliers and dropouts, to count
+# Share of the retuned error from which steps that the readings did not have are named where there is no other gap: the
+# log itself proves them.
+_STEP_SHARE = 0.005
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,8 +43,6 @@ class Attribution:
 
     Attributes:
         validation: development runs, on which hypotheses are fitted and compared.
-        retuned: the simulator refitted, without causes.
-        selection: every hypothesis that was tried, and the best.
         inclusion: share of block resamples in which each effect is chosen.
         jumps: of the tip in steady motion, where they are the sign of stick-slip.
         facts: what the verdict depends on, but for the final trials.
@@ -72,11 +61,9 @@ class Conclusion:
     """Verdict, and the errors on the final trials that belong to it.
 
     Attributes:
-        decision: verdict and its case.
         facts: what it depends on, less the causes that did not surely lower the error of the final trials.
         chosen: the corrected simulator; the retuned one where no effect is the explanation.
         floor: from repeats or noise, with the corrected simulator.
-        closed: sizes of the gap and what each cause closes.
     """
 
     decision: VerdictDecision
@@ -91,20 +78,12 @@ def attribute(
     validation: CrossValidation,
     retuned: Hypothesis,
     left_out: Sequence[str],
-    settings: DiagnosisSettings,
     seed: int,
     advance: Callable[[float, str], None],
 ) -> Attribution:
-    """Select the causes on the development trials.
+    """Select the causes on the development trials, without the effects `left_out`.
 
-    Args:
-        prepared: trials and the baseline.
-        validation: development runs.
-        retuned: the simulator refitted.
-        left_out: effects that the library goes without.
-        settings: thresholds.
-        seed: of the resamples.
-        advance: called with the share of the present round of the selection and the effect that is tried.
+    `advance` is called with the share of the present round of the selection and the effect that is tried.
     """
     jumps = find_jumps(prepared.everything, retuned, prepared.signs)
     unusable = bool(prepared.too_little or prepared.checked.unrelated)
@@ -118,16 +97,17 @@ def attribute(
     without = left_out
     if prepared.checked.unrelated:  # nothing to explain: only the baseline is evaluated
         library, without = (), (*left_out, *OWN_TO_TRIALS)
-    selection = select(validation, library, settings.selection, floor_mse, without, advance, prepared.excess_mse)
+    selection = select(validation, library, SelectionSettings(), floor_mse, without, advance, prepared.excess_mse)
     baseline, grown = selection.baseline, width_grown(selection.chosen.hypothesis)
+    step_mse = prepared.signs.quantisation_deg**2 / 12.0
     retuning = Retuning() if unusable else retuning_of(prepared, retuned, baseline.mse)
-    if not unusable and grown >= settings.verdict.width_grown:
+    if not unusable and grown >= WIDTH_GROWN:
         retuning = replace(retuning, reidentified_share=reidentified_share(prepared, validation, baseline, floor_mse))
     return Attribution(
         validation=validation,
         retuned=retuned,
         selection=selection,
-        inclusion=inclusion_shares(selection, floor_mse, settings.verdict, seed),
+        inclusion=inclusion_shares(selection, floor_mse, seed),
         jumps=jumps if jumping else None,
         facts=VerdictFacts(
             effects=selection.chosen.hypothesis.effects,
@@ -136,11 +116,11 @@ def attribute(
             retuned_fit_mse=baseline.hypothesis.mse,
             floor_mse=floor_mse,
             form_mse=prepared.form_mse or floor_mse,
-            structure_left=structure_left(selection, validation.runs, prepared.everything, floor_mse, settings.verdict),
-            ambiguity=ambiguity_of(selection, settings.verdict, drift_test(validation, settings.verdict)),
-            sensor="sensor" not in without and _sensor_matters(prepared, selection, settings.verdict),
-            sensor_gap=_is_gap(prepared, prepared.excess_mse + _repair_mse(prepared), settings.verdict),
-            new_step="sensor" not in without and _step_matters(prepared, baseline.mse, settings.verdict),
+            structure_left=structure_left(selection, validation.runs, prepared.everything, floor_mse),
+            ambiguity=ambiguity_of(selection, drift_test(validation)),
+            sensor="sensor" not in without and _sensor_matters(prepared, selection),
+            sensor_gap=_is_gap(prepared, prepared.excess_mse + _repair_mse(prepared)),
+            new_step="sensor" not in without and prepared.new_step and step_mse >= _STEP_SHARE * baseline.mse,
             jumps=jumping,
             too_little=bool(prepared.too_little),
             unrelated=bool(prepared.checked.unrelated),
@@ -156,9 +136,7 @@ def usable_effects(
     """Candidate effects that these trials can test; without a known order of recording, none that depends on it.
 
     Args:
-        prepared: trials.
         in_core: effects that the core of the nominal simulator has a parameter for.
-        left_out: effects that the library goes without.
         runs: that size the effects.
     """
     made = candidates(Scale.of(runs), in_core, left_out)
@@ -167,25 +145,19 @@ def usable_effects(
     return tuple(c for c in made if not c.carries and c.effect not in NEEDS_ORDER)
 
 
-def drift_test(validation: CrossValidation, settings: VerdictSettings) -> Callable[[Hypothesis], bool]:
+def drift_test(validation: CrossValidation) -> Callable[[Hypothesis], bool]:
     """Test for a significant drift within trials; each hypothesis is fitted once."""
-    return functools.cache(lambda h: drift_is_significant(validation, h, settings.significant_drift))
+    return functools.cache(lambda h: drift_is_significant(validation, h))
 
 
-def confirm(prepared: PreparedTrials, attribution: Attribution, settings: VerdictSettings, seed: int) -> Conclusion:
+def confirm(prepared: PreparedTrials, attribution: Attribution, seed: int) -> Conclusion:
     """Evaluate the final trials with the selected causes and decide the verdict; drop causes that they do not confirm.
 
     A cause whose interval of the closed share reaches zero on the final trials is dropped; all of them are where the
     interval of what they close together does.
-
-    Args:
-        prepared: trials and the baseline.
-        attribution: causes selected on the development trials.
-        settings: thresholds.
-        seed: of the resampling.
     """
     retuned, facts = attribution.retuned, attribution.facts
-    provisional = decide_verdict(facts, settings)
+    provisional = decide_verdict(facts)
     chosen = retuned
     if provisional.explained:
         chosen = attribution.validation.polished(attribution.selection.chosen.hypothesis)
@@ -196,23 +168,21 @@ def confirm(prepared: PreparedTrials, attribution: Attribution, settings: Verdic
         closed.gap.closed_share,
         residual_ratio(closed.gap.with_effects_rmse_deg**2, prepared.form_mse, floor.noise_deg**2),
         unproven=provisional.explained and bool(attribution.facts.effects) and not chosen.effects,
-        at_floor=_at_floor(closed, repeatable.noise_deg, settings),
+        at_floor=_at_floor(closed, repeatable.noise_deg),
         moved=closed.moved,
     )
-    decision = decide_verdict(replace(facts, final=final), settings)
+    decision = decide_verdict(replace(facts, final=final))
     if (chosen.effects and not decision.explained) or (decision.sensor and not facts.sensor):
         facts = replace(facts, sensor=facts.sensor or decision.sensor)
         facts, chosen, floor, closed = _confirmed_causes(prepared, attribution, facts, retuned, seed)
-        decision = decide_verdict(replace(facts, final=final), settings)
-    if (
-        decision.verdict == "unknown"
-        and repeatable.kind == "repeats"
-        and _at_floor(closed, repeatable.rmse_deg, settings)
-    ):
+        decision = decide_verdict(replace(facts, final=final))
+    if decision.verdict == "unknown" and repeatable.kind == "repeats" and _at_floor(closed, repeatable.rmse_deg):
         # What differs between repeats is the gap, not its floor.
         floor = NoiseFloor(repeatable.noise_deg, "noise", repeatable.noise_deg)
-        closed = measure(prepared, attribution.validation, retuned, retuned, floor, decision.sensor, None, seed)
-    return Conclusion(decision, facts, chosen, floor, closed.with_repeats(repeatable))
+        closed = FinalErrors(prepared, attribution.validation, retuned, retuned, floor, decision.sensor, seed).closed()
+    differ_deg = repeatable.rmse_deg if repeatable.kind == "repeats" else math.nan
+    closed = replace(closed, gap=replace(closed.gap, repeats_rmse_deg=differ_deg))
+    return Conclusion(decision, facts, chosen, floor, closed)
 
 
 def as_given_if_better(prepared: PreparedTrials, attribution: Attribution) -> Attribution:
@@ -230,21 +200,20 @@ def as_given_if_better(prepared: PreparedTrials, attribution: Attribution) -> At
 def _confirmed_causes(
     prepared: PreparedTrials, attribution: Attribution, facts: VerdictFacts, chosen: Hypothesis, seed: int
 ) -> tuple[VerdictFacts, Hypothesis, NoiseFloor, GapClosed]:
-    """Drop causes that do not significantly lower the final error; facts, simulator, floor and errors without them."""
+    """Facts, simulator, floor and errors after removal of causes that do not significantly lower the final error."""
     while True:
         floor, jumps = floor_of(prepared, chosen), attribution.jumps if facts.jumps else None
-        closed = measure(
-            prepared, attribution.validation, attribution.retuned, chosen, floor, facts.sensor, jumps, seed
-        )
+        fitted = attribution.validation, attribution.retuned, chosen
+        closed = FinalErrors(prepared, *fitted, floor, facts.sensor, seed, jumps).closed()
         weakest = closed.unproven({names[0] for names in facts.ambiguity})
         if not weakest:
             return replace(facts, jumps="stick_slip" in closed.causes and facts.jumps), chosen, floor, closed
         facts, chosen = _without_cause(attribution, facts, chosen, weakest)
 
 
-def _at_floor(closed: GapClosed, floor_deg: float, settings: VerdictSettings) -> bool:
+def _at_floor(closed: GapClosed, floor_deg: float) -> bool:
     """Whether the retuned simulator leaves no more than a floor [deg] on the final trials."""
-    return closed.gap.retuned_rmse_deg**2 < settings.at_floor * floor_deg**2
+    return closed.gap.retuned_rmse_deg**2 < AT_FLOOR * floor_deg**2
 
 
 def _without_cause(
@@ -263,7 +232,7 @@ def _without_cause(
     return facts.with_only(kept, judged.mse, width_grown(reduced)), reduced
 
 
-def _sensor_matters(prepared: PreparedTrials, selection: Selection, settings: VerdictSettings) -> bool:
+def _sensor_matters(prepared: PreparedTrials, selection: Selection) -> bool:
     """Whether sensor faults make up a large part of the remaining error, or exceed the model-form error by themselves.
 
     White noise may be a disturbance that is faster than the log. Steps, outliers and held values are read off it.
@@ -271,13 +240,8 @@ def _sensor_matters(prepared: PreparedTrials, selection: Selection, settings: Ve
     """
     signs, left, mended = prepared.signs, selection.chosen.mse, _repair_mse(prepared)
     noise = signs.energy if signs.noisy or (signs.coarse and prepared.excess_mse > 0) else 0.0
-    good_part = noise > settings.noise_share * left or mended > settings.mended_share * left
-    return good_part or _is_gap(prepared, mended + (prepared.excess_mse if signs.coarse else 0.0), settings)
-
-
-def _step_matters(prepared: PreparedTrials, mse: float, settings: VerdictSettings) -> bool:
-    """Whether the readings have a new quantisation step whose error is a relevant share of the retuned error."""
-    return prepared.new_step and prepared.signs.quantisation_deg**2 / 12.0 >= settings.step_share * mse
+    good_part = noise > _NOISE_SHARE * left or mended > _MENDED_SHARE * left
+    return good_part or _is_gap(prepared, mended + (prepared.excess_mse if signs.coarse else 0.0))
 
 
 def _repair_mse(prepared: PreparedTrials) -> float:
@@ -286,13 +250,13 @@ def _repair_mse(prepared: PreparedTrials) -> float:
     return float(np.mean(mended**2))
 
 
-def _is_gap(prepared: PreparedTrials, mse: float, settings: VerdictSettings) -> bool:
+def _is_gap(prepared: PreparedTrials, mse: float) -> bool:
     """Whether the model-form error plus this error counts as a gap."""
-    return 0 < (settings.no_gap - 1) * prepared.form_mse <= mse
+    return 0 < (NO_GAP - 1) * prepared.form_mse <= mse
 
 
 def floor_of(prepared: PreparedTrials, hypothesis: Hypothesis) -> NoiseFloor:
-    """Noise floor of the residual; shifts and phases of single trials that a cause explains are taken off first.
+    """Noise floor of the residual, after correction by shifts and phases of single trials that a cause explains.
 
     It is never less than the rounding of the readings, which leaves no noise where the angle rests.
     """
@@ -309,15 +273,10 @@ class Findings:
     """Result of every step.
 
     Attributes:
-        simulator: as given.
-        prepared: trials and the baseline.
         detectable: the least size at which the trials would show each effect, from their commands alone.
-        attribution: causes selected on the development trials.
-        conclusion: verdict, corrected simulator and sizes on the final trials.
         localisation: of the retuned residual; None where there is none.
         stability: of the verdict over resampled splits; None where the trials allow no choice.
         left_out: effects that the library went without.
-        seed: of everything drawn at random.
         seconds: duration of each step [s].
     """
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Container, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import final
@@ -12,12 +11,11 @@ import numpy as np
 from hystmpc.models.identify.cross_validation import CrossValidation, Hypothesis
 from hystmpc.models.identify.runs import Blocks, Run, blocks_of
 from hystmpc.models.identify.uncertainty import Interval
-from hystmpc.trials.types import Vec
 
 from ..diagnosis import Gap
 from ..logs.noise_floor import NoiseFloor
 from ..logs.preparation import PreparedTrials
-from .jumps import Jumps
+from .remaining_structure import Jumps
 
 _DRAWS = 400
 _LEAST_SIZE = 0.1
@@ -32,7 +30,6 @@ class ClosedShares:
         before: errors of the retuned simulator.
         floor_mse: error that stays with any simulator [deg^2].
         spread: half of a 90 % interval that is due to differences between trials, as a share of the closed share.
-        seed: of the resampling.
     """
 
     before: Blocks
@@ -41,7 +38,7 @@ class ClosedShares:
     seed: int
 
     def closed(self, mse: float) -> float:
-        """Share of the structural gap that is closed at that error."""
+        """Share of the structural gap closed at a given mean square error."""
         return closed_share(self.before.mse, mse, self.floor_mse)
 
     def interval(self, before: Blocks, after: Blocks) -> Interval:
@@ -54,17 +51,10 @@ class ClosedShares:
     ) -> dict[str, tuple[float, Interval]]:
         """Closed share of each cause, and its 90 % interval.
 
-        A cause is weighed by the error that comes back without it, the others fitted anew:
-
             share_i = closed (E_without_i - E) / sum_j max(E_without_j - E, 0)
 
-        The shares add up to what all close together, where each of them lowers the error. Of causes that can replace
-        each other none closes anything. The interval is that of the fall, blocks resampled together before and after:
-        a small cause beside a large one is as sure as its own fall.
-
-        Args:
-            names: of the causes.
-            blocks: errors with all of them, with all but one, and with none.
+        E_without_i is the error without cause i, the others fitted anew. The shares add up to what all close together.
+        The interval is that of the fall, blocks resampled together before and after.
         """
         after = blocks(names)
         without = {name: blocks(names - {name}) for name in sorted(names)}
@@ -93,12 +83,7 @@ def closed_share(retuned_mse: float, with_mse: float, floor_mse: float) -> float
 
 
 def closed_interval(retuned: Blocks, before: Blocks, after: Blocks, floor_mse: float, seed: int) -> Interval:
-    """90 % interval of the share that lies between two stages, blocks resampled together."""
-    return _clipped_quantiles(_drawn_shares(retuned, before, after, floor_mse, seed))
-
-
-def _drawn_shares(retuned: Blocks, before: Blocks, after: Blocks, floor_mse: float, seed: int) -> Vec:
-    """The share in every resample of the blocks (D,), zeros where there is no gap.
+    """90 % interval of the share that lies between two stages, blocks resampled together; zero without a gap.
 
     A resample may have less of a gap than the floor is high. Its fall then counts against a tenth of the whole gap, so
     that the sign of the fall, which is what proves a cause, is kept.
@@ -109,10 +94,7 @@ def _drawn_shares(retuned: Blocks, before: Blocks, after: Blocks, floor_mse: flo
     gap = retuned.energy[draws].sum(axis=1) / total - floor_mse
     fall = (before.energy - after.energy)[draws].sum(axis=1) / total
     whole = retuned.mse - floor_mse
-    return np.asarray(fall / np.maximum(gap, _LEAST_GAP * whole) if whole > 0 else np.zeros(_DRAWS))
-
-
-def _clipped_quantiles(shares: Vec) -> Interval:
+    shares = fall / np.maximum(gap, _LEAST_GAP * whole) if whole > 0 else np.zeros(_DRAWS)
     low, high = np.clip(np.quantile(shares, (0.05, 0.95)), -1.0, 1.0)
     return float(low), float(high)
 
@@ -146,13 +128,7 @@ class ClosedByCause:
 
 @dataclass(frozen=True, eq=False)
 class GapClosed:
-    """Errors on the final trials, and the share of the gap closed by each cause.
-
-    Attributes:
-        gap: RMSE of the nominal, retuned and corrected simulator, floor, and share closed.
-        causes: share of each cause by name.
-        spread: half of a 90 % interval that is due to differences between trials, as a share of the closed share.
-    """
+    """Errors on the final trials, and the share of the gap closed by each cause."""
 
     gap: Gap
     causes: Mapping[str, ClosedByCause]
@@ -165,9 +141,6 @@ class GapClosed:
         sensor are proven by the log itself, and may be rare: a resample without those few blocks is no evidence
         against them. Beside others a cause that could be replaced has to close 5 % of the gap: so little that several
         effects explain is the form error of the others.
-
-        Args:
-            replaceable: effects that another one could replace.
         """
         sensor = self.causes.get("sensor")
         if sensor and sensor.share <= 0:
@@ -183,63 +156,11 @@ class GapClosed:
         """Error of the simulator as given over that of the retuned one, mean squares."""
         return (self.gap.nominal_rmse_deg / max(self.gap.retuned_rmse_deg, _LEAST_DEG)) ** 2
 
-    def with_repeats(self, floor: NoiseFloor) -> GapClosed:
-        """The same sizes with the RMS difference of repeated motions."""
-        rmse = floor.rmse_deg if floor.kind == "repeats" else math.nan
-        return replace(self, gap=replace(self.gap, repeats_rmse_deg=rmse))
-
 
 def negligible_cause(shares: Mapping[str, float], replaceable: Container[str]) -> str:
     """Name of the replaceable cause with the smallest closed share, if that is below 5 %; empty where there is none."""
     small = [name for name in shares if name in replaceable and shares[name] < _LEAST_SHARE]
     return min(small, key=lambda name: shares[name]) if small and len(shares) > 1 else ""
-
-
-def measure(
-    prepared: PreparedTrials,
-    validation: CrossValidation,
-    retuned: Hypothesis,
-    chosen: Hypothesis,
-    floor: NoiseFloor,
-    sensor: bool,
-    jumps: Jumps | None,
-    seed: int,
-) -> GapClosed:
-    """Measure the gap on the final trials with and without the causes.
-
-    Noise of a faulty sensor and jumps of a tip that sticks cannot be predicted by a free run. A simulator that has them
-    leaves their energy, so that it counts as closed: that of the noise, and in each block up to that of a sawtooth of
-    the height of the jumps. Jumps that close less than 5 % of the gap are no cause.
-
-    Args:
-        prepared: trials.
-        validation: development runs.
-        retuned, chosen: the simulator without and with its causes.
-        floor: from repeats or noise.
-        sensor: whether the sensor is a cause.
-        jumps: of the tip, where they are a cause.
-        seed: of the resampling.
-    """
-    unpredicted = jumps.mse if jumps is not None and "stick_slip" not in chosen.effects else 0.0
-    final_errors = FinalErrors(prepared, validation, retuned, chosen, floor, sensor, seed, unpredicted)
-    parameters, shares = _parameters(chosen, prepared), final_errors.shares
-    causes = {}
-    for name, (share, ci90) in shares.of_causes(chosen.effects, final_errors.blocks).items():
-        without = final_errors.blocks(chosen.effects - {name})
-        causes[name] = ClosedByCause(share, ci90, float(np.sqrt(without.mse)), parameters[name])
-    if sensor:
-        faulty = measured_blocks(prepared, chosen)
-        share = shares.closed(shares.before.mse - faulty.mse + final_errors.after.mse)
-        ci90, rmse = shares.interval(faulty, final_errors.after), float(np.sqrt(faulty.mse))
-        causes["sensor"] = ClosedByCause(share, ci90, rmse, _sensor_parameters(prepared))
-    if jumps is not None and "stick_slip" not in chosen.effects:
-        left = without_sawtooth(final_errors.after, jumps.mse)
-        share = shares.closed(left.mse) - shares.closed(final_errors.after.mse)
-        if share >= _LEAST_SHARE:
-            ci90, rmse = shares.interval(final_errors.after, left), float(np.sqrt(final_errors.after.mse))
-            causes["stick_slip"] = ClosedByCause(share, ci90, rmse, jumps.parameters)
-            final_errors.after = left
-    return GapClosed(final_errors.gap(), causes, shares.spread)
 
 
 def without_sawtooth(blocks: Blocks, mse: float) -> Blocks:
@@ -249,11 +170,19 @@ def without_sawtooth(blocks: Blocks, mse: float) -> Blocks:
 
 @final
 class FinalErrors:
-    """Errors on the final trials of the simulator with any of its causes.
+    """Errors on the final trials of the simulator with any of its causes, and what these close.
+
+    Noise of a faulty sensor and jumps of a tip that sticks cannot be predicted by a free run: their energy counts as
+    closed, that of jumps in each block up to a sawtooth of their height.
 
     Attributes:
-        after: of the corrected simulator; less the excess noise of a faulty sensor, where the sensor is a cause.
-        shares: what the causes close; before them the retuned simulator, against the angles as measured.
+        after: of the corrected simulator, without the excess noise of a faulty sensor where the sensor is a cause.
+        shares: what the causes close of the error of the retuned simulator, against the angles as measured.
+
+    Args:
+        retuned, chosen: the simulator without and with its causes.
+        sensor: whether the sensor is a cause.
+        jumps: of the tip, where they are a cause.
     """
 
     def __init__(
@@ -265,21 +194,23 @@ class FinalErrors:
         floor: NoiseFloor,
         sensor: bool,
         seed: int,
-        jumps_mse: float = 0.0,
+        jumps: Jumps | None = None,
     ) -> None:
         self._prepared, self._validation, self._retuned, self._chosen = prepared, validation, retuned, chosen
-        self._floor = floor
+        self._floor, self._sensor = floor, sensor
+        self._jumps = None if "stick_slip" in chosen.effects else jumps
         corrected = final_blocks(chosen, prepared.final)
         self._parts = {frozenset(chosen.effects): corrected}
         before = measured_blocks(prepared, retuned)
         self.after = self.without_sensor_noise(corrected) if sensor else measured_blocks(prepared, chosen)
+        jumps_mse = self._jumps.mse if self._jumps is not None else 0.0
         excess = jumps_mse + (prepared.excess_mse if sensor else 0.0)  # repeats differ by them
         lowest = max(floor.rmse_deg**2 - excess, _LEAST_FLOOR * floor.rmse_deg**2)
         floor_mse = min(lowest, self.after.mse, before.mse)
         self.shares = ClosedShares(before, floor_mse, self._between_trials(floor_mse), seed)
 
     def without_sensor_noise(self, blocks: Blocks) -> Blocks:
-        """Errors less the energy of the noise that a sensor in the simulator would add."""
+        """Errors after subtraction of the excess noise of a faulty sensor."""
         energy = blocks.energy - self._prepared.excess_mse * blocks.samples
         return replace(blocks, energy=energy if energy.sum() > 0 else np.zeros_like(energy))
 
@@ -305,6 +236,33 @@ class FinalErrors:
                 part = self._validation.polished(without)
             self._parts[kept] = final_blocks(part, self._prepared.final)
         return self._parts[kept]
+
+    def closed(self) -> GapClosed:
+        """Sizes of the gap, and what each cause closes; jumps that close less than 5 % of the gap are no cause."""
+        chosen, prepared, shares, causes = self._chosen, self._prepared, self.shares, dict[str, ClosedByCause]()
+        identified = _parameters(chosen, prepared)
+        for name, (share, ci90) in shares.of_causes(chosen.effects, self.blocks).items():
+            rmse = float(np.sqrt(self.blocks(chosen.effects - {name}).mse))
+            causes[name] = ClosedByCause(share, ci90, rmse, identified[name])
+        if self._sensor:
+            faulty, signs = measured_blocks(prepared, chosen), prepared.signs
+            share = shares.closed(shares.before.mse - faulty.mse + self.after.mse)
+            parameters = {
+                "resolution_deg": signs.quantisation_deg if signs.coarse else 0.0,
+                "sigma_deg": signs.noise_deg,
+                "outlier_rate": signs.spike_rate if signs.spikes else 0.0,
+                "dropout_rate": signs.held_rate if signs.drops else 0.0,
+            }
+            rmse = float(np.sqrt(faulty.mse))
+            causes["sensor"] = ClosedByCause(share, shares.interval(faulty, self.after), rmse, parameters)
+        if self._jumps is not None:
+            left, rmse = without_sawtooth(self.after, self._jumps.mse), float(np.sqrt(self.after.mse))
+            share = shares.closed(left.mse) - shares.closed(self.after.mse)
+            if share >= _LEAST_SHARE:
+                ci90 = shares.interval(self.after, left)
+                causes["stick_slip"] = ClosedByCause(share, ci90, rmse, self._jumps.parameters)
+                self.after = left
+        return GapClosed(self.gap(), causes, shares.spread)
 
     def gap(self) -> Gap:
         """Sizes of the gap."""
@@ -341,7 +299,7 @@ def measured_blocks(prepared: PreparedTrials, hypothesis: Hypothesis) -> Blocks:
 
 
 def _parameters(chosen: Hypothesis, prepared: PreparedTrials) -> dict[str, Mapping[str, float]]:
-    """Identified values by cause and name; of what each trial has of its own, statistics over the trials."""
+    """Identified values by cause and name; for effects of single trials, statistics over the trials."""
     problem = chosen.problem
     parameters: dict[str, Mapping[str, float]] = dict(problem.identified(chosen.q))
     if problem.terms.frequency_hz:
@@ -357,13 +315,3 @@ def _parameters(chosen: Hypothesis, prepared: PreparedTrials) -> dict[str, Mappi
             "largest_offset_deg": float(max(offsets, key=abs)),
         }
     return parameters
-
-
-def _sensor_parameters(prepared: PreparedTrials) -> Mapping[str, float]:
-    signs = prepared.signs
-    return {
-        "resolution_deg": signs.quantisation_deg if signs.coarse else 0.0,
-        "sigma_deg": signs.noise_deg,
-        "outlier_rate": signs.spike_rate if signs.spikes else 0.0,
-        "dropout_rate": signs.held_rate if signs.drops else 0.0,
-    }

@@ -1,4 +1,4 @@
-"""Structure that a selected effect leaves in the error: shifts shared by groups of trials, and what contradicts it."""
+"""Structure of motion and error that tells of a cause: stick-slip jumps, shifts of groups of trials, lack of fit."""
 
 from __future__ import annotations
 
@@ -14,7 +14,8 @@ from hystmpc.models.identify.runs import Run
 from hystmpc.models.identify.selection import Selection
 from hystmpc.trials.types import Mat, Vec
 
-from .verdict import VerdictSettings
+from ..logs.sensor import SensorSigns
+from .verdict import STILL_OPEN
 
 NAME = "configuration_change"
 SHIFT = "trial_shift"
@@ -33,12 +34,10 @@ class Configuration:
         groups: names of the trials of each group, the largest group first.
         sizes: greatest difference between groups, `offset_deg` [deg at the mean angle], `gain_share` of the gain and,
             where the core has a width, `width_deg` [deg, what it moves the angle by].
-        explained: share of what shifts of each trial explain.
     """
 
     groups: tuple[tuple[str, ...], ...]
     sizes: dict[str, float]
-    explained: float
 
 
 @final
@@ -59,13 +58,13 @@ class _Shifts:
     spread: Vec
 
     def shared(self, runs: Sequence[int]) -> Vec:
-        """Coefficients (K,) that some trials have in common."""
+        """Least-squares coefficients (K,) shared by some trials."""
         square = self.square[runs].sum(axis=0)
         ridge = _RIDGE * np.trace(square) * np.eye(len(square))
         return np.asarray(np.linalg.solve(square + ridge, self.product[runs].sum(axis=0)), dtype=np.float64)
 
     def left(self, run: int, shift: Vec) -> float:
-        """Squared error that a trial has with a shift."""
+        """Sum of squared errors of a trial after correction by a shift."""
         return float(self.energy[run] - 2 * shift @ self.product[run] + shift @ self.square[run] @ shift)
 
     def left_out(self, groups: Sequence[Sequence[int]]) -> float:
@@ -76,18 +75,11 @@ class _Shifts:
 def configuration_of(hypothesis: Hypothesis, runs: Sequence[Run]) -> Configuration | None:
     """Groups of trials that explain shifts between trials; None where these scatter, or no effect shifts them.
 
-    Trials are joined by Ward's method (J. Am. Stat. Assoc. 58, 1963) on what their own offset, gain and width move the
-    angle by. Each trial is then predicted with the shift that the others of its group share,
-
         share = (E_all - E_groups) / (E_all - E_own)
 
-    with the squared errors of one shift for all others, of the groups', and of each trial's own. The fewest groups, of
-    two trials or more, that reach 0.87 (0.95 for three groups) count. Scatter from trial to trial rarely does: two
-    halves of a normal distribution explain 0.64 of it on average.
-
-    Args:
-        hypothesis: the corrected simulator.
-        runs: all trials.
+    with the squared errors of one shift for all other trials, of the groups', and of each trial's own. The fewest
+    groups, of two trials or more, that reach 0.87 (0.95 for three groups) count. Groups are joined by Ward's method
+    (J. Am. Stat. Assoc. 58, 1963) on what offset, gain and width of each trial move the angle by.
     """
     if SHIFT not in hypothesis.effects or len(runs) < 2 * _LEAST_OF_GROUP:
         return None
@@ -110,12 +102,12 @@ def configuration_of(hypothesis: Hypothesis, runs: Sequence[Run]) -> Configurati
             names = tuple(UNITS)[: shared.shape[1]]
             shared[:, 2:] *= shifts.spread[2:]
             sizes = dict(zip(names, np.ptp(shared, axis=0).tolist(), strict=True))
-            return Configuration(tuple(tuple(runs[k].name for k in g) for g in groups), sizes, float(explained))
+            return Configuration(tuple(tuple(runs[k].name for k in g) for g in groups), sizes)
     return None
 
 
 def _shifts(hypothesis: Hypothesis, runs: Sequence[Run]) -> _Shifts:
-    """Offset at the mean angle of all trials, gain and width of each trial, width always where the core has one."""
+    """Normal equations for offset at the mean angle, gain and, if the core has one, width of each trial."""
     problem, q = hypothesis.problem, hypothesis.q
     terms = replace(problem.terms, shift=True, own_offset=False, frequency_hz=0.0, width=problem.baseline.width)
     parts = [problem.linearised(q, run) for run in runs]
@@ -139,36 +131,34 @@ def _shifts(hypothesis: Hypothesis, runs: Sequence[Run]) -> _Shifts:
 
 _KNOTS = 10  # of a curve, in each direction
 _SLOW_S = 3.0
+# A curved gain alone is no explanation where two free curves of the angle explain more than the first share of the
+# structural error that it leaves, and more than the second share of all of it.
+_CURVE_LEFT, _CURVE_SIZE = 0.7, 0.012
+_WANDER = 0.7  # slow change within trials, over what shifts between them explain, above which a shift explains nothing
 
 
-def structure_left(
-    selection: Selection, runs: Sequence[Run], everything: Sequence[Run], floor_mse: float, settings: VerdictSettings
-) -> bool:
+def structure_left(selection: Selection, runs: Sequence[Run], everything: Sequence[Run], floor_mse: float) -> bool:
     """Lack of fit: whether the only selected effect leaves structure that contradicts it.
 
-    A curved gain leaves no other curve of the angle (`remaining_curvature`). Shifts between trials leave no slow change
-    within them (`slow_mse`). Widths of single trials belong to groups of trials: else they follow the speed of the
-    motions, as with a friction that depends on it.
+    A curved gain leaves no other curve of the angle, shifts between trials leave no slow change within them, and widths
+    of single trials belong to groups of trials.
 
     Args:
-        selection: of the causes.
-        runs: development runs.
         everything: all runs; groups of few trials show in all of them alone.
         floor_mse: below which an error carries no evidence [deg^2].
-        settings: thresholds.
     """
     chosen, retuned = selection.chosen.hypothesis, selection.baseline.hypothesis
     if chosen.problem.terms.shift and chosen.problem.terms.width >= 0 and configuration_of(chosen, everything) is None:
         return True
     if chosen.effects == {"nonlinear_gain"}:
         before = retuned.mse - floor_mse
-        if before <= 0 or chosen.mse < settings.still_open * floor_mse:
+        if before <= 0 or chosen.mse < STILL_OPEN * floor_mse:
             return False
         left = remaining_curvature(chosen, runs, floor_mse)
-        return left > settings.curve_left and left * (chosen.mse - floor_mse) > settings.curve_size * before
+        return left > _CURVE_LEFT and left * (chosen.mse - floor_mse) > _CURVE_SIZE * before
     if chosen.effects == {"trial_shift"}:
         # The model-form error is slow as well and is part of the floor.
-        return slow_mse(chosen, runs) - floor_mse > settings.wander * (retuned.mse - chosen.mse)
+        return slow_mse(chosen, runs) - floor_mse > _WANDER * (retuned.mse - chosen.mse)
     return False
 
 
@@ -176,13 +166,7 @@ def remaining_curvature(hypothesis: Hypothesis, runs: Sequence[Run], floor_mse: 
     """Share of the remaining structural error that two free curves of the simulated angle explain, 0 to 1.
 
     One curve applies while the simulated angle rises and another while it falls, each piecewise linear between ten
-    knots at quantiles of the angle, fitted by least squares to the errors of all runs together. A quadratic and a cubic
-    term that imitate a corner, a toe or another branch leave such curves; those of a smooth gain do not.
-
-    Args:
-        hypothesis: fitted to the runs.
-        runs: development runs.
-        floor_mse: below which an error carries no evidence [deg^2].
+    knots at quantiles of the angle. Errors below `floor_mse` [deg^2] carry no evidence.
     """
     angles, errors = [], []
     for run in runs:
@@ -203,7 +187,7 @@ def remaining_curvature(hypothesis: Hypothesis, runs: Sequence[Run], floor_mse: 
 
 
 def slow_mse(hypothesis: Hypothesis, runs: Sequence[Run]) -> float:
-    """Mean square of the remaining error's means over three seconds [deg^2], slow change within trials."""
+    """Mean square of the remaining error after averaging over three seconds [deg^2]: slow change within trials."""
     total, count = 0.0, 0
     for run in runs:
         error, blocks = hypothesis.problem.error(hypothesis.q, run)[0], run.blocks(_SLOW_S)
@@ -218,3 +202,110 @@ def _hat_functions(x: Vec) -> Mat:
     """Piecewise linear functions (T, K), one at each knot."""
     knots = np.unique(np.quantile(x, np.linspace(0.0, 1.0, _KNOTS)))
     return np.stack([np.interp(x, knots, row) for row in np.eye(knots.size)], axis=1)
+
+
+_STEADY_S = 0.4  # of steady motion before and after a sample
+_UNEVEN = 0.4  # greatest range of the speed in it, relative to its mean
+_ONE_WAY = 1.2  # the same where such motion is rare, as in sines: it does not turn
+_NOISES, _STEPS = 5.0, 3.0  # standard deviations and resolutions that the motion in a window has to exceed
+_STUCK, _JUMPED, _BACK = 0.3, 2.0, -0.5  # of the simulated motion in a window
+_ENOUGH = 100  # windows
+
+
+@dataclass(frozen=True)
+class Jumps:
+    """Statistics of the tip motion while the simulated motion is steady.
+
+    In each window, as short as noise and resolution allow, the measured motion is a multiple g of the simulated one.
+
+    Attributes:
+        windows: number of windows.
+        stuck, jumped, back: share of them with g below 0.3, above 2, and below -0.5.
+        carried: share of the measured motion in those above 2.
+        height_deg: median change of the tip's lead over the simulator in a jump [deg].
+        fastest_deg_s: 90 % quantile of the simulated speeds at which it jumps [deg/s].
+    """
+
+    windows: int
+    stuck: float
+    jumped: float
+    back: float
+    carried: float
+    height_deg: float
+    fastest_deg_s: float
+
+    @property
+    def seen(self) -> bool:
+        """Whether the pattern is that of stick-slip."""
+        return self.windows >= _ENOUGH and self.stuck > 0.25 and self.carried > 0.25 and self.back < 0.1
+
+    @property
+    def absent(self) -> bool:
+        """Whether there was enough steady motion to exclude stick-slip."""
+        return self.windows >= _ENOUGH and (self.stuck < 0.1 or self.jumped < 0.01)
+
+    @property
+    def mse(self) -> float:
+        """Energy of a sawtooth of that height [deg^2], the part of it that no free run can predict."""
+        return self.height_deg**2 / 12.0 if self.seen else 0.0
+
+    def note(self, unit: str) -> str:
+        """Note on the jumps for the report, with sizes in a given unit."""
+        return (
+            f"Stick-slip by its jumps: in {self.stuck:.0%} of {self.windows} windows of steady motion the tip stands "
+            f"still, in {self.jumped:.0%} it jumps, by {self.height_deg:.2g} {unit}, at speeds up to "
+            f"{self.fastest_deg_s:.2g} {unit}/s. When it lets go cannot be predicted in a free run: what it closes "
+            "is the energy of a sawtooth of that height."
+        )
+
+    @property
+    def parameters(self) -> dict[str, float]:
+        """Parameters of the effect in the result."""
+        return {"jump_deg": self.height_deg, "fastest_deg_s": self.fastest_deg_s}
+
+
+def find_jumps(runs: Sequence[Run], retuned: Hypothesis, signs: SensorSigns) -> Jumps:
+    """Look for stick-slip in steady motion."""
+    least = max(_NOISES * signs.noise_deg, _STEPS * signs.quantisation_deg, 1e-9)
+    simulated = [retuned.problem.angles(retuned.q, run) for run in runs]
+    steady = _pattern(runs, simulated, least, _UNEVEN)
+    if steady.windows >= _ENOUGH:
+        return steady
+    one_way = _pattern(runs, simulated, least, _ONE_WAY)
+    return one_way if one_way.seen else steady  # a fast motion may slide where a slow one sticks: it excludes nothing
+
+
+def _pattern(runs: Sequence[Run], simulated: Sequence[Vec], least: float, uneven: float) -> Jumps:
+    """Statistics of the windows in which the simulated speed varies by at most `uneven` of its mean."""
+    windows = [_windows(run, theta, least, uneven) for run, theta in zip(runs, simulated, strict=True)]
+    share, moved, ahead, speed = np.concatenate(windows).T
+    if not share.size:
+        return Jumps(0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    jumped, whole = share > _JUMPED, float(np.abs(moved).sum())
+    return Jumps(
+        int(share.size),
+        float(np.mean(share < _STUCK)),
+        float(np.mean(jumped)),
+        float(np.mean(share < _BACK)),
+        float(np.abs(moved[jumped]).sum()) / whole if whole else 0.0,
+        float(np.median(ahead[jumped])) if jumped.any() else 0.0,
+        float(np.quantile(speed[jumped], 0.9)) if jumped.any() else 0.0,
+    )
+
+
+def _windows(run: Run, simulated: Vec, least: float, uneven: float) -> Mat:
+    """Ratio of measured to simulated motion, measured motion, its lead [deg] and simulated speed [deg/s] (N, 4)."""
+    speed, half = np.diff(simulated), max(round(_STEADY_S / run.dt_s), 1)
+    kept = []
+    for k in range(half, speed.size - half):
+        around = speed[k - half : k + half]
+        mean = float(around.mean())
+        if mean == 0 or np.ptp(around) > uneven * abs(mean):
+            continue
+        length = max(int(np.ceil(least / abs(mean))), 2)
+        if length > half:
+            continue
+        moved, expected = (float(x[k + length] - x[k]) for x in (run.angle, simulated))
+        if expected:
+            kept.append((moved / expected, moved, (moved - expected) * np.sign(mean), abs(mean) / run.dt_s))
+    return np.array(kept, dtype=np.float64).reshape(-1, 4)

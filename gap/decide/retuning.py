@@ -1,4 +1,4 @@
-"""Retuning: what it frees, how large the simulator's form error has become with it, and which numbers moved."""
+"""Retuning of the simulator: free parameters, growth of the model-form error, and significantly changed parameters."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from hystmpc.trials.errors import FitError
 from ..diagnosis import RetunedParameter
 from ..logs.preparation import PreparedTrials
 from ..logs.sensor import white_noise
-from ..residual.memory import friction_share
+from ..residual import friction_share
 
 _ASKED = 1.5  # held-out error over model-form error, from which the widths of curved plays are freed
 _GAINED = 0.5  # of the error above the model-form error, by which it has to fall with them
@@ -69,19 +69,12 @@ def retuned_with(
 
 
 def retuning_of(prepared: PreparedTrials, retuned: Hypothesis, left_out_mse: float) -> Retuning:
-    """Measure the effect of retuning on the error.
-
-    The form error of a simulator of friction grows with the height h of its loop, gain times width: the noise n does
-    not.
+    """Measure the effect of retuning on the error, given the retuned error on trials left out [deg^2].
 
         e' = n^2 + min(max(1, h' / h), 4)^2 (e - n^2)
 
-    Where a loop has lost more than half of its height, no share is counted: less friction leaves less form error.
-
-    Args:
-        prepared: trials and the baseline.
-        retuned: the simulator refitted.
-        left_out_mse: its error on development trials that its fit did not see [deg^2].
+    is the form error of a simulator of friction, which grows with the height h of its loop; n is the noise. Where a
+    loop has lost more than half of its height, no share is counted.
     """
     residuals = prepared.residuals(retuned)
     noise, form, baseline = white_noise(residuals), prepared.form_mse, prepared.baseline
@@ -116,14 +109,7 @@ def reidentified_share(
 ) -> float:
     """Share of the retuned error above the floor that a core identified anew explains held out, 0 to 1.
 
-    It is a sum of plays with a free curve each, all of it fitted: the richest structure of a static loop. It takes up
-    whatever does not depend on time, as a friction of any spread, and what a tendon that only pulls does beyond it.
-
-    Args:
-        prepared: trials.
-        validation: development runs.
-        retuned: errors of the retuned simulator on them.
-        floor_mse: below which an error carries no evidence [deg^2].
+    It is a sum of plays with a free curve each, all of it fitted: the richest structure of a static loop.
     """
     try:
         forms = core_forms(prepared.decades.trials(prepared.checked.trials), Scale.of(validation.runs))
@@ -140,18 +126,7 @@ def reidentified_share(
 def moved_numbers(
     prepared: PreparedTrials, retuned: Hypothesis, quantities: Iterable[ParameterRow]
 ) -> tuple[RetunedParameter, ...]:
-    """Parameters that retuning has significantly changed: the 90 % interval excludes the given value.
-
-    Gain, offset and width come first, then weights and widths of the core's plays.
-
-    Args:
-        prepared: trials and the baseline.
-        retuned: the simulator refitted.
-        quantities: gain, offset and width of it, in working units.
-
-    Returns:
-        the numbers in the units of the log.
-    """
+    """Parameters, in the units of the log, whose 90 % interval after retuning excludes the given value."""
     baseline, decades, units = prepared.baseline, prepared.decades, prepared.checked.trials[0].units
     given = dict(baseline.quantities(baseline.nominal))
     rows = [(row, given[row.name]) for row in quantities if row.owner == "baseline"]

@@ -7,23 +7,23 @@ import itertools
 import math
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from hystmpc.models.identify.cross_validation import HeldOutErrors, Hypothesis
 from hystmpc.models.identify.runs import Blocks, Run, blocks_of
-from hystmpc.models.identify.selection import Selection, select_again
+from hystmpc.models.identify.selection import Selection, SelectionSettings, select_again
 from hystmpc.trials.types import Index
 
 from ..diagnosis import Stability, Verdict
 from ..logs.preparation import PreparedTrials
 from .ambiguity import ambiguity_of
-from .attribution import Attribution, Conclusion, DiagnosisSettings, drift_test
+from .attribution import Attribution, Conclusion, drift_test
 from .gap_closed import ClosedShares, negligible_cause
 from .remaining_structure import structure_left
 from .retuning import width_grown
-from .verdict import FinalFacts, VerdictDecision, VerdictFacts, decide_verdict, residual_ratio
+from .verdict import AT_FLOOR, FinalFacts, VerdictDecision, VerdictFacts, decide_verdict, residual_ratio
 
 RESAMPLES = 40
 _LEAST_SPLITS = 8  # with fewer, blocks of the errors are drawn as well
@@ -31,44 +31,22 @@ _LEAST_SPLITS = 8  # with fewer, blocks of the errors are drawn as well
 Names = frozenset[str]
 
 
-@dataclass(frozen=True, eq=False)
-class _TrialSplit:
-    """Development and final runs of one resample; blocks are drawn with replacement where `seed` is given."""
-
-    development: tuple[int, ...]
-    final: tuple[int, ...]
-    seed: int | None
+_TrialSplit = tuple[tuple[int, ...], tuple[int, ...], int | None]
+"""Development and final runs of one resample, and the seed of blocks drawn with replacement; None draws none."""
 
 
 def stability_of(
-    prepared: PreparedTrials,
-    attribution: Attribution,
-    conclusion: Conclusion,
-    settings: DiagnosisSettings,
-    seed: int,
+    prepared: PreparedTrials, attribution: Attribution, conclusion: Conclusion, seed: int
 ) -> Stability | None:
-    """Stability: share of resampled splits of the trials with the same verdict and the same effects.
+    """Stability: share of resampled splits with the same verdict and effects; None where the trials allow no choice.
 
-    Each resample takes other trials as final ones. Every hypothesis that the selection tried has errors on all trials
-    by fits that did not see them: those of its fold on a development trial, those of the fit to all development trials
-    on a final trial. The choice of causes, their ambiguity, their confirmation and the verdict are made anew from these
-    errors; nothing is fitted, and hypotheses that the selection did not try are not found. Where fewer than eight
-    splits exist, blocks of 3 s are drawn with replacement as well. Costs the free runs of what was tried on the final
-    trials.
-
-    Args:
-        prepared: trials.
-        attribution: hypotheses tried, and facts of the verdict.
-        conclusion: the verdict.
-        settings: thresholds.
-        seed: of the resamples.
-
-    Returns:
-        None where the trials allow no choice.
+    Every hypothesis that was tried has errors on all trials by fits that did not see them. Choice, ambiguity,
+    confirmation and verdict are made anew from these; nothing is fitted. With fewer than eight splits, blocks of 3 s
+    are drawn with replacement as well.
     """
     if prepared.too_little or prepared.checked.unrelated:
         return None
-    resampled = _ResampledVerdict(prepared, attribution, conclusion, settings, seed)
+    resampled = _ResampledVerdict(prepared, attribution, conclusion, seed)
     count = len(prepared.development), len(prepared.final)
     verdicts = Counter(resampled.verdict(split) for split in _splits(*count, prepared.order == "known", seed))
     reference = conclusion.decision.verdict, conclusion.chosen.effects
@@ -94,7 +72,7 @@ def _label(verdict: Verdict, names: Names) -> str:
 
 
 def _splits(development: int, final: int, ordered: bool, seed: int) -> Iterator[_TrialSplit]:
-    """Splits of the runs that differ; a first trial whose order is known stays among those to choose on."""
+    """Different splits of the runs; the first trial of a known order always stays a development run."""
     runs = range(development + final)
     free = runs[1:] if ordered and development > final else runs
     random = np.random.default_rng([seed, len(runs)])
@@ -109,42 +87,33 @@ def _splits(development: int, final: int, ordered: bool, seed: int) -> Iterator[
     repeats = 1 if count >= _LEAST_SPLITS else math.ceil(RESAMPLES / 2 / count)
     for k, part in enumerate(itertools.product(chosen, range(repeats))):
         rest = tuple(run for run in runs if run not in part[0])
-        yield _TrialSplit(rest, tuple(sorted(part[0])), None if repeats == 1 else seed + k)
+        yield rest, tuple(sorted(part[0])), None if repeats == 1 else seed + k
 
 
 class _ResampledVerdict:
     """Verdicts on resampled splits, by the errors of the hypotheses that were fitted once."""
 
-    def __init__(
-        self,
-        prepared: PreparedTrials,
-        attribution: Attribution,
-        conclusion: Conclusion,
-        settings: DiagnosisSettings,
-        seed: int,
-    ) -> None:
-        self._facts, self._settings, self._seed = conclusion.facts, settings, seed
+    def __init__(self, prepared: PreparedTrials, attribution: Attribution, conclusion: Conclusion, seed: int) -> None:
+        self._facts, self._seed = conclusion.facts, seed
         self._floor, self._form_mse = conclusion.floor, prepared.form_mse
         self._spread, self._moved = conclusion.closed.spread, conclusion.closed.moved
         self._faults_mse = prepared.excess_mse
         validation, selection = attribution.validation, attribution.selection
         self._tried = {names: _errors_on_all_runs(judged, prepared.final) for names, judged in selection.tried.items()}
-        self._drift_shows = drift_test(validation, settings.verdict)
+        self._drift_shows = drift_test(validation)
         baseline, floor_mse = selection.baseline, attribution.facts.floor_mse
         self._structure_left = functools.cache(
             lambda chosen: structure_left(
-                Selection(baseline, chosen, {}), validation.runs, prepared.everything, floor_mse, settings.verdict
+                Selection(baseline, chosen, {}), validation.runs, prepared.everything, floor_mse
             )
         )
 
     def verdict(self, split: _TrialSplit) -> tuple[Verdict, Names]:
-        """Verdict and names of the effects on that split."""
-        tried = {names: _errors_on_runs(judged, split.development, split.seed) for names, judged in self._tried.items()}
-        final: dict[Names, Blocks] = {
-            n: _errors_on_runs(judged, split.final, split.seed) for n, judged in self._tried.items()
-        }
-        settings = self._settings.verdict
-        selection = select_again(tried, self._settings.selection, self._facts.floor_mse, self._faults_mse)
+        """Verdict and names of the effects on one split."""
+        development, end, seed = split
+        tried = {names: _errors_on_runs(judged, development, seed) for names, judged in self._tried.items()}
+        final: dict[Names, Blocks] = {n: _errors_on_runs(judged, end, seed) for n, judged in self._tried.items()}
+        selection = select_again(tried, SelectionSettings(), self._facts.floor_mse, self._faults_mse)
         names = selection.chosen.hypothesis.effects
         facts = replace(
             self._facts,
@@ -153,15 +122,15 @@ class _ResampledVerdict:
             chosen_mse=selection.chosen.mse,
             structure_left=self._structure_left(self._tried[names]),
             width_grown=width_grown(selection.chosen.hypothesis),
-            ambiguity=ambiguity_of(selection, settings, self._drift_shows),
+            ambiguity=ambiguity_of(selection, self._drift_shows),
         )
-        explained = decide_verdict(facts, settings).explained
+        explained = decide_verdict(facts).explained
         kept = self._confirmed_causes(facts, final) if explained else frozenset()
         decision = self._decision(facts, kept, selection.chosen.hypothesis, tried, final)
         return decision.verdict, kept if decision.explained else frozenset()
 
     def _confirmed_causes(self, facts: VerdictFacts, final: Mapping[Names, Blocks]) -> Names:
-        """Causes left once those are dropped that do not surely lower the error of the final runs."""
+        """Remaining causes after removal of those that do not significantly lower the error of the final runs."""
         names, replaceable = facts.effects, {names[0] for names in facts.ambiguity}
         while names:
             shares = self._shares(names, final)
@@ -192,21 +161,21 @@ class _ResampledVerdict:
         tried: Mapping[Names, HeldOutErrors],
         final: Mapping[Names, Blocks],
     ) -> VerdictDecision:
-        shares, settings = self._shares(kept, final), self._settings.verdict
+        shares = self._shares(kept, final)
         closed = FinalFacts(
             shares.closed(final[kept].mse),
             residual_ratio(final[kept].mse, self._form_mse, self._floor.noise_deg**2),
             unproven=bool(chosen.effects) and not kept,
-            at_floor=shares.before.mse < settings.at_floor * self._floor.noise_deg**2,
+            at_floor=shares.before.mse < AT_FLOOR * self._floor.noise_deg**2,
             moved=self._moved,
         )
         if kept and kept != facts.effects:
             facts = facts.with_only(kept, tried[kept].mse, width_grown(tried[kept].hypothesis))
-        return decide_verdict(replace(facts, final=closed), settings)
+        return decide_verdict(replace(facts, final=closed))
 
 
 def _errors_on_all_runs(judged: HeldOutErrors, final: Sequence[Run]) -> HeldOutErrors:
-    """Errors on the development runs by the fits of the folds, then on the final runs by the fit to all of these."""
+    """Held-out errors: on development runs by the fits of the folds, on final runs by the fit to development runs."""
     hypothesis = judged.hypothesis
     errors = tuple(hypothesis.problem.held_out_error(hypothesis.q, run) for run in final)
     blocks = blocks_of(errors, final)

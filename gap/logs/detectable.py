@@ -19,6 +19,9 @@ from ..diagnosis import Detectable, DetectableSizes
 from .preparation import PreparedTrials
 from .trial_choice import NEEDS_ORDER
 
+NO_GAP = 2.2
+"""Retuned mean square error over the model-form error, below which there is no gap; frozen."""
+
 _SIZES = np.geomspace(0.02, 20.0, 10)
 """Sizes that are tried, as shares of the size from which a fit starts."""
 
@@ -30,19 +33,14 @@ _NO_FORM = (
 )
 
 
-def smallest_detectable(prepared: PreparedTrials, no_gap: float, without: Collection[str] = ()) -> DetectableSizes:
+def smallest_detectable(prepared: PreparedTrials, without: Collection[str] = ()) -> DetectableSizes:
     """Smallest size of each effect that a diagnosis of these trials counts as a gap.
 
-        needed_mse = (no_gap - 1) model-form error
+        needed_mse = (NO_GAP - 1) model-form error
 
-    Without an effect a retuned simulator leaves its model-form error, and up to `no_gap` times that is no gap.
-
-    Args:
-        prepared: trials and the simulator's baseline.
-        no_gap: retuned mean square error over the model-form error, below which there is no gap.
-        without: effects left out.
+    Without an effect a retuned simulator leaves its model-form error, and up to `NO_GAP` times that is no gap.
     """
-    needed_mse, units = (no_gap - 1.0) * prepared.form_mse, prepared.checked.trials[0].units
+    needed_mse, units = (NO_GAP - 1.0) * prepared.form_mse, prepared.checked.trials[0].units
     if needed_mse <= 0:
         return DetectableSizes(math.nan, why_not=_NO_FORM)
     detectable = detectable_sizes(prepared.baseline, prepared.everything, needed_mse)
@@ -61,29 +59,21 @@ def smallest_detectable(prepared: PreparedTrials, no_gap: float, without: Collec
 
 
 def detectable_sizes(baseline: Baseline, runs: Sequence[Run], needed_mse: float) -> tuple[Detectable, ...]:
-    """Size of every effect at which its part orthogonal to retuning reaches a mean square error.
+    """Size of every effect at which its part orthogonal to retuning reaches a mean square error [unit of the runs].
 
         d(s) = theta(with the effect at size s) - theta(nominal),   left(s) = d - J (J^T J)^-1 J^T d
         mean left(s)^2 = needed_mse
 
-    theta is the simulator's angle along the commands, J its derivative by all that retuning may change. The angles that
-    were measured are not looked at, but for the first of each trial. An effect takes its first form, with its other
-    parameters at the values from which a fit starts.
-
-    Args:
-        baseline: the nominal simulator and what retuning may change.
-        runs: trials, whose commands count.
-        needed_mse: below which an error counts as no gap [deg^2].
-
-    Returns:
-        sizes in the units of the runs, called `cmd` and `deg`.
+    theta is the simulator's angle along the commands, J its derivative by all that retuning may change. Of the measured
+    angles only the first of each trial is used. An effect takes its first form, with its other parameters at the values
+    from which a fit starts.
     """
     problem = Problem(baseline)
     nominal, slopes = zip(*(problem.linearised(problem.as_given, run) for run in runs), strict=True)
     known = np.linalg.qr(np.concatenate(slopes))[0]
     angles = np.concatenate(nominal)
-    low, high = np.quantile(angles, (0.01, 0.99))
-    scale = _scale(runs, float(low), float(high))
+    shown = [replace(run, angle=theta) for run, theta in zip(runs, nominal, strict=True)]
+    scale = replace(Scale.of(shown), resting=1.0, fastest=math.inf)
     kept = 1.0 - 1.0 / len(runs)  # of shifts between trials the common one is an offset
     shift = math.sqrt(needed_mse / kept) if kept else math.inf
     sizes = {
@@ -101,19 +91,8 @@ def detectable_sizes(baseline: Baseline, runs: Sequence[Run], needed_mse: float)
     return tuple(sizes[name] for name in diagnosable() if name in sizes)
 
 
-def _scale(runs: Sequence[Run], low: float, high: float) -> Scale:
-    command = np.concatenate([run.command for run in runs])
-    durations = [run.command.size * run.dt_s for run in runs]
-    return Scale(float(command.min()), float(command.max()), low, high, max(durations), sum(durations), runs[0].dt_s)
-
-
 def _least(
-    candidate: Candidate,
-    baseline: Baseline,
-    runs: Sequence[Run],
-    nominal: Vec,
-    known: Mat,
-    needed_mse: float,
+    candidate: Candidate, baseline: Baseline, runs: Sequence[Run], nominal: Vec, known: Mat, needed_mse: float
 ) -> Detectable:
     """Smallest detectable size of one effect, by log-log interpolation between sizes on a grid."""
     effect, names = EFFECTS[candidate.effect], [freedom.name for freedom in candidate.free]

@@ -25,11 +25,10 @@ _OPENING_LEVEL, _OPENING_TIME = 0.02, 0.1
 
 @dataclass(frozen=True)
 class Excitation:
-    """Excitation by the commands of all trials together; shares refer to the range of all commands.
+    """Excitation by the commands of all trials; shares refer to the range of all commands.
 
     Attributes:
         motions: kind of motion per trial.
-        trials: their number.
         repeats: pairs of stretches with equal commands.
         longest_hold_s: longest rest of the command [s]; 0 without one.
         fastest: 99th percentile of its speed while it moves [cmd/s].
@@ -37,13 +36,11 @@ class Excitation:
         steps: moves of a tenth of the range or more within 0.2 s.
         fast_small: moves of less than a third of a second (1.5 Hz and above) and of less than 30 %.
         low_s: time within the lowest tenth [s].
-        low_visits: number of visits to it.
         top_levels: distinct levels, 8 % apart, in the upper 60 % at which it turns.
         opening_repeated: whether the first rise of the first trial comes again, in it or a later trial.
     """
 
     motions: tuple[MotionType, ...]
-    trials: int
     repeats: tuple[RepeatedMotion, ...]
     longest_hold_s: float
     fastest: float
@@ -57,33 +54,8 @@ class Excitation:
 
     @property
     def has_holds(self) -> bool:
-        """A rest of 3 s or more."""
+        """Whether the command rests for 3 s or more."""
         return self.longest_hold_s >= 3.0
-
-    @property
-    def has_long_hold(self) -> bool:
-        """A rest of 30 s or more."""
-        return self.longest_hold_s >= LONG_HOLD_S
-
-    @property
-    def has_repeats(self) -> bool:
-        """Whether any motion is repeated."""
-        return bool(self.repeats)
-
-    @property
-    def has_fast(self) -> bool:
-        """Whether there are fast steps or fast small oscillations."""
-        return self.steps >= _STEP_COUNT or self.fast_small >= _FAST_COUNT
-
-    @property
-    def has_speeds(self) -> bool:
-        """Ramps at three speeds or more."""
-        return len(self.ramp_speeds) >= 3
-
-    @property
-    def dwells_low(self) -> bool:
-        """3 s or more, in three visits or more, near the lowest command."""
-        return self.low_s >= _LOW_S and self.low_visits >= _LOW_VISITS
 
     @property
     def sine_only(self) -> bool:
@@ -95,11 +67,7 @@ def excitation_of(trials: Sequence[Trial], ordered: bool = True) -> Excitation:
     """Excitation by uniform trials at one rate, from their commands alone.
 
     Args:
-        trials: uniform, at one rate.
         ordered: whether they stand in the order of recording; if not, any of them may have been the first.
-
-    Raises:
-        LogError: if a trial is not uniform.
     """
     dt = trials[0].dt
     parts = [command_segments(trial) for trial in trials]
@@ -109,9 +77,9 @@ def excitation_of(trials: Sequence[Trial], ordered: bool = True) -> Excitation:
     all_moves = [move for trial_moves in moves for move in trial_moves]
     bottom = [trial.command <= low + _LOW * span for trial in trials]
     holds = [stop - start for part in parts for start, stop in part.holds]
+    firsts = range(1 if ordered else len(trials))  # trials that may have been recorded first
     return Excitation(
         motions=tuple(motion_type(trial, part) for trial, part in zip(trials, parts, strict=True)),
-        trials=len(trials),
         repeats=find_repeats(trials),
         longest_hold_s=max(holds, default=0) * dt,
         fastest=_fastest(trials, span),
@@ -121,7 +89,7 @@ def excitation_of(trials: Sequence[Trial], ordered: bool = True) -> Excitation:
         low_s=sum(int(np.count_nonzero(inside)) for inside in bottom) * dt,
         low_visits=sum(int(np.count_nonzero(np.diff(b.astype(np.int8), prepend=0) == 1)) for b in bottom),
         top_levels=_top_levels(trials, parts, low, span),
-        opening_repeated=all(_opening_repeated(trial_moves, span) for trial_moves in _openings(moves, ordered)),
+        opening_repeated=all(_opening_repeated([*moves[k:], *moves[:k]], span) for k in firsts),
     )
 
 
@@ -141,7 +109,7 @@ def _ramp_speeds(moves: Sequence[Move], dt: float, least: float) -> tuple[float,
 
 
 def _top_levels(trials: Sequence[Trial], parts: Sequence[Segments], low: float, span: float) -> int:
-    """Levels of the upper turning points that lie apart."""
+    """Number of distinct levels of the upper turning points."""
     levels: list[float] = []
     for trial, part in zip(trials, parts, strict=True):
         turns = np.concatenate([trial.command[:1], trial.command[part.reversals], trial.command[-1:]])
@@ -152,11 +120,6 @@ def _top_levels(trials: Sequence[Trial], parts: Sequence[Segments], low: float, 
         if not distinct or level > distinct[-1] + _LEVEL * span:
             distinct.append(level)
     return len(distinct)
-
-
-def _openings(moves: Sequence[Sequence[Move]], ordered: bool) -> list[Sequence[Sequence[Move]]]:
-    """Moves of all trials, with each trial first that may have been recorded first."""
-    return [moves] if ordered else [[*moves[k:], *moves[:k]] for k in range(len(moves))]
 
 
 def _opening_repeated(moves: Sequence[Sequence[Move]], span: float) -> bool:
@@ -220,24 +183,25 @@ _PAIRS: tuple[tuple[tuple[str, ...], str, float, float], ...] = (
 """Effects, the motion that separates them, and `alike_in_sine` and `alike_in_hold` of `ConfusableEffects`."""
 
 
-def confusability(excitation: Excitation) -> tuple[ConfusableEffects, ...]:
+def confusability(e: Excitation) -> tuple[ConfusableEffects, ...]:
     """The table of confusable effects, judged for these motions."""
-    e, longest = excitation, excitation.longest_hold_s
-    hold = f"longest hold {longest:.3g} s" if longest else "no hold"
+    hold = f"longest hold {e.longest_hold_s:.3g} s" if e.longest_hold_s else "no hold"
     repeats = f"{len(e.repeats)} pairs of repeats" if e.repeats else "no repeat"
     speeds = ", ".join(f"{speed:.3g}" for speed in e.ramp_speeds) or "none"
     opening = "comes" if e.opening_repeated else "does not come"
     low = f"{e.low_s:.3g} s in {e.low_visits} visits to the lowest tenth of the command"
     signals = "command and angle only"
+    fast = e.steps >= _STEP_COUNT or e.fast_small >= _FAST_COUNT
+    dwells = e.low_s >= _LOW_S and e.low_visits >= _LOW_VISITS
     judged: tuple[tuple[bool | None, str], ...] = (  # in the order of `_PAIRS`; None: one class whatever the motion
-        (e.has_fast, f"{e.steps} fast steps, {e.fast_small} small moves faster than 1.5 Hz"),
+        (fast, f"{e.steps} fast steps, {e.fast_small} small moves faster than 1.5 Hz"),
         (None, signals),
         (e.has_holds, hold),
         (e.opening_repeated, f"the opening motion {opening} again"),
-        (e.has_long_hold and e.has_repeats, f"{hold}, {repeats}"),
-        (e.has_speeds, f"ramps at distinct speeds: {speeds}"),
+        (e.longest_hold_s >= LONG_HOLD_S and bool(e.repeats), f"{hold}, {repeats}"),
+        (len(e.ramp_speeds) >= 3, f"ramps at distinct speeds: {speeds}"),
         (None, signals),
-        (e.dwells_low and not e.sine_only, low),
+        (dwells and not e.sine_only, low),
         (e.top_levels >= 3, f"{e.top_levels} distinct upper turning points"),
     )
     return tuple(

@@ -32,7 +32,7 @@ _NOISE_BAND = 6.0  # standard deviations of the command's own noise
 
 @dataclass(frozen=True)
 class Move:
-    """A stretch in which the command rises or falls.
+    """Part of a trial in which the command rises or falls.
 
     Attributes:
         start, stop: samples, stop exclusive; the sample before `start` is where it came from.
@@ -50,7 +50,7 @@ class Move:
 
     @property
     def samples(self) -> int:
-        """Sample intervals that it takes."""
+        """Duration in sample intervals."""
         return self.stop - self.start
 
     @property
@@ -65,11 +65,7 @@ class Move:
 
 
 def command_segments(trial: Trial) -> Segments:
-    """Segments of a uniform trial; the bands widen with the noise of a measured command.
-
-    Raises:
-        LogError: if the sampling is not uniform.
-    """
+    """Segments of a uniform trial; the bands widen with the noise of a measured command."""
     span = float(np.ptp(trial.command))
     noise = white_noise([trial.command]) / span if span > 0 else 0.0
     band = float(np.clip(_NOISE_BAND * noise, SegmentRule.hold_band, 0.02))
@@ -77,7 +73,7 @@ def command_segments(trial: Trial) -> Segments:
 
 
 def moves_of(trial: Trial, parts: Segments) -> list[Move]:
-    """All moves in order of time."""
+    """Moves of a trial in order of time."""
     runs = sorted(parts.runs(Motion.LOADING) + parts.runs(Motion.UNLOADING))
     return [_move(trial.command, start, stop) for start, stop in runs]
 
@@ -181,13 +177,7 @@ def past_features(trials: Sequence[Trial]) -> list[Mat]:
 
 
 def memory_features(trial: Trial, loop_width: float, clock_s: float) -> dict[str, Mat]:
-    """Features (T, F) of one trial's command for each of `MEMORIES`.
-
-    Args:
-        trial: uniform.
-        loop_width: width of the hysteresis loop along the command [cmd].
-        clock_s: time recorded before the trial [s].
-    """
+    """Features (T, F) of a command for each of `MEMORIES`, given loop width [cmd] and time before the trial [s]."""
     parts, u, dt = command_segments(trial), trial.command, trial.dt
     span, width = max(float(np.ptp(u)), 1e-9), max(loop_width, 1e-9)
     v = np.gradient(u, dt) / span

@@ -8,13 +8,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hystmpc.trials.errors import GapError
+from hystmpc.trials.clocks import runs
 from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Index, Mask, Vec
 
 from ..diagnosis import FloorKind
 from .motion_type import command_segments
-from .sensor import stretches, white_noise
+from .sensor import white_noise
 
 TOLERANCE = 0.01
 """Commands are equal where they differ by less than this share of their range."""
@@ -44,7 +44,7 @@ class NoiseFloor:
 
 @dataclass(frozen=True)
 class RepeatedMotion:
-    """Two stretches with equal commands.
+    """Pair of parts of trials with equal commands.
 
     Attributes:
         first, second: numbers of the trials; equal within one trial.
@@ -59,7 +59,7 @@ class RepeatedMotion:
     shift: float
 
     def differences(self, signals: Sequence[Vec]) -> tuple[Vec, float]:
-        """Second less first stretch of one signal per trial, (T,) each, and its white-noise variance over the signal's.
+        """Difference of one signal (T,) between the two parts, and its white-noise variance over that of the signal.
 
         Interpolation to fractions of a sample reduces that ratio below two.
         """
@@ -79,18 +79,7 @@ def find_floor(
     From repeats: sigma^2 = sum_p sum_k (e2 - e1)^2 / sum_p n_p w_p over pairs p of n_p samples, with w = 2 at a shift
     of whole samples, less where interpolation reduces the noise. Residuals, not angles, are compared, since commands of
     repeats may differ by 1 % of their range.
-
-    Args:
-        trials: in recording order, at one rate.
-        residuals: measured less simulated angle, (T,) each [deg]; the result hardly depends on the simulator.
-        dt: sample interval [s].
-        repeats: of these trials, if known already.
-
-    Raises:
-        GapError: if residuals do not fit the trials or are not finite.
-        LogError: if a trial is not uniform.
     """
-    require_residuals(trials, residuals)
     noise = white_noise(residuals)
     pairs = find_repeats(trials) if repeats is None else repeats
     if sum(repeat.stop - repeat.start for repeat in pairs) * dt < _LEAST_REPEATED_S:
@@ -101,34 +90,12 @@ def find_floor(
     return NoiseFloor(math.sqrt(float(squares.sum() / weights.sum())), "repeats", noise)
 
 
-def require_residuals(trials: Sequence[Trial], residuals: Sequence[Vec]) -> None:
-    """Check that there is one finite residual (T,) per trial.
-
-    Raises:
-        GapError: if numbers or shapes differ, or a value is not finite.
-    """
-    if len(trials) != len(residuals):
-        raise GapError(f"got {len(residuals)} residuals for {len(trials)} trials, expected one per trial")
-    for trial, e in zip(trials, residuals, strict=True):
-        if e.shape != (len(trial),):
-            raise GapError(f"{trial.source}: residual has shape {e.shape}, expected ({len(trial)},) as the trial")
-        if not np.all(np.isfinite(e)):
-            raise GapError(f"{trial.source}: residual is not finite at sample {int(np.argmin(np.isfinite(e)))}")
-
-
-def find_repeats(trials: Sequence[Trial], tolerance: float = TOLERANCE) -> tuple[RepeatedMotion, ...]:
+def find_repeats(trials: Sequence[Trial]) -> tuple[RepeatedMotion, ...]:
     """All pairs of stretches of uniform trials at one rate whose commands are equal.
 
     Turning points and ends of holds at equal levels propose the shifts. A stretch counts once it has visited both its
     extremes, since hysteresis has then lost its earlier memory (wiping-out property). It is at least 2 s long and
     covers 30 % of the range of all commands.
-
-    Args:
-        trials: in recording order.
-        tolerance: greatest difference of equal commands, relative to the range of all.
-
-    Raises:
-        LogError: if a trial is not uniform.
     """
     if not trials:
         return ()
@@ -136,8 +103,12 @@ def find_repeats(trials: Sequence[Trial], tolerance: float = TOLERANCE) -> tuple
     if span <= 0:
         return ()
     noise = white_noise([trial.command for trial in trials])
-    band = max(tolerance * span, 4 * 2**0.5 * noise)
-    marks = [_alignment_marks(trial) for trial in trials]
+    band = max(TOLERANCE * span, 4 * 2**0.5 * noise)
+    segments = [command_segments(trial) for trial in trials]
+    marks = [
+        np.unique(np.concatenate([parts.reversals, [b - 1 for _, b in parts.holds], [0]]).astype(np.intp))
+        for parts in segments
+    ]
     repeats: list[RepeatedMotion] = []
     for a, first in enumerate(trials):
         for b in range(a, len(trials)):
@@ -148,13 +119,8 @@ def find_repeats(trials: Sequence[Trial], tolerance: float = TOLERANCE) -> tuple
     return tuple(repeats)
 
 
-def _alignment_marks(trial: Trial) -> Index:
-    parts = command_segments(trial)
-    return np.unique(np.concatenate([parts.reversals, [b - 1 for _, b in parts.holds], [0]]).astype(np.intp))
-
-
 def _shifts(first: Trial, second: Trial, a: Index, b: Index, band: float, same: bool) -> list[int]:
-    """Shifts that bring at least two marks onto marks of equal level, best supported first."""
+    """Candidate shifts: they align at least two marks of equal level; best supported first."""
     equal = np.abs(first.command[a][:, None] - second.command[b][None, :]) <= 2 * band
     shifts = (b[None, :] - a[:, None])[equal]
     if same:
@@ -170,7 +136,7 @@ def _shifts(first: Trial, second: Trial, a: Index, b: Index, band: float, same: 
 def _longest_repeat(
     pair: tuple[int, int], trials: tuple[Trial, Trial], shift: int, band: float, least: float
 ) -> RepeatedMotion | None:
-    """The longest equal stretch at about that shift, the shift refined to a fraction of a sample."""
+    """Longest equal part at about a given shift, which is refined to a fraction of a sample."""
     u, v = trials[0].command, trials[1].command
     start, stop = _longest(np.abs(_shifted(v, shift, u.size) - u) <= 4 * band)
     if (stop - start) * trials[0].dt < _LEAST_S:
@@ -196,7 +162,9 @@ def _shifted(v: Vec, shift: float, size: int) -> Vec:
 
 def _longest(inside: Mask) -> tuple[int, int]:
     """First and last sample (exclusive) of the longest stretch; (0, 0) without one."""
-    return max(stretches(inside), key=lambda ends: ends[1] - ends[0], default=(0, 0))
+    starts, stops = runs(inside)
+    k = int(np.argmax(stops - starts)) if starts.size else 0
+    return (int(starts[k]), int(stops[k])) if starts.size else (0, 0)
 
 
 def _same_repeat(a: RepeatedMotion, b: RepeatedMotion) -> bool:

@@ -16,27 +16,20 @@ from hystmpc.models.decades import Decades
 from hystmpc.models.evaluate import free_run, started
 from hystmpc.models.identify.baseline import Baseline, FreeCoreBaseline, ScaledBaseline, baseline_of
 from hystmpc.models.identify.cross_validation import Hypothesis
+from hystmpc.models.identify.free_run import StagedChain
 from hystmpc.models.identify.least_squares import fit_problem
 from hystmpc.models.identify.problem import Problem
 from hystmpc.models.identify.runs import Run, fingerprint, runs_of
 from hystmpc.models.model import LoadedModel
 from hystmpc.models.simulator import Identification, Simulator
-from hystmpc.models.start import motion_line, search_box
+from hystmpc.models.start import Runs, TrialStart, found_start, motion_line, search_box, trial_start
 from hystmpc.trials.command_noise import remove_command_noise
 from hystmpc.trials.errors import GapError, LogError
 from hystmpc.trials.segments import first_flexure_end, segment
-from hystmpc.trials.trial import Trial, Units, parts_at_gaps
+from hystmpc.trials.trial import Trial, Units, parts_at_gaps, resample
 from hystmpc.trials.types import Vec
 
 from ..diagnosis import Order
-from .as_given import (
-    common_rest,
-    corrected_to_simulator_rate,
-    evaluated_mse,
-    evaluation_notes,
-    resampled_or_none,
-    starts_at_simulator_rate,
-)
 from .check import CheckedTrials, check_trials
 from .noise_floor import NoiseFloor, find_floor
 from .sensor import SensorSigns, repaired, sensor_signs, white_noise
@@ -55,10 +48,7 @@ class PreparedTrials:
     catheter: thresholds and bounds are stated for that size. There `deg` and `cmd` stand for a working unit.
 
     Attributes:
-        decades: the working units.
-        given: diagnosed trials as recorded.
         checked: trials at one rate, and what their commands excite.
-        signs: of the sensor.
         baseline: the nominal simulator and the freedom of retuning.
         development, final: runs for the choice of causes, and runs that are evaluated once.
         everything: all runs, every sample counted; in recording order where it is known, else by content.
@@ -69,11 +59,9 @@ class PreparedTrials:
         excess_mse: energy of the sensor's noise beyond its noise at identification [deg^2]; where that is unknown, of
             its rounding.
         new_step: whether the sensor's readings have coarse steps that they did not have at identification.
-        order: whether the order of recording is known.
     """
 
     decades: Decades
-    given: tuple[Trial, ...]
     checked: CheckedTrials
     signs: SensorSigns
     baseline: Baseline
@@ -94,7 +82,7 @@ class PreparedTrials:
         return self.signs.quantisation_deg / math.sqrt(12.0)
 
     def residuals(self, hypothesis: Hypothesis) -> list[Vec]:
-        """Measured less simulated angle of every run (T,) each [deg]."""
+        """Measured minus simulated angle of every run (T,) each [deg]."""
         return [run.angle - hypothesis.problem.angles(hypothesis.q, run) for run in self.everything]
 
     def floor(self, residuals: Sequence[Vec]) -> NoiseFloor:
@@ -116,11 +104,8 @@ def prepare(
     """Check, resample, repair and split trials, and derive the baseline of the simulator.
 
     Args:
-        trials: of one device.
-        simulator: a chain of operators or an exported model.
         seed: of the choice among more trials than can be diagnosed.
         ordered: whether the trials are known to stand in the order of recording, see `in_recording_order`.
-        skip_first_flexure: count each trial only from the command's first reversal on.
 
     Raises:
         LogError: if the first flexure is to be skipped and the command of a trial never turns.
@@ -134,7 +119,9 @@ def prepare(
     if isinstance(simulator, Simulator):
         _require_size(simulator, decades)
     identification = _identification(simulator, decades)
-    nominal = nominal_noise_deg(identification, _known_step(identification, decades))
+    noise = identification.noise
+    known_step = 0.0 if noise is None else noise.sensor_resolution_deg / decades.angle
+    nominal = nominal_noise_deg(identification, known_step)
     signs = sensor_signs(decades.trials(checked.given), nominal)
     in_working_units = decades.trials(checked.trials)
     baseline, runs = _baseline_and_runs(simulator, checked, signs, decades)
@@ -144,16 +131,22 @@ def prepare(
     begun = [f"{motion_line(Path(run.name).name, run.start, run.dt_s)}." for run in runs if run.lead]
     checked = replace(checked, notes=(*checked.notes, *begun))
     if skip_first_flexure:
-        counted = tuple(_from_first_reversal(r, t) for r, t in zip(runs, in_working_units, strict=True))
+        ends = [first_flexure_end(trial) for trial in in_working_units]
+        counted = tuple(
+            replace(run, counts=run.counts & (np.arange(run.counts.size) >= end))
+            for run, end in zip(runs, ends, strict=True)
+        )
     if isinstance(simulator, Simulator):
-        errors = _given_errors(baseline, counted, in_working_units, decades)
+        problem, pairs = Problem(baseline), zip(counted, in_working_units, strict=True)
+        errors = [decades.angle * (problem.angles(problem.as_given, r) - t.angle)[r.counts] for r, t in pairs]
         notes = _evaluation_notes(simulator, errors, checked, skip_first_flexure)
         checked = replace(checked, notes=(*checked.notes, *notes))
     development, final = split_runs(counted, motions, known)
-    new_step = signs.coarse and signs.quantisation_deg > _COARSER * _known_step(identification, decades)
+    new_step = signs.coarse and signs.quantisation_deg > _COARSER * known_step
+    faulty = nominal is not None and (signs.noisy or signs.coarse)
+    excess = signs.energy - nominal**2 if nominal is not None and faulty else 0.0
     return PreparedTrials(
         decades=decades,
-        given=checked.given,
         checked=checked,
         signs=signs,
         baseline=baseline,
@@ -164,7 +157,7 @@ def prepare(
         raw=tuple(trial.angle for trial in in_working_units),
         form_mse=form_mse,
         too_little=shortage(checked.trials),
-        excess_mse=_excess_mse(signs, nominal, new_step),
+        excess_mse=max(excess, signs.quantisation_deg**2 / 12.0 if new_step else 0.0),
         order=order,
         new_step=new_step,
     )
@@ -173,7 +166,7 @@ def prepare(
 def _baseline_and_runs(
     simulator: Simulator | LoadedModel, checked: CheckedTrials, signs: SensorSigns, decades: Decades
 ) -> tuple[Baseline, tuple[Run, ...]]:
-    """The nominal simulator at the sample time of the trials, and these as runs, faults of the sensor repaired."""
+    """Nominal simulator at the sample time of the trials, and the trials as runs with repaired sensor faults."""
     trials, given = decades.trials(checked.trials), decades.trials(checked.given)
     repaired_trials = [repaired(trial, signs) for trial in trials]
     command = Range(
@@ -205,39 +198,6 @@ def _with_starts(baseline: Baseline, runs: Sequence[Run], simulator: Simulator, 
     )
     problem = Problem(baseline)
     return tuple(problem.begun(problem.as_given, run, box) for run in runs)
-
-
-def _evaluation_notes(
-    simulator: Simulator, errors: Sequence[Vec], checked: CheckedTrials, skip_first_flexure: bool
-) -> tuple[str, ...]:
-    """Note where `evaluate` finds another error than these (C,) each, in the unit of the log."""
-    sizes = float(np.mean(np.concatenate(errors) ** 2)), white_noise(errors) ** 2
-    evaluated = evaluated_mse(simulator, checked.given, skip_first_flexure)
-    return evaluation_notes(simulator, *sizes, evaluated, checked.given, checked.dt)
-
-
-def _given_errors(baseline: Baseline, runs: Sequence[Run], measured: Sequence[Trial], decades: Decades) -> list[Vec]:
-    """Errors of the simulator as given against the angles as measured (C,) each, in the unit of the log."""
-    problem, pairs = Problem(baseline), zip(runs, measured, strict=True)
-    return [decades.angle * (problem.angles(problem.as_given, run) - trial.angle)[run.counts] for run, trial in pairs]
-
-
-def _from_first_reversal(run: Run, trial: Trial) -> Run:
-    """A run that counts from the first reversal of its command on, as `fit` and `evaluate` skip a first flexure."""
-    return replace(run, counts=run.counts & (np.arange(len(trial)) >= first_flexure_end(trial)))
-
-
-def _excess_mse(signs: SensorSigns, nominal_deg: float | None, new_step: bool) -> float:
-    """Energy of a faulty sensor's noise beyond its noise at identification; that of new steps is read off them."""
-    rounding = signs.quantisation_deg**2 / 12.0 if new_step else 0.0
-    if nominal_deg is None or not (signs.noisy or signs.coarse):
-        return rounding
-    return max(signs.energy - nominal_deg**2, rounding)
-
-
-def _known_step(identification: Identification, decades: Decades) -> float:
-    """Step of the sensor's readings at identification, in working units; 0 where there was none, or it is unknown."""
-    return 0.0 if identification.noise is None else identification.noise.sensor_resolution_deg / decades.angle
 
 
 def _require_size(simulator: Simulator, decades: Decades) -> None:
@@ -278,7 +238,7 @@ def shortage(trials: Sequence[Trial]) -> str:
 def _network_baseline(
     model: LoadedModel, trials: Sequence[Trial], command: Range, decades: Decades
 ) -> tuple[Baseline, list[Vec]]:
-    """Plays in place of a network on these commands, and the difference of the network's angles from theirs (T,) each.
+    """Plays that replace a network on these commands, and the differences of the network's angles from theirs (T,).
 
     Effects are applied to the plays: exact without effects, first order with them.
     """
@@ -292,7 +252,7 @@ def _network_baseline(
 
 
 def _plays(copies: Sequence[Trial], command: Range) -> Chain:
-    """Rate-independent plays fitted to a network's own free runs."""
+    """Rate-independent plays fitted to the free runs of a network."""
     from hystmpc.models.identify.chain_kinds import prandtl_ishlinskii_starts
 
     runs, fits = runs_of(copies), []
@@ -308,16 +268,10 @@ def _plays(copies: Sequence[Trial], command: Range) -> Chain:
 def model_form_mse(
     identification: Identification, trials: Sequence[Trial], motions: Sequence[str], dt_s: float
 ) -> float:
-    """Model-form error: mean square residual of the nominal simulator on its own identification data [deg^2].
+    """Model-form error: mean square residual of the nominal simulator on its identification data [deg^2].
 
     Zero where it is unknown: the simulator's file stores no residuals, or it was identified on one of these trials
     (compared by fingerprint), so that its residuals contain the gap itself.
-
-    Args:
-        identification: of the simulator.
-        trials: to be diagnosed, as recorded.
-        motions: motion type of each.
-        dt_s: sample time of the simulator, at which it was identified [s].
     """
     stored = identification.residuals
     if not stored or _identified_on(identification, trials, dt_s):
@@ -329,7 +283,7 @@ def model_form_mse(
 
 
 def _identified_on(identification: Identification, trials: Sequence[Trial], dt_s: float) -> bool:
-    """Whether it was identified on one of these trials, or on all of them, at any rate."""
+    """Whether the simulator was identified on one or all of these trials, at any sampling rate."""
     known = {r.fingerprint for r in identification.residuals if r.fingerprint}
     # A file's sample time is rounded: 0.03333333333 s stand for 30 Hz, but 0.03 s for 1 / 0.03 Hz.
     parts = remove_command_noise([part for trial in trials for part in _parts(trial)])
@@ -346,23 +300,153 @@ def _identified_on(identification: Identification, trials: Sequence[Trial], dt_s
 
 
 def _parts(trial: Trial) -> tuple[Trial, ...]:
-    """The trial cut at its gaps, as an identification takes it; none where it is refused."""
+    """Parts of a trial between gaps, as an identification uses them; none if it is refused."""
     with suppress(LogError):
         return parts_at_gaps(trial)
     return ()
 
 
 def nominal_noise_deg(identification: Identification, step_deg: float = 0.0) -> float | None:
-    """Upper bound of the sensor's noise when the simulator was identified [deg]; None where unknown.
+    """Upper bound of the sensor's noise [deg], at identification with readings in steps [deg]; None where unknown.
 
     A residual with lag-one correlation c has at most the share 1 - c of its energy in white noise. The rounding of
     readings in steps is not white where the angle moves slowly, and counts in full: step / sqrt(12).
-
-    Args:
-        identification: of the simulator.
-        step_deg: of the sensor's readings then; 0 of a continuous sensor.
     """
     if not identification.residuals:
         return None
     white = float(np.median([r.rmse_deg * np.sqrt(max(1 - r.lag_one, 0.0)) for r in identification.residuals]))
     return max(white, step_deg / math.sqrt(12.0))
+
+
+_SAME = 0.1  # of the error: two that differ by less, or by no more energy than the noise has, say the same
+_ROUNDED = 1e-3  # of a sample time, which files round
+
+
+def corrected_to_simulator_rate(
+    runs: Sequence[Run], recorded: Sequence[Trial], chain: Chain, simulator_chain: Chain, simulator_dt_s: float
+) -> tuple[Run, ...]:
+    """Runs with a correction: angles of the simulator at its sample time minus those at the sample time of the runs.
+
+    An operator is exact at any sample time for some inputs only, such as a lag for steps. The correction is exact for
+    the nominal simulator, and of first order otherwise. There is none where the simulator is no faster than its
+    diagnosis, or a log is too slow for its sample time.
+    """
+    if simulator_dt_s >= runs[0].dt_s * (1 - _ROUNDED):
+        return tuple(runs)
+    corrected = []
+    for run, trial in zip(runs, recorded, strict=True):
+        fast = resampled_or_none(trial, 1 / simulator_dt_s)
+        if fast is None:
+            return tuple(runs)
+        there = trial.t[0] + run.dt_s * np.arange(run.command.size)
+        angles = np.interp(there, fast.t, _angles(simulator_chain, run, fast.command, simulator_dt_s))
+        corrected.append(replace(run, correction=angles - _angles(chain, run, run.command, run.dt_s)))
+    return tuple(corrected)
+
+
+def starts_at_simulator_rate(recorded: Sequence[Trial], simulator_dt_s: float, dt_s: float) -> tuple[TrialStart, ...]:
+    """Initial states of the trials, estimated at the simulator's sample time as in `evaluate`."""
+    starts = []
+    for trial in recorded:
+        resampled = resampled_or_none(trial, 1 / simulator_dt_s) or resampled_or_none(trial, 1 / dt_s) or trial
+        start = trial_start(resampled.command, resampled.angle, resampled.dt)
+        starts.append(replace(start, lead=round(start.lead * resampled.dt / dt_s)))
+    return tuple(starts)
+
+
+def resampled_or_none(trial: Trial, rate_hz: float) -> Trial | None:
+    """A trial at a simulator's rate, as `evaluate` takes it; None where the log is too slow for it."""
+    with suppress(LogError):
+        return resample(trial, rate_hz)
+    return None
+
+
+def evaluated_mse(simulator: Simulator, recorded: Sequence[Trial], skip_first_flexure: bool = False) -> float | None:
+    """Mean square error of a free run as in `evaluate` on trials without gaps [deg^2]; None where a log is too slow."""
+    facts, staged = simulator.metadata(), StagedChain(simulator.chain)
+    run = staged.rollouts(simulator.dt_s, simulator.chain.values)
+    box, squares, samples = search_box(facts.trained_command, facts.trained_angle), 0.0, 0
+    for trial in recorded:
+        if (resampled := resampled_or_none(trial, 1 / simulator.dt_s)) is None:
+            return None
+        start = trial_start(resampled.command, resampled.angle, resampled.dt)
+        start = found_start(start, resampled.command, resampled.angle, resampled.dt, box, run)
+        error = _free_run_from(run, start, resampled.command) - resampled.angle
+        error = error[max(start.lead, first_flexure_end(resampled) if skip_first_flexure else 0) :]
+        squares, samples = squares + float(error @ error), samples + error.size
+    return squares / samples
+
+
+def _evaluation_notes(
+    simulator: Simulator, errors: Sequence[Vec], checked: CheckedTrials, skip_first_flexure: bool
+) -> tuple[str, ...]:
+    """Note if `evaluate` gives another error of the nominal simulator than these errors (C,) [unit of the log]."""
+    given_mse, noise_mse = float(np.mean(np.concatenate(errors) ** 2)), white_noise(errors) ** 2
+    evaluated, dt_s = evaluated_mse(simulator, checked.given, skip_first_flexure), checked.dt
+    unit, own_hz, hz = simulator.angle_unit, 1 / simulator.dt_s, 1 / dt_s
+    if evaluated is None:
+        slowest = max(checked.given, key=lambda trial: trial.dt)
+        return (
+            f"The simulator is of {own_hz:.4g} Hz and {Path(slowest.source).name} of {1 / slowest.dt:.4g} Hz: "
+            f"`evaluate` does not run it over these trials, and the diagnosis runs it at {hz:.4g} Hz.",
+        )
+    mine, other = math.sqrt(given_mse), math.sqrt(evaluated)
+    if abs(mine - other) <= _SAME * max(mine, other) or abs(given_mse - evaluated) <= noise_mse:
+        return ()
+    rates = abs(simulator.dt_s - dt_s) > _ROUNDED * dt_s
+    why = (
+        f"`evaluate` runs it at {own_hz:.4g} Hz, the diagnosis at {hz:.4g} Hz"
+        if rates
+        else "the diagnosis lets trials that rest at one command begin alike, and finds other starts to first order"
+    )
+    return (
+        f"`evaluate` gives another error of the simulator as given, {other:.3g} {unit} RMS over all trials instead of "
+        f"{mine:.3g} {unit}: {why}.",
+    )
+
+
+def _angles(chain: Chain, run: Run, commands: Vec, dt_s: float) -> Vec:
+    """Angles (T,) of a chain over commands (T,) at a sample time, from where a run begins [deg]."""
+    way = np.array(run.approach)
+    if way.size:
+        steps = np.arange(round(way.size * run.dt_s / dt_s)) * dt_s / run.dt_s
+        way = np.interp(steps, np.arange(way.size), way)
+    start = TrialStart(run.rest_command, run.rest_angle, run.lead, tuple(way.tolist()))
+    return _free_run_from(StagedChain(chain).rollouts(dt_s, chain.values), start, commands)
+
+
+def _free_run_from(run: Runs, start: TrialStart, commands: Vec) -> Vec:
+    """Angles (T,) over commands (T,) from a start on [deg]."""
+    plan = np.concatenate([start.approach, commands])
+    return np.asarray(run(np.array([start.command]), np.array([start.angle]), plan[None])[0, len(start.approach) :])
+
+
+_ONE_REST = 0.01  # of the command's range: rests this near to each other are one
+_LEAST_SAMPLES = 3
+_BEYOND = 3.0  # times what motions change the angle at rest by: more does not come from a motion
+_BEYOND_FORM = 2.0  # times the model-form error (RMS): less does not matter
+
+
+def common_rest(runs: tuple[Run, ...], form_mse: float) -> tuple[Run, ...]:
+    """Give all runs one rest angle where friction cannot explain the scatter of their rest angles.
+
+    A trial that returns to the command at which it rested shows how much its motion changes the angle. Where the rest
+    angles of the trials differ by three times the most of that, something else has moved between the trials, such as a
+    mounting: all runs then begin at the median angle, and the difference stays in the error.
+    """
+    span = max(float(run.command.max()) for run in runs) - min(float(run.command.min()) for run in runs)
+    commands, angles = np.array([(run.rest_command, run.rest_angle) for run in runs]).T
+    changes = [change for run in runs if (change := _rest_angle_change(run, _ONE_REST * span)) is not None]
+    spread = float(np.ptp(angles))
+    if 2 * len(changes) < len(runs) or np.ptp(commands) > _ONE_REST * span:
+        return runs
+    if spread <= max(_BEYOND * max(changes), _BEYOND_FORM * form_mse**0.5):
+        return runs
+    return tuple(replace(run, rest_angle=runs[0].rest_angle) for run in runs)
+
+
+def _rest_angle_change(run: Run, near: float) -> float | None:
+    """Change of the rest angle over the motion [deg]; None if the command does not return to its rest."""
+    away = np.flatnonzero(np.abs(run.command - run.rest_command) > near)
+    back = run.angle[away[-1] + 1 :] if away.size else run.angle[:0]
+    return abs(float(np.mean(back)) - run.rest_angle) if back.size >= _LEAST_SAMPLES else None

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hystmpc.models.identify.resolution import grid_step
-from hystmpc.trials.errors import GapError
+from hystmpc.trials.clocks import runs
 from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Mask, Vec
 
@@ -65,24 +65,14 @@ class SensorSigns:
 
 
 def sensor_signs(trials: Sequence[Trial], nominal_noise_deg: float | None = None) -> SensorSigns:
-    """Detect faults of the sensor in trials as recorded; resampling would take the angles off their grid.
-
-    Args:
-        trials: of one device.
-        nominal_noise_deg: white noise that the simulator's device had when it was identified [deg].
-
-    Raises:
-        GapError: if there is no trial.
-    """
-    if not trials:
-        raise GapError("no trial given, expected one or more")
+    """Detect faults of the sensor in trials as recorded; resampling would take the angles off their grid."""
     step = grid_step(np.concatenate([trial.angle for trial in trials]))
     noise = white_noise([trial.angle[:: _pace(trial)] for trial in trials])
     spikes = [_spikes(trial, step, noise) for trial in trials]
     held = [_held(trial, step, noise) for trial in trials]
     ticks = sum(len(trial) / _pace(trial) for trial in trials)
     count = sum(number for _, number in spikes)
-    drops = sum(len(stretches(mask)) for mask in held)
+    drops = sum(runs(mask)[0].size for mask in held)
     held_rate = sum(int(mask.sum()) for mask in held) / sum(len(trial) for trial in trials)
     fine = nominal_noise_deg if nominal_noise_deg is not None else noise
     return SensorSigns(
@@ -98,15 +88,10 @@ def sensor_signs(trials: Sequence[Trial], nominal_noise_deg: float | None = None
 
 
 def repaired(trial: Trial, signs: SensorSigns, simulated: Vec | None = None) -> Trial:
-    """The trial with spikes and held values replaced by lines between the samples around them.
+    """Trial with spikes and held values replaced by lines between their neighbours, or by simulated angles (T,) [deg].
 
     For a spike of one sample a line equals the local median, and it does not lag on a moving angle. Where the motion
     turns while a value is held, a line misses it: the simulated motion, with such a line added, does not.
-
-    Args:
-        trial: with the faults.
-        signs: of all trials.
-        simulated: angle of a simulator (T,) [deg].
     """
     angle = trial.angle.copy()
     mask = np.zeros(len(trial), dtype=np.bool_)
@@ -185,20 +170,10 @@ def _longest_by_chance(runs: NDArray[np.int64], step: float, noise: float) -> fl
 
     Two readings at rest are equal with p = step / (2 sqrt(pi) noise), the density of the difference of two at 0, and L
     of them with p^(L - 1). The share of runs that repeat at all is p as well, also where the noise is not white.
-
-    Args:
-        runs: lengths of all runs of equal readings in a trial (R,).
-        step, noise: of the grid, and standard deviation [deg].
     """
     white = step / (2 * math.sqrt(math.pi) * noise) if noise > 0 else 1.0
     repeats = max(white, float(np.mean(runs > 1)), 1 / runs.size)
     return 1 + math.log(_BY_CHANCE / runs.size) / math.log(repeats) if repeats < _MOST_REPEATS else math.inf
-
-
-def stretches(mask: Mask) -> list[tuple[int, int]]:
-    """First sample and last sample (exclusive) of every stretch in which the mask holds."""
-    edges = np.diff(np.concatenate(([0], mask.astype(np.int8), [0])))
-    return list(zip(np.flatnonzero(edges == 1).tolist(), np.flatnonzero(edges == -1).tolist(), strict=True))
 
 
 def autocorrelation(signal: Vec, lags: int) -> Vec:

@@ -38,10 +38,6 @@ def in_recording_order(trials: Sequence[Trial], ordered: bool) -> tuple[list[Tri
     the order, trials are sorted by the range of their commands, their length and their content, so that every later
     choice (folds, final trials, seeds) is the same whatever the order of the files.
 
-    Args:
-        trials: as given.
-        ordered: whether the caller says that they are in the order of recording.
-
     Raises:
         GapError: if the caller says so and the time stamps or the manifest say otherwise.
         ConfigError: if a manifest cannot be used.
@@ -58,12 +54,13 @@ def in_recording_order(trials: Sequence[Trial], ordered: bool) -> tuple[list[Tri
         )
     if places is not None:
         return [trials[k] for k in places], "known"
-    return (list(trials), "known") if ordered else (sorted(trials, key=_content), "unknown")
+    if ordered:
+        return list(trials), "known"
 
+    def content(trial: Trial) -> tuple[float, float, str, str]:  # similar motions go to different folds
+        return float(np.ptp(trial.command)), trial.duration_s, fingerprint([trial]), trial.source
 
-def _content(trial: Trial) -> tuple[float, float, str, str]:
-    """Sort key that puts similar motions side by side, so that they go to different folds."""
-    return float(np.ptp(trial.command)), trial.duration_s, fingerprint([trial]), trial.source
+    return sorted(trials, key=content), "unknown"
 
 
 FINAL_SHARE = 0.25
@@ -105,15 +102,12 @@ class Workload:
     Attributes:
         kept: numbers of the trials, in recording order.
         samples: number of first samples of each that are used.
-        seconds, gigabytes: estimate of the whole diagnosis.
         note: what is left out, in one line; empty where nothing is.
         estimate: the cost in one line; empty below 30 s.
     """
 
     kept: tuple[int, ...]
     samples: tuple[int, ...]
-    seconds: float
-    gigabytes: float
     note: str
     estimate: str
 
@@ -126,8 +120,6 @@ class ChosenTrials:
         trials: uniform, all at one rate, in recording order.
         given: the same as recorded, cut at gaps, without the noise of a measured command.
         before: history of the device before each, trials that were not chosen included.
-        dt: sample interval of `trials` [s].
-        workload: cost of their diagnosis.
     """
 
     trials: tuple[Trial, ...]
@@ -137,7 +129,7 @@ class ChosenTrials:
     workload: Workload
 
     def only(self, kept: Sequence[bool]) -> ChosenTrials:
-        """Some of the trials."""
+        """Subset of the trials."""
         return replace(
             self,
             trials=tuple(itertools.compress(self.trials, kept)),
@@ -152,18 +144,14 @@ def choose_trials(
     """Choose trials that can be afforded and bring them to one rate.
 
     Args:
-        trials: as given.
-        facts: metadata of the simulator.
         fixed: whether the simulator is valid at its own rate only.
-        seed: of the choice.
         ordered: whether the trials stand in the order of recording; if not, each begins anew.
-
-    Raises:
-        GapError: if a part of a trial between gaps is too short.
-        LogError: if the simulator's rate is fixed and above a log's, or too much lies in short parts between gaps.
     """
     parts = remove_command_noise([part for trial in trials for part in _parts(trial)])
-    rate = _common_rate(parts, facts, fixed)
+    rate = 1.0 / facts.dt_s
+    slowest = min(MOST_HZ, *(1.0 / part.dt for part in parts))
+    if not fixed and not LEAST_HZ <= rate <= min(_NEAR_RATE * slowest, MOST_HZ):
+        rate = slowest
     uniform = [resample(part, rate) for part in parts]
     before = Before.each(uniform) if ordered else (Before(),) * len(uniform)
     motions: list[MotionType] = [motion_type(trial, command_segments(trial)) for trial in uniform]
@@ -179,26 +167,18 @@ def choose_trials(
 
 
 def _beginning(trial: Trial, end_s: float) -> Trial:
-    """The trial up to a time [s], itself where no more than a sample of it comes later."""
+    """Trial up to a time [s]; the whole trial if at most one sample comes later."""
     stop = int(np.searchsorted(trial.t, end_s, side="right"))
     return trial if trial.t[-1] - end_s <= 1.5 * trial.dt else trial.select(0, stop)
 
 
 def _parts(trial: Trial) -> tuple[Trial, ...]:
-    """The trial cut at its gaps: the one rule of `check`, `fit`, `evaluate` and the diagnosis."""
+    """Parts of a trial between gaps, by the same rule as in `check`, `fit` and `evaluate`."""
     parts = parts_at_gaps(trial)
     for part in parts:
         if part.duration_s < LEAST_S:
             raise GapError(f"{trial.source}: gaps leave no part of {LEAST_S:g} s or more")
     return parts
-
-
-def _common_rate(trials: Sequence[Trial], facts: ModelMetadata, fixed: bool) -> float:
-    simulator_hz = 1.0 / facts.dt_s
-    if fixed:
-        return simulator_hz
-    slowest = min(MOST_HZ, *(1.0 / trial.dt for trial in trials))
-    return simulator_hz if LEAST_HZ <= simulator_hz <= min(_NEAR_RATE * slowest, MOST_HZ) else slowest
 
 
 def affordable(
@@ -214,13 +194,6 @@ def affordable(
     most alike come first; then the kinds in turn, in an order that the seed draws. Where fewer than twelve trials would
     be used, long ones are cut to their first part instead, since the state of the hysteresis is known at the start of a
     trial only.
-
-    Args:
-        trials: uniform, at one rate.
-        motions: kind of motion of each.
-        seed: of the order.
-        most: samples in all.
-        ordered: whether the trials stand in the order of recording.
     """
     sizes = np.array([len(trial) for trial in trials])
     kept, samples = list(range(len(trials))), sizes
@@ -235,8 +208,9 @@ def affordable(
     taken = int(used_samples.sum())
     note = _left_out(what, used_samples, sizes[kept], trials[0].dt, most, seed, ordered) if taken < sizes.sum() else ""
     seconds, size = _START_S + _SECONDS * taken, (_START_BYTES + _BYTES * taken) / 1e9
-    cost = f"{what}: about {_time(seconds)} and {size:.1f} GB, longer where more effects are found"
-    return Workload(tuple(kept), tuple(used_samples.tolist()), seconds, size, note, cost if seconds > _SOON_S else "")
+    time = f"{seconds:.0f} s" if seconds < 90 else f"{seconds / 60:.0f} min"
+    cost = f"{what}: about {time} and {size:.1f} GB, longer where more effects are found"
+    return Workload(tuple(kept), tuple(used_samples.tolist()), note, cost if seconds > _SOON_S else "")
 
 
 def _left_out(what: str, used: Index, recorded: Index, dt: float, most: int, seed: int, ordered: bool) -> str:
@@ -289,24 +263,17 @@ def _length_limit(sizes: Index, most: int) -> int:
     return int(ascending[-1])
 
 
-def _time(seconds: float) -> str:
-    return f"{seconds:.0f} s" if seconds < 90 else f"{seconds / 60:.0f} min"
-
-
 def split_runs(
     runs: Sequence[Run], motions: Sequence[str], ordered: bool = True
 ) -> tuple[tuple[Run, ...], tuple[Run, ...]]:
     """Development and final runs, by whole trials.
 
-    A quarter of the trials is final, if possible of motions that the development runs have too: first repeats of a
-    motion, then motions most like another, the latest among equals. A motion that is like no other, such as one that a
-    diagnosis asked for, stays with the development runs. Of one or two trials the last third of what counts is final:
-    it is simulated from the beginning of the trial and scored alone. The other two thirds of a single
-    trial are two folds.
+    A quarter of the trials is final: first repeats of a motion, then motions most like another, the latest among
+    equals. A motion that is like no other stays a development run. Of one or two trials the last third of what counts
+    is final: it is simulated from the beginning of the trial and scored alone. The other two thirds of a single trial
+    are two folds.
 
     Args:
-        runs: of all trials.
-        motions: motion type of each.
         ordered: whether they stand in the order of recording; the first one then is never final.
     """
     if len(runs) < _LEAST_TRIALS:
@@ -343,12 +310,7 @@ def _split_in_time(runs: Sequence[Run]) -> tuple[tuple[Run, ...], tuple[Run, ...
 
 
 def motion_features(commands: Sequence[Vec], dt_s: float) -> Vec:
-    """Levels, speeds, rests and length of K commands (K, 10); near to each other where one repeats another.
-
-    Args:
-        commands: (T,) each [cmd].
-        dt_s: sample time [s].
-    """
+    """Levels, speeds, rests and length of K commands (K, 10); near to each other where one repeats another."""
     low, high = min(float(u.min()) for u in commands), max(float(u.max()) for u in commands)
     return np.array([_features(u, dt_s, max(high - low, 1e-12)) for u in commands])
 

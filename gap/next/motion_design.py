@@ -1,4 +1,4 @@
-"""Design of the next motion: the one on which the open hypotheses are separated best, from a menu or by a search."""
+"""Design of the next motion, from a menu or by a search: it separates the open hypotheses best."""
 
 from __future__ import annotations
 
@@ -20,12 +20,11 @@ from hystmpc.trials.layouts import OUTPUT_COLUMN, command_column
 from hystmpc.trials.recording import SEPARATION_COLUMN
 from hystmpc.trials.types import Vec
 
-from ..diagnosis import NextMotion
+from ..diagnosis import MOTION_FILE, NextMotion
 from .motions import SIZE, MotionFamily, SampledMotion
 
 Simulate = Callable[[Vec, float], Vec]
 
-MOTION_FILE = "next_motion.csv"
 _EQUAL_FACTOR, _EQUAL_ERRORS = 1.05, 0.005  # equal probabilities: error up to this factor, plus this, of the least
 _FORM_SPREAD = 2.0  # root of the number of directions that a model-form error may take
 _SHIFT, _SCALE = 0.01, 0.01  # of the command's range, and of the command
@@ -59,20 +58,12 @@ class Noise:
         ar: correlation of its slow part from one sample to the next.
         white: share of its variance that has no memory.
         form_deg: root mean square of the model-form error [deg].
-
-    Raises:
-        FitError: if the deviation is not positive, or a share out of its bounds.
     """
 
     rmse_deg: float
     ar: float = 0.95
     white: float = 0.3
     form_deg: float = 0.0
-
-    def __post_init__(self) -> None:
-        shares = 0 <= self.ar < 1 and 0 <= self.white <= 1 and 0 <= self.form_deg < np.inf
-        if not (np.isfinite(self.rmse_deg) and self.rmse_deg > 0 and shares):
-            raise FitError(f"noise: got {self}, expected rmse_deg > 0, ar in [0, 1), white in [0, 1], form_deg >= 0")
 
     def whiten(self, signals: Vec) -> Vec:
         """Signals (..., T) in units of the noise: each frequency over the root of the noise's spectrum."""
@@ -88,7 +79,6 @@ class EvaluatedMotion:
     """One motion of the menu and its expected result.
 
     Attributes:
-        motion: the motion.
         probability: expected probability of naming the right candidate.
         angles: of every candidate on it [deg], (K, T).
         separation: greatest difference of a pair after retuning at each sample [deg], (T,).
@@ -108,7 +98,6 @@ class MotionProposal:
 
     Attributes:
         names: effects that it is to tell apart.
-        chosen: the best of the options.
         options: every motion that could be simulated, in the order of the menu.
     """
 
@@ -116,10 +105,10 @@ class MotionProposal:
     chosen: EvaluatedMotion
     options: tuple[EvaluatedMotion, ...] = field(repr=False)
 
-    def summary(self, file: str = MOTION_FILE) -> NextMotion:
-        """The proposal as a diagnosis states it."""
+    def summary(self) -> NextMotion:
+        """Summary of the proposal for the diagnosis."""
         motion = self.chosen.motion
-        return NextMotion(file, self.names, self.chosen.probability, motion.duration_s)
+        return NextMotion(MOTION_FILE, self.names, self.chosen.probability, motion.duration_s)
 
 
 def propose(candidates: Sequence[OpenHypothesis], motions: Sequence[SampledMotion], noise: Noise) -> MotionProposal:
@@ -135,16 +124,9 @@ def propose(candidates: Sequence[OpenHypothesis], motions: Sequence[SampledMotio
     candidates are equally likely. Retuning is linear least squares on offset, gain, command shift, command scale and
     the candidate's own parameters.
 
-    Args:
-        candidates: two or more.
-        motions: see `motions.menu`.
-        noise: of the device, and form error of the candidates.
-
     Raises:
-        FitError: if there are fewer than two candidates, no motions, or no motion on which all give finite angles.
+        FitError: if there is no motion on which all candidates give finite angles.
     """
-    if len(candidates) < 2 or not motions:
-        raise FitError(f"next motion: got {len(candidates)} candidates and {len(motions)} motions, expected 2 and 1")
     options = tuple(option for motion in motions if (option := evaluate_motion(candidates, motion, noise)))
     if not options:
         raise FitError(f"next motion: none of {len(motions)} motions gives finite angles with all candidates")
@@ -246,10 +228,8 @@ class SearchSettings:
     """Settings of the motion search.
 
     Attributes:
-        seed: of what is drawn.
         overhead_s: device time that a run takes beside its motion [s].
         least_s: duration below which a motion is left out [s].
-        generations: of the search.
         allowed: whether a motion may be played, judged by the angles that the explanations expect.
     """
 
@@ -265,9 +245,7 @@ class SearchedMotion:
     """Result of a motion search, with the best motion of the menu for comparison.
 
     Attributes:
-        chosen: the best motion with its expected result.
         numbers: of it in the family (22,).
-        bits: expected information of it.
         seconds: device time of it, the run around it included [s].
         menu: the best motion of the menu by the same measure; None where none can be simulated.
         menu_bits, menu_seconds: of that.
@@ -309,9 +287,6 @@ def search_motion(
     11, 1997) starts from the menu's entries and motions drawn at random.
 
     Args:
-        hypotheses: two explanations or more.
-        family: motions that are allowed.
-        noise: of the device, and form error of the explanations.
         menu: motions to compare with, as `motions.menu` makes them, of any duration.
 
     Returns:

@@ -24,11 +24,10 @@ _EDGE_S = 1.0
 
 @dataclass(frozen=True)
 class RampAndHold:
-    """A ramp to a command and a hold there.
+    """Ramp to a command, and a hold there.
 
     Attributes:
         target: share of the reach, 0 at the lowest command.
-        hold_s: time at the target [s].
         speed: share of the allowed rate.
         stroke_s: time that the whole reach takes at least [s].
     """
@@ -39,7 +38,7 @@ class RampAndHold:
     stroke_s: float = 0.0
 
     def way_s(self, start: float, reach: float, rate: float) -> float:
-        """Time from another command to its own, both in shares of the reach [s]."""
+        """Duration of the ramp from a start, a share of the reach [s]."""
         return abs(self.target - start) * max(reach / (self.speed * rate), self.stroke_s)
 
 
@@ -63,7 +62,6 @@ class SampledMotion:
     """One motion of the menu, sampled.
 
     Attributes:
-        name: of the motion.
         purpose: what it tells apart, for the report.
         t: times [s], (T,), from 0 in steps of dt.
         command: command [mm or bar], (T,); starts and ends at rest at the lowest one.
@@ -87,13 +85,7 @@ class SampledMotion:
 
 @dataclass(frozen=True)
 class MotionTemplate:
-    """A motion before limits are known: parts in shares of the reach and of the rate.
-
-    Attributes:
-        name, purpose: see `SampledMotion`.
-        parts: in order.
-        longest_s: duration that the reach is cut to [s].
-    """
+    """Motion in shares of the reach and of the rate, before limits are known."""
 
     name: str
     purpose: str
@@ -178,20 +170,10 @@ TEMPLATES = (
 
 
 def menu(limits: CommandLimits, dt: float) -> tuple[SampledMotion, ...]:
-    """Every motion of the menu on one device.
+    """Motions of the menu on one device, within the limits [mm or bar, and per second], at a sample time [s].
 
-    All lie within the limits and change by at most 0.9 of the rate limit. The reach of a motion shrinks where it would
-    take more than 90 s otherwise.
-
-    Args:
-        limits: box and rate of the command [mm or bar, and per second].
-        dt: sample time [s].
-
-    Raises:
-        TrajectoryError: if dt is not finite and positive.
+    They change by at most 0.9 of the rate limit, and reach less far where they would take more than 90 s otherwise.
     """
-    if not (math.isfinite(dt) and dt > 0):
-        raise TrajectoryError(f"dt: got {dt}, expected a finite number > 0")
     return tuple(_motion(template, limits, dt) for template in TEMPLATES)
 
 
@@ -234,7 +216,7 @@ def _duration_s(template: MotionTemplate, reach: float, rate: float) -> float:
 
 
 def sampled_burst(part: SineBurst, centre: float, reach: float, rate: float, dt: float) -> tuple[Vec, Vec]:
-    """Times and commands of a burst, on a grid of its own with linear interpolation.
+    """Times and commands of a burst, on a separate grid with linear interpolation.
 
     Slopes of A w(t) sum_i sin(2 pi f_i t) / n are at most A (2 pi mean f + 1 / edge), w rising within the edge.
     """
@@ -263,16 +245,13 @@ _NO_BURST_S = 1.0  # a shorter burst is left out
 class MotionFamily:
     """Parametrised family of motions: rest, three ramps with holds, two sines, three ramps with holds, return, rest.
 
-    A motion is given by numbers x (22,) in [0, 1]: of each ramp the target (share of the range, counted from the end of
-    the range that is nearer to the safe command), the speed (3 to 100 % of the allowed rate, logarithmic) and the hold
-    (0.05 to 20 s, logarithmic); of the burst the amplitude, the frequency, the ratio of the second frequency, and the
-    duration. A motion that would last too long is played faster: its ways up to the allowed rate, holds and burst
-    shorter; if that is not enough, it reaches less far.
+    A motion is given by numbers x (22,) in [0, 1]: of each ramp the target (share of the range, counted from the end
+    that is nearer to the safe command), the speed (3 to 100 % of the allowed rate, logarithmic) and the hold (0.05 to
+    20 s, logarithmic); of the burst the amplitude, the frequency, the ratio of the second frequency, and the duration.
+    A motion that would last too long is played faster, and reaches less far if that is not enough.
 
     Attributes:
         limits: box and rate of the command [mm or bar, and per second].
-        dt: sample time [s].
-        safe: command at which a motion begins and ends.
         longest_s: duration that no motion exceeds [s].
 
     Raises:

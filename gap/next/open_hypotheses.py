@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
@@ -42,9 +42,6 @@ def next_step(findings: Findings) -> MotionProposal | None:
     It is to separate, in this order: all effects that these trials cannot tell apart; an effect that was named and
     another from which these motions cannot tell it (`unseparated`); for a gap without explanation, effects of
     different families. Where no angle follows its command, no motion is proposed.
-
-    Args:
-        findings: of all earlier steps.
     """
     task = discrimination_task(findings, confirm=False)
     if task is None:
@@ -57,8 +54,6 @@ class DiscriminationTask:
     """Model discrimination task: the hypotheses that a further motion has to separate.
 
     Attributes:
-        hypotheses: the explanations, two or more.
-        noise: of the device, and form error of the explanations.
         confirms: whether the trials so far decide already, so that the motion only puts their answer to the test.
     """
 
@@ -72,26 +67,17 @@ def discrimination_task(findings: Findings, confirm: bool = True) -> Discriminat
 
     A named effect is tested against those that it is taken for, each fitted in its place; no gap is tested against a
     single effect of each family. None where no angle follows its command.
-
-    Args:
-        findings: of all earlier steps.
-        confirm: whether to test a verdict that leaves nothing open; else None there.
     """
     if findings.prepared.checked.unrelated:
         return None
     fitted = open_explanations(findings)
-    if len(fitted) >= 2:
-        return _task(fitted, findings)
-    if not confirm:
+    confirms = len(fitted) < 2
+    if confirms:
+        fitted = _rivals(findings) if confirm else {}
+    if len(fitted) < 2:
         return None
-    tested = _rivals(findings)
-    return replace(_task(tested, findings), confirms=True) if len(tested) >= 2 else None
-
-
-def _task(fitted: Mapping[str, Hypothesis], findings: Findings) -> DiscriminationTask:
-    prepared = findings.prepared
-    made = tuple(open_hypothesis(name, hypothesis, prepared) for name, hypothesis in fitted.items())
-    return DiscriminationTask(made, _noise(findings))
+    made = tuple(open_hypothesis(name, hypothesis, findings.prepared) for name, hypothesis in fitted.items())
+    return DiscriminationTask(made, _noise(findings), confirms)
 
 
 def _rivals(findings: Findings) -> dict[str, Hypothesis]:
@@ -213,11 +199,6 @@ def open_hypothesis(name: str, hypothesis: Hypothesis, prepared: PreparedTrials)
 
     What each trial has of its own (`trial_shift`, the phase of a disturbance) is not simulated: in a single further
     motion a shift is a matter of retuning, and a phase would be another one.
-
-    Args:
-        name: of the effect that tells it from the others.
-        hypothesis: fitted.
-        prepared: trials, for the history of the device.
     """
     problem, q = hypothesis.problem, hypothesis.q
     nudges = [np.clip(q + _STEP * row, problem.lower, problem.upper) for row in np.eye(problem.size)]
@@ -236,14 +217,7 @@ def _simulator(problem: Problem, q: Vec, prepared: PreparedTrials) -> Simulate:
 
 
 def free_run(chain: Chain, rest_angle: float, bent: float = -np.inf, clock_s: float = 0.0) -> Simulate:
-    """Free run of a chain from a long rest at the motion's first command, at the motion's sample time.
-
-    Args:
-        chain: with its numbers.
-        rest_angle: approximate angle of the device at rest [deg].
-        bent: greatest command that the device has seen [mm or bar]; minus infinity for a new one.
-        clock_s: of the device [s].
-    """
+    """Free run of a chain after a long rest, given rest angle [deg], greatest past command, and clock [s]."""
 
     @cache  # every motion of a menu has one sample time and starts at one command
     def rested(dt: float, first: float) -> tuple[StagedChain, Vec]:

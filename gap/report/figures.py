@@ -1,8 +1,9 @@
-"""Style of the figures, and figures of the closed gap, of the effects and of the next motion."""
+"""Figures of a diagnosis: closed gap, effects, next motion, closed loops, and the residual over time and frequency."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -10,14 +11,28 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
+from scipy.signal import welch
 
 from hystmpc.models.identify.uncertainty import Interval
-from hystmpc.trials.figures import ZERO_LOOK, TrackedLine, TrackedMotion, output_label, shortened, tracking_figure
+from hystmpc.trials.figure_data import draw_part
+from hystmpc.trials.figures import (
+    ZERO_LOOK,
+    LoopPanel,
+    SimulatedTrial,
+    TrackedLine,
+    TrackedMotion,
+    loop_figure,
+    output_label,
+    shortened,
+    time_figure,
+    tracking_figure,
+)
 from hystmpc.trials.report import ACCENTS, COMMAND, DASHES, MEASURED, MODEL, PALETTE, REFERENCE, new_figure
 from hystmpc.trials.types import Vec
 
-from ..diagnosis import Diagnosis
+from ..diagnosis import Diagnosis, ResidualShare
 from ..next.motion_design import MotionProposal
+from ..residual import SpectralLine
 from .report_data import CandidateRow, ReportData, Stage, TrackingCurve, TrialRuns
 from .words import in_words
 
@@ -43,7 +58,7 @@ def worst_first(trials: Sequence[TrialRuns]) -> list[TrialRuns]:
 
 
 def shown(trials: Sequence[TrialRuns], most: int) -> list[TrialRuns]:
-    """At most so many trials, final ones before others and worse before better, in recording order."""
+    """Selection of at most `most` trials, final ones and large errors preferred, in recording order."""
     ranked = sorted(worst_first(trials), key=lambda trial: trial.role != "final")[:most]
     return [trial for trial in trials if any(trial is other for other in ranked)]
 
@@ -97,7 +112,7 @@ def closed_figure(data: ReportData) -> Figure:
 
 
 def _points(axes: Axes, stage: Stage, values: list[float], intervals: list[Interval | None]) -> None:
-    """One stage's values, one a row, each with its interval."""
+    """Draw the values of one simulator with their intervals, one row each."""
     rows = np.arange(len(values)) + _OFFSET[stage]
     for row, value, interval in zip(rows, values, intervals, strict=True):
         if interval is not None and np.isfinite(value):
@@ -107,7 +122,7 @@ def _points(axes: Axes, stage: Stage, values: list[float], intervals: list[Inter
 
 
 def rmse_interval(trials: Sequence[TrialRuns], stage: Stage) -> Interval | None:
-    """90 % block-bootstrap interval of the RMSE over some trials [deg]; None for less than four blocks of 2 s.
+    """90 % block-bootstrap interval of the RMSE over some trials [deg]; None for fewer than four blocks of 2 s.
 
     Drawn with one seed, so that a report is the same each time.
     """
@@ -169,7 +184,7 @@ def _label(diagnosis: Diagnosis, name: str) -> str:
 
 
 def _probabilities(axes: Axes, diagnosis: Diagnosis, names: Sequence[str]) -> None:
-    chance = dict(diagnosis.ranking) | {effect.name: effect.probability for effect in diagnosis.effects}
+    chance = diagnosis.probabilities
     for k, name in enumerate(names):
         value = chance.get(name, np.nan)
         colour, hatch = _look(diagnosis, name)
@@ -258,3 +273,246 @@ def closed_loop_figure(curves: Sequence[TrackingCurve]) -> Figure:
         approach_s = float(curve.t[curve.first - 1]) if curve.first else 0.0
         motions.append(TrackedMotion(curve.t, curve.reference_deg, lines, in_words(curve.name), approach_s))
     return tracking_figure(motions, "error [deg]")
+
+
+_BINS, _SEGMENT_S = 12, 16.0
+_ROUNDING = 1e-9
+
+_COLUMNS = 400  # more cannot be told apart across a page
+
+_WINDOW_S = 40.0
+_LOOK: dict[Stage, Any] = {stage: {**look, "linewidth": 0.9} for stage, look in LOOK.items()}
+
+_BAR = COLOUR["retuned"]
+_STAIRS: Any = {"linewidth": 1.5, "baseline": None}
+
+
+def heat_figure(trials: Sequence[TrialRuns], unit: str, stages: Sequence[Stage]) -> Figure:
+    """Command over time, and below it |simulated - measured| as colour, one strip for each simulator.
+
+    One scale of colour and one of time for all trials, so that strips can be compared.
+    """
+    longest = max(trial.trial.duration_s for trial in trials)
+    sizes = np.concatenate([np.abs(trial.residual("retuned")) for trial in trials])
+    top = float(np.quantile(sizes, 0.995)) or 1.0
+    with new_figure(7.0, 0.7 + (0.72 + 0.17 * len(stages)) * len(trials)) as figure:
+        ratios = (2.0, 0.6 * len(stages)) * len(trials)
+        rows = figure.subplots(2 * len(trials), 1, sharex=True, height_ratios=ratios, squeeze=False)[:, 0]
+        for command, strip, trial in zip(rows[::2], rows[1::2], trials, strict=True):
+            _command(command, trial, unit)
+            _strip(strip, trial, stages, top)
+        rows[-1].set(xlim=(0.0, longest), xlabel="time [s]")
+        bar = figure.colorbar(rows[-1].images[0], ax=rows.tolist(), aspect=14 * len(trials), pad=0.01, extend="max")
+        bar.set_label(f"|residual| [{trials[0].trial.units.angle}]", fontsize=8.0)
+    return figure
+
+
+def _command(axes: Axes, trial: TrialRuns, unit: str) -> None:
+    t, command = thin(trial.trial.t - trial.trial.t[0], trial.trial.command)
+    axes.plot(t, command, **COMMANDED)
+    axes.set_ylabel(unit)
+    axes.set_title(f"{shortened(trial.name, 50)} ({trial.role})", fontsize=8.5)
+
+
+def _strip(axes: Axes, trial: TrialRuns, stages: Sequence[Stage], top: float) -> None:
+    """Colour strip of the residual, one row for each simulator; samples that do not count stay white."""
+    rows = np.array([_columns(trial, stage) for stage in stages])
+    extent = (0.0, trial.trial.duration_s, len(stages) - 0.5, -0.5)
+    axes.imshow(rows, aspect="auto", cmap=HEAT, vmin=0.0, vmax=top, extent=extent, interpolation="nearest")
+    axes.set_yticks(range(len(stages)), [LABEL[stage] for stage in stages], fontsize=7.5)
+    axes.grid(visible=False)
+    axes.tick_params(axis="y", length=0)
+    for k in range(1, len(stages)):
+        axes.axhline(k - 0.5, color="white", linewidth=1.2)
+
+
+def _columns(trial: TrialRuns, stage: Stage) -> np.ndarray:
+    """Greatest |residual| in each of some equal parts of the trial [deg]."""
+    size = np.full(len(trial.trial), np.nan)
+    size[trial.start :] = np.abs(trial.residual(stage))
+    parts = np.array_split(size, min(_COLUMNS, size.size))
+    return np.array([np.nanmax(part) if np.isfinite(part).any() else np.nan for part in parts])
+
+
+def loops(trials: Sequence[TrialRuns], unit: str, stages: Sequence[Stage]) -> Figure:
+    """Loops of the output over the command: real and of each simulator."""
+    panels = []
+    for trial in trials:
+        command = trial.trial.command
+        runs = [(command, getattr(trial, stage), _LOOK[stage]) for stage in stages]
+        panels.append(LoopPanel(trial.name, [(command, trial.trial.angle, REAL), *runs]))
+    return loop_figure(panels, unit, trials[0].trial.units.angle)
+
+
+def over_time(trials: Sequence[TrialRuns], stages: Sequence[Stage]) -> Figure:
+    """Output over time: real and of each simulator, and the residuals of the simulators."""
+    shown = []
+    for evidence in trials:
+        trial = evidence.trial
+        runs = [(getattr(evidence, stage), _LOOK[stage]) for stage in stages]
+        title, t = shortened(evidence.name, 60), trial.t - trial.t[0]
+        shown.append(SimulatedTrial(title, t, (trial.angle, REAL), runs, trial.units.angle))
+    return time_figure(shown)
+
+
+def before_after_figure(trial: TrialRuns, after: Stage) -> Figure:
+    """Measured angle and simulated angles before and after the correction over time, and both errors.
+
+    A long trial opens at the window with the largest error.
+    """
+    t = trial.trial.t - trial.trial.t[0]
+    size, energy, at = (
+        round(_WINDOW_S / trial.trial.dt),
+        np.cumsum(np.r_[0.0, trial.residual("nominal") ** 2]),
+        trial.start,
+    )
+    if energy.size > size:  # the window with the largest error as given, among the samples that count
+        at += int(np.argmax(energy[size:] - energy[:-size]))
+    start = float(t[at])
+    part = (t >= start) & (t <= start + _WINDOW_S)
+    with new_figure(7.0, 3.4) as figure:
+        angle, error = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
+        draw_part(angle, t, trial.trial.angle, part, **{**REAL, "label": "measured"})
+        for stage in ("nominal", after):
+            run = getattr(trial, stage)
+            draw_part(angle, t, run, part, **_LOOK[stage])
+            draw_part(error, t, run - trial.trial.angle, part, **_LOOK[stage])
+        error.axhline(0.0, **ZERO_LOOK)
+        angle.set_ylabel(output_label(trial.trial.units.angle))
+        error.set(ylabel=f"simulated less\nmeasured [{trial.trial.units.angle}]", xlabel="time [s]")
+        figure.legend(*angle.get_legend_handles_labels(), loc="outside upper center", ncols=3)
+    return figure
+
+
+def share_figure(places: Mapping[str, ResidualShare]) -> Figure:
+    """Share of the retuned residual's energy in each part of the motion, with the share of time spent there."""
+    ordered = sorted(places.items(), key=lambda item: -item[1].share)
+    with new_figure(7.0, 0.95 + 0.3 * len(ordered)) as figure:
+        axes: Axes = figure.subplots()
+        for k, (_, place) in enumerate(ordered):
+            axes.barh(k, place.share, height=0.6, color=_BAR, label="share of the residual's energy" if not k else None)
+            draw_interval(axes, k, place.share, place.ci90, label="90 % interval" if not k else None)
+            if place.density > 0:
+                time = place.share / place.density
+                label = "share of time" if not k else None
+                axes.plot(time, k, "|", color="#222222", markersize=15, markeredgewidth=1.8, label=label)
+            text = f"{place.density:.1f} x average"
+            axes.annotate(text, (1.01, k), xycoords=("axes fraction", "data"), va="center", fontsize=8)
+        axes.set_yticks(range(len(ordered)), [in_words(name) for name, _ in ordered])
+        axes.set(ylim=(len(ordered) - 0.5, -0.6), xlabel="share")
+        axes.set_xlim(0.0, min(1.0, 1.08 * max(max(place.ci90[1], place.share) for place in places.values())))
+        axes.grid(visible=False, axis="y")
+        figure.legend(*axes.get_legend_handles_labels(), loc="outside upper center", ncols=3)
+    return figure
+
+
+def bins_figure(trials: Sequence[TrialRuns], stages: Sequence[Stage]) -> Figure | None:
+    """RMSE over command, angle and speed, of each simulator; None where nothing moves."""
+    groups = binned(trials, stages)
+    if not groups:
+        return None
+    with new_figure(7.0, 2.8) as figure:
+        rows = figure.subplots(1, len(groups), sharey=True, squeeze=False)[0]
+        for axes, group in zip(rows, groups, strict=True):
+            for stage, values in group.rmse_deg.items():
+                axes.stairs(values, group.edges, **LOOK[stage], **_STAIRS)
+            shares = axes.twinx()
+            shares.stairs(group.time, group.edges, fill=True, color="#e2e2e2", zorder=0)
+            shares.set(ylim=(0.0, 1.0), yticks=())
+            shares.spines["right"].set_visible(False)
+            axes.set_zorder(shares.get_zorder() + 1)
+            axes.patch.set_visible(False)
+            axes.set_xlabel(f"{group.quantity} [{group.unit}]")
+        rows[0].set_ylabel(f"RMSE [{trials[0].trial.units.angle}]")
+        rows[0].set_ylim(bottom=0.0)
+        figure.legend(*rows[0].get_legend_handles_labels(), loc="outside upper center", ncols=2)
+    return figure
+
+
+@dataclass(frozen=True, eq=False)
+class Binned:
+    """RMSE over equal intervals of one quantity."""
+
+    quantity: str
+    unit: str
+    edges: Vec
+    rmse_deg: dict[Stage, Vec]
+    time: Vec
+
+
+def binned(trials: Sequence[TrialRuns], stages: Sequence[Stage]) -> list[Binned]:
+    """RMSE by command, angle and speed of the command over all samples that count; constant quantities are left out."""
+    unit, angle = trials[0].trial.units.command, trials[0].trial.units.angle
+    values = {
+        ("command", unit): [t.trial.command[t.start :] for t in trials],
+        ("angle", angle): [t.trial.angle[t.start :] for t in trials],
+        ("command speed", f"{unit}/s"): [np.gradient(t.trial.command, t.trial.t)[t.start :] for t in trials],
+    }
+    squares: dict[Stage, Vec] = {s: np.concatenate([t.residual(s) ** 2 for t in trials]) for s in stages}
+    joined = {names: np.concatenate(parts) for names, parts in values.items()}
+    return [
+        _binned(*names, signal, squares)
+        for names, signal in joined.items()
+        if np.ptp(signal) > _ROUNDING * (1 + np.abs(signal).max())
+    ]
+
+
+def _binned(quantity: str, unit: str, values: Vec, squares: dict[Stage, Vec]) -> Binned:
+    low, high = np.quantile(values, (0.002, 0.998)) if quantity == "command speed" else (values.min(), values.max())
+    if high <= low:
+        low, high = values.min(), values.max()
+    edges = np.linspace(low, high, _BINS + 1)
+    place = np.clip(np.searchsorted(edges, values, side="right") - 1, 0, _BINS - 1)
+    counts = np.bincount(place, minlength=_BINS)
+    rmse: dict[Stage, Vec] = {}
+    for stage, parts in squares.items():
+        sums = np.bincount(place, parts, minlength=_BINS)
+        rmse[stage] = np.sqrt(np.divide(sums, counts, out=np.full(_BINS, np.nan), where=counts > 0))
+    return Binned(quantity, unit, edges, rmse, counts / values.size)
+
+
+def spectrum_figure(
+    trials: Sequence[TrialRuns], stages: Sequence[Stage], noise_deg: float, lines: Sequence[SpectralLine] = ()
+) -> Figure:
+    """Residual over frequency against white noise of that deviation; lines that are not the command's are marked."""
+    with new_figure(7.0, 2.8) as figure:
+        axes: Axes = figure.subplots()
+        top = 0.0
+        for stage in stages:
+            frequency, density = amplitude_density(trials, stage)
+            axes.plot(frequency[1:], density[1:], **LOOK[stage])
+            top = float(frequency[-1])
+        if np.isfinite(noise_deg) and noise_deg > 0 and top > 0:
+            level = noise_deg * np.sqrt(1 / top)  # one-sided, up to the Nyquist frequency
+            axes.axhline(level, color=REFERENCE, linestyle=(0, (4, 3)), linewidth=0.9, label="noise")
+        for k, line in enumerate(lines):
+            label = "not the command's" if not k else None
+            axes.axvline(line.hz, color=MEASURED, linestyle=(0, (1, 2)), linewidth=1.2, label=label)
+        label = f"residual [{trials[0].trial.units.angle}/√Hz]"
+        axes.set(xscale="log", yscale="log", xlabel="frequency [Hz]", ylabel=label)
+        figure.legend(*axes.get_legend_handles_labels(), loc="outside upper center", ncols=4)
+    return figure
+
+
+def amplitude_density(trials: Sequence[TrialRuns], stage: Stage) -> tuple[Vec, Vec]:
+    """Frequencies [Hz] and amplitude density of the residuals [deg/sqrt(Hz)], mean power over trials (Welch, 16 s)."""
+    dt = float(np.median([trial.trial.dt for trial in trials]))
+    shortest = min(trial.residual(stage).size for trial in trials)
+    size = max(8, min(shortest, round(_SEGMENT_S / dt)))
+    residuals = [trial.residual(stage) for trial in trials]
+    powers = [welch(e, 1 / dt, nperseg=size, detrend="constant")[1] for e in residuals]
+    mean: Vec = np.average(powers, axis=0, weights=[e.size for e in residuals])
+    return np.asarray(np.fft.rfftfreq(size, dt), dtype=np.float64), np.sqrt(mean)
+
+
+def memory_figure(gains: Mapping[str, float]) -> Figure:
+    """Share of the residual energy that each memory of the command predicts on held-out trials."""
+    ordered = sorted(gains.items(), key=lambda item: -item[1])
+    with new_figure(7.0, 0.7 + 0.25 * len(ordered)) as figure:
+        axes: Axes = figure.subplots()
+        axes.barh(range(len(ordered)), [gain for _, gain in ordered], height=0.6, color=_BAR)
+        axes.set_yticks(range(len(ordered)), [in_words(name) for name, _ in ordered])
+        axes.axvline(0.0, **ZERO_LOOK)
+        axes.set(ylim=(len(ordered) - 0.5, -0.5), xlabel="share of the residual's energy explained on trials left out")
+        axes.grid(visible=False, axis="y")
+    return figure

@@ -19,9 +19,9 @@ from hystmpc.trials.json_text import file_text, plain
 from hystmpc.trials.layouts import OUTPUT_COLUMN, command_column
 from hystmpc.trials.run_folder import RunFolder
 
-from ..diagnosis import FORMATS, Diagnosis
-from ..next.motion_design import MOTION_FILE, write_motion
-from .report_data import FIXED_FILE, STAGES, ReportData
+from ..diagnosis import FIXED_FILE, FORMATS, MOTION_FILE, Diagnosis
+from ..next.motion_design import write_motion
+from .report_data import STAGES, ReportData
 
 DIAGNOSIS_FILE, GIVEN_FILE = "diagnosis.json", "sim.given.yaml"
 _SOMETIMES = (FIXED_FILE, GIVEN_FILE, MOTION_FILE, "log.mcap")
@@ -64,12 +64,6 @@ def save_diagnosis(
     models: Iterable[Path | str] = (),
 ) -> Path:
     """Write everything that a diagnosis leaves; files appear whole, an older diagnosis in the folder is replaced.
-
-    Args:
-        data: data of the report.
-        folder: new, empty, or that of an older diagnosis.
-        settings: how it was called, resolved.
-        models: model files that it used; their SHA-256 is kept.
 
     Raises:
         ConfigError: if the folder is taken by something else or cannot be written.

@@ -2,63 +2,59 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
-from hystmpc.trials.report import Folded, Heading, Paragraph, Piece, Plot, Points, Report, Table
+from hystmpc.trials.report import Folded, Heading, KeyValues, Paragraph, Piece, Plot, Points, Report, Table
 
-from ..next.motion_design import MOTION_FILE
+from ..diagnosis import MOTION_FILE
+from ..logs.excitation import confusability
 from .figures import (
     LABEL,
     MOST_ROWS,
+    before_after_figure,
+    bins_figure,
     closed_figure,
     closed_loop_figure,
     effects_figure,
-    next_figure,
-    shown,
-    worst_first,
-)
-from .first_page import certainty, next_actions, verdict_facts
-from .report_data import ReportData
-from .residual_figures import (
-    before_after_figure,
-    bins_figure,
     heat_figure,
     loops,
     memory_figure,
+    next_figure,
     over_time,
     share_figure,
+    shown,
     spectrum_figure,
+    worst_first,
 )
-from .tables import (
-    candidates_table,
-    check_pieces,
-    confusable_table,
-    detectable_table,
-    effects_table,
-    made_by,
-    parameters_table,
-    retuned_table,
-    tracking_table,
-    trials_table,
-)
+from .report_data import STAGES, ReportData
 from .words import (
+    DETECTABLE_COLUMNS,
     ambiguous_sets,
+    baseline_units,
     ceiling_sentence,
+    certainty,
     closed_sentence,
+    detectable_rows,
     detectable_sentence,
     floor_words,
     headline,
     in_words,
+    next_actions,
     next_sentence,
     order_sentences,
     percent,
     stability_sentence,
     tracking_sentence,
+    verdict_facts,
 )
 
 MOST_HEAT, MOST_LOOPS, MOST_TIMES = 6, 6, 3
+NOT_DETERMINED = "not determined"
+_SIDES = {"command": "command side", "output": "output side", "sensor": "sensor", "trial": "trial to trial"}
 
 
 def write_report(data: ReportData, folder: Path | str) -> Path:
@@ -67,7 +63,7 @@ def write_report(data: ReportData, folder: Path | str) -> Path:
 
 
 def diagnosis_report(data: ReportData) -> Report:
-    """The page of a diagnosis, whatever its verdict: what to know and to do, then everything else, folded."""
+    """Page of a diagnosis, whatever its verdict: what to know and to do, then everything else, folded."""
     folded = (Folded(heading, tuple(made(data))) for heading, made in _SECTIONS)
     pieces = (*_first_page(data), *(section for section in folded if section.pieces))
     subtitle = f"simulator {data.simulator}, {len(data.trials)} logs"
@@ -118,7 +114,14 @@ def _closed_loop(data: ReportData) -> Iterator[Piece]:
         return
     yield Paragraph(tracking_sentence(data.diagnosis))
     if tracking.motions:
-        yield tracking_table(tracking)
+        rows = [(in_words(m.name), m.before_deg, m.after_deg, m.before_deg - m.after_deg) for m in tracking.motions]
+        rows.append(("all motions", tracking.before_deg, tracking.after_deg, tracking.fall_deg))
+        yield Table(
+            ("motion", "before [deg]", "after [deg]", "fall [deg]"),
+            rows,
+            "RMS of the true angle less the reference. Over seeds of the noise: "
+            f"before {_interval(tracking.before_range_deg)}, after {_interval(tracking.after_range_deg)} deg.",
+        )
     if data.curves:
         yield Plot(
             closed_loop_figure(data.curves),
@@ -145,7 +148,24 @@ def _which(data: ReportData) -> Iterator[Piece]:
             "uncertainty; the data do not say which."
         )
     if diagnosis.effects:
-        yield effects_table(data)
+        sizes = f"without [{data.unit}]", f"with [{data.unit}]"
+        yield Table(
+            ("effect", "probability", "inclusion", "closed share", "90 % interval", *sizes),
+            [
+                (
+                    in_words(effect.name),
+                    effect.probability,
+                    effect.inclusion,
+                    effect.closed_share,
+                    _interval(effect.closed_ci90),
+                    effect.rmse_before_deg,
+                    effect.rmse_after_deg,
+                )
+                for effect in diagnosis.effects
+            ],
+            "Inclusion: share of resamples of the data in which the effect was chosen. Without, with: RMSE on the "
+            "final trials, the other chosen effects present.",
+        )
 
 
 def _where(data: ReportData) -> Iterator[Piece]:
@@ -209,31 +229,138 @@ def _next(data: ReportData) -> Iterator[Piece]:
 def _numbers(data: ReportData) -> Iterator[Piece]:
     yield trials_table(data)
     if data.diagnosis.retuned:
-        yield retuned_table(data)
+        units = baseline_units(data.diagnosis)
+        rows = [
+            (in_words(name), units[name], given, retuned, "" if given == 0 else f"{100 * (retuned / given - 1):+.1f} %")
+            for name, (given, retuned) in data.diagnosis.retuned.items()
+        ]
+        columns = ("quantity", "unit", "as given", "retuned", "change")
+        yield Table(columns, rows, "Retuning of the simulator, without effects: not an effect.")
     if data.parameters:
         yield parameters_table(data)
     if data.candidates:
-        yield candidates_table(data)
+        sizes = (f"{size} [{data.unit}]" for size in ("RMSE", "gain", "standard error"))
+        yield Table(
+            ("effect", "acts on", *sizes, "probability", ""),
+            [
+                (
+                    in_words(row.name),
+                    _SIDES[row.side],
+                    row.rmse_deg,
+                    row.gain_deg,
+                    row.standard_error_deg,
+                    row.probability,
+                    "chosen" if row.chosen else "",
+                )
+                for row in data.candidates
+            ],
+            "Each effect alone with the baseline refitted, on the trials to select by; gain: retuned RMSE less this "
+            "one.",
+        )
+
+
+def trials_table(data: ReportData) -> Table:
+    """RMSE of every trial; final ones first."""
+    rows = [
+        (
+            trial.name,
+            in_words(trial.motion),
+            trial.role,
+            round(trial.trial.duration_s, 1),
+            *(trial.rmse(stage) for stage in STAGES),
+            trial.floor_deg,
+        )
+        for trial in sorted(data.trials, key=lambda trial: trial.role != "final")
+    ]
+    sizes = (f"{size} [{data.unit}]" for size in (*(LABEL[stage] for stage in STAGES), "floor"))
+    return Table(("trial", "motion", "used to", "s", *sizes), rows, "RMSE of simulated less measured angle.")
+
+
+def parameters_table(data: ReportData) -> Table:
+    """Identified values and whether the logs determine them."""
+    rows = []
+    for row in data.parameters:
+        neutral = "" if row.neutral is None else row.neutral
+        value = NOT_DETERMINED if row.flat else row.value
+        remark = "at a bound" if row.at_bound else ""
+        rows.append((in_words(row.owner), row.name, row.unit, value, _interval(row.ci90), neutral, remark))
+    columns = ("of", "parameter", "unit", "value", "90 % interval", "no effect at", "remark")
+    caption = (
+        "Parameters of the corrected simulator; unit 1: a plain number. Not determined: the interval is wider than "
+        "half of the range in which the number was looked for, or than a factor of three either way."
+    )
+    return Table(columns, rows, caption)
+
+
+def _checks(data: ReportData) -> Iterator[Piece]:
+    excitation, unit = data.excitation, data.command_unit
+    speeds = ", ".join(f"{speed:.3g}" for speed in excitation.ramp_speeds)
+    yield KeyValues(
+        {
+            "motions": ", ".join(dict.fromkeys(in_words(motion) for motion in excitation.motions)),
+            "pairs of repeats": len(excitation.repeats),
+            "opening motion repeated": "yes" if excitation.opening_repeated else "no",
+            "longest hold": f"{excitation.longest_hold_s:.1f} s",
+            "fastest command": f"{excitation.fastest:.3g} {unit}/s",
+            "constant speeds": f"{speeds} {unit}/s" if speeds else "none",
+            "fast steps": excitation.steps,
+            "small moves above 1.5 Hz": excitation.fast_small,
+            "time near the lowest command": f"{excitation.low_s:.1f} s in {excitation.low_visits} visits",
+            "levels of turning near the top": excitation.top_levels,
+        }
+    )
+    yield from map(Paragraph, data.diagnosis.notes)
 
 
 def _detectable(data: ReportData) -> Iterator[Piece]:
     if (sizes := data.diagnosis.detectable) is not None:
         yield Paragraph(detectable_sentence(sizes))
         if sizes.effects:
-            yield detectable_table(sizes)
+            caption = "These logs would show each effect from this size on."
+            yield Table(DETECTABLE_COLUMNS, detectable_rows(sizes), caption)
 
 
 def _cannot_show(data: ReportData) -> Iterator[Piece]:
-    if data.confusable:
-        yield confusable_table(data)
-    for sentence in data.cannot_show:
-        yield Paragraph(sentence)
-    if not data.confusable and not data.cannot_show:
-        yield Paragraph("Nothing was found that these motions leave hidden.")
+    confusable = confusability(data.excitation)
+    columns = ("effects", "told apart by these logs", "by", "found in these logs", "alike in a sine", "ramp and hold")
+    yield Table(
+        columns,
+        [
+            (
+                ", ".join(in_words(name) for name in row.effects),
+                "one class" if row.one_class else "yes" if row.separable else "no",
+                "nothing: equal by algebra" if row.one_class else row.separated_by,
+                row.present,
+                percent(row.alike_in_sine),
+                percent(row.alike_in_hold),
+            )
+            for row in sorted(confusable, key=lambda row: row.separable)
+        ],
+        "Judged from the commands alone, before any effect was looked for. Alike: share of one effect's gap that the "
+        "other reproduces on a single 0.2 Hz sine, and on a ramp with a hold of 8 s.",
+    )
+    for row in confusable:
+        if not row.separable and not row.one_class:
+            names = " and ".join(in_words(name) for name in row.effects)
+            told = f"{names[:1].upper()}{names[1:]} cannot be told apart ({row.present})"
+            yield Paragraph(f"{told}; {row.separated_by} would do it.")
 
 
 def _made(data: ReportData) -> Iterator[Piece]:
-    yield made_by(data, _versions())
+    roles = [trial.role for trial in data.trials]
+    split = ", ".join(f"{roles.count(role)} {role}" for role in dict.fromkeys(roles))
+    rows: dict[str, object] = {"simulator": data.simulator, "trials": f"{len(roles)} ({split})", "seed": data.seed}
+    if data.seconds:
+        parts = ", ".join(f"{in_words(name)} {seconds:.1f}" for name, seconds in data.seconds.items())
+        rows["time [s]"] = f"{sum(data.seconds.values()):.1f} ({parts})"
+    for package in ("hystmpc", "numpy", "scipy"):
+        with suppress(PackageNotFoundError):
+            rows[package] = version(package)
+    yield KeyValues(rows)
+
+
+def _interval(ends: tuple[float, float]) -> str:
+    return f"{ends[0]:.3g} to {ends[1]:.3g}" if all(map(math.isfinite, ends)) else "unknown"
 
 
 _SECTIONS: tuple[tuple[str, Callable[[ReportData], Iterator[Piece]]], ...] = (
@@ -243,18 +370,8 @@ _SECTIONS: tuple[tuple[str, Callable[[ReportData], Iterator[Piece]]], ...] = (
     ("Where the gap lies: by time, part of the motion, command, frequency and memory", _where),
     ("What to record next: the motion, and what each explanation expects of it", _next),
     ("Numbers: every trial, retuning, parameters, candidates", _numbers),
-    ("Checks of the logs, and notes", check_pieces),
+    ("Checks of the logs, and notes", _checks),
     ("What these logs would show: the least size of each effect", _detectable),
     ("What these logs cannot tell apart", _cannot_show),
     ("How it was made: simulator, seed, time, versions", _made),
 )
-
-
-def _versions() -> dict[str, str]:
-    versions = {}
-    for package in ("hystmpc", "numpy", "scipy"):
-        try:
-            versions[package] = version(package)
-        except PackageNotFoundError:
-            continue
-    return versions

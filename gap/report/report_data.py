@@ -11,7 +11,7 @@ from typing import Literal
 import numpy as np
 
 from hystmpc.models.identify.corrected_simulator import corrected_simulator, network_effects
-from hystmpc.models.identify.cross_validation import HeldOutErrors, gain
+from hystmpc.models.identify.cross_validation import gain
 from hystmpc.models.identify.uncertainty import ParameterRow
 from hystmpc.models.simulator import Simulator
 from hystmpc.trials.trial import Trial
@@ -19,16 +19,13 @@ from hystmpc.trials.types import Vec
 
 from ..decide.attribution import Findings
 from ..diagnosis import Diagnosis
-from ..logs.excitation import ConfusableEffects, Excitation, confusability
+from ..logs.excitation import Excitation
 from ..next.motion_design import MotionProposal
-from ..residual.localise import Localisation
+from ..residual import Localisation
 
 Role = Literal["fit", "select", "final"]
 Side = Literal["command", "output", "sensor", "trial"]
 Stage = Literal["nominal", "retuned", "with_effects"]
-FIXED_FILE = "sim.fixed.yaml"
-"""Name of the file of the corrected simulator."""
-
 STAGES: tuple[Stage, ...] = ("nominal", "retuned", "with_effects")
 
 
@@ -39,11 +36,9 @@ class TrialRuns:
     Attributes:
         trial: as diagnosed, on the simulator's sample time.
         role: fit, select or final (evaluated once).
-        motion: its motion type, such as `sine` or `holds`.
         nominal, retuned, with_effects: simulated angles [deg], (T,), of the simulator as given, refitted, and refitted
             with the chosen effects; where none was chosen the last equals the second.
         floor_deg: RMSE that stays with any simulator [deg].
-        start: first sample that counts.
     """
 
     trial: Trial
@@ -74,13 +69,9 @@ class CandidateRow:
     """One candidate effect, added alone to the retuned simulator.
 
     Attributes:
-        name: of the effect.
-        side: where it acts.
         rmse_deg: on the trials to select by [deg].
         gain_deg: retuned RMSE less this [deg]; negative where the effect did harm.
         standard_error_deg: of the gain [deg].
-        probability: calibrated.
-        chosen: whether it is in the corrected simulator.
     """
 
     name: str
@@ -115,21 +106,13 @@ class ReportData:
     """Data of the report.
 
     Attributes:
-        diagnosis: the result.
         simulator: name of the simulator's file.
         trials: in recording order, at least one.
-        excitation: motions, speeds, holds and repeats of the commands; None where unknown.
-        candidates: every effect, most likely first.
-        confusable: effects that some motions cannot tell apart, judged for these motions.
-        parameters: identified values of the corrected simulator.
         localisation: of the retuned residual; None where there was none to localise.
         noise_deg: white noise of the measured angle [deg]; not-a-number where unknown.
         proposal: motion to record next; None where nothing is open.
-        cannot_show: what these trials cannot show, a sentence each.
         fixed: the corrected simulator, where it can be written as one.
         files: further files of the diagnosis by name.
-        seed: of everything drawn at random.
-        seconds: time of each step of the procedure.
         nominal: the simulator as given; None of a network.
         curves: closed loops before and after the correction; none where they were not simulated.
     """
@@ -137,14 +120,12 @@ class ReportData:
     diagnosis: Diagnosis
     simulator: str
     trials: tuple[TrialRuns, ...]
-    excitation: Excitation | None = None
+    excitation: Excitation
     candidates: tuple[CandidateRow, ...] = ()
-    confusable: tuple[ConfusableEffects, ...] = ()
     parameters: tuple[ParameterRow, ...] = ()
     localisation: Localisation | None = None
     noise_deg: float = math.nan
     proposal: MotionProposal | None = None
-    cannot_show: tuple[str, ...] = ()
     fixed: Simulator | None = None
     files: Mapping[str, str | bytes] = field(default_factory=dict)
     seed: int = 1
@@ -159,22 +140,22 @@ class ReportData:
 
     @property
     def stages(self) -> tuple[Stage, ...]:
-        """Simulators that differ: without a chosen effect the last is the retuned one."""
+        """Distinct simulators; without a chosen effect the retuned one is the last."""
         return STAGES if self.diagnosis.effects else STAGES[:2]
 
     @property
     def measured_on(self) -> str:
-        """What `final` are: final trials, or all of them."""
+        """Name of the trials in `final`: final trials, or all trials."""
         return "final trials" if any(trial.role == "final" for trial in self.trials) else "trials"
 
     @property
     def command_unit(self) -> str:
-        """Of the command: mm, bar or another."""
+        """Unit of the command: mm, bar or another."""
         return self.trials[0].trial.units.command
 
     @property
     def unit(self) -> str:
-        """Of the output: deg or another."""
+        """Unit of the output: deg or another."""
         return self.trials[0].trial.units.angle
 
 
@@ -183,22 +164,23 @@ def report_data(
 ) -> ReportData:
     """Collect the data of the report from the findings."""
     prepared, simulator = findings.prepared, findings.simulator
-    rows = confusability(prepared.checked.excitation)
+    files: Mapping[str, str] = {}
+    if not isinstance(simulator, Simulator):
+        dt, chosen, last = prepared.checked.dt, findings.conclusion.chosen, prepared.everything[-1]
+        files = network_effects(chosen, prepared.baseline, last, dt, "the network", prepared.decades)
     return ReportData(
         diagnosis=diagnosis,
         simulator="simulator",
         trials=_trials(findings, diagnosis.gap.floor_rmse_deg),
         excitation=prepared.checked.excitation,
         candidates=_candidates(findings, diagnosis),
-        confusable=rows,
         parameters=parameters,
         localisation=findings.localisation,
         noise_deg=prepared.decades.angle * findings.conclusion.floor.noise_deg,
         proposal=proposal,
-        cannot_show=tuple(_sentence(row) for row in rows if not row.separable and not row.one_class),
         fixed=_fixed(findings),
         nominal=simulator if isinstance(simulator, Simulator) else None,
-        files={} if isinstance(simulator, Simulator) else _network_effects(findings),
+        files=files,
         seed=findings.seed,
         seconds=findings.seconds,
     )
@@ -216,22 +198,10 @@ def _fixed(findings: Findings) -> Simulator | None:
         prepared.everything,
         prepared.development,
         checked.trials,
-        prepared.given,
+        prepared.checked.given,
         prepared.decades,
         skip_first_flexure=not all(run.counts.all() for run in prepared.counted),
     )
-
-
-def _network_effects(findings: Findings) -> Mapping[str, str]:
-    """The effects beside a network, as the file that its user reads back."""
-    prepared, chosen = findings.prepared, findings.conclusion.chosen
-    last, dt = prepared.everything[-1], prepared.checked.dt
-    return network_effects(chosen, prepared.baseline, last, dt, "the network", prepared.decades)
-
-
-def _sentence(row: ConfusableEffects) -> str:
-    names = " and ".join(name.replace("_", " ") for name in row.effects)
-    return f"{names[:1].upper()}{names[1:]} cannot be told apart ({row.present}); {row.separated_by} would do it."
 
 
 def _trials(findings: Findings, floor_deg: float) -> tuple[TrialRuns, ...]:
@@ -262,24 +232,19 @@ def _candidates(findings: Findings, diagnosis: Diagnosis) -> tuple[CandidateRow,
     """Each effect that was tried alone, and a faulty sensor."""
     selection, decades = findings.attribution.selection, findings.prepared.decades
     probabilities, before = dict(diagnosis.ranking), selection.baseline
-    chosen = {effect.name for effect in diagnosis.effects}
-    rows = [
-        decades.log_sizes(_row(name, before, judged, probabilities.get(name, 0.0), name in chosen))
-        for names, judged in selection.tried.items()
-        if len(names) == 1
-        for name in names
-    ]
+    chosen, retuned = {effect.name for effect in diagnosis.effects}, float(np.sqrt(before.mse))
+    rows = []
+    alone = [(min(names), judged) for names, judged in selection.tried.items() if len(names) == 1]
+    for name, after in alone:
+        (_, error), rmse = gain(before, after), float(np.sqrt(after.mse))
+        effects = after.hypothesis.problem.effects
+        side: Side = effects[0].side if effects else "trial"
+        sizes = rmse, retuned - rmse, error / (rmse + retuned)
+        row = CandidateRow(name, side, *sizes, probabilities.get(name, 0.0), name in chosen)
+        rows.append(decades.log_sizes(row))
     for effect in diagnosis.effects:
         if effect.name == "sensor":
-            mended = decades.angle * float(np.sqrt(before.mse))
+            mended = decades.angle * retuned
             raw = diagnosis.gap.retuned_rmse_deg
             rows.append(CandidateRow("sensor", "sensor", mended, raw - mended, 0.0, effect.probability, True))
     return tuple(sorted(rows, key=lambda row: (-row.probability, row.rmse_deg)))
-
-
-def _row(name: str, before: HeldOutErrors, after: HeldOutErrors, probability: float, chosen: bool) -> CandidateRow:
-    _, error = gain(before, after)
-    rmse, retuned = float(np.sqrt(after.mse)), float(np.sqrt(before.mse))
-    effects = after.hypothesis.problem.effects
-    side: Side = effects[0].side if effects else "trial"
-    return CandidateRow(name, side, rmse, retuned - rmse, error / (rmse + retuned), probability, chosen)

@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
+from hystmpc.models.effects.catalogue import effect_of
+from hystmpc.models.identify.corrected_simulator import EFFECTS_FILE
 from hystmpc.models.identify.uncertainty import BASELINE_UNITS, Interval
+from hystmpc.models.simulator import Simulator
 from hystmpc.trials.trial import Units
 
-from ..decide.verdict import VerdictDecision
 from ..diagnosis import (
+    FIXED_FILE,
     FLIPS,
     Detectable,
     DetectableSizes,
@@ -18,7 +22,11 @@ from ..diagnosis import (
     IdentifiedEffect,
     RetunedParameter,
 )
-from ..next.motion_design import MotionProposal
+
+if TYPE_CHECKING:
+    from ..decide.verdict import VerdictDecision
+    from ..next.motion_design import MotionProposal
+    from .report_data import ReportData
 
 _UNREPEATABLE = "what is left differs between repeats of a motion, and no effect of the library explains that"
 
@@ -78,20 +86,17 @@ def reason_for(
 
 def _retuned_words(decision: VerdictDecision, gap: Gap, moved: Sequence[RetunedParameter], unit: str) -> str:
     """Changed parameters, and the fall of the RMSE by retuning."""
-    numbers = ", ".join(_moved_words(row) for row in moved) or "numbers of the core, none of them for sure"
+    each = [
+        f"{in_words(row.name)} {row.given:.3g} to {row.value:.3g}{'' if row.unit == '1' else f' {row.unit}'} "
+        f"(90 % interval {row.ci90[0]:.3g} to {row.ci90[1]:.3g})"
+        for row in moved
+    ]
+    numbers = ", ".join(each) or "numbers of the core, none of them for sure"
     fall = f"the RMSE falls from {gap.nominal_rmse_deg:#.3g} to {gap.retuned_rmse_deg:#.3g} {unit}"
     said = f"numbers of the same structure have moved, nothing is missing in it: {numbers}; {fall}"
     if decision.case == "moved":
         return said
     return f"{said}; the rest is the form error of this simulator with the friction as it is now: identify it anew"
-
-
-def _moved_words(row: RetunedParameter) -> str:
-    """A number before and after, as `gain 10.2 to 11.4 deg/mm (90 % interval 11.3 to 11.5)`."""
-    low, high = row.ci90
-    unit = "" if row.unit == "1" else f" {row.unit}"
-    name = in_words(row.name)
-    return f"{name} {row.given:.3g} to {row.value:.3g}{unit} (90 % interval {low:.3g} to {high:.3g})"
 
 
 def _causes(diagnosis: Diagnosis) -> list[str]:
@@ -108,14 +113,9 @@ def _causes(diagnosis: Diagnosis) -> list[str]:
 
 def ambiguous_sets(diagnosis: Diagnosis) -> list[str]:
     """Every set of effects that these trials cannot tell apart, the most probable first, as `lag or delay`."""
-    chance = probabilities(diagnosis)
+    chance = diagnosis.probabilities
     sets = (sorted(names, key=lambda name: -chance.get(name, 0.0)) for names in diagnosis.ambiguity)
     return [listed([in_words(name) for name in names], "or") for names in sets]
-
-
-def probabilities(diagnosis: Diagnosis) -> dict[str, float]:
-    """Probability of every effect by name."""
-    return dict(diagnosis.ranking) | {effect.name: effect.probability for effect in diagnosis.effects}
 
 
 def closed_sentence(diagnosis: Diagnosis) -> str:
@@ -144,7 +144,7 @@ def closed_sentence(diagnosis: Diagnosis) -> str:
 
 
 def stability_sentence(diagnosis: Diagnosis) -> str:
-    """How often the verdict comes out again; empty where the trials allow no choice."""
+    """Share of resampled splits with the same verdict; empty if the trials allow no choice."""
     stability = diagnosis.stability
     if stability is None:
         return ""
@@ -250,7 +250,7 @@ def baseline_units(diagnosis: Diagnosis) -> dict[str, str]:
 
 
 def retuning_sentence(diagnosis: Diagnosis) -> str:
-    """Quantities of the simulator that retuning moves by more than they are shown with; empty where there are none."""
+    """Sentence on the quantities that retuning visibly changes; empty if there are none."""
     units = baseline_units(diagnosis)
     each = [
         f"{in_words(name)} from {given:.3g} to {retuned:.3g} {units.get(name, '')}"
@@ -274,7 +274,7 @@ def detectable_rows(sizes: DetectableSizes) -> list[tuple[str, ...]]:
             in_words(one.effect),
             _least(one),
             percent(one.hidden) if math.isfinite(one.hidden) else "",
-            _detectable_remark(one),
+            "order unknown" if one.untestable else "jumps need more" if one.effect == "stick_slip" else "",
         )
         for one in sizes.effects
     ]
@@ -286,14 +286,8 @@ def _least(one: Detectable) -> str:
     return f"{one.parameter} {one.size:.2g}" + (f" {one.unit}" if one.unit != "1" else "")
 
 
-def _detectable_remark(one: Detectable) -> str:
-    if one.untestable:
-        return "order unknown"
-    return "jumps need more" if one.effect == "stick_slip" else ""
-
-
 def detectable_sentence(sizes: DetectableSizes) -> str:
-    """What the least sizes mean, or why there are none."""
+    """Meaning of the smallest detectable sizes, or the reason why there are none."""
     return sizes.why_not or (
         f"An effect has to leave {_size(sizes.needed_rmse_deg, sizes.unit)} RMS after retuning: less passes for the "
         "simulator's own model-form error. Each size is that of one effect alone in a free run over these commands; "
@@ -332,3 +326,153 @@ def _size(value: float, unit: str) -> str:
 def in_words(name: str) -> str:
     """A public name in words: `rate_dependence` as `rate dependence`."""
     return name.replace("_", " ")
+
+
+_NEVER_HELD = ("trial_shift", "sensor", "configuration_change")  # of the trials or the sensor, not of the simulator
+_BY_JUMPS = ("stick_slip",)  # found by its jumps, it is in the simulator only where a fit found it as well
+_LIKELY = 0.5  # probability, and share of the resamples, from which an effect counts as likely
+_DENSE, _MOST = 1.5, 0.3  # density and share of the error, above which a place is worth a sentence
+
+
+def verdict_facts(diagnosis: Diagnosis) -> tuple[str, ...]:
+    """Facts behind the verdict, each with its number."""
+    if diagnosis.verdict in ("named", "one_of"):
+        each = [f"{in_words(e.name)}: {parameter_words(e)}" for e in diagnosis.effects if e.parameters]
+        values = f"The identified values are, of {'; of '.join(each)}.".replace(" [1]", "") if each else ""
+        said = (closed_sentence(diagnosis), values, mis_set_sentence(diagnosis))
+    else:
+        unknown, none = diagnosis.verdict == "unknown", diagnosis.verdict == "none"
+        more = _densest(diagnosis) if unknown else retuning_sentence(diagnosis) if none else ""
+        said = (_sentence(diagnosis.reason), more, mis_set_sentence(diagnosis))
+    return tuple(filter(None, said))
+
+
+def next_actions(data: ReportData) -> tuple[str, ...]:
+    """Advice on the use of the corrected simulator, its expected benefit, and the next recording."""
+    diagnosis, motion = data.diagnosis, data.diagnosis.next_motion
+    said = [_corrected(data)]
+    tracking = diagnosis.tracking
+    if tracking is not None and not tracking.why_not and not diagnosis.relies_on_its_split:
+        said.append(tracking_sentence(diagnosis))
+    if motion is not None:
+        names = listed([in_words(name) for name in motion.separates], "and")
+        said += [
+            f"Record {motion.file} ({motion.duration_s:.0f} s) and diagnose all logs together again: the right one of "
+            f"{names} is then named with an expected probability of {percent(motion.expected_probability)}.",
+            "Look at its command below before the device plays it.",
+        ]
+    elif diagnosis.verdict == "too_little":
+        said.append("Record more motion of this device and diagnose all logs together.")
+    elif diagnosis.verdict in ("one_of", "unknown") and not _unrelated(data):
+        said.append("No motion of the safe menu is expected to settle what is open.")
+    return tuple(filter(None, said))
+
+
+def certainty(diagnosis: Diagnosis) -> tuple[str, ...]:
+    """Probability, stability over splits, interval, floor, and what could not be tested."""
+    untested = ""
+    if diagnosis.untestable:
+        names = listed([in_words(each.name) for each in diagnosis.untestable], "and")
+        untested = f"The order of recording is unknown, so that these cannot be tested: {names}."
+    if diagnosis.verdict == "too_little":
+        return tuple(filter(None, ("Nothing is named, and no share is worth reading.", untested)))
+    floor = floor_words(diagnosis.gap, diagnosis.unit) if diagnosis.gap.floor_kind == "noise" else ""
+    chance = _probability(diagnosis), _disagreement(diagnosis)
+    said = (*chance, stability_sentence(diagnosis), _intervals(diagnosis), floor, untested)
+    return tuple(filter(None, said))
+
+
+def _intervals(diagnosis: Diagnosis) -> str:
+    each = [
+        f"{in_words(e.name)} closes {percent(e.closed_ci90[0])} to {percent(e.closed_ci90[1])} of the gap"
+        for e in diagnosis.effects
+        if all(map(math.isfinite, e.closed_ci90))
+    ]
+    return f"By the 90 % interval{'s' if len(each) > 1 else ''}, {listed(each, 'and')}." if each else ""
+
+
+def _densest(diagnosis: Diagnosis) -> str:
+    """The part of the motion where the error is densest, if that stands out."""
+    places = {name: at for name, at in diagnosis.where.items() if at.density > _DENSE and at.share > _MOST}
+    if not places:
+        return ""
+    name, place = max(places.items(), key=lambda item: item[1].share)
+    share, time = percent(place.share), percent(place.share / place.density)
+    return f"The error is densest in the part called {in_words(name)}: {share} of it in {time} of the time."
+
+
+def _unrelated(data: ReportData) -> bool:
+    """Whether no angle follows its command: no simulator is corrected then."""
+    return data.nominal is not None and data.fixed is None
+
+
+def _corrected(data: ReportData) -> str:
+    """Advice on the use of the corrected simulator."""
+    diagnosis = data.diagnosis
+    if _unrelated(data):
+        return "Look for a wrong file or column, a loose sensor, or a tendon or line that is broken."
+    names = listed([in_words(effect.name) for effect in diagnosis.effects], "and")
+    if diagnosis.relies_on_its_split:
+        return f"Do not rely on {names}: the verdict flips. Record more trials and diagnose all logs together."
+    if data.fixed is None:
+        return f"Use {EFFECTS_FILE} beside the network." if EFFECTS_FILE in data.files else ""
+    if diagnosis.verdict in ("named", "one_of"):
+        return _with_effects(data, data.fixed)
+    if diagnosis.verdict == "unknown":
+        return f"Do not take {FIXED_FILE} for a cure: it is retuned, and the cause is not in it."
+    if diagnosis.verdict == "too_little":
+        return f"Do not use {FIXED_FILE}: these logs are too little to retune on."
+    given, retuned = diagnosis.gap.nominal_rmse_deg, diagnosis.gap.retuned_rmse_deg
+    if retuned < given:
+        fall = f"from {given:.3g} to {retuned:.3g} {diagnosis.unit}"
+        return f"Use {FIXED_FILE}: its retuned numbers lower the RMSE on the {data.measured_on} {fall}."
+    return f"Keep the simulator as given: retuning does not lower the RMSE on the {data.measured_on}."
+
+
+def _with_effects(data: ReportData, fixed: Simulator) -> str:
+    """Advice on the use of a corrected simulator that holds all, some or none of the effects."""
+    diagnosis, chain = data.diagnosis, fixed.chain
+    built_in = {effect_of(operator.name) for operator in (*chain.before, *chain.after)}
+    names = [effect.name for effect in diagnosis.effects]
+    left_out = [n for n in names if n in _NEVER_HELD or (n in _BY_JUMPS and n not in built_in)]
+    held, lacking = (
+        listed([in_words(name) for name in names if (name in left_out) == out], "and") for out in (False, True)
+    )
+    if not held:
+        return f"The file {FIXED_FILE} is retuned only: it does not hold {lacking}." if lacking else ""
+    if diagnosis.verdict == "named":
+        said = f"Use {FIXED_FILE}: it is the simulator with {held}."
+    else:
+        said = f"The corrected simulator, {FIXED_FILE}, holds {held}: it lowers the error, but proves no cause."
+    return f"{said} It does not hold {lacking}." if lacking else said
+
+
+def _probability(diagnosis: Diagnosis) -> str:
+    """Probabilities of the identified effects and of their alternatives; else of the most likely effect."""
+    chance = diagnosis.probabilities
+    effects = [effect.name for effect in diagnosis.effects]
+    shown = list(dict.fromkeys([*effects, *(name for names in diagnosis.ambiguity for name in names)]))
+    if not shown:
+        if not diagnosis.ranking or diagnosis.verdict != "unknown":
+            return ""
+        name, p = diagnosis.ranking[0]
+        return f"The most likely effect of the library, {in_words(name)}, has a probability of {percent(p)}."
+    each = [f"{in_words(name)} with {percent(chance[name])}" for name in shown if name in chance]
+    return _sentence(f"{listed(each, 'and')} probability".replace(" with", " is present with", 1)) if each else ""
+
+
+def _disagreement(diagnosis: Diagnosis) -> str:
+    """Explanation where probability and inclusion of an effect disagree; empty where they agree."""
+    apart = [e for e in diagnosis.effects if (e.probability >= _LIKELY) != (e.inclusion >= _LIKELY)]
+    if not apart:
+        return ""
+    each = listed([f"{in_words(e.name)} in {percent(e.inclusion)}" for e in apart], "and")
+    return (
+        f"In the best explanation of resampled trials, where every further effect has a price, is {each} of the cases; "
+        "the probability also weighs how much it closes and whether another effect could stand for it."
+    )
+
+
+def _sentence(text: str) -> str:
+    """A text with a capital letter and a full stop."""
+    return f"{text[:1].upper()}{text[1:]}{'' if text.endswith('.') else '.'}" if text else ""

@@ -15,7 +15,7 @@ def closed_in_later_session(findings: Findings, trials: Sequence[Trial]) -> floa
     """Closed share of the corrected simulator on trials of a later session, over the floor of the first one.
 
     The 90 % interval of the closed share refers to this quantity: the corrected simulator on more such trials, not a
-    perfect model. As in `measure`, what jumps leave by their nature counts as closed.
+    perfect model. As in `FinalErrors.closed`, what jumps leave by their nature counts as closed.
 
     Args:
         findings: of a diagnosis.
@@ -27,8 +27,8 @@ def closed_in_later_session(findings: Findings, trials: Sequence[Trial]) -> floa
     later = prepare(trials, findings.simulator, ordered=findings.prepared.order == "known")
     later = replace(later, final=later.everything)
     attribution, conclusion = findings.attribution, findings.conclusion
-    causes, jumps = conclusion.closed.causes.keys(), attribution.jumps
-    jumps_mse = jumps.mse if jumps and "stick_slip" in causes - conclusion.chosen.effects else 0.0
+    causes = conclusion.closed.causes.keys()
+    jumps = attribution.jumps if "stick_slip" in causes - conclusion.chosen.effects else None
     fitted = attribution.validation, attribution.retuned, conclusion.chosen, conclusion.floor
-    errors = FinalErrors(later, *fitted, "sensor" in causes, findings.seed, jumps_mse)
-    return errors.shares.closed(without_sawtooth(errors.after, jumps_mse).mse)
+    errors = FinalErrors(later, *fitted, "sensor" in causes, findings.seed, jumps)
+    return errors.shares.closed(without_sawtooth(errors.after, jumps.mse if jumps else 0.0).mse)

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from hystmpc.gap.residual.localise import MOTION_PARTS
+from hystmpc.gap.residual import MOTION_PARTS
 from hystmpc.trials.errors import LogError
 
 from .generators import CONFIGURATION

@@ -12,7 +12,7 @@ from typing import Any, Literal
 import numpy as np
 from pydantic import Field
 
-from hystmpc.gap.residual.localise import MOTION_PARTS, motion_part_labels
+from hystmpc.gap.residual import MOTION_PARTS, motion_part_labels
 from hystmpc.models.simulator import Simulator, load_simulator, save_simulator
 from hystmpc.trials.config import Settings
 from hystmpc.trials.csv_files import write_csv

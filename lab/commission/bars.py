@@ -10,7 +10,7 @@ from functools import cached_property
 import numpy as np
 
 from hystmpc.gap.diagnosis import TrackingGap
-from hystmpc.gap.tracking.expected import AGREEMENT
+from hystmpc.gap.expected_tracking import AGREEMENT
 
 from ..devices.drawn import FAMILIES
 from ..study import Bar, Figures, Outcome, beyond, by_device, over

@@ -23,7 +23,7 @@ from hystmpc.ctrl.law import LawSettings
 from hystmpc.ctrl.loop import Controller, ImagingSettings, NoSensorSettings
 from hystmpc.ctrl.mpc_settings import LinearisedMpcSettings
 from hystmpc.gap.diagnose import diagnose_trials
-from hystmpc.gap.tracking.expected import DEFAULT_CONTROLLER, covered_motions
+from hystmpc.gap.expected_tracking import DEFAULT_CONTROLLER, covered_motions
 from hystmpc.models.kinds.catalogue import kind_named
 from hystmpc.models.prediction.build import ControllerModel, controller_model
 from hystmpc.models.simulator import ChainModel, load_simulator

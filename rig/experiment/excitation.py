@@ -25,7 +25,7 @@ from hystmpc.trials.config import NotNegative, Positive, Settings
 from hystmpc.trials.errors import LogError
 from hystmpc.trials.formats import read_lines
 from hystmpc.trials.layouts import CANONICAL
-from hystmpc.trials.tables import Table, read_table
+from hystmpc.trials.tables import LogTable, read_table
 from hystmpc.trials.types import Vec
 
 from ..safety.ramp import RampSettings, waypoint_commands
@@ -172,7 +172,7 @@ Excitation = Annotated[
 ]
 
 
-def _motion_table(path: Path | str) -> tuple[Table, str]:
+def _motion_table(path: Path | str) -> tuple[LogTable, str]:
     """Table of a motion file, and the name of its command column."""
     table = read_table(read_lines(path), str(path))
     names = [name for name in table.header if name in CANONICAL.command]

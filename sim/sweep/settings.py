@@ -13,9 +13,8 @@ from zlib import crc32
 import numpy as np
 from pydantic import Field, WithJsonSchema, field_validator, model_validator
 
-from hystmpc.trials.config import Count, NotNegativeInt, Settings, load_settings, read_yaml
+from hystmpc.trials.config import Count, NotNegativeInt, Settings, load_settings, place_in, read_yaml
 from hystmpc.trials.errors import ConfigError, did_you_mean
-from hystmpc.trials.yaml_ import place_in
 
 from ..config import SimulationConfig, load_simulation, located
 

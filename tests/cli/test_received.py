@@ -16,7 +16,7 @@ import hystmpc
 from hystmpc.bench.config import load_commission, load_investigation
 from hystmpc.ctrl.config import GROUP, parse_controller
 from hystmpc.ctrl.planner.tip_controller import TipController
-from hystmpc.gap.tracking.measured import measured_runs
+from hystmpc.gap.measured_tracking import measured_runs
 from hystmpc.rig.config import RunSettings, load_record, load_run
 from hystmpc.rig.experiment.review import review_run
 from hystmpc.sim.config import load_simulation

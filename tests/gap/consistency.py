@@ -5,9 +5,16 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from hystmpc.gap.diagnosis import Diagnosis
-from hystmpc.gap.report.first_page import certainty, next_actions, verdict_facts
 from hystmpc.gap.report.report_data import ReportData
-from hystmpc.gap.report.words import closed_sentence, headline, in_words, tracking_sentence
+from hystmpc.gap.report.words import (
+    certainty,
+    closed_sentence,
+    headline,
+    in_words,
+    next_actions,
+    tracking_sentence,
+    verdict_facts,
+)
 
 _ROUNDED = 1e-9
 

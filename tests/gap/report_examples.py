@@ -20,11 +20,11 @@ from hystmpc.gap.diagnosis import (
     Stability,
     Verdict,
 )
-from hystmpc.gap.logs.excitation import confusability, excitation_of
+from hystmpc.gap.logs.excitation import excitation_of
 from hystmpc.gap.next.motion_design import MotionProposal, Noise, propose
 from hystmpc.gap.next.motions import menu
 from hystmpc.gap.report.report_data import CandidateRow, ReportData, Role, TrialRuns
-from hystmpc.gap.residual.localise import localise
+from hystmpc.gap.residual import localise
 from hystmpc.models.identify.uncertainty import ParameterRow
 from hystmpc.trials.trial import Trial
 
@@ -155,7 +155,6 @@ def report_data(verdict: Verdict, count: int = 6) -> ReportData:
             CandidateRow(name, "command", 1.9 - 0.15 * (7 - k), 0.15 * (6 - k), 0.08, p, name in chosen)
             for k, (name, p) in enumerate(diagnosis.ranking)
         ),
-        confusability(excitation),
         (
             ParameterRow("baseline", "gain", 9.95, (-162.0, 182.0), flat=True, unit="deg/mm"),
             ParameterRow("creep", "share", 0.16, (0.12, 0.2), 0.0),
@@ -164,7 +163,6 @@ def report_data(verdict: Verdict, count: int = 6) -> ReportData:
         localise([t.trial for t in trials], [t.trial.angle - t.retuned for t in trials], 0.6),
         0.12,
         proposal,
-        ("No load was changed: gravity and a curved map stay one class.",),
         simulator(CHAINS["pi"]),
         {"effects.txt": "creep\n"},
         seconds={"check": 0.2, "which": 8.1},

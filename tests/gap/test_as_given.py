@@ -11,8 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hystmpc.gap.diagnose import diagnose_trials
-from hystmpc.gap.logs.as_given import evaluated_mse, resampled_or_none
-from hystmpc.gap.logs.preparation import PreparedTrials, prepare
+from hystmpc.gap.logs.preparation import PreparedTrials, evaluated_mse, prepare, resampled_or_none
 from hystmpc.gap.logs.trial_choice import choose_trials
 from hystmpc.gap.next.open_hypotheses import free_run
 from hystmpc.models.chain import Chain
@@ -27,8 +26,8 @@ from hystmpc.models.operators.operator import Operator
 from hystmpc.models.operators.static_curves import Line
 from hystmpc.models.simulator import ChainModel, Simulator
 from hystmpc.trials.check import Severity
-from hystmpc.trials.clock_findings import clock_of, time_findings
 from hystmpc.trials.errors import GapError, LogError, ModelError
+from hystmpc.trials.findings import clock_of, time_findings
 from hystmpc.trials.segments import first_flexure_end
 from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Vec

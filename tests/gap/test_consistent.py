@@ -17,10 +17,10 @@ from hystmpc.gap.decide.gap_closed import measured_blocks
 from hystmpc.gap.decide.verdict import VERDICTS as CASES
 from hystmpc.gap.decide.verdict import VerdictDecision
 from hystmpc.gap.diagnosis import FLIPS, Diagnosis, Gap, IdentifiedEffect, Stability, TrackingGap
+from hystmpc.gap.expected_tracking import with_tracking
 from hystmpc.gap.logs.preparation import PreparedTrials, prepare
 from hystmpc.gap.report.report_data import ReportData
 from hystmpc.gap.report.words import reason_for
-from hystmpc.gap.tracking.expected import with_tracking
 from hystmpc.models.chain import Chain
 from hystmpc.models.contract.metadata import NoiseModel
 from hystmpc.models.effects.catalogue import diagnosable

@@ -14,8 +14,7 @@ from hypothesis import strategies as st
 
 from hystmpc.gap.diagnose import conclude, find_causes
 from hystmpc.gap.diagnosis import Diagnosis
-from hystmpc.gap.logs.check import check_trials
-from hystmpc.gap.logs.dependence import follows_command
+from hystmpc.gap.logs.check import check_trials, follows_command
 from hystmpc.gap.report.report_data import ReportData
 from hystmpc.models.simulator import Residual
 from hystmpc.trials.errors import GapError

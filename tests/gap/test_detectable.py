@@ -8,10 +8,9 @@ from functools import cache
 import numpy as np
 import pytest
 
-from hystmpc.gap.decide.verdict import VerdictSettings
 from hystmpc.gap.diagnose import detectable_in_logs
 from hystmpc.gap.diagnosis import Detectable
-from hystmpc.gap.logs.detectable import detectable_sizes, smallest_detectable
+from hystmpc.gap.logs.detectable import NO_GAP, detectable_sizes, smallest_detectable
 from hystmpc.gap.logs.preparation import prepare
 from hystmpc.gap.report.words import DETECTABLE_COLUMNS, detectable_rows, detectable_sentence
 from hystmpc.models.effects.catalogue import diagnosable
@@ -91,9 +90,8 @@ def clocked() -> list[Trial]:
 
 
 def test_what_counts_as_a_gap_is_what_the_verdict_says() -> None:
-    no_gap = VerdictSettings().no_gap
     shown = detectable_in_logs(device_trials(), KNOWN)
-    assert shown.needed_rmse_deg**2 == pytest.approx((no_gap - 1.0) * FORM_DEG**2)
+    assert shown.needed_rmse_deg**2 == pytest.approx((NO_GAP - 1.0) * FORM_DEG**2)
     assert f"{shown.needed_rmse_deg:.3g} deg" in detectable_sentence(shown)
     shift = next(one for one in shown.effects if one.effect == "trial_shift")
     assert shift.size == pytest.approx(shown.needed_rmse_deg * np.sqrt(3 / 2)), "of three shifts one is common"
@@ -115,7 +113,7 @@ def test_what_needs_the_order_is_marked_only_where_that_is_unknown() -> None:
 
 
 def test_every_row_has_the_size_and_the_unit_of_its_effect() -> None:
-    shown = smallest_detectable(prepare(clocked(), KNOWN), VerdictSettings().no_gap, without=("creep",))
+    shown = smallest_detectable(prepare(clocked(), KNOWN), without=("creep",))
     rows = {row[0].replace(" ", "_"): row for row in detectable_rows(shown)}
     assert "creep" not in rows
     for one in shown.effects:

@@ -145,7 +145,7 @@ def disturbed() -> tuple[PreparedTrials, Hypothesis, Vec]:
 
 def of(prepared: PreparedTrials) -> tuple[Sequence[Run], Sequence[Run], Sequence[Trial], Sequence[Trial], Decades]:
     """What a correction takes of prepared trials."""
-    return prepared.everything, prepared.development, prepared.checked.trials, prepared.given, prepared.decades
+    return prepared.everything, prepared.development, prepared.checked.trials, prepared.checked.given, prepared.decades
 
 
 def test_the_corrected_simulator_has_the_disturbance_of_the_last_trial() -> None:

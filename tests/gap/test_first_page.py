@@ -13,12 +13,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hystmpc.gap.diagnosis import NextMotion, Stability, TrackingGap, Untestable, Verdict
-from hystmpc.gap.report.first_page import certainty, next_actions, verdict_facts
+from hystmpc.gap.diagnosis import FIXED_FILE, NextMotion, Stability, TrackingGap, Untestable, Verdict
 from hystmpc.gap.report.folder import diagnosis_json
 from hystmpc.gap.report.page import diagnosis_report
-from hystmpc.gap.report.report_data import FIXED_FILE, ReportData
-from hystmpc.gap.report.words import headline
+from hystmpc.gap.report.report_data import ReportData
+from hystmpc.gap.report.words import certainty, headline, next_actions, verdict_facts
 from hystmpc.trials.report import Folded, Heading, Plot, Points
 
 from .report_examples import VERDICTS, report_data

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hystmpc.gap.decide.jumps import Jumps, find_jumps
+from hystmpc.gap.decide.remaining_structure import Jumps, find_jumps
 from hystmpc.gap.diagnose import conclude, find_causes
 from hystmpc.gap.logs.preparation import prepare
 from hystmpc.models.chain import Chain

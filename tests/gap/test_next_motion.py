@@ -223,17 +223,6 @@ def test_directions_hold_offset_and_gain_of_each_candidate() -> None:
     assert np.array_equal(directions[1][1], angles[1])
 
 
-@pytest.mark.parametrize("wrong", [{"rmse_deg": 0.0}, {"rmse_deg": float("nan")}, {"rmse_deg": 1.0, "ar": 1.0}])
-def test_noise_of_no_size_is_refused(wrong: dict[str, float]) -> None:
-    with pytest.raises(FitError, match="rmse_deg > 0"):
-        Noise(**wrong)
-
-
-def test_one_candidate_is_not_a_choice() -> None:
-    with pytest.raises(FitError, match="got 1 candidates"):
-        propose((LAG,), MOTIONS, NOISE)
-
-
 def hypothesis(*names: str) -> Any:
     """A hypothesis that is known by its causes alone."""
     return SimpleNamespace(effects=frozenset(names), problem=SimpleNamespace(effects=names))

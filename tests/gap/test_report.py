@@ -12,11 +12,10 @@ import numpy as np
 import pytest
 
 from hystmpc.gap.diagnosis import Verdict
-from hystmpc.gap.report.figures import MOST_ROWS, closed_figure, rmse_interval, shown
+from hystmpc.gap.report.figures import MOST_ROWS, amplitude_density, binned, closed_figure, rmse_interval, shown
 from hystmpc.gap.report.folder import diagnosis_json, require_free, save_diagnosis
 from hystmpc.gap.report.page import MOST_HEAT, diagnosis_report, write_report
 from hystmpc.gap.report.report_data import ReportData
-from hystmpc.gap.report.residual_figures import amplitude_density, binned
 from hystmpc.gap.report.words import closed_sentence, headline, listed
 from hystmpc.models.simulator import load_simulator
 from hystmpc.trials.errors import ConfigError
@@ -89,7 +88,7 @@ def test_the_page_opens_offline_and_shows_everything(named: ReportData, tmp_path
     assert REASON["named"] in page.text
     for trial in named.trials:
         assert trial.name in page.text
-    for note in (*named.diagnosis.notes, *named.cannot_show):
+    for note in named.diagnosis.notes:
         assert note in page.text
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hystmpc.gap.logs.as_given import common_rest
+from hystmpc.gap.logs.preparation import common_rest
 from hystmpc.models.identify.runs import Run
 
 from .engine_examples import device_runs

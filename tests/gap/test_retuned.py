@@ -15,7 +15,7 @@ from hystmpc.gap.diagnosis import RetunedParameter
 from hystmpc.gap.logs.motion_type import play_states
 from hystmpc.gap.logs.preparation import prepare
 from hystmpc.gap.report.words import headline
-from hystmpc.gap.residual.memory import friction_share
+from hystmpc.gap.residual import friction_share
 from hystmpc.models.chain import Chain
 from hystmpc.models.contract.metadata import Range
 from hystmpc.models.identify.baseline import BacklashBaseline, baseline_of

@@ -10,10 +10,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hystmpc.gap.decide.gap_closed import ClosedByCause, GapClosed, negligible_cause
-from hystmpc.gap.decide.verdict import VerdictSettings, decide_verdict
+from hystmpc.gap.decide.verdict import decide_verdict
 from hystmpc.gap.diagnose import conclude, find_causes
 from hystmpc.gap.diagnosis import Diagnosis, Gap, Stability
-from hystmpc.gap.report.tables import NOT_DETERMINED, parameters_table
+from hystmpc.gap.report.page import NOT_DETERMINED, parameters_table
 from hystmpc.gap.report.words import (
     ceiling_sentence,
     floor_words,
@@ -97,7 +97,7 @@ def test_what_is_proposed_concerns_what_is_open(verdict: str) -> None:
 
 def test_a_gap_that_repeats_do_not_have_is_not_at_its_own_floor() -> None:
     gap = replace(GAP, floor_kind="noise", floor_rmse_deg=0.05, repeats_rmse_deg=0.99, closed_share=0.0)
-    said = reason_for(decide_verdict(NOTHING, VerdictSettings()), (), gap, "", "")
+    said = reason_for(decide_verdict(NOTHING), (), gap, "", "")
     assert "repeats of a motion differ by 0.990 deg" in said
     assert "Repeats of a motion differ by 0.99 deg" in floor_words(gap)
     assert "No motion was repeated" in floor_words(replace(gap, repeats_rmse_deg=float("nan")))

@@ -17,11 +17,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hystmpc.gap.diagnosis import FORMAT, MotionTracking, TrackingGap, Verdict
-from hystmpc.gap.report.folder import diagnosis_json
-from hystmpc.gap.report.page import diagnosis_report
-from hystmpc.gap.report.report_data import ReportData
-from hystmpc.gap.report.words import tracking_sentence
-from hystmpc.gap.tracking.expected import (
+from hystmpc.gap.expected_tracking import (
     ROUGHNESS,
     UnexplainedPlant,
     covered_motions,
@@ -29,7 +25,11 @@ from hystmpc.gap.tracking.expected import (
     next_disturbance,
     with_tracking,
 )
-from hystmpc.gap.tracking.measured import MeasuredRun, fall_lines, fall_pieces, measured_runs, tracking_falls
+from hystmpc.gap.measured_tracking import MeasuredRun, fall_lines, fall_pieces, measured_runs, tracking_falls
+from hystmpc.gap.report.folder import diagnosis_json
+from hystmpc.gap.report.page import diagnosis_report
+from hystmpc.gap.report.report_data import ReportData
+from hystmpc.gap.report.words import tracking_sentence
 from hystmpc.models.chain import Chain
 from hystmpc.models.contract.metadata import NoiseModel
 from hystmpc.models.operators.hysteresis import Backlash

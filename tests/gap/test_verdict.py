@@ -14,13 +14,11 @@ from hystmpc.gap.decide.verdict import (
     VERDICTS,
     FinalFacts,
     VerdictFacts,
-    VerdictSettings,
     decide_verdict,
 )
 from hystmpc.gap.diagnosis import Gap
 from hystmpc.gap.report.words import reason_for
 
-SETTINGS = VerdictSettings()
 EXPLAINED = VerdictFacts(
     effects=frozenset({"lag"}),
     retuned_mse=1.0,
@@ -130,20 +128,20 @@ WEAK = FinalFacts(closed_share=0.5, residual_ratio=3.0)
     ],
 )
 def test_every_row_of_the_table(facts: VerdictFacts, case: str, verdict: str) -> None:
-    decision = decide_verdict(facts, SETTINGS)
+    decision = decide_verdict(facts)
     assert (decision.case, decision.verdict) == (case, verdict)
 
 
 def test_what_a_ruling_implies() -> None:
-    assert decide_verdict(AMBIGUOUS, SETTINGS).ambiguity == (("lag", "delay"),)
-    assert decide_verdict(replace(AMBIGUOUS, structure_left=True), SETTINGS).ambiguity == ()
-    assert decide_verdict(AMBIGUOUS, SETTINGS).explained
-    assert not decide_verdict(replace(OPEN, jumps=True), SETTINGS).explained
-    beside = decide_verdict(replace(OPEN, sensor=True), SETTINGS)
+    assert decide_verdict(AMBIGUOUS).ambiguity == (("lag", "delay"),)
+    assert decide_verdict(replace(AMBIGUOUS, structure_left=True)).ambiguity == ()
+    assert decide_verdict(AMBIGUOUS).explained
+    assert not decide_verdict(replace(OPEN, jumps=True)).explained
+    beside = decide_verdict(replace(OPEN, sensor=True))
     assert beside.case == "sensor_beside_unknown"
     assert beside.sensor
     assert beside.effects_unknown
-    assert not decide_verdict(replace(NOTHING, sensor=True, form_mse=0.5), SETTINGS).sensor
+    assert not decide_verdict(replace(NOTHING, sensor=True, form_mse=0.5)).sensor
 
 
 mse = st.floats(1e-6, 10.0)
@@ -169,7 +167,7 @@ facts_ = st.builds(
 
 @given(facts_)
 def test_rules_that_hold_for_all_facts(facts: VerdictFacts) -> None:
-    decision = decide_verdict(facts, SETTINGS)
+    decision = decide_verdict(facts)
     assert decision.verdict == VERDICTS[decision.case]
     assert bool(decision.ambiguity) == (decision.verdict == "one_of")
     if facts.too_little or facts.unrelated:
@@ -180,11 +178,11 @@ def test_rules_that_hold_for_all_facts(facts: VerdictFacts) -> None:
     if decision.sensor:
         assert facts.sensor or facts.new_step
     if decision.verdict == "retuned":
-        assert facts.retuning.moved >= SETTINGS.lowered
+        assert facts.retuning.moved >= 1.2
         assert not decision.explained
     # The final trials alone never turn a gap into none, unless it is at their floor, nor an unexplained gap into an
     # explanation by effects.
-    before = decide_verdict(replace(facts, final=None), SETTINGS)
+    before = decide_verdict(replace(facts, final=None))
     assert (before.verdict == "none") == (decision.verdict == "none") or decision.case == "at_floor"
     if facts.final is not None and facts.final.unproven:
         assert not decision.explained
@@ -200,7 +198,7 @@ def test_the_reason_states_the_verdict_and_its_numbers() -> None:
         "too_little": (replace(NOTHING, too_little=True), f"too little: 3 s in all {sizes}"),
     }
     for facts, text in texts.values():
-        assert text in reason_for(decide_verdict(facts, SETTINGS), (), gap, "3 s in all", "")
+        assert text in reason_for(decide_verdict(facts), (), gap, "3 s in all", "")
 
 
 @given(st.floats(0, 1), st.floats(0, 1), st.booleans(), st.sampled_from(["lag", "trial_shift"]))

@@ -17,7 +17,7 @@ from hystmpc.gap.logs.check import CheckedTrials, check_trials
 from hystmpc.gap.logs.motion_type import MotionType, command_segments, motion_type
 from hystmpc.gap.logs.noise_floor import find_repeats
 from hystmpc.gap.logs.trial_choice import MOST_SAMPLES, Workload, affordable
-from hystmpc.gap.residual.memory import explainable_share
+from hystmpc.gap.residual import explainable_share
 from hystmpc.models.identify.problem import strongest_line
 from hystmpc.models.identify.runs import Before, Run, runs_of
 from hystmpc.trials.trial import Trial

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hystmpc.gap.residual.localise import MOTION_PARTS, motion_part_labels
+from hystmpc.gap.residual import MOTION_PARTS, motion_part_labels
 from hystmpc.trials.csv_files import read_csv
 from hystmpc.trials.errors import ConfigError, LogError
 from hystmpc.trials.read import read_trials

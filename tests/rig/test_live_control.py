@@ -29,9 +29,9 @@ from hystmpc.rig.recording.sample import Sample
 from hystmpc.rig.run import BenchResult, run_bench
 from hystmpc.rig.safety.ramp import waypoint_commands
 from hystmpc.rig.transports.simulated import SimulatedSettings
+from hystmpc.trials.config import parse_yaml
 from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.run_folder import RunFolder
-from hystmpc.trials.yaml_ import parse_yaml
 from hystmpc_lab.faults.play import end, start
 
 from .bench_parts import RAMPS

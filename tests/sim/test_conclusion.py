@@ -9,7 +9,7 @@ import pytest
 
 from hystmpc.ctrl.command import CommandLimits
 from hystmpc.ctrl.loop import LoopLog
-from hystmpc.gap.tracking.measured import measured_runs
+from hystmpc.gap.measured_tracking import measured_runs
 from hystmpc.sim.closed_loop import ClosedLoopRun
 from hystmpc.sim.compare import compare
 from hystmpc.sim.results import (

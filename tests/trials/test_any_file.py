@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import os
+import subprocess
+import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -229,3 +231,14 @@ def test_the_text_of_an_error_is_short_and_keeps_its_end(place: str, rest: str) 
     assert len(said) <= LONGEST
     assert said.endswith("; do this")
     assert said == text or len(text) > LONGEST
+
+
+def test_a_table_is_read_without_the_readers_of_other_formats(tmp_path: Path) -> None:
+    path = tmp_path / "log.csv"
+    path.write_text("time_s,command,angle_deg\n0,0,30\n0.1,1,31\n0.2,2,33\n")
+    code = (
+        "import sys; from hystmpc.trials.read import read_trials; read_trials(sys.argv[1]); "
+        "sys.exit(' '.join(n for n in ('arrays', 'mat_', 'mcap_', 'messages') if f'hystmpc.trials.{n}' in sys.modules))"
+    )
+    done = subprocess.run([sys.executable, "-c", code, str(path)], capture_output=True, text=True, check=False)
+    assert done.stderr.strip() == ""

@@ -20,14 +20,12 @@ pytest.importorskip("mcap", reason="mcap (extra `logs`) is not installed")
 
 import h5py
 
-from hystmpc.trials import formats, mat_, mcap_, npz_, rosbag_, xlsx_
+from hystmpc.trials import arrays, formats, mat_, mcap_, xlsx_
+from hystmpc.trials.arrays import open_npz, open_tdms
 from hystmpc.trials.errors import LogError
 from hystmpc.trials.mat_ import open_mat
-from hystmpc.trials.mcap_ import open_mcap
-from hystmpc.trials.npz_ import open_npz
+from hystmpc.trials.mcap_ import open_bag1, open_mcap
 from hystmpc.trials.read import read_log
-from hystmpc.trials.rosbag_ import open_bag1
-from hystmpc.trials.tdms_ import open_tdms
 from hystmpc.trials.xlsx_ import open_xlsx
 
 from .written_ways import WAYS, archive
@@ -233,7 +231,7 @@ def test_chunks_that_fill_the_memory_end_a_log(how: str, tmp_path: Path, monkeyp
     """Of all chunks together; and one that unpacks to more than it says."""
     from mcap.writer import CompressionType, Writer
 
-    monkeypatch.setattr(mcap_, "_MOST_BYTES", 60_000)
+    monkeypatch.setattr(mcap_, "MOST_BYTES", 60_000)
     out = BytesIO()
     writer = Writer(out, compression=CompressionType[how.upper()], chunk_size=20_000)
     writer.start()
@@ -342,7 +340,7 @@ def test_an_array_that_a_file_has_no_room_for_is_refused(shape: tuple[int, ...],
 
 
 def test_arrays_that_fill_the_memory_together_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(npz_, "MOST_BYTES", 1_000_000)
+    monkeypatch.setattr(arrays, "MOST_BYTES", 1_000_000)
     np.savez_compressed(tmp_path / "log.npz", **{f"x{k}": np.zeros(30_000) for k in range(5)})
     refused(lambda: open_npz(tmp_path / "log.npz"), "unpacks to more than 1000000 bytes")
 
@@ -356,7 +354,7 @@ def test_a_bag_whose_chunks_fill_the_memory_is_refused(
 
     import lz4.frame
 
-    monkeypatch.setattr(rosbag_, "MOST_BYTES", 1_000_000)
+    monkeypatch.setattr(mcap_, "MOST_BYTES", 1_000_000)
     content = (bz2.compress if how == "bz2" else lz4.frame.compress)(bytes(5_000_000))
     fields = [b"op=\x05", b"compression=" + how.encode(), b"size=" + struct.pack("<I", 10)]
     head = b"".join(struct.pack("<I", len(field)) + field for field in fields)
@@ -385,7 +383,7 @@ def test_a_tdms_file_reads_no_index_beside_it_and_holds_what_it_says(tmp_path: P
 
 
 def test_the_bounds_are_those_of_the_page() -> None:
-    assert mcap_._MOST_BYTES == mat_.MOST_BYTES == formats.MOST_BYTES == 1 << 30
+    assert mcap_.MOST_BYTES == mat_.MOST_BYTES == formats.MOST_BYTES == 1 << 30
     assert xlsx_.MOST_BYTES == 1 << 28
 
 

@@ -10,10 +10,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hystmpc.trials.check import CheckReport, Severity, check, require_sound
-from hystmpc.trials.clock_findings import clock_of, time_findings
 from hystmpc.trials.clocks import UNIT_NAMES, interval_of
 from hystmpc.trials.encodings import CODES, decoded
 from hystmpc.trials.errors import LogError
+from hystmpc.trials.findings import clock_of, time_findings
 from hystmpc.trials.trial import Trial
 
 from .random_logs import Device, answer, device, log, wandering

@@ -7,9 +7,8 @@ from pathlib import Path
 import pytest
 from pydantic import Field
 
-from hystmpc.trials.config import Settings, dump_yaml, load_settings
+from hystmpc.trials.config import Settings, dump_yaml, line_of, load_settings
 from hystmpc.trials.errors import ConfigError
-from hystmpc.trials.yaml_ import line_of
 
 
 class Loop(Settings):

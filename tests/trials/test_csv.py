@@ -20,19 +20,14 @@ NINE = "Time,Tendon Disp.,Motor Curr.,Pos x,Pos y,Pos z,Angle x,Angle y,Angle z"
 ELEVEN = "Time, Tendon1 Disp., Tendon2 Disp., Motor1 Curr., Motor2 Curr., " + NINE[NINE.index("Pos x") :]
 GOOD = "time_s,command,angle_deg\n0,0,30\n0.1,1,31\n0.2,2,33\n"
 
-HEADERLESS = Layout(
-    name="bench", summary="no header", time="t", command={"p": "bar"}, angle="theta",
-    columns=("t", "theta", "p", "temperature"),
-)  # fmt: skip
-CASES = [(layout, command) for layout in LAYOUTS for command in layout.command] + [(HEADERLESS, "p")]
+CASES = [(layout, command) for layout in LAYOUTS for command in layout.command]
 
 
 @pytest.mark.parametrize(("layout", "command"), CASES, ids=lambda value: getattr(value, "name", value))
 def test_every_layout_reads_its_own_columns(layout: Layout, command: str, tmp_path: Path) -> None:
-    header = layout.columns or (layout.time, command, layout.angle, *layout.channels, "unlisted")
+    header = (layout.time, command, layout.angle, *layout.channels, "unlisted")
     block = np.arange(3.0 * len(header)).reshape(3, -1)
-    rows = [header] if layout.has_header else []
-    rows += [tuple(map(str, row)) for row in block.tolist()]
+    rows = [header, *(tuple(map(str, row)) for row in block.tolist())]
     path = tmp_path / "log.csv"
     path.write_text("\n".join(";".join(row) for row in rows))
 

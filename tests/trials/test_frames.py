@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 
 from hystmpc.trials.check import check
-from hystmpc.trials.csv_files import Frame, read_csv
+from hystmpc.trials.csv_files import FrameLike, read_csv
 from hystmpc.trials.errors import HystmpcError
 from hystmpc.trials.layouts import LogMapping
 from hystmpc.trials.read import read_trials
@@ -91,7 +91,7 @@ def test_a_check_is_lenient() -> None:
 
 
 def test_what_is_taken_for_a_frame() -> None:
-    assert isinstance(frame(), Frame)
-    assert not isinstance(read_csv(frame()), Frame)
+    assert isinstance(frame(), FrameLike)
+    assert not isinstance(read_csv(frame()), FrameLike)
     for other in (Path("a.csv"), "a.csv", [frame()], {"time_s": [0.0]}, np.zeros(3)):
-        assert not isinstance(other, Frame | Trial)
+        assert not isinstance(other, FrameLike | Trial)

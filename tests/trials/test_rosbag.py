@@ -20,8 +20,8 @@ from rosbags.rosbag2 import Writer as BagWriter
 
 from hystmpc.trials.check import check
 from hystmpc.trials.errors import LogError
+from hystmpc.trials.mcap_ import open_bag
 from hystmpc.trials.read import expand_logs, read_log, read_trials
-from hystmpc.trials.rosbag_ import open_bag
 
 from .message_logs import JOINTS, assert_prefix, bag_types, columns, mapping, read_or_refused, write_bag
 

@@ -14,9 +14,17 @@ from hypothesis import strategies as st
 from pydantic import Field
 
 from hystmpc.cli.main import main
-from hystmpc.trials.config import LARGEST_FILE, Settings, dump_yaml, load_settings, read_yaml
+from hystmpc.trials.config import (
+    LARGEST_FILE,
+    Settings,
+    YamlError,
+    dump_yaml,
+    line_of,
+    load_settings,
+    parse_yaml,
+    read_yaml,
+)
 from hystmpc.trials.errors import ConfigError
-from hystmpc.trials.yaml_ import YamlError, line_of, parse_yaml
 
 
 class Inner(Settings):

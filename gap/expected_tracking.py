@@ -25,8 +25,8 @@ from hystmpc.trajectories.drawn import CountedMotion, drawn_motions
 from hystmpc.trials.errors import GapError, HystmpcError
 from hystmpc.trials.types import Progress, Vec, no_progress
 
-from ..diagnosis import FLIPS, Diagnosis, MotionTracking, TrackingGap
-from ..report.report_data import ReportData, TrackingCurve, TrialRuns
+from .diagnosis import FLIPS, Diagnosis, MotionTracking, TrackingGap
+from .report.report_data import ReportData, TrackingCurve, TrialRuns
 
 SEEDS = (1, 2)
 """Of the noise; the interval of an error is between its least and its greatest value over them."""
@@ -51,7 +51,7 @@ def expected_tracking(
     seeds: Sequence[int] = SEEDS,
     floor_deg: float = 0.0,
 ) -> tuple[TrackingGap, tuple[TrackingCurve, ...]]:
-    """The tracking error with a controller on the nominal simulator, and on the corrected one.
+    """Expected tracking error with a controller on the nominal simulator, and on the corrected one.
 
     The plant is the corrected simulator with what it leaves unexplained, see `UnexplainedPlant`. Before and after meet
     the same noise, so that equal simulators give equal errors.
@@ -62,9 +62,7 @@ def expected_tracking(
     unexplained decides how much a loop gains, no fall is foretold (`why_not`).
 
     Args:
-        motions: at least one.
         settings: of the controller; where left out, `DEFAULT_CONTROLLER`, linearised and predictive without learning.
-        seeds: of the noise, at least one.
         floor_deg: RMSE that stays with any simulator; a fall that it hides counts as none.
 
     Raises:
@@ -97,7 +95,12 @@ def expected_tracking(
     alone = np.sqrt(_squares(laws, UnexplainedPlant(corrected, seeds[0], explained=True), motions)[0].mean(axis=0))
     if why_not := _undetermined(gap, TrackingGap(*alone.tolist()), floor_deg):
         return TrackingGap(why_not=why_not), ()
-    return gap, tuple(_curve(motion, pair, plant.dt) for motion, pair in zip(motions, runs, strict=True))
+    curves = []
+    for motion, pair in zip(motions, runs, strict=True):
+        (before_deg, after_deg), log = (run.true_deg for run in pair), pair[0].log
+        first = motion.first(plant.dt)
+        curves.append(TrackingCurve(motion.name, log.time_s, log.reference_deg, before_deg, after_deg, first))
+    return gap, tuple(curves)
 
 
 def _squares(
@@ -125,12 +128,6 @@ def _undetermined(gap: TrackingGap, alone: TrackingGap, floor_deg: float) -> str
     )
 
 
-def _curve(motion: CountedMotion, pair: Sequence[ClosedLoopRun], dt_s: float) -> TrackingCurve:
-    log, first = pair[0].log, motion.first(dt_s)
-    before, after = (run.true_deg for run in pair)
-    return TrackingCurve(motion.name, log.time_s, log.reference_deg, before, after, first)
-
-
 def _controller(simulator: Simulator, settings: LawSettings, limits: CommandLimits) -> Controller[Any]:
     model = controller_model(ChainModel(simulator, "conditioned"))
     return build_controller(settings, *pair_for(settings, model), limits)
@@ -146,10 +143,6 @@ class UnexplainedPlant(ComputedPlant):
     d is the walk of `NoiseModel`, held to its `model_sigma_deg` m; without m it is the walk itself. What a model has
     wrong is smoother than a walk, and a loop rejects it better: c = `ROUGHNESS`. The device rests at its
     command of rest after a flexure over all commands.
-
-    Args:
-        seed: of the noise.
-        explained: whether nothing is left unexplained, d = 0.
     """
 
     def __init__(self, simulator: Simulator, seed: int, explained: bool = False) -> None:
@@ -175,7 +168,7 @@ class UnexplainedPlant(ComputedPlant):
 
 
 def next_disturbance(disturbance: float, travel: float, dt_s: float, noise: NoiseModel, drawn: float) -> float:
-    """The disturbance one sample later."""
+    """Unexplained disturbance after one more sample [deg]."""
     drift, motion = noise.drift_sigma_deg_per_sqrt_s, noise.motion_sigma_deg_per_sqrt_unit
     q = ROUGHNESS**2 * (drift**2 * dt_s + motion**2 * travel)
     kept = 1.0
@@ -200,9 +193,6 @@ def with_tracking(data: ReportData, progress: Progress | None = None) -> ReportD
 
     References are drawn from the seed of the diagnosis. They stay within the angles that the trials covered, as the
     simulator with its effects has them, and within half of the greatest speed there.
-
-    Args:
-        progress: called as the step begins and as it ends.
     """
     report = progress or no_progress
     report(98, 100, "closed loop before and after")
@@ -223,11 +213,7 @@ def with_tracking(data: ReportData, progress: Progress | None = None) -> ReportD
 
 
 def covered_motions(trials: Sequence[TrialRuns], fixed: Simulator, seed: int) -> tuple[CountedMotion, ...]:
-    """Reference motions within the angles and half of the speed that the trials covered.
-
-    Raises:
-        TrajectoryError: if the angle hardly moved in the trials.
-    """
+    """Reference motions within the angles and half of the speed that the trials covered."""
     angles = [trial.with_effects for trial in trials]
     low, high = np.quantile(np.concatenate(angles), _COVERED)
     speeds = [np.abs(np.diff(trial.with_effects)) / trial.trial.dt for trial in trials]

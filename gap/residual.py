@@ -1,9 +1,9 @@
-"""Localisation of the residual: its energy by part of the motion, frequency and memory of the command."""
+"""Analysis of a residual: memory of the command's past, spectral lines, and energy by part of the motion."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,16 +12,151 @@ from scipy.signal import csd, get_window, welch
 from scipy.stats import norm
 
 from hystmpc.models.identify.motion_lines import fundamental_hz
-from hystmpc.trials.errors import GapError
-from hystmpc.trials.segments import Motion
+from hystmpc.trials.segments import Motion, segment
 from hystmpc.trials.trial import Trial
-from hystmpc.trials.types import Index, Mask, Vec
+from hystmpc.trials.types import Index, Mask, Mat, Vec
 
-from ..diagnosis import ResidualShare
-from ..logs.motion_type import command_segments, since_reversal
-from ..logs.noise_floor import require_residuals
-from ..logs.sensor import autocorrelation
-from .memory import locked_part, memory_gains
+from .diagnosis import ResidualShare
+from .logs.motion_type import MEMORIES, command_segments, memory_features, past_features, play_states, since_reversal
+from .logs.sensor import autocorrelation
+
+_RIDGES = (1e-4, 1e-3, 1e-2, 1e-1, 1.0, 10.0)  # of the mean eigenvalue of the features' Gram matrix
+_RIDGE = 1e-3
+_RANDOM = 160  # random features
+_HALF_WIDTHS, _PLAYS = (0.005, 0.2), 8  # of the command's range
+_STIFF = (1e-6, 1e-5, 1e-4, 1e-3)  # ridges for plays, which resemble each other
+_PARTS = 4  # a single trial is cut into
+
+
+def memory_gains(
+    trials: Sequence[Trial], residuals: Sequence[Vec], loop_width: float, ordered: bool = True
+) -> dict[str, float]:
+    """Share of the residual's energy about its mean that each memory explains held out, by name; below 0 if none.
+
+    Ridge regression on a few features of speed (|v|, v, sign), time since the last reversal and age of the hold
+    (decaying exponentials times the last direction), travel since the reversal (in loop widths) and in all, and the
+    clock, over all trials but one, applied to that one. A trial that stands alone is cut into four.
+
+    Args:
+        ordered: whether the trials stand in the order of recording; if not, the clock starts anew in each.
+    """
+    clocks = np.concatenate([[0.0], np.cumsum([trial.duration_s if ordered else 0.0 for trial in trials])])
+    features = [memory_features(trial, loop_width, float(t)) for trial, t in zip(trials, clocks[:-1], strict=True)]
+    targets = _folded(residuals)
+    total = float(_held_out([np.zeros((y.size, 0)) for y in targets], targets, (_RIDGE,)).sum())
+    gains = {}
+    for name in MEMORIES:
+        missed = _held_out(_folded([trial_features[name] for trial_features in features]), targets, (_RIDGE,))[0]
+        gains[name] = float(np.clip(1 - missed.sum() / total, -1.0, 1.0)) if total > 0 else 0.0
+    return gains
+
+
+def explainable_share(trials: Sequence[Trial], residuals: Sequence[Vec], seed: int = 0) -> float:
+    """Share of the residual's energy that a flexible model of the command's past explains held out, 0 to 1.
+
+    Leave-one-trial-out ridge regression on lagged commands, speeds, play states of six widths, commands low-passed at
+    five time constants, and `tanh` of random mixtures of these. The ridge, and whether the random features are used,
+    are chosen for each trial on the others. A trial that the regression makes worse counts as unexplained.
+    """
+    targets = _folded(residuals)
+    energies = np.array([float(y @ y) for y in targets])
+    energy = float(energies.sum())
+    if energy <= 0:
+        return 0.0
+    plain = _folded(past_features(trials))
+    size = plain[0].shape[1]
+    random = np.random.default_rng(seed)
+    mixing = random.standard_normal((size, _RANDOM)) / np.sqrt(size)
+    phase = random.uniform(-1.5, 1.5, _RANDOM)
+
+    def mixed(x: Mat) -> Mat:
+        return np.concatenate([x, np.tanh(1.5 * x @ mixing + phase)], axis=1)
+
+    missed = np.concatenate([_held_out(plain, targets, _RIDGES), _held_out(plain, targets, _RIDGES, mixed)])
+    others = missed.sum(axis=1, keepdims=True) - missed
+    chosen = np.argmin(others, axis=0)
+    explained = 1 - float(np.minimum(missed[chosen, np.arange(len(targets))], energies).sum()) / energy
+    return float(np.clip(explained, 0.0, 1.0))
+
+
+def friction_share(trials: Sequence[Trial], residuals: Sequence[Vec], noise_deg: float) -> float:
+    """Share of the residual's energy above the noise that plays of the command explain held out, 0 to 1.
+
+        r = c + a_0 u + sum_i a_i z_i,  z_i the plays of half-widths from 0.5 to 20 % of the command's range
+
+    is what a Prandtl-Ishlinskii model of other weights and widths would add to the simulator. Ridge regression, each
+    trial left out once and weighted by its RMS; what comes before its first reversal does not count. The plays begin
+    where the command came down to its start, rose to it, or never moved before; the best of the three counts.
+    """
+    starts = [int(next(iter(segment(trial).reversals), 0)) for trial in trials]
+    targets = _folded([error[k:] for error, k in zip(residuals, starts, strict=True)])
+    energies = np.array([float(y @ y) for y in targets])
+    weights = 1 / np.sqrt(np.maximum(energies, np.finfo(np.float64).tiny))
+    energy = float(energies @ weights)
+    noise = noise_deg**2 * float(np.array([y.size for y in targets]) @ weights)
+    if energy <= noise:
+        return 0.0
+    span = max(float(np.ptp(trial.command)) for trial in trials) or 1.0
+    half = span * np.geomspace(*_HALF_WIDTHS, _PLAYS)
+    missed = []
+    for side in (-1.0, 0.0, 1.0):
+        rows = [
+            np.column_stack([trial.command, play_states(trial.command, half, side)])[k:] / span
+            for trial, k in zip(trials, starts, strict=True)
+        ]
+        missed.append(float((_held_out(_folded(rows), targets, _STIFF) @ weights).min()))
+    return float(np.clip((energy - min(missed)) / (energy - noise), 0.0, 1.0))
+
+
+def locked_part(trials: Sequence[Trial], residuals: Sequence[Vec]) -> list[Vec]:
+    """Part of the residuals (T,) that `past_features` explain by one ridge fit over all trials."""
+    rows = [_with_one(x) for x in past_features(trials)]
+    gram = np.sum([x.T @ x for x in rows], axis=0)
+    product = np.sum([x.T @ e for x, e in zip(rows, residuals, strict=True)], axis=0)
+    ridge = _RIDGE * float(np.trace(gram)) / len(gram) * np.eye(len(gram))
+    weights = np.linalg.solve(gram + ridge, product)
+    return [x @ weights for x in rows]
+
+
+def _folded(signals: Sequence[Mat]) -> list[Mat]:
+    """Signals (T, ...) of every trial; of a single trial its parts."""
+    if len(signals) > 1:
+        return list(signals)
+    edges = np.linspace(0, len(signals[0]), _PARTS + 1).astype(np.intp)
+    return np.split(signals[0], edges[1:-1])
+
+
+def _held_out(
+    rows: Sequence[Mat], targets: Sequence[Vec], ridges: Sequence[float], more: Callable[[Mat], Mat] | None = None
+) -> Mat:
+    """Squared errors (ridges, folds) on each fold of a ridge fit with intercept to the others.
+
+    `more` adds features that are made of these, for one fold at a time: of all folds they would be gigabytes.
+    """
+
+    def features(k: int) -> Mat:
+        return _with_one(rows[k] if more is None else more(rows[k]))
+
+    moments = []
+    for k, y in enumerate(targets):
+        x = features(k)
+        moments.append((x.T @ x, x.T @ y))
+    gram, product = (np.sum([m[j] for m in moments], axis=0) for j in (0, 1))
+    missed = np.empty((len(ridges), len(rows)))
+    for k in range(len(rows)):
+        rest = gram - moments[k][0]
+        scale, turn = np.linalg.eigh(rest)
+        seen = turn.T @ (product - moments[k][1])
+        shown = features(k) @ turn
+        for j, ridge in enumerate(ridges):
+            damped = np.maximum(scale, 0.0) + ridge * float(np.mean(np.maximum(scale, 0.0)))
+            missed[j, k] = float(np.sum((targets[k] - shown @ (seen / damped)) ** 2))
+    return missed
+
+
+def _with_one(x: Mat) -> Mat:
+    return np.concatenate([np.ones((len(x), 1)), x], axis=1)
+
 
 _SEGMENT_S = 8.0  # of the averaged spectra; resolves 0.25 Hz with a Hann window
 _HIGHEST_HARMONIC = 32
@@ -42,14 +177,11 @@ class SpectralLine:
     """A sharp line of the residual that the command does not have.
 
     Attributes:
-        hz: frequency [Hz].
         share: of the residual's energy about its mean.
-        ratio: height over its surroundings, geometric mean over the trials.
     """
 
     hz: float
     share: float
-    ratio: float
 
 
 @dataclass(frozen=True)
@@ -102,7 +234,7 @@ def _periodograms(trial: Trial, e: Vec, locked: Vec) -> _Periodograms:
 
 
 def _coherent(trials: Sequence[Trial], residuals: Sequence[Vec]) -> float:
-    """Share of energy coherent with the command: sum C S_ee / sum S_ee, C = |S_ue|^2 / (S_uu S_ee), less its bias."""
+    """Share of energy coherent with the command: sum C S_ee / sum S_ee, C = |S_ue|^2 / (S_uu S_ee), minus its bias."""
     rate = 1.0 / trials[0].dt
     size = min(round(_SEGMENT_S * rate), *(max(len(t) // 2, 8) for t in trials))
     sums = [np.zeros(size // 2 + 1, dtype=np.complex128) for _ in range(3)]
@@ -124,10 +256,8 @@ def _coherent(trials: Sequence[Trial], residuals: Sequence[Vec]) -> float:
 def _lines(shown: Sequence[_Periodograms], total: float) -> tuple[SpectralLine, ...]:
     """Frequencies at which the power of the unlocked part over its local median, mean over trials, is beyond chance.
 
-    What the command's past explains over all trials is taken out first: periodic motions have lines, too. Of a residual
-    without lines the ratio of power to its local median is exponential over ln 2; its logarithm has mean
-    -0.5772 - ln ln 2 and variance pi^2 / 6, and the mean of n trials is nearly normal. The geometric mean, unlike the
-    arithmetic, does not rise by one trial.
+    Without lines the ratio of power to its local median is exponential over ln 2; its logarithm has mean
+    -0.5772 - ln ln 2 and variance pi^2 / 6, and the mean of n trials is nearly normal.
     """
     finest = min(s.bin_hz for s in shown)
     grid = np.arange(_LOWEST_HZ, max(s.hz[-1] for s in shown) - finest, finest)
@@ -148,7 +278,7 @@ def _lines(shown: Sequence[_Periodograms], total: float) -> tuple[SpectralLine, 
         k = int(np.argmax(np.where(left, mean, 0.0)))
         share = float(sum(_line_energy(s, float(grid[k])) for s in shown)) / total
         if share >= _LEAST_SHARE:
-            lines.append(SpectralLine(float(grid[k]), share, float(mean[k])))
+            lines.append(SpectralLine(float(grid[k]), share))
         left &= np.abs(grid - grid[k]) > 2 * _WIDE * max(s.bin_hz for s in shown)
     return tuple(sorted(lines, key=lambda line: -line.share))
 
@@ -161,7 +291,7 @@ def _ratio(power: Vec, bin_hz: float) -> Vec:
 
 
 def _commanded(s: _Periodograms, grid: Vec) -> Mask:
-    """Frequencies of the command's own lines, and of harmonics of its fundamental."""
+    """Mask of frequencies of spectral lines of the command, and of harmonics of its fundamental."""
     peaks = (s.command > _COMMANDED * float(s.command.max())) & (_ratio(s.command, s.bin_hz) > _PEAK)
     peaks |= np.roll(peaks, 1) | np.roll(peaks, -1)
     commanded = np.interp(grid, s.hz, peaks.astype(np.float64)) > 0
@@ -192,11 +322,10 @@ _BLOCK_S, _LEAST_BLOCKS = 2.0, 10
 
 @dataclass(frozen=True)
 class Localisation:
-    """Parts of the residual.
+    """Energy of the residual by part of the motion, frequency and memory.
 
     Attributes:
         places: per part of the motion; shares add up to one.
-        spectrum: by frequency.
         memory: share that each kind of memory explains held out, by name; below zero if none.
     """
 
@@ -208,28 +337,12 @@ class Localisation:
 def localise(
     trials: Sequence[Trial], residuals: Sequence[Vec], loop_width: float, seed: int = 0, ordered: bool = True
 ) -> Localisation:
-    """Share and density of the residual's energy e^2 over parts of the motion, frequencies and memories.
+    """Share and density of the energy of residuals (T,) [deg] over parts of the motion, frequencies and memories.
 
     90 % intervals come from 500 resamples of blocks of time within trials: of 2 s or, if longer, four times the lag at
     which the residual's correlation falls to 1/e; ten blocks or more.
-
-    Args:
-        trials: uniform, at one rate.
-        residuals: measured less simulated angle, (T,) each [deg].
-        loop_width: width of the hysteresis loop along the command, for the kinds of memory [cmd].
-        seed: of the resampling.
-        ordered: whether the trials stand in the order of recording.
-
-    Raises:
-        GapError: if there is no trial, residuals do not fit the trials or are not finite, or all are zero.
-        LogError: if a trial is not uniform.
     """
-    if not trials:
-        raise GapError("no trial given, expected one or more")
-    require_residuals(trials, residuals)
     power = np.concatenate([e**2 for e in residuals])
-    if power.sum() <= 0:
-        raise GapError(f"all {power.size} residuals are zero, expected something to localise")
     labels = np.concatenate([motion_part_labels(trial) for trial in trials])
     return Localisation(
         places=_residual_shares(power, labels, _blocks(residuals, trials[0].dt), seed),
@@ -244,9 +357,6 @@ def motion_part_labels(trial: Trial) -> Index:
     `hold`: the command rests. `first_flexure`: it moves, and has not turned yet in this trial. `after_reversal`: it
     moves, and has travelled less than a tenth of its range since it turned. Else `loading` or `unloading`. The parts
     depend on the command alone, so that every simulator of a device is judged by the same ones.
-
-    Raises:
-        LogError: if the sampling is not uniform.
     """
     parts = command_segments(trial)
     labels = np.where(parts.labels == Motion.UNLOADING, MOTION_PARTS.index("unloading"), MOTION_PARTS.index("loading"))
@@ -264,7 +374,11 @@ def motion_part_labels(trial: Trial) -> Index:
 def _blocks(residuals: Sequence[Vec], dt: float) -> Index:
     """Number of the block of every sample of all trials; no block reaches over two trials."""
     samples = sum(e.size for e in residuals)
-    length = max(_BLOCK_S, 4 * _correlation_s(residuals, dt)) / dt
+    longest = max(e.size for e in residuals)
+    total = np.sum([autocorrelation(e - e.mean(), longest) for e in residuals], axis=0)
+    below = np.flatnonzero(total < total[0] / math.e)  # lags from which the correlation is below 1/e
+    lag_s = float(below[0]) * dt if below.size else longest * dt
+    length = max(_BLOCK_S, 4 * lag_s) / dt
     length = max(1, round(min(length, samples / _LEAST_BLOCKS)))
     numbers, first = [], 0
     for e in residuals:
@@ -272,14 +386,6 @@ def _blocks(residuals: Sequence[Vec], dt: float) -> Index:
         numbers.append(first + np.arange(e.size) * count // e.size)
         first += count
     return np.concatenate(numbers)
-
-
-def _correlation_s(residuals: Sequence[Vec], dt: float) -> float:
-    """Lag at which the correlation of the residuals, about each one's mean, falls to 1/e [s]."""
-    longest = max(e.size for e in residuals)
-    total = np.sum([autocorrelation(e - e.mean(), longest) for e in residuals], axis=0)
-    below = np.flatnonzero(total < total[0] / math.e)
-    return float(below[0]) * dt if below.size else longest * dt
 
 
 def _residual_shares(power: Vec, labels: Index, blocks: Index, seed: int) -> dict[str, ResidualShare]:

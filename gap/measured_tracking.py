@@ -26,11 +26,10 @@ from hystmpc.trials.report import Heading, Paragraph, Piece, Plot, Table
 from hystmpc.trials.run_folder import Column, RunFolder
 from hystmpc.trials.types import Vec
 
-from ..diagnosis import TrackingGap
-from ..report.figures import AFTER, BEFORE
-from ..report.folder import DIAGNOSIS_FILE, GIVEN_FILE, holds_diagnosis
-from ..report.report_data import FIXED_FILE
-from .expected import AGREEMENT, UnexplainedPlant, expected_tracking
+from .diagnosis import FIXED_FILE, TrackingGap
+from .expected_tracking import AGREEMENT, UnexplainedPlant, expected_tracking
+from .report.figures import AFTER, BEFORE
+from .report.folder import DIAGNOSIS_FILE, GIVEN_FILE, holds_diagnosis
 
 _BENCH = {"transport", "sensor", "reference"}  # settings that only an experiment has
 _LEAST = 10  # samples that can be compared
@@ -38,14 +37,10 @@ _LEAST = 10  # samples that can be compared
 
 @dataclass(frozen=True, eq=False)
 class MeasuredRun:
-    """One controller along one reference, (N,) samples of the reference itself, without the way to its start.
+    """Run of one controller along one reference, (N,) samples without the approach to its start.
 
     Attributes:
-        folder: of the run.
         name: motion and controller of a simulation; empty at a bench.
-        reference: what was tracked.
-        settings: of the controller.
-        dt_s: sample time [s].
         t: end of the sample, from the beginning of the reference [s].
         reference_deg, angle_deg: wanted and measured angle; of a simulation the true one [deg].
         noise_deg: standard deviation of the noise in that angle; None where it is not known [deg].
@@ -135,7 +130,7 @@ def _at_bench(run: RunFolder) -> MeasuredRun:
 
 
 def _noise_deg(model: str) -> float | None:
-    """The sensor's noise as the model's file has it; None where the file says nothing or is not there any more."""
+    """Standard deviation of the sensor noise from the model file [deg]; None if it is unknown."""
     try:
         noise = load_model(model_path(model)).metadata.noise
     except ModelError:
@@ -155,7 +150,6 @@ class TrackingFall:
     """Fall of the tracking error from an earlier run to a run on the same reference.
 
     Attributes:
-        after: the run that is reported.
         before: the earlier run; None where none was given.
         expected: on this very reference; None without a diagnosis.
     """
@@ -167,7 +161,9 @@ class TrackingFall:
     @property
     def share(self) -> float:
         """Measured fall as a share of the error before; not-a-number without an earlier run."""
-        return math.nan if self.before is None else _share(self.before.rmse_deg, self.after.rmse_deg)
+        if self.before is None:
+            return math.nan
+        return TrackingGap(self.before.rmse_deg, self.after.rmse_deg).fall_share
 
     @property
     def agrees(self) -> bool:
@@ -214,7 +210,7 @@ def fall_lines(falls: Iterable[TrackingFall]) -> list[str]:
 
 
 def fall_pieces(falls: Sequence[TrackingFall]) -> tuple[Piece, ...]:
-    """The same for a page: a table, the lines, and a figure for each pair of runs."""
+    """Report pieces on the measured and the expected fall: table, sentences, and a figure for each pair of runs."""
     rows: list[tuple[Any, ...]] = []
     for fall in falls:
         name = fall.after.name or "tracking error"
@@ -236,7 +232,7 @@ def fall_pieces(falls: Sequence[TrackingFall]) -> tuple[Piece, ...]:
 
 
 def _runs_to_compare(run: Path, after: Sequence[MeasuredRun], folder: Path) -> list[MeasuredRun | None]:
-    """The earlier run of each of a folder's runs; None where that folder has none of its name."""
+    """Earlier run of the same name for each run; None if there is none."""
     by_name = {earlier.name: earlier for earlier in measured_runs(folder)}
     matched = [by_name.get(run_after.name) for run_after in after]
     if not any(matched):
@@ -275,7 +271,7 @@ def _simulators(folder: Path) -> tuple[Simulator, Simulator]:
 
 
 def _expected(run: MeasuredRun, nominal: Simulator, corrected: Simulator) -> TrackingGap:
-    """The expected errors on the run's own reference, with the controller that it had."""
+    """Expected errors on the reference of a run, with its controller."""
     if not isinstance(run.settings, LinearisedMpcSettings | SamplingMpcSettings):
         return TrackingGap(why_not=f"{run.name or run.folder}: its controller does not predict with a model")
     nominal, corrected = nominal.at_sample_time(run.dt_s), corrected.at_sample_time(run.dt_s)
@@ -292,12 +288,8 @@ def _expected(run: MeasuredRun, nominal: Simulator, corrected: Simulator) -> Tra
         return TrackingGap(why_not=f"the closed loop could not be simulated ({error})")
 
 
-def _share(before: float, after: float) -> float:
-    return (before - after) / before if before > 0 else 0.0
-
-
 def _row(before: float, after: float) -> tuple[float, float, float]:
-    return before, after, 100 * _share(before, after)
+    return before, after, 100 * TrackingGap(before, after).fall_share
 
 
 def _measured_line(fall: TrackingFall) -> str:
@@ -316,10 +308,9 @@ def _measured_line(fall: TrackingFall) -> str:
 def _expected_line(fall: TrackingFall, expected: TrackingGap) -> str:
     if expected.why_not:
         return f"no fall can be expected: {expected.why_not}"
-    share = _share(expected.before_deg, expected.after_deg)
     text = (
         f"expected on this reference: from {expected.before_deg:.3g} deg RMS to {expected.after_deg:.3g} deg, "
-        f"by {100 * share:.0f} %"
+        f"by {100 * expected.fall_share:.0f} %"
     )
     if fall.before is None:
         return text

@@ -1,1 +1,0 @@
-"""Residual of the retuned simulator: parts of the motion, spectrum, memory."""

@@ -1,1 +1,0 @@
-"""The tracking gap: how far the closed-loop error falls with the corrected simulator, expected and measured."""
