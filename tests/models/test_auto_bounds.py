@@ -222,7 +222,7 @@ def test_parts_depend_neither_on_the_rate_of_the_logs_nor_on_their_units(
     random, fine = np.random.default_rng(5), 0.001
     t: Vec = np.arange(20000, dtype=np.float64) * fine
     made = []
-    for _ in range(2):
+    for _ in range(3):
         levels = random.uniform(0.5, 5.5, 9)
         u = np.interp(t, np.linspace(0, 20, 18), np.repeat(levels, 2))
         x = v = creep = play = float(u[0])
@@ -235,7 +235,7 @@ def test_parts_depend_neither_on_the_rate_of_the_logs_nor_on_their_units(
             play = max(x - 0.2, min(x + 0.2, play))
             angle[k] = 8 + 6 * x + 6 * play
         made.append((u, angle))
-    noise = np.random.default_rng(6).standard_normal((2, t.size))
+    noise = np.random.default_rng(6).standard_normal((3, t.size))
     found = {}
     for rate, size, turn in logs:
         at = slice(None, None, 1000 // rate)

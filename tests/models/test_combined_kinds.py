@@ -106,11 +106,7 @@ def test_a_network_of_what_is_left_is_kept_where_it_helps_alone(
 ) -> None:
     pytest.importorskip("torch", reason="torch is an extra")
     small(monkeypatch)
-    trials = (
-        recorded(Lag(0.15), commands=[motions(seed)[k] for seed in (1, 2) for k in THREE])
-        if kept
-        else trials_of((Lag(0.15),), PAIR)
-    )
+    trials = recorded(Lag(0.15), commands=[*motions(1), *motions(2)]) if kept else trials_of((Lag(0.15),), PAIR)
     trials = wavy(trials, amplitude_deg)
     if not kept:
         identified_before(monkeypatch, (Lag(0.15),), PAIR)
