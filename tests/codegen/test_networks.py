@@ -56,7 +56,7 @@ def test_without_fused_instructions_commands_stay_close(kind: str, tmp_path: Pat
 @pytest.mark.slow
 def test_a_network_runs_clean_under_sanitizers(tmp_path: Path) -> None:
     """An LSTM; a GRU runs under them where any function is called in any order, see test_fuzz."""
-    run_sanitized(export_controller(tip(small_network("lstm", 5, 1, tmp_path), 0.08)), tmp_path, 240)
+    run_sanitized(export_controller(tip(small_network("lstm", 5, 1, tmp_path), 0.08)), tmp_path, 750)
 
 
 @pytest.mark.slow
