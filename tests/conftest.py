@@ -11,7 +11,7 @@ import pytest
 from hypothesis import HealthCheck, is_hypothesis_test, settings
 
 ROOT = Path(__file__).resolve().parent.parent
-EXAMPLES, FAST_EXAMPLES = 60, 12
+EXAMPLES, FAST_EXAMPLES = 40, 5
 
 # A busy machine must not fail a test: no deadline, and no complaint about slow examples. Every run draws the same.
 settings.register_profile(
@@ -22,23 +22,31 @@ settings.register_profile("fast", settings.get_profile("ci"), max_examples=FAST_
 settings.load_profile("ci")
 
 
+def fast(config: pytest.Config) -> bool:
+    """Whether the slow tests are left out."""
+    return bool(config.getoption("markexpr", "") == "not slow")
+
+
 def pytest_configure(config: pytest.Config) -> None:
     """Take fewer examples where the slow tests are left out."""
-    if config.getoption("markexpr", "") == "not slow":
+    if fast(config):
         settings.load_profile("fast")
 
 
 @pytest.hookimpl(optionalhook=True)
-def pytest_xdist_auto_num_workers() -> int:
-    """Three workers on two cores: a test that runs a device in real time mostly waits and leaves its core idle."""
+def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
+    """Three workers on two cores: a test that runs a device in real time mostly waits and leaves its core idle.
+
+    The fast suite waits for little, and each worker first spends some ten seconds on finding the tests.
+    """
     affinity = getattr(os, "sched_getaffinity", None)
     cores = len(affinity(0)) if affinity else os.cpu_count() or 1
-    return int(cores * 3 // 2)
+    return cores if fast(config) else int(cores * 3 // 2)
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """A test's own `@settings(max_examples=...)` outranks the profile: hold it to the fast number too."""
-    if config.getoption("markexpr", "") != "not slow":
+    if not fast(config):
         return
     for test in {item.obj for item in items if isinstance(item, pytest.Function) and is_hypothesis_test(item.obj)}:
         own = getattr(test, "_hypothesis_internal_use_settings", None)

@@ -72,7 +72,6 @@ def test_a_device_becomes_a_controller(whole: tuple[Path, list[float]]) -> None:
         pytest.param(0.05, "killed", marks=pytest.mark.slow),
         pytest.param(0.9, "killed", marks=pytest.mark.slow),
         pytest.param(0.2, "signal", marks=pytest.mark.slow),
-        pytest.param(0.75, "signal", marks=pytest.mark.slow),
     ],
 )
 def test_an_interrupted_one_goes_on_to_the_same_result(
@@ -175,7 +174,8 @@ def test_a_device_that_cannot_be_commissioned_is_said(gain: float, expected: str
 
 
 @pytest.mark.usefixtures("quick")
-@pytest.mark.parametrize("with_bench", [True, pytest.param(False, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("with_bench", [True, False])
 def test_logs_alone_end_before_the_verification(
     whole: tuple[Path, list[float]], with_bench: bool, tmp_path: Path
 ) -> None:

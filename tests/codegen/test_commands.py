@@ -66,23 +66,17 @@ def plain(tmp_path_factory: pytest.TempPathFactory) -> Library:
 
 
 @pytest.mark.slow
-def test_commands_are_those_of_python(plain: Library) -> None:
-    found = compare(CASES["plays"][0], plain, 1000)
-    assert found.greatest <= SAME
-    assert found.same_sources
-    assert {"mpc", "hold", "stop"} <= found.sources.keys()
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize("case", CASES)
 def test_commands_are_those_of_python_for_every_part(case: str, tmp_path: Path) -> None:
     settings_, lag_s = CASES[case]
     if case.startswith("network"):
         needs_vectors()
-    found = compare(settings_, library(settings_, tmp_path), 2000, lag_s)
+    # Of 1000 samples one stop and one release, at 700 and 730, and three references without a number.
+    found = compare(settings_, library(settings_, tmp_path), 760 if case.startswith("network") else 1000, lag_s)
     assert found.greatest <= SAME
     assert found.same_sources
-    assert found.sources["mpc"] + found.sources["feedback"] > 500
+    assert found.sources["mpc"] + found.sources["feedback"] > 250
+    assert case != "plays" or {"mpc", "hold", "stop"} <= found.sources.keys()
 
 
 @pytest.mark.slow

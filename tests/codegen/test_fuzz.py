@@ -28,10 +28,9 @@ ONE_FILTER = {f"{name}_sigma_deg{per}": 0.01 for name, per in (("sensor", ""), (
 ONE_FILTER["motion_sigma_deg_per_sqrt_unit"] = 0.01
 FUZZED: Mapping[str, tuple[dict[str, Any], bool]] = {
     **{
-        name: (CASES[name][0], False)
-        for name in ("lag-of-the-settings", "feedback-takes-over", "transport-delay", "no-sensor", "soft-limits")
+        name: (CASES[name][0], False) for name in ("lag-of-the-settings", "transport-delay", "no-sensor", "soft-limits")
     },
-    "single-learns": (CASES["feedback-takes-over"][0], True),
+    "single-learns": (CASES["feedback-takes-over"][0], True),  # the part is one text in either precision
     "single-with-limits": (LIMITED, True),
     "single-one-filter": (tip("builtin:pi", **PLAIN, estimator=ONE_FILTER), True),
 }
@@ -52,7 +51,7 @@ def fuzz(settings_: Mapping[str, Any], single: bool, folder: Path, steps: int) -
 @pytest.mark.slow
 @pytest.mark.parametrize("case", FUZZED)
 def test_any_call_in_any_order_keeps_the_limits_and_a_finite_state(case: str, tmp_path: Path) -> None:
-    fuzz(*FUZZED[case], tmp_path, 5000)
+    fuzz(*FUZZED[case], tmp_path, 2900)  # a sensor walks away from the 2100th to the 2800th
 
 
 @pytest.mark.slow

@@ -15,13 +15,14 @@ from .loops import compare
 from .networks import needs_vectors, small_network
 from .test_commands import PLAIN, SAME, tip
 
-SLOW_SIZES = [("lstm", 20, 1), ("lstm", 33, 2), ("lstm", 16, 3), ("gru", 20, 1), ("gru", 64, 2), ("gru", 7, 3)]
+# One, two and three layers, of fewer units than a vector, of more, of a whole vector; two of 64 with every part below.
+SLOW_SIZES = [("gru", 5, 1), ("lstm", 33, 2), ("gru", 16, 3)]
 EVERY_KIND = pytest.mark.parametrize("kind", ["lstm", "gru"])
 
 
 @pytest.mark.parametrize(
     "size",
-    [("lstm", 5, 1), ("gru", 5, 1), *(pytest.param(size, marks=pytest.mark.slow) for size in SLOW_SIZES)],
+    [("lstm", 5, 1), *(pytest.param(size, marks=pytest.mark.slow) for size in SLOW_SIZES)],
     ids=str,
 )
 def test_commands_are_those_of_python_for_any_size(size: tuple[str, int, int], tmp_path: Path) -> None:
@@ -37,7 +38,7 @@ def test_commands_are_those_of_python_for_any_size(size: tuple[str, int, int], t
 def test_commands_of_a_gru_are_those_of_python_with_every_part(tmp_path: Path) -> None:
     needs_vectors()
     settings = tip(small_network("gru", 64, 2, tmp_path), 0.08)
-    found = compare(settings, library(settings, tmp_path), 2000, 0.08)
+    found = compare(settings, library(settings, tmp_path), 750, 0.08)
     assert found.greatest <= SAME
     assert found.same_sources
 
@@ -53,14 +54,13 @@ def test_without_fused_instructions_commands_stay_close(kind: str, tmp_path: Pat
 
 
 @pytest.mark.slow
-@EVERY_KIND
-def test_a_network_runs_clean_under_sanitizers(kind: str, tmp_path: Path) -> None:
-    run_sanitized(export_controller(tip(small_network(kind, 5, 1, tmp_path), 0.08)), tmp_path, 750)
+def test_a_network_runs_clean_under_sanitizers(tmp_path: Path) -> None:
+    """An LSTM; a GRU runs under them where any function is called in any order, see test_fuzz."""
+    run_sanitized(export_controller(tip(small_network("lstm", 5, 1, tmp_path), 0.08)), tmp_path, 750)
 
 
 @pytest.mark.slow
-@EVERY_KIND
-@pytest.mark.parametrize("single", [False, True])
+@pytest.mark.parametrize(("kind", "single"), [("lstm", False), ("gru", True)])
 def test_every_compiler_takes_a_network_without_a_warning(kind: str, single: bool, tmp_path: Path) -> None:
     export_controller(tip(small_network(kind, 20, 2, tmp_path)), single=single).write(tmp_path)
     said = {command[-1]: tried([*command, *STRICT, *NETWORK, "-c", "hystmpc.c"], tmp_path) for command in compilers()}

@@ -21,9 +21,9 @@ from .test_commands import CASES, tip
 
 @pytest.mark.slow
 @pytest.mark.parametrize("case", CASES)
-@pytest.mark.parametrize("single", [False, True])
-def test_it_compiles_without_a_warning(case: str, single: bool, tmp_path: Path) -> None:
-    export_controller(CASES[case][0], single=single, folder=EXAMPLES).write(tmp_path)
+def test_it_compiles_without_a_warning(case: str, tmp_path: Path) -> None:
+    """In single precision; in double each case is compiled as strictly where its commands are compared."""
+    export_controller(CASES[case][0], single=True, folder=EXAMPLES).write(tmp_path)
     compile_c([*STRICT, "-O2", "-c", "hystmpc.c"], tmp_path)
 
 
@@ -44,9 +44,9 @@ def test_every_part_compiles_alone(case: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("case", ["lag-of-the-settings", "blocks", "soft-limits", "transport-delay"])
-def test_it_runs_clean_under_sanitizers(case: str, tmp_path: Path) -> None:
-    run_sanitized(export_controller(CASES[case][0], folder=EXAMPLES), tmp_path)
+def test_it_runs_clean_under_sanitizers(tmp_path: Path) -> None:
+    """Moves in blocks; all other parts run under them where any function is called in any order, see test_fuzz."""
+    run_sanitized(export_controller(CASES["blocks"][0], folder=EXAMPLES), tmp_path, 750)
 
 
 def test_nothing_is_taken_from_the_heap() -> None:

@@ -29,7 +29,7 @@ DEVICE = Simulator(
 )
 
 
-@pytest.mark.parametrize("ending", [".yaml", ".onnx"])
+@pytest.mark.parametrize("ending", [".yaml", pytest.param(".onnx", marks=pytest.mark.slow)])
 @pytest.mark.parametrize(("rest", "expected"), [(0.0, 0.0), (1.0, 1.0), (None, -4.0)])
 def test_a_controller_of_a_device_that_bends_both_ways_starts_at_its_rest(
     tmp_path: Path, ending: str, rest: float | None, expected: float

@@ -138,7 +138,7 @@ def test_a_diagnosis_sees_the_simulator_as_it_is_at_its_own_rate(number: int) ->
     assert given_rmse(prepared) == pytest.approx(own_rmse(given_one, logs), rel=0.05, abs=0.02)
 
 
-@pytest.mark.parametrize("own_hz", [10.0, 25.0, 100.0])
+@pytest.mark.parametrize("own_hz", [25.0, *(pytest.param(hz, marks=pytest.mark.slow) for hz in (10.0, 100.0))])
 @pytest.mark.parametrize("log_hz", [10.0, 25.0, 50.0, 250.0])
 def test_the_errors_of_evaluate_and_diagnose_are_equal_as_given(own_hz: float, log_hz: float) -> None:
     """Of a simulator with a delay, wrong by 20 % of its gain, over whatever logs `evaluate` takes."""

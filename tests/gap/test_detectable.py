@@ -104,6 +104,7 @@ def test_without_a_model_form_error_no_size_is_stated_and_one_line_says_why() ->
     assert "\n" not in shown.why_not
 
 
+@pytest.mark.slow
 def test_what_needs_the_order_is_marked_only_where_that_is_unknown() -> None:
     unknown, known = (detectable_in_logs(given, KNOWN) for given in (device_trials(), clocked()))
     assert [one.effect for one in unknown.effects if one.untestable] == ["drift"]

@@ -24,7 +24,7 @@ FORCE = Range(lower=26.0, upper=37.0)
 FORM = Residual(log="other.csv", motion="continuous", samples=500, rmse_deg=0.1, bias_deg=0.0, lag_one=0.5)
 
 
-@settings(max_examples=10)
+@settings(max_examples=5)
 @given(
     st.floats(-1.0, 1.0),
     st.lists(st.floats(0.1, 20.0), min_size=1, max_size=3),
@@ -48,6 +48,7 @@ def seal() -> Simulator:
     return replace(simulator_of(SEAL, (FORM,)), angle_unit="N", inverse=False, trained_angle_deg=FORCE)
 
 
+@pytest.mark.slow
 def test_friction_that_has_grown_is_said_as_friction() -> None:
     grown = replace(SEAL, stiffness=tuple(1.5 * k for k in SEAL.stiffness), b=40.0)
     trials = trials_of(Chain(grown), [moves(1, 20.0, 1.0), sine(0.1), moves(2, 20.0, 1.0), sine(0.2)])

@@ -125,12 +125,13 @@ def test_too_little_steady_motion_says_nothing() -> None:
 
 @pytest.mark.slow
 def test_the_diagnosis_names_it_and_says_that_its_share_stays_open() -> None:
-    findings = find_causes(noisy(through(clean(), 6.0)), simulator_of(BACKLASH))
+    trials = noisy(through(clean(), 6.0))
+    findings = find_causes(trials, simulator_of(BACKLASH))
     diagnosis, _ = conclude(findings)
-    again = closed_in_later_session(findings, noisy(through(clean(), 6.0)))  # 0 where jumps count as in no free run
+    again = closed_in_later_session(findings, trials)  # 0 where jumps count as in no free run
     assert abs(again - diagnosis.gap.closed_share) < 0.2
     assert diagnosis.verdict in ("named", "one_of")
     assert "stick_slip" in {effect.name for effect in diagnosis.effects}
     assert any("cannot be predicted in a free run" in note for note in diagnosis.notes)
-    without, _ = conclude(find_causes(noisy(through(clean(), 6.0)), simulator_of(BACKLASH), without=("stick_slip",)))
+    without, _ = conclude(find_causes(trials, simulator_of(BACKLASH), without=("stick_slip",)))
     assert "stick_slip" not in {effect.name for effect in without.effects}

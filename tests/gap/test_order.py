@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hystmpc.gap.diagnose import conclude, find_causes
@@ -56,6 +56,7 @@ def test_a_claim_that_the_clock_contradicts_is_refused() -> None:
 
 
 @pytest.mark.slow
+@settings(max_examples=10)
 @given(st.permutations(TRIALS))
 def test_nothing_is_carried_from_trial_to_trial_without_an_order(given_: list[Trial]) -> None:
     prepared = prepare(given_, SIMULATOR, ordered=False)

@@ -32,7 +32,7 @@ def diagnosed(step: float, before: float, after: float) -> Diagnosis:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("step", "share"), [(0.3, 0.0), (0.3, 0.4), (1.0, 0.2), (2.0, 0.0), (5.0, 0.1)])
+@pytest.mark.parametrize(("step", "share"), [(0.3, 0.4), (2.0, 0.0), (5.0, 0.1)])
 def test_steps_are_named_with_their_size(step: float, share: float) -> None:
     found = diagnosed(step, share * step, share * step)
     assert (found.verdict, [effect.name for effect in found.effects]) == ("named", ["sensor"])

@@ -106,6 +106,7 @@ def test_a_delay_of_up_to_a_share_of_the_shortest_trial_lies_within_the_bounds(
     assert max(len(operator.states) for c in form for operator in c.operators) <= 25
 
 
+@pytest.mark.slow
 def test_a_delay_beyond_the_usual_bound_is_found() -> None:
     t, commands = _commands(3)
     trials = _recorded(t, commands, [np.interp(t - 1.3, t, u) for u in commands])
@@ -212,9 +213,18 @@ def test_a_part_without_which_the_error_doubles_beyond_doubt_is_needed() -> None
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("device", ["servo", "lag and creep"])
-def test_parts_depend_neither_on_the_rate_of_the_logs_nor_on_their_units(device: str) -> None:
-    """The same device at 25 to 1000 Hz, in mm, m and um, in deg and rad."""
+@pytest.mark.parametrize(
+    ("device", "logs"),
+    [
+        ("servo", ((25, 1.0, 1.0), (1000, 1e-3, 1.0))),
+        ("lag and creep", ((100, 1.0, 1.0), (250, 1e3, math.pi / 180))),
+    ],
+    ids=["servo", "lag and creep"],
+)
+def test_parts_depend_neither_on_the_rate_of_the_logs_nor_on_their_units(
+    device: str, logs: tuple[tuple[int, float, float], ...]
+) -> None:
+    """The same device at 25 to 1000 Hz, in mm, m and um, in deg and rad: both differ from log to log."""
     random, fine = np.random.default_rng(5), 0.001
     t: Vec = np.arange(20000, dtype=np.float64) * fine
     made = []
@@ -233,9 +243,7 @@ def test_parts_depend_neither_on_the_rate_of_the_logs_nor_on_their_units(device:
         made.append((u, angle))
     noise = np.random.default_rng(6).standard_normal((3, t.size))
     found = {}
-    for rate, size, turn in [
-        (25, 1.0, 1.0), (100, 1.0, 1.0), (250, 1.0, 1.0), (1000, 1.0, 1.0), (25, 1e-3, 1.0), (25, 1e3, math.pi / 180)
-    ]:  # fmt: skip
+    for rate, size, turn in logs:
         at = slice(None, None, 1000 // rate)
         trials = [
             Trial(t[at], size * u[at], turn * (angle + 0.05 * e)[at], source=f"{k}")
@@ -243,4 +251,5 @@ def test_parts_depend_neither_on_the_rate_of_the_logs_nor_on_their_units(device:
         ]
         choice = identify_auto(trials).choice
         found[rate, size, turn] = tuple(c.label for form in choice.forms.values() for c in form)
+    assert len(found) == 2
     assert len(set(found.values())) == 1, found

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -13,16 +14,32 @@ from hystmpc.models.evaluate import evaluate
 from hystmpc.models.kinds import networks
 from hystmpc.models.kinds.catalogue import all_kinds, chosen_kind, kind_named
 from hystmpc.models.kinds.connected import DrivenKind, ResidualKind, behind
-from hystmpc.models.kinds.kind import FitRequest
+from hystmpc.models.kinds.kind import FitRequest, Identified
+from hystmpc.models.kinds.operator_kinds import AutoKind
 from hystmpc.models.operators.dynamics import Delay, Lag
+from hystmpc.models.operators.operator import Operator
 from hystmpc.trials.errors import FitError
 from hystmpc.trials.trial import Trial
 
-from .test_auto import motions, recorded
+from .test_auto import PAIR, THREE, identified, motions, recorded, trials_of
 
 
 def request(kind: str, **changes: object) -> FitRequest:
     return replace(FitRequest(training=kind_named(kind).trainings[0]), **changes)  # type: ignore[arg-type]
+
+
+def identified_before(patch: pytest.MonkeyPatch, before: tuple[Operator, ...], motion: tuple[int, ...]) -> None:
+    """`auto` answers with the device that it has identified from the same trials in `test_auto`."""
+    expected = trials_of(before, motion)
+
+    def fit(self: AutoKind, trials: Sequence[Trial], asked: FitRequest, progress: object = None) -> Identified:
+        assert asked.training in self.trainings
+        assert asked.validation == ()
+        for trial, same in zip(trials, expected, strict=True):
+            np.testing.assert_array_equal(trial.angle, same.angle)
+        return identified(before, motion)
+
+    patch.setattr(AutoKind, "fit", fit)
 
 
 @pytest.mark.parametrize("name", [kind.name for kind in all_kinds() if kind.readable])
@@ -48,9 +65,10 @@ def test_combinations_that_mean_nothing_are_refused() -> None:
 
 
 @pytest.mark.slow
-def test_an_identified_drive_halves_the_error_of_a_rate_independent_kernel() -> None:
+def test_an_identified_drive_halves_the_error_of_a_rate_independent_kernel(monkeypatch: pytest.MonkeyPatch) -> None:
     """Under a lag and a delay, on a motion that was left out; the file is one model."""
-    trials = recorded(Delay(0.09, 8), Lag(0.15))
+    trials = trials_of((Delay(0.09, 8), Lag(0.15)), (*THREE, 4))
+    identified_before(monkeypatch, (Delay(0.09, 8), Lag(0.15)), THREE)
     plain, driven = kind_named("play_kernel"), DrivenKind(kind_named("play_kernel"))
     asked = request("play_kernel", training="rate_independent")
     errors = []
@@ -79,16 +97,19 @@ def small(patch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("amplitude_deg", "seeds", "steps", "kept"),
-    [(0.0, (1,), 30, False), (5.0, (1, 2), 800, True)],
+    ("amplitude_deg", "steps", "kept"),
+    [(0.0, 30, False), (5.0, 500, True)],
     ids=["nothing left", "a wave left"],
 )
 def test_a_network_of_what_is_left_is_kept_where_it_helps_alone(
-    amplitude_deg: float, seeds: tuple[int, ...], steps: int, kept: bool, monkeypatch: pytest.MonkeyPatch
+    amplitude_deg: float, steps: int, kept: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     pytest.importorskip("torch", reason="torch is an extra")
     small(monkeypatch)
-    trials = wavy(recorded(Lag(0.15), commands=[command for seed in seeds for command in motions(seed)]), amplitude_deg)
+    trials = recorded(Lag(0.15), commands=[*motions(1), *motions(2)]) if kept else trials_of((Lag(0.15),), PAIR)
+    trials = wavy(trials, amplitude_deg)
+    if not kept:
+        identified_before(monkeypatch, (Lag(0.15),), PAIR)
     found = ResidualKind("gru").fit(trials, FitRequest(steps=steps))
     assert [connection.way for connection in found.bundle.metadata.connections] == (["series", "parallel"] * kept)
     assert ("not kept" in found.report) != kept
@@ -101,14 +122,16 @@ def test_a_network_of_what_is_left_is_kept_where_it_helps_alone(
 
 
 @pytest.mark.slow
-def test_ctrl_c_during_the_network_keeps_the_device() -> None:
+def test_ctrl_c_during_the_network_keeps_the_device(monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("torch", reason="torch is an extra")
 
     def stop(done: int, rmse: float) -> None:
         if done > 100:  # of `auto`, which is done by then
             raise KeyboardInterrupt
 
-    found = ResidualKind("gru").fit(recorded(Lag(0.15)), FitRequest(steps=60), stop)
+    small(monkeypatch)
+    identified_before(monkeypatch, (Lag(0.15),), PAIR)
+    found = ResidualKind("gru").fit(trials_of((Lag(0.15),), PAIR), FitRequest(steps=60), stop)
     assert found.interrupted
     assert found.simulator is not None
     assert "gru not kept: interrupted" in found.report

@@ -16,6 +16,8 @@ from hystmpc.models.contract.casadi_ import ALLOWED, to_casadi
 from hystmpc.models.contract.load import IR_VERSION, OPSET
 from hystmpc.trials.errors import ModelError
 
+from .test_backends import one_thread
+
 SIZE = 4
 FLOAT, DOUBLE, BOOL, INT64 = TensorProto.FLOAT, TensorProto.DOUBLE, TensorProto.BOOL, TensorProto.INT64
 WEIGHTS = {
@@ -173,7 +175,7 @@ def runtime(nodes: list[onnx.NodeProto]) -> tuple[onnx.GraphProto, ort.Inference
         graph = graph_of(nodes, kind)
         model = helper.make_model(graph, opset_imports=opset, ir_version=IR_VERSION)
         try:
-            session = ort.InferenceSession(model.SerializeToString(), providers=["CPUExecutionProvider"])
+            session = ort.InferenceSession(model.SerializeToString(), one_thread(), providers=["CPUExecutionProvider"])
         except NotImplemented_:
             continue
         return graph, session, floats, tolerance

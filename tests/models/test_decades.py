@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hystmpc.models.contract.export import export_onnx
@@ -72,6 +72,7 @@ def test_every_kind_is_free_of_units(kind: ModelKind, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
+@settings(max_examples=12)
 @given(SIZES, SIZES)
 def test_the_parameters_scale_with_the_signals(command: float, angle: float) -> None:
     """theta = m (u + c) with u a times and theta b times as large: m grows by b / a, c by a."""

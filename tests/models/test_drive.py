@@ -42,7 +42,9 @@ def drive(name: str) -> tuple[Drive, np.ndarray]:
     return found, state
 
 
-@pytest.mark.parametrize("name", DRIVES)
+@pytest.mark.parametrize(
+    "name", [pytest.param(n, marks=() if n in ("lag", "delay and lag") else pytest.mark.slow) for n in DRIVES]
+)
 def test_a_path_that_it_can_take_is_taken(name: str) -> None:
     found, state = drive(name)
     inputs = 2.0 + 1.2 * (1.0 - np.cos(np.linspace(0.0, np.pi, H)))
@@ -98,11 +100,20 @@ def test_a_chain_is_cut_at_its_dynamics() -> None:
     assert split(Chain(BACKLASH, (creep,)))[0] == split(Chain(BACKLASH, (creep,)))[2] == ()
 
 
-@pytest.mark.parametrize("after", [(), (Lag(0.1),), (Delay(2 * DT, 2),)], ids=["none", "lag", "delay"])
-@pytest.mark.parametrize("name", DRIVES)
-def test_the_follower_keeps_limits_and_uses_the_preview(name: str, after: tuple[Operator, ...]) -> None:
+AFTER: dict[str, tuple[Operator, ...]] = {"none": (), "lag": (Lag(0.1),), "delay": (Delay(2 * DT, 2),)}
+# Every drive, and behind the hysteresis what waits or lags behind one that does neither, one, or both of them.
+AROUND = [(name, "none") for name in DRIVES]
+QUICK = (("lag", "none"), ("delay and lag", "none"))
+AROUND += [("lag", "lag"), ("delay and lag", "lag"), ("two ways", "delay"), ("delay", "delay")]
+
+
+@pytest.mark.parametrize(
+    ("name", "behind"),
+    [pytest.param(*case, marks=() if case in QUICK else pytest.mark.slow) for case in AROUND],
+)
+def test_the_follower_keeps_limits_and_uses_the_preview(name: str, behind: str) -> None:
     """With dynamics on either side, angles of admissible commands come out again within a few hundredths."""
-    predictor, inverse = controller_model(ChainModel(simulator(Chain(RATE_PI, DRIVES[name], after)))).predictive
+    predictor, inverse = controller_model(ChainModel(simulator(Chain(RATE_PI, DRIVES[name], AFTER[behind])))).predictive
     assert isinstance(inverse, DrivenInverse)
     bounds, state = Bounds(0.0, 6.0, REACH), predictor.initial(40.0, 0.0)
     for u in np.append(np.linspace(0.0, 2.0, 40), np.full(60, 2.0)):

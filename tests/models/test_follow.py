@@ -57,7 +57,9 @@ def scenes(predictor: Predictor, follower: Follower, count: int = 12) -> list[tu
     return found
 
 
-@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=() if name in ("backlash", "pi") else pytest.mark.slow) for name in CASES]
+)
 def test_compiled_is_sample_by_sample(name: str) -> None:
     predictor, inverse = pair(name, 0.0)
     fast, slow = follower_for(predictor, inverse), StepwiseFollower(predictor, inverse)

@@ -123,7 +123,7 @@ def test_an_angle_that_falls_has_a_wrong_sign_for_every_kind(kind: str) -> None:
 
 @pytest.mark.slow
 def test_auto_finds_friction_and_no_plays() -> None:
-    choice = identify_auto([trial.select(0, 300) for trial in recorded(-4.0)]).choice
+    choice = identify_auto([trial.select(0, 300) for trial in recorded(-4.0)[:2]]).choice
     assert choice.core.label.startswith("maxwell_slip")
     assert all(not form for form in choice.forms.values())
 
@@ -132,7 +132,7 @@ def test_auto_finds_friction_and_no_plays() -> None:
 def test_auto_takes_no_plays_for_a_device_without_hysteresis() -> None:
     """A slow lag behind a valve, one trial: what is judged on the time that a fit has seen always favours plays."""
     random = np.random.default_rng(11)
-    t = np.arange(0.0, 60.0, DT)
+    t = np.arange(0.0, 40.0, DT)
     u = np.convolve(random.standard_normal(t.size), np.hanning(40), mode="same") / 3.0
     u -= u[0]
     theta = 30.0 * run_operator(Lag(6.0), u + 0.05 * u**2 + 0.02 * u**3) + 0.1 * random.standard_normal(t.size)

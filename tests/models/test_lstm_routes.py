@@ -25,6 +25,7 @@ from .lstm_examples import ROUTES, SIZES, facts, make_route, random_weights
 ANGLE_DEG, JACOBIAN = 1e-4, 1e-4
 HORIZON = 20
 EXAMPLES = {name: random_weights(*size) for name, size in (*SIZES.items(), ("two of 20", (20, 2)))}
+QUICK = (("one layer of 5", "plain"), ("two of 20", "avx2"))
 every_route = pytest.mark.parametrize("route", ROUTES)
 vectors = pytest.mark.parametrize("route", SHAPES)
 every_size = pytest.mark.parametrize("size", EXAMPLES)
@@ -53,8 +54,14 @@ def reference(size: str, seed: int) -> tuple[np.ndarray, ...]:
     return state, plan, angles, jacobian
 
 
-@every_route
-@every_size
+@pytest.mark.parametrize(
+    ("size", "route"),
+    [
+        pytest.param(size, route, marks=() if (size, route) in QUICK else pytest.mark.slow)
+        for size in EXAMPLES
+        for route in ROUTES
+    ],
+)
 def test_exact_from_any_state(size: str, route: str) -> None:
     kernel = make_route(EXAMPLES[size], route)
     for seed in range(6):

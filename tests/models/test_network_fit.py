@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import Literal
 
@@ -67,10 +68,16 @@ def same(a: NetworkFit, b: NetworkFit) -> bool:
     return a.history == b.history and all(torch.equal(x, y) for x, y in pairs)
 
 
-@every_way
-def test_error_falls_and_the_best_look_is_kept(settings: NetworkSettings) -> None:
+@cache
+def fitted(way: str) -> tuple[NetworkFit, list[tuple[int, float]]]:
+    """Fitted once for all tests that look at it, with what was reported meanwhile."""
     seen: list[tuple[int, float]] = []
-    fit = fit_network(four_trials(), settings, lambda done, best: seen.append((done, best)))
+    return fit_network(four_trials(), WAYS[way], lambda done, best: seen.append((done, best))), seen
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_error_falls_and_the_best_look_is_kept(way: str) -> None:
+    (fit, seen), settings = fitted(way), WAYS[way]
     errors = [look.validation_rmse_deg for look in fit.history]
     assert fit.validation_rmse_deg == min(errors) < 0.7 * errors[0]
     assert fit.history[[look.step for look in fit.history].index(fit.best_step)].validation_rmse_deg == min(errors)
@@ -79,13 +86,12 @@ def test_error_falls_and_the_best_look_is_kept(settings: NetworkSettings) -> Non
     assert not fit.interrupted
 
 
-@every_way
-def test_same_seed_same_network_and_another_seed_another(settings: NetworkSettings) -> None:
-    trials = four_trials()
+@pytest.mark.parametrize("way", WAYS)
+def test_same_seed_same_network_and_another_seed_another(way: str) -> None:
+    (first, _), settings, trials = fitted(way), WAYS[way], four_trials()
     state = torch.random.get_rng_state()
-    first = fit_network(trials, settings)
-    assert torch.equal(torch.random.get_rng_state(), state)  # the caller's random numbers are his own
     assert same(first, fit_network(trials, settings))
+    assert torch.equal(torch.random.get_rng_state(), state)  # the caller's random numbers are his own
     assert not same(first, fit_network(trials, settings.model_copy(update={"seed": 2})))
 
 

@@ -28,7 +28,7 @@ NAMES = list(CHAINS)
 INVERTIBLE = ["backlash", "pi"]
 
 
-@pytest.fixture(params=NAMES)
+@pytest.fixture(params=[pytest.param(name, marks=() if name in INVERTIBLE else pytest.mark.slow) for name in NAMES])
 def name(request: pytest.FixtureRequest) -> str:
     return request.param
 

@@ -54,7 +54,8 @@ def test_from_rest_at_any_command_the_error_is_the_noise_from_the_first_sample_o
     assert np.max(np.abs(error)) < 6 * NOISE_DEG
 
 
-@settings(max_examples=25, deadline=None)
+@pytest.mark.slow
+@settings(max_examples=10, deadline=None)
 @given(seeds)
 def test_search_fit_and_evaluation_run_a_trial_alike(seed: int) -> None:
     """What a fit minimises, what its search minimises, and what an evaluation scores are the same free run."""
@@ -71,6 +72,7 @@ def test_search_fit_and_evaluation_run_a_trial_alike(seed: int) -> None:
     np.testing.assert_allclose(problem.linearised(q, run)[0], expected, atol=1e-6)
 
 
+@pytest.mark.slow
 @settings(max_examples=40, deadline=None)
 @given(seeds)
 def test_a_rest_without_compiled_kernels_is_that_of_a_fit(seed: int) -> None:
@@ -104,6 +106,7 @@ def test_parts_of_longer_logs_are_scored_at_the_noise_whatever_their_plays_keep(
     assert max(ratios) < 10.0
 
 
+@pytest.mark.slow
 @settings(max_examples=10, deadline=None)
 @given(seeds)
 def test_a_run_that_begins_in_motion_begins_alike_in_search_and_evaluation(seed: int) -> None:
@@ -142,7 +145,7 @@ def test_what_a_fit_says_is_what_an_evaluation_says() -> None:
     assert made.identification.noise.sensor_sigma_deg == pytest.approx(NOISE_DEG, rel=0.1)
 
 
-@pytest.mark.parametrize("through_valve", [False, True])
+@pytest.mark.parametrize("through_valve", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_an_exported_chain_rests_where_its_simulator_does(through_valve: bool) -> None:
     valve = (NonlinearGain(0.04, 0.0, 2.0),) if through_valve else ()
     device = replace(simulator(Chain(STATIC_PI, before=(*valve, Lag(0.3)))), rest_command=2.0)

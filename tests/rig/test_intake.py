@@ -105,7 +105,7 @@ def test_silence_is_death_after_its_time_and_not_before() -> None:
     rate_hz=st.sampled_from([10.0, 25.0, 100.0, 1000.0]),
     begins_s=st.floats(0.0, 2.0),
 )
-@settings(max_examples=40)
+@settings(max_examples=20)
 def test_a_delay_that_grows_is_seen_however_slowly(growth: float, rate_hz: float, begins_s: float) -> None:
     """No angle is older than its limit and what two clocks may have drifted apart, at any rate of the readings."""
     judge, dt = Intake(SENSOR, 0), 1.0 / rate_hz

@@ -6,11 +6,13 @@ import itertools
 import math
 import random
 import socket
+import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -124,7 +126,7 @@ def run(tip: Tip, folder: Path, kept: Kept, desk: Desk | None = None, **changes:
                 "latch_file": str(folder / "latched.json"),
                 "sensor": {"lower_deg": 0, "upper_deg": 120, "rate_limit_deg_s": 2000.0},
                 "transport": {"kind": "udp", "port": port},
-                "controller": controller(folder),
+                "controller": controller(),
                 "realtime": {"backend": "c"},
                 "reference": {
                     "kind": "scan_sinusoid",
@@ -141,11 +143,18 @@ def run(tip: Tip, folder: Path, kept: Kept, desk: Desk | None = None, **changes:
         return run_experiment(settings, lambda: kept, no_plants, folder=folder, desk=desk)
 
 
-def controller(folder: Path, **changes: Any) -> dict[str, Any]:
+@cache
+def models() -> tempfile.TemporaryDirectory[str]:
+    """One folder for all runs: the C of a controller names its model's file, and a text is compiled once a process."""
+    folder = tempfile.TemporaryDirectory()
+    save_simulator(load_simulator(library_file("pi")).at_sample_time(1 / RATE_HZ), Path(folder.name) / "pi.yaml")
+    return folder
+
+
+def controller(**changes: Any) -> dict[str, Any]:
     """Plays without learning, at the rate of these runs."""
-    save_simulator(load_simulator(library_file("pi")).at_sample_time(1 / RATE_HZ), folder / "pi.yaml")
     law = {"kind": "linearised_mpc", "adaptation": None, "horizon": 10, **changes}
-    return {"model": str(folder / "pi.yaml"), "controller": law}
+    return {"model": str(Path(models().name) / "pi.yaml"), "controller": law}
 
 
 def no_plants(block: Any, dt_s: float) -> Any:
@@ -263,7 +272,7 @@ def test_at_the_greatest_rate_the_last_check_limits_what_leaves(tmp_path: Path) 
 
 
 def test_a_controller_about_to_stop_is_left_to_python(tmp_path: Path) -> None:
-    result = run(Tip(), tmp_path, Kept(), controller=controller(tmp_path, ladder={"stop_after_failures": 1}))
+    result = run(Tip(), tmp_path, Kept(), controller=controller(ladder={"stop_after_failures": 1}))
     assert result.outcome.in_c == 0
     assert set(result.outcome.left_c) <= {"controller"}
     assert result.outcome.left_c or result.outcome.cause  # one late sample, on a busy machine, ends such a run before

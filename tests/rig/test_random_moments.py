@@ -23,13 +23,13 @@ MS = 1_000_000
 
 
 @pytest.mark.slow
-def test_each_kind_of_fault_at_two_random_moments(tmp_path: Path) -> None:
+def test_each_kind_of_fault_at_a_random_moment(tmp_path: Path) -> None:
     """Real processes and sockets; whoever plays more asks for more: `--moments 200`."""
     out = tmp_path / "moments.json"
-    command = [sys.executable, "lab/benchmarks/random_moments.py", "--moments", "2", "--lanes", "3", "--out", out]
+    command = [sys.executable, "lab/benchmarks/random_moments.py", "--moments", "1", "--lanes", "3", "--out", out]
     done = subprocess.run([*map(str, command)], cwd=ROOT, capture_output=True, text=True, check=False)
     found = json.loads(out.read_text())
-    assert [m["fault"] for m in found] == [""] * 6
+    assert [m["fault"] for m in found] == [""] * 3
     assert {m["kind"] for m in found} == {"kill", "pause", "stall"}
     assert max(m["from_mm"] for m in found) > 1.0
     assert done.returncode == 0, done.stdout + done.stderr

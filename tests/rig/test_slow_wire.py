@@ -120,7 +120,7 @@ def gaps_s(wire: SlowWire, outcome: RunOutcome) -> float:
     write_ms=st.floats(0.0, 30.0),
     measures_hz=st.sampled_from([0.0, 25.0, 100.0, 1000.0]),
 )
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=12, deadline=None)
 def test_commands_keep_leaving_or_the_run_stops_and_ends_at_the_safe_command(
     rate_hz: float, read_ms: float, write_ms: float, measures_hz: float
 ) -> None:

@@ -228,14 +228,14 @@ def test_a_killed_worker_costs_no_trial_and_doubles_none(tmp_path: Path) -> None
             os.kill(int(multiprocessing.active_children()[0].pid or 0), signal.SIGKILL)
 
     storage = f"sqlite:///{tmp_path / 'search.db'}"
-    settings = tuning(trials=8, pruner="none")
+    settings = tuning(trials=4, pruner="none")
     trials, failed = search(settings, Processes(2, "test"), storage, kill)
     assert killed
     assert failed == ()
-    assert [trial.slot for trial in trials] == list(range(8))
+    assert [trial.slot for trial in trials] == list(range(4))
     ended = [
         trial.user_attrs["slot"]
         for trial in optuna_.open_search(storage, f"hystmpc-{settings.fingerprint}").get_trials()
         if trial.state is optuna.trial.TrialState.COMPLETE
     ]
-    assert sorted(ended) == list(range(8))
+    assert sorted(ended) == list(range(4))
