@@ -20,7 +20,7 @@ from hystmpc.trials.run_folder import RunFolder, alone_in
 from hystmpc.trials.types import Progress
 
 from .config import CommissionBlock, CommissionSettings, narrowed
-from .device import Device, Open, opened_device
+from .device import MovableDevice, Open, opened_device
 from .identify import (
     FIXED_FILE,
     MODEL_FILE,
@@ -261,7 +261,7 @@ def _ranged(settings: CommissionSettings, stages: Stages) -> CommandRange:
 
 
 def _dashed(
-    bench: BenchSettings, end: float, device: Device, angle_limits: tuple[float, float] | None
+    bench: BenchSettings, end: float, device: MovableDevice, angle_limits: tuple[float, float] | None
 ) -> tuple[float, str]:
     phase = Dash(bench, end)
     device.explore(f"{RANGE}/dash", Bounded(phase, angle_limits, bench.sensor), bench)

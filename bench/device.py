@@ -102,7 +102,7 @@ class Track:
         return cls(n["time_s"], n["reference_deg"], n["angle_deg"], n["command"], table.texts["source"], late)
 
 
-class Device(Protocol):
+class MovableDevice(Protocol):
     """A device that can be moved; each call starts and ends at rest at the safe command.
 
     Calls raise `DeviceStoppedError` after a safe stop, and `ConfigError` where the device does not answer or a stop is
@@ -132,12 +132,12 @@ class Device(Protocol):
         ...
 
 
-Open = Callable[[Path, Tick], Device]
+Open = Callable[[Path, Tick], MovableDevice]
 """Opens a device, given the folder of the work and what to call while a motion lasts."""
 
 
 @final
-class BenchDevice(Device):
+class BenchDevice(MovableDevice):
     """A device behind a transport of the bench, with all safety of `run_bench`.
 
     A transport of another process is run in real time, each motion with its run folder under `folder/runs`, and

@@ -19,7 +19,7 @@ from hystmpc.trials.json_text import canonical, file_text, json_hash, plain
 from hystmpc.trials.run_folder import alone_in, require_vacant, resumed_folder
 from hystmpc.trials.types import Progress, Vec
 
-from .device import Device, DeviceStoppedError, Open
+from .device import MovableDevice, DeviceStoppedError, Open
 from .motions import prepare_seconds, run_seconds
 
 FORMAT = "hystmpc-commissioning/1"
@@ -66,7 +66,7 @@ class Stages:
         self._device = None if opens is None else opens(root, self.tick)
 
     @property
-    def device(self) -> Device:
+    def device(self) -> MovableDevice:
         """Device that is moved.
 
         Raises:

@@ -17,7 +17,7 @@ from hystmpc.trajectories.motion import MotionSettings
 from hystmpc.trials.brief import brief
 from hystmpc.trials.types import Vec
 
-from .device import Device, Track
+from .device import MovableDevice, Track
 from .identify import TIP_FILE, tip_settings
 from .motions import CONTROLLERS
 from .stages import Figure
@@ -36,7 +36,7 @@ _LATE_STEPS = (
     "give the loop a core of its own (block realtime), lower rate_hz, or end other programs on this machine",
     "verify again then: with other settings into a new --out, with the same ones after 7-verify is removed",
 )
-_OWN = (Source.MPC, Source.CONTROLLER)  # what a controller has decided itself
+_DECIDED = (Source.MPC, Source.CONTROLLER)  # what a controller has decided itself
 
 Tracks = Mapping[str, Mapping[str, Track]]
 """By reference, then by controller."""
@@ -68,7 +68,7 @@ class Verification:
 
 
 def track_all(
-    device: Device,
+    device: MovableDevice,
     motions: Mapping[str, MotionSettings],
     bench: BenchSettings,
     folder: Path,
@@ -174,8 +174,8 @@ def _scored(tracks: Mapping[str, Track], limits: CommandLimits, dt_s: float) -> 
             part = still[start + round(_SETTLED_S / dt_s) : max(stop - 1, 0)]
             held, resting = held + part.size, resting + int(np.sum(part))
         samples += len(track.source)
-        fallbacks += sum(source not in _OWN for source in track.source)
-        late += sum(a and b not in _OWN for a, b in zip(track.late, track.source, strict=False))
+        fallbacks += sum(source not in _DECIDED for source in track.source)
+        late += sum(a and b not in _DECIDED for a, b in zip(track.late, track.source, strict=False))
         skipped += round((track.t[-1] - track.t[0]) / dt_s) + 1 - len(track.source)
         beyond += violations(track.command, float(track.command[0]), limits, dt_s)
     return ControllerScore(

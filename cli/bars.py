@@ -86,7 +86,7 @@ class TimeLeft:
         self._farthest = 0.0  # share of the time where a step as wide as the last one ends
         self._steady = Steady()
 
-    def told(self, share: float, now: float) -> None:
+    def reported(self, share: float, now: float) -> None:
         """Set the share of the steps, 0 to 1, that is done at a time [s]; a smaller one than before restarts it."""
         step = share - self._done
         if self._began is None or step < 0.0:
@@ -256,7 +256,7 @@ class Screen:
             work.note, work.total = note, work.total if total is None else total
             if work.total:
                 work.share = min(max(done / work.total, 0.0), 1.0)
-                work.left.told(work.share, now)
+                work.left.reported(work.share, now)
             if first:
                 self.tick()
 

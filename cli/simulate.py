@@ -99,7 +99,7 @@ def _reproduce(folder: Path, identity: str, target: Path | None) -> None:
     from hystmpc.tasks.simulate import reproduce
 
     figures = reproduce(folder, identity, target)
-    rows = [[f.name, str(f.before), str(f.again), "yes" if f.equal else "NO"] for f in figures]
+    rows = [[f.name, str(f.before), str(f.repeated), "yes" if f.equal else "NO"] for f in figures]
     out.print(table(f"row {identity}", ("figure", "table", "again", "equal"), rows))
     if target is not None:
         line(f"report: {target / 'report.html'}")

@@ -18,7 +18,7 @@ from hystmpc.trials.files import write_atomically
 
 from .layout import structs
 from .network import single_number
-from .problem import Problem, problem_of
+from .problem import ControllerProblem, problem_of
 from .steps import (
     INEXACT,
     chain_rest_source,
@@ -171,7 +171,7 @@ def _guarded(name: str, text: str) -> str:
     return f"#ifndef HYSTMPC_{name}_H\n#define HYSTMPC_{name}_H\n{text}#endif\n"
 
 
-def _sizes(problem: Problem, single: bool) -> str:
+def _sizes(problem: ControllerProblem, single: bool) -> str:
     """C of the scalar type and of whole numbers."""
     lines = [f"typedef {'float' if single else 'double'} hystmpc_real;", f"#define HYSTMPC_SINGLE {int(single)}"]
     public = {"sample_s": "dt_s", "lowest": "lower", "highest": "upper"}
@@ -180,7 +180,7 @@ def _sizes(problem: Problem, single: bool) -> str:
     return "\n".join([*lines, ""])
 
 
-def _numbers(problem: Problem, single: bool) -> str:
+def _numbers(problem: ControllerProblem, single: bool) -> str:
     """C of the numbers of the scalar type: scalars, and initialisers of arrays."""
     suffix = "##f" if single else ""
     math = "name##f" if single else "name"
@@ -202,7 +202,7 @@ def _initialiser(value: Any) -> str:
     return str(int(array)) if array.dtype.kind == "i" else number(float(array))
 
 
-def _models(problem: Problem) -> str:
+def _models(problem: ControllerProblem) -> str:
     rest = problem.rest
     sources = [
         (inverted_source if name == "middle" else model_source)(name, step) for name, step in problem.steps.items()
@@ -210,5 +210,5 @@ def _models(problem: Problem) -> str:
     if problem.network is not None:
         sources.append(problem.network.source())
     rule = rest.offset, rest.by_angle, rest.by_command, rest.warmup
-    at_rest = chain_rest_source(*rule) if problem.network is None else network_rest_source(*rule, rest.beside)
+    at_rest = chain_rest_source(*rule) if problem.network is None else network_rest_source(*rule, rest.companion_held)
     return "\n".join([*sources, at_rest])

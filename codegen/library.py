@@ -24,22 +24,22 @@ _REAL = ctypes.c_double
 _made: dict[tuple[str, str, str], Path] = {}
 
 
-def controller_library(export: ControllerExport, beside: str = "") -> Path:
+def controller_library(export: ControllerExport, companion_c: str = "") -> Path:
     """Shared library of a controller, compiled into a temporary folder of this process.
 
     No library that an earlier program has left is ever loaded: what moves a device was compiled by the process that
     moves it.
 
     Args:
-        beside: a file of C that is compiled with it; it finds the header as hystmpc.h.
+        companion_c: a file of C that is compiled with it; it finds the header as hystmpc.h.
 
     Raises:
         ExportError: if there is no compiler, or it fails; with the first thing that it says.
         OSError: if there is no place for a temporary file.
     """
-    text = export.header, export.source, beside
+    text = export.header, export.source, companion_c
     if text not in _made:
-        library = _compiled(export, beside)
+        library = _compiled(export, companion_c)
         handle, name = tempfile.mkstemp(prefix="hystmpc_controller_", suffix=".so", dir=_folder())
         with os.fdopen(handle, "wb") as file:  # a new one each time: a file that is loaded is never written again
             file.write(library)
@@ -55,12 +55,12 @@ def _folder() -> Path:
     return Path(folder)
 
 
-def _compiled(export: ControllerExport, beside: str) -> bytes:
+def _compiled(export: ControllerExport, companion_c: str) -> bytes:
     command = compiler()
     if command is None:
         raise ExportError(f"got no C compiler, expected one of: {EXPECTED}")
-    sources = {"hystmpc.h": export.header, "hystmpc.c": export.source, "beside.c": beside}
-    mains = ("hystmpc.c", "beside.c") if beside else ("hystmpc.c",)
+    sources = {"hystmpc.h": export.header, "hystmpc.c": export.source, "companion.c": companion_c}
+    mains = ("hystmpc.c", "companion.c") if companion_c else ("hystmpc.c",)
     return shared_library(command, FLAGS, sources, *mains)
 
 

@@ -43,25 +43,25 @@ class Rest:
 
     Of a chain the y in it is the one for which the chain shows the angle that was seen, see `chain_rest_source`.
 
-    Operators beside a network are held for `beside` samples instead.
+    Operators next to a network are held for `companion_held` samples instead.
     """
 
     offset: Vec
     by_angle: Vec
     by_command: Vec
     warmup: int
-    beside: int = 0
+    companion_held: int = 0
 
 
 @dataclass(frozen=True, eq=False)
-class Problem:
+class ControllerProblem:
     """Controller in numbers.
 
     Attributes:
         sizes: of arrays, and which parts there are; whole numbers.
         numbers: scalars (), vectors and matrices of the algorithm, by the names of its macros in small letters.
         steps: of `whole`, where there is no network, and `middle`, and where they are, `front` and `back`.
-        network: what is predicted with in the place of `whole`; `middle` is then what stands beside it.
+        network: what is predicted with in the place of `whole`; `middle` is then what stands next to it.
         rest: how a state at rest is made.
         words: what it is, for the head of the file.
     """
@@ -74,7 +74,7 @@ class Problem:
     network: NetworkC | None = None
 
 
-def problem_of(settings: TipSettings, folder: Path) -> Problem:
+def problem_of(settings: TipSettings, folder: Path) -> ControllerProblem:
     """The controller of a `tip.yaml`.
 
     Raises:
@@ -103,7 +103,7 @@ def problem_of(settings: TipSettings, folder: Path) -> Problem:
     more = {} if network is None else network.numbers
     if network is not None:
         sizes |= network.sizes(max(sizes["candidates"], sizes["horizon"] + 1))
-    return Problem(
+    return ControllerProblem(
         {
             "units": 0,
             **sizes,
@@ -155,13 +155,13 @@ def _of_network(model: LoadedModel, settings: TipSettings) -> _ModelParts:
     assert isinstance(model, OnnxModel)  # there are these two
     network, facts, lag_s = network_of(model), model.metadata, settings.actuator_lag_s
     companion = surrogate_backlash(model)
-    known, beside = controller_model(model, companion, lag_s), companion.metadata()
+    known, companion_held = controller_model(model, companion, lag_s), companion.metadata()
     parts = {"middle": companion.chain}
     if lag_s:
         parts["front"] = Chain(Lag(lag_s))
     shown = np.array([[0.0], [1.0], [0.0]])  # the measured angle, by both
-    at_rest = np.concatenate([_at_rest(facts), shown, _at_rest(beside), shown], axis=1)
-    rest = _behind(parts.get("front"), at_rest, facts.warmup_samples, beside.warmup_samples)
+    at_rest = np.concatenate([_at_rest(facts), shown, _at_rest(companion_held), shown], axis=1)
+    rest = _behind(parts.get("front"), at_rest, facts.warmup_samples, companion_held.warmup_samples)
     return _ModelParts(known, parts, rest, f"{facts.kind} of {network.layers} x {network.hidden}", network)
 
 
@@ -181,14 +181,14 @@ def _at_rest(facts: ModelMetadata) -> Mat:
     return np.array([rule.offset - rule.at_command * by_command, rule.slope, by_command])
 
 
-def _behind(drive: Chain | None, at_rest: Mat, warmup: int, beside: int = 0) -> Rest:
+def _behind(drive: Chain | None, at_rest: Mat, warmup: int, companion_held: int = 0) -> Rest:
     ahead = np.zeros((2, 0)) if drive is None else _rest_of(drive)
     return Rest(
         np.concatenate([ahead[0], at_rest[0]]),
         np.concatenate([np.zeros(ahead.shape[1]), at_rest[1]]),
         np.concatenate([ahead[1], at_rest[2]]),
         warmup,
-        beside,
+        companion_held,
     )
 
 

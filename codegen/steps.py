@@ -161,13 +161,13 @@ def chain_rest_source(offset: Vec, by_angle: Vec, by_command: Vec, held: int) ->
     )
 
 
-def network_rest_source(offset: Vec, by_angle: Vec, by_command: Vec, held: int, beside: int) -> str:
+def network_rest_source(offset: Vec, by_angle: Vec, by_command: Vec, held: int, companion_held: int) -> str:
     """C of the state at rest of a network: offset + by_angle y + by_command u, with the command held for some samples.
 
     Args:
         offset, by_angle, by_command: of the state.
         held: samples of the network.
-        beside: samples of the operators next to it, which show the measured angle as well.
+        companion_held: samples of the operators next to it, which show the measured angle as well.
     """
     return "\n".join(
         [
@@ -176,7 +176,7 @@ def network_rest_source(offset: Vec, by_angle: Vec, by_command: Vec, held: int, 
             "    real theta, next[HYSTMPC_CHAIN];",
             "    real *network = x + HYSTMPC_FRONT, *chain = network + HYSTMPC_NETWORK + 1;",
             f"    for (int k = 0; k < {held}; k++) network_step(network, u);",
-            f"    for (int k = 0; k < {beside}; k++) {{",
+            f"    for (int k = 0; k < {companion_held}; k++) {{",
             "        step_middle(chain, u, &theta, next);",
             "        copy(next, chain, HYSTMPC_BESIDE);",
             "    }",

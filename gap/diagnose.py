@@ -79,7 +79,7 @@ def find_causes(
     """
     left_out = _left_out(without, only)
     progress = progress or no_progress
-    clock = _Clock()
+    clock = _StepTimes()
     progress(0, _STEPS, "checking the trials")
     prepared = prepare(trials, simulator, seed, ordered, skip_first_flexure)
     if say:
@@ -119,7 +119,7 @@ def conclude(findings: Findings, progress: Progress | None = None) -> tuple[Diag
     """Conclude a diagnosis: its result with the next motion, and the data of its report."""
     from .report.report_data import report_data
 
-    clock = _Clock()
+    clock = _StepTimes()
     prepared = findings.prepared
     values = {name: cause.parameters for name, cause in findings.conclusion.closed.causes.items()}
     rows = parameter_rows(findings.conclusion.chosen, prepared.development, values)
@@ -160,7 +160,7 @@ def _selection_progress(progress: Progress) -> Callable[[float, str], None]:
     return advance
 
 
-class _Clock:
+class _StepTimes:
     """Duration of each step."""
 
     def __init__(self) -> None:

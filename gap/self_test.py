@@ -38,14 +38,14 @@ class SelfTestRow:
     """Result of one case of the self-test.
 
     Attributes:
-        verdict, found: of the diagnosis; found effects, those that it cannot tell apart joined by `|`.
+        verdict, named: of the diagnosis; named effects, those that it cannot tell apart joined by `|`.
         passed: whether the truth was found, alone or in a set that these trials cannot tell apart.
     """
 
     name: str
     truth: str
     verdict: str
-    found: str
+    named: str
     closed_share: float
     seconds: float
     passed: bool
@@ -58,14 +58,14 @@ class _Case:
     Attributes:
         before, after: their operators on the command and on the angle.
         off: gain, and offset [deg], by which the device is off its simulator.
-        own: operator of each trial, drawn from a generator.
+        per_trial: operator of each trial, drawn from a generator.
     """
 
     truth: tuple[str, ...] = ()
     before: tuple[Operator, ...] = ()
     after: tuple[Operator, ...] = ()
     off: tuple[float, float] = (1.0, 0.0)
-    own: Callable[[np.random.Generator], Operator] | None = field(default=None)
+    per_trial: Callable[[np.random.Generator], Operator] | None = field(default=None)
     sensor: Sensor = _SENSOR
 
 
@@ -98,8 +98,8 @@ _CASES: dict[str, _Case] = {
     "contact": _Case(("contact",), after=(Contact(55.0, 0.3),)),
     "nonlinear_gain": _Case(("nonlinear_gain",), after=(NonlinearGain(0.006, 0.0, 45.0),)),
     "asymmetry": _Case(("asymmetry",), after=(Asymmetry(1.25, 0.85, 40.0),)),
-    "trial_shift": _Case(("trial_shift",), own=_shift),
-    "periodic_disturbance": _Case(("periodic_disturbance",), own=_disturbance),
+    "trial_shift": _Case(("trial_shift",), per_trial=_shift),
+    "periodic_disturbance": _Case(("periodic_disturbance",), per_trial=_disturbance),
     "sensor": _Case(("sensor",), sensor=Sensor(1.0, 0.08, 0.02, 12.0, 0.0)),
     "lag and creep": _Case(("creep", "lag"), (Lag(0.2), Creep((0.2,), (5.0,)))),
 }
@@ -140,7 +140,7 @@ def record(case: _Case, seed: int) -> list[Trial]:
     )
     bent, clock = -np.inf, 0.0
     for k, command in enumerate(motions(random)):
-        trial_operators = (case.own(shifts),) if case.own else ()
+        trial_operators = (case.per_trial(shifts),) if case.per_trial else ()
         sensor = replace(case.sensor, seed=int(random.integers(1 << 30)))
         chain = Chain(core, case.before, (*case.after, *trial_operators, sensor))
         state = settled(chain, float(command[0]), core.values[-1], bent, clock)
@@ -180,7 +180,7 @@ def _row(name: str, case: _Case, simulator: Simulator, seed: int) -> SelfTestRow
         name=name,
         truth=", ".join(case.truth) or "none",
         verdict=diagnosis.verdict,
-        found=", ".join("|".join(names) for names in _sets(diagnosis)) or "none",
+        named=", ".join("|".join(names) for names in _sets(diagnosis)) or "none",
         closed_share=diagnosis.gap.closed_share,
         seconds=time.perf_counter() - started,
         passed=_recovered(diagnosis, case.truth),

@@ -210,7 +210,7 @@ class ControlLoop:
             taken.close()  # the loop in C has ended then
         view = compiled.view
         self._left_c[compiled.reason] += 1
-        self._transport.take_back(compiled.unread(), view.own_sequence)
+        self._transport.take_back(compiled.unread(), view.sent_sequence)
         self._deadline_ns = int(view.deadline_ns) - (1 + view.skipped) * self._dt_ns
         return int(view.deadline_ns)
 

@@ -170,7 +170,7 @@ class SimulationConfig(Settings):
 
     @model_validator(mode="before")
     @classmethod
-    def _controllers_are_told(cls, data: Any) -> Any:
+    def _require_controllers(cls, data: Any) -> Any:
         if not isinstance(data, Mapping) or not isinstance(data.get("controllers"), Mapping):
             return data
         try:

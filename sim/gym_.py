@@ -139,7 +139,7 @@ class HysteresisEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
             raise ConfigError(f"environment: no motion {wanted!r}, {did_you_mean(str(wanted), names)}")
         self._plant = self._plant.reseeded(int(self.np_random.integers(2**31)))
         self._motion, self._k, self._u = wanted, 0, self._plant.rest_command
-        self._y, self._imaging = self._first(self._plant.reset() + self._beside())
+        self._y, self._imaging = self._first(self._plant.reset() + self._disturbing_deg())
         return self._observation(), self._info()
 
     def step(self, action: NDArray[np.float32]) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
@@ -150,7 +150,7 @@ class HysteresisEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         slip = self._disturbance.command
         y = self._plant.apply(u if slip is None else u + slip(self._k * self.dt))
         self._u, self._k = u, self._k + 1
-        self._y = self._seen(y + self._beside())
+        self._y = self._seen(y + self._disturbing_deg())
         info = self._info()
         reward = -(info["error_deg"] ** 2) - self._rate_weight * (u - before) ** 2
         return self._observation(), float(reward), False, self._k >= self._tables[self._motion].steps, info
@@ -180,14 +180,14 @@ class HysteresisEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         self._disturbance, self._imaging = state.disturbance, state.imaging
         return self._observation()
 
-    def _beside(self) -> float:
+    def _disturbing_deg(self) -> float:
         """Disturbance of the angle now [deg]."""
         load = self._disturbance.angle_deg
         return 0.0 if load is None else load(self._k * self.dt)
 
     def _first(self, measured: float) -> tuple[float, Imaging | None]:
         """Observed angle of the rest [deg], and the imaging system where there is one."""
-        true = self._plant.true_angle + self._beside()
+        true = self._plant.true_angle + self._disturbing_deg()
         if isinstance(self._sensor, ImagingSettings):
             imaging = Imaging.at_rest(self._sensor, self._plant.seed, true)
             return imaging.newest.angle_deg, imaging
@@ -199,7 +199,7 @@ class HysteresisEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
             return measured
         if self._imaging is None:
             return self._y
-        _, self._imaging = self._imaging.later(self._k * self.dt, self._plant.true_angle + self._beside())
+        _, self._imaging = self._imaging.later(self._k * self.dt, self._plant.true_angle + self._disturbing_deg())
         return self._imaging.newest.angle_deg
 
     def _observation(self) -> NDArray[np.float32]:
@@ -208,6 +208,6 @@ class HysteresisEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
 
     def _info(self) -> dict[str, Any]:
         """True values now; the reference is that at the end of the last sample, before it the first one's."""
-        theta = self._plant.true_angle + self._beside()
+        theta = self._plant.true_angle + self._disturbing_deg()
         reference = float(self._tables[self._motion].at(max(self._k - 1, 0))[0])
         return {"true_angle_deg": theta, "reference_deg": reference, "error_deg": theta - reference, "command": self._u}

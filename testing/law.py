@@ -67,7 +67,7 @@ class ControllerContract(ABC):
     def settings(self) -> LawSettings:
         """Settings of the controller under test."""
 
-    def test_its_settings_are_read_again_as_they_are_written(self) -> None:
+    def test_its_settings_are_read_as_they_are_written(self) -> None:
         """Settings that are written and read back are equal, and unknown keys are refused."""
         settings = self.settings()
         second = type(settings).parse(settings.model_dump(mode="json"))

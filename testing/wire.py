@@ -87,7 +87,7 @@ class TransportContract(Wired):
                 first = reading
                 require(c.transport.read() is None, "a measurement was read twice")
 
-    def test_the_sequence_rises_where_a_counter_of_one_byte_starts_again(self) -> None:
+    def test_the_sequence_rises_where_a_counter_of_one_byte_wraps(self) -> None:
         """The sequence rises over 300 measurements."""
         with self.connected() as c:
             last = contact(c).sequence

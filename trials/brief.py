@@ -24,11 +24,11 @@ def in_brief(kind: object, text: str) -> str:
 
 def brief(self: Any) -> str:
     """`__repr__` of a dataclass of results: its fields in short, arrays as their shape, sequences by their length."""
-    parts = (f"{f.name}={_told(getattr(self, f.name))}" for f in fields(self) if f.repr)
+    parts = (f"{f.name}={_shortened(getattr(self, f.name))}" for f in fields(self) if f.repr)
     return in_brief(self, ", ".join(parts))
 
 
-def _told(value: Any) -> str:
+def _shortened(value: Any) -> str:
     if isinstance(value, Enum):
         return str(value.value)
     if value is None or isinstance(value, bool | int):
@@ -44,5 +44,5 @@ def _told(value: Any) -> str:
         return f"{len(value)} entries"
     if isinstance(value, Sequence):
         plain = len(value) <= _MOST_NUMBERS and not any(is_dataclass(item) for item in value)
-        return f"({', '.join(map(_told, value))})" if plain else f"{len(value)} of {type(value[0]).__name__}"
+        return f"({', '.join(map(_shortened, value))})" if plain else f"{len(value)} of {type(value[0]).__name__}"
     return type(value).__name__

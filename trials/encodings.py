@@ -139,8 +139,8 @@ def _code(values: Vec, known: Mask, dt: float, is_command: bool, far_only: bool)
         # The smaller of the steps into and out of each run of the value; at an end of the log the only one.
         into = np.where(starts > 0, np.abs(value - signal[np.maximum(starts - 1, 0)]), np.inf)
         out = np.where(stops < signal.size, np.abs(signal[np.minimum(stops, signal.size - 1)] - value), np.inf)
-        jump, beside = np.minimum(into, out), np.abs(np.diff(signal))[~(here[1:] | here[:-1])]
-        usual = float(np.percentile(beside, _USUAL if far_only else 100.0)) if beside.size else 0.0
+        jump, neighbours = np.minimum(into, out), np.abs(np.diff(signal))[~(here[1:] | here[:-1])]
+        usual = float(np.percentile(neighbours, _USUAL if far_only else 100.0)) if neighbours.size else 0.0
         isolated = jump > max(_JUMP * usual, 0.2 * (high - low))
         if far_only:
             bad = away > _FAR and bool(isolated.all())
@@ -218,8 +218,8 @@ def _seam(signal: Vec, modulus: float) -> float:
     """Median mismatch between the jumps and a modulus, corrected for the motion during the jump."""
     steps = np.diff(signal)
     wrapped = np.flatnonzero(np.abs(steps) > 0.5 * modulus)
-    beside = 0.5 * (steps[np.maximum(wrapped - 1, 0)] + steps[np.minimum(wrapped + 1, steps.size - 1)])
-    moved = np.where(np.abs(beside) < 0.25 * modulus, np.abs(beside), 0.0)
+    neighbours = 0.5 * (steps[np.maximum(wrapped - 1, 0)] + steps[np.minimum(wrapped + 1, steps.size - 1)])
+    moved = np.where(np.abs(neighbours) < 0.25 * modulus, np.abs(neighbours), 0.0)
     left = np.abs(steps[wrapped]) + moved - modulus
     return float(np.median(np.abs(left))) if left.size else np.inf
 

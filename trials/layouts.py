@@ -51,13 +51,13 @@ class Layout:
         """
         known = frozenset(self.known())
         names = {_folded(name): name for name in known}
-        found, taken = list(header), set(header)
+        columns, taken = list(header), set(header)
         for k, name in enumerate(header):
-            own = names.get(_folded(name), name)
-            if name not in known and own not in taken:
-                found[k] = own
-                taken.add(own)
-        return tuple(found)
+            standard = names.get(_folded(name), name)
+            if name not in known and standard not in taken:
+                columns[k] = standard
+                taken.add(standard)
+        return tuple(columns)
 
     def missing(self, header: Sequence[str]) -> list[str]:
         """Columns that this layout needs and `header` lacks; alternatives are joined by ` or `."""
@@ -77,12 +77,12 @@ class Layout:
         Raises:
             LogError: if several columns could be meant.
         """
-        found = [name for name in self.command if name in header]
-        if len(found) > 1 and found[0] != next(iter(self.command)):
+        columns = [name for name in self.command if name in header]
+        if len(columns) > 1 and columns[0] != next(iter(self.command)):
             raise LogError(
-                f"several command columns: {', '.join(found)}; expected one, or one named {next(iter(self.command))!r}"
+                f"several command columns: {', '.join(columns)}; expected one, or one named {next(iter(self.command))!r}"
             )
-        return found[0]
+        return columns[0]
 
     def angle_column(self, header: Sequence[str]) -> tuple[str, str]:
         """The column of `header` that holds the angle or another output, and its unit.
@@ -90,10 +90,10 @@ class Layout:
         Raises:
             LogError: if several columns could be meant.
         """
-        found = [name for name in (self.angle, *self.other_angles) if name in header]
-        if len(found) > 1:
-            raise LogError(f"several output columns: {', '.join(found)}; expected one")
-        return found[0], self.other_angles.get(found[0], "deg")
+        columns = [name for name in (self.angle, *self.other_angles) if name in header]
+        if len(columns) > 1:
+            raise LogError(f"several output columns: {', '.join(columns)}; expected one")
+        return columns[0], self.other_angles.get(columns[0], "deg")
 
 
 _FURTHER = ("nm", "mbar", "mV", "kV", "mA", "mN", "kN", "Nm", "K", "count", "1")

@@ -169,7 +169,7 @@ def read_mapped(source: SignalLog, mapping: LogMapping) -> UncheckedLog:
             is to be taken from it have other time stamps.
     """
     wanted = [signal.signal for signal in mapping.signals()]
-    own_time = mapping.rate_hz is None and mapping.time not in (LOG_TIME, HEADER_TIME)
+    timed_by_signal = mapping.rate_hz is None and mapping.time not in (LOG_TIME, HEADER_TIME)
     taken = [signal.minus for signal in mapping.signals() if signal.minus is not None]
     logged = source.series([*wanted, *taken], mapping.time if mapping.rate_hz is None else LOG_TIME)
     for name, series in zip([*wanted, *taken], logged, strict=True):
@@ -180,7 +180,7 @@ def read_mapped(source: SignalLog, mapping: LogMapping) -> UncheckedLog:
     logged = _differences(source.path, mapping, [_decoded(s, owner) for s, owner in zip(logged, owners, strict=True)])
     if mapping.rate_hz is not None:
         logged = [Series(np.arange(s.values.size) / mapping.rate_hz, s.values, s.left_out) for s in logged]
-    elif own_time:
+    elif timed_by_signal:
         wrap, unit_s = mapping.time_wraps_at, SECONDS[mapping.time_unit]
         stamps = [s.t if wrap is None else without_wraps(s.t, wrap) for s in logged]
         logged = [Series(t * unit_s, s.values, s.left_out) for t, s in zip(stamps, logged, strict=True)]

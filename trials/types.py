@@ -33,11 +33,11 @@ def parts(progress: Progress | None, seconds: Sequence[float]) -> tuple[Progress
     total = sum(seconds)
 
     def part(before: float, share: float) -> Progress:
-        def told(done: float, steps: float, note: str = "", /) -> None:
+        def report(done: float, steps: float, note: str = "", /) -> None:
             if progress is not None:
                 progress(before + share * min(done / max(steps, 1e-9), 1.0), total, note)
 
-        return told
+        return report
 
     starts = [0.0, *accumulate(seconds)][:-1]
     return tuple(part(before, share) for before, share in zip(starts, seconds, strict=True))

@@ -246,7 +246,7 @@ _PARTS = 4  # that a single trial is cut into
 
 
 @dataclass(frozen=True, eq=False)
-class _Part:
+class _TrialSums:
     """A trial, or a part of a single one, by its sums: of features (F, F), of features and the changes of the angle as
     recorded and in other orders (F, 1 + D), of the squared changes (1 + D,)."""
 
@@ -306,13 +306,13 @@ def _is_significant(correlations: Vec) -> bool:
     return recorded > math.sqrt(_SURELY) or recorded > float(np.quantile(correlations[1:], 1 - _LEVEL, method="higher"))
 
 
-def _little_motion(parts: Sequence[_Part], expected: Sequence[Mat]) -> list[bool]:
+def _little_motion(parts: Sequence[_TrialSums], expected: Sequence[Mat]) -> list[bool]:
     """Trials in which little motion is expected."""
     sizes = [float(w[:, 0] @ p.gram @ w[:, 0]) / p.samples for p, w in zip(parts, expected, strict=True)]
     return [size < _EXPECTED**2 * float(np.mean(sizes)) for size in sizes]
 
 
-def _parts(trials: Sequence[Trial], seed: int) -> list[_Part]:
+def _parts(trials: Sequence[Trial], seed: int) -> list[_TrialSums]:
     random = np.random.default_rng(seed)
     parts = []
     for trial, features in zip(trials, past_features(trials), strict=True):
@@ -327,9 +327,9 @@ def _parts(trials: Sequence[Trial], seed: int) -> list[_Part]:
     return parts
 
 
-def _part(x: Mat, shown: Sequence[Vec], width: int) -> _Part:
+def _part(x: Mat, shown: Sequence[Vec], width: int) -> _TrialSums:
     products = np.stack([changes @ x for changes in shown], axis=1)
-    return _Part(
+    return _TrialSums(
         width * x.T @ x, width * products, width * np.array([changes @ changes for changes in shown]), width * len(x)
     )
 
@@ -358,7 +358,7 @@ def _reordered(size: int, length: int, random: np.random.Generator) -> NDArray[n
     return np.argsort(random.permutation(blocks)[block], kind="stable")
 
 
-def _held_out_share(parts: Sequence[_Part]) -> tuple[float, float, list[Mat]]:
+def _held_out_share(parts: Sequence[_TrialSums]) -> tuple[float, float, list[Mat]]:
     """Share explained, its quantile by chance, and the weights (F, 1 + D) for each part, fitted to the others."""
     gram, products = np.sum([p.gram for p in parts], axis=0), np.sum([p.products for p in parts], axis=0)
     energy = np.maximum(np.sum([p.energy for p in parts], axis=0), 1e-300)
@@ -379,7 +379,7 @@ def _held_out_share(parts: Sequence[_Part]) -> tuple[float, float, list[Mat]]:
     return float(best[0]), float(np.quantile(best[1:], 1 - _LEVEL, method="higher")), kept
 
 
-def _likeness(part: _Part, weights: Mat) -> Vec:
+def _likeness(part: _TrialSums, weights: Mat) -> Vec:
     """Correlation of a part's changes, recorded and permuted (1 + D,), with predicted ones; 0 where either is zero."""
     expected = weights[:, 0]
     size = np.sqrt(max(float(expected @ part.gram @ expected), 0.0) * np.maximum(part.energy, 0.0))

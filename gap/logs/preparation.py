@@ -382,11 +382,11 @@ def _evaluation_notes(
     """Note if `evaluate` gives another error of the nominal simulator than these errors (C,) [unit of the log]."""
     given_mse, noise_mse = float(np.mean(np.concatenate(errors) ** 2)), white_noise(errors) ** 2
     evaluated, dt_s = evaluated_mse(simulator, checked.given, skip_first_flexure), checked.dt
-    unit, own_hz, hz = simulator.angle_unit, 1 / simulator.dt_s, 1 / dt_s
+    unit, simulator_hz, hz = simulator.angle_unit, 1 / simulator.dt_s, 1 / dt_s
     if evaluated is None:
         slowest = max(checked.given, key=lambda trial: trial.dt)
         return (
-            f"The simulator is of {own_hz:.4g} Hz and {Path(slowest.source).name} of {1 / slowest.dt:.4g} Hz: "
+            f"The simulator is of {simulator_hz:.4g} Hz and {Path(slowest.source).name} of {1 / slowest.dt:.4g} Hz: "
             f"`evaluate` does not run it over these trials, and the diagnosis runs it at {hz:.4g} Hz.",
         )
     mine, other = math.sqrt(given_mse), math.sqrt(evaluated)
@@ -394,7 +394,7 @@ def _evaluation_notes(
         return ()
     rates = abs(simulator.dt_s - dt_s) > _ROUNDED * dt_s
     why = (
-        f"`evaluate` runs it at {own_hz:.4g} Hz, the diagnosis at {hz:.4g} Hz"
+        f"`evaluate` runs it at {simulator_hz:.4g} Hz, the diagnosis at {hz:.4g} Hz"
         if rates
         else "the diagnosis lets trials that rest at one command begin alike, and finds other starts to first order"
     )

@@ -29,7 +29,7 @@ _REAL_NOISE = 1e-4  # of the angle's range: less may be the curvature of a motio
 _STEPS = 3.0  # least spike or jump in steps of the grid
 _SLOWEST_S = 0.05  # update interval of a tip tracker; a value that stays for longer is held
 _ORDERS = (2, 3, 4)
-_LESS = 0.93  # of the lower order's estimate: a higher order, which scatters more, is taken below that only
+_CLEARLY_LOWER = 0.93  # of the lower order's estimate: a higher order, which scatters more, is taken below that only
 _KEPT = 0.8  # smallest share of the differences; the rest holds jumps, kinks and spikes
 _KEPT_MOMENT = 0.43773  # E[z^2 | |z| < 1.28155] of a standard normal z: what keeping 80 % leaves of its variance
 _MOVING = 1e-4  # of the command's range per sample
@@ -199,5 +199,5 @@ def white_noise(signals: Sequence[Vec]) -> float:
         size = np.concatenate(parts)
         kept = np.sort(size)[: max(1, round(_KEPT * size.size))]
         value = math.sqrt(float(np.mean(kept**2)) / (_KEPT_MOMENT * math.comb(2 * order, order)))
-        lowest = value if value < _LESS * lowest else lowest
+        lowest = value if value < _CLEARLY_LOWER * lowest else lowest
     return lowest if math.isfinite(lowest) else 0.0

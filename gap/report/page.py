@@ -342,8 +342,8 @@ def _cannot_show(data: ReportData) -> Iterator[Piece]:
     for row in confusable:
         if not row.separable and not row.one_class:
             names = " and ".join(in_words(name) for name in row.effects)
-            told = f"{names[:1].upper()}{names[1:]} cannot be told apart ({row.present})"
-            yield Paragraph(f"{told}; {row.separated_by} would do it.")
+            sentence = f"{names[:1].upper()}{names[1:]} cannot be told apart ({row.present})"
+            yield Paragraph(f"{sentence}; {row.separated_by} would do it.")
 
 
 def _made(data: ReportData) -> Iterator[Piece]:

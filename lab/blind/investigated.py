@@ -12,7 +12,7 @@ from typing import Any, final
 import numpy as np
 
 from hystmpc.bench.config import InvestigateSettings
-from hystmpc.bench.device import Device, Track
+from hystmpc.bench.device import MovableDevice, Track
 from hystmpc.bench.investigate import RESULT_FILE, investigate_device
 from hystmpc.bench.motions import run_seconds
 from hystmpc.ctrl.planner.settings import TipSettings
@@ -42,7 +42,7 @@ _RATE_SHARE = 0.5  # of the device's rate: speed of the ways between motions
 
 
 @final
-class CaseDevice(Device):
+class CaseDevice(MovableDevice):
     """The device of a blind case as an investigation moves it: each motion starts at rest, with noise of its own.
 
     Device time is what the plan of an investigation counts: motion, contact, approach and the way back.

@@ -15,7 +15,7 @@ import numpy as np
 
 from hystmpc.bench.commission import commission_device
 from hystmpc.bench.config import CommissionSettings, InvestigateSettings, located_investigation
-from hystmpc.bench.device import BenchDevice, Device, DeviceStoppedError, Tick, Track, plants_in
+from hystmpc.bench.device import BenchDevice, MovableDevice, DeviceStoppedError, Tick, Track, plants_in
 from hystmpc.bench.investigate import investigate_device
 from hystmpc.ctrl import TipController
 from hystmpc.ctrl.planner.settings import TipSettings
@@ -222,7 +222,7 @@ def _commission(settings: dict[str, Any], folder: Path, how: How) -> Move:
     block = {**_COMMISSION, **(how.bench or {}).get("commission", {})}
     made = CommissionSettings.parse({**settings, "realtime": {"backend": "python"}, "commission": block})
 
-    def opened(root: Path, tick: Tick) -> Device:
+    def opened(root: Path, tick: Tick) -> MovableDevice:
         plants, limits = plants_in(Path(), made.command_unit), made.commission.angle_limits_deg
         own = BenchDevice(made, plants, root, limits, tick=tick)
         return own if how.whole else OnlyRecordings(own, 6)
@@ -240,7 +240,7 @@ def _investigate(settings: dict[str, Any], folder: Path, how: How) -> Move:
     data["commission"] = {"angle_limits_deg": ANGLE_LIMITS_DEG}
     made = located_investigation(InvestigateSettings.parse(data), Path())
 
-    def opened(root: Path, tick: Tick) -> Device:
+    def opened(root: Path, tick: Tick) -> MovableDevice:
         plants, limits = plants_in(Path(), made.command_unit), made.commission.angle_limits_deg
         return OnlyRecordings(BenchDevice(made, plants, root, limits, tick=tick), 3)
 
@@ -252,7 +252,7 @@ def _investigate(settings: dict[str, Any], folder: Path, how: How) -> Move:
 
 
 @final
-class OnlyRecordings(Device):
+class OnlyRecordings(MovableDevice):
     """A device that is not moved any more after so many recordings."""
 
     def __init__(self, device: BenchDevice, most: int) -> None:

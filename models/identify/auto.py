@@ -26,7 +26,7 @@ from .parts import whole_delay
 from .runs import Run, check_trial_set, command_range, runs_to_fit
 from .uncertainty import ParameterRow, parameter_rows
 
-_AGAIN = 0.1  # time of the fit at the full rate over that of the search, if both had the same rate
+_REFIT_SHARE = 0.1  # time of the fit at the full rate over that of the search, if both had the same rate
 
 MOTIONS_THAT_SEPARATE = {
     "fast": "fast steps and small sines of 2 to 4 Hz",
@@ -100,7 +100,7 @@ def _identified(
 ) -> AutoFit:
     coarse = _thinned(trials, check_trial_set(trials))
     runs = runs_to_fit(coarse, skip_first_flexure)
-    refit_share = 0.0 if coarse is trials else _AGAIN * sum(map(len, trials)) / sum(map(len, coarse))
+    refit_share = 0.0 if coarse is trials else _REFIT_SHARE * sum(map(len, trials)) / sum(map(len, coarse))
     share, command = 1 / (1 + refit_share), command_range(trials)  # of the whole time
     last = search = AutoSearch(coarse, runs, lambda done, rmse: progress(share * done, rmse))
 

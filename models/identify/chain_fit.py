@@ -32,7 +32,7 @@ GROUP = "hystmpc.methods"
 
 TAIL = 0.1
 RESTART_SPREAD = 0.2
-_STARTS_FOUND = 2  # times that trials which begin in motion are given another start
+_START_SEARCHES = 2  # times that trials which begin in motion are given another start
 _FAR, _STEEP = 1e6, 1e100  # residual and derivative in working units of a run that diverged; both can be squared
 
 
@@ -371,7 +371,7 @@ def fit_by_least_squares(
     try:
         for start in _points(task.starts, tracker, settings):
             fit_from(start)
-        for _ in range(_STARTS_FOUND if runs.in_motion and tracker.best is not None else 0):
+        for _ in range(_START_SEARCHES if runs.in_motion and tracker.best is not None else 0):
             best = np.asarray(tracker.best)
             runs.estimate_starts(best)
             tracker.best_loss = np.inf  # errors count from the new starts on

@@ -19,7 +19,7 @@ from .timing import TIMING, by_timing, timing_rivals
 RoundProgress = Callable[[float, str], None]
 """Told the share of the present round, and the candidate that is tried."""
 
-_OWN = 100
+_PARAMETERS_OF_TERMS = 100
 _SAME_FIT = 1e-3  # relative fall of the error that is none: the tolerance of the fits
 OF_SINGLE_TRIALS = frozenset({"trial_shift", "periodic_disturbance"})  # fitted to each trial anew: has to recur
 
@@ -38,7 +38,7 @@ class SelectionSettings:
             what remains, by so many standard errors: beside a large cause a smaller one is no less sure.
         clear_errors, clear_share, clear_most: by so many standard errors a fall is clear, and these shares of what
             remains replace `least_share` and `most_share`: a third cause may leave no doubt and still be small.
-        beside_share: share of all that remains, less a faulty sensor's noise, that a generic effect beside other causes
+        generic_share: share of all that remains, less a faulty sensor's noise, that a generic effect beside other causes
             has to explain: what the wrong forms of these leave looks like one. At 0.64 the RMSE falls to 0.6.
         drift_errors: by so many standard errors a drift beside shifts of trials needs no share of the whole error.
         recurs: by this share of the mean fall the median trial has to gain from what each trial has of its own.
@@ -65,7 +65,7 @@ class SelectionSettings:
     clear_errors: float = 8.0
     clear_share: float = 0.1
     clear_most: float = 0.3
-    beside_share: float = 0.64
+    generic_share: float = 0.64
     drift_errors: float = 3.0
     recurs: float = 0.25
     everywhere: float = 0.5
@@ -183,7 +183,7 @@ class _Search:
         if new & OF_SINGLE_TRIALS and not _recurs(before, after, new, settings):
             return False
         least = max(share * remaining, whole, settings.form_share * self._floor)
-        least = max(least, settings.beside_share * (before.mse - self._faults)) if imitates else least
+        least = max(least, settings.generic_share * (before.mse - self._faults)) if imitates else least
         return sureness(before, after) > settings.standard_errors and useful > least
 
     def _dropped(self, current: HeldOutErrors) -> HeldOutErrors:
@@ -191,11 +191,11 @@ class _Search:
         for effect in sorted(current.hypothesis.effects):
             if len(current.hypothesis.effects) < 2:
                 break
-            less = self._trials.without(current.hypothesis, effect)
-            if less is None:
+            simpler_fit = self._trials.without(current.hypothesis, effect)
+            if simpler_fit is None:
                 continue
-            judged = self._trials.judged(less)
-            simpler = self._trials.known(less.effects) or judged  # another start or form may have done better
+            judged = self._trials.judged(simpler_fit)
+            simpler = self._trials.known(simpler_fit.effects) or judged  # another start or form may have done better
             if not self._worth_adding(simpler, current):
                 current = simpler
         return current
@@ -207,10 +207,10 @@ class _Search:
                 continue
             rest = baseline
             if len(current.hypothesis.effects) > 1:
-                less = self._trials.without(current.hypothesis, effect)
-                if less is None:
+                simpler_fit = self._trials.without(current.hypothesis, effect)
+                if simpler_fit is None:
                     continue
-                rest = self._trials.judged(less)
+                rest = self._trials.judged(simpler_fit)
             for hypothesis in self._trials.additions(rest.hypothesis):
                 judged = self._trials.known(hypothesis.effects) or self._trials.judged(hypothesis)
                 worthy = not self._strict or self._worth_adding(rest, judged)
@@ -367,7 +367,9 @@ def _exceeds(gained: tuple[float, float]) -> bool:
 
 def _freedoms(hypothesis: Hypothesis) -> int:
     """Number of free parameters of the causes; terms of single trials count as more than any."""
-    return sum(len(c.free) for c in hypothesis.problem.effects) + _OWN * len(hypothesis.problem.terms.names)
+    return sum(len(c.free) for c in hypothesis.problem.effects) + _PARAMETERS_OF_TERMS * len(
+        hypothesis.problem.terms.names
+    )
 
 
 def _recurs(before: HeldOutErrors, after: HeldOutErrors, new: AbstractSet[str], settings: SelectionSettings) -> bool:

@@ -15,10 +15,10 @@ GROUP = "hystmpc.kinds"
 """Entry points by which installed packages add a kind of model; the value is MODULE:NAME of a `ModelKind`."""
 
 
-_OWN = ("auto", *CHAIN_KINDS, "lstm", "gru", "play_kernel")
+_BUILT_IN = ("auto", *CHAIN_KINDS, "lstm", "gru", "play_kernel")
 
 
-def _own(name: str) -> ModelKind:
+def _built_in(name: str) -> ModelKind:
     """The kind of the package with that name."""
     if name == "play_kernel":
         from ..play_kernel.fit import PlayKernelKind
@@ -36,18 +36,18 @@ def _own(name: str) -> ModelKind:
 @cache
 def _others() -> Mapping[str, ModelKind]:
     """Kinds of installed packages."""
-    return installed_objects(GROUP, "kind of model", ModelKind, _OWN)  # type: ignore[type-abstract]
+    return installed_objects(GROUP, "kind of model", ModelKind, _BUILT_IN)  # type: ignore[type-abstract]
 
 
 def kind_names() -> tuple[str, ...]:
     """Names of all kinds of model, those of installed packages last; none of these is imported."""
-    return (*_OWN, *installed(GROUP))
+    return (*_BUILT_IN, *installed(GROUP))
 
 
 @cache
 def all_kinds() -> tuple[ModelKind, ...]:
     """All kinds of model, those of installed packages last."""
-    return (*map(_own, _OWN), *_others().values())
+    return (*map(_built_in, _BUILT_IN), *_others().values())
 
 
 def kind_named(name: str) -> ModelKind:
@@ -56,10 +56,10 @@ def kind_named(name: str) -> ModelKind:
     Raises:
         FitError: if there is none; says what is available.
     """
-    if name in _OWN:
-        return _own(name)
+    if name in _BUILT_IN:
+        return _built_in(name)
     if name not in _others():
-        raise FitError(f"no kind of model {name!r}, {did_you_mean(name, [*_OWN, *_others()])}")
+        raise FitError(f"no kind of model {name!r}, {did_you_mean(name, [*_BUILT_IN, *_others()])}")
     return _others()[name]
 
 

@@ -76,7 +76,7 @@ _SOON = 500_000  # samples: a fit of fewer takes seconds and is not announced
 
 
 @dataclass(frozen=True)
-class Choice:
+class Regularisation:
     """Time constant of the lag [s] and penalty on differences of slopes, as compared on held-out trials."""
 
     lag_s: float
@@ -97,8 +97,8 @@ class PlayKernelFit:
     """
 
     weights: PlayKernelWeights
-    choice: Choice
-    judged: dict[Choice, float]
+    choice: Regularisation
+    judged: dict[Regularisation, float]
     rmse: float
     interrupted: bool
 
@@ -129,8 +129,8 @@ def fit_play_kernel(
     frame = _frame(trials, settings)
     _line(trials)
     starts = [first_flexure_end(trial) if skip_first_flexure else 0 for trial in trials]
-    choices = [Choice(*pair) for pair in itertools.product(settings.lags_s, settings.smoothness)]
-    judged: dict[Choice, float] = {}
+    choices = [Regularisation(*pair) for pair in itertools.product(settings.lags_s, settings.smoothness)]
+    judged: dict[Regularisation, float] = {}
     interrupted, chosen = False, choices[len(choices) // 2]
     if len(trials) > 1 and len(choices) > 1:
         try:
@@ -283,10 +283,10 @@ class Course:
         count, mean, square = 0, np.zeros(slopes.shape[1]), np.zeros(slopes.shape[1])
         for x, y in self.blocks():
             errors = x @ slopes - y[:, None]
-            own = errors.mean(axis=0)
+            trial_mean = errors.mean(axis=0)
             share = y.size / (count + y.size)  # joined as in Chan, Golub, LeVeque, Amer. Statist. 37 (1983)
-            square += np.sum((errors - own) ** 2, axis=0) + count * share * (own - mean) ** 2
-            mean, count = mean + share * (own - mean), count + y.size
+            square += np.sum((errors - trial_mean) ** 2, axis=0) + count * share * (trial_mean - mean) ** 2
+            mean, count = mean + share * (trial_mean - mean), count + y.size
         return np.asarray(np.sqrt(square / count), dtype=np.float64)
 
     def _features(self, states: Vec) -> Vec:
@@ -320,9 +320,9 @@ def _frame(trials: Sequence[Trial], settings: PlayKernelSettings) -> Frame:
 
 def _left_out(
     courses: Sequence[Course], lag_s: float, frame: Frame, settings: PlayKernelSettings
-) -> Iterator[tuple[Choice, float]]:
+) -> Iterator[tuple[Regularisation, float]]:
     """Mean over trials of the scaled offset-free error on held-out trials, by choice."""
-    choices = [Choice(lag_s, smoothness) for smoothness in settings.smoothness]
+    choices = [Regularisation(lag_s, smoothness) for smoothness in settings.smoothness]
     moments = [course.moments for course in courses]
     count = min(settings.folds, len(courses))
     errors = np.empty((len(courses), len(choices)))
@@ -334,7 +334,9 @@ def _left_out(
     yield from zip(choices, errors.mean(axis=0).tolist(), strict=True)
 
 
-def _solve(rows: Sequence[Moments], choice: Choice, frame: Frame, settings: PlayKernelSettings) -> tuple[Vec, float]:
+def _solve(
+    rows: Sequence[Moments], choice: Regularisation, frame: Frame, settings: PlayKernelSettings
+) -> tuple[Vec, float]:
     """Scaled slopes (F,) and bias: the normal equations as non-negative least squares on their Cholesky factor.
 
     Bias and trial offsets are free: each is the difference of two non-negative numbers.
@@ -379,7 +381,9 @@ def _roughness(frame: Frame) -> NDArray[Any]:
     return whole
 
 
-def _weights(slopes: Vec, bias: float, trials: Sequence[Trial], choice: Choice, frame: Frame) -> PlayKernelWeights:
+def _weights(
+    slopes: Vec, bias: float, trials: Sequence[Trial], choice: Regularisation, frame: Frame
+) -> PlayKernelWeights:
     """Model in the units of command and angle."""
     plays, segments = frame.radii.size + 1, frame.knots.size - 1
     command, angle = span(frame.command), span(frame.angle)

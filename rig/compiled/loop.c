@@ -71,7 +71,7 @@ typedef struct {
     int64_t steps;                                      /* of the controller's clock */
     int64_t end;                                        /* steps after which the reference is over */
     int32_t repeats, recent_count, recent_next, departures, late, skipped, unread, reason;
-    uint32_t sequence, own_sequence;
+    uint32_t sequence, sent_sequence;
     hystmpc_reading pending[READINGS];                  /* read, not decided */
     /* Between the two, each written by one side alone. */
     volatile int64_t written, read;                     /* samples */
@@ -143,9 +143,9 @@ static int send_command(hystmpc_loop *l, double u) {
     const double raw = u / l->command_factor;
     uint64_t bits;
     memcpy(&bits, &raw, sizeof bits);
-    l->own_sequence++;
+    l->sent_sequence++;
     put_number(data + 8, l->own_session, 4);
-    put_number(data + 12, l->own_sequence, 4);
+    put_number(data + 12, l->sent_sequence, 4);
     put_number(data + 16, (uint64_t)now_ns(), 8);
     put_number(data + 24, bits, 8);
     put_number(data + BODY, checksum(data, BODY), 4);

@@ -197,7 +197,7 @@ class UdpTransport(Transport):
         return {
             "descriptor": self._wire.fileno(),
             "own_session": self._session,
-            "own_sequence": self._sequence & 0xFFFFFFFF,
+            "sent_sequence": self._sequence & 0xFFFFFFFF,
             "angle_factor": conversion.angle_factor,
             "angle_offset": conversion.angle_offset_deg,
             "command_factor": conversion.command_factor,

@@ -132,12 +132,14 @@ class SweepPlan:
 
     def _study(self, data: Any, *where: str) -> SimulationConfig:
         """The study of some data; `where` are the keys to blame, else those that the error leads to."""
-        study = SimulationConfig.parse(data, lambda at: self._told(where or self._blamed([str(part) for part in at])))
+        study = SimulationConfig.parse(
+            data, lambda at: self._located(where or self._blamed([str(part) for part in at]))
+        )
         if study.tune_pid is not None:  # a search a row would cost hundreds of runs
-            raise ConfigError(f"{self._told(('base',))}: tune_pid is for `simulate` alone, expected none")
+            raise ConfigError(f"{self._located(('base',))}: tune_pid is for `simulate` alone, expected none")
         return study
 
-    def _told(self, keys: Sequence[str]) -> str:
+    def _located(self, keys: Sequence[str]) -> str:
         return f"{place(self.source, *keys)}{'.'.join(keys)}"
 
     def _blamed(self, at: Sequence[str]) -> tuple[str, ...]:

@@ -126,13 +126,13 @@ class ReproducedFigure:
 
     name: str
     before: Any
-    again: Any
+    repeated: Any
 
     @property
     def equal(self) -> bool:
         """Whether both are equal to the last bit; both missing counts as equal."""
-        both_nan = all(isinstance(v, float) and math.isnan(v) for v in (self.before, self.again))
-        return both_nan or bool(self.before == self.again)
+        both_nan = all(isinstance(v, float) and math.isnan(v) for v in (self.before, self.repeated))
+        return both_nan or bool(self.before == self.repeated)
 
 
 def reproduce(folder: Path | str, identity: str, out: Path | str | None = None) -> tuple[ReproducedFigure, ...]:

@@ -13,7 +13,7 @@ import pytest
 from hystmpc.bench import commission, identify, motions
 from hystmpc.bench.commission import Commissioned, commission_device
 from hystmpc.bench.config import CommissionBlock, CommissionSettings
-from hystmpc.bench.device import BenchDevice, Device, plants_in
+from hystmpc.bench.device import BenchDevice, MovableDevice, plants_in
 from hystmpc.ctrl.loop import Plant
 from hystmpc.rig.config import BenchSettings
 
@@ -89,7 +89,7 @@ def spied_device(
     root: Path,
     sent: list[float],
     angle: Callable[[int, float, float], float] = lambda k, u, y: y,
-) -> Device:
+) -> MovableDevice:
     """The device of the settings behind a spy."""
     plants = plants_in(Path(), bench.command_unit)
 

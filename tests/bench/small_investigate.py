@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from hystmpc.bench.config import InvestigateSettings, located_investigation
-from hystmpc.bench.device import BenchDevice, Device, plants_in
+from hystmpc.bench.device import BenchDevice, MovableDevice, plants_in
 from hystmpc.bench.investigate import investigate_device
 from hystmpc.bench.rounds import Investigated
 from hystmpc.ctrl.loop import Plant
@@ -40,7 +40,7 @@ def investigated(made: InvestigateSettings, out: Path, sent: list[float]) -> Inv
         plant, held = plants(block, dt_s)
         return Spied(plant, sent, lambda k, u, y: y), held
 
-    def device(root: Path, tick: Any) -> Device:
+    def device(root: Path, tick: Any) -> MovableDevice:
         return BenchDevice(made, spied, root, made.commission.angle_limits_deg)
 
     return investigate_device(made, device, out)

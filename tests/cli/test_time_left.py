@@ -18,11 +18,11 @@ SPEEDS = st.lists(st.floats(0.25, 1.0), min_size=2, max_size=6)  # of stages, fo
 def shown(seconds: list[float], steps: int, pace: Pace = EVEN, every: float = 0.5) -> list[tuple[float, float, float]]:
     """Time, time left as shown and true time left, of stages that take so many seconds in `steps` steps each."""
     ends = np.concatenate([[0.0], np.cumsum(np.repeat(np.array(seconds) / steps, steps))])
-    left, told, found = TimeLeft(pace), 0, []
+    left, reported, found = TimeLeft(pace), 0, []
     for now in np.arange(0.0, ends[-1], every):
-        while told < ends.size and ends[told] <= now:
-            left.told(told / (ends.size - 1), ends[told])
-            told += 1
+        while reported < ends.size and ends[reported] <= now:
+            left.reported(reported / (ends.size - 1), ends[reported])
+            reported += 1
         seen = left.seconds(now)
         if seen is not None:
             found.append((float(now), seen, float(ends[-1] - now)))
@@ -57,35 +57,35 @@ def test_a_step_that_takes_long_is_waited_for_without_a_jump() -> None:
     """A tenth of the work that takes as long as all before it: it rises slowly, and comes down again."""
     left = TimeLeft()
     for k in range(9):
-        left.told(k / 10, 2.0 * k)
+        left.reported(k / 10, 2.0 * k)
     seen = [left.seconds(16.0 + t) for t in np.arange(0.0, 16.0, 0.5)]
     values = [value for value in seen if value is not None]
     assert len(values) == len(seen)
     assert all(b <= a * 1.011 + 1e-9 for a, b in pairwise(values))
-    left.told(0.9, 32.0)
+    left.reported(0.9, 32.0)
     assert 0.0 < (left.seconds(33.0) or 0.0) <= 5.0
 
 
 def test_a_pause_does_not_count() -> None:
     paused, plain = TimeLeft(), TimeLeft()
     for left, late in ((paused, 100.0), (plain, 0.0)):
-        left.told(0.0, 0.0)
-        left.told(0.2, 4.0)
+        left.reported(0.0, 0.0)
+        left.reported(0.2, 4.0)
         if late:
             left.pause(5.0)
             during = left.seconds(50.0)
             left.go_on(105.0)
             assert during == pytest.approx(15.0, abs=0.5)
-        left.told(0.4, 8.0 + late)
+        left.reported(0.4, 8.0 + late)
     assert paused.seconds(109.0) == pytest.approx(plain.seconds(9.0), abs=2.0)
 
 
 def test_a_new_count_begins_where_less_is_told() -> None:
     left = TimeLeft()
-    left.told(0.9, 100.0)
-    left.told(0.0, 200.0)
+    left.reported(0.9, 100.0)
+    left.reported(0.0, 200.0)
     assert left.seconds(200.5) is None
-    left.told(0.5, 210.0)
+    left.reported(0.5, 210.0)
     assert left.seconds(210.0) == pytest.approx(10.0)
 
 

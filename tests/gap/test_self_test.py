@@ -51,6 +51,6 @@ def test_known_truths_are_recovered() -> None:
     assert [row.name for row in rows] == list(names)
     for row in rows:
         assert row.passed, row
-        assert row.truth in row.found.replace("|", ", ").split(", ")
+        assert row.truth in row.named.replace("|", ", ").split(", ")
         assert row.closed_share > 0.7
         assert row.seconds > 0

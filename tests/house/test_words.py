@@ -21,10 +21,14 @@ def words_not_used() -> frozenset[str]:
 
 
 def names(text: str) -> set[str]:
-    """Identifiers of a module that hold a word which the glossary rules out."""
+    """Identifiers of a module that hold a word which the glossary rules out; `NOT_FOUND` is a name of HTTP."""
     tokens = tokenize.generate_tokens(io.StringIO(text).readline)
     used = {token.string for token in tokens if token.type == tokenize.NAME}
-    return {name for name in used if words_not_used() & set(re.split("_+|(?<=[a-z])(?=[A-Z])", name.lower()))}
+    return {
+        name
+        for name in used - {"NOT_FOUND"}
+        if words_not_used() & set(re.split("_+|(?<=[a-z])(?=[A-Z])", name.lower()))
+    }
 
 
 def product() -> list[Module]:

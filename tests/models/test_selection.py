@@ -70,7 +70,7 @@ def test_a_clear_third_cause_may_be_a_small_part_of_what_is_left() -> None:
 @given(st.floats(0.02, 0.6), st.sampled_from(["asymmetry", "nonlinear_gain"]))
 def test_beside_another_cause_a_generic_one_has_to_explain_most_of_what_is_left(left: float, name: str) -> None:
     found = chosen(nothing=3.0, lag=0.6, **{f"lag__{name}": left})
-    assert (name in found) == (0.6 - left > SETTINGS.beside_share * 0.6)
+    assert (name in found) == (0.6 - left > SETTINGS.generic_share * 0.6)
 
 
 def test_an_exchange_brings_no_generic_cause_that_could_not_have_been_added() -> None:

@@ -84,7 +84,7 @@ def test_every_row_can_be_made_again(whole: tuple[Path, SweepOutcome], tmp_path:
     for identity in ids(whole[0])[:2]:
         assert all(figure.equal for figure in reproduce(whole[0], identity))
     out = tmp_path / "run"
-    again = {figure.name: figure.again for figure in reproduce(whole[0], ids(whole[0])[0], out)}
+    again = {figure.name: figure.repeated for figure in reproduce(whole[0], ids(whole[0])[0], out)}
     assert load_results(out).results[0].metrics.rmse_deg == again["rmse_deg"]
 
 
