@@ -19,7 +19,7 @@ from hystmpc.trials.json_text import canonical, file_text, json_hash, plain
 from hystmpc.trials.run_folder import alone_in, require_vacant, resumed_folder
 from hystmpc.trials.types import Progress, Vec
 
-from .device import MovableDevice, DeviceStoppedError, Open
+from .device import DeviceStoppedError, MovableDevice, Open
 from .motions import prepare_seconds, run_seconds
 
 FORMAT = "hystmpc-commissioning/1"

@@ -80,7 +80,8 @@ class Layout:
         columns = [name for name in self.command if name in header]
         if len(columns) > 1 and columns[0] != next(iter(self.command)):
             raise LogError(
-                f"several command columns: {', '.join(columns)}; expected one, or one named {next(iter(self.command))!r}"
+                f"several command columns: {', '.join(columns)}; "
+                f"expected one, or one named {next(iter(self.command))!r}"
             )
         return columns[0]
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from hystmpc.bench.commission import commission_device
 from hystmpc.bench.config import CommissionSettings, InvestigateSettings, located_investigation
-from hystmpc.bench.device import BenchDevice, MovableDevice, DeviceStoppedError, Tick, Track, plants_in
+from hystmpc.bench.device import BenchDevice, DeviceStoppedError, MovableDevice, Tick, Track, plants_in
 from hystmpc.bench.investigate import investigate_device
 from hystmpc.ctrl import TipController
 from hystmpc.ctrl.planner.settings import TipSettings
