@@ -38,7 +38,7 @@ class SelectionSettings:
             what remains, by so many standard errors: beside a large cause a smaller one is no less sure.
         clear_errors, clear_share, clear_most: by so many standard errors a fall is clear, and these shares of what
             remains replace `least_share` and `most_share`: a third cause may leave no doubt and still be small.
-        generic_share: share of all that remains, less a faulty sensor's noise, that a generic effect beside other causes
+        generic_share: share of all that remains, less a faulty sensor's noise, that a generic effect next to others
             has to explain: what the wrong forms of these leave looks like one. At 0.64 the RMSE falls to 0.6.
         drift_errors: by so many standard errors a drift beside shifts of trials needs no share of the whole error.
         recurs: by this share of the mean fall the median trial has to gain from what each trial has of its own.
