@@ -164,6 +164,7 @@ def reachable(annotation: Any) -> tuple[type[Settings], ...]:
     while waiting:
         block = waiting.pop(0)
         if block not in blocks:
+            block.model_rebuild()  # a field may name a class that its module defines later
             blocks[block] = None
             waiting = [*(b for field in block.model_fields.values() for b in blocks_in(field.annotation)), *waiting]
     return tuple(blocks)

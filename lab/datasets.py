@@ -30,11 +30,11 @@ from hystmpc.trials.layouts import CANONICAL
 from hystmpc.trials.run_folder import require_vacant
 from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Progress
-from hystmpc_lab.paper_commands import S1_ARBITRARY, S1_TRAIN_HZ, S2_FREQUENCIES_HZ, s1_test_a, s1_test_b, s1_test_c
 
 from .devices.muscle import MuscleRecorder
 from .devices.recorder import TendonRecorder, generator
 from .devices.rod import RodRecorder
+from .paper_commands import S1_ARBITRARY, S1_TRAIN_HZ, S2_FREQUENCIES_HZ, s1_test_a, s1_test_b, s1_test_c
 
 FORMAT = "hystmpc-dataset/1"
 MANIFEST = "manifest.yaml"

@@ -35,7 +35,8 @@ from hystmpc.models.prediction.build import controller_model, predictor_for
 from hystmpc.models.simulator import ChainModel, Identification, Simulator
 from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.types import Vec
-from hystmpc_lab.performance.lstm_reference import LstmStep, lstm_step_graph
+
+from .lstm_reference import LstmStep, lstm_step_graph
 
 # Effort is measured from the inverse plan, which peers do not have: without it all solve the same problem.
 WEIGHTS = WeightsSettings(effort=0.0)
