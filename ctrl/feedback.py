@@ -1,4 +1,5 @@
-"""PID, inverse feedforward, both together, and the supervisor that falls back on them; with their settings.
+"""Feedback laws with their settings: PID, inverse feedforward, both together, and the supervisor that selects among
+them.
 
 S2 is RA-L 2024, PMC11633443.
 """
@@ -26,7 +27,7 @@ _HALF = 0.5001  # of a step: an error of exactly half of it is not integrated, w
 
 
 class PidSettings(Settings):
-    """Gains in the parallel form; command unit per degree.
+    """PID gains in the parallel form, in command units per degree.
 
     Attributes:
         kp_per_deg: proportional gain [mm/deg].
@@ -45,14 +46,15 @@ class PidSettings(Settings):
     dead_zone_deg: NotNegative = 0.2
 
     def with_dead_zone(self, step_deg: float) -> PidSettings:
-        """The same gains with a dead zone of at least half a step of the sensor's readings."""
+        """Return the gains with a dead zone of at least half a step of the sensor's readings."""
         least = _HALF * step_deg
         return self if self.dead_zone_deg >= least else self.model_copy(update={"dead_zone_deg": least})
 
 
 @dataclass(frozen=True)
 class PidMemory:
-    """Integral part [command unit], filtered angular speed [deg/s], last angle [deg] and its age [samples]."""
+    """PID state: integral part [command unit], filtered angular speed [deg/s], last angle [deg] and its age [samples].
+    """
 
     integral: float
     speed: float
@@ -62,10 +64,10 @@ class PidMemory:
 
 @final
 class Pid:
-    """u = kp e + I - kd dy/dt with I' = ki e + (u_limited - u) / tracking_s.
+    """PID law u = kp e + I - kd dy/dt with I' = ki e + (u_limited - u) / tracking_s.
 
-    One dead zone, one filter, one anti-windup; stateless, so that `PidFeedback` and `InversePid` share it. The slope
-    dy/dt is that between two measurements, over the time between them; in samples without a new one it stays.
+    It is stateless, so that `PidFeedback` and `InversePid` share it. The slope dy/dt is that between two measurements,
+    over the time between them; in samples without a new one it stays.
 
     Raises:
         ControllerError: if `tracking_s` is shorter than the sample time.
@@ -80,10 +82,10 @@ class Pid:
     def correct(
         self, memory: PidMemory, error: float, given: ControlInput, feedforward: float
     ) -> tuple[float, PidMemory]:
-        """Command and next memory of one sample.
+        """Return command and next memory of one sample.
 
         Args:
-            error: wanted minus measured angle [deg].
+            error: reference minus measured angle [deg].
             given: measured angle, its age, and the command really sent last.
             feedforward: added to the feedback.
         """
@@ -100,7 +102,9 @@ class Pid:
         return u, PidMemory(min(max(integral, -self._span), self._span), speed, *newest)
 
     def bumpless_start(self, error: float, given: ControlInput, feedforward: float) -> PidMemory:
-        """Memory for a bumpless transfer: the next command is the last one sent; arguments as of `correct`."""
+        """Return the memory for a bumpless transfer: the next command equals the last one sent; arguments as of
+        `correct`.
+        """
         integral = given.u_last - feedforward - self._gains.kp_per_deg * error
         return PidMemory(integral, 0.0, given.measured, given.age)
 
@@ -135,7 +139,7 @@ class PidFeedback(Law[PidMemory]):
 
 
 def needs_sensor(estimator: S) -> S:
-    """Block `estimator` of a controller with feedback, checked.
+    """Check that block `estimator` of a feedback controller names a sensor, and return it.
 
     Raises:
         ValueError: if it says that there is no sensor.
@@ -167,25 +171,26 @@ REFERENCE_DEAD_ZONE_DEG = 0.027  # 0.0003 of 90 deg, RA-L 2024, PMC11633443 (S2)
 
 @dataclass(frozen=True, eq=False)
 class FeedforwardMemory:
-    """Present reference angle [deg], and the remaining commands of the last plan (0..H,)."""
+    """Present reference angle [deg] and the remaining commands of the last plan (0..H,)."""
 
     followed: float
     plan: Vec = field(default_factory=lambda: EMPTY)
 
 
 class AheadOfTime(Protocol):
-    """An inverse over a preview, such as `FeasibleInverse`."""
+    """Inverse over a preview, such as `FeasibleInverse`."""
 
     horizon: int
 
     def plan(self, state: Vec, u_last: float, wanted: Vec, remaining: Vec, tolerance_deg: float) -> CommandPlan:
-        """The commands along wanted angles (H,) [deg]; see `FeasibleInverse.plan`."""
+        """Plan commands along reference angles (H,) [deg]; see `FeasibleInverse.plan`."""
         ...
 
 
 @final
 class InverseFeedforward(Law[FeedforwardMemory]):
-    """u = inverse(x, theta_ref): no feedback; the memory x comes from the commands really sent.
+    """Inverse feedforward u = inverse(x, theta_ref), without feedback; the state x follows from the commands really
+    sent.
 
     A reference that changes by less than the dead zone is not followed: any noise on it would flip the branch of
     the inverse and jump across the whole dead band (RA-L 2024, PMC11633443 (S2), inverse backlash).
@@ -228,7 +233,7 @@ class InverseFeedforward(Law[FeedforwardMemory]):
 
 @dataclass(frozen=True, eq=False)
 class InversePidMemory:
-    """The memories of both parts, and the model state (S,) under the feedforward command alone.
+    """State of `InversePid`: memories of both parts, and the model state (S,) under the feedforward command alone.
 
     Attributes:
         dues: angles that were due at the last instants, the newest last [deg].
@@ -245,12 +250,11 @@ class InversePidMemory:
 
 @final
 class InversePid(Law[InversePidMemory]):
-    """u = inverse(x_ff, theta_ref) + PID(theta_due - y).
+    """Inverse feedforward with PID feedback: u = inverse(x_ff, theta_ref) + PID(theta_due - y).
 
-    The feedback compares the measurement with the angle that was due when it was taken, so that a perfect
-    feedforward leaves it nothing to do; without a new measurement the error stays. The inverse remembers its own
-    commands x_ff, not the sum: otherwise it would take every correction for an error of its own and go back across the
-    dead band to undo it.
+    The feedback compares the measurement with the angle that was due when it was taken, so that its error is zero under
+    a perfect feedforward; without a new measurement the error stays. The inverse remembers its own commands x_ff, not
+    the sum: otherwise it would cross the dead band to undo every correction.
 
     Args:
         oldest: age of the oldest measurement [samples].
@@ -292,7 +296,7 @@ class InversePid(Law[InversePidMemory]):
 
 
 class FeedforwardSettings(LawSettings):
-    """Settings of both controllers with an inverse.
+    """Common settings of both controllers with an inverse.
 
     Attributes:
         reference_dead_zone_deg: change of the reference that is not followed [deg].
@@ -306,7 +310,7 @@ class FeedforwardSettings(LawSettings):
 
 
 class InverseControllerSettings(FeedforwardSettings):
-    """Inverse feedforward."""
+    """Inverse feedforward without feedback."""
 
     kind: Literal["inverse"] = "inverse"
 
@@ -325,14 +329,15 @@ class InversePidControllerSettings(FeedforwardSettings):
 
 
 class SupervisorSettings(Settings):
-    """Block `supervisor`: which law acts, by the error of the forecasts of the last seconds.
+    """Block `supervisor`: selection of the control law by the error of the forecasts of the last seconds.
 
     The error of a forecast over 0.24 s is compared with that of no forecast, which is that the angle stays where it is
     (root mean squares, see `FilterBank`).
 
     Attributes:
-        inverse_pid_above: share of the latter from which on inverse and PID take over from the predictive controller.
-        pid_above: share from which on the PID alone takes over.
+        inverse_pid_above: error relative to no forecast from which on inverse and PID take over from the predictive
+            controller.
+        pid_above: relative error from which on the PID alone takes over.
         pid: gains of both; null for 0.2 / G and 1.5 / (G s), where G is the model's static gain [deg per command unit].
     """
 
@@ -349,7 +354,7 @@ _KP_SHARE, _KI_PER_S = 0.2, 1.5  # of gains that nobody has tuned, in units of t
 
 
 def feedback_gains(settings: SupervisorSettings, predictor: Predictor) -> PidSettings:
-    """The gains of both feedback laws, for a model."""
+    """Return the PID gains of both feedback laws for a model."""
     if settings.pid is not None:
         return settings.pid
     gain = attempt(lambda: static_gain(predictor))[0] or 0.0
@@ -365,7 +370,7 @@ def supervisory_law(
     pair: tuple[Predictor, Inverse],
     limits: CommandLimits,
 ) -> SupervisoryLaw:
-    """The predictive law with the two feedback laws that a supervisor switches to, on one model.
+    """Build the supervisory law: the predictive law and two feedback laws, all on one model.
 
     The inverse is that of the hysteresis alone, sample by sample: where a model predicts so badly, inverting its lag
     and delay gains nothing.
@@ -378,7 +383,7 @@ def supervisory_law(
 
 @dataclass(frozen=True, eq=False)
 class SupervisorMemory:
-    """The level that acts, and the memory of its law."""
+    """Active level of the supervisor, and the memory of its law."""
 
     level: SupervisorLevel
     inner: Any
@@ -386,7 +391,7 @@ class SupervisorMemory:
 
 @final
 class SupervisoryLaw(Law[SupervisorMemory]):
-    """Supervisory control: one of three laws acts, chosen by the error of the forecasts, with bumpless transfer.
+    """Supervisory control: the error of the forecasts selects one of three laws, with bumpless transfer.
 
     The supervisor switches to a lower level as soon as the error exceeds the threshold of the present one, and back
     once it is below half of that threshold (hysteresis).
@@ -420,7 +425,7 @@ class SupervisoryLaw(Law[SupervisorMemory]):
         )
 
     def _level(self, now: SupervisorLevel, forecast_error: float) -> SupervisorLevel:
-        """Level for this error of the forecasts, with hysteresis on the way to a better one."""
+        """Level for this error of the forecasts, with hysteresis before the return to a better one."""
         at = LEVELS.index(now)
         worst = sum(forecast_error > threshold for threshold in self._thresholds)
         best = sum(forecast_error > _BACK * threshold for threshold in self._thresholds)

@@ -1,4 +1,4 @@
-"""Observers: model state from the commands really sent, output disturbance from the measurements."""
+"""Observers of the model state, from the commands really sent, and of the output disturbance, from the measurements."""
 
 from __future__ import annotations
 
@@ -20,9 +20,8 @@ from ..command import EMPTY, number_of, replace
 
 ANGLE_BOUND_DEG = 1e4  # far beyond any joint; keeps squares and sums of angles finite
 
-# A frame is noisy and few follow: what they say of the model's error acts as far as later frames have borne it out.
-_EARNED_S = 10.0  # these are forgotten with this time constant
-_DOUBT = 5.0  # as much doubt at first as so many frames of nothing but noise
+_EARNED_S = 10.0  # time constant of forgetting
+_DOUBT = 5.0  # prior doubt: as many frames of pure noise
 
 _RESOLUTION = 1e-9  # command changes below this share of the command range count as none
 
@@ -43,14 +42,14 @@ class Estimate:
         measured: the last accepted measurement [deg].
         missing: number of samples since the last accepted measurement.
         stalled: number of samples since the model was last advanced; above zero it has failed.
-        added: what is learned on top of the model, as part of the first of the angles [deg].
+        added: learned part of the first of the angles [deg].
         learning: memory of an observer that learns, see `LearningEstimator`.
         forecast_error: of the best forecast of the last seconds, relative to that of no change (root mean squares,
             Theil's U); 0 before there was motion, and of an observer that does not judge its forecasts.
         bank: filters of `NoiseBank`, of which disturbance and variance are the mixture (3, M).
         earned: of frames, the sums of m z and m^2 [deg^2]; m is the mean of the bank before the offset z came.
         past: corrected estimates of the last instants, the newest last; see `Frames`.
-        seen: measurements of this instant that were used or could not be, there [deg].
+        seen: measurements of this instant, used or not usable [deg].
         since: share of a sample by which the last accepted measurement is younger than `missing` samples.
     """
 
@@ -92,7 +91,8 @@ class Observer(ABC):
 
     @abstractmethod
     def init(self, y: float, u: float) -> Estimate:
-        """Estimate at rest with measured angle `y` [deg] and held command `u`; may raise what the model raises."""
+        """Return the estimate at rest with measured angle `y` [deg] and held command `u`; may raise the model's errors.
+        """
 
     def sigma_deg(self, estimate: Estimate) -> float:
         """Standard deviation of the error of the estimated angle [deg]; not-a-number where it is not known."""
@@ -114,7 +114,7 @@ class Observer(ABC):
         """Use measurement `y` [deg] of `age` samples ago.
 
         Raises:
-            ControllerError: if this observer knows no late measurements, or not of that age.
+            ControllerError: if this observer accepts no late measurements, or none of that age.
         """
         del estimate
         raise ControllerError(
@@ -123,7 +123,7 @@ class Observer(ABC):
 
     @abstractmethod
     def advance(self, estimate: Estimate, u: float) -> Estimate:
-        """Time update by one sample with the command `u`; may raise what the model raises."""
+        """Time update by one sample with the command `u`; may raise the model's errors."""
 
     @abstractmethod
     def coast(self, estimate: Estimate, u: float) -> Estimate:
@@ -146,11 +146,13 @@ class SensorKindSettings(Settings):
     longest_gap_s: Positive = 2.0
 
     def bridged_samples(self, usual: int, dt_s: float) -> int:
-        """Samples without a usable measurement that are bridged at sample time `dt_s` [s]; `usual` of other sensors."""
+        """Number of bridged samples without a usable measurement at `dt_s` [s]; `usual` unless the sensor is
+        intermittent.
+        """
         return round(self.longest_gap_s / dt_s) if self.sensor == "intermittent" else usual
 
     def oldest_samples(self, dt_s: float) -> int:
-        """Age of the oldest frame that is used, in whole samples of `dt_s` [s]; 0 of other sensors."""
+        """Age of the oldest frame that is used, in whole samples of `dt_s` [s]; 0 unless the sensor is intermittent."""
         return math.ceil(self.oldest_frame_s / dt_s) if self.sensor == "intermittent" else 0
 
 
@@ -182,7 +184,7 @@ class EstimatorSettings(SensorKindSettings):
     rest_tolerance_deg: Positive = 30.0
 
     def observer(self, predictor: Predictor) -> Observer:
-        """The estimator that these settings describe."""
+        """Build the estimator."""
         if self.sensor == "none":
             return ModelAlone(predictor, self)
         estimator = OutputEstimator(predictor, self)
@@ -193,7 +195,7 @@ class EstimatorSettings(SensorKindSettings):
 
 @final
 class OutputEstimator(Observer):
-    """Observer of a random-walk output disturbance on a model that runs on the commands really sent.
+    """Observer of a random-walk output disturbance; its model is driven by the commands really sent.
 
         theta_k = model(commands up to k-1-D) + d_k,   d_{k+1} = d_k + w_k,   y_k = theta_k + v_k
         var(w_k) = drift_sigma^2 dt + motion_sigma^2 |u_k - u_{k-1}|,   var(v_k) = sensor_sigma^2
@@ -204,8 +206,8 @@ class OutputEstimator(Observer):
     The model always holds every command sent; the D predicted angles on their way are kept in a queue, so a
     measurement meets the prediction made for its own instant, and plans start where the queue ends.
 
-    The frames of an intermittent sensor are noisy, and few. What they make of the disturbance acts as far as it has
-    predicted the offsets z_j of later frames, with a doubt of 5 frames and a memory of 10 s:
+    The frames of an intermittent sensor are noisy, and few. Their disturbance estimate is scaled by how well it has
+    predicted the offsets z_j of later frames (prior of 5 frames, memory of 10 s):
 
         d_k = s_k m_k,   s_k = sum_j m_j z_j / (sum_j m_j^2 + 5 sensor_sigma^2),   0 <= s_k <= 1
 
@@ -249,7 +251,8 @@ class OutputEstimator(Observer):
         }
 
     def init(self, y: float, u: float) -> Estimate:
-        """Estimate at rest: the difference between `y` and the model is the first disturbance.
+        """Return the estimate at rest; the first disturbance is the difference between `y` and the model, or zero with
+        frames.
 
         With frames it starts at zero.
         """
@@ -326,11 +329,10 @@ class Frames(Observer):
 
         y_k = y + theta_k - ((1 - s) theta_k + s theta_{k+1}),   0 <= s < 1
 
-    The estimate of that instant is corrected, and everything since is done again: the commands that were sent, and what
-    was measured meanwhile. The order in which frames arrive makes no difference.
+    The estimate of that instant is corrected, and all later updates, by commands and measurements, are repeated. The
+    order in which frames arrive makes no difference.
 
     Args:
-        inner: what corrects and advances.
         samples: age of the oldest frame.
     """
 
@@ -385,15 +387,16 @@ class Frames(Observer):
 
 @final
 class ModelAlone(Observer):
-    """A device without an angle sensor: the model, run on the commands really sent from a declared rest on.
+    """Open-loop observer of a device without an angle sensor: the model, driven by the commands sent since a declared
+    rest.
 
         theta_k = model(commands up to k-1-D)
 
     The angle at which the device rests when the controller starts is declared (`TipController.reset`), or the first one
-    of a recording (`TipController.replay`). It says where the model starts; how far it is off that angle is not taken
-    for a disturbance, and what is measured afterwards is not looked at. The estimate does not fluctuate, so that holds
-    are as without noise. How far the model may be off is `sigma_deg`: the root mean square of the slow errors of its
-    free runs, where the model file says it (`ModelMetadata.model_sigma_deg`).
+    of a recording (`TipController.replay`). It sets the initial state of the model; the remaining difference is not
+    treated as a disturbance, and later measurements are ignored. The estimate does not fluctuate, so that holds are as
+    without noise. The model's standard error is `sigma_deg`: the root mean square of the slow errors of its free runs,
+    if the model file has it (`ModelMetadata.model_sigma_deg`).
     """
 
     def __init__(self, predictor: Predictor, settings: EstimatorSettings) -> None:
@@ -480,7 +483,7 @@ class LastMeasurement(Observer):
 
 
 def rest_of_model(predictor: Predictor, y: float, u: float, limit_deg: float) -> tuple[float, Vec]:
-    """Angle [deg] and state of a model one sample after a rest at the angle `y` [deg] under command `u`.
+    """Return angle [deg] and state of a model one sample after rest at the angle `y` [deg] and the command `u`.
 
     Raises:
         ControllerError: if the model is not finite, or further from `y` than `limit_deg`.
@@ -497,7 +500,7 @@ def rest_of_model(predictor: Predictor, y: float, u: float, limit_deg: float) ->
 
 
 def next_of_model(predictor: Predictor, state: Vec, u: float) -> tuple[float, Vec]:
-    """Angle [deg] and state of a model one sample later.
+    """Return angle [deg] and state of a model one sample later.
 
     Raises:
         ArithmeticError: if they are not finite, or the angle is absurdly large.
@@ -509,6 +512,6 @@ def next_of_model(predictor: Predictor, state: Vec, u: float) -> tuple[float, Ve
 
 
 def usable_angle(y: object) -> float:
-    """The measured angle [deg], or not-a-number where it is missing, not a number or absurdly large."""
+    """Return the measured angle [deg], or not-a-number if it is missing, no number or absurdly large."""
     angle = number_of(y)
     return angle if angle is not None and abs(angle) <= ANGLE_BOUND_DEG else math.nan
