@@ -105,9 +105,7 @@ class LoadedController:
         return int(self._init(self._at, angle_deg, command))
 
     def look_on(self, angle_deg: float, command: float) -> int:
-        """Update the state with a command of another source; returns the number of samples for which the model has
-        failed.
-        """
+        """Update the state with a command of another source; returns the number of samples of failed model steps."""
         return int(self._look_on(self._at, angle_deg, command))
 
     def step(self, angle_deg: float, reference: Vec) -> Any:

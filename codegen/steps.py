@@ -92,9 +92,7 @@ def model_source(name: str, step: Step) -> str:
 
 
 def inverted_source(name: str, step: Step) -> str:
-    """Return the C source of a step that is inverted sample by sample, and of `slope_<name>(x, u, theta, d)` with d
-    theta / d u.
-    """
+    """Return the C source of the inverse of a step, sample by sample, and of its slope d theta / d u."""
     return "\n".join(
         [
             step_source(name, step, "HYSTMPC_LOCAL"),
@@ -121,8 +119,7 @@ _NUDGE, _COARSE = 1e-6, 1e-2  # of the angle, for a slope: in double and in sing
 
 
 def chain_rest_source(offset: Vec, by_angle: Vec, by_command: Vec, held: int) -> str:
-    """Return the C source of a chain's state at rest: offset + by_angle a + by_command u, with a such that the output
-    is y.
+    """Return the C source of a chain's state at rest: offset + by_angle a + by_command u, a such that the output is y.
 
     Newton's method of `models.rest.ChainRest`, with a difference quotient for the slope; then `held` samples follow.
     """
@@ -165,8 +162,7 @@ def chain_rest_source(offset: Vec, by_angle: Vec, by_command: Vec, held: int) ->
 
 
 def network_rest_source(offset: Vec, by_angle: Vec, by_command: Vec, held: int, companion_held: int) -> str:
-    """Return the C source of a network's state at rest: offset + by_angle y + by_command u, then some samples of the
-    command held.
+    """Return the C source of a network's state at rest: offset + by_angle y + by_command u, then a held command.
 
     Args:
         held: samples of the network.

@@ -48,8 +48,7 @@ class LoopAnalysis:
 
 
 def describing_function(predictor: Predictor, centre: float, amplitudes: Vec, samples: int) -> Complex:
-    """Describing function of a model: first harmonic of its angle over that of a sinusoidal command, shape (A,)
-    [deg/cmd].
+    """Describing function of a model: first harmonic of the angle over that of a sinusoidal command (A,) [deg/cmd].
 
         N(A) = 2 / (n A) sum_k theta_k exp(-i 2 pi k / n) / (-i),   u_k = centre + A sin(2 pi k / n)
 

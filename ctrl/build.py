@@ -122,9 +122,7 @@ def _planner(
 
 
 def iterations_of(settings: PredictiveSettings, inverse: Inverse) -> int:
-    """Return the planner's iterations per step: at least two if the inverse is only a first guess, see
-    `steady_inverse`.
-    """
+    """Return the planner's iterations per step: at least two for a first-guess inverse, see `steady_inverse`."""
     first_guess = inverted_after_a_hold(inverse.inverse if isinstance(inverse, LearnedInverse) else inverse)
     return max(settings.iterations, _REFINED) if first_guess else settings.iterations
 
@@ -132,9 +130,7 @@ def iterations_of(settings: PredictiveSettings, inverse: Inverse) -> int:
 def _feedforward(
     settings: FeedforwardSettings, predictor: Predictor, inverse: Inverse, limits: CommandLimits
 ) -> InverseFeedforward:
-    """Build the inverse feedforward: over the preview for a model with delay or `steady_inverse`, else sample by
-    sample.
-    """
+    """Build the inverse feedforward: over the preview for a model with delay or `steady_inverse`, else per sample."""
     late = isinstance(inverse, DrivenInverse) or inverted_after_a_hold(inverse)
     ahead = FeasibleInverse(predictor, inverse, limits, settings.preview) if late else None
     return InverseFeedforward(inverse, settings.reference_dead_zone_deg, ahead)

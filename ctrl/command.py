@@ -113,9 +113,7 @@ class Stopwatch:
 
 
 def attempt(action: Callable[[], T]) -> tuple[T | None, str]:
-    """Call `action`; return its result, or None and one line on the exception; floating-point faults become NaN
-    silently.
-    """
+    """Call `action`; return its result, or None and one line on the exception, without warnings for NaNs."""
     try:
         with np.errstate(all="ignore"):
             return action(), ""

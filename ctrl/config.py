@@ -22,8 +22,7 @@ GROUP = "hystmpc.controllers"
 
 
 class PythonControllerSettings(Settings):
-    """External controller, `python: MODULE:CLASS`; further keys are those of its settings, a class derived from
-    `LawSettings`.
+    """External controller, `python: MODULE:CLASS`, whose settings class is derived from `LawSettings`.
 
     Attributes:
         kind: says which block this is; may be left out.

@@ -1,5 +1,4 @@
-"""Feedback laws with their settings: PID, inverse feedforward, both together, and the supervisor that selects among
-them.
+"""Feedback laws with their settings: PID, inverse feedforward, both together, and a supervisor.
 
 S2 is RA-L 2024, PMC11633443.
 """
@@ -53,8 +52,7 @@ class PidSettings(Settings):
 
 @dataclass(frozen=True)
 class PidMemory:
-    """PID state: integral part [command unit], filtered angular speed [deg/s], last angle [deg] and its age [samples].
-    """
+    """PID state: integral part [command unit], filtered angular speed [deg/s], last angle [deg] and its age [samples]."""
 
     integral: float
     speed: float
@@ -102,9 +100,7 @@ class Pid:
         return u, PidMemory(min(max(integral, -self._span), self._span), speed, *newest)
 
     def bumpless_start(self, error: float, given: ControlInput, feedforward: float) -> PidMemory:
-        """Return the memory for a bumpless transfer: the next command equals the last one sent; arguments as of
-        `correct`.
-        """
+        """Return the memory for a bumpless transfer: the next command equals the last one sent."""
         integral = given.u_last - feedforward - self._gains.kp_per_deg * error
         return PidMemory(integral, 0.0, given.measured, given.age)
 
@@ -189,8 +185,7 @@ class AheadOfTime(Protocol):
 
 @final
 class InverseFeedforward(Law[FeedforwardMemory]):
-    """Inverse feedforward u = inverse(x, theta_ref), without feedback; the state x follows from the commands really
-    sent.
+    """Inverse feedforward u = inverse(x, theta_ref), without feedback; x follows from the commands really sent.
 
     A reference that changes by less than the dead zone is not followed: any noise on it would flip the branch of
     the inverse and jump across the whole dead band (RA-L 2024, PMC11633443 (S2), inverse backlash).

@@ -54,9 +54,7 @@ class Proposal(Generic[M]):
 
 
 class Law(ABC, Generic[M]):
-    """Control law with explicit memory; it may raise and propose any command, since `GuardedController` applies limits
-    and fallbacks.
-    """
+    """Control law with explicit memory; it may raise, and propose commands beyond the limits."""
 
     horizon: int  # reference samples that the law uses
     source: Source
@@ -100,7 +98,9 @@ class LawSettings(Settings):
     """
 
     falls_back_on_inverse: ClassVar[bool] = True
-    predicts: ClassVar[bool] = False  # whether the law predicts with the model itself; others get an operator in place of a network
+    predicts: ClassVar[bool] = (
+        False  # whether the law predicts with the model itself; others get an operator in place of a network
+    )
 
     limits: LimitsSettings | None = None
     ladder: FallbackSettings = FallbackSettings()
@@ -111,9 +111,7 @@ class LawSettings(Settings):
         return self
 
     def bridged_samples(self, dt_s: float) -> int:
-        """Number of consecutive samples without a usable measurement that are bridged by prediction, at sample time
-        `dt_s` [s].
-        """
+        """Number of consecutive samples without a usable measurement that are bridged, at sample time `dt_s` [s]."""
         usual = self.ladder.max_missing_samples
         return usual if hasattr(self, "law") else self.estimator.bridged_samples(usual, dt_s)
 
@@ -175,8 +173,7 @@ class GuardedController(Generic[M]):
         return self._limits
 
     def with_law(self, law: Law[N]) -> GuardedController[N]:
-        """Return a controller with the same estimator, fallbacks and limits around another law, such as a wrapped one.
-        """
+        """Return a controller with the same estimator, fallbacks and limits around another law, such as a wrapped one."""
         return GuardedController(law, self._observer, self._fallback, self._limits, self._dt, self._max_missing)
 
     @property
@@ -213,8 +210,7 @@ class GuardedController(Generic[M]):
             ) from error
 
     def replay(self, commands: Vec, angles: Vec) -> GuardedState[M]:
-        """Return the state after a recording, as if the controller had received these angles and sent these commands
-        itself.
+        """Return the state after a recording, as if the controller itself had sent its commands.
 
         Args:
             commands: sent last (T,) [mm or bar], the newest at the end.
@@ -261,8 +257,7 @@ class GuardedController(Generic[M]):
         return self._observer.sigma_ahead_deg(estimate, travels[: commands.size])
 
     def measure(self, state: GuardedState[M], y: float, age: float) -> GuardedState[M]:
-        """Measurement update with `y` [deg], taken `age` samples before the next step, at the instant of the
-        measurement.
+        """Measurement update with `y` [deg], taken `age` samples before the next step.
 
         Raises:
             ControllerError: if the estimator accepts no late measurements, or none of that age; or the model fails.
@@ -360,9 +355,7 @@ class GuardedController(Generic[M]):
 
     @staticmethod
     def _predicted(after: Estimate, level: Level) -> Vec:
-        """Angles at the ends of this and the next samples: first those of commands already sent, then those of the
-        plan.
-        """
+        """Angles at the ends of this and the next samples, of commands already sent and of the plan."""
         if not after.angles:
             return EMPTY
         under_way, planned = after.angles, level.predicted

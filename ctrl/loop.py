@@ -20,7 +20,10 @@ from hystmpc.trials.types import Vec
 from .command import Command
 
 _OLDEST_S, _GAP_S = 1.0, 2.0  # least values for a controller
-_JITTERS, _PERIODS = 4.0, 5.0  # a delay of so many standard deviations, or so many successive lost frames, is still usual
+_JITTERS, _PERIODS = (
+    4.0,
+    5.0,
+)  # a delay of so many standard deviations, or so many successive lost frames, is still usual
 
 
 class SimulatedSensorSettings(Settings):
@@ -163,9 +166,7 @@ class Viewer:
         return self._imaging.newest.angle_deg
 
     def arrived(self, time_s: float) -> tuple[ImageFrame, ...]:
-        """Return the frames that have arrived since the last call, until `time_s` [s] after the start, in order of
-        arrival.
-        """
+        """Return the frames arrived since the last call, until `time_s` [s] after the start, in order."""
         if self._imaging is None:
             return ()
         frames, self._imaging = self._imaging.later(time_s, self._angle())
@@ -325,8 +326,7 @@ def run_loop(
 
 
 def _viewed(controller: Controller[S], state: S, k: int, frames: Sequence[ImageFrame]) -> tuple[float, S]:
-    """Angle of the newest frame used [deg], NaN if there is none, and the controller's state after all usable frames.
-    """
+    """Angle of the newest frame used [deg], NaN if there is none, and the controller's state after all usable frames."""
     shown, newest_s = math.nan, -math.inf
     for frame in frames:
         with suppress(ControllerError):

@@ -124,8 +124,7 @@ class ChangeMonitor:
         return MonitorState(model_deg, residual, 0.0, model_deg, math.inf, 0.0, np.zeros((_ROWS, _ROWS)), 0.0)
 
     def advance(self, state: MonitorState, model_deg: float, measured_deg: float) -> MonitorState:
-        """Return the state one sample later; a measurement that is not-a-number changes only the memory of the model.
-        """
+        """Return the state one sample later; a measurement that is not-a-number changes only the memory of the model."""
         span, moved = self._span, model_deg - state.model_deg
         bound = _PLAY * span
         stop = min(max(state.stop_deg + moved, -bound), bound)
@@ -165,9 +164,7 @@ class ChangeMonitor:
         return Change(probability, level, self._signs(state.sums, state.changes))
 
     def along(self, model_deg: Vec, measured_deg: Vec) -> tuple[Change, float]:
-        """Return the first reported change along angles (N,) [deg] and its time [s]; without one, the final result and
-        NaN.
-        """
+        """Return the first reported change along angles (N,) [deg] and its time [s]; else the final result and NaN."""
         state, every = self.init(float(model_deg[0]), float(measured_deg[0])), max(round(1.0 / self.dt), 1)
         for k, (model, measured) in enumerate(zip(model_deg.tolist(), measured_deg.tolist(), strict=True)):
             state = self.advance(state, model, measured)

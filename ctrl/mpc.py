@@ -327,9 +327,7 @@ class PredictiveLaw(Law[PredictiveMemory[P]]):
         return self._proposal(plan, status, PredictiveMemory(planner, hold))
 
     def _start(self, problem: PlanningProblem, plans: Vec, angles: Vec, holding: bool) -> CommandPlan:
-        """Start plan: the held command in a hold, else the cheapest candidate; `angles` are those of the first
-        candidates.
-        """
+        """Start plan: the held command in a hold, else the cheapest candidate; `angles` of the first candidates."""
         known = HOLD + 1 if holding else len(angles)
         best = self._cost.best(plans[:known], angles[:known], problem)
         if holding or known == len(plans):
@@ -345,9 +343,7 @@ class PredictiveLaw(Law[PredictiveMemory[P]]):
 
 @dataclass(frozen=True)
 class Hold:
-    """Hold state: whether the command is held on purpose, at which reference, and for how many samples that is
-    constant.
-    """
+    """Hold state: whether the command is held, at which reference, and number of samples of constant reference."""
 
     holding: bool = False
     constant: int = 0

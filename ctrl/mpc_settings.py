@@ -269,8 +269,7 @@ class SamplingMpcSettings(PredictiveSettings):
         return _SIGMA_SHARE * reach if self.sigma is None else self.sigma
 
     def blocks(self, dt_s: float) -> tuple[int, ...]:
-        """Return the samples of each block of moves at sample time `dt_s` [s]; every sample up to a preview of 20
-        samples.
+        """Return the samples of each block of moves at sample time `dt_s` [s]; 1 up to a preview of 20 samples.
 
         A longer preview has those of the linearised controller, so that the samples have few directions to explore.
         """

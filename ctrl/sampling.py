@@ -97,9 +97,7 @@ def fit_columns(
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def solve(matrix: Any, right: Any) -> None:
-    """Solve matrix X = right (m, H) in place, by matrix = R'R; only the upper triangle of `matrix` is read, and becomes
-    R.
-    """
+    """Solve matrix X = right (m, H) in place, by matrix = R'R; of `matrix` only the upper triangle is used."""
     size = matrix.shape[0]
     for j in range(size):
         for i in range(j):
@@ -133,9 +131,7 @@ def add(target: Any, factor: float, row: Any) -> None:
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def weighted_mean(plans: Any, costs: Any, temperature: float) -> Any:
-    """Weighted mean (H,) of plans (N, H) by exp(-(J - J_min) / lambda), for finite costs (N,); see
-    `SamplingMpcSettings`.
-    """
+    """Weighted mean (H,) of plans (N, H), by exp(-(J - J_min) / lambda); see `SamplingMpcSettings`."""
     lowest = costs.min()
     scale = max(temperature * (np.median(costs) - lowest), _TINY)
     total, mean = 0.0, np.zeros(plans.shape[1])

@@ -123,14 +123,14 @@ class SimulationConfig(Settings):
 
     Attributes:
         model: model of the controllers: a simulator (.yaml), an exported model (.onnx), or `builtin:NAME`.
-        actuator_lag_s: first-order lag of the command that the model does not contain and controllers are keys of.
+        actuator_lag_s: first-order lag of the command that the model does not contain and controllers take into
+            account.
         inverse: simulator (.yaml) that is inverted in the model's place: `inverse` and `inverse_pid` know nothing else,
             predictive controllers take their first guess from it. For networks, which have no inverse of their own;
             where left out, a backlash fitted to the network's free run. Or an inverse map (.onnx, or .yaml for
             an operator), which is asked for the command and runs beside the model.
         sensor: sensor of the controllers: the plant's own sensor in every sample, frames of an imaging system, or
-            nothing. What it says of frames and noise stands in the block `estimator` of every controller that does not
-            say something else.
+            nothing. Its facts on frames and noise are defaults of every controller's block `estimator`.
         limits: hard limits of command and rate; those of the model where left out. Wider ones are refused unless
             `limits.beyond_model` is true.
         approach: lead the tip from the plant's rest to the start of a motion that starts far from it; this part does
@@ -209,8 +209,7 @@ def load_simulation(path: Path | str, overrides: Iterable[str] = ()) -> Simulati
 def located(
     config: SimulationConfig, folder: Path, where: Callable[[Sequence[str | int]], str] | None = None
 ) -> SimulationConfig:
-    """Return the study with absolute file names, relative ones starting at `folder`; names of built-in models are
-    unchanged.
+    """Return the study with absolute file names, relative ones starting at `folder`; built-in models keep their names.
 
     Raises:
         ModelError: on an unknown built-in model.

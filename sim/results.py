@@ -239,10 +239,9 @@ def best_figures(runs: Sequence[Result]) -> frozenset[tuple[str, str]]:
 
 
 def conclusion(result: StudyResult) -> str:
-    """Return a sentence on the controller with the least error over all motions, relative to the best of the other
-    sort.
+    """Return a sentence that compares the best controllers with and without prediction over all motions.
 
-    The sorts are controllers with and without prediction. Empty without a comparison.
+    It is empty if one of them is missing.
     """
     errors: dict[str, float] = {}
     for name in result.controllers:

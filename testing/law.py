@@ -1,4 +1,4 @@
-"""Contract tests of control laws: what the closed loop relies on."""
+"""Contract tests of control laws, on which the closed loop relies."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ class ControllerContract(ABC):
         """Settings of the controller under test."""
 
     def test_its_settings_are_read_as_they_are_written(self) -> None:
-        """Settings that are written and read back are equal, and unknown keys are refused."""
+        """Settings written to a file and read back are equal, and unknown keys are refused."""
         settings = self.settings()
         second = type(settings).parse(settings.model_dump(mode="json"))
         require(second == settings, f"written {settings}, read {second}")
@@ -144,7 +144,7 @@ class ControllerContract(ABC):
         return build_controller(settings, *pair_for(settings, self._device.known), self._device.limits)
 
     def _follow(self, reference: Vec, missing: range = range(0)) -> LawRun:
-        """Simulate the closed loop on the known device."""
+        """Closed-loop run on the known device."""
         plant, controller, y = self._device.known.predictive[0], self._controller, self._device.low_deg
         device = plant.initial(y, self._device.limits.lower)
         state = controller.init(y, self._device.limits.lower)

@@ -91,8 +91,7 @@ class Observer(ABC):
 
     @abstractmethod
     def init(self, y: float, u: float) -> Estimate:
-        """Return the estimate at rest with measured angle `y` [deg] and held command `u`; may raise the model's errors.
-        """
+        """Return the estimate at rest with measured angle `y` [deg] and held command `u`; may raise the model's errors."""
 
     def sigma_deg(self, estimate: Estimate) -> float:
         """Standard deviation of the error of the estimated angle [deg]; not-a-number where it is not known."""
@@ -146,9 +145,7 @@ class SensorKindSettings(Settings):
     longest_gap_s: Positive = 2.0
 
     def bridged_samples(self, usual: int, dt_s: float) -> int:
-        """Number of bridged samples without a usable measurement at `dt_s` [s]; `usual` unless the sensor is
-        intermittent.
-        """
+        """Number of bridged samples without a usable measurement; `usual` unless the sensor is intermittent."""
         return round(self.longest_gap_s / dt_s) if self.sensor == "intermittent" else usual
 
     def oldest_samples(self, dt_s: float) -> int:
@@ -251,8 +248,7 @@ class OutputEstimator(Observer):
         }
 
     def init(self, y: float, u: float) -> Estimate:
-        """Return the estimate at rest; the first disturbance is the difference between `y` and the model, or zero with
-        frames.
+        """Return the estimate at rest, with `y` minus the model's angle as disturbance; zero with frames.
 
         With frames it starts at zero.
         """
@@ -387,8 +383,7 @@ class Frames(Observer):
 
 @final
 class ModelAlone(Observer):
-    """Open-loop observer of a device without an angle sensor: the model, driven by the commands sent since a declared
-    rest.
+    """Open-loop observer of a device without an angle sensor: the model alone, driven by the commands sent.
 
         theta_k = model(commands up to k-1-D)
 

@@ -36,8 +36,7 @@ _SENSOR_DEG = 0.1  # standard deviation of the sensor, if the model's file does 
 
 @final
 class LearnedPredictor(Predictor):
-    """Model with a learned part, theta = m + w_c (m - m_0) + sum_i w_i f_i, see `bank`; weights are constant in a
-    roll-out.
+    """Model with a learned part: theta = m + w_c (m - m_0) + sum_i w_i f_i, see `bank`; constant weights.
 
     Where all weights are zero this is the model. The state is the model's, then the learned part's (LEARNED_SIZE,).
     """
@@ -64,9 +63,7 @@ class LearnedPredictor(Predictor):
         return np.concatenate([self.model.initial(y, u), *part])
 
     def with_learned(self, below: Vec, bank: BankState) -> Vec:
-        """Return the model's state `below` joined with the learned part of a bank whose newest memory is of the same
-        instant.
-        """
+        """Return the model's state `below` joined with the learned part of a bank at the same instant."""
         ends = self._bank.lags[bank.lag], float(bank.delay)
         return np.concatenate([below, bank.history[bank.delay, bank.lag], bank.queue, bank.weights, bank.start, ends])
 
@@ -181,9 +178,7 @@ class LearningEstimator(Observer):
         return self._whole(model, bank, model.bank, model.disturbance, model.variance)
 
     def sigma_ahead_deg(self, estimate: Estimate, travels: Vec) -> Vec:
-        """Standard deviation of predicted angles as in `OutputEstimator`: the disturbance is the error left by model
-        and learned part.
-        """
+        """Standard deviation of predicted angles as in `OutputEstimator`, with the learned part in the model."""
         return self._plain.sigma_ahead_deg(estimate, travels)
 
     def correct(self, estimate: Estimate, y: float) -> Estimate:

@@ -268,9 +268,7 @@ def tracking_program(
     upper: Any,
     dual: Any,
 ) -> None:
-    """Compute the hard limits' part of `TrackingQp` around a plan, in place; factors: rate, effort, least, greatest,
-    reach.
-    """
+    """Hard limits' part of `TrackingQp` around a plan, in place; factors: rate, effort, least, greatest, reach."""
     size, reach = plan.size, factors[4]
     moves = moves_of(plan, u_last)
     condense(jacobian, angles - reference, tracking, moves, plan - feedforward, factors, hessian, gradient)
@@ -499,8 +497,7 @@ _INVERSE_ITERATIONS = 2
 
 @final
 class FeasibleInverse:
-    """Inverse over a preview: argmin over admissible u of sum_k (theta_k(u) - r_k)^2, with a very small weight on
-    moves.
+    """Inverse over a preview: argmin over admissible u of sum_k (theta_k(u) - r_k)^2, with a small weight on moves.
 
     The problem of the linearised controller without a disturbance: its candidates, then its planner. An inverse sample
     by sample would send u = v + (w - v) / a to a lag with step response a < 1 after one sample, which amplifies every

@@ -99,8 +99,7 @@ class DaqpOptions:
 
 @final
 class DaqpSolver(QpSolver):
-    """Solver DAQP, cold-started for every program, so that results do not depend on the order (Arnström et al., TAC
-    2022).
+    """Solver DAQP, cold-started: results do not depend on the order of programs (Arnström et al., TAC 2022).
 
     The identity rows of the pattern are passed as simple bounds. Each thread reuses one workspace, which is made anew
     after a failure.

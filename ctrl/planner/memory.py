@@ -1,5 +1,4 @@
-"""Memory of a `TipController`: snapshot, its transitions as pure functions, and the state and plan shown to a planner.
-"""
+"""Memory of a `TipController`: snapshot, its transitions as pure functions, and the state and plan shown to a planner."""
 
 from __future__ import annotations
 
@@ -162,8 +161,7 @@ def holding(control: GuardedState[Any] | None, held: float) -> GuardedState[Any]
 
 
 def skipped(memory: Snapshot, controller: PlannersController, cause: str) -> Snapshot:
-    """Return the snapshot after a sample without a command: the device holds its command, also in a stop with a ramp.
-    """
+    """Return the snapshot after a sample without a command: the device holds its command, also in a stop with a ramp."""
     control, held = memory.control, memory.command.u
     if control is None:
         return memory
@@ -358,9 +356,7 @@ def _sigma_of_plan(memory: Snapshot, controller: PlannersController, planned: Ve
 def predicted_angles(
     predictor: Predictor, limits: CommandLimits, estimate: Estimate | None, commands: ArrayLike
 ) -> Vec:
-    """Predict angles [deg] at the ends of the coming samples under one plan (N,) or several (K, N), disturbance
-    included.
-    """
+    """Predict the angles [deg], disturbance included, at the ends of the samples of one plan (N,) or several (K, N)."""
     plans, estimate = usable_plans(predictor, limits, estimate, commands)
     under_way = np.array(estimate.angles[1:])  # of commands already sent that have not acted yet
     new = predictor.rollout(estimate.state, plans)

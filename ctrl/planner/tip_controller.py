@@ -56,7 +56,7 @@ _ROUNDS = 3  # evaluations of a reference within one step, if another thread set
 
 @final
 class TipController:
-    """Predictive controller with its clock and its reference: one call per sample, new targets at any time.
+    """Controller with its clock and its reference: one call per sample, new targets at any time.
 
         tip = TipController.from_config("tip.yaml")
         tip.set_target(60.0)
@@ -252,8 +252,7 @@ class TipController:
         return tip_plan(self._memory, self._controller)
 
     def predict(self, commands: ArrayLike) -> Vec:
-        """Predict angles [deg] at the ends of the coming samples under `commands`, disturbance included; nothing is
-        sent.
+        """Predict angles [deg], disturbance included, at the ends of the samples of `commands`; nothing is sent.
 
         Args:
             commands: one plan (N,) or several (K, N) [mm or bar], the first to be sent next; angles have its shape.
@@ -296,9 +295,7 @@ class TipController:
         return other
 
     def reachable(self, theta_deg: float) -> Reach:
-        """Return whether the model can be held at `theta_deg` [deg] within command and soft angle limits, with the
-        reason.
-        """
+        """Return whether the model can be held at `theta_deg` [deg] within command and soft angle limits."""
         return self._assembly.workspace.judge(require_number(theta_deg, "reachable"), self._memory.disturbance_deg)
 
     def stop(self) -> None:

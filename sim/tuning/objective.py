@@ -91,9 +91,7 @@ def plant_cost(score: PlantScore, objective: ObjectiveSettings) -> float:
 
 
 def robust(costs: Sequence[float] | Vec, objective: ObjectiveSettings) -> float:
-    """Robust objective (w_mean mean J_p + w_tail mean of the worst J_p) / (w_mean + w_tail) [deg], with at least one
-    worst plant.
-    """
+    """Robust objective (w_mean mean J_p + w_tail mean of the worst J_p) / (w_mean + w_tail) [deg]."""
     values = np.sort(np.asarray(costs, dtype=np.float64))[::-1]
     worst = values[: max(1, round(objective.tail_share * len(values)))]
     total = objective.mean * float(np.mean(values)) + objective.tail * float(np.mean(worst))
@@ -232,8 +230,7 @@ class Tuning:
         return in_brief(self, text)
 
     def plot(self) -> Figure:
-        """Draw the cost of every held-out plant, tuned against given; below the diagonal the tuned settings are better.
-        """
+        """Draw the cost of every held-out plant, tuned against given; below the diagonal the tuned settings are better."""
         from hystmpc.trials.report import MEASURED, REFERENCE, new_figure  # matplotlib, which a search does not need
 
         given, tuned = self.check.costs("given"), self.check.costs("tuned")
