@@ -172,7 +172,6 @@ def _guarded(name: str, text: str) -> str:
 
 
 def _sizes(problem: ControllerProblem, single: bool) -> str:
-    """C definitions of the scalar type and of the array sizes."""
     lines = [f"typedef {'float' if single else 'double'} hystmpc_real;", f"#define HYSTMPC_SINGLE {int(single)}"]
     public = {"sample_s": "dt_s", "lowest": "lower", "highest": "upper"}
     lines += [f"#define HYSTMPC_{name.upper()} {problem.numbers[key]!r}" for name, key in public.items()]
@@ -181,7 +180,6 @@ def _sizes(problem: ControllerProblem, single: bool) -> str:
 
 
 def _numbers(problem: ControllerProblem, single: bool) -> str:
-    """C definitions of the controller's scalars and arrays."""
     suffix = "##f" if single else ""
     math = "name##f" if single else "name"
     lines = [f"#define HYSTMPC_REAL(x) x{suffix}", f"#define MATH(name) {math}"]

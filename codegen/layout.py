@@ -28,7 +28,6 @@ def structs(header: str, sizes: Mapping[str, int], real: Any) -> Mapping[str, ty
         header: text; its conditions are `#if NAME` and `#endif`, its fields of `hystmpc_real`, plain numbers and other
             structs; names of structs begin with `hystmpc_`.
         sizes: of the macros in conditions and dimensions.
-        real: ctypes' type of `hystmpc_real`.
     """
     known: dict[str, Any] = {"hystmpc_real": real, **_TYPES}
     plain = "\n".join(_chosen(re.sub(r"/\*.*?\*/", "", header, flags=re.DOTALL), sizes))

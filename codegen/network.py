@@ -25,13 +25,10 @@ class NetworkC:
     """Sizes, weights and scaling of a recurrent network for C.
 
     Attributes:
-        kind: `lstm` or `gru`.
         hidden, layers: units of a layer, and layers.
         units: of a layer, padded to whole panels.
-        state_size: entries of its state.
         weights: float32, by layer, then by panel.
         head: float32 (units,).
-        numbers: scalars of its scaling and of its gates.
     """
 
     kind: str

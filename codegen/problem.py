@@ -62,8 +62,6 @@ class ControllerProblem:
         numbers: scalars (), vectors and matrices of the algorithm, by the names of its macros in small letters.
         steps: model steps by name: `whole` (without a network), `middle`, and `front` and `back` where they exist.
         network: predictor in place of `whole`; `middle` is then the operator whose inverse is used.
-        rest: computation of the state at rest.
-        words: description for the head of the file.
     """
 
     sizes: Mapping[str, int]
@@ -137,7 +135,6 @@ class _ModelParts:
 
 
 def _of_chain(model: ChainModel, settings: TipSettings) -> _ModelParts:
-    """Parts of a chain of operators with linear dynamics on either side."""
     lag_s, facts = settings.actuator_lag_s, model.metadata
     parts = _parts(model.simulator.chain, lag_s)
     sizes = {name: chain.state_size for name, chain in parts.items()}
@@ -149,7 +146,6 @@ def _of_chain(model: ChainModel, settings: TipSettings) -> _ModelParts:
 
 
 def _of_network(model: LoadedModel, settings: TipSettings) -> _ModelParts:
-    """Parts of a network, and of the operator whose inverse replaces the network's."""
     from hystmpc.models.contract.load import OnnxModel  # onnxruntime is not loaded for a simulator
 
     assert isinstance(model, OnnxModel)

@@ -40,8 +40,6 @@ def build_controller(
 
     Args:
         settings: one of the classes of `CONTROLLERS`, or a class of yours derived from `LawSettings`.
-        predictor: the model; PID takes only the sample time from it.
-        inverse: its inverse, for feedforward, candidate plans and fallback.
         limits: hard limits of the device; `settings.limits` may narrow them.
 
     Raises:
@@ -112,7 +110,6 @@ def law_of(settings: LawSettings, predictor: Predictor, inverse: Inverse, limits
 def _planner(
     settings: PredictiveSettings, predictor: Predictor, inverse: Inverse, limits: CommandLimits
 ) -> Planner[Any]:
-    """Build the planner of a predictive controller."""
     settings = settings.model_copy(update={"iterations": iterations_of(settings, inverse)})
     if isinstance(settings, LinearisedMpcSettings):
         return LinearisedPlanner(predictor, settings, limits)

@@ -53,7 +53,6 @@ class Command:
 
     Attributes:
         u: command [mm or bar], always finite and within the limits on value and rate.
-        source: fallback level that produced it.
         status: `ok`, or one line on what was unusual or why a better level was not used.
         plan: planned commands over the horizon, shape (H,), empty where the controller does not plan.
         predicted: predicted tip angles [deg] at the ends of this and the next samples, disturbance included: as

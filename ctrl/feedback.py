@@ -80,13 +80,7 @@ class Pid:
     def correct(
         self, memory: PidMemory, error: float, given: ControlInput, feedforward: float
     ) -> tuple[float, PidMemory]:
-        """Return command and next memory of one sample.
-
-        Args:
-            error: reference minus measured angle [deg].
-            given: measured angle, its age, and the command really sent last.
-            feedforward: added to the feedback.
-        """
+        """Return command and next memory of one sample, for `error` = reference minus measured angle [deg]."""
         gains, y, u_last = self._gains, given.measured, given.u_last
         new, speed, age = is_new(memory, given), memory.speed, memory.age + 1.0
         if new:
@@ -228,11 +222,7 @@ class InverseFeedforward(Law[FeedforwardMemory]):
 
 @dataclass(frozen=True, eq=False)
 class InversePidMemory:
-    """State of `InversePid`: memories of both parts, and the model state (S,) under the feedforward command alone.
-
-    Attributes:
-        dues: angles that were due at the last instants, the newest last [deg].
-        error: of the last measurement [deg].
+    """State of `InversePid`: its memories, the last due angles, the newest last, and the model state under feedforward alone.
     """
 
     feedforward: FeedforwardMemory

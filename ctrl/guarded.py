@@ -135,7 +135,6 @@ class GuardedController(Generic[M]):
     proposal or a fallback, limit from the command really sent, advance the model with the result.
 
     Args:
-        dt: sample time [s].
         max_missing_samples: consecutive samples without usable measurement that are bridged by prediction.
 
     Raises:
@@ -423,9 +422,6 @@ class Level:
 class FallbackChain:
     """Chain of fallback levels: shifted plan, inverse, hold, stop.
 
-    Args:
-        inverse: of the model; None where there is none.
-
     Raises:
         ControllerError: if the safe command lies beyond the limits.
     """
@@ -453,7 +449,7 @@ class FallbackChain:
         """Return the best remaining level after a failure.
 
         Args:
-            blind: the measurement has been missing for too long for plans to be reliable: hold.
+            blind: whether the measurement has been missing for too long for plans to be reliable.
         """
         state = replace(state, failures=state.failures + 1)
         if state.failures >= self._settings.stop_after_failures:

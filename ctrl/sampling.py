@@ -201,12 +201,10 @@ class SamplingPlanner(Planner[SampleCounter]):
         return plans
 
     def _admissible(self, plans: Mat, problem: PlanningProblem) -> Mat:
-        """Clip the plans (N, H) to the limits, in place."""
         clip_plans(plans, *self._bounds, problem.u_last)
         return plans
 
     def _cheapest(self, plans: Mat, problem: PlanningProblem) -> CommandPlan:
-        """Cheapest of a few plans (N, H), made admissible in place."""
         plans = self._admissible(plans, problem)
         return self._cost.best(plans, self._predictor.rollout(problem.state, plans), problem)
 

@@ -102,7 +102,6 @@ def _expected_s(study: Study) -> tuple[float, float, float]:
 
 
 def _runs(study: Study, progress: Progress) -> Iterator[Result]:
-    """Results of the runs, one after another, until the last one or Ctrl-C."""
     pairs = [(motion, name) for motion in study.motions for name in study.config.controllers]
     lengths = {name: study.steps(name) for name in study.motions}
     total, done = sum(lengths[motion] for motion, _ in pairs), 0
@@ -133,7 +132,6 @@ def _take_back(path: Path) -> None:
 
 
 def _write(folder: RunFolder, study: Study, result: Result) -> None:
-    """Write the folder of one run, with the study's settings for this run alone."""
     path = folder.path / result.motion / result.controller
     alone = study.config.narrowed(result.controller, result.motion)
     run = RunFolder.create(path, alone, seed=study.config.seed, models=study.files)
@@ -180,7 +178,6 @@ def error_figure(results: Sequence[Result], colour: Mapping[str, str]) -> Figure
 
 
 def _loops(results: Sequence[Result], colour: Mapping[str, str], unit: str) -> Figure:
-    """Draw the hysteresis loops of each controller: angle over command."""
     panels = []
     for result in results:
         look = {"color": colour[result.controller], "linewidth": 0.8}

@@ -45,8 +45,6 @@ class EnvironmentState:
 
     Attributes:
         random: generator of the seeds of future resets.
-        y: angle measured last [deg].
-        imaging: of an intermittent sensor.
     """
 
     plant: ComputedPlant
@@ -76,7 +74,6 @@ class HysteresisEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         plant: the device; the environment has a copy.
         preview: H, samples at least 1.
         rate_weight: w [deg^2 per squared command unit].
-        disturbance: see `disturb`.
         sensor: what is measured; the plant's own angle in every sample where left out.
 
     Raises:
@@ -181,7 +178,6 @@ class HysteresisEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         return self._observation()
 
     def _disturbing_deg(self) -> float:
-        """Disturbance of the angle now [deg]."""
         load = self._disturbance.angle_deg
         return 0.0 if load is None else load(self._k * self.dt)
 

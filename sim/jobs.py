@@ -288,10 +288,7 @@ def run_jobs(
 
     Args:
         jobs: taken as they are needed, a few ahead of the workers; each can be pickled.
-        is_done: whether a job was done by an earlier call.
         total: number of jobs; `progress` is called only if it is given.
-        progress: called after every job; jobs done earlier count.
-        note: text for `progress`.
     """
     kept = 0
 

@@ -124,9 +124,7 @@ def run_from(columns: Mapping[str, Column], lowest: float, where: str) -> Closed
     """Return the run of a log.
 
     Args:
-        columns: of `log.csv`.
         lowest: rest command of the plant, for logs of older versions without it.
-        where: prefix of messages.
 
     Raises:
         LogError: if a column is missing.
@@ -241,7 +239,7 @@ def best_figures(runs: Sequence[Result]) -> frozenset[tuple[str, str]]:
 def conclusion(result: StudyResult) -> str:
     """Return a sentence that compares the best controllers with and without prediction over all motions.
 
-    It is empty if one of them is missing.
+    It is empty with fewer than two controllers.
     """
     errors: dict[str, float] = {}
     for name in result.controllers:
@@ -339,7 +337,6 @@ def load_results(path: Path | str) -> StudyResult:
 
 
 def _runs(folder: RunFolder, config: SimulationConfig) -> Iterator[tuple[str, str, RunFolder]]:
-    """Motion, controller and folder of every finished run."""
     for motion in config.motions:
         for controller in config.controllers:
             below = folder.path / motion / controller

@@ -110,7 +110,6 @@ class EffectContract:
                     require(f.lower <= value <= f.upper, f"{form.label}: {f.name} starts at {value}, beyond its bounds")
 
     def _operators(self) -> Iterator[Operator]:
-        """Operators of each form of the effect."""
         kinds = (self.effect.operator, *self.effect.other_forms)
         for kind in kinds:
             yield kind.template(**{key: kind.default_sizes.get(key, 1) for key in kind.shape})

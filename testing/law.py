@@ -144,7 +144,6 @@ class ControllerContract(ABC):
         return build_controller(settings, *pair_for(settings, self._device.known), self._device.limits)
 
     def _follow(self, reference: Vec, missing: range = range(0)) -> LawRun:
-        """Closed-loop run on the known device."""
         plant, controller, y = self._device.known.predictive[0], self._controller, self._device.low_deg
         device = plant.initial(y, self._device.limits.lower)
         state = controller.init(y, self._device.limits.lower)

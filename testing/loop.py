@@ -177,7 +177,6 @@ class LoopContract(Wired):
         require(self.near(got[-1], 0.0), f"the last command has to be the safe one, 0; the device got {got[-1]}")
 
     def _run(self, c: Connected, transport: Transport, silence_s: float, folder: Path | None = None) -> BenchResult:
-        """Run of the loop: a motion to `_AWAY` and a hold of a second."""
         with TemporaryDirectory() as spare:
             settings = BenchSettings.parse(
                 {
@@ -231,7 +230,6 @@ def _following(c: Connected) -> Iterator[None]:
 
 @contextmanager
 def _hanging() -> Iterator[Callable[..., None]]:
-    """Context with a function that blocks until its end."""
     over = Event()
 
     def hang(*reading: object) -> None:

@@ -90,7 +90,6 @@ class ModelContract(ABC):
         return _run(self._model, self.low + (self.high - self.low) * share, self._first())
 
     def _first(self) -> float:
-        """Initial angle of a motion [deg]."""
         return self._model.metadata.trained_angle.lower if isinstance(self._model, LoadedModel) else 0.0
 
     def _count(self, seconds: float) -> int:

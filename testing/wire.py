@@ -25,7 +25,6 @@ class Connected:
     """Open transport, and the device's end of the connection.
 
     Attributes:
-        transport: transport under test.
         tell: makes the device send one measurement: angle and held command.
         heard: all commands that the device has received, the oldest first.
         spoil: sends invalid data to the transport; None if impossible.

@@ -57,12 +57,10 @@ def drawn_motions(
     """Draw a point-to-point motion with holds, and a sinusoid of each frequency, over ranges within reachable angles.
 
     Args:
-        random: random generator.
         rest_deg: angle from which every motion begins [deg].
         reachable_deg: least and greatest angle [deg].
         speed_deg_s: greatest speed of the references, by a smaller amplitude of sinusoids where needed [deg/s].
         scans_hz: frequency of each scan by its name [Hz].
-        moves: of point to point.
         scan_s: duration of a scan, rounded to whole periods, at least one [s].
 
     Raises:
@@ -111,7 +109,6 @@ def approached(
 
     Args:
         rest_deg, start_deg: ends of the move [deg].
-        limits: of the move.
         dt_s: sample time [s]; the approach lasts a whole number of samples.
 
     Raises:

@@ -113,7 +113,6 @@ class PathMotion(MotionSettings):
         return self.path(t)
 
     def build(self, folder: Path | str = ".") -> Self:
-        """Return the motion."""
         del folder
         return self
 

@@ -86,7 +86,6 @@ class RandomPointToPointSettings(MotionSettings):
     limits: MotionLimits = MotionLimits()
 
     def build(self, folder: Path | str = ".") -> PointToPoint:
-        """Return the motion of this seed."""
         del folder
         return self.drawn(np.random.default_rng(self.seed))
 
@@ -103,10 +102,6 @@ class RandomPointToPointSettings(MotionSettings):
 
 def random_point_to_point(seed: int | np.random.Generator, **settings: Any) -> PointToPoint:
     """Draw a point-to-point motion with uniform targets and holds; equal seeds give equal motions.
-
-    Args:
-        seed: seed, or a generator to draw from.
-        settings: start_deg, range_deg, moves, hold_range_s, limits: see `RandomPointToPointSettings`.
 
     Raises:
         TrajectoryError: if a range is empty or not finite, or no move is asked for.

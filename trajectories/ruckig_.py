@@ -146,7 +146,6 @@ def _check_limits(segments: Segments, wanted: ruckig.InputParameter, where: str)
 
 
 def _check_end(segments: Segments, wanted: ruckig.InputParameter, accepted: float, where: str) -> None:
-    """Refuse a result that misses the target."""
     theta, velocity, acceleration = end_state(segments[-1])
     gap = max(
         abs(theta - wanted.target_position[0]),

@@ -70,7 +70,6 @@ class Scan(PathMotion):
 
     @cached_property
     def path(self) -> Trajectory:
-        """Path of lead-in and sweeps."""
         shape, amplitudes = self.sweeps
         return self._sinusoids(amplitudes) if shape == "sinusoid" else self._triangles(amplitudes)
 
@@ -150,7 +149,6 @@ class SinusoidScan(Scan):
 
     @property
     def sweeps(self) -> tuple[Shape, tuple[float, ...]]:
-        """One sinusoid."""
         return "sinusoid", (self.amplitude_deg,)
 
 
@@ -174,7 +172,6 @@ class TriangleScan(Scan):
 
     @property
     def sweeps(self) -> tuple[Shape, tuple[float, ...]]:
-        """One triangle."""
         return "triangle", (self.amplitude_deg,)
 
 
@@ -199,5 +196,4 @@ class Raster(Scan):
 
     @property
     def sweeps(self) -> tuple[Shape, tuple[float, ...]]:
-        """The sweeps in order."""
         return self.shape, self.amplitudes_deg

@@ -107,9 +107,6 @@ def sample(trajectory: Trajectory, rate_hz: float) -> tuple[Vec, Vec]:
 class TrajectoryChain:
     """Trajectories one after another; each must begin where the one before it ends.
 
-    Attributes:
-        parts: at least one trajectory.
-
     Raises:
         TrajectoryError: if there is no part.
     """
@@ -167,7 +164,6 @@ def read_sampled(path: Path | str) -> Sampled:
 
 
 def _numbers(row: list[str], places: list[int], where: str) -> list[float]:
-    """Numbers at the given places of one row."""
     numbers = []
     for place, name in zip(places, COLUMNS, strict=True):
         text = row[place] if place < len(row) else ""
@@ -193,8 +189,6 @@ class PreviewTable:
     """Table of the previews at every sample of a run, computed in advance: a look-up is a slice.
 
     Attributes:
-        trajectory: the reference.
-        dt: sample time [s].
         horizon: samples per preview H, at least 1.
 
     Raises:

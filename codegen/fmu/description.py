@@ -38,8 +38,6 @@ class Described:
     Attributes:
         name, identifier: for people, and for C and file names.
         chain: its operators in the order of the signal.
-        sample_s: sample time [s].
-        command_unit, output_unit: of the signals.
         limits: least and greatest command.
         rest_command: command before the first one is set.
         tool: program that wrote the FMU.
@@ -120,7 +118,6 @@ def build_description(described: Described, source: str) -> str:
 
 
 def _variables(described: Described) -> list[tuple[dict[str, str], dict[str, str]]]:
-    """Attributes of each variable and of its type in modelDescription.xml."""
     low, high = described.limits
     held = {"min": repr(low), "max": repr(high), "start": repr(described.rest_command)}
     rows = [

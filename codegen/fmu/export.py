@@ -115,7 +115,6 @@ def export_fmu(
         simulator: with its effects, at the sample time of the FMU; a `SimulatedPlant` has it as `simulator`.
         rest: output and state (S,) at the start, `SimulatedPlant.rest`.
         name: of the model, for the importing tool.
-        version: of the standard.
         platforms: for which binaries are made, of `PLATFORMS`; this machine's where left out, and then none where no
             compiler is found.
         rest_command: command before the first one is set; the simulator's own where left out.
@@ -162,7 +161,6 @@ def _check(simulator: Simulator, version: str) -> None:
 
 
 def _identifier(name: str) -> str:
-    """Model name converted to an identifier of C."""
     plain = re.sub(r"\W+", "_", name, flags=re.ASCII).strip("_")[:60]
     return plain if re.match("[A-Za-z]", plain) else f"device_{plain}".rstrip("_")
 
@@ -211,7 +209,6 @@ def _packaged(name: str) -> str:
 def _binaries(
     identifier: str, sources: Mapping[str, str], version: FmuVersion, platforms: Sequence[str] | None
 ) -> Mapping[str, bytes]:
-    """Compiled binaries by path inside the FMU."""
     for name in platforms or ():
         if name not in PLATFORMS:
             raise ExportError(f"export-fmu: got platform {name}, {did_you_mean(name, PLATFORMS)}")

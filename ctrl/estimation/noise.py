@@ -64,7 +64,6 @@ class NoiseBank:
     the Kalman filter itself, without a bound of its gain.
 
     Args:
-        given: sigmas set by hand.
         predictor: of the model, with what its file says about these sigmas.
         limit_deg: bound of the disturbance [deg].
         model_sigma_deg: usual error of the model [deg], for few and noisy measurements. The model is then assumed to be
@@ -137,12 +136,7 @@ class NoiseBank:
         return after, mean, variance
 
     def advance(self, bank: Vec, travel: float, disturbance: float) -> tuple[Vec, float]:
-        """Time update by one sample: the bank and its variance [deg^2].
-
-        Args:
-            travel: of the command in that sample [command unit].
-            disturbance: of the bank [deg].
-        """
+        """Time update by one sample with command travel `travel` [command unit]: the bank and its variance [deg^2]."""
         after = np.empty_like(bank)
         variance = advance_filters(bank, self._drift, self._motion, travel, self._widest, disturbance, after)
         return after, float(variance)
@@ -167,9 +161,6 @@ class NoiseBank:
         """Growth of the disturbance's variance to the ends of the coming samples without a measurement (H,) [deg^2].
 
             sum_i w_i (min(P_i + k drift_i^2 dt + motion_i^2 sum_{j<=k} |du_j|, greatest_i) - P_i)
-
-        Args:
-            travels: of the command in each of them (H,) [command unit].
         """
         variance, weight = bank[1], bank[2]
         steps = np.arange(1.0, travels.size + 1.0)
@@ -207,8 +198,6 @@ def correct_filters(
         sensor: variance of each filter's sensor (M,) [deg^2].
         by_sensor, by_model: prior of the sensors (J,) and of drift and motion (M / J,), sensor by sensor.
         switching: probability of a change in a sample.
-        most: bound of the gain.
-        limit: bound of the disturbance [deg].
     """
     terms = np.empty(sensor.size)
     for i in range(sensor.size):  # sums have loops of their own: they would keep this one from being vectorised
@@ -240,7 +229,6 @@ def advance_filters(bank: Any, drift: Any, motion: Any, travel: float, widest: A
 
     Args:
         drift, motion: variance of each filter's walk in a sample, and over one unit of travel (M,).
-        travel: of the command [command unit].
         widest: greatest variance of each filter's disturbance (M,) [deg^2].
     """
     for i in range(bank.shape[1]):

@@ -37,8 +37,7 @@ class Estimate:
             are still on their way; `delay_samples + 1` entries, none without a model.
         responsive: for each of these angles, whether it answers to the command (False: dead band of a play).
         moves: command travel of the sample that led to each of these angles [command unit].
-        disturbance: estimated output disturbance [deg].
-        variance: of its error [deg^2].
+        disturbance, variance: estimated output disturbance [deg], and the variance of its error [deg^2].
         measured: the last accepted measurement [deg].
         missing: number of samples since the last accepted measurement.
         stalled: number of samples since the model was last advanced; above zero it has failed.
@@ -46,7 +45,6 @@ class Estimate:
         learning: memory of an observer that learns, see `LearningEstimator`.
         forecast_error: of the best forecast of the last seconds, relative to that of no change (root mean squares,
             Theil's U); 0 before there was motion, and of an observer that does not judge its forecasts.
-        bank: filters of `NoiseBank`, of which disturbance and variance are the mixture (3, M).
         earned: of frames, the sums of m z and m^2 [deg^2]; m is the mean of the bank before the offset z came.
         past: corrected estimates of the last instants, the newest last; see `Frames`.
         seen: measurements of this instant, used or not usable [deg].

@@ -95,12 +95,7 @@ def advance_memory(memory: Any, x: float, share: float, creeps: Any) -> None:
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def features(memory: Any, before: float, v0: float, side: float, pace: float, out: Any) -> None:
-    """Compute the features f (FEATURES,) of a memory.
-
-    Args:
-        before: v one sample ago.
-        pace: samples per second.
-    """
+    """Compute the features f (FEATURES,) of a memory."""
     count, v = RADII.size, memory[0]
     out[0] = v - v0
     at = 1
@@ -132,8 +127,6 @@ def add_learned(part: Any, pace: float, creeps: Any, low: float, span: float, pl
 
     Args:
         part: the learned part's state (LEARNED_SIZE,).
-        pace: samples per second.
-        creeps: as `creep_shares`.
         low, span: least command, and the range of commands [command unit].
     """
     weights, start, horizon = part[OF_WEIGHTS], part[OF_START], plans.shape[1]
@@ -157,7 +150,6 @@ def advance_slopes(before: Any, now: Any, acting: int, share: float, creeps: Any
     The last row is that of v one sample ago. A play at its edge counts as driven.
 
     Args:
-        before, now: memory before and after the sample (MEMORY,).
         acting: number of the plan's command that acts in this sample; negative where none does yet.
     """
     count, v = RADII.size, now[0]

@@ -178,7 +178,6 @@ class LearningEstimator(Observer):
         return self._whole(model, bank, model.bank, model.disturbance, model.variance)
 
     def sigma_ahead_deg(self, estimate: Estimate, travels: Vec) -> Vec:
-        """Standard deviation of predicted angles as in `OutputEstimator`, with the learned part in the model."""
         return self._plain.sigma_ahead_deg(estimate, travels)
 
     def correct(self, estimate: Estimate, y: float) -> Estimate:

@@ -376,7 +376,6 @@ _KEPT = 0.9  # share of the predicted decrease from which on shorter steps are n
 
 
 def _options_of(settings: LinearisedMpcSettings) -> OsqpOptions | DaqpOptions:
-    """Options of the selected solver."""
     return DaqpOptions() if settings.solver == "daqp" else OsqpOptions(eps=settings.solver_eps)
 
 
@@ -426,7 +425,6 @@ class LinearisedPlanner(Planner[None]):
         return start, status, None
 
     def _least(self, state: Vec) -> int:
-        """Least number of iterations of a plan."""
         predictor = self._predictor
         learned = isinstance(predictor, LearnedPredictor) and predictor.weights(state).any()
         return _LEARNED_ITERATIONS if learned else 1

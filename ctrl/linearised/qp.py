@@ -136,7 +136,6 @@ class DaqpSolver(QpSolver):
         return QpSolution(primal, usable, status, int(info["iterations"]), flag == _OUT_OF_CHANGES)
 
     def _filled(self, data: QpData) -> tuple[Vec, Vec]:
-        """Dense Hessian (n, n) and constraint rows (m, n)."""
         memory: tuple[Vec, Vec] | None = getattr(self._per_thread, "memory", None)
         if memory is None:
             n, m = self._size, self._pattern.constraints.get_shape()[0]
@@ -151,7 +150,6 @@ class DaqpSolver(QpSolver):
 
 
 def _positions(matrix: Any) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Row and column of every entry of a matrix in CSC order."""
     columns = np.repeat(np.arange(matrix.shape[1]), np.diff(matrix.indptr))
     return np.asarray(matrix.indices, dtype=np.intp), columns.astype(np.intp)
 

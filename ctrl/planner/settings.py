@@ -81,7 +81,6 @@ class Assembly:
         predictor: the model, for predictions requested by a planner.
         limits: hard limits that the controller keeps.
         workspace: bounds of the angle.
-        unit: of the command.
         model_limits: of the model; `limits` may be narrower, and wider if the settings allow it.
         rest_command: rest command in the model's file; None without one.
         model_hash: of the files that were opened.

@@ -100,7 +100,6 @@ def plain_parameters(name: str, parameters: Mapping[str, float], factors: Mappin
 
 
 def _check_bounds(where: str, value: float, metadata: Mapping[str, Any], at: tuple[str, ...]) -> None:
-    """Raise DeviceError with value and bounds if a value is out of its bounds."""
     (lower, upper), unit = metadata["bounds"], "" if metadata["unit"] == "1" else f" {metadata['unit']}"
     if not (math.isfinite(value) and lower <= value <= upper):
         raise DeviceError(f"{where} is {value:.6g}{unit}, expected {lower:g} to {upper:g}{unit}", at)

@@ -39,8 +39,6 @@ class ComputedPlant(ABC):
     within a sample; its state is replaced in each sample and never altered, so that copies may share it.
 
     Args:
-        dt_s: sample time [s].
-        command_unit: mm or bar.
         seed: of noise and randomness of the device; equal seeds give the same run after every reset.
 
     Raises:
@@ -193,7 +191,6 @@ def run_chain(
     """Compute the output (T,) of a chain for a signal (T,), and its final state; the given state (S,) is unchanged.
 
     Args:
-        dt_s: sample time [s].
         kernels: of the chain; if left out they are searched, which takes longer than a sample.
         settle: whether clock-driven effects are frozen, with their clocks at zero afterwards.
     """

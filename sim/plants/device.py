@@ -44,7 +44,6 @@ class DevicePlant(ComputedPlant):
 
     Args:
         effects: additional ones; 0.05 deg of noise where left out. Its `mismatch` has to be empty, see `devices.names`.
-        dt_s: sample time [s].
         commands: range of the flexure, the lowest being its rest; all of the device's where left out.
         seed: of noise and friction; equal seeds give the same run after every reset.
 

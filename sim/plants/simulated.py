@@ -200,6 +200,5 @@ def _lowest(simulator: Simulator, commands: Range) -> Vec:
 
 
 def _run(simulator: Simulator, state: Vec, commands: Vec) -> tuple[float, Vec]:
-    """Last angle, and the state with its clocks at zero."""
     theta, after = run_chain(simulator.chain, simulator.dt_s, state, commands, settle=True)
     return float(theta[-1]), after

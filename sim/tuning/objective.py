@@ -177,7 +177,6 @@ def held_out(
 def _held_out_score(
     settings: TuneSettings, tuned: Mapping[str, Any], case: tuple[str, int]
 ) -> tuple[tuple[str, int], PlantScore]:
-    """Score of the given or the tuned settings on one held-out plant, with its case."""
     name, number = case
     controller = settings.with_values(dict(tuned) if name == "tuned" else {})
     return case, plant_score(plant_config(settings, settings.held_out, number, controller))

@@ -209,7 +209,6 @@ def _chosen(name: str | None, study: SimulationConfig, path: Path) -> str:
 
 
 def _check(settings: TuneSettings, path: Path) -> None:
-    """Check both ends of every range."""
     given = settings.given.model_dump(mode="json")
     for block, ranges in (("search", settings.search), ("draw", settings.draw)):
         for key, one in ranges.items():
