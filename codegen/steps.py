@@ -119,9 +119,7 @@ _NUDGE, _COARSE = 1e-6, 1e-2  # of the angle, for a slope: in double and in sing
 
 
 def chain_rest_source(offset: Vec, by_angle: Vec, by_command: Vec, held: int) -> str:
-    """Return the C source of a chain's state at rest: offset + by_angle a + by_command u, a such that the output is y.
-
-    Newton's method of `models.rest.ChainRest`, with a difference quotient for the slope; then `held` samples follow.
+    """Return the C source of a chain's state at rest, by Newton's method of `models.rest.ChainRest` and a held command.
     """
     return "\n".join(
         [

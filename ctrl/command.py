@@ -190,10 +190,7 @@ class CommandLimits:
         return min(max(u if math.isfinite(u) else last, low), high)
 
     def clip_plans(self, plans: Vec, last: float, dt: float) -> Vec:
-        """Return the nearest admissible plans, limited sample by sample from the first on; shape (..., H).
-
-        Not-a-number and all samples after it remain not-a-number; callers pass finite plans.
-        """
+        """Return the nearest admissible plans (..., H), limited sample by sample; all samples after a NaN are NaN."""
         # numba takes longer to import than a planner's first call may
         from hystmpc.models.inverse.inverses import clip_plans
 

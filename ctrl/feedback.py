@@ -1,7 +1,4 @@
-"""Feedback laws with their settings: PID, inverse feedforward, both together, and a supervisor.
-
-S2 is RA-L 2024, PMC11633443.
-"""
+"""Feedback laws with settings: PID, inverse feedforward (S2 is RA-L 2024, PMC11633443), both together, supervisor."""
 
 from __future__ import annotations
 
@@ -52,7 +49,7 @@ class PidSettings(Settings):
 
 @dataclass(frozen=True)
 class PidMemory:
-    """PID state: integral part [command unit], filtered angular speed [deg/s], last angle [deg] and its age [samples]."""
+    """PID state: integral part [command unit], filtered speed [deg/s], last angle [deg] and its age [samples]."""
 
     integral: float
     speed: float
@@ -222,8 +219,7 @@ class InverseFeedforward(Law[FeedforwardMemory]):
 
 @dataclass(frozen=True, eq=False)
 class InversePidMemory:
-    """State of `InversePid`: its memories, the last due angles, the newest last, and the model state under feedforward alone.
-    """
+    """State of `InversePid`: its memories, the due angles, newest last, and the model state under feedforward alone."""
 
     feedforward: FeedforwardMemory
     pid: PidMemory

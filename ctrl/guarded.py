@@ -40,10 +40,7 @@ N = TypeVar("N")
 
 @dataclass(frozen=True, eq=False)
 class Proposal(Generic[M]):
-    """Proposed command of a law, its next memory, and the plan behind it (`predicted` without disturbance).
-
-    `source`: level of the command; None for the level of the law.
-    """
+    """Proposed command, next memory, plan (`predicted` without disturbance) and level; None for the law's level."""
 
     u: float
     memory: M
@@ -172,7 +169,7 @@ class GuardedController(Generic[M]):
         return self._limits
 
     def with_law(self, law: Law[N]) -> GuardedController[N]:
-        """Return a controller with the same estimator, fallbacks and limits around another law, such as a wrapped one."""
+        """Return a controller with the same estimator, fallbacks and limits around another law."""
         return GuardedController(law, self._observer, self._fallback, self._limits, self._dt, self._max_missing)
 
     @property

@@ -100,7 +100,6 @@ class Imaging:
     Attributes:
         time_s, angle_deg: present time and angle of the device.
         newest: the frame taken last among those that have arrived.
-        coming: number of the next frame.
         under_way: frames that have been taken and have not arrived.
     """
 
@@ -147,11 +146,7 @@ def _frame(settings: ImagingSettings, seed: int, number: int, angle_deg: float) 
 
 @final
 class Viewer:
-    """Simulated intermittent sensor, or none, for one run.
-
-    Args:
-        angle: function that returns the present angle of the device [deg].
-    """
+    """Simulated intermittent sensor, or none, for one run; `angle` returns the present angle of the device [deg]."""
 
     def __init__(self, settings: NoSensorSettings | ImagingSettings, seed: int, angle: Callable[[], float]) -> None:
         self._settings, self._seed, self._angle = settings, seed, angle
@@ -197,7 +192,6 @@ class Controller(Protocol[S]):
         """Compute the command of one sample, and the next state.
 
         Args:
-            state: result of `init` or of the last `step`.
             y: measured tip angle [deg]; not-a-number where the measurement is missing.
             reference: reference tip angles [deg] at the ends of this and the next samples, shape (H,).
         """
@@ -248,11 +242,8 @@ class LoopLog:
     """Log of a closed-loop run, one row per sample (N,); all angles belong to the end of the sample.
 
     Attributes:
-        time_s: end of the sample.
         reference_deg, measured_deg, predicted_deg: angles; NaN where no frame of an intermittent sensor has come, and
             without a prediction.
-        command: command sent.
-        disturbance_deg: estimated output disturbance.
         source, status: of every command.
         stage_s: time per stage, shape (N,) each; zero where a stage did not run.
         interrupted: whether the run was ended by the keyboard.
@@ -291,7 +282,6 @@ def run_loop(
     After a keyboard interrupt the log holds the finished samples.
 
     Args:
-        controller, plant: of equal sample time.
         reference: preview (H,) [deg] from the end of sample k on, for k = 0, 1, ...
         u_start: the command that the plant holds after its reset.
         on_sample: called after every sample, for progress and live logs.
@@ -326,7 +316,7 @@ def run_loop(
 
 
 def _viewed(controller: Controller[S], state: S, k: int, frames: Sequence[ImageFrame]) -> tuple[float, S]:
-    """Angle of the newest frame used [deg], NaN if there is none, and the controller's state after all usable frames."""
+    """Angle of the newest frame used [deg], NaN without one, and the controller's state after all usable frames."""
     shown, newest_s = math.nan, -math.inf
     for frame in frames:
         with suppress(ControllerError):

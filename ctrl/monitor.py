@@ -105,8 +105,6 @@ class ChangeMonitor:
     explains and n independent samples its probability is proportional to (1 - e)^(-n / 2).
 
     Args:
-        noise: of the model's file.
-        dt_s: sample time [s].
         angle_range_deg: least and greatest angle of the model.
     """
 
@@ -124,7 +122,7 @@ class ChangeMonitor:
         return MonitorState(model_deg, residual, 0.0, model_deg, math.inf, 0.0, np.zeros((_ROWS, _ROWS)), 0.0)
 
     def advance(self, state: MonitorState, model_deg: float, measured_deg: float) -> MonitorState:
-        """Return the state one sample later; a measurement that is not-a-number changes only the memory of the model."""
+        """Return the state one sample later; a measurement of NaN changes only the memory of the model."""
         span, moved = self._span, model_deg - state.model_deg
         bound = _PLAY * span
         stop = min(max(state.stop_deg + moved, -bound), bound)

@@ -129,7 +129,6 @@ class Candidates:
 
         Args:
             remaining: remaining commands of the last plan, shape (0..H,).
-            resting: whether small steps are among them.
 
         Raises:
             PlanningError: if the reference is not as long as the horizon.

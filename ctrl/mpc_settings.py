@@ -95,7 +95,7 @@ class AdaptationSettings(Settings):
 _LEAST_SAMPLES, _MOST_SAMPLES, _PREVIEW_S = 20, 60, 0.24  # of a preview whose length is not given
 _ALIKE = 3  # blocks of one length
 _BLIND_RATE, _BLIND_HOLD_DEG = 0.1, 0.01
-_SIGMA_SHARE = 0.1  # of the greatest move of a sample: larger perturbations would cross kinks of the model outside the reach of a step
+_SIGMA_SHARE = 0.1  # of the greatest move of a sample: larger perturbations would cross kinks of the model
 
 
 class PredictiveSettings(LawSettings):

@@ -41,11 +41,7 @@ class Disturbance:
 
 @dataclass(frozen=True, eq=False)
 class EnvironmentState:
-    """Immutable state of an environment: together with the actions it determines the future.
-
-    Attributes:
-        random: generator of the seeds of future resets.
-    """
+    """Immutable state of an environment: together with the actions it determines the future."""
 
     plant: ComputedPlant
     random: np.random.Generator
@@ -71,7 +67,6 @@ class HysteresisEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
     `reference_deg` and `command`.
 
     Args:
-        plant: the device; the environment has a copy.
         preview: H, samples at least 1.
         rate_weight: w [deg^2 per squared command unit].
         sensor: what is measured; the plant's own angle in every sample where left out.

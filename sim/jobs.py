@@ -54,7 +54,7 @@ class Backend(ABC):
 
         Args:
             function: of a module, so that another process can import it.
-            items: taken as they are needed, a few ahead of the workers; each can be pickled.
+            items: taken when needed, a few ahead of the workers; each can be pickled.
 
         Raises:
             ConfigError: if workers die repeatedly, or there are none.
@@ -135,10 +135,7 @@ class Processes(Backend):
 
 @contextmanager
 def _safe_path() -> Iterator[None]:
-    """Context in which new workers do not import modules from the working folder.
-
-    A worker is a Python process with a command, which would search the working folder first.
-    """
+    """Context in which new workers, whose Python would search the working folder first, import no modules from it."""
     before = os.environ.get("PYTHONSAFEPATH")
     os.environ["PYTHONSAFEPATH"] = before or "1"
     try:
@@ -190,10 +187,7 @@ def _end(children: Iterable[BaseProcess]) -> None:
 
 
 def prepare_worker(reports: Connection | None = None) -> None:
-    """Limit the worker to one thread, and ignore Ctrl-C, which is for the main process.
-
-    `reports` is the pipe for reports of compilation, whose lines are short enough to be written whole by each worker.
-    """
+    """Limit the worker to one thread, ignore Ctrl-C (for the main process), and report compilations to a pipe."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     os.environ.update(dict.fromkeys(THREADS, "1"))  # for libraries that are loaded later
     threadpool_limits(limits=1)
@@ -287,7 +281,6 @@ def run_jobs(
     and `function` are those of `Backend.results`.
 
     Args:
-        jobs: taken as they are needed, a few ahead of the workers; each can be pickled.
         total: number of jobs; `progress` is called only if it is given.
     """
     kept = 0

@@ -178,7 +178,6 @@ class StudyResult:
     Attributes:
         config: the settings as they ran: files, limits and tuned gains.
         results: finished runs, motion by motion, in the order of the settings; at least one.
-        meta: versions, host, start and model hashes; empty without a folder.
         warnings: one sentence for each motion beyond the reach of the model.
     """
 
@@ -226,10 +225,7 @@ class StudyResult:
 
 
 def best_figures(runs: Sequence[Result]) -> frozenset[tuple[str, str]]:
-    """Return controller and metric for the least RMSE, greatest error and hold error along a motion.
-
-    Values that agree to 0.001 deg, as the command prints them, count as equal.
-    """
+    """Return controller and metric for the least RMSE, greatest error and hold error, with ties to 0.001 deg."""
     names = ("rmse_deg", "max_abs_deg", "hold_error_deg") if len(runs) > 1 else ()
     figures = {(run.controller, name): round(getattr(run.metrics, name), 3) for run in runs for name in names}
     least = {name: min(value for (_, named), value in figures.items() if named == name) for name in names}
@@ -237,10 +233,7 @@ def best_figures(runs: Sequence[Result]) -> frozenset[tuple[str, str]]:
 
 
 def conclusion(result: StudyResult) -> str:
-    """Return a sentence that compares the best controllers with and without prediction over all motions.
-
-    It is empty with fewer than two controllers.
-    """
+    """Return a sentence that compares the best controllers with and without prediction; empty with fewer than two."""
     errors: dict[str, float] = {}
     for name in result.controllers:
         rmse_deg = [run.metrics.rmse_deg for run in result.results if run.controller == name]

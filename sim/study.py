@@ -134,10 +134,7 @@ def _angles(motion: Trajectory) -> Vec:
 
 
 def _led_to(motion: Trajectory, rest_deg: float | None, dt_s: float) -> tuple[Trajectory, float]:
-    """Motion after an approach, if it starts far from the rest, and the duration of the approach [s].
-
-    Without an approach, the error of the first jump would dominate all others.
-    """
+    """Motion after an approach, so that no first jump dominates the error, and the approach's duration [s]."""
     angles = _angles(motion)
     start = float(angles[0])
     if rest_deg is None or abs(start - rest_deg) <= _FAR * float(np.ptp(np.append(angles, rest_deg))):

@@ -71,10 +71,7 @@ class EffectContract:
                     require(bool(np.all(np.isfinite(y))), f"not finite at the bounds {values}")
 
     def test_its_derivatives_are_those_of_its_equation(self) -> None:
-        """Derivatives by input and parameters lie between the two one-sided difference quotients.
-
-        Fits and controllers use these derivatives, which are tested at the values of `shown`.
-        """
+        """Derivatives by input and parameters at `shown` lie between the one-sided difference quotients."""
         for operator in (self._with(values) for values in self.effect.shown):
             off = _derivative_errors(operator, next(self._signals())[1])
             wrong = float(np.mean(off > _NEAR))

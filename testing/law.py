@@ -53,10 +53,9 @@ class LawRun:
 class ControllerContract(ABC):
     """Contract tests of a control law: derive a class whose name begins with `Test`, give it `settings`, run pytest.
 
-    The device is a Prandtl-Ishlinskii model, which the law may know: `model` names another.
 
     Attributes:
-        model: a simulator (.yaml), an exported model (.onnx), or `builtin:NAME`.
+        model: model of the device: a simulator (.yaml), an exported model (.onnx), or `builtin:NAME`.
         settled_deg: greatest error at the end of a hold of eight seconds [deg].
     """
 

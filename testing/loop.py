@@ -84,10 +84,7 @@ class _Failing(Transport):
 
 
 class LoopContract(Wired):
-    """Contract tests of short runs over a transport, on a device that follows at once; each takes a second.
-
-    The transport sends degrees and the run's command unit.
-    """
+    """Contract tests of short runs over a transport in degrees and command units, on a device that follows at once."""
 
     def test_a_run_ends_at_the_safe_command(self) -> None:
         """An undisturbed run ends at the safe command."""

@@ -174,7 +174,7 @@ def _sine(amplitude: float, frequency_hz: float, decay_per_s: float, duration_s:
 def s1_zero_baseline(
     frequency_hz: float, decay_per_s: float = S1_TRAIN_DECAY_PER_S, duration_s: float = S1_GROUP_S
 ) -> DecayingSine:
-    """Command of S1 with zero baseline: p1(t) = A e^(-tau t) ( sin(2 pi f t - pi/2) + 1 ) [bar], A = 1.5. S1 eq. (5)."""
+    """Command of S1 with zero baseline: p1(t) = A e^(-tau t) (sin(2 pi f t - pi/2) + 1) [bar], A = 1.5. S1 eq. (5)."""
     return _sine(S1_AMPLITUDE_BAR, frequency_hz, decay_per_s, duration_s)
 
 

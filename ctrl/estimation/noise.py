@@ -160,7 +160,7 @@ class NoiseBank:
     def ahead(self, bank: Vec, travels: Vec) -> Vec:
         """Growth of the disturbance's variance to the ends of the coming samples without a measurement (H,) [deg^2].
 
-            sum_i w_i (min(P_i + k drift_i^2 dt + motion_i^2 sum_{j<=k} |du_j|, greatest_i) - P_i)
+        sum_i w_i (min(P_i + k drift_i^2 dt + motion_i^2 sum_{j<=k} |du_j|, greatest_i) - P_i)
         """
         variance, weight = bank[1], bank[2]
         steps = np.arange(1.0, travels.size + 1.0)

@@ -89,7 +89,8 @@ class Observer(ABC):
 
     @abstractmethod
     def init(self, y: float, u: float) -> Estimate:
-        """Return the estimate at rest with measured angle `y` [deg] and held command `u`; may raise the model's errors."""
+        """Return the estimate at rest with measured angle `y` [deg] and held command `u`; passes errors of the model on.
+        """
 
     def sigma_deg(self, estimate: Estimate) -> float:
         """Standard deviation of the error of the estimated angle [deg]; not-a-number where it is not known."""
@@ -246,10 +247,7 @@ class OutputEstimator(Observer):
         }
 
     def init(self, y: float, u: float) -> Estimate:
-        """Return the estimate at rest, with `y` minus the model's angle as disturbance; zero with frames.
-
-        With frames it starts at zero.
-        """
+        """Return the estimate at rest, with `y` minus the model's angle as disturbance; zero with frames."""
         angle, state = rest_of_model(self._predictor, y, u, self._settings.rest_tolerance_deg)
         queue, first = self.delay_samples + 1, 0.0 if self._frames else y - angle
         bank, variance = self.bank.init(first)

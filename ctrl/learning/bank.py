@@ -236,7 +236,6 @@ class BankState:
     Attributes:
         history: memory behind each lag of the grid, of this and the last samples, the newest first (M, L, MEMORY).
         queue: commands of the last samples as shares of the range, the newest first (DELAYS,).
-        start: v0, side, m_0.
         z: offset [deg], w_c and weights [deg] of every drive (H, K).
         covariance: of their errors (H, K, K).
         frozen: z at the beginning of the block of forecasts (H, K).
@@ -245,10 +244,7 @@ class BankState:
         scores: means of these over the past blocks with motion (H + 2,) [deg^2].
         forecast_error: of the better forecast, of model or best drive, over that of none (root mean squares); at most
             1.2 in each block, smoothed over the last blocks with motion; 0 at first.
-        count: samples in this block.
-        blocks: blocks with motion so far.
         best: the drive with the best forecasts.
-        share: weight of the learned part, 0 to 1.
     """
 
     history: Vec
@@ -300,12 +296,10 @@ class FilterBank:
     so that it has to predict clearly better than the model, and fades where it does not.
 
     Args:
-        dt: sample time [s].
         command_range: ends of the commands [mm or bar].
         scale: angle over the whole range [deg].
         sensor_deg: standard deviation of the sensor [deg].
         delay: samples of delay that the estimator takes care of.
-        settings: of the weights.
     """
 
     def __init__(
@@ -403,8 +397,7 @@ class FilterBank:
         """Measurement update.
 
         Args:
-            y: measured [deg].
-            angle: of the model at that instant [deg].
+            angle: of the model at the instant of the measurement `y` [deg].
             disturbance: of the model alone, before this measurement is used [deg].
         """
         z, covariance, sums = state.z.copy(), np.empty_like(state.covariance), state.sums.copy()

@@ -38,7 +38,7 @@ _SENSOR_DEG = 0.1  # standard deviation of the sensor, if the model's file does 
 class LearnedPredictor(Predictor):
     """Model with a learned part: theta = m + w_c (m - m_0) + sum_i w_i f_i, see `bank`; constant weights.
 
-    Where all weights are zero this is the model. The state is the model's, then the learned part's (LEARNED_SIZE,).
+    The state is the model's, then the learned part's (LEARNED_SIZE,).
     """
 
     def __init__(self, model: Predictor, settings: AdaptationSettings) -> None:
@@ -146,8 +146,6 @@ class Learning:
     """Memory of a `LearningEstimator`.
 
     Attributes:
-        model: the estimate of the model alone.
-        bank: filters of the learned part.
         added: learned part of each of the model's angles [deg].
     """
 

@@ -36,10 +36,7 @@ class PlanProgram(ABC):
 
     @abstractmethod
     def blocked(self, problem: PlanningProblem, around: CommandPlan, columns: Mat) -> QpData:
-        """Return the program around the plan `around` with J M = `columns` (H, m) [deg per command unit].
-
-        A column is zero before its block starts; those entries are not read.
-        """
+        """Return the program around the plan `around` with J M = `columns` (H, m), which start with their blocks."""
 
     @abstractmethod
     def deviation(self, primal: Vec) -> Vec:

@@ -1,4 +1,4 @@
-"""Memory of a `TipController`: snapshot, its transitions as pure functions, and the state and plan shown to a planner."""
+"""Memory of a `TipController`: snapshot, transitions as pure functions, and the state and plan for a planner."""
 
 from __future__ import annotations
 
@@ -55,11 +55,9 @@ class Snapshot:
         origin: kind and fingerprint of the controller that it belongs to.
         command: the last answer; at first the command that the device holds.
         sent: whether this controller has sent that command, so that the device certainly holds it.
-        steps: steps taken since the start.
         control: the controller's own state; None before the first usable measurement.
         reference: present reference; None before that.
         request: reference from the first usable measurement on.
-        halted: whether `stop` was called.
     """
 
     origin: str
@@ -161,7 +159,7 @@ def holding(control: GuardedState[Any] | None, held: float) -> GuardedState[Any]
 
 
 def skipped(memory: Snapshot, controller: PlannersController, cause: str) -> Snapshot:
-    """Return the snapshot after a sample without a command: the device holds its command, also in a stop with a ramp."""
+    """Return the snapshot after a sample without a command: the device holds, also in a stop with a ramp."""
     control, held = memory.control, memory.command.u
     if control is None:
         return memory

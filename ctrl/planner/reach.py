@@ -26,9 +26,7 @@ class Reach:
     """Reachability of an angle; its truth value is `reachable`.
 
     Attributes:
-        reachable: the answer.
         low_deg, high_deg: least and greatest angle that can be reached now [deg].
-        reason: one line.
         nearest_deg: reachable angle nearest to the requested one [deg]; NaN without a request.
     """
 
@@ -71,11 +69,8 @@ class Workspace:
 
 
 def beyond_reach(angles_deg: Vec, reach_deg: tuple[float, float]) -> str:
-    """Return a text on the part of a reference beyond reach, to follow the reference's name; empty if all is reachable.
-
-    Args:
-        angles_deg: of the reference (N,) [deg].
-        reach_deg: see `angles_at_rest` [deg].
+    """Return a text on the part of a reference beyond reach, to follow the reference's name; empty if all angles (N,)
+    are reachable.
     """
     low, high = float(np.min(angles_deg)), float(np.max(angles_deg))
     slack = _REACH_SLACK * (reach_deg[1] - reach_deg[0])

@@ -80,9 +80,7 @@ class GivenReference(Reference):
         function: times (N,) [s] since it was set -> angles (N,) [deg]; it may raise, the step then holds.
         start_s: when it was set on the controller's clock [s].
         duration_s: when it comes to rest, counted from there [s].
-        dt: sample time [s].
         limits: bounds of the differences.
-        foreign: whether the function is a user's.
     """
 
     def __init__(

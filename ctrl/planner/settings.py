@@ -77,10 +77,7 @@ class Assembly:
     """Parts of a `TipController`.
 
     Attributes:
-        controller: law, estimator, fallbacks and limits.
         predictor: the model, for predictions requested by a planner.
-        limits: hard limits that the controller keeps.
-        workspace: bounds of the angle.
         model_limits: of the model; `limits` may be narrower, and wider if the settings allow it.
         rest_command: rest command in the model's file; None without one.
         model_hash: of the files that were opened.

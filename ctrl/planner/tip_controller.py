@@ -123,8 +123,8 @@ class TipController:
         """Compute the command to send now, and advance the clock by one sample.
 
         Args:
-            measured_theta_deg: tip angle now [deg]; NaN if there is none. The first usable one starts the controller at
-                rest there; until then the start command is held.
+            measured_theta_deg: present tip angle [deg]; NaN if there is none. The first usable one starts the
+                controller at rest there; until then the start command is held.
         """
         for _ in range(_ROUNDS):
             with self._lock:
@@ -156,7 +156,6 @@ class TipController:
         """Take over samples in which the same controller was stepped elsewhere, such as in C.
 
         Args:
-            steps: how many.
             command: answer of the last of them.
             control: the controller's state after it; None if further samples follow.
 
@@ -175,8 +174,8 @@ class TipController:
     def measure(self, theta_deg: float, taken_at_s: float) -> None:
         """Update the estimate by a frame of an intermittent sensor, taken in the past; between frames `step` gets NaN.
 
-        The estimate is corrected at the instant at which the frame was taken, and predicted forward from there. The
-        first frame starts the controller: the device rests then.
+        The estimate is corrected at that instant and predicted forward. The first frame starts the controller: the
+        device rests then.
 
         Args:
             theta_deg: tip angle in the frame [deg].
@@ -352,11 +351,10 @@ class TipController:
     def restore(self, snapshot: Snapshot, held: float | None = None) -> None:
         """Restore the state of `snapshot`, except for a latched stop, which stays, and for the command that is held.
 
-        A simulation that rewinds its device too says so: `restore(snapshot, held=snapshot.command.u)`. After a stop it
-        calls `reset` first.
+        A simulation that resets its device too uses `restore(snapshot, held=snapshot.command.u)`. and calls `reset`
+        first after a stop.
 
         Args:
-            snapshot: of a controller of the same kind, settings, limits and model.
             held: the command that the device holds now, from which the next one is limited; None for the one sent last.
 
         Raises:

@@ -74,8 +74,6 @@ class NamedDevice:
     """Simulated device that settings files refer to by name.
 
     Attributes:
-        make: builds the device from its parameters.
-        parameters: their class, a block of `Quantities`.
         varied: parameters that differ from one specimen to the next, which a tuning draws where nothing else is said.
     """
 

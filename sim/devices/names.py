@@ -28,11 +28,7 @@ _OF_THE_LABORATORY = ("muscle", "rod")
 
 
 class DeviceError(ConfigError):
-    """Error in the description of a device.
-
-    Args:
-        at: keys from the description to the offending entry.
-    """
+    """Error in the description of a device; `at` is the path of keys to the wrong entry."""
 
     def __init__(self, message: str, at: tuple[str, ...]) -> None:
         super().__init__(message)

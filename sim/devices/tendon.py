@@ -47,7 +47,7 @@ class TendonNumbers(NamedTuple):
 def advance(
     state: Any, widths: Any, commands: Any, bumps: Any, p: Any, dt: float, angle: Any, drive: Any, tension: Any
 ) -> None:
-    """Advance `state` (N + 5,) by commands (T,), in place; `widths` (N,), `bumps` (T,) standard normal; outputs (T,)."""
+    """Advance `state` (N + 5,) by commands (T,) in place; `widths` (N,), `bumps` (T,) standard normal; outputs (T,)."""
     count = widths.size
     x, rough, viscous, creep, reached = state[count:]
     for k in range(commands.size):

@@ -110,7 +110,7 @@ class ComputedPlant(ABC):
 
 
 def sensors_at_rest(sensors: Sequence[Sensor], angle: float, seed: int) -> Vec:
-    """Return the state (S,) of sensors in series at a true angle [deg]; `seed` is mixed into the seed of every sensor."""
+    """Return the state (S,) of sensors in series at a true angle [deg]; `seed` is mixed into every sensor's seed."""
     states = [
         np.asarray(sensor.reseeded(_mixed(sensor.seed, seed, k)).at_rest(angle, angle, sensor.values)).ravel()
         for k, sensor in enumerate(sensors)

@@ -36,11 +36,7 @@ _NEAR = 20  # ids listed in an error
 
 @dataclass(frozen=True)
 class SweepOutcome:
-    """Outcome of a sweep: files and numbers of rows.
-
-    Attributes:
-        failed, message: rows whose run failed, with the first error.
-    """
+    """Outcome of a sweep: files, numbers of rows, and the number of failed rows with the first error."""
 
     table: Path
     report: Path

@@ -70,10 +70,7 @@ class DrawSettings(Settings):
 
 
 def drawn(draws: Mapping[str, DrawSettings], seed: int, number: int) -> dict[str, Any]:
-    """Return draw `number` of every path.
-
-    Each path has its own random numbers, so that neither a further path nor more draws change the others.
-    """
+    """Return draw `number` of every path; the random numbers of a path are independent of other paths and draws."""
     return {
         path: draw.sample(np.random.default_rng([seed, number, crc32(path.encode())])) for path, draw in draws.items()
     }

@@ -74,10 +74,7 @@ class RunTable:
         self._cost_s = self._written - start
 
     def copy(self, names: Iterable[str]) -> Path | None:
-        """Write all rows as CSV atomically, without the settings; None without a row.
-
-        `names` are the first columns; columns of earlier versions of the sweep follow.
-        """
+        """Write all rows as CSV atomically, without the settings, first the columns `names`; None without a row."""
         self.flush()
         columns = dict.fromkeys(name for name in names if name not in _NOT_COPIED)
         count = 0

@@ -229,7 +229,7 @@ class Tuning:
         return in_brief(self, text)
 
     def plot(self) -> Figure:
-        """Draw the cost of every held-out plant, tuned against given; below the diagonal the tuned settings are better."""
+        """Draw the cost of every held-out plant, tuned against given; below the diagonal the tuning is better."""
         from hystmpc.trials.report import MEASURED, REFERENCE, new_figure  # matplotlib, which a search does not need
 
         given, tuned = self.check.costs("given"), self.check.costs("tuned")
