@@ -89,11 +89,11 @@ class ControllerExport:
 
     @property
     def inexact(self) -> tuple[str, ...]:
-        """Functions of <math.h> whose last digits differ from one C library to the next."""
+        """Functions of <math.h> whose last digits depend on the C library."""
         return tuple(name for name in self.functions if name in INEXACT)
 
     def write(self, folder: Path) -> tuple[Path, Path]:
-        """Write hystmpc.h and hystmpc.c into a folder, which is made where it is missing."""
+        """Write hystmpc.h and hystmpc.c into a folder, which is created if missing."""
         folder.mkdir(parents=True, exist_ok=True)
         header = write_atomically(folder / "hystmpc.h", self.header)
         return header, write_atomically(folder / "hystmpc.c", self.source)

@@ -95,7 +95,7 @@ class LoadedController:
         return ctypes.string_at(self._at, self._size)
 
     def remember(self, memory: bytes) -> None:
-        """Restore a snapshot."""
+        """Restore a snapshot of the controller's state."""
         if len(memory) != self._size:
             raise ValueError(f"memory: got {len(memory)} bytes, expected {self._size}")
         ctypes.memmove(self._at, memory, self._size)

@@ -53,7 +53,7 @@ def number(value: float) -> str:
 
 @dataclass(frozen=True, eq=False)
 class Step:
-    """A chain's step (x, u, p, dt) -> (theta, next), its parameters p (P,) and its sample time dt [s]."""
+    """Step of a chain (x, u, p, dt) -> (theta, next), its parameters p (P,) and its sample time dt [s]."""
 
     function: Any
     parameters: Vec
@@ -119,7 +119,9 @@ _NUDGE, _COARSE = 1e-6, 1e-2  # of the angle, for a slope: in double and in sing
 
 
 def chain_rest_source(offset: Vec, by_angle: Vec, by_command: Vec, held: int) -> str:
-    """Return the C source of a chain's state at rest, by Newton's method of `models.rest.ChainRest` and a held command.
+    """Return the C source of a chain's state at rest: offset + by_angle a + by_command u, a such that the output is y.
+
+    Newton's method of `models.rest.ChainRest`, with a difference quotient for the slope; then `held` samples follow.
     """
     return "\n".join(
         [

@@ -1,4 +1,4 @@
-"""Controllers, estimator and the closed loop.
+"""Controllers, estimators and the closed loop.
 
 A controller is a law (`feedback`: PID, inverse feedforward; `mpc`: predictive, with the planner of `linearised` or
 `sampling`) inside `guarded.GuardedController`, which adds estimate, fallbacks and hard limits. `build_controller` makes

@@ -98,7 +98,7 @@ class CommandPlan:
 
 @final
 class Stopwatch:
-    """Stopwatch for the stages of one step; the only clock that a controller reads."""
+    """Stopwatch for the stages of one step, the only clock read by a controller."""
 
     def __init__(self) -> None:
         self.stages: dict[str, float] = {}
@@ -180,7 +180,7 @@ class CommandLimits:
         return inside and other.rate <= self.rate * (1 + _ROUNDING)
 
     def window(self, last: float, dt: float) -> tuple[float, float]:
-        """Least and greatest command that may follow `last` after `dt` seconds."""
+        """Return the least and the greatest command that may follow `last` after `dt` seconds."""
         last = min(max(last, self.lower), self.upper)
         return max(self.lower, last - self.rate * dt), min(self.upper, last + self.rate * dt)
 
@@ -240,7 +240,7 @@ if TYPE_CHECKING:
 else:
 
     def replace(old: Any, /, **changes: Any) -> Any:
-        """Copy with changed fields, as `dataclasses.replace`, for classes without `__post_init__`.
+        """Return a copy with changed fields, as `dataclasses.replace`, for classes without `__post_init__`.
 
         Raises:
             TypeError: if a changed field does not exist.

@@ -121,7 +121,7 @@ ControllerSettings = Annotated[AnyControllerSettings, Field(discriminator="kind"
 
 
 def parse_controller(data: Any, where: str = MEMORY) -> AnyControllerSettings:
-    """Validate a mapping with the key `kind`, or `python` for a class from outside the package.
+    """Validate the settings of a controller: a mapping with the key `kind`, or `python` for an external class.
 
     Raises:
         ConfigError: if it is no mapping, `kind` is missing or unknown, or a setting of that kind is wrong.

@@ -116,7 +116,7 @@ class PidFeedback(Law[PidMemory]):
         return PidMemory(u - self._rest, 0.0, y)
 
     def bumpless_start(self, given: ControlInput) -> PidMemory:
-        """Memory for a bumpless transfer from another law: the next command is the last one sent."""
+        """Return the memory for a bumpless transfer from another law: the next command equals the last one sent."""
         return self._pid.bumpless_start(given.setpoint - given.measured, given, self._rest)
 
     def propose(self, memory: PidMemory, given: ControlInput, watch: Stopwatch) -> Proposal[PidMemory]:
@@ -137,7 +137,7 @@ def needs_sensor(estimator: S) -> S:
 
 
 class PidControllerSettings(LawSettings):
-    """PID feedback, without a model.
+    """PID feedback control without a model.
 
     Attributes:
         estimator: how the measurements come; between the frames of an intermittent sensor the one taken last counts.
@@ -255,7 +255,7 @@ class InversePid(Law[InversePidMemory]):
         return InversePidMemory(self._feedforward.init(y, u), PidMemory(0.0, 0.0, y), state, u)
 
     def bumpless_start(self, given: ControlInput) -> InversePidMemory:
-        """Memory for a bumpless transfer from another law: the next command is the last one sent."""
+        """Return the memory for a bumpless transfer from another law: the next command equals the last one sent."""
         before = self._feedforward.init(given.due, given.u_last)
         alone = self._feedforward.propose(before, given, Stopwatch())
         u_alone = self._limits.clip(alone.u, given.u_last, self._predictor.dt)

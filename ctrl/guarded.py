@@ -160,7 +160,7 @@ class GuardedController(Generic[M]):
 
     @property
     def law(self) -> Law[M]:
-        """The control law."""
+        """Control law inside the estimator and the fallbacks."""
         return self._law
 
     @property
@@ -395,7 +395,7 @@ T = TypeVar("T")
 
 @dataclass(frozen=True, eq=False)
 class FallbackState:
-    """Failure counters and the remaining part of the last good plan."""
+    """Failure counters and the remaining commands of the last good plan."""
 
     failures: int = 0  # consecutive failed samples
     stopped: bool = False  # whether the stop is latched; only a new `init` releases it

@@ -198,7 +198,7 @@ class Controller(Protocol[S]):
         ...
 
     def measure(self, state: S, y: float, age: float) -> S:
-        """Measurement update with a frame of `age` samples before the next step that shows `y` [deg].
+        """Measurement update with angle `y` [deg] of a frame taken `age` samples before the next step.
 
         Raises:
             ControllerError: if the frame cannot be used.

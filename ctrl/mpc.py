@@ -354,7 +354,7 @@ class HoldRule:
     """Rule that holds the command at a constant reference, and corrects a remaining error slowly.
 
     A reference is constant while it and its next `lead` samples stay within `tolerance_deg` of the angle at which they
-    came to rest. Reached it is where the held command keeps the angle close: within `tolerance_deg` at first; and one
+    came to rest. It is reached while the held command keeps the angle close: within `tolerance_deg` at first; and one
     standard deviation of the disturbance estimate more per elapsed `patience`, up to five, since noise may prevent a
     closer approach; once held, five.
 
@@ -403,7 +403,7 @@ class HoldRule:
 
     @staticmethod
     def error(hold: Hold, held: Vec) -> float:
-        """Greatest distance of angles (H,) from the angle to be held [deg]."""
+        """Return the greatest distance of angles (H,) from the held angle [deg]."""
         return float(np.max(np.abs(held - hold.target)))
 
     def settles(self, hold: Hold) -> bool:

@@ -63,7 +63,7 @@ class WeightsSettings(Settings):
 
 
 class HoldSettings(Settings):
-    """Holding of the command, and slow correction of a remaining error; see `HoldRule`, which counts samples.
+    """Hold of the command, and slow correction of a remaining error; see `HoldRule`, which counts samples.
 
     Attributes:
         tolerance_deg: closeness that is always good enough [deg].
@@ -146,7 +146,7 @@ class PredictiveSettings(LawSettings):
         return self
 
     def preview_samples(self, dt_s: float) -> int:
-        """Samples of the preview at sample time `dt_s` [s]."""
+        """Return the number of samples of the preview at sample time `dt_s` [s]."""
         return self.horizon or min(max(_LEAST_SAMPLES, round(_PREVIEW_S / dt_s)), _MOST_SAMPLES)
 
 

@@ -144,7 +144,7 @@ def demo_config() -> SimulationConfig:
 
 
 def demo(out: Path | str | None = None, progress: Progress | None = None) -> StudyResult:
-    """Track a point-to-point motion and a scan with every controller; see `compare`."""
+    """Run the demonstration study: a point-to-point motion and a scan with every controller; see `compare`."""
     return compare(demo_config(), out, progress)
 
 

@@ -119,7 +119,7 @@ class TuningSettings(Settings):
 
 
 class SimulationConfig(Settings):
-    """A closed-loop study: every controller follows every motion on one simulated plant.
+    """Closed-loop study in which every controller follows every motion on one simulated plant.
 
     Attributes:
         model: model of the controllers: a simulator (.yaml), an exported model (.onnx), or `builtin:NAME`.

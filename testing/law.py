@@ -78,7 +78,7 @@ class ControllerContract(ABC):
         require(False, "a key that does not exist is taken")
 
     def test_it_comes_to_rest(self) -> None:
-        """Late in a hold the command moves by less than a hundredth of its range: there is no limit cycle."""
+        """Late in a hold the command moves by less than a hundredth of its range, without a limit cycle."""
         commands = self._follow(np.full(_STEPS, self._device.middle_deg)).commands[-_STEPS // 2 :]
         moved, limits = float(np.ptp(commands)), self._device.limits
         require(moved < 0.01 * (limits.upper - limits.lower), f"in a hold the command moves by {moved:.3g}")

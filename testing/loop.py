@@ -44,7 +44,7 @@ class _Dropped:
         self.samples += 1
 
     def close(self) -> None:
-        """Nothing is open."""
+        """Close nothing: no file is open."""
 
 
 @final

@@ -135,7 +135,7 @@ class KindContract(ModelContract):
             return load_onnx(file)
 
     def test_it_follows_a_trial_that_it_has_not_seen(self) -> None:
-        """The free run errs by less than `share` of the standard deviation of the angle."""
+        """The free run has an error of less than `share` of the standard deviation of the angle."""
         last = self._trials[-1]
         rmse = evaluate(self._loaded, last).errors.rmse_deg
         most = self.share * float(np.std(last.angle))

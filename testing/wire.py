@@ -54,7 +54,7 @@ class Wired(ABC):
         """Context with a transport and its device, both closed at the end."""
 
     def near(self, got: float, expected: float) -> bool:
-        """Whether two numbers are equal to the resolution of the wire."""
+        """Whether two numbers are equal up to the resolution of the wire."""
         return abs(got - expected) <= self.resolution
 
 

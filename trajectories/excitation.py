@@ -51,7 +51,7 @@ class DecayingSine(TrajectorySettings):
     chirp_hz_per_s: float = 0.0
 
     def __call__(self, t: ArrayLike) -> Vec:
-        """Command [mm or bar] at `t` [s]."""
+        """Return the command [mm or bar] at `t` [s]."""
         time = inside(t, self.duration_s)
         wave = np.sin(2 * np.pi * (self.frequency_hz + self.chirp_hz_per_s * time) * time - np.pi / 2)
         envelope = self.amplitude * np.exp(-self.decay_per_s * time)
@@ -63,7 +63,7 @@ _MOST_DRAWS = 10_000
 
 
 class RampHold(PathMotion):
-    """Alternating ramps and holds; a ramp from x to y at rate v takes |y - x| / v.
+    """Command of alternating ramps and holds; a ramp from x to y at rate v takes |y - x| / v.
 
     Attributes:
         start: command at time 0 [mm or bar].

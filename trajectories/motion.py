@@ -196,7 +196,7 @@ class PiecewiseCubic:
         return float(self._knots[-1])
 
     def __call__(self, t: ArrayLike) -> Vec:
-        """Values at `t` [s]."""
+        """Return the values at `t` [s]."""
         time = inside(t, self.duration_s)
         piece = np.searchsorted(self._knots, time, side="right") - 1
         s, (p, v, a, j) = time - self._knots[piece], np.moveaxis(self._rows[piece], -1, 0)

@@ -149,6 +149,7 @@ class SinusoidScan(Scan):
 
     @property
     def sweeps(self) -> tuple[Shape, tuple[float, ...]]:
+        """Shape and half peak-to-peak angle of the sinusoid [deg]."""
         return "sinusoid", (self.amplitude_deg,)
 
 
@@ -172,6 +173,7 @@ class TriangleScan(Scan):
 
     @property
     def sweeps(self) -> tuple[Shape, tuple[float, ...]]:
+        """Shape and half peak-to-peak angle of the triangle [deg]."""
         return "triangle", (self.amplitude_deg,)
 
 
@@ -196,4 +198,5 @@ class Raster(Scan):
 
     @property
     def sweeps(self) -> tuple[Shape, tuple[float, ...]]:
+        """Shape and half peak-to-peak angle of each sweep [deg], in order."""
         return self.shape, self.amplitudes_deg

@@ -27,7 +27,7 @@ class Trajectory(Protocol):
         ...
 
     def __call__(self, t: ArrayLike) -> Vec:
-        """Value at the times `t` [s], of the shape of `t`; before 0 the start value, after the end the end value."""
+        """Return the values at the times `t` [s]; before 0 the start value, after the end the end value."""
         ...
 
 
@@ -88,7 +88,7 @@ def steps(duration_s: float, dt: float) -> int:
 
 
 def sample(trajectory: Trajectory, rate_hz: float) -> tuple[Vec, Vec]:
-    """Sample a trajectory from 0 to its end, the end included.
+    """Sample a trajectory from 0 to its end, including the end.
 
     The last time is the first multiple of 1 / rate_hz at or after the end, where the end value holds.
 
@@ -212,7 +212,7 @@ class PreviewTable:
         return steps(self.trajectory.duration_s, self.dt)
 
     def value(self, k: int) -> float:
-        """Reference at time k dt."""
+        """Return the reference at time k dt."""
         return float(self._values[self._row(k)])
 
     def at(self, k: int) -> Vec:

@@ -107,7 +107,7 @@ def export_fmu(
     platforms: Sequence[str] | None = None,
     rest_command: float | None = None,
 ) -> FmuExport:
-    """Export a simulator as a co-simulation FMU: command in, output out, one step a sample.
+    """Export a simulator as a co-simulation FMU: command in, output out, one step per sample.
 
     It starts at `rest` and agrees with the Python simulator up to rounding. The command is held over a step.
 

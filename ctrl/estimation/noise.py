@@ -101,7 +101,7 @@ class NoiseBank:
         self._first, self._widest = first, most
 
     def numbers(self) -> Mapping[str, float | Vec]:
-        """Numbers of the bank, axis by axis of its grid, for code generation."""
+        """Return the numbers of the bank, axis by axis of its grid, for code generation."""
         sensors, drifts, motions = self._counts
         return {
             "sensors": sensors,
@@ -240,7 +240,7 @@ def advance_filters(bank: Any, drift: Any, motion: Any, travel: float, widest: A
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def mixed_variance(bank: Any, mean: float, terms: Any) -> float:
-    """Variance of a mixture (3, M) about its mean [deg^2]; its terms (M,) are written on the way."""
+    """Return the variance of a mixture (3, M) about its mean [deg^2], with its terms (M,) in place."""
     for i in range(bank.shape[1]):
         off = bank[0, i] - mean
         terms[i] = bank[2, i] * (bank[1, i] + off * off)

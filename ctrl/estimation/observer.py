@@ -28,7 +28,7 @@ _RESOLUTION = 1e-9  # command changes below this share of the command range coun
 
 @dataclass(frozen=True, eq=False)
 class Estimate:
-    """State of an observer.
+    """Snapshot of the state of an observer.
 
     Attributes:
         state: predictor state (S,) after every command sent so far, also those still on their way.
@@ -89,8 +89,7 @@ class Observer(ABC):
 
     @abstractmethod
     def init(self, y: float, u: float) -> Estimate:
-        """Return the estimate at rest with measured angle `y` [deg] and held command `u`; passes errors of the model on.
-        """
+        """Return the estimate at rest with measured angle `y` [deg] and held command `u`; model errors propagate."""
 
     def sigma_deg(self, estimate: Estimate) -> float:
         """Standard deviation of the error of the estimated angle [deg]; not-a-number where it is not known."""
@@ -109,7 +108,7 @@ class Observer(ABC):
         """Measurement update with `y` [deg]; not-a-number and outliers change nothing. Never raises."""
 
     def correct_late(self, estimate: Estimate, y: float, age: float) -> Estimate:
-        """Use measurement `y` [deg] of `age` samples ago.
+        """Measurement update with `y` [deg] of `age` samples ago.
 
         Raises:
             ControllerError: if this observer accepts no late measurements, or none of that age.
@@ -125,7 +124,7 @@ class Observer(ABC):
 
     @abstractmethod
     def coast(self, estimate: Estimate, u: float) -> Estimate:
-        """Time update where `advance` failed: the model state does not change. Never raises."""
+        """Time update after a failed `advance`: the model state does not change. Never raises."""
 
 
 class SensorKindSettings(Settings):
@@ -237,7 +236,7 @@ class OutputEstimator(Observer):
         self.delay_samples = settings.delay_samples
 
     def numbers(self) -> Mapping[str, float | Vec]:
-        """Numbers of the estimator and its bank, for code generation."""
+        """Return the numbers of the estimator and its bank, for code generation."""
         settings = self._settings
         return {
             **self.bank.numbers(),
@@ -315,7 +314,7 @@ class OutputEstimator(Observer):
 
 @final
 class Frames(Observer):
-    """Observer for delayed measurements: each is used at the instant at which it was taken.
+    """Observer for delayed measurements, each used at the instant at which it was taken.
 
     A frame of age a lies between the instants k and k + 1, a = now - k - s. The model's own motion carries it to k,
 
@@ -346,7 +345,7 @@ class Frames(Observer):
         return replace(after, missing=missing, seen=(*estimate.seen, usable_angle(y)))
 
     def correct_late(self, estimate: Estimate, y: float, age: float) -> Estimate:
-        """Use a frame of `age` samples ago.
+        """Measurement update with a frame of `age` samples ago.
 
         Raises:
             ControllerError: if it is older than the memory, not of the past, or no usable angle.
@@ -421,7 +420,7 @@ class ModelAlone(Observer):
 
 @final
 class LastMeasurement(Observer):
-    """Observer of a controller without a model: holds the newest measurement.
+    """Observer of a controller without a model, which holds the newest measurement.
 
     A frame that arrives after one that was taken later changes nothing, so the order of arrival makes no difference.
 
@@ -449,7 +448,7 @@ class LastMeasurement(Observer):
         return estimate if self._frames is not None else replace(estimate, missing=estimate.missing + 1)
 
     def correct_late(self, estimate: Estimate, y: float, age: float) -> Estimate:
-        """Use a frame of `age` samples ago.
+        """Measurement update with a frame of `age` samples ago.
 
         Raises:
             ControllerError: if there are no frames, or it is too old, not of the past, or no usable angle.

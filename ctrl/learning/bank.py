@@ -264,7 +264,7 @@ class BankState:
 
     @property
     def lag(self) -> int:
-        """Lag of the best drive, as its number in the grid."""
+        """Number of the best drive's lag in the grid."""
         return self.best // DELAYS
 
     @property
@@ -353,7 +353,7 @@ class FilterBank:
         }
 
     def share_of_range(self, u: Vec | float) -> Any:
-        """Commands as shares of the range."""
+        """Convert commands to shares of the range."""
         return (u - self._low) / self._span
 
     def init(self, angle: float, u: float, y: float) -> BankState:
@@ -394,7 +394,7 @@ class FilterBank:
         return replace(state, history=history, queue=queue)
 
     def correct(self, state: BankState, y: float, angle: float, disturbance: float) -> BankState:
-        """Measurement update.
+        """Measurement update of all filters and scores.
 
         Args:
             angle: of the model at the instant of the measurement `y` [deg].

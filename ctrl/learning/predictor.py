@@ -102,7 +102,7 @@ class LearnedPredictor(Predictor):
         return state[: state.size - LEARNED_SIZE]
 
     def weights(self, state: Vec) -> Vec:
-        """w_c and w (1 + FEATURES,) [1 and deg]."""
+        """Weights w_c [1] and w [deg] of the learned part, shape (1 + FEATURES,)."""
         return state[state.size - LEARNED_SIZE :][OF_WEIGHTS]
 
 

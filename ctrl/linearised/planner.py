@@ -40,7 +40,7 @@ class PlanProgram(ABC):
 
     @abstractmethod
     def deviation(self, primal: Vec) -> Vec:
-        """Deviation of the commands from the plan (H,) in a solution z = `primal`."""
+        """Return the deviation of the commands from the plan (H,) in a solution z = `primal`."""
 
     def _softened(self, hard: QpData, problem: PlanningProblem, around: CommandPlan, entries: Vec) -> QpData:
         """Add soft angle limits to the program with hard limits; `entries` of their rows, column by column."""
@@ -305,7 +305,7 @@ def condense(
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def rate_multipliers(gradient: Any, moves: Any, reach: float) -> Any:
-    """Multipliers (H,) that hold a plan where it already moves at the greatest rate; see `TrackingQp`."""
+    """Compute the multipliers (H,) that hold a plan at the greatest rate where it already has it; see `TrackingQp`."""
     dual = np.zeros(gradient.size)
     balance, touching = 0.0, reach * (1.0 - 1e-6)
     for k in range(gradient.size - 1, -1, -1):

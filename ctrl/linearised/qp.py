@@ -55,7 +55,7 @@ class QpData:
 
 @dataclass(frozen=True, eq=False)
 class QpSolution:
-    """Solution of one program."""
+    """Solution of one quadratic program."""
 
     primal: Vec  # z, shape (n,)
     usable: bool  # whether `primal` is a step worth trying: solved, or finite when the iterations ran out

@@ -153,7 +153,7 @@ class TipController:
             return self._memory.command
 
     def took(self, steps: int, command: Command, control: GuardedState[Any] | None = None) -> None:
-        """Take over samples in which the same controller was stepped elsewhere, such as in C.
+        """Take over samples in which the same controller was stepped elsewhere, such as in its C export.
 
         Args:
             command: answer of the last of them.
@@ -209,7 +209,7 @@ class TipController:
         return command
 
     def set_target(self, theta_deg: float) -> Reach:
-        """Move to `theta_deg` [deg] and stay: the fastest motion within the limits, from the present state of motion.
+        """Move to `theta_deg` [deg] and stay, by the fastest motion within the limits from the present state of motion.
 
         Position, velocity and acceleration of the reference are continuous, in the middle of another motion too. The
         answer says whether the target can be reached, and which angle is the nearest; out of reach, the controller goes
@@ -243,11 +243,11 @@ class TipController:
         self._request(given_request(source, self.dt, self._motion))
 
     def state(self) -> TipState:
-        """Present state of the controller."""
+        """Return the present state of the controller."""
         return tip_state(self._memory, self._controller, self._settings.tolerance_deg)
 
     def plan(self) -> TipPlan:
-        """Plan of the last step over its horizon."""
+        """Return the plan of the last step over its horizon."""
         return tip_plan(self._memory, self._controller)
 
     def predict(self, commands: ArrayLike) -> Vec:
@@ -323,7 +323,7 @@ class TipController:
             self._memory = memory
 
     def replay(self, commands: ArrayLike, angles_deg: ArrayLike, held: float | None = None) -> None:
-        """Reset to the state after a recording of another controller, hysteresis included; a latched stop stays.
+        """Reset to the state after a recording of another controller, hysteresis included; a latched stop remains.
 
         Args:
             commands: the last commands that were sent (T,) [mm or bar], the newest at the end.
@@ -345,14 +345,14 @@ class TipController:
             self._memory = take_up(memory, present, self._controller, holds)
 
     def snapshot(self) -> Snapshot:
-        """Snapshot of the whole state; equal futures follow from it."""
+        """Return a snapshot of the whole state, which with the inputs determines all future commands."""
         return self._memory
 
     def restore(self, snapshot: Snapshot, held: float | None = None) -> None:
-        """Restore the state of `snapshot`, except for a latched stop, which stays, and for the command that is held.
+        """Restore the state of `snapshot`, except a latched stop and the held command.
 
-        A simulation that resets its device too uses `restore(snapshot, held=snapshot.command.u)`. and calls `reset`
-        first after a stop.
+        A simulation that resets its device too uses `restore(snapshot, held=snapshot.command.u)`; after a
+        stop it calls `reset` first.
 
         Args:
             held: the command that the device holds now, from which the next one is limited; None for the one sent last.

@@ -162,7 +162,7 @@ class TendonCatheter:
         return 0.0, self.parameters.travel_mm
 
     def virgin(self) -> Vec:
-        """State (N + 5,) at the pretension, before any flexure."""
+        """Return the state (N + 5,) at the pretension, before any flexure."""
         p = self._numbers(1.0)
         elements = p.middle_deg + p.end_deg - self._widths * p.half_gap_deg
         bend = float(elements.mean())

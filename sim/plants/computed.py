@@ -59,7 +59,7 @@ class ComputedPlant(ABC):
 
     @property
     def true_angle(self) -> float:
-        """Tip angle without noise and quantisation [deg]: for metrics, hidden from controllers."""
+        """Tip angle without noise and quantisation [deg], for metrics; hidden from controllers."""
         return self._angle
 
     def reset(self) -> float:
@@ -169,7 +169,7 @@ class OperatorCascade:
 
     @property
     def settling_s(self) -> float:
-        """Time after which the output is at rest for a held signal [s]."""
+        """Time after which the output is at rest under a constant signal [s]."""
         return 0.0 if self._chain is None else settling_s(self._chain)
 
     def at_rest(self, signal: float) -> Vec:

@@ -92,7 +92,9 @@ def _placed(spec: PlacedEffect | Mapping[str, Any], k: int) -> PlacedEffect:
 
 
 def plant_simulator(simulator: Simulator, effects: Effects, dt_s: float) -> Simulator:
-    """Return the simulator at `dt_s` [s] with parameter errors and all effects except sensors; actuator lag and delay first.
+    """Return the simulator at sample time `dt_s` [s] with parameter errors and effects, without sensors.
+
+    Lag and delay of the actuator are in front, effects of the library on either side after the existing ones.
     """
     chain = mismatched(simulator.chain, effects.mismatch)
     after = tuple(operator for operator in chain.after if not isinstance(operator, Sensor))

@@ -136,7 +136,7 @@ class HeldOut:
 
     @property
     def better(self) -> int:
-        """Number of plants on which the tuned settings cost less."""
+        """Number of plants on which the tuned settings have the lower cost."""
         return int(np.sum(self.costs("tuned") < self.costs("given")))
 
     def rows(self) -> list[tuple[str, float, float, float, float, int]]:
