@@ -312,12 +312,10 @@ class InversePidControllerSettings(FeedforwardSettings):
 class SupervisorSettings(Settings):
     """Block `supervisor`: selection of the control law by the error of the forecasts of the last seconds.
 
-    The error of a forecast over 0.24 s is compared with that of no forecast, which is that the angle stays where it is
-    (root mean squares, see `FilterBank`).
+    The error of a forecast over 0.24 s is compared with that of a constant angle (root mean squares, see `FilterBank`).
 
     Attributes:
-        inverse_pid_above: error relative to no forecast from which on inverse and PID take over from the predictive
-            controller.
+        inverse_pid_above: relative error from which on inverse and PID take over from the predictive controller.
         pid_above: relative error from which on the PID alone takes over.
         pid: gains of both; null for 0.2 / G and 1.5 / (G s), where G is the model's static gain [deg per command unit].
     """
@@ -353,8 +351,7 @@ def supervisory_law(
 ) -> SupervisoryLaw:
     """Build the supervisory law: the predictive law and two feedback laws, all on one model.
 
-    The inverse is that of the hysteresis alone, sample by sample: where a model predicts so badly, inverting its lag
-    and delay gains nothing.
+    The inverse is that of the hysteresis alone: inverting lag and delay of a model that predicts badly gains nothing.
     """
     predictor, inverse = pair
     pid = Pid(feedback_gains(settings, predictor), limits, predictor.dt)

@@ -94,8 +94,8 @@ class ImageFrame:
 class Imaging:
     """State of an imaging system during a run; frame n = 0, 1, ... is taken at n / rate_hz.
 
-    Frame 0 shows the rest before the run and is known when the run begins. The random numbers of frame n depend on the
-    seed and n alone.
+    Frame 0 shows the rest before the run and is known at its start. Random numbers of frame n depend on seed and n
+    alone.
 
     Attributes:
         time_s, angle_deg: present time and angle of the device.
@@ -242,8 +242,7 @@ class LoopLog:
     """Log of a closed-loop run, one row per sample (N,); all angles belong to the end of the sample.
 
     Attributes:
-        reference_deg, measured_deg, predicted_deg: angles; NaN where no frame of an intermittent sensor has come, and
-            without a prediction.
+        reference_deg, measured_deg, predicted_deg: angles; NaN before the first frame, and without a prediction.
         source, status: of every command.
         stage_s: time per stage, shape (N,) each; zero where a stage did not run.
         interrupted: whether the run was ended by the keyboard.

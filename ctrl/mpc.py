@@ -354,9 +354,9 @@ class HoldRule:
     """Rule that holds the command at a constant reference, and corrects a remaining error slowly.
 
     A reference is constant while it and its next `lead` samples stay within `tolerance_deg` of the angle at which they
-    came to rest. It is reached while the held command keeps the angle close: within `tolerance_deg` at first; and one
-    standard deviation of the disturbance estimate more per elapsed `patience`, up to five, since noise may prevent a
-    closer approach; once held, five.
+    came to rest. It is reached while the held command keeps the angle within `tolerance_deg`, plus one standard
+    deviation of the disturbance estimate per elapsed `patience`, up to five, since noise may prevent a closer approach;
+    once held, five.
 
     A reading with resolution q is constant while the angle stays within q / 2 of it. At rest the estimate drifts to the
     reading, and corrections would continue until the reading changes, then reverse: a limit cycle. Once held, q more is

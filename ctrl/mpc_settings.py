@@ -66,9 +66,9 @@ class HoldSettings(Settings):
     """Hold of the command, and slow correction of a remaining error; see `HoldRule`, which counts samples.
 
     Attributes:
-        tolerance_deg: closeness that is always good enough [deg].
+        tolerance_deg: distance from the reference that always counts as reached [deg].
         patience_s: time of constant reference for which one more standard deviation is allowed for [s].
-        lead_s: preview that is looked at [s].
+        lead_s: preview that is used [s].
         settle_after_s: time of constant reference after which corrections are limited [s].
         settle_s: time over which a limited correction removes an error at the model's static gain [s]; 0 for no limit.
     """
@@ -178,8 +178,7 @@ class LinearisedMpcSettings(PredictiveSettings):
     def blocks(self, dt_s: float) -> tuple[int, ...] | None:
         """Return the samples of each block of moves at sample time `dt_s` [s]; None if every sample may move.
 
-        A preview of more than 20 samples whose length is not given has blocks of 1, 2, 4, 8, ... samples, three of each
-        length, as long as they fit.
+        Blocks of a default preview of more than 20 samples are 1, 2, 4, ... samples long, three of each, as they fit.
         """
         horizon = self.preview_samples(dt_s)
         if self.move_blocking is not None or self.horizon is not None or horizon <= _LEAST_SAMPLES:
@@ -239,17 +238,16 @@ class SamplingMpcSettings(PredictiveSettings):
     """Sampling predictive controller: model-predictive path integral control (MPPI) or the cross-entropy method (CEM).
 
     Attributes:
-        method: which of them.
-        samples: plans per iteration N; at least twice as many as there are blocks show every direction twice.
+        method: MPPI or CEM.
+        samples: plans per iteration N; at least twice the number of blocks, so that every direction is tested twice.
         iterations: times the distribution is moved per step.
-        sigma: largest standard deviation of the perturbations [mm or bar]; null for a tenth of the greatest move that
-            the rate limit allows in a sample.
+        sigma: largest standard deviation of the perturbations [mm or bar]; null for a tenth of a sample's greatest
+            move.
         finest: smallest one as a share of `sigma`.
         temperature: of MPPI's weights exp(-(J - J_min) / lambda), with lambda = temperature (median J - J_min).
         elites: share of the samples that mean and deviation of CEM are fitted to, at least two plans.
         seed: of the random numbers.
-        noise: shape of the perturbations, at the ends of the blocks of a preview of more than 20 samples; see
-            `blocks`.
+        noise: shape of the perturbations, at the ends of the blocks, see `blocks`.
     """
 
     kind: Literal["sampling_mpc"] = "sampling_mpc"

@@ -1,8 +1,7 @@
 """Closed-loop simulation: plants with additional effects, sweeps, tuning, metrics and reports.
 
 A study is a `config.SimulationConfig`; `study.prepare` opens and builds its parts; `compare.compare` runs every
-controller along every motion and writes a run folder. `compare.report_from_folder` rewrites its report; `compare.demo`
-runs the study in the package.
+controller along every motion and writes a run folder; `compare.demo` runs the study in the package.
 """
 
 from __future__ import annotations

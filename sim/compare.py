@@ -55,8 +55,7 @@ def compare(config: SimulationConfig, out: Path | str | None = None, progress: P
     """Run a study: prepare it, tune where requested, run every controller along every motion, and report.
 
     `out` gets config.yaml, meta.json and report.html of the study, and `<motion>/<controller>/` with config.yaml,
-    meta.json and log.csv of every run. After Ctrl-C unfinished runs are left out, and no folder remains without a
-    finished one.
+    meta.json and log.csv of every run. After Ctrl-C only finished runs are written.
 
     Args:
         out: a new or empty folder; nothing is written where left out.

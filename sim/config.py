@@ -57,7 +57,7 @@ class EffectSettings(Settings):
 
 
 class PlantSettings(Settings):
-    """The simulated device: a simulator or a device, with effects in addition; see `make_plant` and `Effects`.
+    """Simulated plant: a simulator or a device, with additional effects; see `make_plant` and `Effects`.
 
     Attributes:
         simulator: a simulator file, or `builtin:NAME`.
@@ -123,8 +123,7 @@ class SimulationConfig(Settings):
 
     Attributes:
         model: model of the controllers: a simulator (.yaml), an exported model (.onnx), or `builtin:NAME`.
-        actuator_lag_s: first-order lag of the command that the model does not contain and controllers take into
-            account.
+        actuator_lag_s: first-order lag of the command, missing in the model, that controllers take into account.
         inverse: simulator (.yaml) that is inverted in the model's place: `inverse` and `inverse_pid` know nothing else,
             predictive controllers take their first guess from it. For networks, which have no inverse of their own;
             where left out, a backlash fitted to the network's free run. Or an inverse map (.onnx, or .yaml for
@@ -135,8 +134,7 @@ class SimulationConfig(Settings):
             `limits.beyond_model` is true.
         approach: lead the tip from the plant's rest to the start of a motion that starts far from it; this part does
             not count. Without it, the first jump is scored too.
-        tune_pid: search the gains of every `pid` and `inverse_pid` on this plant and these motions first; where left
-            out the gains stand as given.
+        tune_pid: search the gains of every `pid` and `inverse_pid` first; where left out the given gains are used.
         tuned: controllers whose gains such a search has found; a run writes them here beside the gains, so that its
             configuration repeats the run without the search.
         plant: the simulated device.

@@ -191,9 +191,8 @@ def run_closed_loop(
     """Run a controller along a motion once, from the plant's rest, without waiting for real time.
 
     Args:
-        sensor: of the controller; the plant's angle in every sample where left out. The frames of an imaging system
-            show the true angle with their own noise, drawn from the plant's seed; without a sensor the true rest is
-            declared.
+        sensor: of the controller; the plant's angle in every sample where left out. Frames of an imaging system show
+            the true angle with noise from the plant's seed; without a sensor the true rest is declared.
         approach_s: duration at the motion's beginning that does not count, a whole number of samples [s].
 
     Raises:

@@ -111,8 +111,8 @@ class ModelContract(ABC):
 class KindContract(ModelContract):
     """Contract tests of a kind of model: derive a class whose name begins with `Test`, give it `kind`, run pytest.
 
-    The trials are those of a simulated catheter with backlash. The model identified from them is exported, loaded, and
-    has to pass `ModelContract` too.
+    The trials are those of a simulated catheter with backlash. The model fitted to them, exported and loaded, has to
+    pass `ModelContract`.
 
     Attributes:
         kind: kind under test; need not be installed.

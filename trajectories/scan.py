@@ -53,8 +53,7 @@ class Scan(PathMotion):
         centre_deg: centre of the sweeps [deg].
         frequency_hz: of every sweep [Hz].
         cycles: periods of each sweep, a multiple of 0.5.
-        limits: of the lead-in, for triangles of every leg; null for a sinusoid's own rates, or a triangle's sharp
-            corners.
+        limits: of the lead-in, and of a triangle's legs; null for a sinusoid's own rates, or sharp corners.
     """
 
     start_deg: float

@@ -115,8 +115,7 @@ def export_fmu(
         simulator: with its effects, at the sample time of the FMU; a `SimulatedPlant` has it as `simulator`.
         rest: output and state (S,) at the start, `SimulatedPlant.rest`.
         name: of the model, for the importing tool.
-        platforms: for which binaries are made, of `PLATFORMS`; this machine's where left out, and then none where no
-            compiler is found.
+        platforms: platforms of the binaries, of `PLATFORMS`; that of this machine where left out, if it has a compiler.
         rest_command: command before the first one is set; the simulator's own where left out.
 
     Raises:

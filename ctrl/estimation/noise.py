@@ -121,9 +121,7 @@ class NoiseBank:
         }
 
     def init(self, disturbance: float) -> tuple[Vec, float]:
-        """Return the initial bank (3, M), rows disturbance, variance, weight, for a disturbance [deg]; and its
-        variance.
-        """
+        """Return the initial bank (3, M) for a disturbance [deg], rows disturbance, variance, weight; its variance."""
         bank = np.array([np.full(self._prior.size, disturbance), self._first, self._prior])
         return bank, float(self._prior @ self._first)
 

@@ -195,8 +195,7 @@ class OutputEstimator(Observer):
         theta_k = model(commands up to k-1-D) + d_k,   d_{k+1} = d_k + w_k,   y_k = theta_k + v_k
         var(w_k) = drift_sigma^2 dt + motion_sigma^2 |u_k - u_{k-1}|,   var(v_k) = sensor_sigma^2
 
-    d and the variance of its error are those of a bank of Kalman filters, see `NoiseBank`; where all three sigmas are
-    given, of one Kalman filter.
+    d and its variance are those of a bank of Kalman filters, see `NoiseBank`, or of one filter if all sigmas are given.
 
     The model always holds every command sent; the D predicted angles on their way are kept in a queue, so a
     measurement meets the prediction made for its own instant, and plans start where the queue ends.

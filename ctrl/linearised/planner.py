@@ -494,9 +494,8 @@ _INVERSE_ITERATIONS = 2
 class FeasibleInverse:
     """Inverse over a preview: argmin over admissible u of sum_k (theta_k(u) - r_k)^2, with a small weight on moves.
 
-    The problem of the linearised controller without a disturbance: its candidates, then its planner. An inverse sample
-    by sample would send u = v + (w - v) / a to a lag with step response a < 1 after one sample, which amplifies every
-    deviation; a delay has no such inverse.
+    It is the problem of the linearised controller without a disturbance. An inverse sample by sample would send u = v +
+    (w - v) / a to a lag with step response a < 1, which amplifies every deviation; a delay has no such inverse.
     """
 
     def __init__(self, predictor: Predictor, inverse: Inverse, limits: CommandLimits, horizon: int) -> None:

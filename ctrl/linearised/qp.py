@@ -101,8 +101,7 @@ class DaqpOptions:
 class DaqpSolver(QpSolver):
     """Solver DAQP, cold-started: results do not depend on the order of programs (Arnström et al., TAC 2022).
 
-    The identity rows of the pattern are passed as simple bounds. Each thread reuses one workspace, which is made anew
-    after a failure.
+    The identity rows are passed as simple bounds. Each thread reuses one workspace, which is made anew after a failure.
     """
 
     name = "DAQP"

@@ -252,14 +252,13 @@ class TipState:
     Attributes:
         time_s: end of the running sample: steps taken times the sample time.
         measured_deg: last accepted measurement, made at the beginning of the running sample; NaN before the first.
-            Without a sensor, the angle of the model.
+            Without a sensor: the model's angle.
         predicted_deg: angle expected at the end of it, disturbance included; NaN without a model.
         reference_deg, reference_velocity_deg_s: reference at the same time.
         command: the command that is being held [mm or bar].
         disturbance_deg: estimated difference between device and model.
-        sigma_deg: standard deviation of the error of the estimated angle, which is the model's and the disturbance.
-            With a sensor it is that of the Kalman filters; without one, the error of the model's free runs. NaN if
-            unknown.
+        sigma_deg: standard deviation of the error of the estimated angle, by the Kalman filters; without a sensor, the
+            error of the model's free runs. NaN if unknown.
         source, status: of that command.
         done: whether the reference has ended.
         settled: done, and the measurement is within the tolerance.

@@ -69,9 +69,7 @@ class Workspace:
 
 
 def beyond_reach(angles_deg: Vec, reach_deg: tuple[float, float]) -> str:
-    """Return a text on the part of a reference beyond reach, to follow the reference's name; empty if all angles (N,)
-    are reachable.
-    """
+    """Return a text on the part of a reference beyond reach, to follow its name; empty if all angles are reachable."""
     low, high = float(np.min(angles_deg)), float(np.max(angles_deg))
     slack = _REACH_SLACK * (reach_deg[1] - reach_deg[0])
     if reach_deg[0] - slack <= low and high <= reach_deg[1] + slack:

@@ -43,7 +43,6 @@ class PiecewiseReference(Reference):
 
     Args:
         segments: rows of duration [s], p [deg], v [deg/s], a [deg/s^2], j [deg/s^3], shape (M, 5), M = 0 for a rest.
-        target_deg: the angle at the end [deg].
         start_s: when it starts on the controller's clock [s].
     """
 
@@ -73,8 +72,7 @@ class PiecewiseReference(Reference):
 class GivenReference(Reference):
     """Reference given by a function of the seconds since it was set.
 
-    Velocity and acceleration are backward differences over one sample, limited to the limits of motion; they are the
-    start of a motion to a new target.
+    Velocity and acceleration, for a motion to a new target, are backward differences over one sample, limited.
 
     Args:
         function: times (N,) [s] since it was set -> angles (N,) [deg]; it may raise, the step then holds.

@@ -93,8 +93,7 @@ class TipController:
         """Build a controller that is ready to step: files opened, kernels compiled, first steps taken.
 
         Args:
-            source: a YAML file or the same as a mapping, see `TipSettings`; relative file names start at the file's
-                folder.
+            source: a YAML file or mapping, see `TipSettings`; relative file names start at the file's folder.
 
         Raises:
             ConfigError: on an unknown key (with the nearest right one) or a value out of bounds.
@@ -174,8 +173,7 @@ class TipController:
     def measure(self, theta_deg: float, taken_at_s: float) -> None:
         """Update the estimate by a frame of an intermittent sensor, taken in the past; between frames `step` gets NaN.
 
-        The estimate is corrected at that instant and predicted forward. The first frame starts the controller: the
-        device rests then.
+        The estimate is corrected at that instant and predicted forward. The first frame starts the controller, at rest.
 
         Args:
             theta_deg: tip angle in the frame [deg].
@@ -211,9 +209,8 @@ class TipController:
     def set_target(self, theta_deg: float) -> Reach:
         """Move to `theta_deg` [deg] and stay, by the fastest motion within the limits from the present state of motion.
 
-        Position, velocity and acceleration of the reference are continuous, in the middle of another motion too. The
-        answer says whether the target can be reached, and which angle is the nearest; out of reach, the controller goes
-        as far as it can.
+        Position, velocity and acceleration of the reference are continuous. The result says whether the target can be
+        reached, and the nearest reachable angle, to which the controller goes otherwise.
 
         Raises:
             ControllerError: if it is not a finite angle, or the stop is latched.
@@ -351,8 +348,8 @@ class TipController:
     def restore(self, snapshot: Snapshot, held: float | None = None) -> None:
         """Restore the state of `snapshot`, except a latched stop and the held command.
 
-        A simulation that resets its device too uses `restore(snapshot, held=snapshot.command.u)`; after a
-        stop it calls `reset` first.
+        With a simulated device that is reset too: `restore(snapshot, held=snapshot.command.u)`, after a stop `reset`
+        first.
 
         Args:
             held: the command that the device holds now, from which the next one is limited; None for the one sent last.

@@ -128,8 +128,7 @@ class SimulatedPlant(ComputedPlant):
     Args:
         dt_s: sample time [s]; the simulator's own where left out.
         commands: range of flexure and rest; the simulator's limits where left out.
-        seed: of the sensor noise, mixed into the seed of every sensor among the effects; equal seeds give equal noise
-            after every reset.
+        seed: of the sensor noise and the sensors among the effects; equal seeds give equal noise after every reset.
 
     Raises:
         ConfigError: if `effects` name a parameter that the simulator does not have.

@@ -1,7 +1,6 @@
 """Table of a sweep: a row for each run in one SQLite file, with a readable copy as CSV.
 
-Rows are written by the one process that collects results; workers return theirs to it. Writers of several processes on
-one machine wait for each other.
+Only the process that collects results writes rows. Several such processes on one machine wait for each other.
 """
 
 from __future__ import annotations

@@ -55,8 +55,8 @@ def run_tuning(
     Args:
         settings: complete, as `load_tuning` gives them.
         out: a new or empty folder, or one of a tuning, whose trials are kept; one for each machine.
-        storage: of the search, as Optuna names it, such as `postgresql://...`, shared by machines that name the same
-            one; a file in `out` where left out.
+        storage: Optuna's URL of the search, such as `postgresql://...`, shared by machines; a file in `out` where left
+            out.
 
     Raises:
         ConfigError: if the folder holds something else, the storage cannot be opened, workers die repeatedly, or optuna
