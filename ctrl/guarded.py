@@ -179,7 +179,7 @@ class GuardedController(Generic[M]):
 
     @property
     def horizon(self) -> int:
-        """Number of reference samples that `step` uses: the law's own and those that pass before a command acts."""
+        """Number of reference samples that `step` uses: those of the law and those that pass before a command acts."""
         return self._law.horizon + self._observer.delay_samples
 
     def init(self, y: float, u: float) -> GuardedState[M]:

@@ -193,7 +193,7 @@ _SENSORS: TypeAdapter[AnySensorSettings] = TypeAdapter(SimulatedSensor)
 
 
 def load_simulation(path: Path | str, overrides: Iterable[str] = ()) -> SimulationConfig:
-    """Read a study; relative file names start at its own folder and become absolute.
+    """Read a study; relative file names start at its folder and become absolute.
 
     Raises:
         ConfigError: on an unreadable file, a malformed override, an unknown key or a value out of bounds.

@@ -26,7 +26,7 @@ _STEPS = 200
 
 @dataclass(frozen=True, eq=False)
 class KnownDevice:
-    """Simulated device whose model the control law knows exactly; the angles at its limits in [deg]."""
+    """Simulated device whose model the control law knows exactly; angles at its limits [deg]."""
 
     known: ControllerModel
     limits: CommandLimits

@@ -59,7 +59,7 @@ NotNegativeBounds = Annotated[tuple[NotNegative, NotNegative], AfterValidator(_o
 
 
 class MotionLimits(TrajectorySettings):
-    """Greatest speed, acceleration and jerk of a tip-angle reference, either way.
+    """Greatest absolute speed, acceleration and jerk of a tip-angle reference.
 
     The defaults let a tendon catheter be driven at the 6 mm/s that S2 (RA-L 2024, PMC11633443) used, at about
     10 deg/mm, with ramps of a few tenths of a second.

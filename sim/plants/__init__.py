@@ -1,1 +1,1 @@
-"""Simulated plants, made of operators or of a device with physics of its own, with additional effects."""
+"""Simulated plants, made of operators or of a device with separate physics, with additional effects."""

@@ -1,4 +1,4 @@
-"""Plants from settings: a simulator file, or a named device with physics of its own."""
+"""Plants from settings: a simulator file, or a named device with separate physics."""
 
 from __future__ import annotations
 
