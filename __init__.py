@@ -1,6 +1,6 @@
 """Inverse-model model-predictive control for actuators with hysteresis.
 
-Everything that a user calls is here, and nothing is imported before it is used:
+All public functions are here and are imported on first use:
 
     import hystmpc
 

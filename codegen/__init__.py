@@ -1,4 +1,4 @@
-"""Controllers and simulators for other machines and tools: a controller as C99, a simulator as an FMU."""
+"""Export of a controller as C99 source, and of a simulator as an FMU."""
 
 from .controller import ControllerExport, export_controller
 from .fmu import FmuExport, export_fmu

@@ -1,4 +1,4 @@
-"""The C compiler of this machine, or the one of the package `ziglang`, and shared libraries that it makes."""
+"""C compiler (of this machine, or of the package `ziglang`) and compilation of shared libraries."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _LONGEST_S = 600.0  # ziglang makes its C library first
 
 
 def compiler() -> tuple[str, ...] | None:
-    """Command of the compiler for this machine, see `EXPECTED`; None where there is none.
+    """Return the command of the C compiler, see `EXPECTED`; None if there is no compiler.
 
     Raises:
         ExportError: if CC names no program.
@@ -35,23 +35,22 @@ def compiler() -> tuple[str, ...] | None:
 
 
 def zig(*arguments: str) -> tuple[str, ...] | None:
-    """Command of the compiler of the package `ziglang`, None where that is not installed."""
+    """Return the command of the compiler in the package `ziglang`; None if the package is not installed."""
     if importlib.util.find_spec("ziglang") is None:
         return None
     return (sys.executable, "-P", "-m", "ziglang", "cc", *arguments)  # nothing of a working folder is imported
 
 
 def shared_library(command: Sequence[str], flags: Sequence[str], sources: Mapping[str, str], *mains: str) -> bytes:
-    """The bytes of a shared library.
+    """Compile C sources into a shared library and return its bytes.
 
     Args:
-        command: of the compiler.
-        flags: beside those for C99 and for a library.
+        flags: in addition to those for C99 and for a shared library.
         sources: text of each file, by its name.
         mains: the files that are compiled; the others are headers.
 
     Raises:
-        ExportError: if the compiler cannot run or fails, with the first error that it says.
+        ExportError: if the compiler cannot run or fails, with its first error message.
     """
     with tempfile.TemporaryDirectory(prefix="hystmpc-c-") as folder:
         for file, text in sources.items():

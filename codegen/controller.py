@@ -1,4 +1,4 @@
-"""`export_controller`: a predictive controller becomes one C99 file and its header."""
+"""Export of a predictive controller as one C99 file and its header."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ PARTS = (
 )
 """The hand-written files `codegen/c/*.c`, in the order in which they are laid end to end."""
 
-# What counts as solved, dependent or equal, in double and in single precision; None where `problem` has the number.
+# Thresholds for solved, dependent or equal, in double and in single precision; None where `problem` has the number.
 _TOLERANCES: Mapping[str, tuple[float | None, float]] = {
     "miss": (1e-11, 1e-6),
     "narrow": (1e-13, 1e-6),
@@ -64,16 +64,16 @@ _MOST_SAMPLES = 1_000_000_000
 
 @dataclass(frozen=True)
 class ControllerExport:
-    """Predictive controller as C99.
+    """Predictive controller as C99 source.
 
     Attributes:
         header, source: text of hystmpc.h and hystmpc.c.
-        parts: the same as files of their own, each of which compiles alone, by name.
+        parts: the same source as separate files, each of which compiles alone, by name.
         memory_bytes: of the struct that holds the controller, its room for a step included.
-        remembered_bytes: of it, what is remembered from step to step.
+        remembered_bytes: the part of it that is the controller's state.
         functions: of <math.h> that are called; those without an exact result are `inexact`.
         sample_s: time between two steps [s].
-        reference_samples: wanted angles that a step looks at.
+        reference_samples: reference angles that a step uses.
         structs: of the header, as ctypes.
     """
 
@@ -89,11 +89,11 @@ class ControllerExport:
 
     @property
     def inexact(self) -> tuple[str, ...]:
-        """Functions of <math.h> whose last digits differ from one C library to the next."""
+        """Functions of <math.h> whose last digits depend on the C library."""
         return tuple(name for name in self.functions if name in INEXACT)
 
     def write(self, folder: Path) -> tuple[Path, Path]:
-        """Write hystmpc.h and hystmpc.c into a folder, which is made where it is missing."""
+        """Write hystmpc.h and hystmpc.c into a folder, which is created if missing."""
         folder.mkdir(parents=True, exist_ok=True)
         header = write_atomically(folder / "hystmpc.h", self.header)
         return header, write_atomically(folder / "hystmpc.c", self.source)
@@ -104,13 +104,13 @@ def export_controller(
 ) -> ControllerExport:
     """Export the predictive controller of `TipController.from_config(source)` as C99.
 
-    Its commands are those of the Python controller, `GuardedController.step`, to rounding. A model of operators, an
-    LSTM or a GRU, the linearised controller, a continuous sensor or none.
+    Its commands are those of the Python controller, `GuardedController.step`, to rounding. Supported are models of
+    operators, LSTM and GRU, the linearised controller, and a continuous sensor or none.
 
     Args:
         source: a `tip.yaml`, a mapping or settings.
-        single: float in the place of double.
-        folder: in which relative file names of a mapping start.
+        single: use float instead of double.
+        folder: base of relative file names in a mapping.
 
     Raises:
         ExportError: where a part of the controller has no C; says what was got and what is supported.
@@ -172,7 +172,6 @@ def _guarded(name: str, text: str) -> str:
 
 
 def _sizes(problem: ControllerProblem, single: bool) -> str:
-    """C of the scalar type and of whole numbers."""
     lines = [f"typedef {'float' if single else 'double'} hystmpc_real;", f"#define HYSTMPC_SINGLE {int(single)}"]
     public = {"sample_s": "dt_s", "lowest": "lower", "highest": "upper"}
     lines += [f"#define HYSTMPC_{name.upper()} {problem.numbers[key]!r}" for name, key in public.items()]
@@ -181,7 +180,6 @@ def _sizes(problem: ControllerProblem, single: bool) -> str:
 
 
 def _numbers(problem: ControllerProblem, single: bool) -> str:
-    """C of the numbers of the scalar type: scalars, and initialisers of arrays."""
     suffix = "##f" if single else ""
     math = "name##f" if single else "name"
     lines = [f"#define HYSTMPC_REAL(x) x{suffix}", f"#define MATH(name) {math}"]

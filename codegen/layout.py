@@ -1,4 +1,4 @@
-"""Structs of a C header as ctypes, whose sizes and fields are known without a compiler."""
+"""Conversion of the structs in a C header to ctypes structures, without a compiler."""
 
 from __future__ import annotations
 
@@ -22,13 +22,12 @@ _NAME = re.compile(r"(\w+)((?:\[[^\]]+\])*)")
 
 
 def structs(header: str, sizes: Mapping[str, int], real: Any) -> Mapping[str, type[ctypes.Structure]]:
-    """Every struct of a header by name.
+    """Return every struct of a header as a ctypes structure, by name.
 
     Args:
         header: text; its conditions are `#if NAME` and `#endif`, its fields of `hystmpc_real`, plain numbers and other
             structs; names of structs begin with `hystmpc_`.
         sizes: of the macros in conditions and dimensions.
-        real: ctypes' type of `hystmpc_real`.
     """
     known: dict[str, Any] = {"hystmpc_real": real, **_TYPES}
     plain = "\n".join(_chosen(re.sub(r"/\*.*?\*/", "", header, flags=re.DOTALL), sizes))
@@ -39,7 +38,7 @@ def structs(header: str, sizes: Mapping[str, int], real: Any) -> Mapping[str, ty
 
 
 def _chosen(text: str, sizes: Mapping[str, int]) -> Iterator[str]:
-    """Lines of the header whose conditions hold."""
+    """Lines of the header whose preprocessor conditions hold."""
     conditions: list[bool] = []
     for line in text.splitlines():
         words = line.split()
@@ -63,5 +62,5 @@ def _fields(line: str, sizes: Mapping[str, int], known: Mapping[str, Any]) -> It
 
 
 def _size(expression: str, sizes: Mapping[str, int]) -> int:
-    """Value of a dimension: a number, a macro, or a sum of them."""
+    """Value of an array dimension: a number, a macro, or a sum of them."""
     return sum(int(part) if part.isdigit() else sizes[part] for part in expression.replace(" ", "").split("+"))

@@ -1,4 +1,4 @@
-"""An exported controller in this process: compiled for this machine, and called through ctypes."""
+"""Compilation of an exported controller for this machine, and its calls through ctypes."""
 
 from __future__ import annotations
 
@@ -25,16 +25,15 @@ _made: dict[tuple[str, str, str], Path] = {}
 
 
 def controller_library(export: ControllerExport, companion_c: str = "") -> Path:
-    """Shared library of a controller, compiled into a temporary folder of this process.
+    """Compile a controller into a shared library in a temporary folder of this process.
 
-    No library that an earlier program has left is ever loaded: what moves a device was compiled by the process that
-    moves it.
+    A library of an earlier process is never loaded: only code compiled by this process moves the device.
 
     Args:
-        companion_c: a file of C that is compiled with it; it finds the header as hystmpc.h.
+        companion_c: additional C file, compiled with it; includes the header as hystmpc.h.
 
     Raises:
-        ExportError: if there is no compiler, or it fails; with the first thing that it says.
+        ExportError: if there is no compiler, or it fails; with its first message.
         OSError: if there is no place for a temporary file.
     """
     text = export.header, export.source, companion_c
@@ -49,7 +48,7 @@ def controller_library(export: ControllerExport, companion_c: str = "") -> Path:
 
 @cache
 def _folder() -> Path:
-    """A new folder that no other user may enter."""
+    """Create a new folder that only the present user can access."""
     folder = tempfile.mkdtemp(prefix="hystmpc-controller-")
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
     return Path(folder)
@@ -66,11 +65,10 @@ def _compiled(export: ControllerExport, companion_c: str) -> bytes:
 
 @final
 class LoadedController:
-    """The functions of an exported controller, in double precision, on one memory.
+    """Exported controller in double precision, with one memory for its state.
 
-    `memory` is what is remembered from step to step, as bytes: a snapshot, which `remember` takes up again. A step
-    keeps the interpreter's lock: another thread that took it meanwhile would keep the loop waiting for longer than the
-    step lasts. `init` and `look_on`, which no loop waits for, leave it to others.
+    A step keeps the interpreter's lock: another thread that took it would delay the loop by more than the step lasts.
+    `init` and `look_on`, for which no loop waits, release it.
 
     Raises:
         OSError: if the file is no library of this machine.
@@ -93,35 +91,35 @@ class LoadedController:
 
     @property
     def memory(self) -> bytes:
-        """Snapshot of what is remembered from step to step."""
+        """Snapshot of the controller's state as bytes."""
         return ctypes.string_at(self._at, self._size)
 
     def remember(self, memory: bytes) -> None:
-        """Restore a snapshot."""
+        """Restore a snapshot of the controller's state."""
         if len(memory) != self._size:
             raise ValueError(f"memory: got {len(memory)} bytes, expected {self._size}")
         ctypes.memmove(self._at, memory, self._size)
 
     def init(self, angle_deg: float, command: float) -> int:
-        """Start at rest; returns 0, or the code of the reason why it cannot start."""
+        """Start at rest; returns 0, or the code of the error that prevents the start."""
         return int(self._init(self._at, angle_deg, command))
 
     def look_on(self, angle_deg: float, command: float) -> int:
-        """Update the state with a command of another source; returns for how many samples the model has failed."""
+        """Update the state with a command of another source; returns the number of samples of failed model steps."""
         return int(self._look_on(self._at, angle_deg, command))
 
     def step(self, angle_deg: float, reference: Vec) -> Any:
-        """Compute the command: the struct `hystmpc_command` of the header; `reference` (N,) is contiguous."""
+        """Compute the command as the struct `hystmpc_command` of the header; `reference` (N,) has to be contiguous."""
         return self._step(self._at, angle_deg, reference.ctypes.data)
 
     def hold(self, command: float) -> None:
-        """Set the command that the device holds, whatever was sent last."""
+        """Set the command that the device holds, in place of the one sent last."""
         for name in ("estimate", "plain"):
             if hasattr(self.view, name):
                 getattr(self.view, name).command = command
 
     def hurry(self) -> None:
-        """Let the next step make no plan."""
+        """Skip planning in the next step."""
         self._hurry(self._at)
 
     def stop(self) -> None:

@@ -22,16 +22,13 @@ _A_LINE = 8
 
 @dataclass(frozen=True, eq=False)
 class NetworkC:
-    """Recurrent network in numbers.
+    """Sizes, weights and scaling of a recurrent network for C.
 
     Attributes:
-        kind: `lstm` or `gru`.
         hidden, layers: units of a layer, and layers.
-        units: of a layer, filled up to whole panels.
-        state_size: entries of its state.
-        weights: float32, panel after panel; layer after layer.
+        units: of a layer, padded to whole panels.
+        weights: float32, by layer, then by panel.
         head: float32 (units,).
-        numbers: scalars of its scaling and of its gates.
     """
 
     kind: str
@@ -44,7 +41,7 @@ class NetworkC:
     numbers: dict[str, Any]
 
     def sizes(self, rows: int) -> dict[str, int]:
-        """Sizes of arrays, `rows` plans or derivatives at a time."""
+        """Array sizes for `rows` plans or derivatives computed at once."""
         return {
             "units": self.units,
             "gru": int(self.kind == "gru"),
@@ -57,12 +54,12 @@ class NetworkC:
         }
 
     def source(self) -> str:
-        """C of the weights."""
+        """C source of the weights."""
         return "\n".join([*_array("weights", self.weights), *_array("head", self.head), ""])
 
 
 def network_of(model: OnnxModel) -> NetworkC:
-    """The network of a model file.
+    """Return the network of a model file as data for C.
 
     Raises:
         ExportError: if there is no C of its kind.
@@ -112,5 +109,5 @@ def _array(name: str, values: NDArray[np.float32]) -> Iterator[str]:
 
 
 def single_number(value: Any) -> str:
-    """A number of type float in C, with as few digits as tell it from all others."""
+    """Shortest C literal that identifies a float uniquely."""
     return f"{np.format_float_scientific(np.float32(value), unique=True, trim='0')}F"

@@ -1,4 +1,4 @@
-"""Sizes, numbers and model steps of a controller that is exported as C; refuses what has no C."""
+"""Sizes, numbers and model steps of a controller for its export as C."""
 
 from __future__ import annotations
 
@@ -39,9 +39,9 @@ from .steps import Step
 
 @dataclass(frozen=True, eq=False)
 class Rest:
-    """The state at rest: offset + by_angle y + by_command u (S,), then `warmup` samples of the command held.
+    """State at rest: offset + by_angle y + by_command u (S,), then `warmup` samples of the command held.
 
-    Of a chain the y in it is the one for which the chain shows the angle that was seen, see `chain_rest_source`.
+    For a chain, y is chosen so that its output equals the measured angle, see `chain_rest_source`.
 
     Operators next to a network are held for `companion_held` samples instead.
     """
@@ -55,15 +55,13 @@ class Rest:
 
 @dataclass(frozen=True, eq=False)
 class ControllerProblem:
-    """Controller in numbers.
+    """Data of a controller from which its C source is made.
 
     Attributes:
         sizes: of arrays, and which parts there are; whole numbers.
         numbers: scalars (), vectors and matrices of the algorithm, by the names of its macros in small letters.
-        steps: of `whole`, where there is no network, and `middle`, and where they are, `front` and `back`.
-        network: what is predicted with in the place of `whole`; `middle` is then what stands next to it.
-        rest: how a state at rest is made.
-        words: what it is, for the head of the file.
+        steps: model steps by name: `whole` (without a network), `middle`, and `front` and `back` where they exist.
+        network: predictor in place of `whole`; `middle` is then the operator whose inverse is used.
     """
 
     sizes: Mapping[str, int]
@@ -75,7 +73,7 @@ class ControllerProblem:
 
 
 def problem_of(settings: TipSettings, folder: Path) -> ControllerProblem:
-    """The controller of a `tip.yaml`.
+    """Return the data of the controller that a `tip.yaml` describes.
 
     Raises:
         ExportError: where a part of it has no C; says what was got and what is supported.
@@ -137,7 +135,6 @@ class _ModelParts:
 
 
 def _of_chain(model: ChainModel, settings: TipSettings) -> _ModelParts:
-    """Parts of a chain of operators, with linear dynamics on either side."""
     lag_s, facts = settings.actuator_lag_s, model.metadata
     parts = _parts(model.simulator.chain, lag_s)
     sizes = {name: chain.state_size for name, chain in parts.items()}
@@ -149,10 +146,9 @@ def _of_chain(model: ChainModel, settings: TipSettings) -> _ModelParts:
 
 
 def _of_network(model: LoadedModel, settings: TipSettings) -> _ModelParts:
-    """Parts of a network and of the operator whose inverse is used in its place."""
     from hystmpc.models.contract.load import OnnxModel  # onnxruntime is not loaded for a simulator
 
-    assert isinstance(model, OnnxModel)  # there are these two
+    assert isinstance(model, OnnxModel)
     network, facts, lag_s = network_of(model), model.metadata, settings.actuator_lag_s
     companion = surrogate_backlash(model)
     known, companion_held = controller_model(model, companion, lag_s), companion.metadata()
@@ -166,7 +162,7 @@ def _of_network(model: LoadedModel, settings: TipSettings) -> _ModelParts:
 
 
 def _inverted(inverse: Inverse, step: Step) -> Step:
-    """Step that is inverted: one sample of the model, or its response to a hold, see `steady_inverse`."""
+    """Step to be inverted: one sample of the model, or its response to a held command, see `steady_inverse`."""
     inner = inverse.inner if isinstance(inverse, DrivenInverse) else inverse
     if not (inverted_after_a_hold(inner) and isinstance(inner, CompiledInverse)):
         return step
@@ -219,7 +215,7 @@ def _parts(chain: Chain, lag_s: float) -> Mapping[str, Chain]:
 
 
 def _rest_of(drive: Chain) -> Mat:
-    """Rows offset and slope (2, S) of a drive's state at rest, by the input that is held."""
+    """Rows offset and slope (2, S) of a drive's state at rest as a function of the held input."""
     at = [np.asarray(drive.rest(u, u, ca.DM(drive.values))).ravel() for u in (0.0, 1.0)]
     return np.stack([at[0], at[1] - at[0]])
 
@@ -227,7 +223,7 @@ def _rest_of(drive: Chain) -> Mat:
 def _law(
     settings: LinearisedMpcSettings, predictor: Predictor, inverse: Inverse, limits: CommandLimits
 ) -> tuple[dict[str, int], dict[str, Any]]:
-    """Sizes and numbers of law, estimator and fallbacks."""
+    """Sizes and numbers of control law, estimator and fallbacks."""
     learned = learning_pair(settings, predictor, inverse)
     law = law_of(settings.model_copy(update={"supervisor": None}), *learned, limits)
     assert isinstance(law, PredictiveLaw)
@@ -304,7 +300,7 @@ def _program_sizes(settings: LinearisedMpcSettings, horizon: int, dt: float) -> 
 
 
 def _blocking(settings: LinearisedMpcSettings, horizon: int, dt: float) -> dict[str, Any]:
-    """Starts and ends of the blocks, M, and what of the program's Hessian never changes."""
+    """Starts, ends and matrix M of the blocks, and the constant part of the program's Hessian."""
     blocks = settings.blocks(dt)
     assert blocks is not None
     blocking = MoveBlocking(blocks, horizon)

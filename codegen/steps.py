@@ -1,4 +1,4 @@
-"""Operators as C: one step of a chain and its tangent, from the same symbolic equations as every other backend."""
+"""C source of operators: one step of a chain and its tangent, from the symbolic equations of all backends."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ INEXACT = ("exp", "log", "tanh", "sin", "cos", "pow")
 
 
 def number(value: float) -> str:
-    """A number of the scalar type in C, exact in double."""
+    """C literal of a number of the scalar type, exact in double."""
     if np.isinf(value):
         return "INFINITE" if value > 0 else "(-INFINITE)"
     text = repr(float(value))
@@ -53,7 +53,7 @@ def number(value: float) -> str:
 
 @dataclass(frozen=True, eq=False)
 class Step:
-    """A chain's step (x, u, p, dt) -> (theta, next), its parameters p (P,) and its sample time dt [s]."""
+    """Step of a chain (x, u, p, dt) -> (theta, next), its parameters p (P,) and its sample time dt [s]."""
 
     function: Any
     parameters: Vec
@@ -61,21 +61,20 @@ class Step:
 
     @property
     def size(self) -> int:
-        """Entries of the state."""
+        """Number of entries of the state."""
         return int(self.function.numel_in(0))
 
 
 def functions_used(source: str) -> tuple[str, ...]:
-    """Functions of <math.h> that C of the package calls, by name."""
+    """Return the functions of <math.h> that a C source of the package calls."""
     names = {name or "fmaf" for name in re.findall(r"MATH\((\w+)\)\(|\bfmaf\(", source)}
     return tuple(name for name in (*EXACT, *INEXACT) if name in names)
 
 
 def model_source(name: str, step: Step) -> str:
-    """C of the model `hystmpc_<name>`: a chain's step and its tangent.
+    """Return the C source of the model `hystmpc_<name>`: step of a chain, and its tangent.
 
-    What does not change from sample to sample is computed here, by the same operations that compiled kernels do, so
-    that both have equal numbers to the last bit.
+    Constant values are computed here by the operations of the compiled kernels, so that both agree to the last bit.
     """
     known = _known(step)
     outputs = "*theta", "next", "a", "b", "c", "*d"
@@ -92,7 +91,7 @@ def model_source(name: str, step: Step) -> str:
 
 
 def inverted_source(name: str, step: Step) -> str:
-    """C of a step that is inverted sample by sample, and of `slope_<name>(x, u, theta, d)` with d theta / d u."""
+    """Return the C source of the inverse of a step, sample by sample, and of its slope d theta / d u."""
     return "\n".join(
         [
             step_source(name, step, "HYSTMPC_LOCAL"),
@@ -104,7 +103,7 @@ def inverted_source(name: str, step: Step) -> str:
 
 
 def step_source(name: str, step: Step, linkage: str = "static") -> str:
-    """C of a chain's step alone, `step_<name>(x, u, theta, next)`; numbers as `model_source` has them."""
+    """Return the C source of a chain's step alone, `step_<name>(x, u, theta, next)`; numbers as in `model_source`."""
     return "\n".join(
         [
             f"{linkage} void step_{name}(const real *x, real u, real *theta, real *next) {{",
@@ -119,9 +118,9 @@ _NUDGE, _COARSE = 1e-6, 1e-2  # of the angle, for a slope: in double and in sing
 
 
 def chain_rest_source(offset: Vec, by_angle: Vec, by_command: Vec, held: int) -> str:
-    """C of the state at rest of a chain: offset + by_angle a + by_command u, with the a for which it shows y.
+    """Return the C source of a chain's state at rest: offset + by_angle a + by_command u, a such that the output is y.
 
-    Newton's method as `models.rest.ChainRest` has it, its slope by a difference; then so many samples are held.
+    Newton's method of `models.rest.ChainRest`, with a difference quotient for the slope; then `held` samples follow.
     """
     return "\n".join(
         [
@@ -162,12 +161,11 @@ def chain_rest_source(offset: Vec, by_angle: Vec, by_command: Vec, held: int) ->
 
 
 def network_rest_source(offset: Vec, by_angle: Vec, by_command: Vec, held: int, companion_held: int) -> str:
-    """C of the state at rest of a network: offset + by_angle y + by_command u, with the command held for some samples.
+    """Return the C source of a network's state at rest: offset + by_angle y + by_command u, then a held command.
 
     Args:
-        offset, by_angle, by_command: of the state.
         held: samples of the network.
-        companion_held: samples of the operators next to it, which show the measured angle as well.
+        companion_held: samples of the operators next to it, whose output is the measured angle too.
     """
     return "\n".join(
         [
@@ -186,7 +184,7 @@ def network_rest_source(offset: Vec, by_angle: Vec, by_command: Vec, held: int, 
 
 
 def _affine(offset: Vec, by_angle: Vec, by_command: Vec) -> list[str]:
-    """Statements: x = offset + by_angle y + by_command u."""
+    """C statements of x = offset + by_angle y + by_command u."""
     return [
         f"    x[{i}] = {number(float(offset[i]))} + {number(float(by_angle[i]))} * y"
         f" + {number(float(by_command[i]))} * u;"
@@ -195,12 +193,12 @@ def _affine(offset: Vec, by_angle: Vec, by_command: Vec) -> list[str]:
 
 
 def _known(step: Step) -> Mapping[int, Vec]:
-    """Arguments of the step's function whose values do not change, by number."""
+    """Constant arguments of the step's function, by number."""
     return {2: step.parameters, 3: np.array([step.sample_s])}
 
 
 def _tangent(function: Any) -> Any:
-    """The step with d next / d x, d next / d u, d theta / d x, d theta / d u, as kernels compile it."""
+    """Function with d next / d x, d next / d u, d theta / d x, d theta / d u, in the form that kernels compile."""
     x, u = ca.SX.sym("x", function.numel_in(0)), ca.SX.sym("u")
     arguments = [x, u, ca.SX.sym("p", function.numel_in(2)), ca.SX.sym("dt")]
     theta, following = function(*arguments)
@@ -210,7 +208,7 @@ def _tangent(function: Any) -> Any:
 
 
 def _body(function: Any, outputs: Sequence[str | None], known: Mapping[int, Vec]) -> list[str]:
-    """Statements with single assignments; arguments without use are marked, and an output None is left out."""
+    """C statements with single assignments; unused arguments are marked, and an output None is left out."""
     lines = _used(list(_statements(function, outputs, known)))
     text = "\n".join(lines)
     unread = [name for name in ("x", "u") if (f" {name}[" if name == "x" else " = u;") not in text]
@@ -218,7 +216,7 @@ def _body(function: Any, outputs: Sequence[str | None], known: Mapping[int, Vec]
 
 
 def _used(lines: Sequence[str]) -> list[str]:
-    """Statements without those whose value nobody reads."""
+    """C statements whose value is used."""
     kept: list[str] = []
     read: set[str] = set()
     for line in reversed(lines):
@@ -247,7 +245,7 @@ def _statements(function: Any, outputs: Sequence[str | None], known: Mapping[int
 
 
 def _value(step: Instruction, where: Mapping[int, str | float], known: Mapping[int, Vec]) -> str | float:
-    """Result of an instruction: a number if its arguments are known, else an expression."""
+    """Result of one instruction: a number if its arguments are known, else a C expression."""
     if step.name == "const":
         return step.value
     if step.name == "input":

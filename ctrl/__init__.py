@@ -1,8 +1,8 @@
-"""Controllers, estimator and the closed loop.
+"""Controllers, estimators and the closed loop.
 
 A controller is a law (`feedback`: PID, inverse feedforward; `mpc`: predictive, with the planner of `linearised` or
 `sampling`) inside `guarded.GuardedController`, which adds estimate, fallbacks and hard limits. `build_controller` makes
-one from settings, `run_loop` runs it. `TipController` is all of it behind the few calls that a planner makes.
+one from settings, `run_loop` runs it. `TipController` is the interface for motion planners.
 """
 
 from __future__ import annotations

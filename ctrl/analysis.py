@@ -17,7 +17,7 @@ from .feedback import PidSettings
 
 Complex = NDArray[np.complex128]
 
-_PERIODS = 2  # driven; the last one counts, the hysteresis has closed its loop by then
+_PERIODS = 2  # periods driven; the hysteresis loop is closed in the last one, which is evaluated
 _AMPLITUDES, _SMALLEST = 40, 4e-3  # of half the command range
 _SAMPLES_PER_PERIOD = (5, 400)
 _FREQUENCIES = 48
@@ -25,7 +25,7 @@ _FREQUENCIES = 48
 
 @dataclass(frozen=True)
 class LimitCycle:
-    """A predicted oscillation: amplitudes of command [cmd] and tip angle [deg], frequency [Hz]."""
+    """Predicted limit cycle: amplitudes of command [cmd] and tip angle [deg], frequency [Hz]."""
 
     command: float
     angle_deg: float
@@ -48,7 +48,7 @@ class LoopAnalysis:
 
 
 def describing_function(predictor: Predictor, centre: float, amplitudes: Vec, samples: int) -> Complex:
-    """First harmonic of the model's angle under a sampled sine, over that of the command, shape (A,) [deg/cmd].
+    """Describing function of a model: first harmonic of the angle over that of a sinusoidal command (A,) [deg/cmd].
 
         N(A) = 2 / (n A) sum_k theta_k exp(-i 2 pi k / n) / (-i),   u_k = centre + A sin(2 pi k / n)
 
@@ -56,7 +56,6 @@ def describing_function(predictor: Predictor, centre: float, amplitudes: Vec, sa
     angle at the end of the sample in which u_k acts; the model starts from rest at the centre.
 
     Args:
-        predictor: the model.
         centre: mean of the command.
         amplitudes: A > 0, shape (A,).
         samples: n per period, at least 3.
@@ -78,18 +77,16 @@ def describing_function(predictor: Predictor, centre: float, amplitudes: Vec, sa
 def analyse_pid(
     predictor: Predictor, gains: PidSettings, limits: CommandLimits, delay_samples: int = 0, centre: float | None = None
 ) -> LoopAnalysis:
-    """Limit cycle of a PID loop around a model, by harmonic balance.
+    """Predict the limit cycle of a PID loop around a model by harmonic balance.
 
         C(z, |N| A) N(A, z) z^-(1 + D) = -1,   z = exp(i omega dt)
 
-    C is the controller as it is sampled, with the describing function of its integral's dead zone; N is the model's,
-    with the lag that it has; one sample and D more pass before a command shows. For each amplitude the loop gain is
-    read where the phase passes -180 degrees; where it falls through 1 with growing amplitude the oscillation is stable.
-    Feedforward does not matter: in a hold it is constant. Limits on the rate are not accounted for.
+    C is the sampled controller with the describing function of its integral's dead zone; N is that of the model, its
+    lag included; the loop delay is 1 + D samples. For each amplitude the loop gain is evaluated at a phase of -180
+    degrees; where it falls through 1 with growing amplitude the oscillation is stable. Feedforward does not matter: in
+    a hold it is constant. Limits on the rate are not accounted for.
 
     Args:
-        predictor: the identified model.
-        gains: of the PID.
         limits: half of their range is the greatest amplitude.
         delay_samples: transport delay D that the model does not contain.
         centre: mean of the command; the middle of the limits where left out.
@@ -110,7 +107,7 @@ def analyse_pid(
 
 
 def _controller(gains: PidSettings, dt: float, frequencies: Vec, errors: Vec, delay_samples: int) -> Complex:
-    """C z^-(1 + D) at the frequencies (F,) for error amplitudes (F, A) [deg]."""
+    """Controller and delay C z^-(1 + D) at the frequencies (F,) for error amplitudes (F, A) [deg]."""
     z = np.exp(2j * np.pi * frequencies * dt)[:, None]
     share = dt / (gains.filter_s + dt)
     derivative = gains.kd_s_per_deg * share / dt * (z - 1.0) / (z + share - 1.0)
@@ -137,7 +134,7 @@ def _crossing(loop: Complex, frequencies: Vec, gain: Vec) -> tuple[float, float,
 
 
 def _balance(amplitudes: Vec, crossings: Vec) -> LoopAnalysis:
-    """Limit cycle where the loop gain falls through one with growing amplitude; rows as `_crossing` gives them."""
+    """Limit cycle at the amplitude above which the loop gain falls below one; rows as returned by `_crossing`."""
     gains, greatest = crossings[:, 0], float(crossings[:, 0].max())
     falls = np.flatnonzero((gains[:-1] > 1.0) & (gains[1:] <= 1.0) & (gains[1:] > 0.0))
     if not falls.size:

@@ -1,4 +1,4 @@
-"""Controllers, built from their settings: model with its learned part, estimator, law, fallbacks and limits."""
+"""Construction of controllers from settings: model with learned part, estimator, law, fallbacks and limits."""
 
 from __future__ import annotations
 
@@ -36,12 +36,10 @@ _REFINED = 2  # iterations from a plan that is late along a motion
 def build_controller(
     settings: AnyControllerSettings | LawSettings, predictor: Predictor, inverse: Inverse, limits: CommandLimits
 ) -> GuardedController[Any]:
-    """The controller that `settings` describe.
+    """Build the controller that `settings` describe.
 
     Args:
         settings: one of the classes of `CONTROLLERS`, or a class of yours derived from `LawSettings`.
-        predictor: the model; PID takes only the sample time from it.
-        inverse: its inverse, for feedforward, candidate plans and fallback.
         limits: hard limits of the device; `settings.limits` may narrow them.
 
     Raises:
@@ -56,13 +54,13 @@ def build_controller(
 
 
 def pair_for(settings: AnyControllerSettings | LawSettings, model: ControllerModel) -> tuple[Predictor, Inverse]:
-    """Predictor and inverse that a controller works with, with a learned part where its settings ask for one."""
+    """Return predictor and inverse of a controller, with a learned part where its settings ask for one."""
     settings = settings.resolved()
     return learning_pair(settings, *(model.predictive if settings.predicts else model.feedforward))
 
 
 def learning_pair(settings: LawSettings, predictor: Predictor, inverse: Inverse) -> tuple[Predictor, Inverse]:
-    """Predictor and inverse with a learned part where the settings ask for one, for the states of the controller."""
+    """Add the learned part that the settings ask for to predictor and inverse."""
     if theirs := getattr(settings, "model_pair", None):
         return theirs(predictor, inverse)
     if not isinstance(settings, PredictiveSettings) or settings.adaptation is None:
@@ -74,7 +72,7 @@ def learning_pair(settings: LawSettings, predictor: Predictor, inverse: Inverse)
 
 
 def observer_of(settings: LawSettings, predictor: Predictor) -> Observer:
-    """The estimator of state and disturbance."""
+    """Build the estimator of state and disturbance."""
     if theirs := getattr(settings, "observer", None):
         return theirs(predictor)
     estimator = settings.estimator
@@ -86,7 +84,7 @@ def observer_of(settings: LawSettings, predictor: Predictor) -> Observer:
 
 
 def law_of(settings: LawSettings, predictor: Predictor, inverse: Inverse, limits: CommandLimits) -> Law[Any]:
-    """The control law.
+    """Build the control law.
 
     Raises:
         ControllerError: if there is none for settings of this class.
@@ -112,17 +110,16 @@ def law_of(settings: LawSettings, predictor: Predictor, inverse: Inverse, limits
 def _planner(
     settings: PredictiveSettings, predictor: Predictor, inverse: Inverse, limits: CommandLimits
 ) -> Planner[Any]:
-    """Planner of a predictive controller."""
     settings = settings.model_copy(update={"iterations": iterations_of(settings, inverse)})
     if isinstance(settings, LinearisedMpcSettings):
         return LinearisedPlanner(predictor, settings, limits)
-    assert isinstance(settings, SamplingMpcSettings)  # there are these two
+    assert isinstance(settings, SamplingMpcSettings)
     kind = CrossEntropyPlanner if settings.method == "cem" else PathIntegralPlanner
     return kind(predictor, settings, limits)
 
 
 def iterations_of(settings: PredictiveSettings, inverse: Inverse) -> int:
-    """Iterations of a planner in a step, two or more where the inverse is a first guess only; see `steady_inverse`."""
+    """Return the planner's iterations per step: at least two for a first-guess inverse, see `steady_inverse`."""
     first_guess = inverted_after_a_hold(inverse.inverse if isinstance(inverse, LearnedInverse) else inverse)
     return max(settings.iterations, _REFINED) if first_guess else settings.iterations
 
@@ -130,7 +127,7 @@ def iterations_of(settings: PredictiveSettings, inverse: Inverse) -> int:
 def _feedforward(
     settings: FeedforwardSettings, predictor: Predictor, inverse: Inverse, limits: CommandLimits
 ) -> InverseFeedforward:
-    """Inverse feedforward: over the preview for a model with delay (`steady_inverse` too), else sample by sample."""
+    """Build the inverse feedforward: over the preview for a model with delay or `steady_inverse`, else per sample."""
     late = isinstance(inverse, DrivenInverse) or inverted_after_a_hold(inverse)
     ahead = FeasibleInverse(predictor, inverse, limits, settings.preview) if late else None
     return InverseFeedforward(inverse, settings.reference_dead_zone_deg, ahead)

@@ -1,4 +1,4 @@
-"""Command of one step, the inputs of a control law, and the hard limits of the command and its rate."""
+"""Command of one step, inputs of a control law, and hard limits of command and rate."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ EMPTY.setflags(write=False)
 
 
 class Source(StrEnum):
-    """The level of fallback that produced a command, best first."""
+    """Fallback level that produced a command, best first."""
 
     CONTROLLER = "controller"  # feedforward or feedback law
     MPC = "mpc"
@@ -37,29 +37,27 @@ class Source(StrEnum):
 
 @dataclass(frozen=True)
 class Timing:
-    """Time spent per stage of one step [s]; absent stages are missing from the mapping."""
+    """Computing time of each stage of one step [s]; stages that did not run are missing."""
 
     stages: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def total_s(self) -> float:
-        """Sum over the stages [s]."""
+        """Total computing time [s]."""
         return sum(self.stages.values())
 
 
 @dataclass(frozen=True, eq=False)  # arrays have no single truth value
 class Command:
-    """One command to the device.
+    """Command to the device, with the plan and the prediction behind it.
 
     Attributes:
         u: command [mm or bar], always finite and within the limits on value and rate.
-        source: which level of fallback produced it.
         status: `ok`, or one line on what was unusual or why a better level was not used.
         plan: planned commands over the horizon, shape (H,), empty where the controller does not plan.
         predicted: predicted tip angles [deg] at the ends of this and the next samples, disturbance included: as
             many as the plan has, up to the effect of `u` where there is no plan, none without a model.
-        disturbance: by how much the device is off the model as it was given [deg]: disturbance and learned part.
-        timing: time per stage.
+        disturbance: difference between device and given model [deg]: disturbance and learned part.
     """
 
     u: float
@@ -80,18 +78,18 @@ class ControlInput:
     disturbance: float  # estimated output disturbance [deg]
     disturbance_sigma: float  # standard deviation of what noise does to it in a hold [deg]
     measured: float  # last accepted measurement [deg]
-    age: float  # of it [samples], 0 for one of now
+    age: float  # age of that measurement [samples]
     u_last: float  # the command really sent last [mm or bar]
     due: float  # reference angle now [deg]
     setpoint: float  # reference angle at the end of this sample [deg]
     reference: Vec  # reference angles at the ends of the samples that the next commands act in, shape (H,)
-    remaining_plan: Vec  # what is left of the last good plan, up to H - 1 entries
-    forecast_error: float = 0.0  # error of the forecasts over that of none, see `Estimate`
+    remaining_plan: Vec  # remaining commands of the last good plan, up to H - 1 entries
+    forecast_error: float = 0.0  # forecast error relative to that of no change, see `Estimate`
 
 
 @dataclass(frozen=True, eq=False)
 class CommandPlan:
-    """Admissible commands (H,), the model's angles along them (H,) [deg], and their cost."""
+    """Planned admissible commands (H,), the model's angles along them (H,) [deg], and their cost."""
 
     commands: Vec
     angles: Vec
@@ -100,21 +98,21 @@ class CommandPlan:
 
 @final
 class Stopwatch:
-    """Stopwatch for the stages of one step; the only clock that a controller reads."""
+    """Stopwatch for the stages of one step, the only clock read by a controller."""
 
     def __init__(self) -> None:
         self.stages: dict[str, float] = {}
         self._since = perf_counter()
 
     def lap(self, stage: str) -> None:
-        """Add the time since the last lap to `stage` [s]."""
+        """Add the time since the last call to `stage` [s]."""
         now = perf_counter()
         self.stages[stage] = self.stages.get(stage, 0.0) + now - self._since
         self._since = now
 
 
 def attempt(action: Callable[[], T]) -> tuple[T | None, str]:
-    """Result of `action`, or None and one line on what it raised; floating-point faults stay silent NaNs."""
+    """Call `action`; return its result, or None and one line on the exception, without warnings for NaNs."""
     try:
         with np.errstate(all="ignore"):
             return action(), ""
@@ -127,7 +125,7 @@ _ROUNDING = 1e-9  # relative; a limit that was written with fewer digits
 
 
 def number_of(value: object) -> float | None:
-    """`value` as a number; None where it is none, such as a text, a truth value, a list or nothing at all."""
+    """Convert `value` to a number; None if it is none, such as a text, a truth value or a list."""
     if isinstance(value, str | bytes | bytearray | bool | np.bool_ | complex | np.complexfloating):
         return None
     try:
@@ -137,7 +135,7 @@ def number_of(value: object) -> float | None:
 
 
 def numbers_of(values: object) -> Vec:
-    """`values` as an array of numbers; a single not-a-number where they are none, such as ragged lists."""
+    """Convert `values` to an array of numbers; a single not-a-number if that fails, as for ragged lists."""
     try:
         array = np.asarray(values)
         usable = array.dtype.kind in "iufO"
@@ -176,26 +174,23 @@ class CommandLimits:
         return f"{self.lower:g} to {self.upper:g} at {self.rate:g} per s"
 
     def contains(self, other: CommandLimits) -> bool:
-        """Whether `other` allows nothing beyond these limits; rounding of the last digits passes."""
+        """Whether `other` allows nothing beyond these limits, up to rounding."""
         slack = _ROUNDING * (self.upper - self.lower)
         inside = self.lower - slack <= other.lower and other.upper <= self.upper + slack
         return inside and other.rate <= self.rate * (1 + _ROUNDING)
 
     def window(self, last: float, dt: float) -> tuple[float, float]:
-        """Least and greatest command that may follow `last` after `dt` seconds."""
+        """Return the least and the greatest command that may follow `last` after `dt` seconds."""
         last = min(max(last, self.lower), self.upper)
         return max(self.lower, last - self.rate * dt), min(self.upper, last + self.rate * dt)
 
     def clip(self, u: float, last: float, dt: float) -> float:
-        """Nearest admissible command; `last` itself where `u` is not a finite number."""
+        """Return the nearest admissible command; `last` itself if `u` is not a finite number."""
         low, high = self.window(last, dt)
         return min(max(u if math.isfinite(u) else last, low), high)
 
     def clip_plans(self, plans: Vec, last: float, dt: float) -> Vec:
-        """Nearest admissible plans, sample by sample from the first on; shape (..., H).
-
-        Not-a-number stays what it is, and what follows it too; callers pass finite plans.
-        """
+        """Return the nearest admissible plans (..., H), limited sample by sample; all samples after a NaN are NaN."""
         # numba takes longer to import than a planner's first call may
         from hystmpc.models.inverse.inverses import clip_plans
 
@@ -225,12 +220,12 @@ class LimitsSettings(Settings):
         return self
 
     def build(self) -> CommandLimits:
-        """The limits that the settings name."""
+        """Return the limits as `CommandLimits`."""
         return CommandLimits(self.lower, self.upper, self.rate_per_s)
 
 
 class ModelledLimitsSettings(LimitsSettings):
-    """Hard limits where a model is known: those of the model may be narrowed, and exceeded only where it is said.
+    """Hard limits where a model is known: wider than those of the model only with `beyond_model`.
 
     Attributes:
         beyond_model: whether the limits may be wider than the command limits and rate that the model was made for; its
@@ -245,7 +240,7 @@ if TYPE_CHECKING:
 else:
 
     def replace(old: Any, /, **changes: Any) -> Any:
-        """Copy with changed fields, as `dataclasses.replace`, for classes without `__post_init__`.
+        """Return a copy with changed fields, as `dataclasses.replace`, for classes without `__post_init__`.
 
         Raises:
             TypeError: if a changed field does not exist.
@@ -261,12 +256,12 @@ else:
 
 
 def limits_of_model(facts: ModelMetadata) -> CommandLimits:
-    """Command and rate limits of a model."""
+    """Return command and rate limits of a model."""
     return CommandLimits(facts.command_limits.lower, facts.command_limits.upper, facts.command_rate)
 
 
 def modelled_limits(settings: ModelledLimitsSettings | None, model: CommandLimits) -> CommandLimits:
-    """Hard limits of command and rate: those of the settings; those of the model where they are left out.
+    """Return the hard limits of command and rate: those of the settings, or of the model where these are left out.
 
     Raises:
         ControllerError: if the settings go beyond the model and do not say that they may.
@@ -283,7 +278,7 @@ def modelled_limits(settings: ModelledLimitsSettings | None, model: CommandLimit
 
 
 def narrowed_limits(device: CommandLimits, settings: LimitsSettings | None) -> CommandLimits:
-    """Limits of the device, or those of the settings, which have to lie within them.
+    """Return the limits of the settings, which have to lie within those of the device, or else the device's.
 
     Raises:
         ControllerError: if they go beyond the device's limits.

@@ -1,4 +1,4 @@
-"""Table of the kinds of controllers: those of the package by `kind`, those from outside by `python`."""
+"""Registry of the kinds of controllers: those of the package by `kind`, external ones by `python`."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ GROUP = "hystmpc.controllers"
 
 
 class PythonControllerSettings(Settings):
-    """`python: MODULE:CLASS`: settings of yours, derived from `LawSettings`; every further key is one of theirs.
+    """External controller, `python: MODULE:CLASS`, whose settings class is derived from `LawSettings`.
 
     Attributes:
         kind: says which block this is; may be left out.
@@ -38,7 +38,7 @@ class PythonControllerSettings(Settings):
     @model_validator(mode="before")
     @classmethod
     def _known_keys(cls, data: Any) -> Any:
-        """Accept every key: the class checks its own."""
+        """Accept every key: the external class checks its keys itself."""
         return data
 
     @model_validator(mode="after")
@@ -51,7 +51,7 @@ class PythonControllerSettings(Settings):
         return self
 
     def resolved(self) -> LawSettings:
-        """Settings of the named class; of a class that is not imported, the keys that every controller has.
+        """Return the settings of the named class; if it is not imported, the keys that every controller has.
 
         Raises:
             ConfigError: if there is no such class, or a key does not fit it.
@@ -66,7 +66,7 @@ class PythonControllerSettings(Settings):
 
     @staticmethod
     def named(python: str) -> type[LawSettings]:
-        """The class MODULE:CLASS.
+        """Import the class MODULE:CLASS.
 
         Raises:
             ConfigError: if there is none.
@@ -75,7 +75,7 @@ class PythonControllerSettings(Settings):
 
 
 class _Unread(LawSettings):
-    """Settings of a controller whose class a report does not import."""
+    """Settings of an external controller whose class a report does not import."""
 
     _why: str = PrivateAttr("")
 
@@ -89,7 +89,7 @@ class _Unread(LawSettings):
 
 
 def _unread(why: str, given: dict[str, Any]) -> LawSettings:
-    """Limits and sensor of a controller whose class is not imported, as far as the file has these keys."""
+    """Limits and sensor of an external controller whose class is not imported, where the file has these keys."""
     block = given.get("estimator")
     known = SensorKindSettings.model_fields
     estimator = {key: block[key] for key in known if key in block} if type(block) is dict else {}
@@ -121,7 +121,7 @@ ControllerSettings = Annotated[AnyControllerSettings, Field(discriminator="kind"
 
 
 def parse_controller(data: Any, where: str = MEMORY) -> AnyControllerSettings:
-    """Validate a mapping with the key `kind`, or `python` for a class from outside the package.
+    """Validate the settings of a controller: a mapping with the key `kind`, or `python` for an external class.
 
     Raises:
         ConfigError: if it is no mapping, `kind` is missing or unknown, or a setting of that kind is wrong.
@@ -144,7 +144,7 @@ _SERVED = {
 
 
 def sensor_fault(settings: AnyControllerSettings, kind: str) -> str:
-    """Reason why a controller cannot work with a sensor of `kind`, empty where it can."""
+    """Return the reason why a controller cannot work with a sensor of `kind`; empty if it can."""
     wanted, served = settings.resolved().estimator.sensor, _SERVED[kind]
     if wanted in served:
         return ""
@@ -152,11 +152,11 @@ def sensor_fault(settings: AnyControllerSettings, kind: str) -> str:
 
 
 def with_sensor_facts(block: Any, keys: Mapping[str, Any]) -> Any:
-    """The block of a controller with the keys that follow from its sensor; what the block gives itself wins.
+    """Complete a controller's block by the keys that follow from its sensor; keys in the block take precedence.
 
     Args:
-        block: as it was given; what is no block of a known kind comes back as it is.
-        keys: keys of `estimator`; those that a controller of this kind does not know are left out.
+        block: plain data; anything but a block of a known kind is returned unchanged.
+        keys: keys of `estimator`; those unknown to a controller of this kind are left out.
     """
     if isinstance(block, AnyControllerSettings):
         block = {**block.model_dump(exclude_unset=True), "kind": block.kind}

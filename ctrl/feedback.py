@@ -1,7 +1,4 @@
-"""PID, inverse feedforward, both together, and the supervisor that falls back on them; with their settings.
-
-S2 is RA-L 2024, PMC11633443.
-"""
+"""Feedback laws with settings: PID, inverse feedforward (S2 is RA-L 2024, PMC11633443), both together, supervisor."""
 
 from __future__ import annotations
 
@@ -26,7 +23,7 @@ _HALF = 0.5001  # of a step: an error of exactly half of it is not integrated, w
 
 
 class PidSettings(Settings):
-    """Gains in the parallel form; command unit per degree.
+    """PID gains in the parallel form, in command units per degree.
 
     Attributes:
         kp_per_deg: proportional gain [mm/deg].
@@ -45,14 +42,14 @@ class PidSettings(Settings):
     dead_zone_deg: NotNegative = 0.2
 
     def with_dead_zone(self, step_deg: float) -> PidSettings:
-        """The same gains with a dead zone of at least half a step of the sensor's readings."""
+        """Return the gains with a dead zone of at least half a step of the sensor's readings."""
         least = _HALF * step_deg
         return self if self.dead_zone_deg >= least else self.model_copy(update={"dead_zone_deg": least})
 
 
 @dataclass(frozen=True)
 class PidMemory:
-    """Integral part [command unit], filtered angular speed [deg/s], last angle [deg] and its age [samples]."""
+    """PID state: integral part [command unit], filtered speed [deg/s], last angle [deg] and its age [samples]."""
 
     integral: float
     speed: float
@@ -62,10 +59,10 @@ class PidMemory:
 
 @final
 class Pid:
-    """u = kp e + I - kd dy/dt with I' = ki e + (u_limited - u) / tracking_s.
+    """PID law u = kp e + I - kd dy/dt with I' = ki e + (u_limited - u) / tracking_s.
 
-    One dead zone, one filter, one anti-windup; stateless, so that `PidFeedback` and `InversePid` share it. The slope
-    dy/dt is that between two measurements, over the time between them; in samples without a new one it stays.
+    It is stateless, so that `PidFeedback` and `InversePid` share it. The slope dy/dt is that between two measurements,
+    over the time between them; in samples without a new one it stays.
 
     Raises:
         ControllerError: if `tracking_s` is shorter than the sample time.
@@ -80,13 +77,7 @@ class Pid:
     def correct(
         self, memory: PidMemory, error: float, given: ControlInput, feedforward: float
     ) -> tuple[float, PidMemory]:
-        """Command and next memory of one sample.
-
-        Args:
-            error: wanted minus measured angle [deg].
-            given: measured angle, its age, and the command really sent last.
-            feedforward: added to the feedback.
-        """
+        """Return command and next memory of one sample, for `error` = reference minus measured angle [deg]."""
         gains, y, u_last = self._gains, given.measured, given.u_last
         new, speed, age = is_new(memory, given), memory.speed, memory.age + 1.0
         if new:
@@ -100,7 +91,7 @@ class Pid:
         return u, PidMemory(min(max(integral, -self._span), self._span), speed, *newest)
 
     def bumpless_start(self, error: float, given: ControlInput, feedforward: float) -> PidMemory:
-        """Memory for a bumpless transfer: the next command is the last one sent; arguments as of `correct`."""
+        """Return the memory for a bumpless transfer: the next command equals the last one sent."""
         integral = given.u_last - feedforward - self._gains.kp_per_deg * error
         return PidMemory(integral, 0.0, given.measured, given.age)
 
@@ -125,7 +116,7 @@ class PidFeedback(Law[PidMemory]):
         return PidMemory(u - self._rest, 0.0, y)
 
     def bumpless_start(self, given: ControlInput) -> PidMemory:
-        """Memory for a bumpless transfer from another law: the next command is the last one sent."""
+        """Return the memory for a bumpless transfer from another law: the next command equals the last one sent."""
         return self._pid.bumpless_start(given.setpoint - given.measured, given, self._rest)
 
     def propose(self, memory: PidMemory, given: ControlInput, watch: Stopwatch) -> Proposal[PidMemory]:
@@ -135,7 +126,7 @@ class PidFeedback(Law[PidMemory]):
 
 
 def needs_sensor(estimator: S) -> S:
-    """Block `estimator` of a controller with feedback, checked.
+    """Check that block `estimator` of a feedback controller names a sensor, and return it.
 
     Raises:
         ValueError: if it says that there is no sensor.
@@ -146,7 +137,7 @@ def needs_sensor(estimator: S) -> S:
 
 
 class PidControllerSettings(LawSettings):
-    """PID feedback, without a model.
+    """PID feedback control without a model.
 
     Attributes:
         estimator: how the measurements come; between the frames of an intermittent sensor the one taken last counts.
@@ -167,25 +158,25 @@ REFERENCE_DEAD_ZONE_DEG = 0.027  # 0.0003 of 90 deg, RA-L 2024, PMC11633443 (S2)
 
 @dataclass(frozen=True, eq=False)
 class FeedforwardMemory:
-    """Present reference angle [deg], and the remaining commands of the last plan (0..H,)."""
+    """Present reference angle [deg] and the remaining commands of the last plan (0..H,)."""
 
     followed: float
     plan: Vec = field(default_factory=lambda: EMPTY)
 
 
 class AheadOfTime(Protocol):
-    """An inverse over a preview, such as `FeasibleInverse`."""
+    """Inverse over a preview, such as `FeasibleInverse`."""
 
     horizon: int
 
     def plan(self, state: Vec, u_last: float, wanted: Vec, remaining: Vec, tolerance_deg: float) -> CommandPlan:
-        """The commands along wanted angles (H,) [deg]; see `FeasibleInverse.plan`."""
+        """Plan commands along reference angles (H,) [deg]; see `FeasibleInverse.plan`."""
         ...
 
 
 @final
 class InverseFeedforward(Law[FeedforwardMemory]):
-    """u = inverse(x, theta_ref): no feedback; the memory x comes from the commands really sent.
+    """Inverse feedforward u = inverse(x, theta_ref), without feedback; x follows from the commands really sent.
 
     A reference that changes by less than the dead zone is not followed: any noise on it would flip the branch of
     the inverse and jump across the whole dead band (RA-L 2024, PMC11633443 (S2), inverse backlash).
@@ -228,12 +219,7 @@ class InverseFeedforward(Law[FeedforwardMemory]):
 
 @dataclass(frozen=True, eq=False)
 class InversePidMemory:
-    """The memories of both parts, and the model state (S,) under the feedforward command alone.
-
-    Attributes:
-        dues: angles that were due at the last instants, the newest last [deg].
-        error: of the last measurement [deg].
-    """
+    """State of `InversePid`: its memories, the due angles, newest last, and the model state under feedforward alone."""
 
     feedforward: FeedforwardMemory
     pid: PidMemory
@@ -245,12 +231,11 @@ class InversePidMemory:
 
 @final
 class InversePid(Law[InversePidMemory]):
-    """u = inverse(x_ff, theta_ref) + PID(theta_due - y).
+    """Inverse feedforward with PID feedback: u = inverse(x_ff, theta_ref) + PID(theta_due - y).
 
-    The feedback compares the measurement with the angle that was due when it was taken, so that a perfect
-    feedforward leaves it nothing to do; without a new measurement the error stays. The inverse remembers its own
-    commands x_ff, not the sum: otherwise it would take every correction for an error of its own and go back across the
-    dead band to undo it.
+    The feedback compares the measurement with the angle that was due when it was taken, so that its error is zero under
+    a perfect feedforward; without a new measurement the error stays. The inverse remembers its own commands x_ff, not
+    the sum: otherwise it would cross the dead band to undo every correction.
 
     Args:
         oldest: age of the oldest measurement [samples].
@@ -270,7 +255,7 @@ class InversePid(Law[InversePidMemory]):
         return InversePidMemory(self._feedforward.init(y, u), PidMemory(0.0, 0.0, y), state, u)
 
     def bumpless_start(self, given: ControlInput) -> InversePidMemory:
-        """Memory for a bumpless transfer from another law: the next command is the last one sent."""
+        """Return the memory for a bumpless transfer from another law: the next command equals the last one sent."""
         before = self._feedforward.init(given.due, given.u_last)
         alone = self._feedforward.propose(before, given, Stopwatch())
         u_alone = self._limits.clip(alone.u, given.u_last, self._predictor.dt)
@@ -292,7 +277,7 @@ class InversePid(Law[InversePidMemory]):
 
 
 class FeedforwardSettings(LawSettings):
-    """Settings of both controllers with an inverse.
+    """Common settings of both controllers with an inverse.
 
     Attributes:
         reference_dead_zone_deg: change of the reference that is not followed [deg].
@@ -306,7 +291,7 @@ class FeedforwardSettings(LawSettings):
 
 
 class InverseControllerSettings(FeedforwardSettings):
-    """Inverse feedforward."""
+    """Inverse feedforward without feedback."""
 
     kind: Literal["inverse"] = "inverse"
 
@@ -325,14 +310,13 @@ class InversePidControllerSettings(FeedforwardSettings):
 
 
 class SupervisorSettings(Settings):
-    """Block `supervisor`: which law acts, by the error of the forecasts of the last seconds.
+    """Block `supervisor`: selection of the control law by the error of the forecasts of the last seconds.
 
-    The error of a forecast over 0.24 s is compared with that of no forecast, which is that the angle stays where it is
-    (root mean squares, see `FilterBank`).
+    The error of a forecast over 0.24 s is compared with that of a constant angle (root mean squares, see `FilterBank`).
 
     Attributes:
-        inverse_pid_above: share of the latter from which on inverse and PID take over from the predictive controller.
-        pid_above: share from which on the PID alone takes over.
+        inverse_pid_above: relative error from which on inverse and PID take over from the predictive controller.
+        pid_above: relative error from which on the PID alone takes over.
         pid: gains of both; null for 0.2 / G and 1.5 / (G s), where G is the model's static gain [deg per command unit].
     """
 
@@ -349,7 +333,7 @@ _KP_SHARE, _KI_PER_S = 0.2, 1.5  # of gains that nobody has tuned, in units of t
 
 
 def feedback_gains(settings: SupervisorSettings, predictor: Predictor) -> PidSettings:
-    """The gains of both feedback laws, for a model."""
+    """Return the PID gains of both feedback laws for a model."""
     if settings.pid is not None:
         return settings.pid
     gain = attempt(lambda: static_gain(predictor))[0] or 0.0
@@ -365,10 +349,9 @@ def supervisory_law(
     pair: tuple[Predictor, Inverse],
     limits: CommandLimits,
 ) -> SupervisoryLaw:
-    """The predictive law with the two feedback laws that a supervisor switches to, on one model.
+    """Build the supervisory law: the predictive law and two feedback laws, all on one model.
 
-    The inverse is that of the hysteresis alone, sample by sample: where a model predicts so badly, inverting its lag
-    and delay gains nothing.
+    The inverse is that of the hysteresis alone: inverting lag and delay of a model that predicts badly gains nothing.
     """
     predictor, inverse = pair
     pid = Pid(feedback_gains(settings, predictor), limits, predictor.dt)
@@ -378,7 +361,7 @@ def supervisory_law(
 
 @dataclass(frozen=True, eq=False)
 class SupervisorMemory:
-    """The level that acts, and the memory of its law."""
+    """Active level of the supervisor, and the memory of its law."""
 
     level: SupervisorLevel
     inner: Any
@@ -386,7 +369,7 @@ class SupervisorMemory:
 
 @final
 class SupervisoryLaw(Law[SupervisorMemory]):
-    """Supervisory control: one of three laws acts, chosen by the error of the forecasts, with bumpless transfer.
+    """Supervisory control: the error of the forecasts selects one of three laws, with bumpless transfer.
 
     The supervisor switches to a lower level as soon as the error exceeds the threshold of the present one, and back
     once it is below half of that threshold (hysteresis).
@@ -420,7 +403,7 @@ class SupervisoryLaw(Law[SupervisorMemory]):
         )
 
     def _level(self, now: SupervisorLevel, forecast_error: float) -> SupervisorLevel:
-        """Level for this error of the forecasts, with hysteresis on the way to a better one."""
+        """Level for this error of the forecasts, with hysteresis before the return to a better one."""
         at = LEVELS.index(now)
         worst = sum(forecast_error > threshold for threshold in self._thresholds)
         best = sum(forecast_error > _BACK * threshold for threshold in self._thresholds)

@@ -1,4 +1,4 @@
-"""Every controller of hystmpc: a control law inside an estimator, a chain of fallback levels and hard limits."""
+"""Guarded controller: a control law inside an estimator, a chain of fallback levels and hard limits."""
 
 from __future__ import annotations
 
@@ -40,10 +40,7 @@ N = TypeVar("N")
 
 @dataclass(frozen=True, eq=False)
 class Proposal(Generic[M]):
-    """A wanted command, the law's next memory, and the plan behind it (`predicted` without disturbance).
-
-    `source` is the level that the command comes from, None for that of the law.
-    """
+    """Proposed command, next memory, plan (`predicted` without disturbance) and level; None for the law's level."""
 
     u: float
     memory: M
@@ -54,22 +51,22 @@ class Proposal(Generic[M]):
 
 
 class Law(ABC, Generic[M]):
-    """Control law with explicit memory. It may raise, and want any command: `GuardedController` makes it safe."""
+    """Control law with explicit memory; it may raise, and propose commands beyond the limits."""
 
-    horizon: int  # reference samples looked at
+    horizon: int  # reference samples that the law uses
     source: Source
 
     @abstractmethod
     def init(self, y: float, u: float) -> M:
-        """Memory at rest with measured angle `y` [deg] and held command `u`."""
+        """Return the memory at rest with measured angle `y` [deg] and held command `u`."""
 
     @abstractmethod
     def propose(self, memory: M, given: ControlInput, watch: Stopwatch) -> Proposal[M]:
-        """The wanted command; the time of each stage is booked on `watch`."""
+        """Propose a command; the time of each stage is recorded in `watch`."""
 
 
 class FallbackSettings(Settings):
-    """Block `ladder`: when prediction, fallback and stop set in.
+    """Block `ladder`: conditions for prediction, fallback and stop.
 
     Attributes:
         stop_after_failures: consecutive failed samples after which the stop is latched.
@@ -83,9 +80,9 @@ class FallbackSettings(Settings):
 
 
 class LawSettings(Settings):
-    """Base of the settings of every kind of controller; `build` makes controllers of them.
+    """Base class of the settings of every kind of controller.
 
-    A class from outside the package builds its parts itself. It defines
+    An external class builds its parts itself. It defines
 
         law(predictor, inverse, limits) -> Law
         observer(predictor) -> Observer
@@ -98,42 +95,43 @@ class LawSettings(Settings):
     """
 
     falls_back_on_inverse: ClassVar[bool] = True
-    predicts: ClassVar[bool] = False  # with the model itself; others get an operator in the place of a network
+    predicts: ClassVar[bool] = (
+        False  # whether the law predicts with the model itself; others get an operator in place of a network
+    )
 
     limits: LimitsSettings | None = None
     ladder: FallbackSettings = FallbackSettings()
     estimator: SensorKindSettings = SensorKindSettings()
 
     def resolved(self) -> LawSettings:
-        """These settings, or those of the class from outside that they name."""
+        """Return these settings, or those of the external class that they name."""
         return self
 
     def bridged_samples(self, dt_s: float) -> int:
-        """Consecutive samples without a usable measurement that are bridged by prediction at sample time `dt_s` [s]."""
+        """Number of consecutive samples without a usable measurement that are bridged, at sample time `dt_s` [s]."""
         usual = self.ladder.max_missing_samples
         return usual if hasattr(self, "law") else self.estimator.bridged_samples(usual, dt_s)
 
 
 @dataclass(frozen=True, eq=False)
 class GuardedState(Generic[M]):
-    """State of a controller, which is its own snapshot."""
+    """Complete state of a controller, which serves as its snapshot."""
 
     estimate: Estimate  # observer snapshot, with the command really sent last
-    memory: M  # the law's own memory
+    memory: M  # memory of the law
     fallback: FallbackState  # failure counters and remaining plan
-    due: float  # the angle that was wanted at the present instant [deg]
+    due: float  # reference angle at the present instant [deg]
     __repr__ = brief
 
 
 @final
 class GuardedController(Generic[M]):
-    """Controller around a law whose step never raises and never leaves the limits.
+    """Controller around a control law: its step never raises, and its commands never leave the limits.
 
     Order of one step: correct the estimate with the measurement, check the reference, let the law propose, take the
     proposal or a fallback, limit from the command really sent, advance the model with the result.
 
     Args:
-        dt: sample time [s].
         max_missing_samples: consecutive samples without usable measurement that are bridged by prediction.
 
     Raises:
@@ -162,7 +160,7 @@ class GuardedController(Generic[M]):
 
     @property
     def law(self) -> Law[M]:
-        """The control law."""
+        """Control law inside the estimator and the fallbacks."""
         return self._law
 
     @property
@@ -171,7 +169,7 @@ class GuardedController(Generic[M]):
         return self._limits
 
     def with_law(self, law: Law[N]) -> GuardedController[N]:
-        """The same estimator, fallbacks and limits around another law, such as one that wraps its own."""
+        """Return a controller with the same estimator, fallbacks and limits around another law."""
         return GuardedController(law, self._observer, self._fallback, self._limits, self._dt, self._max_missing)
 
     @property
@@ -181,11 +179,11 @@ class GuardedController(Generic[M]):
 
     @property
     def horizon(self) -> int:
-        """Reference samples that `step` looks at: the law's own and those that pass before a command acts."""
+        """Number of reference samples that `step` uses: those of the law and those that pass before a command acts."""
         return self._law.horizon + self._observer.delay_samples
 
     def init(self, y: float, u: float) -> GuardedState[M]:
-        """State at rest.
+        """Return the state at rest.
 
         Raises:
             ControllerError: if `y` or `u` is not finite, `u` is beyond the limits, or the model fails at rest.
@@ -208,12 +206,12 @@ class GuardedController(Generic[M]):
             ) from error
 
     def replay(self, commands: Vec, angles: Vec) -> GuardedState[M]:
-        """State after a recording: as if the controller had seen these angles and sent these commands itself.
+        """Return the state after a recording, as if the controller itself had sent its commands.
 
         Args:
             commands: sent last (T,) [mm or bar], the newest at the end.
-            angles: measured when each was sent (T,) [deg]; not-a-number where there was none. The device is taken to
-                have rested at the first usable one, under the command sent before it, or then where it is the first.
+            angles: measured when each was sent (T,) [deg]; not-a-number where there was none. The device is assumed to
+                rest at the first usable one, under the command sent before it, or then where it is the first.
 
         Raises:
             ControllerError: as `usable_in`, or if the model fails.
@@ -230,7 +228,7 @@ class GuardedController(Generic[M]):
         return replace(state, estimate=estimate, memory=self._law.init(last, estimate.command), due=last)
 
     def usable_in(self, commands: Vec, angles: Vec) -> Index:
-        """The samples of a recording whose angle is usable, at least one.
+        """Return the samples of a recording whose angle is usable, at least one.
 
         Raises:
             ControllerError: if no angle is usable, the lengths differ, or a command is beyond the limits.
@@ -249,16 +247,16 @@ class GuardedController(Generic[M]):
         return self._observer.sigma_deg(state.estimate)
 
     def sigma_ahead_deg(self, state: GuardedState[M], commands: Vec) -> Vec:
-        """Standard deviation of the error of the angles predicted for the coming commands (H,) [deg]."""
+        """Standard deviation of the error of the angles predicted under the coming commands (H,) [deg]."""
         estimate = state.estimate
         travels = np.concatenate([estimate.moves[1:], np.abs(np.diff(commands, prepend=estimate.command))])
         return self._observer.sigma_ahead_deg(estimate, travels[: commands.size])
 
     def measure(self, state: GuardedState[M], y: float, age: float) -> GuardedState[M]:
-        """Measurement update with `y` [deg], taken `age` samples before the next step, at its own instant.
+        """Measurement update with `y` [deg], taken `age` samples before the next step.
 
         Raises:
-            ControllerError: if the estimator knows no late measurements, or not of that age; or the model fails.
+            ControllerError: if the estimator accepts no late measurements, or none of that age; or the model fails.
         """
         age = 0.0 if -_ROUNDING < age < 0.0 else age
         estimate, fault = attempt(lambda: self._observer.correct_late(state.estimate, y, age))
@@ -267,11 +265,11 @@ class GuardedController(Generic[M]):
         return replace(state, estimate=estimate)
 
     def stop(self, state: GuardedState[M], cause: str) -> GuardedState[M]:
-        """The state after which every step stops: towards the safe command, or stay; only a new `init` releases it."""
+        """Return the state with the stop latched: steps go to the safe command or hold, until a new `init`."""
         return replace(state, fallback=self._fallback.halt(cause))
 
     def step(self, state: GuardedState[M], y: float, reference: Vec) -> tuple[Command, GuardedState[M]]:
-        """One sample; see `Controller.step`. Any `y` and any `reference` are answered."""
+        """Compute the command of one sample, for any `y` and any `reference`; see `Controller.step`."""
         watch = Stopwatch()
         estimate = self._observer.correct(state.estimate, y)
         watch.lap("estimate")
@@ -293,7 +291,7 @@ class GuardedController(Generic[M]):
         return command, replace(decided, estimate=after)
 
     def _decide(self, state: GuardedState[M], reference: object, watch: Stopwatch) -> tuple[Level, GuardedState[M]]:
-        """Level of fallback, and the state with new memory of the law, fallback state and due angle."""
+        """Fallback level, and the state with new memory of the law, fallback state and due angle."""
         fallback, missing = state.fallback, state.estimate.missing
         if fallback.stopped:
             return self._fallback.stop(self._waiting(state), f"latched {fallback.cause}"), state
@@ -322,7 +320,7 @@ class GuardedController(Generic[M]):
     def _proposal(
         self, state: GuardedState[M], given: ControlInput, watch: Stopwatch
     ) -> tuple[Proposal[M] | None, str]:
-        """Proposal of the law, or None and the reason why there is none."""
+        """Proposal of the law, or None and the reason why it failed."""
         if state.estimate.stalled:
             return None, f"the model state is {state.estimate.stalled} samples old"
         proposal, reason = attempt(lambda: self._law.propose(state.memory, given, watch))
@@ -332,7 +330,7 @@ class GuardedController(Generic[M]):
         return proposal, reason
 
     def _waiting(self, state: GuardedState[M]) -> ControlInput:
-        """Inputs without a usable reference: the angle that is due is held."""
+        """Inputs without a usable reference: the due angle is held."""
         return self._input(state, np.full(self.horizon, state.due))
 
     def _input(self, state: GuardedState[M], wanted: Vec) -> ControlInput:
@@ -353,7 +351,7 @@ class GuardedController(Generic[M]):
 
     @staticmethod
     def _predicted(after: Estimate, level: Level) -> Vec:
-        """Angles at the ends of this and the next samples: those under way, then those of the plan."""
+        """Angles at the ends of this and the next samples, of commands already sent and of the plan."""
         if not after.angles:
             return EMPTY
         under_way, planned = after.angles, level.predicted
@@ -374,11 +372,11 @@ class GuardedController(Generic[M]):
 
 
 class UnusableReferenceError(ValueError):
-    """A reference that cannot be followed; never leaves the step."""
+    """Error of a reference that cannot be followed; never leaves the step."""
 
 
 def usable_reference(reference: object, horizon: int) -> Vec:
-    """The first `horizon` wanted angles [deg].
+    """Return the first `horizon` reference angles [deg].
 
     Raises:
         UnusableReferenceError: if it is not a vector of numbers, is too short, or holds a NaN or an absurd angle.
@@ -397,7 +395,7 @@ T = TypeVar("T")
 
 @dataclass(frozen=True, eq=False)
 class FallbackState:
-    """Failure counters and the remaining part of the last good plan."""
+    """Failure counters and the remaining commands of the last good plan."""
 
     failures: int = 0  # consecutive failed samples
     stopped: bool = False  # whether the stop is latched; only a new `init` releases it
@@ -408,7 +406,7 @@ class FallbackState:
 
 @dataclass(frozen=True, eq=False)
 class Level:
-    """One level of fallback: a finite command, not yet limited, and the plan behind it if there is one."""
+    """Fallback level: a finite command, not yet limited, and the plan behind it if there is one."""
 
     u: float
     source: Source
@@ -419,10 +417,7 @@ class Level:
 
 @final
 class FallbackChain:
-    """Chooses the level of fallback: shifted plan, inverse, hold, stop.
-
-    Args:
-        inverse: of the model; None where there is none.
+    """Chain of fallback levels: shifted plan, inverse, hold, stop.
 
     Raises:
         ControllerError: if the safe command lies beyond the limits.
@@ -438,20 +433,20 @@ class FallbackChain:
         self._inverse = inverse
 
     def on_success(self, plan: Vec, predicted: Vec) -> FallbackState:
-        """State after a success: counters at zero, the plan shifted by the sample that is being sent."""
+        """Return the state after a success: counters at zero, the plan shifted by the sample that is being sent."""
         return FallbackState(plan=plan[1:], predicted=predicted[1:])
 
     def pause(self, state: FallbackState, given: ControlInput, reason: str) -> tuple[Level, FallbackState]:
-        """Hold without a usable reference, which is no failure; the old plan is dropped."""
+        """Hold without a usable reference, which is no failure; the old plan is discarded."""
         return Level(given.u_last, Source.HOLD, reason), replace(state, plan=EMPTY, predicted=EMPTY)
 
     def on_failure(
         self, state: FallbackState, given: ControlInput, reason: str, blind: bool = False
     ) -> tuple[Level, FallbackState]:
-        """The best level left after a failure.
+        """Return the best remaining level after a failure.
 
         Args:
-            blind: the measurement has been missing for too long; plans are no longer to be trusted: hold.
+            blind: whether the measurement has been missing for too long for plans to be reliable.
         """
         state = replace(state, failures=state.failures + 1)
         if state.failures >= self._settings.stop_after_failures:
@@ -468,7 +463,7 @@ class FallbackChain:
         return Level(given.u_last, Source.HOLD, f"{reason}; {more}" if more else reason), state
 
     def halt(self, cause: str) -> FallbackState:
-        """Latched state after a requested stop."""
+        """Return the latched state after a requested stop."""
         return FallbackState(stopped=True, cause=cause)
 
     def stop(self, given: ControlInput, reason: str) -> Level:

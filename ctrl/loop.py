@@ -1,4 +1,4 @@
-"""The closed loop on a simulated clock: controller, plant, simulated angle sensors, the loop itself, its log."""
+"""Closed loop on a simulated clock: interfaces of controller and plant, simulated angle sensors, loop and log."""
 
 from __future__ import annotations
 
@@ -20,25 +20,28 @@ from hystmpc.trials.types import Vec
 from .command import Command
 
 _OLDEST_S, _GAP_S = 1.0, 2.0  # least values for a controller
-_JITTERS, _PERIODS = 4.0, 5.0  # so late, and so many frames lost in a row, is still usual
+_JITTERS, _PERIODS = (
+    4.0,
+    5.0,
+)  # a delay of so many standard deviations, or so many successive lost frames, is still usual
 
 
 class SimulatedSensorSettings(Settings):
-    """Base of the simulated sensors."""
+    """Base class of the settings of simulated sensors."""
 
     def estimator_keys(self) -> Mapping[str, Any]:
-        """Keys of a controller's block `estimator` that follow from this sensor."""
+        """Return the keys of a controller's block `estimator` that follow from this sensor."""
         return {}
 
 
 class ContinuousSensorSettings(SimulatedSensorSettings):
-    """An angle in every sample, as the plant measures it."""
+    """Continuous sensor: the plant's angle in every sample."""
 
     kind: Literal["continuous"] = "continuous"
 
 
 class NoSensorSettings(SimulatedSensorSettings):
-    """No sensor: the angle at rest before the first sample is declared."""
+    """No sensor; the angle at rest before the first sample is declared."""
 
     kind: Literal["none"] = "none"
 
@@ -47,13 +50,13 @@ class NoSensorSettings(SimulatedSensorSettings):
 
 
 class ImagingSettings(SimulatedSensorSettings):
-    """Frames of an imaging system.
+    """Imaging system that measures the angle in frames.
 
     Attributes:
         rate_hz: frames per second.
         latency_s: from the exposure of a frame to its angle [s].
         jitter_s: standard deviation of the latency, which is never below zero [s]; frames may overtake each other.
-        dropout_share: share of the frames that never come.
+        dropout_share: share of lost frames.
         noise_deg: standard deviation of the angle of a frame [deg].
     """
 
@@ -80,7 +83,7 @@ SimulatedSensor = Annotated[AnySensorSettings, Field(discriminator="kind")]
 
 @dataclass(frozen=True)
 class ImageFrame:
-    """An angle [deg], when it was taken and when it arrives [s]."""
+    """Angle in a frame [deg], with the times of exposure and arrival [s]."""
 
     angle_deg: float
     taken_s: float
@@ -89,15 +92,14 @@ class ImageFrame:
 
 @dataclass(frozen=True)
 class Imaging:
-    """An imaging system in the course of a run; frame n = 0, 1, ... is taken at n / rate_hz.
+    """State of an imaging system during a run; frame n = 0, 1, ... is taken at n / rate_hz.
 
-    Frame 0 shows the rest before the run and is known when the run begins. What is random in frame n follows from the
-    seed and n alone.
+    Frame 0 shows the rest before the run and is known at its start. Random numbers of frame n depend on seed and n
+    alone.
 
     Attributes:
-        time_s, angle_deg: the device now.
+        time_s, angle_deg: present time and angle of the device.
         newest: the frame taken last among those that have arrived.
-        coming: number of the next frame.
         under_way: frames that have been taken and have not arrived.
     """
 
@@ -111,14 +113,14 @@ class Imaging:
 
     @classmethod
     def at_rest(cls, settings: ImagingSettings, seed: int, angle_deg: float) -> Imaging:
-        """Imaging system at time 0, the device at rest at `angle_deg` [deg]."""
+        """Return the imaging system at time 0, the device at rest at `angle_deg` [deg]."""
         return cls(settings, seed, 0.0, angle_deg, _frame(settings, seed, 0, angle_deg))
 
     def later(self, time_s: float, angle_deg: float) -> tuple[tuple[ImageFrame, ...], Imaging]:
-        """Frames that have arrived until `time_s` [s], in the order of arrival, and the imaging system then.
+        """Return the frames that arrive until `time_s` [s], in the order of arrival, and the imaging system then.
 
         Args:
-            angle_deg: of the device then [deg]; between two calls it moves evenly.
+            angle_deg: of the device then [deg]; its velocity is constant between two calls.
         """
         new, coming = [], self.coming
         while (taken_s := coming / self.settings.rate_hz) <= time_s:
@@ -134,7 +136,7 @@ class Imaging:
 
 
 def _frame(settings: ImagingSettings, seed: int, number: int, angle_deg: float) -> ImageFrame:
-    """ImageFrame `number` of a device at `angle_deg` [deg]; one that is lost never arrives."""
+    """Frame `number` of a device at `angle_deg` [deg]; a lost one never arrives."""
     random, taken_s = np.random.default_rng((seed, number)), number / settings.rate_hz
     lost = random.random() < settings.dropout_share
     noise, jitter = random.standard_normal(2).tolist()
@@ -144,18 +146,14 @@ def _frame(settings: ImagingSettings, seed: int, number: int, angle_deg: float) 
 
 @final
 class Viewer:
-    """Simulated sensor without a continuous signal, for one run.
-
-    Args:
-        angle: of the device now [deg].
-    """
+    """Simulated intermittent sensor, or none, for one run; `angle` returns the present angle of the device [deg]."""
 
     def __init__(self, settings: NoSensorSettings | ImagingSettings, seed: int, angle: Callable[[], float]) -> None:
         self._settings, self._seed, self._angle = settings, seed, angle
         self._imaging: Imaging | None = None
 
     def start(self) -> float:
-        """The angle at which the device rests [deg]: declared without a sensor, else that of the first frame."""
+        """Return the angle at which the device rests [deg]: declared without a sensor, else that of the first frame."""
         angle = self._angle()
         if isinstance(self._settings, NoSensorSettings):
             return angle
@@ -163,7 +161,7 @@ class Viewer:
         return self._imaging.newest.angle_deg
 
     def arrived(self, time_s: float) -> tuple[ImageFrame, ...]:
-        """Frames that have arrived since the last call, until `time_s` [s] after the start, in order of arrival."""
+        """Return the frames arrived since the last call, until `time_s` [s] after the start, in order."""
         if self._imaging is None:
             return ()
         frames, self._imaging = self._imaging.later(time_s, self._angle())
@@ -183,25 +181,24 @@ class Controller(Protocol[S]):
 
     @property
     def horizon(self) -> int:
-        """Number of reference samples that `step` looks at, at least 1."""
+        """Number of reference samples that `step` uses, at least 1."""
         ...
 
     def init(self, y: float, u: float) -> S:
-        """State at rest, with measured angle `y` [deg] and the command `u` that the device holds."""
+        """Return the state at rest, with measured angle `y` [deg] and the command `u` that the device holds."""
         ...
 
     def step(self, state: S, y: float, reference: Vec) -> tuple[Command, S]:
-        """One sample.
+        """Compute the command of one sample, and the next state.
 
         Args:
-            state: what `init` or the last `step` returned.
             y: measured tip angle [deg]; not-a-number where the measurement is missing.
-            reference: wanted tip angles [deg] at the ends of this and the next samples, shape (H,).
+            reference: reference tip angles [deg] at the ends of this and the next samples, shape (H,).
         """
         ...
 
     def measure(self, state: S, y: float, age: float) -> S:
-        """Measurement update with a frame of `age` samples before the next step that shows `y` [deg].
+        """Measurement update with angle `y` [deg] of a frame taken `age` samples before the next step.
 
         Raises:
             ControllerError: if the frame cannot be used.
@@ -210,7 +207,7 @@ class Controller(Protocol[S]):
 
 
 class Plant(Protocol):
-    """A device, simulated or real; the only place where state may be hidden."""
+    """Simulated or real device; only the plant may have hidden state."""
 
     @property
     def dt(self) -> float:
@@ -226,7 +223,7 @@ class Plant(Protocol):
         ...
 
     def stop(self) -> None:
-        """Leave the device in its safe state."""
+        """Bring the device to its safe state."""
         ...
 
 
@@ -234,22 +231,18 @@ class Plant(Protocol):
 class LoopSample:
     """One closed-loop sample; all angles belong to its end."""
 
-    time_s: float  # end of the sample
-    reference_deg: float  # wanted angle
-    measured_deg: float  # measured angle; NaN where no frame has come
-    command: Command  # what was sent at the beginning of the sample
+    time_s: float
+    reference_deg: float
+    measured_deg: float  # NaN where no frame has come
+    command: Command  # sent at the beginning of the sample
 
 
 @dataclass(frozen=True, eq=False)
 class LoopLog:
-    """A closed-loop run, one row per sample (N,); all angles belong to the end of the sample.
+    """Log of a closed-loop run, one row per sample (N,); all angles belong to the end of the sample.
 
     Attributes:
-        time_s: end of the sample.
-        reference_deg, measured_deg, predicted_deg: wanted, measured, predicted angle; NaN where no frame of an
-            intermittent sensor has come, and without a prediction.
-        command: command sent.
-        disturbance_deg: estimated output disturbance.
+        reference_deg, measured_deg, predicted_deg: angles; NaN before the first frame, and without a prediction.
         source, status: of every command.
         stage_s: time per stage, shape (N,) each; zero where a stage did not run.
         interrupted: whether the run was ended by the keyboard.
@@ -269,7 +262,7 @@ class LoopLog:
 
     @property
     def step_s(self) -> Vec:
-        """Execution time of every step, all stages."""
+        """Execution time of every step, sum of all stages."""
         return np.sum(list(self.stage_s.values()), axis=0) if self.stage_s else np.zeros_like(self.time_s)
 
 
@@ -283,16 +276,15 @@ def run_loop(
     on_sample: Callable[[LoopSample], None] | None = None,
     viewer: Viewer | None = None,
 ) -> LoopLog:
-    """Run `steps` samples as fast as they come and leave the plant stopped, whatever happens.
+    """Run `steps` samples of the closed loop as fast as possible, and stop the plant at the end, also after an error.
 
-    After a keyboard interrupt the log holds what there is.
+    After a keyboard interrupt the log holds the finished samples.
 
     Args:
-        controller, plant: of equal sample time.
         reference: preview (H,) [deg] from the end of sample k on, for k = 0, 1, ...
         u_start: the command that the plant holds after its reset.
         on_sample: called after every sample, for progress and live logs.
-        viewer: the sensor, where it is not the plant's own: steps get NaN, and frames that have arrived are measured.
+        viewer: simulated sensor in place of the plant's own: steps get NaN, and arrived frames are measured.
 
     Raises:
         ControllerError: if the sample times of controller and plant differ.
@@ -323,10 +315,7 @@ def run_loop(
 
 
 def _viewed(controller: Controller[S], state: S, k: int, frames: Sequence[ImageFrame]) -> tuple[float, S]:
-    """The angle of the frame taken last among those that are used [deg], NaN where there is none, and the state then.
-
-    A frame that the controller cannot use, since it is too old or wants no frames, changes nothing.
-    """
+    """Angle of the newest frame used [deg], NaN without one, and the controller's state after all usable frames."""
     shown, newest_s = math.nan, -math.inf
     for frame in frames:
         with suppress(ControllerError):

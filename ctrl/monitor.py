@@ -1,4 +1,4 @@
-"""Change detection: whether the device differs from its identified model, while the loop runs."""
+"""Online change detection: whether the device differs from its identified model."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ SIGNS = ("offset", "lag", "friction", "stiffness", "slack", "creep")
 """Signs of a change, see `ChangeMonitor`."""
 
 _MEMORY_S = 20.0  # of motion, over which the residual is judged
-_LEAST_S = 12.0  # of motion, before anything is said
+_LEAST_S = 12.0  # of motion, before a result is given
 _RESTED_S = 1.0  # a rest counts as part of the motion for so long
 _MOVING = 0.005  # of the range of angles in a second
 _PLAY = 0.08  # of the range of angles: half of the width of the play that tells the direction
@@ -23,10 +23,10 @@ _SLACK = 0.3  # of the range of angles, at its lower end
 _CREEP_S = 8.0
 _LEAST_MODEL = 1e-3  # of the range of angles: no model is closer
 _HEALTHY, _CHANGED = (0.0, 0.5), (2.0, 1.0)  # mean and standard deviation of the logarithm of the level
-_PRIOR = 0.05  # probability of a change, before anything was seen
-_INDEPENDENT_S = 2.0  # motion after which an error of a model is another one
+_PRIOR = 0.05  # prior probability of a change
+_INDEPENDENT_S = 2.0  # motion after which a model's error counts as independent
 _ROWS = len(SIGNS) + 1
-_SAID = 0.95  # probability from which on a change is said
+_SAID = 0.95  # probability from which on a change is reported
 _NAMED = 0.1  # probability from which on a sign is named
 
 
@@ -35,9 +35,8 @@ class Change:
     """Result of a change monitor.
 
     Attributes:
-        probability: that the device is not the one that was identified any more; not-a-number while too little has
-            been seen.
-        level: root mean square of the model's slow error over what is usual for this model.
+        probability: that the device has changed since identification; not-a-number while there is too little motion.
+        level: root mean square of the model's slow error, relative to the usual one of this model.
         signs: name and probability of each sign, the most likely first, given that there is a change.
     """
 
@@ -47,12 +46,12 @@ class Change:
 
     @property
     def certain(self) -> bool:
-        """Whether the change is certain."""
+        """Whether the probability of a change is high enough to report it."""
         return self.probability >= _SAID
 
     @property
     def sign(self) -> str:
-        """The change and its likeliest sign, in the same words from second to second."""
+        """Text of the change and its likeliest sign, constant while these do not change."""
         return f"the device has changed since identification: {self.signs[0][0]}"
 
     def __str__(self) -> str:
@@ -68,7 +67,7 @@ class MonitorState:
     """Memory of a `ChangeMonitor`.
 
     Attributes:
-        model_deg, residual_deg: of the last sample that was seen [deg].
+        model_deg, residual_deg: of the last sample [deg].
         stop_deg: position within the play that tells the direction [deg].
         slow_deg: the model's angle behind a lag of 8 s [deg].
         rested_s: time since the last motion [s].
@@ -91,23 +90,21 @@ class MonitorState:
 class ChangeMonitor:
     """Change detection by the residual r = measured angle - free run of the model, over the last 20 s of motion.
 
-    The level l compares its slow part with what is usual for this model, s_m (`model_sigma_deg` of its file):
+    The level l relates its slow part to the usual one of this model, s_m (`model_sigma_deg` of its file):
 
         l^2 = (mean r^2 - mean (r_k - r_{k-1})^2 / 2) / s_m^2
 
     ln l is taken for normal, with mean 0 and standard deviation 0.5 of a device as identified, 2.0 and 1.0 of one that
     has changed. The probability of a change follows from Bayes' rule with 0.05 for its prior. Each window is judged for
-    itself: the error of a sound model repeats with the motion, so that its repetition proves nothing. A change is said
-    from a probability of 0.95 on, which is a level of 5.8.
+    itself: the error of a sound model repeats with the motion, so that its repetition proves nothing. A change is
+    reported from a probability of 0.95 on, which is a level of 5.8.
 
     Signs are regressors of the residual, each with a constant: -d theta/dt (lag), the position within a play of 8 % of
-    the range (friction), theta (stiffness), theta where it is within the lowest 30 % (slack), what theta is ahead of a
-    lag of 8 s (creep); the constant alone is the offset. With the share e of the residual's energy that a sign explains
-    and n independent samples its probability is proportional to (1 - e)^(-n / 2).
+    the range (friction), theta (stiffness), theta where it is within the lowest 30 % (slack), theta minus its value
+    behind a lag of 8 s (creep); the constant alone is the offset. With the share e of the residual's energy that a sign
+    explains and n independent samples its probability is proportional to (1 - e)^(-n / 2).
 
     Args:
-        noise: as the model's file says.
-        dt_s: sample time [s].
         angle_range_deg: least and greatest angle of the model.
     """
 
@@ -120,12 +117,12 @@ class ChangeMonitor:
         self._follows = 1.0 - math.exp(-dt_s / _CREEP_S)
 
     def init(self, model_deg: float, measured_deg: float) -> MonitorState:
-        """State at rest."""
+        """Return the state at rest."""
         residual = measured_deg - model_deg if math.isfinite(measured_deg) else 0.0
         return MonitorState(model_deg, residual, 0.0, model_deg, math.inf, 0.0, np.zeros((_ROWS, _ROWS)), 0.0)
 
     def advance(self, state: MonitorState, model_deg: float, measured_deg: float) -> MonitorState:
-        """State one sample later; a measurement that is not-a-number changes only the memory of the model."""
+        """Return the state one sample later; a measurement of NaN changes only the memory of the model."""
         span, moved = self._span, model_deg - state.model_deg
         bound = _PLAY * span
         stop = min(max(state.stop_deg + moved, -bound), bound)
@@ -153,7 +150,7 @@ class ChangeMonitor:
         return MonitorState(model_deg, residual, stop, slow, rested, seen, sums, changes)
 
     def change(self, state: MonitorState) -> Change:
-        """Result for the last 20 s of motion."""
+        """Return the result for the last 20 s of motion."""
         weight = float(state.sums[0, 0])
         if self._usual is None or state.seen_s < _LEAST_S:
             return Change(math.nan, math.nan, ())
@@ -165,7 +162,7 @@ class ChangeMonitor:
         return Change(probability, level, self._signs(state.sums, state.changes))
 
     def along(self, model_deg: Vec, measured_deg: Vec) -> tuple[Change, float]:
-        """The first change that is said along angles (N,) [deg] and when [s]; else what is said in the end, and NaN."""
+        """Return the first reported change along angles (N,) [deg] and its time [s]; else the final result and NaN."""
         state, every = self.init(float(model_deg[0]), float(measured_deg[0])), max(round(1.0 / self.dt), 1)
         for k, (model, measured) in enumerate(zip(model_deg.tolist(), measured_deg.tolist(), strict=True)):
             state = self.advance(state, model, measured)
@@ -184,7 +181,7 @@ class ChangeMonitor:
             left.append(1.0 - min(float(gained) / total, 1.0))
         independent = sums[0, 0] * self.dt / _INDEPENDENT_S
         logs = -0.5 * independent * np.log(np.maximum(left, 1e-3))
-        logs[1:] -= 0.5 * math.log(max(independent, 1.0))  # a sign has a number more than the offset
+        logs[1:] -= 0.5 * math.log(max(independent, 1.0))  # each sign has one parameter more than the offset
         shares = np.exp(logs - logs.max())
         shares /= shares.sum()
         order = np.argsort(-shares)

@@ -1,4 +1,4 @@
-"""The predictive law: planning problem, cost and candidate plans, the planner that improves the best, the hold."""
+"""Predictive control law: planning problem, cost, candidate plans, interface of planners, and hold rule."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ from .mpc_settings import HoldSettings, PredictiveSettings, WeightsSettings
 
 P = TypeVar("P")
 
-HOLD, INVERSE = 0, 1  # rows of the candidates that callers refer to
+HOLD, INVERSE = 0, 1  # rows of the candidates that callers use
 
 FOLLOWING = 5  # rows before those that only search
 
-_ROUNDING = 1e-9  # share of the greatest step: which samples a plan is postponed by must not hang on rounding
+_ROUNDING = 1e-9  # share of the greatest step, so that rounding does not change by how many samples a plan is postponed
 
 # Shares of the greatest step. Inside what a network has for a dead band its slope may have the wrong sign: the little
 # step that ends an error in a hold is chosen by a trial, not by a gradient.
@@ -35,12 +35,12 @@ _STEPS = (0.125, 0.1875, 0.25, 0.375, 0.5, 0.625, 0.75, 1.0)
 
 
 class PlanningError(RuntimeError):
-    """No plan was found; caught by the fallback chain, never leaves the step."""
+    """Failure of planning; caught by the fallback chain, never leaves the step."""
 
 
 @dataclass(frozen=True, eq=False)
 class PlanningProblem:
-    """One planning problem; every angle in it is the model's, that is without the output disturbance."""
+    """Planning problem; every angle in it is the model's, without the output disturbance."""
 
     state: Vec  # predictor state (S,) at which the plan starts to act
     u_last: float  # the command really sent last
@@ -51,7 +51,7 @@ class PlanningProblem:
 
 @final
 class PlanCost:
-    """Planning cost, by which candidates, line search and samples are ranked.
+    """Planning cost, which ranks candidates, steps of the line search and samples.
 
         J(u) = sum_k q_k (theta_k - r_k)^2 + w_s dist(theta_k, [a, b])^2 + w_r (u_k - u_{k-1})^2 + w_e (u_k - f_k)^2
 
@@ -64,12 +64,12 @@ class PlanCost:
         self._tracking = weights.over(horizon)
 
     def __call__(self, plans: Vec, angles: Vec, problem: PlanningProblem) -> Vec:
-        """Costs (N,) of the plans (N, H) whose angles are (N, H); infinite where a prediction is not finite."""
+        """Compute the costs (N,) of the plans (N, H) with angles (N, H); infinite where a prediction is not finite."""
         values: Vec = costs(*self._arguments(plans, angles, problem))
         return values
 
     def best(self, plans: Vec, angles: Vec, problem: PlanningProblem) -> CommandPlan:
-        """The cheapest of the plans; its cost is infinite where no prediction is finite."""
+        """Return the cheapest of the plans; its cost is infinite if no prediction is finite."""
         row, cost = cheapest(*self._arguments(plans, angles, problem))
         return CommandPlan(plans[row], angles[row], cost)
 
@@ -80,17 +80,17 @@ class PlanCost:
 
 
 class Planner(ABC, Generic[P]):
-    """Planner that improves a start plan; its result never costs more than the start."""
+    """Planner that improves a start plan; its result never costs more than the start plan."""
 
     @abstractmethod
     def init(self) -> P:
-        """The planner's memory before its first plan (dual variables, random counter)."""
+        """Return the planner's memory before its first plan (dual variables, random counter)."""
 
     @abstractmethod
     def improve(
         self, problem: PlanningProblem, start: CommandPlan, memory: P, watch: Stopwatch
     ) -> tuple[CommandPlan, str, P]:
-        """Improved plan, `ok` or one line on a failure that was handled, and the next memory.
+        """Return an improved plan, `ok` or one line on a handled failure, and the next memory.
 
         Raises:
             PlanningError: if the solver fails or predictions are not finite.
@@ -99,12 +99,12 @@ class Planner(ABC, Generic[P]):
 
 @final
 class Candidates:
-    """Admissible plans (N, H):
+    """Admissible candidate plans (N, H) from which planning starts.
 
-    hold; inverse, as fast as the rate limit allows once the reference asks for it; inverse ahead of time, so that
-    a dead band is crossed before the reference turns; inverse half ahead, so that the crossing has its middle at
-    the turn; the last plan, shifted; reversals: m = 2, 4, ... samples at the greatest rate in either direction and
-    then rest; and where the reference rests, small steps: a share of a sample at the greatest rate, either way.
+    They are: hold; inverse, as fast as the rate limit allows once the reference asks for it; inverse ahead of time, so
+    that a dead band is crossed before the reference turns; inverse half ahead, so that the crossing has its middle at
+    the turn; the last plan, shifted; reversals: m = 2, 4, ... samples at the greatest rate in either direction and then
+    rest; and where the reference rests, small steps: a share of a sample at the greatest rate, either way.
     """
 
     def __init__(self, predictor: Predictor, inverse: Inverse, limits: CommandLimits, horizon: int) -> None:
@@ -125,11 +125,10 @@ class Candidates:
         return len(self._all)
 
     def build(self, state: Vec, u_last: float, reference: Vec, remaining: Vec, resting: bool = True) -> Vec:
-        """The plans that may follow `u_last` for the model angles `reference` (H,) [deg].
+        """Compute the candidate plans that may follow `u_last`, for the model angles `reference` (H,) [deg].
 
         Args:
-            remaining: what is left of the last plan, shape (0..H,).
-            resting: whether small steps are among them.
+            remaining: remaining commands of the last plan, shape (0..H,).
 
         Raises:
             PlanningError: if the reference is not as long as the horizon.
@@ -154,14 +153,14 @@ def _reversals(reach: float, horizon: int) -> Vec:
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def run_ahead(plan: Any, reach: float) -> None:
-    """Rate limit backwards in time, in place: every move of the plan (H,) starts early enough to arrive."""
+    """Apply the rate limit backwards in time, in place: every move of the plan (H,) starts early enough to arrive."""
     for k in range(plan.size - 2, -1, -1):
         plan[k] = min(max(plan[k], plan[k + 1] - reach), plan[k + 1] + reach)
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def postpone_half(plan: Any, u_last: float, reach: float) -> None:
-    """Delay of the first jump of the plan (H,) by half of its duration at the greatest rate, in place."""
+    """Delay the first jump of the plan (H,) by half of its duration at the greatest rate, in place."""
     before = u_last
     for k in range(plan.size):
         jump = plan[k] - before
@@ -175,7 +174,7 @@ def postpone_half(plan: Any, u_last: float, reach: float) -> None:
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def fill_candidates(plans: Any, targets: Any, remaining: Any, ramps: Any, u_last: float, reach: float) -> None:
-    """The rows of `Candidates`, not yet clipped: five plans and `ramps` (M, H) from the last command.
+    """Fill in the rows of `Candidates` before clipping: five plans and `ramps` (M, H) from the last command.
 
     targets (2, H): the inverse within the box, and within the rate limit.
     """
@@ -211,7 +210,7 @@ def costs(
     low: float,
     high: float,
 ) -> Any:
-    """Costs (N,) of `PlanCost`, infinite where they are not finite; low, high: the soft angle limits."""
+    """Compute costs (N,) of `PlanCost`, infinite where they are not finite; low, high: the soft angle limits."""
     totals = np.empty(plans.shape[0])
     for n in range(plans.shape[0]):
         total, before = 0.0, u_last
@@ -240,18 +239,18 @@ def cheapest(
     low: float,
     high: float,
 ) -> Any:
-    """The first plan of the lowest cost, and that cost; see `costs`."""
+    """Return the first plan of the lowest cost, and that cost; see `costs`."""
     values = costs(plans, angles, reference, inverse, u_last, tracking, rate, effort, soft, low, high)
     row = np.argmin(values)
     return row, values[row]
 
 
-_LEAVE_SIGMAS = 5.0  # two independent estimates of one disturbance differ by more than this once in 10^4 samples
+_LEAVE_SIGMAS = 5.0  # the difference of two independent estimates of one disturbance exceeds this once in 10^4 samples
 
 
 @dataclass(frozen=True)
 class PredictiveMemory(Generic[P]):
-    """The planner's memory, and the hold."""
+    """Memory of the planner, and state of the hold."""
 
     planner: P
     hold: Hold
@@ -259,11 +258,11 @@ class PredictiveMemory(Generic[P]):
 
 @final
 class PredictiveLaw(Law[PredictiveMemory[P]]):
-    """Model-predictive control with any planner.
+    """Model-predictive control law with any planner.
 
-    The disturbance d is constant over the horizon, so the plan makes the model follow theta_ref - d. While a
-    constant reference is reached, the command does not move at all: otherwise noise in d would ratchet the play
-    along, since one direction of every small correction is free and the other costs a whole dead band.
+    The disturbance d is constant over the horizon, so the model follows theta_ref - d. At a reached constant reference
+    the command is constant: otherwise noise in d would move the play step by step, since small corrections in one
+    direction cost nothing and those in the other a whole dead band.
     """
 
     source = Source.MPC
@@ -327,7 +326,7 @@ class PredictiveLaw(Law[PredictiveMemory[P]]):
         return self._proposal(plan, status, PredictiveMemory(planner, hold))
 
     def _start(self, problem: PlanningProblem, plans: Vec, angles: Vec, holding: bool) -> CommandPlan:
-        """The held command in a hold, else the cheapest candidate; `angles` are known of the first few."""
+        """Start plan: the held command in a hold, else the cheapest candidate; `angles` of the first candidates."""
         known = HOLD + 1 if holding else len(angles)
         best = self._cost.best(plans[:known], angles[:known], problem)
         if holding or known == len(plans):
@@ -343,7 +342,7 @@ class PredictiveLaw(Law[PredictiveMemory[P]]):
 
 @dataclass(frozen=True)
 class Hold:
-    """Whether the command is held on purpose, at which reference, and for how many samples that has been constant."""
+    """Hold state: whether the command is held, at which reference, and number of samples of constant reference."""
 
     holding: bool = False
     constant: int = 0
@@ -352,22 +351,20 @@ class Hold:
 
 @final
 class HoldRule:
-    """Rule for holding the command at a constant reference, and for the slow correction of a remaining error.
+    """Rule that holds the command at a constant reference, and corrects a remaining error slowly.
 
-    A reference is constant while it and what the preview shows of the next `lead` samples stay within `tolerance_deg`
-    of the angle at which they came to rest. Reached it is where the held command keeps the angle close: within
-    `tolerance_deg` at first; and with every `patience` that passes one standard deviation of the disturbance estimate
-    more, up to five, since noise may never let it come closer and a command has to come to rest; once held, five.
+    A reference is constant while it and its next `lead` samples stay within `tolerance_deg` of the angle at which they
+    came to rest. It is reached while the held command keeps the angle within `tolerance_deg`, plus one standard
+    deviation of the disturbance estimate per elapsed `patience`, up to five, since noise may prevent a closer approach;
+    once held, five.
 
-    A reading of a sensor with steps q stays where it is while the angle moves within q / 2 of it. At rest the estimate
-    goes there from what the motion has shown, and corrections would creep until the reading flips, and come back: a
-    limit cycle. Once held, q more is close enough: an angle within q / 2 of the wanted one is never left, and one more
-    than 3 q / 2 away always is.
+    A reading with resolution q is constant while the angle stays within q / 2 of it. At rest the estimate drifts to the
+    reading, and corrections would continue until the reading changes, then reverse: a limit cycle. Once held, q more is
+    close enough: an angle within q / 2 of the wanted one is never left, and one more than 3 q / 2 away always is.
 
-    A command that shows `delay` samples later has to leave that much earlier; `lead` counts from there.
-
-    A longer lead would let the command cross the dead band before the reference turns. On a dead band as flat as the
-    model's that is free; on a device that answers there, it moves the tip in a hold.
+    A command that acts `delay` samples later has to start that much earlier; `lead` counts from there. A longer lead
+    would let the command cross the dead band before the reference turns. On a dead band as flat as the model's that is
+    free; on a device that answers there, it moves the tip in a hold.
     """
 
     def __init__(self, settings: HoldSettings, dt: float, delay: int = 0, step_deg: float = 0.0) -> None:
@@ -376,7 +373,7 @@ class HoldRule:
         self._settle_after, self._settle = round(settings.settle_after_s / dt), round(settings.settle_s / dt)
 
     def numbers(self) -> Mapping[str, float]:
-        """Numbers of the rule, for code generation."""
+        """Return the numbers of the rule, for code generation."""
         return {
             "hold_tolerance": self._tolerance,
             "hold_step": self._step,
@@ -388,14 +385,14 @@ class HoldRule:
         }
 
     def judge(self, before: Hold, reference: Vec, held: Vec, sigma: float) -> Hold:
-        """Hold state of this sample.
+        """Return the hold state of this sample.
 
         Args:
-            held: angles (H,) that the held command is expected to lead to [deg].
+            held: predicted angles (H,) under the held command [deg].
             sigma: standard deviation of the disturbance estimate's error [deg].
         """
         now = float(reference[0])
-        if not abs(now - before.target) <= self._tolerance:  # not-a-number: none yet
+        if not abs(now - before.target) <= self._tolerance:  # not-a-number: no target yet
             return Hold(target=now)
         if self._lead > 1 and self.error(before, reference[: self._lead]) > self._tolerance:
             return Hold(target=now)
@@ -406,19 +403,19 @@ class HoldRule:
 
     @staticmethod
     def error(hold: Hold, held: Vec) -> float:
-        """Greatest distance of angles (H,) from the angle to be held [deg]."""
+        """Return the greatest distance of angles (H,) from the held angle [deg]."""
         return float(np.max(np.abs(held - hold.target)))
 
     def settles(self, hold: Hold) -> bool:
-        """Whether a remaining error is corrected slowly by now."""
+        """Whether a remaining error is now corrected slowly."""
         return self._settle > 0 and hold.constant > self._settle_after
 
     def limited_correction(self, hold: Hold, plan: Vec, u_last: float, error: float, slope: float) -> Vec:
-        """The plan (H,), in a hold within u_last -+ k error / (slope settle), k = 1, 2, ... samples.
+        """Return the plan (H,), in a hold within u_last -+ k error / (slope settle), k = 1, 2, ... samples.
 
-        Inside what a model has for a dead band and a device does not, a plan takes a whole dead band for free, and the
-        plan after it takes it back: a limit cycle. A correction as small as the error asks for outside dead bands meets
-        the measurement before it is too far, and a true dead band is crossed all the same, within some samples more.
+        If the model has a dead band that the device does not have, a plan crosses it at no cost and the next plan
+        returns: a limit cycle. A correction of the size needed outside dead bands is checked by the measurement in
+        time; a true dead band is still crossed, some samples later.
 
         Args:
             error: greatest error of the held command [deg].

@@ -1,4 +1,4 @@
-"""Settings of the predictive controllers; this imports neither numba nor a solver, which take over a second to load."""
+"""Settings of the predictive controllers; imports neither numba nor a solver, which take over a second to load."""
 
 from __future__ import annotations
 
@@ -56,19 +56,19 @@ class WeightsSettings(Settings):
         return self.soft_limit > 0 and any(math.isfinite(v) for v in self.angle_limits_deg)
 
     def over(self, horizon: int) -> Vec:
-        """Tracking weights along the horizon, shape (H,)."""
+        """Return the tracking weights along the horizon, shape (H,)."""
         along = np.full(horizon, self.tracking)
         along[-1] *= self.terminal
         return along
 
 
 class HoldSettings(Settings):
-    """Holding of the command, and slow correction of a remaining error; see `HoldRule`, which counts samples.
+    """Hold of the command, and slow correction of a remaining error; see `HoldRule`, which counts samples.
 
     Attributes:
-        tolerance_deg: closeness that is always good enough [deg].
+        tolerance_deg: distance from the reference that always counts as reached [deg].
         patience_s: time of constant reference for which one more standard deviation is allowed for [s].
-        lead_s: preview that is looked at [s].
+        lead_s: preview that is used [s].
         settle_after_s: time of constant reference after which corrections are limited [s].
         settle_s: time over which a limited correction removes an error at the model's static gain [s]; 0 for no limit.
     """
@@ -81,7 +81,7 @@ class HoldSettings(Settings):
 
 
 class AdaptationSettings(Settings):
-    """Block `adaptation`: how fast what is learned on top of the model may change, see `LearnedPredictor`.
+    """Block `adaptation`: rate of change of the learned part of a model, see `LearnedPredictor`.
 
     Attributes:
         sigma_share: standard deviation of the learned weights at first, as a share of the angle over the whole range.
@@ -95,18 +95,18 @@ class AdaptationSettings(Settings):
 _LEAST_SAMPLES, _MOST_SAMPLES, _PREVIEW_S = 20, 60, 0.24  # of a preview whose length is not given
 _ALIKE = 3  # blocks of one length
 _BLIND_RATE, _BLIND_HOLD_DEG = 0.1, 0.01
-_SIGMA_SHARE = 0.1  # of the greatest move of a sample: more would cross kinks of the model that the step must not see
+_SIGMA_SHARE = 0.1  # of the greatest move of a sample: larger perturbations would cross kinks of the model
 
 
 class PredictiveSettings(LawSettings):
-    """Settings of both predictive controllers.
+    """Common settings of both predictive controllers.
 
     Attributes:
         adaptation: learning on top of the model; null for none, which it is without a continuous sensor.
         supervisor: switches to feedback where no forecast is of use; null for none, as without learning.
         horizon: samples of the preview; null for 20, or 0.24 s where that is more, but no more than 60.
         estimator: how state and disturbance are estimated from the measurements.
-        weights: of the cost that a plan is chosen by.
+        weights: of the planning cost.
         hold: when a command is held.
     """
 
@@ -123,7 +123,7 @@ class PredictiveSettings(LawSettings):
     @model_validator(mode="before")
     @classmethod
     def _defaults_of_the_sensor(cls, data: Any) -> Any:
-        """Defaults without a continuous sensor: no learning, less weight on moves, closer holds."""
+        """Fill in defaults without a continuous sensor: no learning, less weight on moves, closer holds."""
         if not isinstance(data, dict):
             return data
         estimator = data.get("estimator")
@@ -146,12 +146,12 @@ class PredictiveSettings(LawSettings):
         return self
 
     def preview_samples(self, dt_s: float) -> int:
-        """Samples of the preview at sample time `dt_s` [s]."""
+        """Return the number of samples of the preview at sample time `dt_s` [s]."""
         return self.horizon or min(max(_LEAST_SAMPLES, round(_PREVIEW_S / dt_s)), _MOST_SAMPLES)
 
 
 class LinearisedMpcSettings(PredictiveSettings):
-    """Real-time iteration; see `LinearisedPlanner`.
+    """Linearised predictive controller (real-time iteration); see `LinearisedPlanner`.
 
     Attributes:
         iterations: linearisations per step.
@@ -176,10 +176,9 @@ class LinearisedMpcSettings(PredictiveSettings):
         return self
 
     def blocks(self, dt_s: float) -> tuple[int, ...] | None:
-        """Samples of each block of moves at sample time `dt_s` [s]; None where every sample may move.
+        """Return the samples of each block of moves at sample time `dt_s` [s]; None if every sample may move.
 
-        A preview of more than 20 samples whose length is not given has blocks of 1, 2, 4, 8, ... samples, three of each
-        length, as long as they fit.
+        Blocks of a default preview of more than 20 samples are 1, 2, 4, ... samples long, three of each, as they fit.
         """
         horizon = self.preview_samples(dt_s)
         if self.move_blocking is not None or self.horizon is not None or horizon <= _LEAST_SAMPLES:
@@ -190,7 +189,7 @@ class LinearisedMpcSettings(PredictiveSettings):
 # A noise is a matrix F (H, K): samples are F w with w standard normal (K,). Rows have unit norm, so that every sample
 # of a plan is perturbed with the same variance.
 class SplineNoiseSettings(Settings):
-    """Cubic spline through `knots` independent normals, evenly spaced over the horizon.
+    """Noise as a cubic spline through `knots` independent normals, evenly spaced over the horizon.
 
     Attributes:
         knots: number of independent normals, at most the horizon.
@@ -200,7 +199,7 @@ class SplineNoiseSettings(Settings):
     knots: Annotated[int, Field(ge=2)] = 6
 
     def matrix(self, horizon: int) -> Mat:
-        """F (H, knots).
+        """Return the noise matrix F (H, knots).
 
         Raises:
             ControllerError: if there are more knots than samples.
@@ -228,7 +227,7 @@ class ColouredNoiseSettings(Settings):
     exponent: NotNegative = 2.0
 
     def matrix(self, horizon: int) -> Mat:
-        """F (H, 2H)."""
+        """Return the noise matrix F (H, 2H)."""
         cycles = np.arange(1, horizon + 1, dtype=np.float64)
         phase = 2.0 * np.pi * np.outer(np.arange(horizon), cycles) / (2 * horizon)
         amplitude = cycles ** (-self.exponent / 2.0)
@@ -236,20 +235,19 @@ class ColouredNoiseSettings(Settings):
 
 
 class SamplingMpcSettings(PredictiveSettings):
-    """Model-predictive path integral control (MPPI) or the cross-entropy method (CEM).
+    """Sampling predictive controller: model-predictive path integral control (MPPI) or the cross-entropy method (CEM).
 
     Attributes:
-        method: which of them.
-        samples: plans per iteration N; at least twice as many as there are blocks show every direction twice.
+        method: MPPI or CEM.
+        samples: plans per iteration N; at least twice the number of blocks, so that every direction is tested twice.
         iterations: times the distribution is moved per step.
-        sigma: largest standard deviation of the perturbations [mm or bar]; null for a tenth of the greatest move that
-            the rate limit allows in a sample.
+        sigma: largest standard deviation of the perturbations [mm or bar]; null for a tenth of a sample's greatest
+            move.
         finest: smallest one as a share of `sigma`.
         temperature: of MPPI's weights exp(-(J - J_min) / lambda), with lambda = temperature (median J - J_min).
         elites: share of the samples that mean and deviation of CEM are fitted to, at least two plans.
         seed: of the random numbers.
-        noise: shape of the perturbations, at the ends of the blocks of a preview of more than 20 samples; see
-            `blocks`.
+        noise: shape of the perturbations, at the ends of the blocks, see `blocks`.
     """
 
     kind: Literal["sampling_mpc"] = "sampling_mpc"
@@ -265,11 +263,11 @@ class SamplingMpcSettings(PredictiveSettings):
     )
 
     def deviation(self, reach: float) -> float:
-        """Largest standard deviation of the perturbations, where a sample may move by `reach`, both [mm or bar]."""
+        """Largest standard deviation of the perturbations, if a sample may move by `reach`, both [mm or bar]."""
         return _SIGMA_SHARE * reach if self.sigma is None else self.sigma
 
     def blocks(self, dt_s: float) -> tuple[int, ...]:
-        """Samples of each block of moves at sample time `dt_s` [s]: 1 up to a preview of 20 samples.
+        """Return the samples of each block of moves at sample time `dt_s` [s]; 1 up to a preview of 20 samples.
 
         A longer preview has those of the linearised controller, so that the samples have few directions to explore.
         """

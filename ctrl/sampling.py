@@ -1,4 +1,4 @@
-"""Sampling planners: model-predictive path integral control and the cross-entropy method, over batched roll-outs."""
+"""Sampling planners: model-predictive path integral control and the cross-entropy method, with batched roll-outs."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from .linearised.qp import DaqpOptions, DaqpSolver
 from .mpc import PlanCost, Planner, PlanningError, PlanningProblem
 from .mpc_settings import SamplingMpcSettings, WeightsSettings
 
-_SMALL = 1e-12  # squared distance of a sample from the start below which it says nothing
+_SMALL = 1e-12  # squared distance from the start below which a sample is not used
 _RIDGE = 1e-6  # of the fit, as a share of its normal matrix's trace
 _TINY = float(np.finfo(np.float64).tiny)
 
@@ -37,7 +37,7 @@ def draw_plans(
     u_last: float,
     plans: Any,
 ) -> None:
-    """Admissible plans (N, H) = mean + deviations * (w shape), in place; w (N, m) are `normals` made orthogonal.
+    """Draw admissible plans (N, H) = mean + deviations * (w shape), in place; w (N, m) are `normals` made orthogonal.
 
     shape (m, H); mean (H,); deviations (N, 1) or (1, H).
     """
@@ -52,7 +52,7 @@ def draw_plans(
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def make_orthogonal(normals: Any) -> None:
-    """The first m rows of (N, m), the next m and so on made orthogonal in place; every row keeps its length."""
+    """Make each block of m rows of (N, m) orthogonal, in place; every row keeps its length."""
     count, size = normals.shape
     squares = np.empty(count)
     for n in range(count):
@@ -67,7 +67,7 @@ def make_orthogonal(normals: Any) -> None:
 def fit_columns(
     plans: Any, angles: Any, commands: Any, start_angles: Any, ends: Any, whitening: Any, columns: Any
 ) -> None:
-    """S F^-1 (H, m) in place: the fit in `SampledGaussNewton` to plans (N, H) and angles (N, H) around a start plan.
+    """Compute S F^-1 (H, m) in place: the fit of `SampledGaussNewton` to plans (N, H) and angles (N, H).
 
     ends (m,): last samples of the blocks; whitening (m, m): F^-1, transposed.
     """
@@ -83,7 +83,7 @@ def fit_columns(
         for j in range(size):
             add(normal[j, j:], near * z[j], z[j:])
             add(products[j], near * z[j], change)
-    # no sample may have moved at all: then the slope is zero
+    # slope zero if no sample has moved
     ridge = _RIDGE * np.trace(normal) + _TINY
     for j in range(size):
         normal[j, j] += ridge
@@ -97,7 +97,7 @@ def fit_columns(
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def solve(matrix: Any, right: Any) -> None:
-    """`right` (m, H) becomes X of matrix X = right, by matrix = R'R; only its upper triangle is read, and becomes R."""
+    """Solve matrix X = right (m, H) in place, by matrix = R'R; of `matrix` only the upper triangle is used."""
     size = matrix.shape[0]
     for j in range(size):
         for i in range(j):
@@ -124,14 +124,14 @@ def product(a: Any, b: Any) -> Any:
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def add(target: Any, factor: float, row: Any) -> None:
-    """target += factor * row, in place."""
+    """Add factor * row to target, in place."""
     for k in range(target.size):
         target[k] += factor * row[k]
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def weighted_mean(plans: Any, costs: Any, temperature: float) -> Any:
-    """Mean (H,) of plans (N, H) with finite costs (N,), by exp(-(J - J_min) / lambda); see `SamplingMpcSettings`."""
+    """Weighted mean (H,) of plans (N, H), by exp(-(J - J_min) / lambda); see `SamplingMpcSettings`."""
     lowest = costs.min()
     scale = max(temperature * (np.median(costs) - lowest), _TINY)
     total, mean = 0.0, np.zeros(plans.shape[1])
@@ -142,25 +142,25 @@ def weighted_mean(plans: Any, costs: Any, temperature: float) -> Any:
     return mean / total
 
 
-_LEAST = 0.05  # of every direction in the noise, as a share of the strongest, so that the fit sees all of them
+_LEAST = 0.05  # of every direction in the noise, as a share of the strongest, so that the fit covers all of them
 _PARTS = np.array([1.0, 0.6, 0.35, 0.2, 0.1])[:, None]
 _KEPT = 0.3  # share of the elites that take part in the next iteration again (Pinneri et al. 2020)
 
 
 @dataclass(frozen=True)
 class SampleCounter:
-    """Steps taken so far: with the seed it fixes every random number of the next step."""
+    """Number of steps so far, which with the seed determines the random numbers of the next step."""
 
     step: int
 
 
 class SamplingPlanner(Planner[SampleCounter]):
-    """Smooth random plans in blocked moves, clipped into the limits before they are rolled out.
+    """Base of the planners with smooth random plans in blocked moves, clipped to the limits before the roll-out.
 
         u = p + sigma M F w,  w standard normal
 
     with p the plan around which they lie, M (H, m) of `MoveBlocking` and F (m, m) the noise at the ends of the blocks.
-    The w of each m samples, one after another, are orthogonal: m samples show every direction once.
+    The w of m successive samples are orthogonal, so that m samples cover every direction once.
     """
 
     def __init__(self, predictor: Predictor, settings: SamplingMpcSettings, limits: CommandLimits) -> None:
@@ -191,7 +191,7 @@ class SamplingPlanner(Planner[SampleCounter]):
     def _best(
         self, problem: PlanningProblem, start: CommandPlan, generator: np.random.Generator, watch: Stopwatch
     ) -> CommandPlan:
-        """The best plan of all iterations, no worse than `start`."""
+        """Best plan of all iterations, which costs no more than `start`."""
 
     def _drawn(self, generator: np.random.Generator, mean: Vec, deviations: Mat, problem: PlanningProblem) -> Mat:
         """Admissible plans (N, H) around `mean` (H,), from smooth noise of unit variance times `deviations`."""
@@ -201,19 +201,17 @@ class SamplingPlanner(Planner[SampleCounter]):
         return plans
 
     def _admissible(self, plans: Mat, problem: PlanningProblem) -> Mat:
-        """The plans (N, H), clipped in place."""
         clip_plans(plans, *self._bounds, problem.u_last)
         return plans
 
     def _cheapest(self, plans: Mat, problem: PlanningProblem) -> CommandPlan:
-        """The cheapest of a few plans (N, H), made admissible in place."""
         plans = self._admissible(plans, problem)
         return self._cost.best(plans, self._predictor.rollout(problem.state, plans), problem)
 
 
 @final
 class SampledGaussNewton:
-    """A Gauss-Newton step within the limits, its Jacobian fitted to the samples: no derivative of the model is used.
+    """Gauss-Newton step within the limits, with a Jacobian fitted to the samples instead of derivatives of the model.
 
         theta_n - theta_0 ~ S z_n,  F z_n = p_n - p_0 at the ends of the blocks,  F (m, m) the noise there
         S = argmin sum_n |theta_n - theta_0 - S z_n|^2 / |z_n|^4
@@ -234,9 +232,9 @@ class SampledGaussNewton:
         self._solver = DaqpSolver(self._qp.pattern, DaqpOptions())
 
     def plans(self, start: CommandPlan, plans: Mat, angles: Mat, problem: PlanningProblem) -> Mat:
-        """Parts of the step from `start`, the whole one first (5, H), from samples (N, H) and their angles (N, H).
+        """Return the full step from `start` and parts of it (5, H), from samples (N, H) and their angles (N, H).
 
-        There is none, shape (0, H), where the program cannot be solved.
+        The result is empty, shape (0, H), if the program cannot be solved.
         """
         columns = np.empty((start.commands.size, self._ends.size))
         fit_columns(plans, angles, start.commands, start.angles, self._ends, self._whitening, columns)
@@ -273,7 +271,7 @@ class PathIntegralPlanner(SamplingPlanner):
         return start
 
     def _better(self, problem: PlanningProblem, start: CommandPlan, plans: Mat, angles: Mat) -> CommandPlan:
-        """The cheapest of the start, the samples, their weighted mean and the parts of the fitted step."""
+        """Cheapest of the start, the samples, their weighted mean and the parts of the fitted step."""
         costs = self._cost(plans, angles, problem)
         if not math.isfinite(costs.sum()):
             usable = np.isfinite(costs)
@@ -289,7 +287,7 @@ class PathIntegralPlanner(SamplingPlanner):
 
 
 class _CrossEntropy(NamedTuple):
-    """Distribution of the next plans, the elites that stay, and the best plan so far."""
+    """Distribution of the next plans, the elites that are reused, and the best plan so far."""
 
     mean: Vec
     deviation: Vec
@@ -304,8 +302,8 @@ class CrossEntropyPlanner(SamplingPlanner):
         u_n = mean + deviation * F w_n,  mean = mean of the elites,  deviation = max(std of the elites, finest sigma)
 
     over every sample of the horizon; F is the noise. The first mean is the best candidate. The result is the cheapest
-    plan seen, the last mean and the steps of `SampledGaussNewton` included, so that it never costs more than the start
-    (Pinneri et al., "Sample-efficient cross-entropy method for real-time planning", CoRL 2020, algorithm 1).
+    plan so far, the last mean and the steps of `SampledGaussNewton` included, so that it never costs more than the
+    start (Pinneri et al., "Sample-efficient cross-entropy method for real-time planning", CoRL 2020, algorithm 1).
     """
 
     def __init__(self, predictor: Predictor, settings: SamplingMpcSettings, limits: CommandLimits) -> None:
@@ -348,6 +346,6 @@ class CrossEntropyPlanner(SamplingPlanner):
 
 
 def random_numbers(seed: int, step: int) -> np.random.Generator:
-    """The generator of one step, fixed by seed and step alone."""
-    # a counter-based generator: the third word counts steps, the lower two what one step draws
+    """Return the random generator of one step, determined by seed and step alone."""
+    # counter-based generator: the third word counts steps, the lower two count the draws of one step
     return np.random.Generator(np.random.Philox(key=seed, counter=[0, 0, step, 0]))

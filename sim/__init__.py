@@ -1,8 +1,7 @@
-"""Closed loop in simulation: plants with injectable effects, sweeps, tuning, metrics, reports.
+"""Closed-loop simulation: plants with additional effects, sweeps, tuning, metrics and reports.
 
-A study is a `config.SimulationConfig`; `study.prepare` makes it ready, `compare.compare` runs every controller along
-every motion and leaves a run folder, `compare.report_from_folder` writes its page anew. `compare.demo` runs the study
-that ships with the package.
+A study is a `config.SimulationConfig`; `study.prepare` opens and builds its parts; `compare.compare` runs every
+controller along every motion and writes a run folder; `compare.demo` runs the study in the package.
 """
 
 from __future__ import annotations

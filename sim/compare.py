@@ -1,4 +1,4 @@
-"""Comparison of all controllers of a study along all motions: run folders, report, and the study `demo`."""
+"""Comparison of all controllers of a study along all motions: run folders, report, and the demonstration study."""
 
 from __future__ import annotations
 
@@ -52,11 +52,10 @@ _REPORT_S, _RUN_REPORT_S = 3.0, 0.4  # of the page, and of a run on it
 
 
 def compare(config: SimulationConfig, out: Path | str | None = None, progress: Progress | None = None) -> StudyResult:
-    """Run a study: prepare, tune where requested, run every controller along every motion, report.
+    """Run a study: prepare it, tune where requested, run every controller along every motion, and report.
 
     `out` gets config.yaml, meta.json and report.html of the study, and `<motion>/<controller>/` with config.yaml,
-    meta.json and log.csv of every run. After Ctrl-C unfinished runs are left out, and no folder remains without a
-    finished one.
+    meta.json and log.csv of every run. After Ctrl-C only finished runs are written.
 
     Args:
         out: a new or empty folder; nothing is written where left out.
@@ -72,7 +71,7 @@ def compare(config: SimulationConfig, out: Path | str | None = None, progress: P
     try:
         study = tuned_study(study, tuning)
         if folder is not None:
-            # Asked for and found are told apart: the settings left behind repeat the run without the search.
+            # Requested and resulting settings are stored apart: the settings written repeat the run without the search.
             write_atomically(folder.path / "config.yaml", dump_yaml(study.config.model_dump(mode="json")))
         for result in _runs(study, running):
             results.append(result)
@@ -93,7 +92,7 @@ def compare(config: SimulationConfig, out: Path | str | None = None, progress: P
 
 
 def _expected_s(study: Study) -> tuple[float, float, float]:
-    """Expected durations of the gain search, the runs and the report; only their ratios matter [s]."""
+    """Expected durations of gain search, runs and report [s]; only their ratios matter."""
     config, steps = study.config, sum(study.steps(name) for name in study.motions)
     count = len(config.controllers)
     tuned = sum(isinstance(settings, PidLike) for settings in config.controllers.values())
@@ -102,7 +101,6 @@ def _expected_s(study: Study) -> tuple[float, float, float]:
 
 
 def _runs(study: Study, progress: Progress) -> Iterator[Result]:
-    """Runs one after another, until the last or until Ctrl-C."""
     pairs = [(motion, name) for motion in study.motions for name in study.config.controllers]
     lengths = {name: study.steps(name) for name in study.motions}
     total, done = sum(lengths[motion] for motion, _ in pairs), 0
@@ -125,7 +123,7 @@ def _folder(path: Path, study: Study) -> RunFolder:
 
 
 def _take_back(path: Path) -> None:
-    """Remove a folder without a finished run, so that the same command is not refused the next time."""
+    """Remove a folder without a finished run, so that the command can be repeated with it."""
     for name in ("config.yaml", "meta.json"):
         (path / name).unlink(missing_ok=True)
     with suppress(OSError):
@@ -133,7 +131,6 @@ def _take_back(path: Path) -> None:
 
 
 def _write(folder: RunFolder, study: Study, result: Result) -> None:
-    """Write the folder of one run; its settings are the study's, narrowed to it."""
     path = folder.path / result.motion / result.controller
     alone = study.config.narrowed(result.controller, result.motion)
     run = RunFolder.create(path, alone, seed=study.config.seed, models=study.files)
@@ -141,12 +138,12 @@ def _write(folder: RunFolder, study: Study, result: Result) -> None:
 
 
 def demo_config() -> SimulationConfig:
-    """The study of `demo`; `sim/demo.yaml`."""
+    """Return the demonstration study, `sim/demo.yaml`."""
     return load_simulation(Path(str(files("hystmpc.sim").joinpath("demo.yaml"))))
 
 
 def demo(out: Path | str | None = None, progress: Progress | None = None) -> StudyResult:
-    """Track a point-to-point motion and a scan with every controller; see `compare`."""
+    """Run the demonstration study: a point-to-point motion and a scan with every controller; see `compare`."""
     return compare(demo_config(), out, progress)
 
 
@@ -166,7 +163,7 @@ _WITH_GAINS = (PidControllerSettings, InversePidControllerSettings)
 
 
 def error_figure(results: Sequence[Result], colour: Mapping[str, str]) -> Figure:
-    """Error over time, one row for each controller on one scale."""
+    """Draw the error over time, one row for each controller, on one scale."""
     with new_figure(7.0, 0.8 + 0.8 * len(results)) as figure:
         rows = figure.subplots(len(results), 1, sharex=True, sharey=True, squeeze=False)[:, 0]
         for axes, result in zip(rows, results, strict=True):
@@ -180,7 +177,6 @@ def error_figure(results: Sequence[Result], colour: Mapping[str, str]) -> Figure
 
 
 def _loops(results: Sequence[Result], colour: Mapping[str, str], unit: str) -> Figure:
-    """Angle over command of each controller: its hysteresis loops."""
     panels = []
     for result in results:
         look = {"color": colour[result.controller], "linewidth": 0.8}
@@ -189,7 +185,7 @@ def _loops(results: Sequence[Result], colour: Mapping[str, str], unit: str) -> F
 
 
 def histogram_figure(results: Sequence[Result], look: Mapping[str, Mapping[str, Any]]) -> Figure:
-    """Share of samples by error; the outermost bins hold what lies beyond them."""
+    """Draw the histogram of the error; the outermost bins include all values beyond them."""
     errors = [result.run.counted_deg for result in results]
     reach = float(np.quantile(np.abs(np.concatenate(errors)), 0.995))
     edges = np.linspace(-reach, reach, _BINS)
@@ -204,7 +200,7 @@ def histogram_figure(results: Sequence[Result], look: Mapping[str, Mapping[str, 
 
 
 def timing_figure(results: Sequence[Result], colour: Mapping[str, str], dt_s: float) -> Figure:
-    """Execution time a stage over all runs: bar to the median, line to the 99th percentile; dotted the sample time."""
+    """Draw the execution time of each stage: bar to the median, line to the 99th percentile; dotted: sample time."""
     rows = _stage_times(results)
     with new_figure(7.0, 0.9 + 0.2 * len(rows)) as figure:
         axes: Axes = figure.subplots()
@@ -221,7 +217,7 @@ def timing_figure(results: Sequence[Result], colour: Mapping[str, str], dt_s: fl
 
 
 def _stage_times(results: Sequence[Result]) -> list[tuple[str, str, Any]]:
-    """Controller, stage and times [s] of the samples in which the stage ran; all stages together come last."""
+    """Controller, stage and times [s] of the samples in which the stage ran; the sum of all stages is last."""
     rows: list[tuple[str, str, Any]] = []
     for controller in dict.fromkeys(result.controller for result in results):
         logs = [result.run.log for result in results if result.controller == controller]
@@ -234,7 +230,7 @@ def _stage_times(results: Sequence[Result]) -> list[tuple[str, str, Any]]:
 
 
 def study_report(result: StudyResult, more: Sequence[Piece] = ()) -> Report:
-    """Page of a study; `more` is shown first."""
+    """Make the report of a study; `more` is shown first."""
     colour, look = colours(result.controllers), looks(result.controllers)
     pieces: list[Piece] = [*more, *_summary(result), *_set_up(result)]
     for motion in result.motions:
@@ -369,7 +365,7 @@ def _stability(result: StudyResult) -> Iterator[Piece]:
 
 
 def _identified(result: StudyResult) -> Predictor:
-    """Model of the controllers, after the actuator lag of the study."""
+    """Model of the controllers, behind the actuator lag of the study."""
     opened = load_model(model_path(result.config.model), start="conditioned")
     model = predictor_for(opened)
     lag = result.config.actuator_lag_s
@@ -393,5 +389,5 @@ def _timing(result: StudyResult, colour: dict[str, str]) -> Iterator[Piece]:
 
 
 def _short(file: str) -> str:
-    """A built-in name, or a file without its folder."""
+    """Name of a built-in model, or a file name without its folder."""
     return file if file.startswith("builtin:") else Path(file).name

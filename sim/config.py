@@ -1,4 +1,4 @@
-"""Settings of a closed-loop study: which plant, which model, which motions, which controllers."""
+"""Settings of a closed-loop study: plant, model, motions and controllers."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from .devices.names import DeviceError, device_parameters
 
 
 class EffectSettings(Settings):
-    """One effect of the library; see `hystmpc effects` for names, parameters, units and bounds.
+    """Block of one effect of the library; see `hystmpc effects` for names, parameters, units and bounds.
 
     Attributes:
         side: of the core; the effect's first where left out.
@@ -57,7 +57,7 @@ class EffectSettings(Settings):
 
 
 class PlantSettings(Settings):
-    """The simulated device: a simulator or a device, with effects in addition; see `make_plant` and `Effects`.
+    """Simulated plant: a simulator or a device, with additional effects; see `make_plant` and `Effects`.
 
     Attributes:
         simulator: a simulator file, or `builtin:NAME`.
@@ -109,7 +109,7 @@ class PlantSettings(Settings):
 
 
 class TuningSettings(Settings):
-    """Settings of the search for PID gains: number of closed-loop runs over all motions, about, for each controller.
+    """Settings of the search for PID gains.
 
     Attributes:
         evaluations: closed-loop runs over all motions, about, for each controller.
@@ -119,24 +119,22 @@ class TuningSettings(Settings):
 
 
 class SimulationConfig(Settings):
-    """A closed-loop study: every controller follows every motion on one simulated plant.
+    """Closed-loop study in which every controller follows every motion on one simulated plant.
 
     Attributes:
-        model: what controllers know of it: a simulator (.yaml), an exported model (.onnx), or `builtin:NAME`.
-        actuator_lag_s: first-order lag of the command that the model does not contain and controllers are keys of.
+        model: model of the controllers: a simulator (.yaml), an exported model (.onnx), or `builtin:NAME`.
+        actuator_lag_s: first-order lag of the command, missing in the model, that controllers take into account.
         inverse: simulator (.yaml) that is inverted in the model's place: `inverse` and `inverse_pid` know nothing else,
             predictive controllers take their first guess from it. For networks, which have no inverse of their own;
             where left out, a backlash fitted to the network's free run. Or an inverse map (.onnx, or .yaml for
             an operator), which is asked for the command and runs beside the model.
-        sensor: what controllers see of the angle: the plant's own sensor in every sample, frames of an imaging system,
-            or nothing. What it says of frames and noise stands in the block `estimator` of every controller that does
-            not say something else.
+        sensor: sensor of the controllers: the plant's own sensor in every sample, frames of an imaging system, or
+            nothing. Its facts on frames and noise are defaults of every controller's block `estimator`.
         limits: hard limits of command and rate; those of the model where left out. Wider ones are refused unless
             `limits.beyond_model` is true.
         approach: lead the tip from the plant's rest to the start of a motion that starts far from it; this part does
             not count. Without it, the first jump is scored too.
-        tune_pid: search the gains of every `pid` and `inverse_pid` on this plant and these motions first; where left
-            out the gains stand as given.
+        tune_pid: search the gains of every `pid` and `inverse_pid` first; where left out the given gains are used.
         tuned: controllers whose gains such a search has found; a run writes them here beside the gains, so that its
             configuration repeats the run without the search.
         plant: the simulated device.
@@ -159,7 +157,7 @@ class SimulationConfig(Settings):
     seed: NotNegativeInt = 0
 
     def narrowed(self, controller: str, motion: str) -> Self:
-        """The study with one controller and one motion alone."""
+        """Return the study with one controller and one motion alone."""
         return self.model_copy(
             update={
                 "motions": {motion: self.motions[motion]},
@@ -195,7 +193,7 @@ _SENSORS: TypeAdapter[AnySensorSettings] = TypeAdapter(SimulatedSensor)
 
 
 def load_simulation(path: Path | str, overrides: Iterable[str] = ()) -> SimulationConfig:
-    """Read a study; file names in it start at its own folder and come out absolute.
+    """Read a study; relative file names start at its folder and become absolute.
 
     Raises:
         ConfigError: on an unreadable file, a malformed override, an unknown key or a value out of bounds.
@@ -209,7 +207,7 @@ def load_simulation(path: Path | str, overrides: Iterable[str] = ()) -> Simulati
 def located(
     config: SimulationConfig, folder: Path, where: Callable[[Sequence[str | int]], str] | None = None
 ) -> SimulationConfig:
-    """The study with absolute file names, relative ones starting at `folder`; built-in models keep their names.
+    """Return the study with absolute file names, relative ones starting at `folder`; built-in models keep their names.
 
     Raises:
         ModelError: on an unknown built-in model.

@@ -1,4 +1,4 @@
-"""A gymnasium environment around the simulated device, with its whole state to be saved and restored."""
+"""Gymnasium environment of the simulated device, whose complete state can be saved and restored."""
 
 from __future__ import annotations
 
@@ -31,8 +31,8 @@ class Disturbance:
     """External disturbances as functions of the time since the reset [s].
 
     Attributes:
-        angle_deg: added to the tip angle: a load, breathing.
-        command: added to the command after its limits: a drive that slips [command unit].
+        angle_deg: added to the tip angle, as by a load or breathing.
+        command: added to the command after its limits, as by a slipping drive [command unit].
     """
 
     angle_deg: Signal | None = None
@@ -41,13 +41,7 @@ class Disturbance:
 
 @dataclass(frozen=True, eq=False)
 class EnvironmentState:
-    """Immutable state of an environment: everything but the actions that its future depends on.
-
-    Attributes:
-        random: generator of the environment, for the seeds of coming resets.
-        y: angle measured last [deg].
-        imaging: of an intermittent sensor.
-    """
+    """Immutable state of an environment: together with the actions it determines the future."""
 
     plant: ComputedPlant
     random: np.random.Generator
@@ -61,7 +55,7 @@ class EnvironmentState:
 
 @final
 class HysteresisEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
-    """Track a motion with the tip angle of a device with hysteresis.
+    """Gymnasium environment in which the tip angle of a device with hysteresis tracks a motion.
 
     Action (1,): the command, -1 and 1 being its limits; the rate limit is kept by the environment. Observation
     (2 + H,): measured angle [deg], command sent last, reference at the ends of the next H samples [deg]. Reward:
@@ -73,10 +67,8 @@ class HysteresisEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
     `reference_deg` and `command`.
 
     Args:
-        plant: the device; the environment has a copy.
         preview: H, samples at least 1.
         rate_weight: w [deg^2 per squared command unit].
-        disturbance: see `disturb`.
         sensor: what is measured; the plant's own angle in every sample where left out.
 
     Raises:
@@ -112,7 +104,7 @@ class HysteresisEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
 
     @classmethod
     def from_config(cls, config: SimulationConfig | Path | str, **options: Any) -> HysteresisEnv:
-        """The environment of a closed-loop study: its plant, motions and limits; controllers are ignored.
+        """Build the environment of a closed-loop study: its plant, motions and limits; controllers are ignored.
 
         `options` are `preview`, `rate_weight`, `disturbance`. Errors are those of `load_simulation` and `prepare`.
         """
@@ -130,7 +122,7 @@ class HysteresisEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         """Bring the device to rest after its initialisation flexure; see the class.
 
         Raises:
-            ConfigError: if `options` names a motion that there is not.
+            ConfigError: if `options` names an unknown motion.
         """
         super().reset(seed=seed)
         names = list(self._tables)
@@ -143,7 +135,7 @@ class HysteresisEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         return self._observation(), self._info()
 
     def step(self, action: NDArray[np.float32]) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
-        """One sample; an action that is no number holds the command."""
+        """Simulate one sample; an action that is no number holds the command."""
         half = 0.5 * (self._limits.upper - self._limits.lower)
         wanted = self._limits.lower + half * (1.0 + float(np.asarray(action, dtype=np.float64).reshape(-1)[0]))
         u, before = self._limits.clip(wanted, self._u, self.dt), self._u
@@ -160,7 +152,7 @@ class HysteresisEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         self._disturbance = disturbance or Disturbance()
 
     def get_state(self) -> EnvironmentState:
-        """State for `set_state`, in this environment or an equal one."""
+        """Return the state for `set_state`, of this environment or an equal one."""
         plant, random = self._plant.copied(), deepcopy(self.np_random)
         return EnvironmentState(
             plant, random, self._motion, self._k, self._u, self._y, self._disturbance, self._imaging
@@ -181,12 +173,11 @@ class HysteresisEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         return self._observation()
 
     def _disturbing_deg(self) -> float:
-        """Disturbance of the angle now [deg]."""
         load = self._disturbance.angle_deg
         return 0.0 if load is None else load(self._k * self.dt)
 
     def _first(self, measured: float) -> tuple[float, Imaging | None]:
-        """Observed angle of the rest [deg], and the imaging system where there is one."""
+        """Observed angle at rest [deg], and the imaging system if there is one."""
         true = self._plant.true_angle + self._disturbing_deg()
         if isinstance(self._sensor, ImagingSettings):
             imaging = Imaging.at_rest(self._sensor, self._plant.seed, true)
@@ -194,7 +185,7 @@ class HysteresisEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         return (true if isinstance(self._sensor, NoSensorSettings) else measured), None
 
     def _seen(self, measured: float) -> float:
-        """Angle observed last at the end of the sample [deg]."""
+        """Newest observed angle at the end of the sample [deg]."""
         if isinstance(self._sensor, ContinuousSensorSettings):
             return measured
         if self._imaging is None:
@@ -207,7 +198,7 @@ class HysteresisEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         return np.clip(seen.astype(np.float32), self._seen_low, self._seen_high)
 
     def _info(self) -> dict[str, Any]:
-        """True values now; the reference is that at the end of the last sample, before it the first one's."""
+        """True values now; the reference is that at the end of the last sample, or the first one before any sample."""
         theta = self._plant.true_angle + self._disturbing_deg()
         reference = float(self._tables[self._motion].at(max(self._k - 1, 0))[0])
         return {"true_angle_deg": theta, "reference_deg": reference, "error_deg": theta - reference, "command": self._u}

@@ -1,4 +1,4 @@
-"""Calls of one function for many jobs: in this process, in a pool of processes, or on a Dask cluster."""
+"""Execution of one function for many jobs: in this process, in a pool of processes, or on a Dask cluster."""
 
 from __future__ import annotations
 
@@ -30,16 +30,16 @@ T = TypeVar("T")
 R = TypeVar("R")
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 _DEATHS = 3  # in a row, without a result between them
-_LISTENS_S = 0.2  # between two looks at whether the workers are gone
-_AHEAD = 2  # items a worker that are handed over before they are needed
+_LISTENS_S = 0.2  # time between two checks for lost workers
+_AHEAD = 2  # items per worker that are sent in advance
 _TIMEOUT_S = 10.0
-_CALLS_AHEAD = 4  # calls a worker thread that the scheduler has in hand
-_LEAST_AHEAD = 64  # so that workers that join later find something to do
+_CALLS_AHEAD = 4  # calls per worker thread that the scheduler holds
+_LEAST_AHEAD = 64  # so that later workers get items
 _ONE_AT_A_TIME = threading.Lock()
 
 
 class Backend(ABC):
-    """Calls one function for many items; every item gives one result, however often its worker dies on the way."""
+    """Executor of one function for many items; every item gives one result, even if its worker dies repeatedly."""
 
     def check(self) -> None:  # noqa: B027  # only what is elsewhere can be missing
         """Check that workers are available, before anything is written.
@@ -50,11 +50,11 @@ class Backend(ABC):
 
     @abstractmethod
     def results(self, function: Callable[[T], R], items: Iterable[T]) -> Iterator[R]:
-        """Results as they come, in any order.
+        """Return results in the order of completion.
 
         Args:
             function: of a module, so that another process can import it.
-            items: taken as they are needed, a few ahead of the workers; each can be pickled.
+            items: taken when needed, a few ahead of the workers; each can be pickled.
 
         Raises:
             ConfigError: if workers die repeatedly, or there are none.
@@ -64,7 +64,7 @@ class Backend(ABC):
 
 @final
 class InTurn(Backend):
-    """Calls one after the other in this process, on one thread."""
+    """Executor in this process, on one thread, one call after the other."""
 
     def results(self, function: Callable[[T], R], items: Iterable[T]) -> Iterator[R]:
         with threadpool_limits(limits=1):
@@ -74,14 +74,14 @@ class InTurn(Backend):
 
 @final
 class Processes(Backend):
-    """Pool of processes, one thread each."""
+    """Executor with a pool of processes, one thread each."""
 
     def __init__(self, workers: int, where: str = "") -> None:
         self.workers = workers
         self._where = where
 
     def results(self, function: Callable[[T], R], items: Iterable[T]) -> Iterator[R]:
-        """See `Backend`.
+        """Return results in the order of completion, see `Backend`.
 
         Raises:
             ConfigError: if workers died three times without a result between.
@@ -101,11 +101,11 @@ class Processes(Backend):
                         f"{self._where}: worker processes died {deaths} times without a result (out of memory?); "
                         "the same command goes on, with fewer --jobs"
                     ) from None
-                # Which call has killed its worker nobody knows; none of these has given its result yet.
+                # The call that has killed its worker is unknown; none of these has given its result yet.
                 rest = chain(list(pending.values()), rest)
 
     def _until_broken(self, function: Callable[[T], R], items: Iterator[T], pending: dict[Future[R], T]) -> Iterator[R]:
-        """Results of one pool; `pending` holds what has been requested and not returned."""
+        """Results until the pool breaks; `pending` holds the items without a result."""
         # Not forked: torch's and numba's threads do not survive a fork.
         context = multiprocessing.get_context("spawn")
         with _safe_path(), _compilation_reports(context) as reports:
@@ -135,10 +135,7 @@ class Processes(Backend):
 
 @contextmanager
 def _safe_path() -> Iterator[None]:
-    """Keep files of the working folder from replacing modules in workers that are started meanwhile.
-
-    A worker is a Python process with a command to read, which would look into the working folder first.
-    """
+    """Context in which new workers, whose Python would search the working folder first, import no modules from it."""
     before = os.environ.get("PYTHONSAFEPATH")
     os.environ["PYTHONSAFEPATH"] = before or "1"
     try:
@@ -150,7 +147,7 @@ def _safe_path() -> Iterator[None]:
 
 @contextmanager
 def _compilation_reports(context: SpawnContext) -> Iterator[Connection]:
-    """Pipe by which workers report what they compile; this process informs its own observers."""
+    """Pipe by which workers report compilations, which are passed on to the observers of this process."""
     ears, mouth = context.Pipe(duplex=False)
     over, latest = threading.Event(), dict[int, Compilation]()
 
@@ -169,13 +166,13 @@ def _compilation_reports(context: SpawnContext) -> Iterator[Connection]:
         over.set()
         listener.join()
         if latest:
-            PROCESS.tell(replace(joint(latest.values()), busy=False))  # whatever a worker was at, it is gone
+            PROCESS.tell(replace(joint(latest.values()), busy=False))  # the workers' compilations have ended with them
         mouth.close()
         ears.close()
 
 
 def _submitted(pool: ProcessPoolExecutor, function: Callable[[T], R], item: T) -> Future[R]:
-    """The call's future, already broken where the pool is."""
+    """Future of a call, already failed if the pool is broken."""
     try:
         return pool.submit(function, item)
     except BrokenProcessPool as error:
@@ -190,17 +187,14 @@ def _end(children: Iterable[BaseProcess]) -> None:
 
 
 def prepare_worker(reports: Connection | None = None) -> None:
-    """Limit the worker to one thread; it ignores Ctrl-C, which is for the main process.
-
-    `reports` is the pipe for reports of compilation, whose lines are short enough to be written whole by each worker.
-    """
+    """Limit the worker to one thread, ignore Ctrl-C (for the main process), and report compilations to a pipe."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     os.environ.update(dict.fromkeys(THREADS, "1"))  # for libraries that are loaded later
     threadpool_limits(limits=1)
     if reports is not None:
 
         def tell(compilation: Compilation) -> None:
-            with suppress(OSError):  # nobody listens any more
+            with suppress(OSError):  # no reader is left
                 reports.send((os.getpid(), compilation))
 
         PROCESS.observers.append(tell)
@@ -208,9 +202,10 @@ def prepare_worker(reports: Connection | None = None) -> None:
 
 @final
 class DaskCluster(Backend):
-    """A running Dask cluster. Workers need this package, and model files where the settings name them.
+    """Executor on a running Dask cluster.
 
-    `address` is that of a scheduler, such as `tcp://host:8786`; `tls://` with the certificates of Dask's configuration.
+    Workers need this package, and model files where the settings name them. `address` is that of a scheduler, such as
+    `tcp://host:8786`; `tls://` with the certificates of Dask's configuration.
     """
 
     def __init__(self, address: str, where: str = "") -> None:
@@ -221,7 +216,7 @@ class DaskCluster(Backend):
             pass
 
     def results(self, function: Callable[[T], R], items: Iterable[T]) -> Iterator[R]:
-        """See `Backend`.
+        """Return results in the order of completion, see `Backend`.
 
         Raises:
             ConfigError: if no scheduler answers, or a call has killed its workers four times.
@@ -251,7 +246,7 @@ class DaskCluster(Backend):
 
     @contextmanager
     def _client(self) -> Iterator[Any]:
-        """A connection; a `ConfigError` if no scheduler answers."""
+        """Connection to the scheduler; a `ConfigError` if none answers."""
         from distributed import Client
 
         try:
@@ -264,7 +259,7 @@ class DaskCluster(Backend):
 
 
 def alone(function: Callable[[T], R], item: T) -> R:
-    """Result of the call on one thread, with no parallel call in this process, however many threads the worker has."""
+    """Call `function` on one thread without parallel calls in this process, however many threads the worker has."""
     with _ONE_AT_A_TIME, threadpool_limits(limits=1):
         os.environ.update(dict.fromkeys(THREADS, "1"))
         return function(item)
@@ -280,17 +275,13 @@ def run_jobs(
     progress: Progress | None = None,
     note: Callable[[R], str] = lambda result: "",
 ) -> Iterator[R]:
-    """Results of the jobs that are not done yet, as they come, in any order.
+    """Execute the jobs that are not done yet; results are in the order of completion.
 
     A job whose worker dies is repeated. An error of `function` ends all; see `attempt` for jobs that may fail. Errors
     and `function` are those of `Backend.results`.
 
     Args:
-        jobs: taken as they are needed, a few ahead of the workers; each can be pickled.
-        is_done: whether a job was done by an earlier call.
-        total: number of jobs, for `progress`; it is not called where left out.
-        progress: called after every job; jobs done earlier count.
-        note: text for `progress`.
+        total: number of jobs; `progress` is called only if it is given.
     """
     kept = 0
 
@@ -310,7 +301,7 @@ def run_jobs(
 
 @dataclass(frozen=True)
 class Attempt(Generic[R]):
-    """Result of a call that may have failed: its value, None after a failure, and the wall time [s]."""
+    """Result of a call that may have failed: value (None after a failure) and wall time [s]."""
 
     value: R | None
     raised: Exception | None
@@ -318,14 +309,14 @@ class Attempt(Generic[R]):
 
     @property
     def error(self) -> str:
-        """The exception as one line, with its type where it is foreign to this package; empty if there is none."""
+        """Exception as one line, with its type if it is external to this package; empty without one."""
         known = self.raised is None or isinstance(self.raised, HystmpcError)
         text = str(self.raised or "") if known else f"{type(self.raised).__name__}: {self.raised}"
         return " ".join(text.split())
 
 
 def attempt(call: Callable[[], R]) -> Attempt[R]:
-    """Result of a call whose failure must not cost the other jobs their time.
+    """Return the result of a call; its failure must not end the other jobs.
 
     Raises:
         KeyboardInterrupt: if the user ended it; half a job is no result.
@@ -341,10 +332,10 @@ def attempt(call: Callable[[], R]) -> Attempt[R]:
 
 
 def backend_for(workers: int, cluster: str | None = None, where: str = "") -> Backend:
-    """Back end for a number of processes, each on one thread; with 1 and no cluster the calls are made in this process.
+    """Return the executor for a number of processes, each on one thread; 1 without a cluster means this process.
 
     `cluster` is the address of a Dask scheduler such as `tcp://host:8786`. None or `local` stands for processes of this
-    machine, which use pipes: an own scheduler would listen, and execute what anybody on the machine sends it.
+    machine, which use pipes: a local scheduler would execute code from any user of the machine.
 
     Raises:
         ConfigError: if the address is invalid, or Dask is not installed.

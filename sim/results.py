@@ -1,4 +1,4 @@
-"""Results of a closed-loop study: metrics, runs as log columns, and run folders read back."""
+"""Results of a closed-loop study: metrics, log columns of the runs, and run folders read back."""
 
 from __future__ import annotations
 
@@ -47,9 +47,10 @@ _REST = "held_before"  # the command before the first sample
 
 @dataclass(frozen=True)
 class TrackingMetrics:
-    """Metrics of one run. Errors are true angle minus reference; a hold is a reference at rest for 0.5 s or longer.
+    """Metrics of one closed-loop run.
 
-    Errors and holds of an approach do not count; commands and times do.
+    Errors are true angle minus reference; a hold is a reference at rest for 0.5 s or longer. Errors and holds of an
+    approach do not count; commands and times do.
 
     Attributes:
         rmse_deg, max_abs_deg: root mean square and greatest absolute error [deg].
@@ -73,7 +74,7 @@ class TrackingMetrics:
 
 
 def tracking_metrics(run: ClosedLoopRun, limits: CommandLimits) -> TrackingMetrics:
-    """Metrics of one run under the limits of its controller."""
+    """Compute the metrics of one run under the limits of its controller."""
     error, command = run.counted_deg, run.log.command[run.first :]
     halves = [(a + (b - a) // 2, b) for a, b in holds(run.log.reference_deg[run.first :], run.dt)]
     still = np.concatenate([np.abs(error[a:b]) for a, b in halves]) if halves else np.array([math.nan])
@@ -92,7 +93,7 @@ def tracking_metrics(run: ClosedLoopRun, limits: CommandLimits) -> TrackingMetri
 
 
 def holds(reference_deg: Vec, dt_s: float) -> list[tuple[int, int]]:
-    """Start and stop (exclusive) of every stretch of at least 0.5 s over which the reference rests."""
+    """Return start and stop (exclusive) of every stretch of at least 0.5 s over which the reference rests."""
     still = np.abs(np.diff(reference_deg)) <= _STILL_DEG
     edges = np.diff(np.concatenate(([0], still.astype(np.int8), [0])))
     pairs = zip(np.flatnonzero(edges == 1).tolist(), np.flatnonzero(edges == -1).tolist(), strict=True)
@@ -100,7 +101,7 @@ def holds(reference_deg: Vec, dt_s: float) -> list[tuple[int, int]]:
 
 
 def violations(command: Vec, before: float, limits: CommandLimits, dt_s: float) -> int:
-    """Samples whose command, or its change from the one before, is not finite or beyond the limits."""
+    """Number of samples whose command, or its change from the one before, is not finite or beyond the limits."""
     slack = _ROUNDING * (limits.upper - limits.lower)
     inside = (command >= limits.lower - slack) & (command <= limits.upper + slack)
     slow = np.abs(np.diff(command, prepend=before)) <= limits.rate * dt_s + slack
@@ -108,7 +109,7 @@ def violations(command: Vec, before: float, limits: CommandLimits, dt_s: float) 
 
 
 def log_columns(run: ClosedLoopRun) -> dict[str, Sequence[str] | Vec]:
-    """Columns (N,) of `log.csv`; every angle belongs to the end of its sample, the command to all of it."""
+    """Return the columns (N,) of `log.csv`; every angle belongs to the end of its sample, the command to all of it."""
     log = run.log
     numbers = {column: getattr(log, field) for column, field in _LOOP.items()}
     stages = {f"{_STAGE}{name.replace(' ', '_')}_s": seconds for name, seconds in log.stage_s.items()}
@@ -120,12 +121,10 @@ def log_columns(run: ClosedLoopRun) -> dict[str, Sequence[str] | Vec]:
 
 
 def run_from(columns: Mapping[str, Column], lowest: float, where: str) -> ClosedLoopRun:
-    """Run of a log.
+    """Return the run of a log.
 
     Args:
-        columns: of `log.csv`.
-        lowest: rest command of the plant, for logs of older versions, which lack it.
-        where: prefix of messages.
+        lowest: rest command of the plant, for logs of older versions without it.
 
     Raises:
         LogError: if a column is missing.
@@ -158,7 +157,7 @@ def _numbers(column: Column) -> Vec:
 
 @dataclass(frozen=True, eq=False)
 class Result:
-    """One controller along one motion: names, its limits, the run and its metrics."""
+    """Result of one controller along one motion: names, limits, run and metrics."""
 
     motion: str
     controller: str
@@ -174,13 +173,12 @@ class Result:
 
 @dataclass(frozen=True, eq=False)
 class StudyResult:
-    """All runs of a study.
+    """Results of all runs of a study.
 
     Attributes:
         config: the settings as they ran: files, limits and tuned gains.
         results: finished runs, motion by motion, in the order of the settings; at least one.
-        meta: versions, host, start and model hashes; empty without a folder.
-        warnings: angles of the motions beyond the reach of the model, a sentence each.
+        warnings: one sentence for each motion beyond the reach of the model.
     """
 
     config: SimulationConfig
@@ -198,21 +196,21 @@ class StudyResult:
         return self.results[0].run.unit
 
     def of_motion(self, motion: str) -> tuple[Result, ...]:
-        """The runs along one motion."""
+        """Results along one motion."""
         return tuple(result for result in self.results if result.motion == motion)
 
     @property
     def motions(self) -> tuple[str, ...]:
-        """Motions that were run, in order."""
+        """Names of the motions that were run, in order."""
         return tuple(dict.fromkeys(result.motion for result in self.results))
 
     @property
     def controllers(self) -> tuple[str, ...]:
-        """Controllers that were run, in order."""
+        """Names of the controllers that were run, in order."""
         return tuple(dict.fromkeys(result.controller for result in self.results))
 
     def plot(self, motion: str | None = None) -> Figure:
-        """Angle and command of every controller along one motion, the first where left out."""
+        """Draw angle and command of every controller along one motion, the first where left out."""
         return controllers_figure(self.of_motion(motion or self.motions[0]), looks(self.controllers), self.unit)
 
     def _repr_html_(self) -> str:
@@ -227,10 +225,7 @@ class StudyResult:
 
 
 def best_figures(runs: Sequence[Result]) -> frozenset[tuple[str, str]]:
-    """Controller and name of the figure for the least RMSE, greatest error and hold error along a motion.
-
-    Figures that agree to 0.001 deg, as the command prints them, are equally good.
-    """
+    """Return controller and metric for the least RMSE, greatest error and hold error, with ties to 0.001 deg."""
     names = ("rmse_deg", "max_abs_deg", "hold_error_deg") if len(runs) > 1 else ()
     figures = {(run.controller, name): round(getattr(run.metrics, name), 3) for run in runs for name in names}
     least = {name: min(value for (_, named), value in figures.items() if named == name) for name in names}
@@ -238,10 +233,7 @@ def best_figures(runs: Sequence[Result]) -> frozenset[tuple[str, str]]:
 
 
 def conclusion(result: StudyResult) -> str:
-    """Sentence on the controller with the least error over all motions, relative to the best of the other sort.
-
-    The sorts are controllers with and without prediction. Empty where there is nothing to compare.
-    """
+    """Return a sentence that compares the best controllers with and without prediction; empty with fewer than two."""
     errors: dict[str, float] = {}
     for name in result.controllers:
         rmse_deg = [run.metrics.rmse_deg for run in result.results if run.controller == name]
@@ -263,21 +255,21 @@ def conclusion(result: StudyResult) -> str:
 
 
 def approach_sentence(result: StudyResult) -> str:
-    """Sentence on the approaches, which do not count; empty without one."""
+    """Return a sentence on the approaches, which do not count; empty without one."""
     led = {run.motion: run.run.first * run.run.dt for run in result.results if run.run.first}
     times = ", ".join(f"{seconds:.1f} s of {motion}" for motion, seconds in led.items())
     return f"The first {times} lead from the rest to the start of the reference and do not count." if led else ""
 
 
 def colours(controllers: Sequence[str]) -> dict[str, str]:
-    """One colour for each controller, the same in every figure of a study."""
-    from hystmpc.trials.report import PALETTE  # matplotlib, which a run does without
+    """Return one colour for each controller, the same in every figure of a study."""
+    from hystmpc.trials.report import PALETTE  # matplotlib, which a run does not need
 
     return {name: PALETTE[k % (len(PALETTE) - 1)] for k, name in enumerate(controllers)}
 
 
 def looks(controllers: Sequence[str]) -> dict[str, dict[str, Any]]:
-    """Colour and dashes for each controller, so that overlapping lines can be distinguished, in grey too."""
+    """Return colour and dashes of each controller, so that overlapping lines can be distinguished, also in grey."""
     from hystmpc.trials.report import DASHES
 
     colour = colours(controllers)
@@ -285,7 +277,7 @@ def looks(controllers: Sequence[str]) -> dict[str, dict[str, Any]]:
 
 
 def controllers_figure(results: Sequence[Result], look: Mapping[str, Mapping[str, Any]], unit: str) -> Figure:
-    """Angle and command over time of each controller along one motion, with reference and command limits."""
+    """Draw angle and command of each controller over time along one motion, with reference and command limits."""
     from hystmpc.trials.figures import TrackedLine, TrackedMotion, tracking_figure
 
     lines = []
@@ -299,13 +291,13 @@ def controllers_figure(results: Sequence[Result], look: Mapping[str, Mapping[str
 
 
 def result_of(config: SimulationConfig, motion: str, controller: str, run: ClosedLoopRun) -> Result:
-    """A run with its metrics under the limits of its controller."""
+    """Return a run with its metrics under the limits of its controller."""
     limits = limits_of(config, controller)
     return Result(motion, controller, limits, run, tracking_metrics(run, limits))
 
 
 def limits_of(config: SimulationConfig, controller: str) -> CommandLimits:
-    """Limits of the device, or the narrower ones of the controller.
+    """Return the limits of the device, or the narrower ones of the controller.
 
     Raises:
         ConfigError: if the settings leave the limits out.
@@ -318,7 +310,7 @@ def limits_of(config: SimulationConfig, controller: str) -> CommandLimits:
 
 @only_reads()
 def load_results(path: Path | str) -> StudyResult:
-    """Results in the run folder of a study, or of one run of a study; nothing outside the folder is opened.
+    """Read the results in the run folder of a study or of one run; no file outside the folder is opened.
 
     Raises:
         LogError: if it holds no run of a simulation.
@@ -338,7 +330,6 @@ def load_results(path: Path | str) -> StudyResult:
 
 
 def _runs(folder: RunFolder, config: SimulationConfig) -> Iterator[tuple[str, str, RunFolder]]:
-    """Motion, controller and folder of every run that was finished."""
     for motion in config.motions:
         for controller in config.controllers:
             below = folder.path / motion / controller

@@ -1,4 +1,4 @@
-"""A closed-loop study: files opened, models compiled, controllers built; one controller along one motion."""
+"""Closed-loop study: files opened, models compiled, controllers built, and runs of one controller along one motion."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ from .plants.device import make_plant, plant_files
 
 @dataclass(frozen=True, eq=False)
 class Study:
-    """A closed-loop study ready to run: plant, model, limits, motions."""
+    """Closed-loop study that is ready to run: plant, model, limits, motions."""
 
     config: SimulationConfig
     plant: ComputedPlant
@@ -50,7 +50,7 @@ class Study:
     files: tuple[Path, ...]
 
     def controller(self, settings: AnyControllerSettings) -> GuardedController[Any]:
-        """A controller on this study's model.
+        """Build a controller on this study's model.
 
         Raises:
             ControllerError: if the settings contradict each other or go beyond the limits.
@@ -60,33 +60,33 @@ class Study:
     def run(
         self, settings: AnyControllerSettings, motion: str, on_sample: Callable[[LoopSample], None] | None = None
     ) -> ClosedLoopRun:
-        """Run of one controller along one motion.
+        """Run one controller along one motion.
 
         Raises:
             ControllerError: if the settings contradict each other or go beyond the limits.
-            KeyboardInterrupt: if the user ended it; half a run is no result.
+            KeyboardInterrupt: if the user ended it, since an unfinished run is no result.
         """
         reference, approach_s = self.motions[motion], self.approach_s[motion]
         run = run_closed_loop(
             self.controller(settings), self.plant, reference, on_sample, self.config.sensor, approach_s
         )
         if run.log.interrupted:
-            raise KeyboardInterrupt  # the loop itself ends quietly
+            raise KeyboardInterrupt  # after Ctrl-C the loop itself returns normally
         return run
 
     def warnings(self) -> tuple[str, ...]:
-        """Angles of the motions beyond the reach of the model, a sentence each."""
+        """One sentence for each motion beyond the reach of the model."""
         reach = angles_at_rest(self.model.predictive[0], self.limits, self.plant.true_angle)
         sentences = {name: beyond_reach(_angles(motion), reach) for name, motion in self.motions.items()}
         return tuple(f"{name} {beyond}." for name, beyond in sentences.items() if beyond)
 
     def steps(self, motion: str) -> int:
-        """Samples that a motion takes."""
+        """Number of samples of a motion."""
         return PreviewTable(self.motions[motion], self.plant.dt, 1).steps
 
 
 def prepare(config: SimulationConfig, known: ControllerModel | None = None) -> Study:
-    """Open and build everything that a study needs; any fault of the settings is raised here.
+    """Open and build everything that a study needs; all faults of the settings are raised here.
 
     `known` is the `controller_model` of the same `model`, `inverse` and `actuator_lag_s`; opened where left out.
 
@@ -134,10 +134,7 @@ def _angles(motion: Trajectory) -> Vec:
 
 
 def _led_to(motion: Trajectory, rest_deg: float | None, dt_s: float) -> tuple[Trajectory, float]:
-    """Motion after an approach from the rest where it starts far from it, and the duration of the approach [s].
-
-    Without an approach, the error of the first jump would dominate all others.
-    """
+    """Motion after an approach, so that no first jump dominates the error, and the approach's duration [s]."""
     angles = _angles(motion)
     start = float(angles[0])
     if rest_deg is None or abs(start - rest_deg) <= _FAR * float(np.ptp(np.append(angles, rest_deg))):
@@ -151,11 +148,11 @@ def _as_settings(limits: CommandLimits) -> ModelledLimitsSettings:
 
 
 def _warm_up(study: Study, name: str, settings: AnyControllerSettings) -> None:
-    """Build a controller and take a step, so that faults show before any run, and kernels are compiled by then."""
+    """Build a controller and take one step, to raise errors before any run and to compile kernels."""
     try:
         controller, y = study.controller(settings), study.plant.reset()
         state = controller.init(y, study.plant.rest_command)
-        controller.step(state, y, np.full(controller.horizon, y + 1.0))  # a reference at rest would plan nothing
+        controller.step(state, y, np.full(controller.horizon, y + 1.0))  # with a reference at rest no plan is made
     except ControllerError as error:
         raise ControllerError(f"controllers.{name}: {error}") from None
 
@@ -169,17 +166,17 @@ class ClosedLoopRun:
     rest_command: float  # command held before the first sample
     dt: float  # sample time [s]
     unit: str
-    first: int = 0  # number of the first sample that counts, after the approach
+    first: int = 0  # first sample that counts, after the approach
     __repr__ = brief
 
     @property
     def error_deg(self) -> Vec:
-        """True angle less reference (N,) [deg]."""
+        """True angle minus reference (N,) [deg]."""
         return self.true_deg - self.log.reference_deg
 
     @property
     def counted_deg(self) -> Vec:
-        """The part of `error_deg` that counts [deg]."""
+        """Part of `error_deg` after the approach [deg]."""
         return self.error_deg[self.first :]
 
 
@@ -191,12 +188,11 @@ def run_closed_loop(
     sensor: AnySensorSettings | None = None,
     approach_s: float = 0.0,
 ) -> ClosedLoopRun:
-    """Follow a motion once from the plant's rest, as fast as it computes.
+    """Run a controller along a motion once, from the plant's rest, without waiting for real time.
 
     Args:
-        sensor: of the controller; the plant's angle in every sample where left out. The frames of an imaging system
-            show the true angle with their own noise, drawn from the plant's seed; without a sensor the true rest is
-            declared.
+        sensor: of the controller; the plant's angle in every sample where left out. Frames of an imaging system show
+            the true angle with noise from the plant's seed; without a sensor the true rest is declared.
         approach_s: duration at the motion's beginning that does not count, a whole number of samples [s].
 
     Raises:

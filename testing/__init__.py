@@ -1,4 +1,4 @@
-"""Contract tests for classes of a laboratory, simulated devices for these tests, and templates of classes."""
+"""Contract tests for external classes, simulated devices for these tests, and templates of classes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Contract tests of effects: what simulators and the diagnosis rely on."""
+"""Contract tests of effects, on which simulators and the diagnosis rely."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ class EffectContract:
     """Contract tests of an effect: derive a class whose name begins with `Test`, give it `effect`, run pytest.
 
     Attributes:
-        effect: that is tested; it need not be installed for that.
+        effect: effect under test; need not be installed.
         jumps: share of the samples in which the equation may jump, and has no derivative.
-        moves_at_rest: whether the effect is a motion of its own, such as a drift.
+        moves_at_rest: whether the effect moves without input, as a drift does.
     """
 
     effect: Effect
@@ -71,10 +71,7 @@ class EffectContract:
                     require(bool(np.all(np.isfinite(y))), f"not finite at the bounds {values}")
 
     def test_its_derivatives_are_those_of_its_equation(self) -> None:
-        """Derivatives by input and parameters lie between the two one-sided difference quotients.
-
-        Fits and controllers go by these derivatives. They are compared with the values of `shown`.
-        """
+        """Derivatives by input and parameters at `shown` lie between the one-sided difference quotients."""
         for operator in (self._with(values) for values in self.effect.shown):
             off = _derivative_errors(operator, next(self._signals())[1])
             wrong = float(np.mean(off > _NEAR))
@@ -110,7 +107,6 @@ class EffectContract:
                     require(f.lower <= value <= f.upper, f"{form.label}: {f.name} starts at {value}, beyond its bounds")
 
     def _operators(self) -> Iterator[Operator]:
-        """An operator of each form of the effect."""
         kinds = (self.effect.operator, *self.effect.other_forms)
         for kind in kinds:
             yield kind.template(**{key: kind.default_sizes.get(key, 1) for key in kind.shape})
@@ -128,7 +124,7 @@ class EffectContract:
             yield self._with(values)
 
     def _signals(self) -> Iterator[tuple[str, Vec]]:
-        """Test signal for each side: a growing sine, holds, steps and noise in the range of a catheter."""
+        """Test signals for each side: a growing sine, holds, steps and noise in the range of a catheter."""
         random, t = np.random.default_rng(1), _DT_S * np.arange(150)
         motion = 3.0 - np.cos(2.0 * t) * np.minimum(t, 3.0)
         motion[50:65] = motion[50]
@@ -164,7 +160,7 @@ def _derivative_errors(operator: Operator, u: Vec) -> Vec:
     slope = ca.Function("slope", [x, given, p], [ca.jacobian(y, ca.vertcat(given, p))])
     values = np.array(operator.values)
     inside = [p.lower < v < p.upper for p, v in zip(operator.parameters, operator.values, strict=True)]
-    free = [0, *(1 + np.flatnonzero(inside))]  # at a bound there is one side alone
+    free = [0, *(1 + np.flatnonzero(inside))]  # at a bound only one side is free
     state, off = operator.at_rest(ca.DM(u[0]), ca.DM(u[0]), ca.DM(values)), np.empty(u.size)
     for k, command in enumerate(u.tolist()):
         exact, point = np.asarray(slope(state, command, values)).ravel(), np.r_[command, values]

@@ -1,4 +1,4 @@
-"""Contract tests of control laws: what the closed loop relies on."""
+"""Contract tests of control laws, on which the closed loop relies."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _STEPS = 200
 
 @dataclass(frozen=True, eq=False)
 class KnownDevice:
-    """Simulated device whose model the control law knows exactly; the angles at its limits in [deg]."""
+    """Simulated device whose model the control law knows exactly; angles at its limits [deg]."""
 
     known: ControllerModel
     limits: CommandLimits
@@ -53,10 +53,9 @@ class LawRun:
 class ControllerContract(ABC):
     """Contract tests of a control law: derive a class whose name begins with `Test`, give it `settings`, run pytest.
 
-    The device is a Prandtl-Ishlinskii model, which the law may know: `model` names another.
 
     Attributes:
-        model: a simulator (.yaml), an exported model (.onnx), or `builtin:NAME`.
+        model: model of the device: a simulator (.yaml), an exported model (.onnx), or `builtin:NAME`.
         settled_deg: greatest error at the end of a hold of eight seconds [deg].
     """
 
@@ -68,7 +67,7 @@ class ControllerContract(ABC):
         """Settings of the controller under test."""
 
     def test_its_settings_are_read_as_they_are_written(self) -> None:
-        """Settings that are written and read back are equal, and unknown keys are refused."""
+        """Settings written to a file and read back are equal, and unknown keys are refused."""
         settings = self.settings()
         second = type(settings).parse(settings.model_dump(mode="json"))
         require(second == settings, f"written {settings}, read {second}")
@@ -79,7 +78,7 @@ class ControllerContract(ABC):
         require(False, "a key that does not exist is taken")
 
     def test_it_comes_to_rest(self) -> None:
-        """Late in a hold the command moves by less than a hundredth of its range: there is no limit cycle."""
+        """Late in a hold the command moves by less than a hundredth of its range, without a limit cycle."""
         commands = self._follow(np.full(_STEPS, self._device.middle_deg)).commands[-_STEPS // 2 :]
         moved, limits = float(np.ptp(commands)), self._device.limits
         require(moved < 0.01 * (limits.upper - limits.lower), f"in a hold the command moves by {moved:.3g}")
@@ -144,7 +143,6 @@ class ControllerContract(ABC):
         return build_controller(settings, *pair_for(settings, self._device.known), self._device.limits)
 
     def _follow(self, reference: Vec, missing: range = range(0)) -> LawRun:
-        """Simulate the closed loop on the known device."""
         plant, controller, y = self._device.known.predictive[0], self._controller, self._device.low_deg
         device = plant.initial(y, self._device.limits.lower)
         state = controller.init(y, self._device.limits.lower)

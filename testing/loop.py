@@ -1,7 +1,7 @@
 """Contract tests of the control loop with a transport that raises, hangs or returns invalid readings.
 
-Limits, ramps, stop and latch are the loop's. A transport can lose them nothing: it only can lose the wire, and then the
-run ends, says that the safe command was not sent, and the device's own watchdog has to act.
+Limits, ramps, stop and latch belong to the loop and do not depend on the transport. If the connection is lost, the run
+ends and reports that the safe command was not sent; the device's watchdog has to act.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ _AWAY = 1.0  # command to which the tests move, far from the safe one
 @final
 @dataclass
 class _Dropped:
-    """Sink that counts samples and stores none."""
+    """Recorder that counts samples and stores none."""
 
     samples: int = 0
 
@@ -44,7 +44,7 @@ class _Dropped:
         self.samples += 1
 
     def close(self) -> None:
-        """Nothing is open."""
+        """Close nothing: no file is open."""
 
 
 @final
@@ -63,12 +63,12 @@ class _Failing(Transport):
 
     @property
     def fails(self) -> bool:
-        """Whether it has begun to fail."""
+        """Whether the failure has begun."""
         return max(self.wrote, default=0.0) > 0.8 * _AWAY
 
     def read(self) -> Reading | None:
         reading = self.inner.read()
-        return self.reads(reading) if self.fails else reading  # type: ignore[return-value]  # nonsense is what it is for
+        return self.reads(reading) if self.fails else reading  # type: ignore[return-value]  # invalid on purpose
 
     def write(self, command: float) -> None:
         if self.fails:
@@ -84,10 +84,7 @@ class _Failing(Transport):
 
 
 class LoopContract(Wired):
-    """Contract tests of short runs over a transport, on a device that follows at once; each takes a second.
-
-    The wire speaks degrees and the run's unit.
-    """
+    """Contract tests of short runs over a transport in degrees and command units, on a device that follows at once."""
 
     def test_a_run_ends_at_the_safe_command(self) -> None:
         """An undisturbed run ends at the safe command."""
@@ -114,7 +111,7 @@ class LoopContract(Wired):
         """Text in place of the angle stops the run."""
 
         def spoilt(reading: Reading | None) -> Reading | None:
-            return reading and replace(reading, angle_deg="30.0", held=None)  # type: ignore[arg-type]  # nonsense
+            return reading and replace(reading, angle_deg="30.0", held=None)  # type: ignore[arg-type]  # invalid on purpose
 
         self._stops(True, reads=spoilt)
 
@@ -149,13 +146,7 @@ class LoopContract(Wired):
         self._stops(False, hangs="writes")
 
     def _stops(self, reached: bool, hangs: str = "", **how: Callable[..., object]) -> None:
-        """Run the loop over a transport that fails; it stops, and claims no more than is true.
-
-        Args:
-            reached: whether the wire still takes commands, so that the device is led to the safe one.
-            hangs: call that does not come back, `reads` or `writes`.
-            how: what the calls do, see `_Failing`.
-        """
+        """Run the loop over a failing transport; it has to stop and to report the sent commands correctly."""
         with self.connected() as c, TemporaryDirectory() as folder, _hanging() as hang:
             how |= {hangs: hang} if hangs else {}
             transport = _Failing(c.transport, **how)  # type: ignore[arg-type]  # names of its fields
@@ -183,7 +174,6 @@ class LoopContract(Wired):
         require(self.near(got[-1], 0.0), f"the last command has to be the safe one, 0; the device got {got[-1]}")
 
     def _run(self, c: Connected, transport: Transport, silence_s: float, folder: Path | None = None) -> BenchResult:
-        """Run the loop: a motion to `_AWAY` and a hold of a second."""
         with TemporaryDirectory() as spare:
             settings = BenchSettings.parse(
                 {
@@ -218,7 +208,7 @@ class LoopContract(Wired):
 
 @contextmanager
 def _following(c: Connected) -> Iterator[None]:
-    """Context with a simulated device, 100 samples a second, that holds the last command and follows at once."""
+    """Context with a simulated device, 100 samples per second, that holds the last command and follows at once."""
     over = Event()
 
     def go() -> None:
@@ -237,7 +227,6 @@ def _following(c: Connected) -> Iterator[None]:
 
 @contextmanager
 def _hanging() -> Iterator[Callable[..., None]]:
-    """Context with a function that blocks until its end."""
     over = Event()
 
     def hang(*reading: object) -> None:

@@ -1,4 +1,4 @@
-"""Contract tests of models, of kinds of models, and of plants behind the closed loop."""
+"""Contract tests of models, kinds of models, and plants of the closed loop."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class ModelContract(ABC):
 
     Attributes:
         low, high: ends of the command's range [mm or bar].
-        creeps: whether the angle moves on, for longer than 20 s, while the command rests.
+        creeps: whether the angle moves for longer than 20 s while the command rests.
     """
 
     low: float = 0.0
@@ -41,10 +41,10 @@ class ModelContract(ABC):
 
     @abstractmethod
     def model(self) -> Model:
-        """The model that is tested: of a class of yours, or what `hystmpc.load_model` opens."""
+        """Model under test: an object of an external class, or of `hystmpc.load_model`."""
 
     def test_it_starts_at_the_measured_angle(self) -> None:
-        """`output(initial(y))` is y, for every row."""
+        """`output(initial(y))` equals y, for every row."""
         y = np.quantile(self._angles, [0.1, 0.3, 0.5, 0.7, 0.9])[:, None]
         x = self._model.initial(y)
         require(x.shape == (5, self._model.nx), f"initial has the shape {x.shape}, expected (5, nx = {self._model.nx})")
@@ -60,7 +60,7 @@ class ModelContract(ABC):
         self._same(self._model.step(x, u), once, "the same state and command give another next state")
 
     def test_a_batch_is_its_rows(self) -> None:
-        """A batch gives the same as its rows one by one."""
+        """A batch gives the same results as its rows one by one."""
         x, u = self._states(), np.linspace(self.low, self.high, 4)[:, None]
         rows = [self._model.output(self._model.step(x[k : k + 1], u[k : k + 1])) for k in range(4)]
         self._same(self._model.output(self._model.step(x, u)), np.vstack(rows), "a batch differs from its rows")
@@ -90,7 +90,6 @@ class ModelContract(ABC):
         return _run(self._model, self.low + (self.high - self.low) * share, self._first())
 
     def _first(self) -> float:
-        """Angle at which a motion begins [deg]."""
         return self._model.metadata.trained_angle.lower if isinstance(self._model, LoadedModel) else 0.0
 
     def _count(self, seconds: float) -> int:
@@ -112,12 +111,12 @@ class ModelContract(ABC):
 class KindContract(ModelContract):
     """Contract tests of a kind of model: derive a class whose name begins with `Test`, give it `kind`, run pytest.
 
-    The trials are those of a simulated catheter with backlash. The model that is identified from them is exported,
-    loaded, and has to keep `ModelContract` as well.
+    The trials are those of a simulated catheter with backlash. The model fitted to them, exported and loaded, has to
+    pass `ModelContract`.
 
     Attributes:
-        kind: that is tested; it need not be installed for that.
-        request: what the fit is asked for, such as few steps.
+        kind: kind under test; need not be installed.
+        request: options of the fit, such as few steps.
         share: greatest error of a free run on a trial left out, as a share of the spread of its angle.
     """
 
@@ -136,14 +135,14 @@ class KindContract(ModelContract):
             return load_onnx(file)
 
     def test_it_follows_a_trial_that_it_has_not_seen(self) -> None:
-        """The free run errs by less than `share` of the standard deviation of the angle."""
+        """The free run has an error of less than `share` of the standard deviation of the angle."""
         last = self._trials[-1]
         rmse = evaluate(self._loaded, last).errors.rmse_deg
         most = self.share * float(np.std(last.angle))
         require(rmse <= most, f"errs by {rmse:.3g} deg RMS on a trial left out, expected at most {most:.3g} deg")
 
     def test_the_file_runs_as_its_reference(self) -> None:
-        """The graph that onnxruntime runs is the step that was identified, in every sample of a trial."""
+        """The graph in onnxruntime equals the identified step in every sample of a trial."""
         reference, trial = self._identified.bundle.reference, self._trials[-1]
         state, angles = self._loaded.at_rest(float(trial.angle[0]), float(trial.command[0]))[None], []
         for u in trial.command.tolist():
@@ -209,7 +208,7 @@ class PlantContract(ABC):
 
     @abstractmethod
     def plant(self) -> Plant:
-        """The plant that is tested."""
+        """Plant under test."""
 
     def test_a_reset_finds_it_at_rest_and_the_same_each_time(self) -> None:
         """The same commands give the same angles, whatever was done before the reset."""
@@ -248,7 +247,7 @@ class PlantContract(ABC):
         return self.plant()
 
     def _motion(self) -> Vec:
-        """Angles (T,) from a reset on [deg]; the plant is stopped behind it."""
+        """Angles (T,) from a reset on [deg]; the plant is stopped at the end."""
         k = np.arange(60)
         share = np.where(k < 40, 0.5 - 0.5 * np.cos(0.3 * k), k % 2)
         try:

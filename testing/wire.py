@@ -1,4 +1,4 @@
-"""Contract tests of transports, and the far end of a serial line, which needs no hardware."""
+"""Contract tests of transports, and a simulated device on a serial line, without hardware."""
 
 from __future__ import annotations
 
@@ -22,14 +22,13 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class Connected:
-    """A transport, open, and the device's end of its wire.
+    """Open transport, and the device's end of the connection.
 
     Attributes:
-        transport: that is tested.
-        tell: makes the device send one measurement: angle, and the command that it holds.
-        heard: all commands that the device has got so far, the oldest first.
-        spoil: sends rubbish to the transport; None where that cannot be done.
-        cut: pulls the plug; None where that cannot be done.
+        tell: makes the device send one measurement: angle and held command.
+        heard: all commands that the device has received, the oldest first.
+        spoil: sends invalid data to the transport; None if impossible.
+        cut: breaks the connection; None if impossible.
     """
 
     transport: Transport
@@ -40,11 +39,11 @@ class Connected:
 
 
 class Wired(ABC):
-    """Base of the contracts of transports: the connection to a device that the test simulates.
+    """Base of the contract tests of transports: the connection to a device simulated by the test.
 
     Attributes:
         resolution: of angles and commands on the wire, in its units.
-        keeps: whether the wire keeps measurements until they are read; a device that is asked tells only the newest.
+        keeps: whether measurements are queued until they are read; a polled device returns only the newest.
     """
 
     resolution: float = 1e-3
@@ -52,10 +51,10 @@ class Wired(ABC):
 
     @abstractmethod
     def connected(self) -> AbstractContextManager[Connected]:
-        """A transport and its device; both are closed behind it."""
+        """Context with a transport and its device, both closed at the end."""
 
     def near(self, got: float, expected: float) -> bool:
-        """Whether two numbers are equal to the resolution of the wire."""
+        """Whether two numbers are equal up to the resolution of the wire."""
         return abs(got - expected) <= self.resolution
 
 
@@ -199,11 +198,11 @@ class LineDevice:
         self.cut()
 
     def tell(self, angle: float, held: float) -> None:
-        """Send one measurement; it is lost if nobody reads the line, as on a real one."""
+        """Send one measurement; it is lost if no program reads the line, as on a real one."""
         self.say(self._say(angle, held) + b"\n")
 
     def say(self, data: bytes) -> None:
-        """Send any bytes."""
+        """Send arbitrary bytes."""
         if self._open:
             with suppress(BlockingIOError):
                 os.write(self._device_end, data)
@@ -217,7 +216,7 @@ class LineDevice:
         while self._open:
             try:
                 self._rest += os.read(self._device_end, 4096)
-            except OSError:  # nothing more has come
+            except OSError:  # no further data
                 break
         *lines, self._rest = self._rest.split(b"\n")
         self._commands += [command for line in lines if (command := self._hear(line)) is not None]
@@ -242,7 +241,7 @@ def require(holds: bool, text: str) -> None:
 
 
 def until(get: Callable[[], T | None]) -> T:
-    """The first result that is not None.
+    """Return the first result that is not None.
 
     Raises:
         AssertionError: if none comes within 5 s.
@@ -256,7 +255,7 @@ def until(get: Callable[[], T | None]) -> T:
 
 
 def number(transport: Transport) -> Reading | None:
-    """The next reading with a finite angle, if any; a transport may raise on invalid data."""
+    """Return the next reading with a finite angle, if any; a transport may raise on invalid data."""
     with suppress(Exception):
         reading = transport.read()
         return reading if reading is not None and math.isfinite(reading.angle_deg) else None
@@ -264,7 +263,7 @@ def number(transport: Transport) -> Reading | None:
 
 
 def contact(c: Connected) -> Reading:
-    """Wait until the device sends and listens and no reading is left on the wire; returns the last one."""
+    """Wait until the device sends and receives and all readings are read; returns the last one."""
 
     def answer() -> Reading | None:
         c.heard()

@@ -1,4 +1,4 @@
-"""References and excitations: what the tip shall do, and what commands a model is identified on.
+"""References of the tip angle, and excitation commands for the identification of models.
 
 A trajectory is any object with `duration_s` and `__call__(t)`; see `trajectory.Trajectory`. References are tip
 angles [deg]; the excitations of the papers (`excitation`) are commands [mm or bar].

@@ -1,4 +1,4 @@
-"""Motions in YAML: one settings block per kind, by the key `kind`."""
+"""Motions in settings files: one settings block per kind, selected by the key `kind`."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class SampledSettings(MotionSettings):
     file: Path
 
     def build(self, folder: Path | str = ".") -> Sampled:
-        """Read the file."""
+        """Read the CSV file."""
         return read_sampled(Path(folder) / self.file)
 
 

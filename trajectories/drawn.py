@@ -1,4 +1,4 @@
-"""References drawn at random within the reachable angles: moves with holds, and scans, each after an approach."""
+"""Random references within the reachable angles: moves with holds, and scans, each after an approach."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _SCAN_S = 10.0
 
 @dataclass(frozen=True, eq=False)
 class CountedMotion:
-    """A reference that begins with an approach.
+    """Reference that begins with an approach.
 
     Attributes:
         approach_s: time before it counts [s].
@@ -39,7 +39,7 @@ class CountedMotion:
         return math.ceil(self.approach_s / dt)
 
     def wanted(self, dt: float) -> Vec:
-        """Reference at the ends of the samples (N,) [deg]."""
+        """Return the reference at the ends of the samples (N,) [deg]."""
         table = PreviewTable(self.trajectory, dt, 1)
         return np.array([table.value(k + 1) for k in range(table.steps)])
 
@@ -54,15 +54,13 @@ def drawn_motions(
     moves: int = 5,
     scan_s: float = _SCAN_S,
 ) -> tuple[CountedMotion, ...]:
-    """Point to point with holds, then a sinusoid of each frequency, over ranges drawn within reachable angles.
+    """Draw a point-to-point motion with holds, and a sinusoid of each frequency, over ranges within reachable angles.
 
     Args:
-        random: to draw from.
         rest_deg: angle from which every motion begins [deg].
         reachable_deg: least and greatest angle [deg].
-        speed_deg_s: that no reference exceeds; a sinusoid that would gets a smaller amplitude [deg/s].
+        speed_deg_s: greatest speed of the references, by a smaller amplitude of sinusoids where needed [deg/s].
         scans_hz: frequency of each scan by its name [Hz].
-        moves: of point to point.
         scan_s: duration of a scan, rounded to whole periods, at least one [s].
 
     Raises:
@@ -107,12 +105,11 @@ def approached(
     limits: MotionLimits | None = None,
     dt_s: float | None = None,
 ) -> CountedMotion:
-    """A motion behind a move from rest to its start and a hold there.
+    """Return a motion preceded by a move from rest to its start and a hold there.
 
     Args:
         rest_deg, start_deg: ends of the move [deg].
-        limits: of the move.
-        dt_s: sample time of which the approach shall last a whole number [s].
+        dt_s: sample time [s]; the approach lasts a whole number of samples.
 
     Raises:
         TrajectoryError: if an angle is not finite.

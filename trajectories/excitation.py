@@ -1,4 +1,4 @@
-"""Excitation commands for identification and tests: those of the papers, and three minutes for a whole device.
+"""Excitation commands for identification and tests: those of the papers, and a set of about three minutes for a device.
 
 Where a paper is silent the value is an argument. S1 is Wu et al., RA-L 2021 (DOI 10.1109/LRA.2021.3061069): pressure
 [bar], 0 to 3. S2 is RA-L 2024, PMC11633443: tendon displacement [mm], 0 to 6.
@@ -24,7 +24,7 @@ from .trajectory import Trajectory, inside, require_positive
 
 
 class DecayingSine(TrajectorySettings):
-    """u(t) = A e^(-tau t) ( sin(2 pi (f + c t) t - pi/2) + a ) + B, for 0 <= t <= T.
+    """Decaying sinusoid u(t) = A e^(-tau t) ( sin(2 pi (f + c t) t - pi/2) + a ) + B, for 0 <= t <= T.
 
     The instantaneous frequency is f + 2 c t, not f + c t: a falling chirp (c < 0) stands still at t = -f / (2 c).
     Sources: Wu et al., RA-L 2021 (S1) eq. (5), (6), (10), (11); RA-L 2024, PMC11633443 (S2) eq. (9), (10).
@@ -51,19 +51,19 @@ class DecayingSine(TrajectorySettings):
     chirp_hz_per_s: float = 0.0
 
     def __call__(self, t: ArrayLike) -> Vec:
-        """Command [mm or bar] at `t` [s]."""
+        """Return the command [mm or bar] at `t` [s]."""
         time = inside(t, self.duration_s)
         wave = np.sin(2 * np.pi * (self.frequency_hz + self.chirp_hz_per_s * time) * time - np.pi / 2)
         envelope = self.amplitude * np.exp(-self.decay_per_s * time)
         return np.asarray(envelope * (wave + self.lift) + self.baseline)
 
 
-# Draws of one target before a step window counts as impossible; a window of 1 % of the range still passes.
+# Draws of one target before a step window counts as impossible; a window of 1 % of the range still succeeds.
 _MOST_DRAWS = 10_000
 
 
 class RampHold(PathMotion):
-    """Alternating ramps and holds; a ramp from x to y at rate v takes |y - x| / v.
+    """Command of alternating ramps and holds; a ramp from x to y at rate v takes |y - x| / v.
 
     Attributes:
         start: command at time 0 [mm or bar].
@@ -82,7 +82,7 @@ class RampHold(PathMotion):
 
     @cached_property
     def path(self) -> PiecewiseCubic:
-        """Ramps and holds, one after another.
+        """Path of ramps and holds, one after another.
 
         Raises:
             TrajectoryError: if the counts differ, or nothing moves or holds.
@@ -174,19 +174,19 @@ def _sine(amplitude: float, frequency_hz: float, decay_per_s: float, duration_s:
 def s1_zero_baseline(
     frequency_hz: float, decay_per_s: float = S1_TRAIN_DECAY_PER_S, duration_s: float = S1_GROUP_S
 ) -> DecayingSine:
-    """p1(t) = A e^(-tau t) ( sin(2 pi f t - pi/2) + 1 ) [bar], A = 1.5. S1 eq. (5)."""
+    """Command of S1 with zero baseline: p1(t) = A e^(-tau t) (sin(2 pi f t - pi/2) + 1) [bar], A = 1.5. S1 eq. (5)."""
     return _sine(S1_AMPLITUDE_BAR, frequency_hz, decay_per_s, duration_s)
 
 
 def s1_raised_baseline(
     frequency_hz: float, decay_per_s: float = S1_TRAIN_DECAY_PER_S, duration_s: float = S1_GROUP_S
 ) -> DecayingSine:
-    """p2(t) = A e^(-tau t) sin(2 pi f t - pi/2) + A [bar], A = 1.5. S1 eq. (6)."""
+    """Command of S1 with raised baseline: p2(t) = A e^(-tau t) sin(2 pi f t - pi/2) + A [bar], A = 1.5. S1 eq. (6)."""
     return _sine(S1_AMPLITUDE_BAR, frequency_hz, decay_per_s, duration_s, lift=0.0, baseline=S1_AMPLITUDE_BAR)
 
 
 def s2_sinusoid(frequency_hz: float, offset: Offset) -> DecayingSine:
-    """u(t) = A e^(-tau t) ( sin(2 pi f t - pi/2) + a ) + A b [mm], A = 3. S2 eq. (9), (10).
+    """Sinusoid of S2: u(t) = A e^(-tau t) ( sin(2 pi f t - pi/2) + a ) + A b [mm], A = 3. S2 eq. (9), (10).
 
     tau = (f / 6) ln 7 and T = 7 / f: seven periods, the amplitude is 1/7 after six. (a, b) is (1, 0) for `0BL`
     (minima at the pretension), (0, 1) for `MidBL`, (-1, 2) for `EndBL` (maxima at 6 mm). All start at u = 0.
@@ -203,7 +203,7 @@ def s2_sinusoid(frequency_hz: float, offset: Offset) -> DecayingSine:
 
 
 def s2_point_to_point(seed: int | np.random.Generator, split: Split = "train") -> RampHold:
-    """Ten constant-velocity moves and ten holds from u = 0 [mm]. S2 eq. (11).
+    """Point-to-point command of S2: ten constant-velocity moves and ten holds from u = 0 [mm]. S2 eq. (11).
 
     Targets U(0, 6) mm, speeds U(0.5, 6) mm/s. `train` (and validation): holds U(1, 5) s, 0.5 < |dx| < 3 mm;
     `test`: holds U(1, 10) s, |dx| free.
@@ -217,7 +217,7 @@ def s2_point_to_point(seed: int | np.random.Generator, split: Split = "train") -
 
 
 def s2_initialisation() -> DecayingSine:
-    """S2's initialisation flexure: one period of 0.1 Hz from 0 to 6 mm (90 deg) and back, to be discarded."""
+    """Initialisation flexure of S2: one period of 0.1 Hz from 0 to 6 mm (90 deg) and back, to be discarded."""
     return _sine(S2_TRAVEL_MM / 2, 0.1, 0.0, 10.0)
 
 
@@ -230,7 +230,7 @@ _INNER, _OUTER = 0.03, 0.97  # of the stroke
 def identification_motions(
     stroke: float, rate: float, random: np.random.Generator, share: float = 1.0
 ) -> Iterator[tuple[str, Trajectory]]:
-    """Commands from 0 to `stroke` by name: what separates lag, delay, creep and hysteresis from each other.
+    """Return commands from 0 to `stroke` by name, which separate lag, delay, creep and hysteresis.
 
     Steps and ramps with holds, long holds, slow, shrinking and fast sines, and reversals at random. Each begins at 0
     and ends anywhere; a sine may ask for more than `rate`, so that the caller limits the commands.
@@ -238,7 +238,7 @@ def identification_motions(
     Args:
         stroke: greatest command [mm or bar].
         rate: greatest change of the command per second.
-        random: what targets, speeds and holds are drawn from.
+        random: random generator of targets, speeds and holds.
         share: of the full length, see `WHOLE_S`.
 
     Raises:
@@ -269,7 +269,7 @@ def identification_motions(
 
 @dataclass(frozen=True)
 class _Cut:
-    """The beginning of a trajectory."""
+    """Beginning of a trajectory."""
 
     whole: Trajectory
     duration_s: float

@@ -1,4 +1,4 @@
-"""Motions of piecewise constant jerk: their settings and limits, states of motion, pieces, the angle along them."""
+"""Motions of piecewise constant jerk: settings, limits, states of motion, segments and their evaluation."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from .trajectory import Trajectory, inside
 
 
 class TrajectorySettings(Settings):
-    """Settings of a trajectory, from YAML or from a program, which may give them by position too.
+    """Base of the settings of trajectories, from YAML or from a program, also by position.
 
     Attributes:
         by_position: keys in the order of positions, where that is not the order of the fields.
@@ -59,7 +59,7 @@ NotNegativeBounds = Annotated[tuple[NotNegative, NotNegative], AfterValidator(_o
 
 
 class MotionLimits(TrajectorySettings):
-    """Greatest speed, acceleration and jerk of a tip-angle reference, either way.
+    """Greatest absolute speed, acceleration and jerk of a tip-angle reference.
 
     The defaults let a tendon catheter be driven at the 6 mm/s that S2 (RA-L 2024, PMC11633443) used, at about
     10 deg/mm, with ramps of a few tenths of a second.
@@ -79,10 +79,10 @@ class MotionLimits(TrajectorySettings):
 
 
 class MotionSettings(TrajectorySettings):
-    """Base of the motions that YAML can name by the key `kind`."""
+    """Base of the motions that YAML selects by the key `kind`."""
 
     def build(self, folder: Path | str = ".") -> Trajectory:
-        """The trajectory; relative file names start at `folder`.
+        """Return the trajectory; relative file names start at `folder`.
 
         Raises:
             TrajectoryError: if a file cannot be used, or no motion fits settings that are each valid.
@@ -90,17 +90,17 @@ class MotionSettings(TrajectorySettings):
         raise NotImplementedError
 
     def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> Self:
-        """The same motion with other settings, validated."""
+        """Return the same motion with other settings, validated."""
         del deep
         return type(self)(**{**{key: getattr(self, key) for key in type(self).model_fields}, **(update or {})})
 
 
 class PathMotion(MotionSettings):
-    """Base of the motions that are trajectories themselves, computed once into a path of simpler ones."""
+    """Base of the motions that are trajectories, computed once as a path of simpler ones."""
 
     @cached_property
     def path(self) -> Trajectory:
-        """Path of simpler trajectories."""
+        """Return the path of simpler trajectories."""
         raise NotImplementedError
 
     @property
@@ -113,7 +113,6 @@ class PathMotion(MotionSettings):
         return self.path(t)
 
     def build(self, folder: Path | str = ".") -> Self:
-        """The motion itself."""
         del folder
         return self
 
@@ -128,29 +127,29 @@ class PathMotion(MotionSettings):
 
 @dataclass(frozen=True)
 class Kinematics:
-    """A state of motion: angle [deg], velocity [deg/s], acceleration [deg/s^2]."""
+    """State of motion: angle [deg], velocity [deg/s], acceleration [deg/s^2]."""
 
     theta_deg: float
     velocity_deg_s: float = 0.0
     acceleration_deg_s2: float = 0.0
 
 
-# One row per piece: duration [s], then theta, velocity, acceleration at its start, and its jerk.
+# One row per segment: duration [s], then theta, velocity, acceleration at its start, and its jerk.
 Segments = NDArray[np.float64]
 
 
 def hold(value: float, duration_s: float) -> Segments:
-    """One piece that keeps `value`, shape (1, 5)."""
+    """Return one segment of constant value, shape (1, 5)."""
     return np.array([[duration_s, value, 0.0, 0.0, 0.0]])
 
 
 def ramp(start: float, end: float, duration_s: float) -> Segments:
-    """One piece of constant velocity, shape (1, 5)."""
+    """Return one segment of constant velocity, shape (1, 5)."""
     return np.array([[duration_s, start, (end - start) / duration_s, 0.0, 0.0]])
 
 
 def peak_rates(segments: Segments) -> tuple[float, float, float]:
-    """Greatest |velocity|, |acceleration| and |jerk| over all pieces, exactly (vertices included)."""
+    """Compute the greatest |velocity|, |acceleration| and |jerk| over all segments, exactly (vertices included)."""
     duration, _, v0, a0, jerk = segments.T
     vertex = np.clip(np.divide(-a0, jerk, out=np.zeros_like(jerk), where=jerk != 0), 0.0, duration)
     velocity = [v0 + a0 * s + jerk * s**2 / 2 for s in (np.zeros_like(duration), vertex, duration)]
@@ -159,14 +158,14 @@ def peak_rates(segments: Segments) -> tuple[float, float, float]:
 
 
 def end_state(segment: Vec) -> tuple[float, float, float]:
-    """Value, velocity and acceleration at the end of one piece (5,)."""
+    """Compute value, velocity and acceleration at the end of one segment (5,)."""
     s, p, v, a, j = (float(x) for x in segment)
     return p + s * (v + s * (a / 2 + s * j / 6)), v + s * (a + s * j / 2), a + s * j
 
 
 @dataclass(frozen=True, eq=False)
 class PiecewiseCubic:
-    """theta(t) = p + v s + a s^2/2 + j s^3/6 with s = t - t_i, the time since the start of piece i.
+    """Piecewise cubic theta(t) = p + v s + a s^2/2 + j s^3/6 with s = t - t_i, the time since the start of segment i.
 
     Attributes:
         segments: rows of duration [s], p [deg], v [deg/s], a [deg/s^2], j [deg/s^3], shape (M, 5).
@@ -188,7 +187,7 @@ class PiecewiseCubic:
         segments.setflags(write=False)
         object.__setattr__(self, "segments", segments)
         object.__setattr__(self, "_knots", np.concatenate(([0.0], np.cumsum(segments[:, 0]))))
-        # The row after the last piece holds its end value.
+        # The row after the last segment holds its end value.
         object.__setattr__(self, "_rows", np.vstack((segments[:, 1:], (end_state(segments[-1])[0], 0.0, 0.0, 0.0))))
 
     @property
@@ -197,7 +196,7 @@ class PiecewiseCubic:
         return float(self._knots[-1])
 
     def __call__(self, t: ArrayLike) -> Vec:
-        """Values at `t` [s]."""
+        """Return the values at `t` [s]."""
         time = inside(t, self.duration_s)
         piece = np.searchsorted(self._knots, time, side="right") - 1
         s, (p, v, a, j) = time - self._knots[piece], np.moveaxis(self._rows[piece], -1, 0)

@@ -1,4 +1,4 @@
-"""From angle to angle at rest, with holds: ruckig moves one after another."""
+"""Point-to-point motions with holds, of successive jerk-limited moves."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from .ruckig_ import move
 
 
 class PointToPoint(PathMotion):
-    """Moves from target to target, each as fast as the limits allow and each followed by a hold.
+    """Point-to-point motion: moves from target to target, each as fast as the limits allow and followed by a hold.
 
     A target equal to the one before (to 1e-12 of the angle) adds its hold only.
 
@@ -48,7 +48,7 @@ class PointToPoint(PathMotion):
 
     @cached_property
     def path(self) -> PiecewiseCubic:
-        """Moves and holds, one after another.
+        """Path of moves and holds, one after another.
 
         Raises:
             TrajectoryError: if the counts differ, or nothing moves or holds.
@@ -66,7 +66,7 @@ class PointToPoint(PathMotion):
 
 
 class RandomPointToPointSettings(MotionSettings):
-    """Point to point with uniformly drawn targets and holds; see random_point_to_point.
+    """Random point-to-point motion with uniformly drawn targets and holds; see `random_point_to_point`.
 
     Attributes:
         seed: of the random numbers.
@@ -86,12 +86,11 @@ class RandomPointToPointSettings(MotionSettings):
     limits: MotionLimits = MotionLimits()
 
     def build(self, folder: Path | str = ".") -> PointToPoint:
-        """The motion of this seed."""
         del folder
         return self.drawn(np.random.default_rng(self.seed))
 
     def drawn(self, random: np.random.Generator) -> PointToPoint:
-        """One motion, drawn from `random`."""
+        """Draw one motion from `random`."""
         targets, holds = random.uniform(*self.range_deg, self.moves), random.uniform(*self.hold_range_s, self.moves)
         return PointToPoint(
             start_deg=self.start_deg,
@@ -102,11 +101,7 @@ class RandomPointToPointSettings(MotionSettings):
 
 
 def random_point_to_point(seed: int | np.random.Generator, **settings: Any) -> PointToPoint:
-    """Point to point with uniformly drawn targets and holds; equal seeds give equal motions.
-
-    Args:
-        seed: seed, or a generator to draw from.
-        settings: start_deg, range_deg, moves, hold_range_s, limits: see `RandomPointToPointSettings`.
+    """Draw a point-to-point motion with uniform targets and holds; equal seeds give equal motions.
 
     Raises:
         TrajectoryError: if a range is empty or not finite, or no move is asked for.

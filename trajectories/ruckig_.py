@@ -1,4 +1,4 @@
-"""Jerk-limited moves by ruckig, in units in which its absolute tolerances are harmless.
+"""Jerk-limited moves by ruckig, scaled so that its absolute tolerances are harmless.
 
 ruckig's tolerances are absolute: in degrees and seconds it silently plans no motion at all for 1e-10 deg, and extreme
 limits leave them meaningless (compare ruckig#58, #86). So every move is planned in units of its own length L and of the
@@ -21,19 +21,19 @@ from .motion import Kinematics, MotionLimits, Segments, end_state, hold, peak_ra
 _SNAP = 1e-12
 # Relative excess over a limit that passes as rounding, and gap at the target, in units of the move.
 _EXCESS, _GAP, _BRAKED_GAP = 1e-9, 1e-8, 1e-7
-# Where distance and limits are whole multiples of each other, ruckig sometimes finds no motion; a hair beside it does.
+# Where distance and limits are integer multiples of each other, ruckig may find no motion; a small change avoids it.
 _JERKS = (1.0, 1.0 - 1e-9, 1.0 - 1e-6)
 # ruckig is made for durations up to 7600 of its units of time and may refuse longer ones (ruckig#109).
 _LONGEST = 1000.0
 
 
 def move(start: Kinematics, target: Kinematics, limits: MotionLimits, duration_s: float | None = None) -> Segments:
-    """Fastest move between two states of no velocity, or the one that takes `duration_s`.
+    """Compute the fastest move between two states of zero velocity, or the one that takes `duration_s`.
 
     It is checked to 1e-9 of the limits, and to 1e-8 of its length at the target.
 
     Returns:
-        Pieces of constant jerk, shape (M, 5); of shape (0, 5) where start and target are the same rest.
+        Segments of constant jerk, shape (M, 5); of shape (0, 5) where start and target are the same rest.
 
     Raises:
         TrajectoryError: if the move cannot be made within the limits or in the duration.
@@ -53,14 +53,14 @@ def move(start: Kinematics, target: Kinematics, limits: MotionLimits, duration_s
 
 
 def move_to_rest(start: Kinematics, target_deg: float, limits: MotionLimits) -> Segments:
-    """Fastest motion from `start` to rest at `target_deg`; where `start` exceeds a limit, it is braked first.
+    """Compute the fastest motion from `start` to rest at `target_deg`; if `start` exceeds a limit, it is braked first.
 
-    The unit of length of a motion that has begun is
+    The unit of length of a motion with initial velocity or acceleration is
 
         L = max(|distance|, |v|^(3/2) / jerk^(1/2), |a|^3 / jerk^2)
 
     Returns:
-        Pieces of constant jerk, shape (M, 5); of shape (0, 5) where `start` is that rest already.
+        Segments of constant jerk, shape (M, 5); of shape (0, 5) where `start` is that rest already.
 
     Raises:
         TrajectoryError: if ruckig finds no motion, or one that misses the target.
@@ -84,14 +84,14 @@ def _words(start: Kinematics, target: Kinematics) -> str:
 
 
 def _stay(start: Kinematics, target: Kinematics, duration_s: float | None) -> Segments:
-    """No motion, which is only possible without acceleration."""
+    """Hold without motion, which is only possible without acceleration."""
     if start.acceleration_deg_s2 or target.acceleration_deg_s2:
         raise TrajectoryError(f"move: start and target are both {start.theta_deg:.6g} deg, expected some distance")
     return hold(start.theta_deg, duration_s or 0.0)[: duration_s is not None]
 
 
 def _units(unit: float, limits: MotionLimits, duration_s: float = 0.0) -> Vec:
-    """Units of time, angle, velocity, acceleration and jerk of a move of length `unit` [deg] (5,)."""
+    """Units (5,) of time, angle, velocity, acceleration and jerk of a move of length `unit` [deg]."""
     least = max(unit / limits.velocity_deg_s, duration_s) / _LONGEST
     tick = max((unit / limits.jerk_deg_s3) ** (1 / 3), least)
     return np.array([tick, unit, unit / tick, unit / tick**2, unit / tick**3])
@@ -100,7 +100,7 @@ def _units(unit: float, limits: MotionLimits, duration_s: float = 0.0) -> Vec:
 def _problem(
     start: Kinematics, target: Kinematics, limits: MotionLimits, scale: Vec, duration_s: float | None = None
 ) -> ruckig.InputParameter:
-    """The problem from angle 0, in units of `scale`."""
+    """Problem of ruckig from angle 0, in units of `scale`."""
     tick, angle, velocity, acceleration, jerk = scale
     wanted = ruckig.InputParameter(1)
     wanted.current_position = [0.0]
@@ -117,7 +117,7 @@ def _problem(
 
 
 def _planned(wanted: ruckig.InputParameter, where: str) -> Segments:
-    """The motion in the scaled units, with the piece that brakes into the limits where there is one."""
+    """Motion in the scaled units, with the segment that brakes into the limits if there is one."""
     trajectory, problem, jerk = ruckig.Trajectory(1), "", wanted.max_jerk[0]
     for share in _JERKS:
         wanted.max_jerk = [share * jerk]
@@ -146,7 +146,6 @@ def _check_limits(segments: Segments, wanted: ruckig.InputParameter, where: str)
 
 
 def _check_end(segments: Segments, wanted: ruckig.InputParameter, accepted: float, where: str) -> None:
-    """Refuse a result that misses the target."""
     theta, velocity, acceleration = end_state(segments[-1])
     gap = max(
         abs(theta - wanted.target_position[0]),

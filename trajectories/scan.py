@@ -1,4 +1,4 @@
-"""Scans: sinusoid, triangle, and rasters of either with growing or shrinking amplitude."""
+"""Scans: sinusoid, triangle, and rasters of either with increasing or decreasing amplitude."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ Shape = Literal["sinusoid", "triangle"]
 
 @dataclass(frozen=True)
 class Cosine:
-    """theta(t) = centre + A cos(2 pi f t), from one turning point to another.
+    """Sinusoidal sweep theta(t) = centre + A cos(2 pi f t), from one turning point to another.
 
     Attributes:
-        centre_deg: centre [deg].
+        centre_deg: mean angle [deg].
         amplitude_deg: A [deg], negative where the sweep begins at its lower turning point.
         frequency_hz: f [Hz].
         duration_s: a multiple of half a period [s].
@@ -46,15 +46,14 @@ class Cosine:
 
 
 class Scan(PathMotion):
-    """Base of the scans: sweeps about one centre, led in from rest at the start angle.
+    """Base of the scans: sweeps about one centre, after a lead-in from rest at the start angle.
 
     Attributes:
         start_deg: angle at time 0, at rest [deg].
         centre_deg: centre of the sweeps [deg].
         frequency_hz: of every sweep [Hz].
         cycles: periods of each sweep, a multiple of 0.5.
-        limits: of the lead-in, for triangles of every leg; null for a sinusoid's own rates, or a triangle's sharp
-            corners.
+        limits: of the lead-in, and of a triangle's legs; null for a sinusoid's own rates, or sharp corners.
     """
 
     start_deg: float
@@ -70,7 +69,6 @@ class Scan(PathMotion):
 
     @cached_property
     def path(self) -> Trajectory:
-        """Lead-in and sweeps."""
         shape, amplitudes = self.sweeps
         return self._sinusoids(amplitudes) if shape == "sinusoid" else self._triangles(amplitudes)
 
@@ -84,10 +82,7 @@ class Scan(PathMotion):
         return sides
 
     def _sinusoids(self, amplitudes: tuple[float, ...]) -> TrajectoryChain:
-        """Sinusoids, each reached by a jerk-limited move that ends with the sinusoid's own acceleration.
-
-        Velocity and acceleration are continuous from start to end; the final turning point is then held.
-        """
+        """Sinusoids, each preceded by a jerk-limited move that ends with the sinusoid's initial acceleration."""
         omega = 2 * np.pi * self.frequency_hz
         limits = self._covering(*(float(max(amplitudes) * omega**order) for order in (1, 2, 3)))
         at, parts = Kinematics(self.start_deg), list[Trajectory]()
@@ -102,7 +97,7 @@ class Scan(PathMotion):
         return TrajectoryChain(tuple(parts))
 
     def _covering(self, *needed: float) -> MotionLimits:
-        """The limits, if the peak rates of the widest sinusoid are within them; these rates where there are none."""
+        """Limits checked against the peak rates of the widest sinusoid; these rates if there are no limits."""
         rates = dict(zip(MotionLimits.model_fields, needed, strict=True))
         if self.limits is None:
             return MotionLimits(**rates)
@@ -115,7 +110,7 @@ class Scan(PathMotion):
         return self.limits
 
     def _triangles(self, amplitudes: tuple[float, ...]) -> PiecewiseCubic:
-        """Legs of half a period: jerk-limited moves from rest to rest, or straight where there are no limits."""
+        """Legs of half a period: jerk-limited moves from rest to rest, or straight without limits."""
         turns = [
             self.centre_deg + amplitude * begin * (-1) ** leg
             for amplitude, (begin, _) in zip(amplitudes, self._sides(amplitudes), strict=True)
@@ -133,7 +128,7 @@ class Scan(PathMotion):
 
 
 class SinusoidScan(Scan):
-    """theta(t) = centre + s A cos(2 pi f (t - t0)) for t >= t0, led in from rest at the start angle.
+    """Sinusoidal scan theta(t) = centre + s A cos(2 pi f (t - t0)) for t >= t0, led in from rest at the start angle.
 
     The lead-in of duration t0 is a jerk-limited move to the turning point on the far side of the centre (s = +1
     where the start is at or below the centre, else -1), where it meets the sinusoid with the same velocity and
@@ -153,12 +148,12 @@ class SinusoidScan(Scan):
 
     @property
     def sweeps(self) -> tuple[Shape, tuple[float, ...]]:
-        """One sinusoid."""
+        """Shape and half peak-to-peak angle of the sinusoid [deg]."""
         return "sinusoid", (self.amplitude_deg,)
 
 
 class TriangleScan(Scan):
-    """Legs of half a period between centre - A and centre + A, led in from the start angle.
+    """Triangular scan: legs of half a period between centre - A and centre + A, led in from the start angle.
 
     The first corner is on the far side of the centre, seen from the start. With `limits`, lead-in and legs are
     jerk-limited moves from rest to rest, which round the corners and leave amplitude and period as they are; with None
@@ -177,12 +172,12 @@ class TriangleScan(Scan):
 
     @property
     def sweeps(self) -> tuple[Shape, tuple[float, ...]]:
-        """One triangle."""
+        """Shape and half peak-to-peak angle of the triangle [deg]."""
         return "triangle", (self.amplitude_deg,)
 
 
 class Raster(Scan):
-    """Sweeps of one shape and frequency about one centre, amplitude after amplitude: nested hysteresis loops.
+    """Raster scan: sweeps of one shape and frequency with changing amplitude, for nested hysteresis loops.
 
     Between sinusoids of different amplitude lies one jerk-limited move from turning point to turning point, with
     continuous velocity and acceleration; between triangles one leg of half a period.
@@ -202,5 +197,5 @@ class Raster(Scan):
 
     @property
     def sweeps(self) -> tuple[Shape, tuple[float, ...]]:
-        """The sweeps in order."""
+        """Shape and half peak-to-peak angle of each sweep [deg], in order."""
         return self.shape, self.amplitudes_deg

@@ -1,4 +1,4 @@
-"""Trajectories: protocol, sampled signals, chains of parts, previews."""
+"""Trajectories: interface, sampled signals, chains of trajectories, previews."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from numpy.typing import ArrayLike
 from hystmpc.trials.errors import TrajectoryError
 from hystmpc.trials.types import Vec
 
-# A duration that is a whole number of samples but for rounding must not cost one sample more.
+# Rounding of a duration of whole samples must not cost one more sample.
 _ROUNDING = 1e-9
 
 
 class Trajectory(Protocol):
-    """A signal over time: a tip-angle reference [deg], or a command excitation [mm or bar]."""
+    """Signal over time: a tip-angle reference [deg], or a command excitation [mm or bar]."""
 
     @property
     def duration_s(self) -> float:
@@ -27,18 +27,18 @@ class Trajectory(Protocol):
         ...
 
     def __call__(self, t: ArrayLike) -> Vec:
-        """Value at the times `t` [s], of the shape of `t`; before 0 the start value, after the end the end value."""
+        """Return the values at the times `t` [s]; before 0 the start value, after the end the end value."""
         ...
 
 
 def inside(t: ArrayLike, duration_s: float) -> Vec:
-    """Times `t` [s] clipped to 0..duration_s, so that start and end values hold outside."""
+    """Clip times `t` [s] to 0..duration_s, so that start and end values hold outside."""
     return np.clip(np.asarray(t, dtype=np.float64), 0.0, duration_s)
 
 
 @dataclass(frozen=True, eq=False)
 class Sampled:
-    """Linear interpolation between samples; time counts from the first of them.
+    """Sampled signal with linear interpolation; time counts from the first sample.
 
     Attributes:
         t: times [s], shape (T,), strictly increasing.
@@ -83,12 +83,12 @@ class Sampled:
 
 
 def steps(duration_s: float, dt: float) -> int:
-    """Number of samples of length `dt` [s] that cover `duration_s` [s]."""
+    """Return the number of samples of length `dt` [s] that cover `duration_s` [s]."""
     return math.ceil(duration_s / dt - _ROUNDING)
 
 
 def sample(trajectory: Trajectory, rate_hz: float) -> tuple[Vec, Vec]:
-    """Sample a trajectory from 0 to its end, the end included.
+    """Sample a trajectory from 0 to its end, including the end.
 
     The last time is the first multiple of 1 / rate_hz at or after the end, where the end value holds.
 
@@ -105,10 +105,7 @@ def sample(trajectory: Trajectory, rate_hz: float) -> tuple[Vec, Vec]:
 
 @dataclass(frozen=True, eq=False)
 class TrajectoryChain:
-    """Parts played one after another; each must begin where the one before it ends.
-
-    Attributes:
-        parts: at least one trajectory.
+    """Trajectories one after another; each must begin where the one before it ends.
 
     Raises:
         TrajectoryError: if there is no part.
@@ -143,7 +140,7 @@ COLUMNS = ("time_s", "angle_deg")
 
 
 def read_sampled(path: Path | str) -> Sampled:
-    """Read a sampled reference; further columns are left aside.
+    """Read a sampled reference from a CSV file; additional columns are ignored.
 
     Raises:
         TrajectoryError: naming file and row, if the file cannot be read, a column is missing, a value is not a
@@ -167,7 +164,6 @@ def read_sampled(path: Path | str) -> Sampled:
 
 
 def _numbers(row: list[str], places: list[int], where: str) -> list[float]:
-    """Numbers at the given places of one row."""
     numbers = []
     for place, name in zip(places, COLUMNS, strict=True):
         text = row[place] if place < len(row) else ""
@@ -179,7 +175,7 @@ def _numbers(row: list[str], places: list[int], where: str) -> list[float]:
 
 
 def preview(trajectory: Trajectory, t: float, dt: float, horizon: int) -> Vec:
-    """Values at t + dt, t + 2 dt, ..., t + H dt [s], shape (H,), with H = `horizon`; the end value past the end.
+    """Return the values (H,) at t + dt, t + 2 dt, ..., t + H dt [s], H = `horizon`; the end value past the end.
 
     Raises:
         TrajectoryError: if `dt` is not positive or the horizon is less than 1.
@@ -190,11 +186,9 @@ def preview(trajectory: Trajectory, t: float, dt: float, horizon: int) -> Vec:
 
 @dataclass(frozen=True, eq=False)
 class PreviewTable:
-    """Previews at every sample of a run, computed beforehand: a look-up is a slice.
+    """Table of the previews at every sample of a run, computed in advance: a look-up is a slice.
 
     Attributes:
-        trajectory: the reference.
-        dt: sample time [s].
         horizon: samples per preview H, at least 1.
 
     Raises:
@@ -218,11 +212,11 @@ class PreviewTable:
         return steps(self.trajectory.duration_s, self.dt)
 
     def value(self, k: int) -> float:
-        """Reference at time k dt."""
+        """Return the reference at time k dt."""
         return float(self._values[self._row(k)])
 
     def at(self, k: int) -> Vec:
-        """Preview at time k dt: the values at (k + 1) dt, ..., (k + H) dt, shape (H,), read-only.
+        """Return the preview at time k dt: the values at (k + 1) dt, ..., (k + H) dt, shape (H,), read-only.
 
         Raises:
             TrajectoryError: if `k` is negative.
@@ -243,7 +237,7 @@ def _require_preview(dt: float, horizon: int) -> None:
 
 
 def require_positive(**values: float) -> None:
-    """Refuse what is not finite and above zero.
+    """Refuse values that are not finite and above zero.
 
     Raises:
         TrajectoryError: at the first such value.

@@ -1,4 +1,4 @@
-"""Simulators for other tools: a chain of operators as a co-simulation FMU."""
+"""Export of a simulator (a chain of operators) as a co-simulation FMU."""
 
 from .export import FmuExport, FmuVersion, export_fmu
 

@@ -33,17 +33,15 @@ _EXPERIMENT_S = 10.0
 
 @dataclass(frozen=True)
 class Described:
-    """Facts of a device in its descriptions.
+    """Device data for the XML descriptions of an FMU.
 
     Attributes:
         name, identifier: for people, and for C and file names.
         chain: its operators in the order of the signal.
-        sample_s: sample time [s].
-        command_unit, output_unit: of the signals.
         limits: least and greatest command.
-        rest_command: before the first one is set.
-        tool: that wrote it.
-        token: by which binary and description know each other.
+        rest_command: command before the first one is set.
+        tool: program that wrote the FMU.
+        token: instantiation token, equal in binary and description.
     """
 
     name: str
@@ -59,12 +57,12 @@ class Described:
 
     @property
     def output(self) -> str:
-        """Name of the output: `angle` where its unit is deg."""
+        """Name of the output variable; `angle` if its unit is deg."""
         return "angle" if self.output_unit == "deg" else "output"
 
     @property
     def words(self) -> str:
-        """Description in one line."""
+        """One-line description of the device."""
         return (
             f"{self.chain}; command [{self.command_unit}] to {self.output} [{self.output_unit}], "
             f"a step every {self.sample_s:g} s; without the noise of a sensor"
@@ -72,7 +70,7 @@ class Described:
 
 
 def model_description(described: Described, version: str, source: str) -> str:
-    """Text of modelDescription.xml."""
+    """Return the text of modelDescription.xml."""
     root = Element("fmiModelDescription", fmiVersion=version, modelName=described.name)
     root.set("guid" if version == "2.0" else "instantiationToken", described.token)
     root.set("description", described.words)
@@ -86,7 +84,7 @@ def model_description(described: Described, version: str, source: str) -> str:
     if two:
         root.set("numberOfEventIndicators", "0")
         SubElement(SubElement(kind, "SourceFiles"), "File", name=source)
-    else:  # its sources stand in buildDescription.xml
+    else:  # the FMU's sources are listed in buildDescription.xml
         kind.set("fixedInternalStepSize", repr(described.sample_s))
     _add_units(root, described)
     categories = SubElement(root, "LogCategories")
@@ -110,7 +108,7 @@ def model_description(described: Described, version: str, source: str) -> str:
 
 
 def build_description(described: Described, source: str) -> str:
-    """Text of sources/buildDescription.xml, for a shared library by C99."""
+    """Return the text of sources/buildDescription.xml, for a C99 shared library."""
     root = Element("fmiBuildDescription", fmiVersion="3.0")
     build = SubElement(root, "BuildConfiguration", modelIdentifier=described.identifier)
     files = SubElement(build, "SourceFileSet", language="C99")
@@ -120,7 +118,6 @@ def build_description(described: Described, source: str) -> str:
 
 
 def _variables(described: Described) -> list[tuple[dict[str, str], dict[str, str]]]:
-    """Attributes of each variable, and of its type."""
     low, high = described.limits
     held = {"min": repr(low), "max": repr(high), "start": repr(described.rest_command)}
     rows = [

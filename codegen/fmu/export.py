@@ -1,4 +1,4 @@
-"""Export of a simulator as an FMU, with C sources, and binaries from the machine's compiler or the wheel `ziglang`."""
+"""Export of a simulator as an FMU with C sources and compiled binaries."""
 
 from __future__ import annotations
 
@@ -37,13 +37,13 @@ _OLDEST = (1980, 1, 1, 0, 0, 0)  # of a zip file: equal devices give equal bytes
 
 @dataclass(frozen=True)
 class Platform:
-    """A machine for which a binary can be made.
+    """Platform (operating system and processor) for which a binary can be compiled.
 
     Attributes:
-        system: as Python names it.
+        system: name of the operating system in Python.
         tuple3: name in FMI 3.0; the key in `PLATFORMS` is that in FMI 2.0.
-        target: of ziglang; an old C library, so that the binary runs on older systems too.
-        ending: of a shared library.
+        target: of ziglang, with an old C library, so that the binary also runs on older systems.
+        ending: file extension of a shared library.
     """
 
     system: str
@@ -52,7 +52,7 @@ class Platform:
     ending: str
 
     def path(self, identifier: str, version: str) -> str:
-        """Path of its binary inside the FMU."""
+        """Path of the binary inside the FMU."""
         folder = self.tuple3 if version == "3.0" else _NAMES_2[self.tuple3]
         return f"binaries/{folder}/{identifier}.{self.ending}"
 
@@ -70,14 +70,14 @@ PLATFORMS: Mapping[str, Platform] = MappingProxyType(
 
 @dataclass(frozen=True)
 class FmuExport:
-    """Simulator as an FMU.
+    """Simulator exported as an FMU.
 
     Attributes:
-        described: what modelDescription.xml says of it.
+        described: device data in modelDescription.xml.
         files: content by path inside the FMU.
         platforms: for which there is a binary; none where no compiler was found.
         functions: of <math.h> that the step calls.
-        left_out: what the plant has and the FMU has not, such as the noise of its sensor.
+        left_out: parts of the plant that the FMU does not contain, such as the noise of its sensor.
     """
 
     described: Described
@@ -87,7 +87,7 @@ class FmuExport:
     left_out: tuple[str, ...] = ()
 
     def write(self, path: Path | str) -> Path:
-        """Write the FMU, whole or not at all."""
+        """Write the FMU file completely or not at all."""
         packed = io.BytesIO()
         with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as archive:
             for name, content in self.files.items():
@@ -107,17 +107,15 @@ def export_fmu(
     platforms: Sequence[str] | None = None,
     rest_command: float | None = None,
 ) -> FmuExport:
-    """Export a simulator as a co-simulation FMU: command in, output out, one step a sample.
+    """Export a simulator as a co-simulation FMU: command in, output out, one step per sample.
 
-    It starts where `rest` says and repeats the Python simulator to rounding. The command is held over a step.
+    It starts at `rest` and agrees with the Python simulator up to rounding. The command is held over a step.
 
     Args:
         simulator: with its effects, at the sample time of the FMU; a `SimulatedPlant` has it as `simulator`.
         rest: output and state (S,) at the start, `SimulatedPlant.rest`.
         name: of the model, for the importing tool.
-        version: of the standard.
-        platforms: for which binaries are made, of `PLATFORMS`; this machine's where left out, and then none where no
-            compiler is found.
+        platforms: platforms of the binaries, of `PLATFORMS`; that of this machine where left out, if it has a compiler.
         rest_command: command before the first one is set; the simulator's own where left out.
 
     Raises:
@@ -162,13 +160,12 @@ def _check(simulator: Simulator, version: str) -> None:
 
 
 def _identifier(name: str) -> str:
-    """Name of the model as an identifier of C."""
     plain = re.sub(r"\W+", "_", name, flags=re.ASCII).strip("_")[:60]
     return plain if re.match("[A-Za-z]", plain) else f"device_{plain}".rstrip("_")
 
 
 def _token(described: Described, step: str, rest: tuple[float, Vec], version: str) -> str:
-    """Token of exactly this device: its states are accepted by no other FMU."""
+    """Instantiation token of the device; an FMU with another token refuses its states."""
     text = repr((described, step, rest[0], rest[1].tolist(), version))
     digits = text_hash(text)
     return "{" + "-".join((digits[:8], digits[8:12], digits[12:16], digits[16:20], digits[20:32])) + "}"
@@ -211,7 +208,6 @@ def _packaged(name: str) -> str:
 def _binaries(
     identifier: str, sources: Mapping[str, str], version: FmuVersion, platforms: Sequence[str] | None
 ) -> Mapping[str, bytes]:
-    """Binaries by path inside the FMU."""
     for name in platforms or ():
         if name not in PLATFORMS:
             raise ExportError(f"export-fmu: got platform {name}, {did_you_mean(name, PLATFORMS)}")

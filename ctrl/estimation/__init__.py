@@ -1,1 +1,1 @@
-"""Estimation: model state and output disturbance, and the learned part of a model."""
+"""Estimation of model state and output disturbance."""

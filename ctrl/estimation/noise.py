@@ -13,17 +13,17 @@ from hystmpc.models.kernels.numba_ import njit
 from hystmpc.models.model import Predictor
 from hystmpc.trials.types import Vec
 
-# Without facts a model is taken for a good one: a few samples show the contrary, hundreds show that it is.
+# Without facts a model is assumed to be good: a few samples show the contrary, it takes hundreds to confirm it.
 _UNKNOWN = NoiseModel(sensor_sigma_deg=0.1, drift_sigma_deg_per_sqrt_s=0.1, motion_sigma_deg_per_sqrt_unit=0.2)
-_PRIOR_SPREAD = math.log(4.0)  # standard deviation of the logarithm of each sigma about what is known of it
-_LEAST_SENSOR_DEG = 0.02  # a model of simulated trials without noise says nothing of a real sensor
-_SENSOR_FACTORS: Vec = 2.0 ** np.arange(-3.0, 3.1, 0.5)  # of what is known
+_PRIOR_SPREAD = math.log(4.0)  # standard deviation of the logarithm of each sigma about its prior value
+_LEAST_SENSOR_DEG = 0.02  # a model of simulated trials without noise gives no information on a real sensor
+_SENSOR_FACTORS: Vec = 2.0 ** np.arange(-3.0, 3.1, 0.5)  # factors on the prior value
 _DRIFT: Vec = 0.001 * 3.0 ** np.arange(8, dtype=np.float64)  # deg/sqrt(s), up to 2.2
 _MOTION: Vec = 0.0016 * 4.0 ** np.arange(7, dtype=np.float64)  # deg over the root of the range of commands
 _CLOSE = 0.95  # probability that a model is as close as its file says
 _HELD = 0.5  # of that distance: what a disturbance may be uncertain by, since the error of a model changes all the time
 _LEAST_MODEL_DEG = 0.01
-_SWITCHING_S = 20.0  # mean time for which the model is as wrong as it is
+_SWITCHING_S = 20.0  # mean time between changes of the model's error
 _SENSOR_SHARE = 0.2  # of these changes are changes of the sensor too
 _MOST_GAIN = 0.5
 _FREEDOM = 7.0  # of Student's density: (7 + 1) / 2 is a whole power
@@ -49,10 +49,10 @@ class NoiseBank:
 
     The weights are the probabilities of the triples (Magill, "Optimal adaptive estimation of sampled stochastic
     processes", IEEE Transactions on Automatic Control 10, 1965). p is Student's density with 7 degrees of freedom and
-    variance S_i, so that one spike says little. How wrong the model is may change. Each sample, with probability
+    variance S_i, so that one outlier has little effect. The model's error may change: in each sample, with probability
     dt / 20 s, drift and motion are drawn anew from their prior, one time in five the sensor too (a jump Markov model,
     Blom and Bar-Shalom, IEEE Transactions on Automatic Control 33, 1988, without their mixing of the filters). No
-    weight dies, and a model that turns out wrong is found within a second of motion.
+    weight vanishes, and a wrong model is detected within a second of motion.
 
     The gain of a bank is bounded because the loop is closed. A plan takes the disturbance for constant, but where the
     model's error answers to the command, as behind a lag that the model lacks, the next command changes it. A gain
@@ -60,16 +60,15 @@ class NoiseBank:
     control, whose robust stability asks for |filter| |relative model error| < 1 at every frequency (Morari and
     Zafiriou, "Robust process control", 1989, section 2.6).
 
-    All sigmas stay on the grid, and every filter is stable. A sigma that is given has no other value. Where all three
-    are given this is the Kalman filter itself, without a bound of its gain.
+    All sigmas stay on the grid, and every filter is stable. A given sigma is fixed. Where all three are given this is
+    the Kalman filter itself, without a bound of its gain.
 
     Args:
-        given: sigmas set by hand.
         predictor: of the model, with what its file says about these sigmas.
         limit_deg: bound of the disturbance [deg].
-        model_sigma_deg: how far the model is usually off [deg], where few and noisy measurements come. Then it is taken
-            to be as close as that at first, with a probability of 0.95: the filters of the least drift and motion hold
-            half of it for the standard deviation of their disturbance, and the disturbance starts at zero.
+        model_sigma_deg: usual error of the model [deg], for few and noisy measurements. The model is then assumed to be
+            that accurate at first, with a probability of 0.95: the filters of the least drift and motion hold half of
+            it for the standard deviation of their disturbance, and the disturbance starts at zero.
     """
 
     def __init__(
@@ -102,7 +101,7 @@ class NoiseBank:
         self._first, self._widest = first, most
 
     def numbers(self) -> Mapping[str, float | Vec]:
-        """Numbers of the bank, axis by axis of its grid, for code generation."""
+        """Return the numbers of the bank, axis by axis of its grid, for code generation."""
         sensors, drifts, motions = self._counts
         return {
             "sensors": sensors,
@@ -122,7 +121,7 @@ class NoiseBank:
         }
 
     def init(self, disturbance: float) -> tuple[Vec, float]:
-        """Initial bank (3, M), rows disturbance, variance, weight, for a guessed disturbance [deg]; its variance."""
+        """Return the initial bank (3, M) for a disturbance [deg], rows disturbance, variance, weight; its variance."""
         bank = np.array([np.full(self._prior.size, disturbance), self._first, self._prior])
         return bank, float(self._prior @ self._first)
 
@@ -135,12 +134,7 @@ class NoiseBank:
         return after, mean, variance
 
     def advance(self, bank: Vec, travel: float, disturbance: float) -> tuple[Vec, float]:
-        """Time update by one sample: the bank and its variance [deg^2].
-
-        Args:
-            travel: of the command in that sample [command unit].
-            disturbance: of the bank [deg].
-        """
+        """Time update by one sample with command travel `travel` [command unit]: the bank and its variance [deg^2]."""
         after = np.empty_like(bank)
         variance = advance_filters(bank, self._drift, self._motion, travel, self._widest, disturbance, after)
         return after, float(variance)
@@ -153,21 +147,18 @@ class NoiseBank:
         )
 
     def sensor_variance(self, bank: Vec) -> float:
-        """Variance of the noise of the sensor [deg^2], as `estimated_noise`."""
+        """Variance of the sensor noise [deg^2], from `estimated_noise`."""
         return float(self._variances(bank)[0])
 
     def growth(self, bank: Vec, travel: float) -> float:
-        """Variance that the disturbance gains in a sample of so much travel [deg^2], as `estimated_noise`."""
+        """Growth of the disturbance's variance in a sample with this command travel [deg^2], from `estimated_noise`."""
         _, drift, motion = self._variances(bank).tolist()
         return float(drift * self._dt + motion * travel)
 
     def ahead(self, bank: Vec, travels: Vec) -> Vec:
-        """Variance that the disturbance gains by the ends of the coming samples without a measurement (H,) [deg^2].
+        """Growth of the disturbance's variance to the ends of the coming samples without a measurement (H,) [deg^2].
 
-            sum_i w_i (min(P_i + k drift_i^2 dt + motion_i^2 sum_{j<=k} |du_j|, greatest_i) - P_i)
-
-        Args:
-            travels: of the command in each of them (H,) [command unit].
+        sum_i w_i (min(P_i + k drift_i^2 dt + motion_i^2 sum_{j<=k} |du_j|, greatest_i) - P_i)
         """
         variance, weight = bank[1], bank[2]
         steps = np.arange(1.0, travels.size + 1.0)
@@ -179,7 +170,7 @@ class NoiseBank:
 
 
 def _axis(given: float | None, known: float, grid: Vec) -> tuple[Vec, Vec]:
-    """Values and probabilities of one sigma."""
+    """Values and prior probabilities of one sigma."""
     if given is not None:
         return np.array([given]), np.ones(1)
     centre = min(max(known, grid[0]), grid[-1])
@@ -205,8 +196,6 @@ def correct_filters(
         sensor: variance of each filter's sensor (M,) [deg^2].
         by_sensor, by_model: prior of the sensors (J,) and of drift and motion (M / J,), sensor by sensor.
         switching: probability of a change in a sample.
-        most: bound of the gain.
-        limit: bound of the disturbance [deg].
     """
     terms = np.empty(sensor.size)
     for i in range(sensor.size):  # sums have loops of their own: they would keep this one from being vectorised
@@ -238,7 +227,6 @@ def advance_filters(bank: Any, drift: Any, motion: Any, travel: float, widest: A
 
     Args:
         drift, motion: variance of each filter's walk in a sample, and over one unit of travel (M,).
-        travel: of the command [command unit].
         widest: greatest variance of each filter's disturbance (M,) [deg^2].
     """
     for i in range(bank.shape[1]):
@@ -250,7 +238,7 @@ def advance_filters(bank: Any, drift: Any, motion: Any, travel: float, widest: A
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def mixed_variance(bank: Any, mean: float, terms: Any) -> float:
-    """Variance of a mixture (3, M) about its mean [deg^2]; its terms (M,) are written on the way."""
+    """Return the variance of a mixture (3, M) about its mean [deg^2], with its terms (M,) in place."""
     for i in range(bank.shape[1]):
         off = bank[0, i] - mean
         terms[i] = bank[2, i] * (bank[1, i] + off * off)
@@ -259,7 +247,7 @@ def mixed_variance(bank: Any, mean: float, terms: Any) -> float:
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def sum_of(terms: Any) -> float:
-    """Sum of (M,) in eight parts, every eighth term in one. The exported C adds in the same order."""
+    """Sum of (M,) in eight partial sums, in the same order as the exported C."""
     a, b, c, d, e, f, g, h = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     whole = terms.size - terms.size % 8
     for i in range(0, whole, 8):

@@ -1,4 +1,4 @@
-"""Observers: model state from the commands really sent, output disturbance from the measurements."""
+"""Observers of the model state, from the commands really sent, and of the output disturbance, from the measurements."""
 
 from __future__ import annotations
 
@@ -20,16 +20,15 @@ from ..command import EMPTY, number_of, replace
 
 ANGLE_BOUND_DEG = 1e4  # far beyond any joint; keeps squares and sums of angles finite
 
-# A frame is noisy and few follow: what they say of the model's error acts as far as later frames have borne it out.
-_EARNED_S = 10.0  # these are forgotten with this time constant
-_DOUBT = 5.0  # as much doubt at first as so many frames of nothing but noise
+_EARNED_S = 10.0  # time constant of forgetting
+_DOUBT = 5.0  # prior doubt: as many frames of pure noise
 
 _RESOLUTION = 1e-9  # command changes below this share of the command range count as none
 
 
 @dataclass(frozen=True, eq=False)
 class Estimate:
-    """State of an observer.
+    """Snapshot of the state of an observer.
 
     Attributes:
         state: predictor state (S,) after every command sent so far, also those still on their way.
@@ -38,19 +37,17 @@ class Estimate:
             are still on their way; `delay_samples + 1` entries, none without a model.
         responsive: for each of these angles, whether it answers to the command (False: dead band of a play).
         moves: command travel of the sample that led to each of these angles [command unit].
-        disturbance: estimated output disturbance [deg].
-        variance: of its error [deg^2].
+        disturbance, variance: estimated output disturbance [deg], and the variance of its error [deg^2].
         measured: the last accepted measurement [deg].
         missing: number of samples since the last accepted measurement.
         stalled: number of samples since the model was last advanced; above zero it has failed.
-        added: what is learned on top of the model, as part of the first of the angles [deg].
+        added: learned part of the first of the angles [deg].
         learning: memory of an observer that learns, see `LearningEstimator`.
         forecast_error: of the best forecast of the last seconds, relative to that of no change (root mean squares,
             Theil's U); 0 before there was motion, and of an observer that does not judge its forecasts.
-        bank: filters of `NoiseBank`, of which disturbance and variance are the mixture (3, M).
         earned: of frames, the sums of m z and m^2 [deg^2]; m is the mean of the bank before the offset z came.
         past: corrected estimates of the last instants, the newest last; see `Frames`.
-        seen: measurements of this instant that were used or could not be, there [deg].
+        seen: measurements of this instant, used or not usable [deg].
         since: share of a sample by which the last accepted measurement is younger than `missing` samples.
     """
 
@@ -92,7 +89,7 @@ class Observer(ABC):
 
     @abstractmethod
     def init(self, y: float, u: float) -> Estimate:
-        """Estimate at rest with measured angle `y` [deg] and held command `u`; may raise what the model raises."""
+        """Return the estimate at rest with measured angle `y` [deg] and held command `u`; model errors propagate."""
 
     def sigma_deg(self, estimate: Estimate) -> float:
         """Standard deviation of the error of the estimated angle [deg]; not-a-number where it is not known."""
@@ -111,10 +108,10 @@ class Observer(ABC):
         """Measurement update with `y` [deg]; not-a-number and outliers change nothing. Never raises."""
 
     def correct_late(self, estimate: Estimate, y: float, age: float) -> Estimate:
-        """Use measurement `y` [deg] of `age` samples ago.
+        """Measurement update with `y` [deg] of `age` samples ago.
 
         Raises:
-            ControllerError: if this observer knows no late measurements, or not of that age.
+            ControllerError: if this observer accepts no late measurements, or none of that age.
         """
         del estimate
         raise ControllerError(
@@ -123,11 +120,11 @@ class Observer(ABC):
 
     @abstractmethod
     def advance(self, estimate: Estimate, u: float) -> Estimate:
-        """Time update by one sample with the command `u`; may raise what the model raises."""
+        """Time update by one sample with the command `u`; may raise the model's errors."""
 
     @abstractmethod
     def coast(self, estimate: Estimate, u: float) -> Estimate:
-        """Time update where `advance` failed: the model state does not change. Never raises."""
+        """Time update after a failed `advance`: the model state does not change. Never raises."""
 
 
 class SensorKindSettings(Settings):
@@ -146,11 +143,11 @@ class SensorKindSettings(Settings):
     longest_gap_s: Positive = 2.0
 
     def bridged_samples(self, usual: int, dt_s: float) -> int:
-        """Samples without a usable measurement that are bridged at sample time `dt_s` [s]; `usual` of other sensors."""
+        """Number of bridged samples without a usable measurement; `usual` unless the sensor is intermittent."""
         return round(self.longest_gap_s / dt_s) if self.sensor == "intermittent" else usual
 
     def oldest_samples(self, dt_s: float) -> int:
-        """Age of the oldest frame that is used, in whole samples of `dt_s` [s]; 0 of other sensors."""
+        """Age of the oldest frame that is used, in whole samples of `dt_s` [s]; 0 unless the sensor is intermittent."""
         return math.ceil(self.oldest_frame_s / dt_s) if self.sensor == "intermittent" else 0
 
 
@@ -182,7 +179,7 @@ class EstimatorSettings(SensorKindSettings):
     rest_tolerance_deg: Positive = 30.0
 
     def observer(self, predictor: Predictor) -> Observer:
-        """The estimator that these settings describe."""
+        """Build the estimator."""
         if self.sensor == "none":
             return ModelAlone(predictor, self)
         estimator = OutputEstimator(predictor, self)
@@ -193,19 +190,18 @@ class EstimatorSettings(SensorKindSettings):
 
 @final
 class OutputEstimator(Observer):
-    """Observer of a random-walk output disturbance on a model that runs on the commands really sent.
+    """Observer of a random-walk output disturbance; its model is driven by the commands really sent.
 
         theta_k = model(commands up to k-1-D) + d_k,   d_{k+1} = d_k + w_k,   y_k = theta_k + v_k
         var(w_k) = drift_sigma^2 dt + motion_sigma^2 |u_k - u_{k-1}|,   var(v_k) = sensor_sigma^2
 
-    d and the variance of its error are those of a bank of Kalman filters, see `NoiseBank`; where all three sigmas are
-    given, of one Kalman filter.
+    d and its variance are those of a bank of Kalman filters, see `NoiseBank`, or of one filter if all sigmas are given.
 
     The model always holds every command sent; the D predicted angles on their way are kept in a queue, so a
     measurement meets the prediction made for its own instant, and plans start where the queue ends.
 
-    The frames of an intermittent sensor are noisy, and few. What they make of the disturbance acts as far as it has
-    predicted the offsets z_j of later frames, with a doubt of 5 frames and a memory of 10 s:
+    The frames of an intermittent sensor are noisy, and few. Their disturbance estimate is scaled by how well it has
+    predicted the offsets z_j of later frames (prior of 5 frames, memory of 10 s):
 
         d_k = s_k m_k,   s_k = sum_j m_j z_j / (sum_j m_j^2 + 5 sensor_sigma^2),   0 <= s_k <= 1
 
@@ -239,7 +235,7 @@ class OutputEstimator(Observer):
         self.delay_samples = settings.delay_samples
 
     def numbers(self) -> Mapping[str, float | Vec]:
-        """Numbers of the estimator and its bank, for code generation."""
+        """Return the numbers of the estimator and its bank, for code generation."""
         settings = self._settings
         return {
             **self.bank.numbers(),
@@ -249,10 +245,7 @@ class OutputEstimator(Observer):
         }
 
     def init(self, y: float, u: float) -> Estimate:
-        """Estimate at rest: the difference between `y` and the model is the first disturbance.
-
-        With frames it starts at zero.
-        """
+        """Return the estimate at rest, with `y` minus the model's angle as disturbance; zero with frames."""
         angle, state = rest_of_model(self._predictor, y, u, self._settings.rest_tolerance_deg)
         queue, first = self.delay_samples + 1, 0.0 if self._frames else y - angle
         bank, variance = self.bank.init(first)
@@ -320,17 +313,16 @@ class OutputEstimator(Observer):
 
 @final
 class Frames(Observer):
-    """Observer for delayed measurements: each is used at the instant at which it was taken.
+    """Observer for delayed measurements, each used at the instant at which it was taken.
 
     A frame of age a lies between the instants k and k + 1, a = now - k - s. The model's own motion carries it to k,
 
         y_k = y + theta_k - ((1 - s) theta_k + s theta_{k+1}),   0 <= s < 1
 
-    The estimate of that instant is corrected, and everything since is done again: the commands that were sent, and what
-    was measured meanwhile. The order in which frames arrive makes no difference.
+    The estimate of that instant is corrected, and all later updates, by commands and measurements, are repeated. The
+    order in which frames arrive makes no difference.
 
     Args:
-        inner: what corrects and advances.
         samples: age of the oldest frame.
     """
 
@@ -352,7 +344,7 @@ class Frames(Observer):
         return replace(after, missing=missing, seen=(*estimate.seen, usable_angle(y)))
 
     def correct_late(self, estimate: Estimate, y: float, age: float) -> Estimate:
-        """Use a frame of `age` samples ago.
+        """Measurement update with a frame of `age` samples ago.
 
         Raises:
             ControllerError: if it is older than the memory, not of the past, or no usable angle.
@@ -385,15 +377,15 @@ class Frames(Observer):
 
 @final
 class ModelAlone(Observer):
-    """A device without an angle sensor: the model, run on the commands really sent from a declared rest on.
+    """Open-loop observer of a device without an angle sensor: the model alone, driven by the commands sent.
 
         theta_k = model(commands up to k-1-D)
 
     The angle at which the device rests when the controller starts is declared (`TipController.reset`), or the first one
-    of a recording (`TipController.replay`). It says where the model starts; how far it is off that angle is not taken
-    for a disturbance, and what is measured afterwards is not looked at. The estimate does not fluctuate, so that holds
-    are as without noise. How far the model may be off is `sigma_deg`: the root mean square of the slow errors of its
-    free runs, where the model file says it (`ModelMetadata.model_sigma_deg`).
+    of a recording (`TipController.replay`). It sets the initial state of the model; the remaining difference is not
+    treated as a disturbance, and later measurements are ignored. The estimate does not fluctuate, so that holds are as
+    without noise. The model's standard error is `sigma_deg`: the root mean square of the slow errors of its free runs,
+    if the model file has it (`ModelMetadata.model_sigma_deg`).
     """
 
     def __init__(self, predictor: Predictor, settings: EstimatorSettings) -> None:
@@ -427,7 +419,7 @@ class ModelAlone(Observer):
 
 @final
 class LastMeasurement(Observer):
-    """Observer of a controller without a model: holds the newest measurement.
+    """Observer of a controller without a model, which holds the newest measurement.
 
     A frame that arrives after one that was taken later changes nothing, so the order of arrival makes no difference.
 
@@ -455,7 +447,7 @@ class LastMeasurement(Observer):
         return estimate if self._frames is not None else replace(estimate, missing=estimate.missing + 1)
 
     def correct_late(self, estimate: Estimate, y: float, age: float) -> Estimate:
-        """Use a frame of `age` samples ago.
+        """Measurement update with a frame of `age` samples ago.
 
         Raises:
             ControllerError: if there are no frames, or it is too old, not of the past, or no usable angle.
@@ -480,7 +472,7 @@ class LastMeasurement(Observer):
 
 
 def rest_of_model(predictor: Predictor, y: float, u: float, limit_deg: float) -> tuple[float, Vec]:
-    """Angle [deg] and state of a model one sample after a rest at the angle `y` [deg] under command `u`.
+    """Return angle [deg] and state of a model one sample after rest at the angle `y` [deg] and the command `u`.
 
     Raises:
         ControllerError: if the model is not finite, or further from `y` than `limit_deg`.
@@ -497,7 +489,7 @@ def rest_of_model(predictor: Predictor, y: float, u: float, limit_deg: float) ->
 
 
 def next_of_model(predictor: Predictor, state: Vec, u: float) -> tuple[float, Vec]:
-    """Angle [deg] and state of a model one sample later.
+    """Return angle [deg] and state of a model one sample later.
 
     Raises:
         ArithmeticError: if they are not finite, or the angle is absurdly large.
@@ -509,6 +501,6 @@ def next_of_model(predictor: Predictor, state: Vec, u: float) -> tuple[float, Ve
 
 
 def usable_angle(y: object) -> float:
-    """The measured angle [deg], or not-a-number where it is missing, not a number or absurdly large."""
+    """Return the measured angle [deg], or not-a-number if it is missing, no number or absurdly large."""
     angle = number_of(y)
     return angle if angle is not None and abs(angle) <= ANGLE_BOUND_DEG else math.nan

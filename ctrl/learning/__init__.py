@@ -1,1 +1,1 @@
-"""Learning on top of a model while the loop runs: a basis, filters of its weights, predictor and estimator."""
+"""Online learning of a model's error: basis functions, filters of their weights, predictor and estimator."""

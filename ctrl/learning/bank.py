@@ -1,7 +1,7 @@
 """Online learning of a model error: basis functions, and a bank of Kalman filters that estimate their weights.
 
-There is one filter for each drive of a grid. The basis is what a drive and a hysteresis operator with free weights show
-of the command:
+There is one filter for each drive of a grid. The basis is the response of a drive and a hysteresis operator with free
+weights to the command:
 
     theta = m + w_c (m - m_0) + sum_i w_i f_i(v),   v = lag_tau(u(t - D))
 
@@ -50,7 +50,7 @@ SHARES: Vec = np.concatenate(
 
 
 def basis_numbers() -> Mapping[str, float | Vec]:
-    """Numbers of the basis, for code generation."""
+    """Return the numbers of the basis, for code generation."""
     return {
         "memory": MEMORY,
         "weights": 1 + FEATURES,
@@ -67,23 +67,23 @@ def basis_numbers() -> Mapping[str, float | Vec]:
 
 
 def first_memory(v: float, side: float) -> Vec:
-    """Memory (MEMORY,) of a device that rests at the travel v and has come from the side +1 (above) or -1."""
+    """Return the memory (MEMORY,) at rest at the travel v, approached from the side +1 (above) or -1."""
     return np.concatenate([[v], v + side * RADII, np.full(CREEPS_S.size, v)])
 
 
 def lag_shares(dt: float) -> Vec:
-    """Share of the way that each lag of the grid goes in a sample."""
+    """Response of each lag of the grid to a unit step after one sample."""
     return np.array([1.0 if tau == 0 else -math.expm1(-dt / tau) for tau in LAGS_S])
 
 
 def creep_shares(dt: float) -> Vec:
-    """Share of the way that each slow follower goes in a sample."""
+    """Response of each slow follower to a unit step after one sample."""
     return np.asarray(-np.expm1(-dt / CREEPS_S))
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def advance_memory(memory: Any, x: float, share: float, creeps: Any) -> None:
-    """Memory (MEMORY,) one sample later under the delayed command x, in place."""
+    """Advance the memory (MEMORY,) by one sample under the delayed command x, in place."""
     count = RADII.size
     memory[0] += share * (x - memory[0])
     v = memory[0]
@@ -95,13 +95,7 @@ def advance_memory(memory: Any, x: float, share: float, creeps: Any) -> None:
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def features(memory: Any, before: float, v0: float, side: float, pace: float, out: Any) -> None:
-    """Features f (FEATURES,) of a memory.
-
-    Args:
-        before: v one sample ago.
-        v0, side: where the device started.
-        pace: samples per second.
-    """
+    """Compute the features f (FEATURES,) of a memory."""
     count, v = RADII.size, memory[0]
     out[0] = v - v0
     at = 1
@@ -122,19 +116,17 @@ def features(memory: Any, before: float, v0: float, side: float, pace: float, ou
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def acting_command(part: Any, plan: Any, k: int, low: float, span: float) -> Any:
-    """The command behind the delay in sample k of a plan (H,), as a share of the range."""
+    """Delayed command in sample k of a plan (H,), as a share of the range."""
     delay = int(part[LEARNED_SIZE - 1])
     return part[MEMORY + delay - 1 - k] if k < delay else (plan[k - delay] - low) / span
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def add_learned(part: Any, pace: float, creeps: Any, low: float, span: float, plans: Any, angles: Any) -> None:
-    """angles (N, H) <- m + w_c (m - m_0) + sum_i w_i f_i along plans (N, H), in place.
+    """Add the learned part to the angles (N, H) along plans (N, H), in place: m + w_c (m - m_0) + sum_i w_i f_i.
 
     Args:
         part: the learned part's state (LEARNED_SIZE,).
-        pace: samples per second.
-        creeps: as `creep_shares`.
         low, span: least command, and the range of commands [command unit].
     """
     weights, start, horizon = part[OF_WEIGHTS], part[OF_START], plans.shape[1]
@@ -153,13 +145,12 @@ def add_learned(part: Any, pace: float, creeps: Any, low: float, span: float, pl
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def advance_slopes(before: Any, now: Any, acting: int, share: float, creeps: Any, by: Any) -> None:
-    """Derivatives of a memory by the commands of a plan, one sample later, in place: by (MEMORY + 1, H).
+    """Advance the derivatives of a memory by the commands of a plan by one sample, in place: by (MEMORY + 1, H).
 
     The last row is that of v one sample ago. A play at its edge counts as driven.
 
     Args:
-        before, now: memory before and after the sample (MEMORY,).
-        acting: the command of the plan that acts in this sample; negative where none does yet.
+        acting: number of the plan's command that acts in this sample; negative where none does yet.
     """
     count, v = RADII.size, now[0]
     for j in range(acting + 1):
@@ -178,7 +169,7 @@ def advance_slopes(before: Any, now: Any, acting: int, share: float, creeps: Any
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def slopes_by_memory(now: Any, weights: Any, pace: float, out: Any) -> None:
-    """Derivatives of sum_i w_i f_i by the memory and by v one sample ago (MEMORY + 1,)."""
+    """Compute the derivatives of sum_i w_i f_i by the memory and by v one sample ago (MEMORY + 1,)."""
     count, v = RADII.size, now[0]
     out[:] = 0.0
     out[0] = weights[1]
@@ -204,7 +195,7 @@ def slopes_by_memory(now: Any, weights: Any, pace: float, out: Any) -> None:
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def add_slopes(part: Any, pace: float, creeps: Any, low: float, span: float, plan: Any, jacobian: Any) -> None:
-    """jacobian (H, H) of the model <- that of the whole, along one plan (H,), in place; see `add_learned`."""
+    """Add the learned part to the model's jacobian (H, H) along one plan (H,), in place; see `add_learned`."""
     weights, share, horizon = part[OF_WEIGHTS], part[LEARNED_SIZE - 2], plan.size
     now, before, slopes = part[:MEMORY].copy(), np.empty(MEMORY), np.empty(MEMORY + 1)
     by, row = np.zeros((MEMORY + 1, horizon)), np.empty(horizon)
@@ -223,41 +214,37 @@ def add_slopes(part: Any, pace: float, creeps: Any, low: float, span: float, pla
 
 DRIVES = LAGS_S.size * DELAYS
 _SIZE = FEATURES + 2  # of z: offset, w_c, weights
-_MODEL, _NOTHING = DRIVES, DRIVES + 1  # rows of the scores beside the drives
+_MODEL, _NOTHING = DRIVES, DRIVES + 1  # rows of the scores after the drives
 _BLOCK_S, _LEAST_BLOCK = 0.24, 3
-_KEPT = 0.8  # of a score, from block to block
+_KEPT = 0.8  # forgetting factor of a score, per block
 _BETTER = 0.8  # share of the present score at which another drive is taken
-# Gain over the model's score from which on the learned part acts, and what more lets it act in full.
+# Gain over the model's score at which the learned part begins to act, and the further gain for its full effect.
 _LEAST_GAIN, _FULL_GAIN = 0.6, 0.3
 _MOVING = 2.0  # variances of the filters by which an angle has to move in a block that counts
-_SENSOR, _LEAST_SENSOR_DEG = 2.0, 0.05  # the basis is not exact: its noise is taken for more than the sensor's
+_SENSOR, _LEAST_SENSOR_DEG = 2.0, 0.05  # assumed noise is larger than the sensor's, since the basis is not exact
 _OFFSET_DEG, _GAIN, _DRIFT = 10.0, 1.0, 0.3  # standard deviations of offset, w_c; and of a drift [deg/sqrt(s)]
-_RECENT = 0.8  # of the errors that the supervisor judges by, from block to block
-_WORST = 1.2  # error of a block that counts as the worst: one bad block says little
+_RECENT = 0.8  # forgetting factor of the errors that the supervisor uses, per block
+_WORST = 1.2  # error of a block is limited to this: one bad block is weak evidence
 _SURPRISE = 9.0  # variances of an error in a hold, from which on it is an offset that has jumped
 _FLOOR = 0.5  # standard deviations of the sensor: no model has to predict better
 
 
 @dataclass(frozen=True, eq=False)
 class BankState:
-    """A snapshot of the bank; H drives, lag by lag and within a lag delay by delay.
+    """Snapshot of the bank with its H drives, ordered by lag and, within a lag, by delay.
 
     Attributes:
         history: memory behind each lag of the grid, of this and the last samples, the newest first (M, L, MEMORY).
         queue: commands of the last samples as shares of the range, the newest first (DELAYS,).
-        start: v0, side, m_0.
         z: offset [deg], w_c and weights [deg] of every drive (H, K).
         covariance: of their errors (H, K, K).
         frozen: z at the beginning of the block of forecasts (H, K).
-        references: at that moment the model's part disturbance and the measured angle [deg].
+        references: at the same instant, the model's disturbance and the measured angle [deg].
         sums: squared errors of the forecasts in this block (H + 2,): drives, model alone, last angle held [deg^2].
         scores: means of these over the past blocks with motion (H + 2,) [deg^2].
         forecast_error: of the better forecast, of model or best drive, over that of none (root mean squares); at most
             1.2 in each block, smoothed over the last blocks with motion; 0 at first.
-        count: samples in this block.
-        blocks: blocks with motion so far.
         best: the drive with the best forecasts.
-        share: how far the learned part acts, 0 to 1.
     """
 
     history: Vec
@@ -277,7 +264,7 @@ class BankState:
 
     @property
     def lag(self) -> int:
-        """Lag of the best drive, as its number in the grid."""
+        """Number of the best drive's lag in the grid."""
         return self.best // DELAYS
 
     @property
@@ -287,7 +274,7 @@ class BankState:
 
     @property
     def weights(self) -> Vec:
-        """w_c and the weights of the best drive (1 + FEATURES,), as far as they act."""
+        """w_c and the weights of the best drive (1 + FEATURES,), times the share."""
         return np.asarray(self.share * self.z[self.best, 1:])
 
 
@@ -298,23 +285,21 @@ class FilterBank:
         y_k = m_k + h_k' z_k + v_k,   h = (1, m - m_0, f),   var(v) = r
         s = h' P h + r,  z <- z + P h (y - m - h' z) / s,  P <- P - P h h' P / s,  P <- P + Q
 
-    Q lets the offset drift, and the weights walk with the travel of the command only: in a hold nothing is forgotten,
-    and an error of more than three standard deviations is an offset that has jumped.
-    Every 0.24 s all z are frozen, and until the next time each drive predicts the angles from the commands alone. The
-    model with its disturbance does too, and so does the last angle. The mean squares of the errors, over the blocks
-    in which the angle moved, are the scores. The drive with the best score is used. It acts with the share
+    By Q the offset drifts, but the weights change with the travel of the command only: in a hold nothing is forgotten,
+    and an error of more than three standard deviations counts as a jump of the offset. Every 0.24 s all z are frozen,
+    and until the next time each drive predicts the angles from the commands alone. The model with its disturbance does
+    too, and so does the last angle. The mean squares of the errors, over the blocks in which the angle moved, are the
+    scores. The learned part of the drive with the best score acts with the share
 
         s = (1 - (score + e) / (score of the model + e) - 0.6) / 0.3, within 0 and 1,   e = (sensor / 2)^2
 
     so that it has to predict clearly better than the model, and fades where it does not.
 
     Args:
-        dt: sample time [s].
         command_range: ends of the commands [mm or bar].
         scale: angle over the whole range [deg].
         sensor_deg: standard deviation of the sensor [deg].
         delay: samples of delay that the estimator takes care of.
-        settings: of the weights.
     """
 
     def __init__(
@@ -337,7 +322,7 @@ class FilterBank:
         self._walk = np.concatenate([[0.0], settings.walk_share**2 * self._prior[1:]])
 
     def numbers(self) -> Mapping[str, float | Vec]:
-        """Numbers of the bank and of its basis, for code generation."""
+        """Return the numbers of the bank and of its basis, for code generation."""
         return {
             **basis_numbers(),
             "drives": DRIVES,
@@ -368,11 +353,11 @@ class FilterBank:
         }
 
     def share_of_range(self, u: Vec | float) -> Any:
-        """Commands as shares of the range."""
+        """Convert commands to shares of the range."""
         return (u - self._low) / self._span
 
     def init(self, angle: float, u: float, y: float) -> BankState:
-        """State at rest under the command u, the model at `angle` and the measurement at `y` [deg]."""
+        """Return the state at rest under the command u, the model at `angle` and the measurement at `y` [deg]."""
         v = float(self.share_of_range(u))
         side = 1.0 if v < 0.5 else -1.0  # a device that rests near one end of its command has come from the other side
         z = np.zeros((DRIVES, _SIZE))
@@ -395,7 +380,7 @@ class FilterBank:
         )
 
     def reach(self, state: BankState) -> float:
-        """How far the angle may have moved under the last commands [deg]: twice what the mean slope says."""
+        """Possible change of the angle under the last commands [deg]: twice the value from the mean slope."""
         shares = state.queue.tolist()
         return 2.0 * self._scale * (max(shares) - min(shares))
 
@@ -409,11 +394,10 @@ class FilterBank:
         return replace(state, history=history, queue=queue)
 
     def correct(self, state: BankState, y: float, angle: float, disturbance: float) -> BankState:
-        """Measurement update.
+        """Measurement update of all filters and scores.
 
         Args:
-            y: measured [deg].
-            angle: of the model at that instant [deg].
+            angle: of the model at the instant of the measurement `y` [deg].
             disturbance: of the model alone, before this measurement is used [deg].
         """
         z, covariance, sums = state.z.copy(), np.empty_like(state.covariance), state.sums.copy()
@@ -446,7 +430,7 @@ class FilterBank:
         return replace(judged, sums=np.zeros(DRIVES + 2), count=0, frozen=z, references=(disturbance, y))
 
     def _judged(self, state: BankState, means: Vec) -> BankState:
-        """Update of scores, best drive and share by the mean square errors (H + 2,) of a block of forecasts [deg^2]."""
+        """Update scores, best drive and share by the mean square errors (H + 2,) of a block of forecasts [deg^2]."""
         if means[_NOTHING] <= _MOVING * self._noise:
             return state
         kept = min(_KEPT, state.blocks / (state.blocks + 1.0))
@@ -465,7 +449,7 @@ class FilterBank:
         )
 
     def added(self, state: BankState, angle: float, back: int) -> float:
-        """What the learned part of the best drive adds to the model's angle of `back` samples ago [deg]."""
+        """Learned part of the best drive, relative to the model's angle of `back` samples ago [deg]."""
         if state.share == 0:
             return 0.0
         at, best, pace = state.delay + back, state.best, 1.0 / self.dt
@@ -474,7 +458,7 @@ class FilterBank:
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def advance_history(before: Any, commands: Any, x: float, lags: Any, creeps: Any, history: Any, queue: Any) -> None:
-    """History and queue one sample later under the command x, a share of the range."""
+    """Advance history and queue by one sample under the command x, a share of the range."""
     history[1:] = before[:-1]
     queue[1:] = commands[:-1]
     queue[0] = x
@@ -485,7 +469,7 @@ def advance_history(before: Any, commands: Any, x: float, lags: Any, creeps: Any
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def learned_angle(history: Any, at: int, lag: int, start: Any, pace: float, share: float, z: Any, angle: float) -> Any:
-    """What z (K,) adds to the model's angle of `at` samples ago behind a lag of the grid, as far as it acts [deg]."""
+    """Learned part z (K,) times share at the model's angle of `at` samples ago, behind a lag of the grid [deg]."""
     before, f = history[at + 1 if at + 1 < history.shape[0] else at, lag, 0], np.empty(FEATURES)
     features(history[at, lag], before, start[0], start[1], pace, f)
     total = z[1] * (angle - start[2])
@@ -513,7 +497,7 @@ def correct_filters(
     sums: Any,
     after: Any,
 ) -> None:
-    """Measurement update for every drive: z (H, K) and sums of forecast errors in place, covariance in `after`."""
+    """Measurement update of every drive: z (H, K) and sums of forecast errors in place, covariance in `after`."""
     h = np.empty(_SIZE)
     for n in range(z.shape[0]):
         lag, at = n // DELAYS, n % DELAYS + delay
@@ -532,13 +516,12 @@ def correct_filters(
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def correct_filter(z: Any, p: Any, h: Any, error: float, noise: float, prior: Any, still: bool, after: Any) -> None:
-    """Measurement update for one drive with covariance p (K, K): z (K,) in place, and the covariance `after` it.
+    """Measurement update of one drive with covariance p (K, K): z (K,) in place, its new covariance in `after`.
 
-    K is a number that the compiler knows: loops as short as these are vectorised only then.
+    K is a compile-time constant: such short loops are vectorised only then.
 
     Args:
-        error: of the prediction [deg].
-        still: whether the command rests; no weight can have changed then, and a large error is a jump of the offset.
+        still: whether the command rests: the weights are then constant, and a large error is a jump of the offset.
     """
     spread, variance, jump = np.zeros(_SIZE), noise, 0.0
     for b in range(_SIZE):  # not `p @ h`: its last digits, which are learned from, differ between libraries

@@ -1,4 +1,4 @@
-"""A model with its learned part: predictor, inverse, follower, and the estimator that learns it."""
+"""Model with a learned part: predictor, inverse, follower, and the estimator that learns it."""
 
 from __future__ import annotations
 
@@ -30,15 +30,15 @@ from .bank import (
 )
 
 _ROUNDS = 2
-_RANGE_DEG = 60.0  # angle over the range of a model that does not say it [deg]
-_SENSOR_DEG = 0.1  # standard deviation of a sensor of which the model's file says nothing [deg]
+_RANGE_DEG = 60.0  # angle over the command range, if the model does not state it [deg]
+_SENSOR_DEG = 0.1  # standard deviation of the sensor, if the model's file does not state it [deg]
 
 
 @final
 class LearnedPredictor(Predictor):
-    """theta = m + w_c (m - m_0) + sum_i w_i f_i, see `bank`; the weights stand still in a roll-out.
+    """Model with a learned part: theta = m + w_c (m - m_0) + sum_i w_i f_i, see `bank`; constant weights.
 
-    Where all weights are zero this is the model. The state is the model's, then the learned part's (LEARNED_SIZE,).
+    The state is the model's, then the learned part's (LEARNED_SIZE,).
     """
 
     def __init__(self, model: Predictor, settings: AdaptationSettings) -> None:
@@ -51,7 +51,7 @@ class LearnedPredictor(Predictor):
         self._known = 1.0 / model.dt, self._bank.creeps, float(low), float(high - low)
 
     def filters(self, delay: int) -> FilterBank:
-        """The bank that learns the weights, behind `delay` samples of delay that the model does not have."""
+        """Build the bank that learns the weights, behind `delay` samples of delay that the model does not have."""
         sensor = _SENSOR_DEG if self.noise is None else self.noise.sensor_sigma_deg
         scale = self.slope * self._span
         return FilterBank(self.dt, self.command_range, scale, sensor, delay, self._settings)
@@ -63,7 +63,7 @@ class LearnedPredictor(Predictor):
         return np.concatenate([self.model.initial(y, u), *part])
 
     def with_learned(self, below: Vec, bank: BankState) -> Vec:
-        """The model's state `below` with the learned part of a bank whose newest memory is of the same instant."""
+        """Return the model's state `below` joined with the learned part of a bank at the same instant."""
         ends = self._bank.lags[bank.lag], float(bank.delay)
         return np.concatenate([below, bank.history[bank.delay, bank.lag], bank.queue, bank.weights, bank.start, ends])
 
@@ -84,7 +84,7 @@ class LearnedPredictor(Predictor):
         return angles
 
     def learned(self, state: Vec, plans: Vec) -> Vec:
-        """What the learned part adds (N, H) [deg] along the plans (N, H)."""
+        """Learned part (N, H) of the angles [deg] along the plans (N, H)."""
         model = self.model.rollout(self.below(state), plans)
         angles = model.copy()
         add_learned(state[state.size - LEARNED_SIZE :], *self._known, plans, angles)
@@ -98,17 +98,17 @@ class LearnedPredictor(Predictor):
         return angles, jacobian
 
     def below(self, state: Vec) -> Vec:
-        """The state of the model."""
+        """State of the model without the learned part."""
         return state[: state.size - LEARNED_SIZE]
 
     def weights(self, state: Vec) -> Vec:
-        """w_c and w (1 + FEATURES,) [1 and deg]."""
+        """Weights w_c [1] and w [deg] of the learned part, shape (1 + FEATURES,)."""
         return state[state.size - LEARNED_SIZE :][OF_WEIGHTS]
 
 
 @final
 class LearnedInverse(Inverse):
-    """The model's inverse at the angle less what the learned part adds in a hold; see `LearnedFollower` for plans."""
+    """Model inverse at the angle minus the learned part in a hold; see `LearnedFollower` for plans."""
 
     def __init__(self, predictor: LearnedPredictor, inverse: Inverse) -> None:
         self.predictor, self.inverse = predictor, inverse
@@ -122,9 +122,7 @@ class LearnedInverse(Inverse):
 
 @final
 class LearnedFollower(Follower):
-    """The model's inverse followed at the angles less the learned part, first as in a hold, then along the last plan: a
-    fixed point where the learned part is the smaller one.
-    """
+    """Fixed-point inverse along a preview: the model's inverse follows the angles minus the learned part."""
 
     def __init__(self, inverse: LearnedInverse) -> None:
         self._predictor = inverse.predictor
@@ -145,12 +143,10 @@ class LearnedFollower(Follower):
 
 @dataclass(frozen=True, eq=False)
 class Learning:
-    """What a `LearningEstimator` remembers.
+    """Memory of a `LearningEstimator`.
 
     Attributes:
-        model: the estimate of the model alone.
-        bank: filters of the learned part.
-        added: what the learned part adds to each of the model's angles [deg].
+        added: learned part of each of the model's angles [deg].
     """
 
     model: Estimate
@@ -160,12 +156,12 @@ class Learning:
 
 @final
 class LearningEstimator(Observer):
-    """An `OutputEstimator` whose model learns: y_k = m_k + s w' f_k + d_k + v_k.
+    """Estimator of a model with a learned part: y_k = m_k + s w' f_k + d_k + v_k.
 
-    Weights w and share s are those of a `FilterBank`, d that of a `NoiseBank`, which sees what model and learned part
-    leave over. Where weights or share change, d takes up the difference, so that the angle of now has no jump.
+    Weights w and share s are those of a `FilterBank`; d is that of a `NoiseBank` on the remaining error. Changes of
+    weights or share are compensated by d, so that the present angle does not jump.
 
-    An angle that is far from the prediction is accepted where the device can have gone there from the last one.
+    An angle far from the prediction is accepted if the device can have moved there since the last one.
     """
 
     def __init__(self, predictor: LearnedPredictor, settings: EstimatorSettings) -> None:
@@ -180,7 +176,6 @@ class LearningEstimator(Observer):
         return self._whole(model, bank, model.bank, model.disturbance, model.variance)
 
     def sigma_ahead_deg(self, estimate: Estimate, travels: Vec) -> Vec:
-        """As the plain estimator has it: the disturbance is what model and learned part leave over."""
         return self._plain.sigma_ahead_deg(estimate, travels)
 
     def correct(self, estimate: Estimate, y: float) -> Estimate:
@@ -229,7 +224,7 @@ class LearningEstimator(Observer):
 
 
 def _model(estimate: Estimate) -> Estimate:
-    """The estimate of the model alone, with the command that the device really holds."""
+    """Estimate of the model alone, with the command that the device really holds."""
     model = _learning(estimate).model
     return model if model.command == estimate.command else replace(model, command=estimate.command)
 

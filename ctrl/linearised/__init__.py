@@ -1,1 +1,1 @@
-"""The linearised controller: quadratic program, solver, and the real-time iteration that joins them."""
+"""Linearised predictive controller: quadratic program, solver and real-time iteration."""

@@ -1,4 +1,4 @@
-"""Real-time iteration: linearise along the best plan, solve one condensed quadratic program, search along its step."""
+"""Real-time iteration: linearisation along the best plan, one condensed quadratic program, and a line search."""
 
 from __future__ import annotations
 
@@ -32,21 +32,18 @@ class PlanProgram(ABC):
 
     @abstractmethod
     def data(self, problem: PlanningProblem, around: CommandPlan, jacobian: Mat) -> QpData:
-        """The program around the plan `around` with Jacobian (H, H), lower triangular [deg per command unit]."""
+        """Return the program around the plan `around` with Jacobian (H, H), lower triangular [deg per command unit]."""
 
     @abstractmethod
     def blocked(self, problem: PlanningProblem, around: CommandPlan, columns: Mat) -> QpData:
-        """The program around the plan `around` with J M = `columns` (H, m) [deg per command unit].
-
-        A column is zero before its block starts; what stands there is not read.
-        """
+        """Return the program around the plan `around` with J M = `columns` (H, m), which start with their blocks."""
 
     @abstractmethod
     def deviation(self, primal: Vec) -> Vec:
-        """Deviation of the commands from the plan (H,) in a solution z = `primal`."""
+        """Return the deviation of the commands from the plan (H,) in a solution z = `primal`."""
 
     def _softened(self, hard: QpData, problem: PlanningProblem, around: CommandPlan, entries: Vec) -> QpData:
-        """The program with soft angle limits beside the hard limits; `entries` of their rows, column by column."""
+        """Add soft angle limits to the program with hard limits; `entries` of their rows, column by column."""
         low, high = problem.angle_limits
         none = np.zeros(around.angles.size)
         constraint_data = np.array(self.pattern.constraints.data, dtype=np.float64)
@@ -63,7 +60,7 @@ class PlanProgram(ABC):
 
 @final
 class TrackingQp(PlanProgram):
-    """The planning cost with linearised angles, in the deviation v of the commands from a plan p.
+    """Quadratic program of the planning cost with linearised angles, in the deviation v of the commands from a plan p.
 
         theta(p + v) ~ theta_p + J v
         P = 2 (J'QJ + w_r D'D + w_e I),  q = 2 (J'Q (theta_p - r) + w_r D'(D p - e_1 u_last) + w_e (p - f))
@@ -72,9 +69,9 @@ class TrackingQp(PlanProgram):
     with D the difference matrix. Soft angle limits add H free variables s with cost w_s s^2 and the rows
     a <= theta_p + J v + s <= b, which is the squared distance to [a, b] exactly.
 
-    Multipliers start where they hold the plan that already moves at the greatest rate: stationarity D'y = -q, solved
-    backwards in time, of the right sign, and zero where the rate limit is not touched. First-order methods take
-    thousands of iterations to find these, and the best candidates of a reversal touch the limit over many samples.
+    Multipliers start at values that hold a plan already at the greatest rate: stationarity D'y = -q, solved backwards
+    in time, of the right sign, and zero where the rate limit is not touched. First-order methods take thousands of
+    iterations to find these, and the best candidates of a reversal touch the limit over many samples.
     """
 
     def __init__(self, weights: WeightsSettings, limits: CommandLimits, horizon: int, dt: float) -> None:
@@ -119,14 +116,14 @@ class TrackingQp(PlanProgram):
 
 @dataclass(frozen=True)
 class MoveBlocking:
-    """Move blocking: deviations v (H,) from a plan are v = M w, one w a block (Cagienard et al., 2007).
+    """Move blocking (Cagienard et al., 2007): deviations v = M w (H,) from a plan, with one w for each block.
 
         v_k = w_{b-1} + (k - s_b + 1) / L_b (w_b - w_{b-1})   in block b of length L_b from sample s_b on,  w_{-1} = 0
         v_k = w_{m-1}                                         after the last block
 
     That is offset blocking of the moves: within a block the deviation's move is constant, after the last one zero. A
     block of held commands would have to make its whole move in one sample, whose rate is limited; here a block of L
-    samples moves by up to L times as much. The plan itself, the best candidate, may do what it likes in every sample.
+    samples moves by up to L times as much. The plan itself, the best candidate, is not blocked.
 
     Raises:
         ControllerError: if there is no block, one is shorter than a sample, or they are longer than the horizon.
@@ -144,17 +141,17 @@ class MoveBlocking:
 
     @property
     def starts(self) -> NDArray[np.intp]:
-        """s (m,): the first sample of each block."""
+        """First sample s (m,) of each block."""
         return np.cumsum((0, *self.lengths[:-1]))
 
     @property
     def ends(self) -> NDArray[np.intp]:
-        """Last sample of each block (m,): where v is w itself."""
+        """Last sample of each block (m,), at which v equals w."""
         return np.cumsum(self.lengths) - 1
 
     @property
     def matrix(self) -> Mat:
-        """M (H, m)."""
+        """Blocking matrix M (H, m)."""
         count = len(self.lengths)
         matrix = np.zeros((self.horizon, count))
         for b, (start, length) in enumerate(zip(self.starts.tolist(), self.lengths, strict=True)):
@@ -168,14 +165,13 @@ class MoveBlocking:
 
 @final
 class BlockedQp(PlanProgram):
-    """`TrackingQp` in the deviations w (m,) at the ends of blocks, v = M w; see `MoveBlocking`.
+    """Quadratic program `TrackingQp` with move blocking: deviations w (m,) at the ends of blocks, v = M w.
 
         P = 2 ((J M)'Q (J M) + w_r (D M)'D M + w_e M'M),  q = M' q_full
         lower <= p + M w <= upper in every sample
         L_b (-rate dt - min D p) <= w_b - w_{b-1} <= L_b (rate dt - max D p),  min and max over block b
 
-    It is the same program under the equality v = M w: the move of v is one number a block, so the rate of all its
-    samples is one row, and what is left of the box are the rows of M. Soft angle limits add H slacks as there.
+    The move of v is constant in a block, so the rate of all its samples is one row. Soft angle limits add H slacks.
     """
 
     def __init__(self, weights: WeightsSettings, limits: CommandLimits, blocking: MoveBlocking, dt: float) -> None:
@@ -225,12 +221,12 @@ class BlockedQp(PlanProgram):
 
 
 def _pattern(rows: Mat, angles: Mat | None) -> QpPattern:
-    """Sparsity from the rows of the hard limits (N, n), and ones (H, n) where the rows of soft limits have entries."""
+    """Sparsity pattern from the rows of the hard limits (N, n) and the nonzeros (H, n) of the soft limits."""
     count = rows.shape[1]
     hessian = sparse.csc_matrix(np.triu(np.ones((count, count))))
     if angles is None:
         return QpPattern(hessian, sparse.csc_matrix(rows), np.empty(0, dtype=np.intp), count)
-    marker, slacks = 2.0, sparse.eye(len(angles))  # told apart from the other entries, which are at most one
+    marker, slacks = 2.0, sparse.eye(len(angles))  # marker that differs from the other entries, which are at most one
     blocks = [[sparse.csc_matrix(rows), None], [sparse.csc_matrix(marker * angles), slacks]]
     constraints = sparse.csc_matrix(sparse.bmat(blocks, format="csc"))
     hessian = sparse.csc_matrix(sparse.block_diag([hessian, slacks], format="csc"))
@@ -239,7 +235,7 @@ def _pattern(rows: Mat, angles: Mat | None) -> QpPattern:
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def moves_of(plan: Any, u_last: float) -> Any:
-    """D p - e_1 u_last (H,)."""
+    """Moves of a plan, D p - e_1 u_last (H,)."""
     moves = plan.copy()
     moves[0] -= u_last
     for k in range(1, plan.size):
@@ -249,7 +245,7 @@ def moves_of(plan: Any, u_last: float) -> Any:
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def all_finite(hessian: Any, gradient: Any) -> Any:
-    """Whether all numbers are finite: a sum is finite only where its terms are."""
+    """Whether all numbers are finite, by their sum."""
     return np.isfinite(hessian.sum() + gradient.sum())
 
 
@@ -269,7 +265,7 @@ def tracking_program(
     upper: Any,
     dual: Any,
 ) -> None:
-    """The hard limits' part of `TrackingQp` around a plan, in place; factors: rate, effort, least, greatest, reach."""
+    """Hard limits' part of `TrackingQp` around a plan, in place; factors: rate, effort, least, greatest, reach."""
     size, reach = plan.size, factors[4]
     moves = moves_of(plan, u_last)
     condense(jacobian, angles - reference, tracking, moves, plan - feedforward, factors, hessian, gradient)
@@ -283,7 +279,7 @@ def tracking_program(
 def condense(
     jacobian: Any, error: Any, tracking: Any, moves: Any, off: Any, weights: Any, hessian: Any, gradient: Any
 ) -> None:
-    """Gradient (H,) and upper triangle (H (H + 1) / 2,), column by column, of `TrackingQp`, in place.
+    """Compute gradient (H,) and upper triangle (H (H + 1) / 2,) of `TrackingQp`, column by column, in place.
 
     jacobian (H, H) is lower triangular; moves = D p - e_1 u_last and off = p - f, each (H,); weights: rate, effort.
     """
@@ -309,7 +305,7 @@ def condense(
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def rate_multipliers(gradient: Any, moves: Any, reach: float) -> Any:
-    """Multipliers (H,) that hold a plan where it already moves at the greatest rate; see `TrackingQp`."""
+    """Compute the multipliers (H,) that hold a plan at the greatest rate where it already has it; see `TrackingQp`."""
     dual = np.zeros(gradient.size)
     balance, touching = 0.0, reach * (1.0 - 1e-6)
     for k in range(gradient.size - 1, -1, -1):
@@ -323,9 +319,7 @@ def rate_multipliers(gradient: Any, moves: Any, reach: float) -> Any:
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def block_columns(jacobian: Any, blocking: Any, starts: Any, columns: Any) -> None:
-    """J M (H, m) in place: lower triangular J (H, H) times `MoveBlocking.matrix`, whose column b is zero before
-    `starts[b]` and after the end of block b + 1, but for the last.
-    """
+    """Compute J M (H, m) in place, for lower triangular J (H, H) and M of `MoveBlocking.matrix`."""
     horizon, count = blocking.shape
     for b in range(count):
         stop = starts[b + 2] if b + 2 < count else horizon
@@ -338,7 +332,7 @@ def block_columns(jacobian: Any, blocking: Any, starts: Any, columns: Any) -> No
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def condense_blocked(columns: Any, starts: Any, weighted: Any, constant: Any, gradient: Any, hessian: Any) -> None:
-    """Gradient (m,) += 2 (J M)'Q e and the upper triangle, column by column, of `constant` + 2 (J M)'Q J M, in place.
+    """Compute gradient (m,) += 2 (J M)'Q e and the upper triangle of `constant` + 2 (J M)'Q J M, by columns, in place.
 
     columns: J M (H, m); weighted (2, H): 2 Q, and 2 Q e.
     """
@@ -357,9 +351,9 @@ def condense_blocked(columns: Any, starts: Any, weighted: Any, constant: Any, gr
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def block_room(moves: Any, starts: Any, ends: Any, reach: float, low: Any, high: Any, extreme: Any) -> None:
-    """Bounds of the difference between deviations at the ends of neighbouring blocks (m,), in place.
+    """Compute bounds of the difference between deviations at the ends of neighbouring blocks (m,), in place.
 
-    The deviation's move is the same in all samples of a block: those of the plan that move most leave the least room.
+    The deviation's move is the same in all samples of a block: the largest move of the plan in the block decides.
     extreme: the move of the plan (m,) nearest to a limit. The plan is admissible but for rounding, so zero always is.
     """
     for b in range(starts.size):
@@ -373,24 +367,23 @@ def block_room(moves: Any, starts: Any, ends: Any, reach: float, low: Any, high:
 
 
 _PARTS = np.array([0.5, 0.25, 0.125])
-# A learned part may well be as large as the model: candidates that follow the model's inverse are then far off.
+# A learned part may be as large as the model: candidates from the model's inverse are then inaccurate.
 _LEARNED_ITERATIONS = 2
-_KEPT = 0.9  # share of the promised decrease from which on no part of the step is worth a roll-out
+_KEPT = 0.9  # share of the predicted decrease from which on shorter steps are not tried
 
 
 def _options_of(settings: LinearisedMpcSettings) -> OsqpOptions | DaqpOptions:
-    """Options of the solver that is asked for."""
     return DaqpOptions() if settings.solver == "daqp" else OsqpOptions(eps=settings.solver_eps)
 
 
 @final
 class LinearisedPlanner(Planner[None]):
-    """Sequential-quadratic-programming iterations, one or two in a step, guarded by the nonlinear cost.
+    """Planner by sequential quadratic programming: one or two iterations per step, safeguarded by the nonlinear cost.
 
-    Where a learned part acts there are at least two.
+    With an active learned part there are at least two.
 
-    The program's step is tried whole, and where the cost falls by clearly less than the linearisation promised, in
-    parts too, in one batched roll-out; the start plan wins where none is better, as across a kink of the play.
+    The full step of the program is tried. If the cost falls by clearly less than the linearisation predicts, shorter
+    steps are tried in one batched roll-out; the start plan remains if none is better, as across a kink of the play.
 
     Args:
         options: of the solver, which their class chooses; those of the settings where left out.
@@ -429,7 +422,6 @@ class LinearisedPlanner(Planner[None]):
         return start, status, None
 
     def _least(self, state: Vec) -> int:
-        """Least number of iterations of a plan."""
         predictor = self._predictor
         learned = isinstance(predictor, LearnedPredictor) and predictor.weights(state).any()
         return _LEARNED_ITERATIONS if learned else 1
@@ -450,7 +442,7 @@ class LinearisedPlanner(Planner[None]):
         return plan, f"{self._solver.name}: {solution.status}, its best step used" if solution.unfinished else "ok"
 
     def _search(self, problem: PlanningProblem, start: CommandPlan, jacobian: Vec, step: Vec) -> CommandPlan:
-        """The cheapest of the start plan and parts of the step, by nonlinear cost."""
+        """Cheapest of the start plan and parts of the step, by nonlinear cost."""
         # the solver overshoots limits within its tolerance: clip the whole step, parts are then too
         whole, foreseen = np.empty((2, 1, step.size))
         take_step(start.commands, start.angles, jacobian, step, *self._bounds, problem.u_last, whole, foreseen)
@@ -482,7 +474,7 @@ def take_step(
     whole: Any,
     foreseen: Any,
 ) -> None:
-    """The plan after a step (1, H), made admissible, and its angles (1, H) as the linearisation has them, in place."""
+    """Compute the plan after a step (1, H), made admissible, and its angles (1, H) by the linearisation, in place."""
     for k in range(step.size):
         whole[0, k] = commands[k] + step[k]
     clip_plans(whole, low, high, reach, u_last)
@@ -492,19 +484,18 @@ def take_step(
             foreseen[0, k] += jacobian[k, j] * (whole[0, j] - commands[j])
 
 
-_RATE_WEIGHT = 0.01  # at 25 Hz [deg^2 per squared command unit]: next to nothing beside an error of the angle
-_STEADY_RATE_WEIGHT = 3.0  # of a model whose exact inverse goes back and forth: what a move costs keeps it from that
+_RATE_WEIGHT = 0.01  # at 25 Hz [deg^2 per squared command unit]: negligible against an angle error
+_STEADY_RATE_WEIGHT = 3.0  # for models whose exact inverse oscillates: the weight on moves suppresses it
 _BASE_DT_S = 0.04
 _INVERSE_ITERATIONS = 2
 
 
 @final
 class FeasibleInverse:
-    """Inverse over a preview: argmin over admissible u of sum_k (theta_k(u) - r_k)^2, almost without weight on moves.
+    """Inverse over a preview: argmin over admissible u of sum_k (theta_k(u) - r_k)^2, with a small weight on moves.
 
-    The problem of the linearised controller without a disturbance: its candidates, then its planner. Sample by sample,
-    an inverse would send u = v + (w - v) / a to a lag of which a share a < 1 shows in a sample, which amplifies every
-    deviation, and could send nothing sensible to a delay.
+    It is the problem of the linearised controller without a disturbance. An inverse sample by sample would send u = v +
+    (w - v) / a to a lag with step response a < 1, which amplifies every deviation; a delay has no such inverse.
     """
 
     def __init__(self, predictor: Predictor, inverse: Inverse, limits: CommandLimits, horizon: int) -> None:
@@ -518,7 +509,7 @@ class FeasibleInverse:
         self._planner = LinearisedPlanner(predictor, settings, limits)
 
     def plan(self, state: Vec, u_last: float, wanted: Vec, remaining: Vec, tolerance_deg: float) -> CommandPlan:
-        """The plan from a model state (S,) along wanted angles (H,) [deg], after the rest of the last plan (0..H,).
+        """Plan from a model state (S,) along reference angles (H,) [deg], after the rest of the last plan (0..H,).
 
         A command that keeps the angle within the tolerance over the whole preview is held.
 

@@ -1,4 +1,4 @@
-"""Quadratic programs of one sparsity, and their solvers: DAQP, a dual active-set method, and OSQP, an ADMM."""
+"""Quadratic programs of one sparsity pattern, and their solvers: DAQP (dual active-set) and OSQP (ADMM)."""
 
 from __future__ import annotations
 
@@ -36,13 +36,13 @@ class QpPattern:
 
 @dataclass(frozen=True, eq=False)
 class QpData:
-    """Data of one program, which change from step to step.
+    """Data of one program that change between steps.
 
     Attributes:
         hessian_data: entries of P in the order of the pattern.
         gradient, lower, upper: q and the bounds of A z.
         constraint_data: entries of A in the order of the pattern; None while A stays as it is.
-        dual: where the multipliers of A z start.
+        dual: start values of the multipliers of A z.
     """
 
     hessian_data: Vec
@@ -55,23 +55,23 @@ class QpData:
 
 @dataclass(frozen=True, eq=False)
 class QpSolution:
-    """Solution of one program."""
+    """Solution of one quadratic program."""
 
     primal: Vec  # z, shape (n,)
     usable: bool  # whether `primal` is a step worth trying: solved, or finite when the iterations ran out
-    status: str  # the solver's own words
-    iterations: int  # taken
+    status: str  # message of the solver
+    iterations: int
     unfinished: bool = False  # whether the iterations ran out
 
 
 class QpSolver(ABC):
-    """Solves the quadratic programs of one pattern; equal data give equal answers, to the last bit."""
+    """Solver of the quadratic programs of one pattern; equal data give bitwise equal solutions."""
 
-    name: str  # in messages
+    name: str  # name in messages
 
     @abstractmethod
     def solve(self, data: QpData) -> QpSolution:
-        """Solve one program of the family; a failure shows in the solution, not as an exception."""
+        """Solve one program; a failure is reported in the solution, not as an exception."""
 
 
 _DAQP_STATUS = {
@@ -88,21 +88,20 @@ _SOLVED, _OUT_OF_CHANGES = 1, -4
 
 @dataclass(frozen=True)
 class DaqpOptions:
-    """Bound on the time of one solve: changes of the active set."""
+    """Options of DAQP: the bound on changes of the active set limits the solution time."""
 
     iterations: int = 1000
 
     def solver(self, pattern: QpPattern) -> DaqpSolver:
-        """A solver of programs of this pattern."""
+        """Return a solver of programs of this pattern."""
         return DaqpSolver(pattern, self)
 
 
 @final
 class DaqpSolver(QpSolver):
-    """Solver DAQP, started cold for every program, so that answers do not depend on order (Arnström et al., TAC 2022).
+    """Solver DAQP, cold-started: results do not depend on the order of programs (Arnström et al., TAC 2022).
 
-    The identity rows of the pattern are handed over as simple bounds. Memory for one program is kept and filled anew,
-    one a thread; it is made anew after a failure.
+    The identity rows are passed as simple bounds. Each thread reuses one workspace, which is made anew after a failure.
     """
 
     name = "DAQP"
@@ -136,7 +135,6 @@ class DaqpSolver(QpSolver):
         return QpSolution(primal, usable, status, int(info["iterations"]), flag == _OUT_OF_CHANGES)
 
     def _filled(self, data: QpData) -> tuple[Vec, Vec]:
-        """Hessian (n, n) and constraint rows (m, n), dense."""
         memory: tuple[Vec, Vec] | None = getattr(self._per_thread, "memory", None)
         if memory is None:
             n, m = self._size, self._pattern.constraints.get_shape()[0]
@@ -151,7 +149,6 @@ class DaqpSolver(QpSolver):
 
 
 def _positions(matrix: Any) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Row and column of every entry of a matrix in CSC order."""
     columns = np.repeat(np.arange(matrix.shape[1]), np.diff(matrix.indptr))
     return np.asarray(matrix.indices, dtype=np.intp), columns.astype(np.intp)
 
@@ -162,14 +159,14 @@ _USABLE = ("solved", "solved inaccurate", _OSQP_UNFINISHED)  # inaccurate: withi
 
 @dataclass(frozen=True)
 class OsqpOptions:
-    """Tolerance, and the bound on the time of one solve.
+    """Options of OSQP: tolerance and iteration bounds.
 
     Attributes:
         eps: absolute and relative tolerance; 1e-3 leaves errors of 1e-2 in the command.
         rhos: ADMM step sizes, tried in turn until the program is solved. A small one suits programs that touch few
             limits, a large one those that run along the rate limit; the solver's own rule adapts too slowly for
             either, and its answers would depend on the programs before.
-        iterations: bound per step size; what is reached by the last is used, and said in the status.
+        iterations: bound per step size; the result of the last one is used, and the status says so.
     """
 
     eps: float = 1e-5
@@ -177,18 +174,16 @@ class OsqpOptions:
     iterations: int = 60
 
     def solver(self, pattern: QpPattern) -> OsqpSolver:
-        """A solver of programs of this pattern."""
+        """Return a solver of programs of this pattern."""
         return OsqpSolver(pattern, self)
 
 
 @final
 class OsqpSolver(QpSolver):
-    """Solver OSQP of one family of quadratic programs.
+    """Solver OSQP of one pattern of quadratic programs.
 
-    The workspace, one a thread, only saves time: every solve starts from z = 0, the first step size and the
-    multipliers that come with the data, and the cost is scaled here and not by the solver, whose scaling leaves
-    rounding errors behind.
-    So equal data give equal answers, to the last bit.
+    Each thread reuses one workspace. Every solve starts from z = 0, the first step size and the multipliers in the
+    data; the cost is scaled here, because the solver's scaling leaves rounding errors behind.
     """
 
     name = "OSQP"

@@ -1,1 +1,1 @@
-"""The planner's side: `TipController`, its settings, references, reach and memory."""
+"""Interface for motion planners: `TipController`, its settings, references, reach and memory."""

@@ -1,4 +1,4 @@
-"""The memory of a `TipController`: a snapshot, its transitions as pure functions, and what a planner sees of it."""
+"""Memory of a `TipController`: snapshot, transitions as pure functions, and the state and plan for a planner."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ from .reference import Reference, ReferenceRequest, rest_reference
 
 
 class PlannersController(Controller[GuardedState[Any]], Protocol):
-    """A `GuardedController`, or one that answers as it does, such as its C."""
+    """Interface of a `GuardedController`, also implemented by its C export."""
 
     def replay(self, commands: Vec, angles: Vec) -> GuardedState[Any]:
-        """State after a recording, see `GuardedController.replay`."""
+        """Return the state after a recording, see `GuardedController.replay`."""
         ...
 
     def sigma_deg(self, state: GuardedState[Any]) -> float:
@@ -38,7 +38,7 @@ class PlannersController(Controller[GuardedState[Any]], Protocol):
         ...
 
     def stop(self, state: GuardedState[Any], cause: str) -> GuardedState[Any]:
-        """The state after which every step stops; only a new `init` releases it."""
+        """Return the state with the stop latched; only a new `init` releases it."""
         ...
 
 
@@ -49,17 +49,15 @@ _ROUNDING = 1e-9  # of a limit or a time, that passes
 
 @dataclass(frozen=True, eq=False)
 class Snapshot:
-    """Everything that a `TipController` remembers: from equal snapshots follow equal futures.
+    """Complete memory of a `TipController`: equal snapshots have equal futures.
 
     Attributes:
         origin: kind and fingerprint of the controller that it belongs to.
         command: the last answer; at first the command that the device holds.
-        sent: whether this controller has answered that command, so that the device holds it for certain.
-        steps: steps taken since the start.
+        sent: whether this controller has sent that command, so that the device certainly holds it.
         control: the controller's own state; None before the first usable measurement.
-        reference: what is followed; None before that.
-        request: what will be followed from the first usable measurement on.
-        halted: whether `stop` was called.
+        reference: present reference; None before that.
+        request: reference from the first usable measurement on.
     """
 
     origin: str
@@ -79,7 +77,7 @@ class Snapshot:
 
     @property
     def stop_cause(self) -> str:
-        """Why the stop is latched, where it is."""
+        """Cause of a latched stop."""
         latched = self.control is not None and self.control.fallback.stopped
         return self.control.fallback.cause if self.control is not None and latched else "by stop()"
 
@@ -94,19 +92,19 @@ class Snapshot:
         return math.nan if self.control is None else self.control.estimate.measured
 
     def motion(self, t: float) -> Kinematics:
-        """The reference's state of motion at `t` [s]; not-a-number where there is none or a user's function fails."""
+        """State of motion of the reference at `t` [s]; not-a-number if there is none or a user's function fails."""
         reference = self.reference
         motion = None if reference is None else attempt(lambda: reference.motion(t))[0]
         return motion if motion is not None and math.isfinite(motion.theta_deg) else Kinematics(math.nan)
 
 
 def initial_snapshot(origin: str, command: float, sent: bool = False) -> Snapshot:
-    """Snapshot before the start, the device holding `command`."""
+    """Return the snapshot before the start, the device holding `command`."""
     return Snapshot(origin, Command(command, Source.HOLD, "not started"), sent)
 
 
 def start_control(memory: Snapshot, controller: PlannersController, y: float) -> Snapshot:
-    """Snapshot at rest at the measured angle `y` [deg], with a request turned into a reference."""
+    """Return the snapshot at rest at the measured angle `y` [deg], with the request turned into a reference."""
     control = controller.init(y, memory.command.u)
     if memory.halted:
         control = controller.stop(control, "by stop()")
@@ -116,14 +114,14 @@ def start_control(memory: Snapshot, controller: PlannersController, y: float) ->
 
 
 def replay_recording(origin: str, controller: PlannersController, commands: Vec, angles: Vec) -> Snapshot:
-    """Snapshot at time 0 after a recording of commands and angles, at rest at the last measured angle."""
+    """Return the snapshot at time 0 after a recording of commands and angles, at rest at the last measured angle."""
     control = controller.replay(commands, angles)
     held = Command(control.estimate.command, Source.HOLD, "replayed")
     return Snapshot(origin, held, control=control, reference=rest_reference(control.due, 0.0))
 
 
 def try_to_start(memory: Snapshot, controller: PlannersController, y: object) -> Snapshot:
-    """Snapshot of the started controller where `y` is usable; otherwise with a held command and the reason."""
+    """Start the controller if `y` is usable; otherwise return a snapshot with a held command and the reason."""
     angle = usable_angle(y)
     after, reason = attempt(lambda: start_control(memory, controller, angle))
     if math.isnan(angle):
@@ -132,7 +130,7 @@ def try_to_start(memory: Snapshot, controller: PlannersController, y: object) ->
 
 
 def set_request(memory: Snapshot, request: ReferenceRequest, dt: float, start: Kinematics) -> Snapshot:
-    """Snapshot with the requested reference from the state of motion `start` on; before the start, with the request.
+    """Set the requested reference, from the state of motion `start` on; before the start, store the request.
 
     Raises:
         ControllerError: if the stop is latched.
@@ -142,30 +140,30 @@ def set_request(memory: Snapshot, request: ReferenceRequest, dt: float, start: K
         raise ControllerError("the stop is latched: got a new reference, expected reset() first")
     if memory.control is None:
         return replace(memory, request=request)
-    if math.isnan(start.theta_deg):  # the reference so far fails: start from where the tip is
+    if math.isnan(start.theta_deg):  # the present reference fails: start from the tip's position
         start = Kinematics(memory.measured_deg)
     return replace(memory, reference=request(start, memory.steps * dt))
 
 
 def halted(memory: Snapshot, controller: PlannersController, cause: str = "by stop()") -> Snapshot:
-    """Snapshot with the stop latched."""
+    """Return the snapshot with the stop latched."""
     control = None if memory.control is None else controller.stop(memory.control, cause)
     return replace(memory, control=control, halted=True)
 
 
 def holding(control: GuardedState[Any] | None, held: float) -> GuardedState[Any] | None:
-    """The controller's state, the device holding the command `held`: the next command is limited from it."""
+    """Set the command `held` in the controller's state: the next command is limited from it."""
     if control is None or control.estimate.command == held:
         return control
     return replace(control, estimate=replace(control.estimate, command=held))
 
 
 def skipped(memory: Snapshot, controller: PlannersController, cause: str) -> Snapshot:
-    """Snapshot after a sample in which nothing was sent: the device holds its command, also in a stop with a ramp."""
+    """Return the snapshot after a sample without a command: the device holds, also in a stop with a ramp."""
     control, held = memory.control, memory.command.u
     if control is None:
         return memory
-    if memory.stopped:  # a step would answer the next command of the ramp
+    if memory.stopped:  # a step would compute the next command of the ramp
         command = replace(memory.command, source=Source.STOP, status=f"stopped: latched {memory.stop_cause}; {cause}")
     else:
         command, control = controller.step(control, math.nan, np.empty(0))
@@ -175,7 +173,7 @@ def skipped(memory: Snapshot, controller: PlannersController, cause: str) -> Sna
 
 
 def take_up(memory: Snapshot, present: Snapshot, controller: PlannersController, held: float) -> Snapshot:
-    """Restored or replayed memory in the place of the present one, the device holding `held`; a latched stop stays."""
+    """Restore or replay a memory in place of the present one, the device holding `held`; a latched stop remains."""
     command = memory.command
     if command.u != held:
         command = replace(command, u=held, status=f"taken up, the device holds {held:.6g}")
@@ -184,7 +182,7 @@ def take_up(memory: Snapshot, present: Snapshot, controller: PlannersController,
 
 
 def held_after_replay(memory: Snapshot, present: Snapshot, limits: CommandLimits) -> float:
-    """The command that the device holds after a recording: its newest, which must be the one sent last.
+    """Return the command that the device holds after a recording: its newest, which must equal the one sent last.
 
     Raises:
         ControllerError: if this controller has sent another one.
@@ -201,7 +199,7 @@ def held_after_replay(memory: Snapshot, present: Snapshot, limits: CommandLimits
 
 
 def require_within(command: object, limits: CommandLimits, what: str) -> float:
-    """`command` as a number within the limits.
+    """Convert `command` to a number and check that it lies within the limits.
 
     Raises:
         ControllerError: if it is none.
@@ -213,7 +211,7 @@ def require_within(command: object, limits: CommandLimits, what: str) -> float:
 
 
 def require_number(value: object, what: str) -> float:
-    """`value` as a number; not-a-number where it is that itself.
+    """Convert `value` to a number; not-a-number is allowed.
 
     Raises:
         ControllerError: if it is none.
@@ -225,7 +223,7 @@ def require_number(value: object, what: str) -> float:
 
 
 def require_usable(snapshot: object, origin: str, limits: CommandLimits) -> Snapshot:
-    """Snapshot from which this controller can continue.
+    """Check that this controller can continue from a snapshot, and return it.
 
     Raises:
         ControllerError: if it is none, belongs to another controller, or holds a command beyond the limits.
@@ -249,21 +247,20 @@ def require_usable(snapshot: object, origin: str, limits: CommandLimits) -> Snap
 
 @dataclass(frozen=True)
 class TipState:
-    """The controller between two steps.
+    """State of the controller between two steps.
 
     Attributes:
         time_s: end of the running sample: steps taken times the sample time.
-        measured_deg: last accepted measurement, made at the beginning of the running sample; NaN before the first. Of a
-            controller without a sensor the angle that the model says.
+        measured_deg: last accepted measurement, made at the beginning of the running sample; NaN before the first.
+            Without a sensor: the model's angle.
         predicted_deg: angle expected at the end of it, disturbance included; NaN without a model.
-        reference_deg, reference_velocity_deg_s: what is wanted then.
+        reference_deg, reference_velocity_deg_s: reference at the same time.
         command: the command that is being held [mm or bar].
-        disturbance_deg: by how much the device is off the model, as estimated.
-        sigma_deg: standard deviation of the error of the estimated angle, which is the model's and the disturbance.
-            With a sensor it is that of the Kalman filters, less than the sensor's noise where they average over it. Of
-            a controller without a sensor it is how far the model's free runs were off. NaN where that is not known.
+        disturbance_deg: estimated difference between device and model.
+        sigma_deg: standard deviation of the error of the estimated angle, by the Kalman filters; without a sensor, the
+            error of the model's free runs. NaN if unknown.
         source, status: of that command.
-        done: whether the reference has come to its end.
+        done: whether the reference has ended.
         settled: done, and the measurement is within the tolerance.
         stopped: whether the stop is latched, by `stop` or after repeated failures.
     """
@@ -292,7 +289,7 @@ class TipPlan:
         time_s: ends of the samples.
         command: planned commands; only the one that is held where the controller does not plan.
         predicted_deg: angles at these ends, disturbance included; as many as are known.
-        reference_deg: wanted angles at these ends; NaN before the start.
+        reference_deg: reference at these ends; NaN before the start.
         sigma_deg: standard deviation of the error of each predicted angle: that of the estimate now, and what drift and
             motion of the model's noise add until then; NaN where it is not known.
     """
@@ -312,7 +309,7 @@ class TipPlan:
 
 
 def tip_state(memory: Snapshot, controller: PlannersController, tolerance_deg: float) -> TipState:
-    """State of the controller, from a snapshot."""
+    """Return the state of the controller, from a snapshot."""
     now, command = memory.steps * controller.dt, memory.command
     motion, measured = memory.motion(now), memory.measured_deg
     done = memory.reference is not None and now >= memory.reference.end_s - _ROUNDING
@@ -334,7 +331,7 @@ def tip_state(memory: Snapshot, controller: PlannersController, tolerance_deg: f
 
 
 def tip_plan(memory: Snapshot, controller: PlannersController) -> TipPlan:
-    """The plan of the last step, in a snapshot."""
+    """Return the plan of the last step, from a snapshot."""
     dt = controller.dt
     command, reference = memory.command, memory.reference
     planned = command.plan if command.plan.size else np.array([command.u])
@@ -345,7 +342,7 @@ def tip_plan(memory: Snapshot, controller: PlannersController) -> TipPlan:
 
 
 def _sigma_of_plan(memory: Snapshot, controller: PlannersController, planned: Vec) -> Vec:
-    """Standard deviations at the ends of the running and the next samples, as many as predicted angles [deg]."""
+    """Standard deviations of the predicted angles at the ends of the running and the next samples [deg]."""
     control, rows = memory.control, memory.command.predicted.size
     if control is None or not rows:
         return np.full(rows, np.nan)
@@ -356,9 +353,9 @@ def _sigma_of_plan(memory: Snapshot, controller: PlannersController, planned: Ve
 def predicted_angles(
     predictor: Predictor, limits: CommandLimits, estimate: Estimate | None, commands: ArrayLike
 ) -> Vec:
-    """Angles [deg] at the ends of the coming samples under one plan (N,) or several (K, N), disturbance included."""
+    """Predict the angles [deg], disturbance included, at the ends of the samples of one plan (N,) or several (K, N)."""
     plans, estimate = usable_plans(predictor, limits, estimate, commands)
-    under_way = np.array(estimate.angles[1:])  # of commands that are sent already but have not acted
+    under_way = np.array(estimate.angles[1:])  # of commands already sent that have not acted yet
     new = predictor.rollout(estimate.state, plans)
     angles = np.hstack([np.tile(under_way, (len(plans), 1)), new])[:, : plans.shape[1]] + estimate.disturbance
     return angles.reshape(np.shape(commands))
@@ -377,7 +374,7 @@ def predicted_sigmas(
 def usable_plans(
     predictor: Predictor, limits: CommandLimits, estimate: Estimate | None, commands: ArrayLike
 ) -> tuple[Vec, Estimate]:
-    """Plans (K, N) that could be sent now, and the estimate from which they start.
+    """Return plans (K, N) checked against the limits, and the estimate from which they start.
 
     Raises:
         ControllerError: if there is no estimate of a model's state, or a plan is not finite or beyond the limits.

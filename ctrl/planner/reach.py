@@ -1,4 +1,4 @@
-"""Reachable angles: those at which the model can be held within the command limits."""
+"""Reachable angles: angles at which the model can be held within the command limits."""
 
 from __future__ import annotations
 
@@ -23,14 +23,11 @@ _REACH_SLACK = 0.02  # of the reach: a reference may begin at the rest of a devi
 
 @dataclass(frozen=True)
 class Reach:
-    """Whether an angle can be reached; true where it can.
+    """Reachability of an angle; its truth value is `reachable`.
 
     Attributes:
-        reachable: the answer.
         low_deg, high_deg: least and greatest angle that can be reached now [deg].
-        reason: one line.
-        nearest_deg: the angle nearest to the one asked for that can be reached: itself, or the end at which it is cut
-            [deg]; NaN where none was asked for.
+        nearest_deg: reachable angle nearest to the requested one [deg]; NaN without a request.
     """
 
     reachable: bool
@@ -46,14 +43,14 @@ class Reach:
 
 @dataclass(frozen=True)
 class Workspace:
-    """Bounds of the angle [deg]."""
+    """Bounds of the reachable angles [deg]."""
 
     model: tuple[float, float]  # the model's angles at rest at both ends of the command
     soft: tuple[float, float]  # soft angle limits of the controller, infinite for none
     trained: tuple[float, float]  # angles that the model was identified on; beyond them it extrapolates
 
     def judge(self, theta_deg: float, disturbance_deg: float) -> Reach:
-        """Whether `theta_deg` can be reached where the device is off the model by `disturbance_deg` [deg]."""
+        """Return whether `theta_deg` can be reached with the output disturbance `disturbance_deg` [deg]."""
         ends = self.model[0] + disturbance_deg, self.model[1] + disturbance_deg
         low, high = max(ends[0], self.soft[0]), min(ends[1], self.soft[1])
         if not math.isfinite(theta_deg):
@@ -72,12 +69,7 @@ class Workspace:
 
 
 def beyond_reach(angles_deg: Vec, reach_deg: tuple[float, float]) -> str:
-    """Text on the part of a reference beyond reach, to follow the reference's name; empty where all is reachable.
-
-    Args:
-        angles_deg: of the reference (N,) [deg].
-        reach_deg: see `angles_at_rest` [deg].
-    """
+    """Return a text on the part of a reference beyond reach, to follow its name; empty if all angles are reachable."""
     low, high = float(np.min(angles_deg)), float(np.max(angles_deg))
     slack = _REACH_SLACK * (reach_deg[1] - reach_deg[0])
     if reach_deg[0] - slack <= low and high <= reach_deg[1] + slack:
@@ -89,10 +81,10 @@ def beyond_reach(angles_deg: Vec, reach_deg: tuple[float, float]) -> str:
 
 
 def angles_at_rest(predictor: Predictor, limits: CommandLimits, start_deg: float) -> tuple[float, float]:
-    """The model's angles at rest at both ends of the command, after one slow excursion through all of it [deg].
+    """Compute the model's angles at rest at both ends of the command, after one slow excursion over its range [deg].
 
     Args:
-        start_deg: an angle that it may start from.
+        start_deg: initial angle of the model.
 
     Raises:
         ControllerError: if the model does not answer with finite angles.

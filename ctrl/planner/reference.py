@@ -1,4 +1,4 @@
-"""References of a running controller: immutable, on the controller's clock, ready to be left in mid-motion."""
+"""References on the controller's clock: immutable functions of time that can be replaced in mid-motion."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ from ..estimation.observer import ANGLE_BOUND_DEG
 
 
 class Reference(ABC):
-    """A wanted angle over the controller's time; `end_s` is when it comes to rest for good, infinite for never.
+    """Reference angle over the controller's time; it comes to its final rest at `end_s` [s], infinite for never.
 
-    `foreign` is whether it runs a user's code, which may take any time: it is then evaluated outside the lock.
+    `foreign`: whether it runs a user's code, which may take any time and is evaluated outside the lock.
     """
 
     end_s: float
@@ -30,20 +30,19 @@ class Reference(ABC):
 
     @abstractmethod
     def at(self, t: Vec) -> Vec:
-        """Wanted angles [deg] at the times `t` (N,) [s]."""
+        """Return the reference angles [deg] at the times `t` (N,) [s]."""
 
     @abstractmethod
     def motion(self, t: float) -> Kinematics:
-        """Angle, velocity and acceleration at `t` [s]: where a new motion starts from."""
+        """Return angle, velocity and acceleration at `t` [s], the start of a new motion."""
 
 
 @final
 class PiecewiseReference(Reference):
-    """theta(t) = p + v s + a s^2/2 + j s^3/6 piece by piece; at rest at `target_deg` after the last.
+    """Piecewise cubic reference theta(t) = p + v s + a s^2/2 + j s^3/6; at rest at `target_deg` after the last piece.
 
     Args:
         segments: rows of duration [s], p [deg], v [deg/s], a [deg/s^2], j [deg/s^3], shape (M, 5), M = 0 for a rest.
-        target_deg: the angle at the end [deg].
         start_s: when it starts on the controller's clock [s].
     """
 
@@ -71,18 +70,15 @@ class PiecewiseReference(Reference):
 
 @final
 class GivenReference(Reference):
-    """A reference from outside: any function of the seconds since it was set.
+    """Reference given by a function of the seconds since it was set.
 
-    Velocity and acceleration are backward differences over one sample, cut at the limits of motion: what is left
-    where a target replaces it.
+    Velocity and acceleration, for a motion to a new target, are backward differences over one sample, limited.
 
     Args:
         function: times (N,) [s] since it was set -> angles (N,) [deg]; it may raise, the step then holds.
         start_s: when it was set on the controller's clock [s].
         duration_s: when it comes to rest, counted from there [s].
-        dt: sample time [s].
         limits: bounds of the differences.
-        foreign: whether the function is a user's.
     """
 
     def __init__(
@@ -112,23 +108,23 @@ class GivenReference(Reference):
 
 @dataclass(frozen=True, eq=False)
 class ReferenceRequest:
-    """A requested reference, before it is known when it starts and from which state of motion."""
+    """Requested reference whose start time and initial state of motion are not yet known."""
 
     plan: Callable[[Kinematics, float], Reference]  # state of motion and time [s] of the start, to the reference
-    from_motion: bool  # whether the state of motion counts; False where the reference is followed as given
+    from_motion: bool  # whether the state of motion is used; False if the reference is followed as given
 
     def __call__(self, start: Kinematics, start_s: float) -> Reference:
-        """The reference from the state of motion `start` at `start_s` [s] on."""
+        """Return the reference from the state of motion `start` at `start_s` [s] on."""
         return self.plan(start, start_s)
 
 
 def rest_reference(theta_deg: float, start_s: float) -> PiecewiseReference:
-    """The reference that stays where it is."""
+    """Return a constant reference."""
     return PiecewiseReference(np.empty((0, 5)), theta_deg, start_s)
 
 
 def waypoint_request(angles_deg: Sequence[float], holds_s: Sequence[float], limits: MotionLimits) -> ReferenceRequest:
-    """Moves from angle to angle, each as fast as the limits allow and each followed by its hold.
+    """Return the request of moves from angle to angle, each as fast as the limits allow and followed by its hold.
 
     Raises:
         ControllerError: if the counts differ, nothing is given, an angle is not finite or a hold is negative.
@@ -155,10 +151,10 @@ def waypoint_request(angles_deg: Sequence[float], holds_s: Sequence[float], limi
 
 
 def given_request(source: Any, dt: float, limits: MotionLimits) -> ReferenceRequest:
-    """A callable of the seconds since it was set, or angles (T,) [deg] at the ends of the coming samples.
+    """Return the request of a function of the seconds since it was set, or of angles (T,) [deg] at the coming samples.
 
-    A callable gets an array of times where it takes one, else one number at a time; with an attribute `duration_s`, as
-    trajectories have, it comes to an end there. The last angle of an array is held.
+    A function gets an array of times if it accepts one, else single numbers; an attribute `duration_s`, as of
+    trajectories, is its end. The last angle of an array is held.
 
     Raises:
         ControllerError: if it is neither, or does not answer with finite angles.
@@ -188,7 +184,7 @@ def _sampled(source: Any, dt: float) -> tuple[Callable[[Vec], Vec], float]:
 
 
 def _vectorised(source: Callable[..., Any], dt: float) -> Callable[[Vec], Vec]:
-    """`source` as a function of an array of times, tried on the first samples."""
+    """`source` as a function of an array of times, tested on the first samples."""
     times = dt * np.arange(3, dtype=np.float64)
 
     def one_by_one(t: Vec) -> Vec:

@@ -1,4 +1,4 @@
-"""Settings of a `TipController`, one YAML file or mapping, and everything that it runs on, made from them."""
+"""Settings of a `TipController` (YAML file or mapping), and the assembly of its parts."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ class TipSettings(Settings):
 
 
 def read_settings(source: Path | str | Mapping[str, Any] | TipSettings) -> tuple[TipSettings, Path]:
-    """Settings, and the folder in which their relative file names start: that of the file, else the present one.
+    """Read the settings, and return the folder of their relative file names: the file's, else the present one.
 
     Raises:
         ConfigError: on an unreadable file, an unknown key (with the nearest right one), or a value out of bounds.
@@ -77,13 +77,9 @@ class Assembly:
     """Parts of a `TipController`.
 
     Attributes:
-        controller: law, estimator, fallbacks and limits.
-        predictor: the model, for predictions asked for by a planner.
-        limits: hard limits that the controller keeps.
-        workspace: what bounds the angle.
-        unit: of the command.
-        model_limits: what the model was made for; `limits` may be narrower, and wider where the settings say so.
-        rest_command: at which the device rests, as the model's file says; None where it does not.
+        predictor: the model, for predictions requested by a planner.
+        model_limits: of the model; `limits` may be narrower, and wider if the settings allow it.
+        rest_command: rest command in the model's file; None without one.
         model_hash: of the files that were opened.
     """
 
@@ -98,11 +94,11 @@ class Assembly:
 
     @property
     def rests_at(self) -> float:
-        """Command that the device holds before the first step, where the settings do not say it."""
+        """Command held before the first step, if the settings do not give it."""
         return rest_within(self.rest_command, self.limits.lower, self.limits.upper)
 
     def origin(self, settings: TipSettings) -> str:
-        """Kind and fingerprint of a controller: equal where settings, limits and model are."""
+        """Kind and fingerprint of a controller: equal for equal settings, limits and model."""
         controller = settings.model_dump_json(
             exclude={"model", "inverse", "limits", "motion", "start_command", "tolerance_deg"}
         )
@@ -118,7 +114,7 @@ def assemble(settings: TipSettings, folder: Path) -> Assembly:
         ControllerError: if the settings contradict each other or the model, or limits go beyond the model's unasked.
         FitError: if a network has no `inverse` and none can be fitted.
     """
-    # heavy libraries, which settings alone do not need
+    # heavy libraries that settings alone do not need
     from hystmpc.models.load import load_model, model_path
     from hystmpc.models.prediction.build import controller_model
 
@@ -152,7 +148,7 @@ def assemble(settings: TipSettings, folder: Path) -> Assembly:
 
 
 def _warm_up(controller: GuardedController[Any], rest_deg: float, limits: CommandLimits) -> None:
-    """Two steps from rest along a reference that moves: kernels are compiled and workspaces built by then."""
+    """Take two steps from rest along a moving reference, so that kernels are compiled and workspaces exist."""
     state, wanted = controller.init(rest_deg, limits.lower), rest_deg + np.arange(1.0, controller.horizon + 1)
     _, state = controller.step(state, rest_deg, wanted)
     command, state = controller.step(state, rest_deg, wanted)

@@ -1,4 +1,4 @@
-"""Interface for motion planners: set a target or a preview, step, read state and plan, stop."""
+"""Controller for motion planners: set a target or a preview, step, read state and plan, stop."""
 
 from __future__ import annotations
 
@@ -51,28 +51,25 @@ if TYPE_CHECKING:
     from .settings import Assembly
 
 
-_ROUNDS = 3  # evaluations of a reference within one step, where another thread sets a new one each time
+_ROUNDS = 3  # evaluations of a reference within one step, if another thread sets a new one each time
 
 
 @final
 class TipController:
-    """A controller with its clock and its reference: one call a sample, targets at any time.
+    """Controller with its clock and its reference: one call per sample, new targets at any time.
 
         tip = TipController.from_config("tip.yaml")
         tip.set_target(60.0)
         while not tip.state().settled:
             device.send(tip.step(device.measure()).u)
 
-    `step` never raises and never leaves the limits, whatever the measurement; everything else raises
-    `ControllerError` with one line. Time is the number of steps times the sample time. All methods may be called from
-    any thread while one thread steps; each waits for at most one step of the controller itself: a reference function is
-    evaluated outside the lock, however long it takes, and `stop` meanwhile is honoured by that very step.
+    `step` never raises and never leaves the limits, for any measurement; everything else raises `ControllerError` with
+    one line. Time is the number of steps times the sample time. All methods may be called from any thread while one
+    thread steps; each waits for at most one step of the controller itself: a reference function is evaluated outside
+    the lock, however long it takes, and `stop` meanwhile is honoured by that very step.
 
-    All memory is one frozen `Snapshot`. A latched stop survives everything but `reset`. Whatever is restored, replayed
-    or reset, the next command is limited from the last one sent, unless the caller says that the device holds another.
-
-    Args:
-        controller: stepped in the place of the assembly's.
+    All memory is one frozen `Snapshot`. Only `reset` releases a latched stop. After a restore, replay or reset the next
+    command is limited from the last one sent, unless the caller gives another held command.
 
     Raises:
         ControllerError: if the start command is beyond the limits.
@@ -86,18 +83,17 @@ class TipController:
         self._assembly, self._settings, self._lock = assembly, settings, RLock()
         self._motion = settings.motion
         self._controller: PlannersController = controller or assembly.controller
-        self._nothing = np.empty(0)  # a reference that is too short: the controller holds
+        self._nothing = np.empty(0)  # empty reference: the controller holds
         self._ahead: Vec = self.dt * np.arange(1, self._controller.horizon + 1, dtype=np.float64)
         self._origin = assembly.origin(settings)
         self._memory = initial_snapshot(self._origin, start)
 
     @classmethod
     def from_config(cls, source: Path | str | Mapping[str, Any] | TipSettings) -> Self:
-        """A controller that is ready to step: files opened, kernels compiled, one step taken for warmth.
+        """Build a controller that is ready to step: files opened, kernels compiled, first steps taken.
 
         Args:
-            source: a YAML file or the same as a mapping, see `TipSettings`; relative file names start at the file's
-                folder.
+            source: a YAML file or mapping, see `TipSettings`; relative file names start at the file's folder.
 
         Raises:
             ConfigError: on an unknown key (with the nearest right one) or a value out of bounds.
@@ -123,10 +119,10 @@ class TipController:
         return self._controller.dt
 
     def step(self, measured_theta_deg: float) -> Command:
-        """One sample: the command to send now.
+        """Compute the command to send now, and advance the clock by one sample.
 
         Args:
-            measured_theta_deg: tip angle now [deg]; NaN where there is none. The first usable one starts the
+            measured_theta_deg: present tip angle [deg]; NaN if there is none. The first usable one starts the
                 controller at rest there; until then the start command is held.
         """
         for _ in range(_ROUNDS):
@@ -150,18 +146,17 @@ class TipController:
             return self._answer(measured_theta_deg, None, "another was set each time this one was evaluated")
 
     def skip(self) -> Command:
-        """One sample in which nothing was sent and the device held; the answer says so."""
+        """Advance by one sample in which nothing was sent and the device held; the command returned says so."""
         with self._lock:
             self._memory = skipped(self._memory, self._controller, "sample skipped, command held")
             return self._memory.command
 
     def took(self, steps: int, command: Command, control: GuardedState[Any] | None = None) -> None:
-        """Take over samples in which the same controller was stepped elsewhere, such as in C.
+        """Take over samples in which the same controller was stepped elsewhere, such as in its C export.
 
         Args:
-            steps: how many.
             command: answer of the last of them.
-            control: the controller's state after it; None where more are to come.
+            control: the controller's state after it; None if further samples follow.
 
         Raises:
             ControllerError: if the command is beyond the limits, or `steps` is no whole number.
@@ -176,10 +171,9 @@ class TipController:
             self._memory = replace(memory, steps=memory.steps + int(whole), control=after, command=command, sent=True)
 
     def measure(self, theta_deg: float, taken_at_s: float) -> None:
-        """Use a frame of an intermittent sensor, taken in the past; between frames `step` gets NaN.
+        """Update the estimate by a frame of an intermittent sensor, taken in the past; between frames `step` gets NaN.
 
-        The estimate is corrected at the instant at which the frame was taken, and predicted forward from there. The
-        first frame starts the controller: the device rests then.
+        The estimate is corrected at that instant and predicted forward. The first frame starts the controller, at rest.
 
         Args:
             theta_deg: tip angle in the frame [deg].
@@ -199,7 +193,7 @@ class TipController:
             self._memory = replace(memory, control=control)
 
     def _answer(self, measured_theta_deg: float, wanted: Vec | None, fault: str) -> Command:
-        """Command of this sample, stored as sent; under the lock."""
+        """Compute the command of this sample and store it as sent, under the lock."""
         memory = self._memory
         command, control = memory.command, memory.control
         if control is None:
@@ -213,11 +207,10 @@ class TipController:
         return command
 
     def set_target(self, theta_deg: float) -> Reach:
-        """Move to `theta_deg` [deg] and stay: the fastest motion within the limits, from the present state of motion.
+        """Move to `theta_deg` [deg] and stay, by the fastest motion within the limits from the present state of motion.
 
-        Position, velocity and acceleration of the reference are continuous, in the middle of another motion too. The
-        answer says whether the target can be reached, and which angle is the nearest; out of reach, the controller goes
-        as far as it can.
+        Position, velocity and acceleration of the reference are continuous. The result says whether the target can be
+        reached, and the nearest reachable angle, to which the controller goes otherwise.
 
         Raises:
             ControllerError: if it is not a finite angle, or the stop is latched.
@@ -238,7 +231,7 @@ class TipController:
         """Follow a preview exactly as given, from the next sample on.
 
         Args:
-            source: a function of the seconds since this call, such as a trajectory; or wanted angles (T,) [deg] at
+            source: a function of the seconds since this call, such as a trajectory; or reference angles (T,) [deg] at
                 the ends of the coming samples, the last of which is held. A function has to be pure.
 
         Raises:
@@ -247,15 +240,15 @@ class TipController:
         self._request(given_request(source, self.dt, self._motion))
 
     def state(self) -> TipState:
-        """Present state of the controller."""
+        """Return the present state of the controller."""
         return tip_state(self._memory, self._controller, self._settings.tolerance_deg)
 
     def plan(self) -> TipPlan:
-        """Plan of the last step over its horizon."""
+        """Return the plan of the last step over its horizon."""
         return tip_plan(self._memory, self._controller)
 
     def predict(self, commands: ArrayLike) -> Vec:
-        """Angles [deg] at the ends of the coming samples under `commands`, disturbance included; nothing is sent.
+        """Predict angles [deg], disturbance included, at the ends of the samples of `commands`; nothing is sent.
 
         Args:
             commands: one plan (N,) or several (K, N) [mm or bar], the first to be sent next; angles have its shape.
@@ -269,24 +262,24 @@ class TipController:
         return predicted_angles(assembly.predictor, assembly.limits, estimate, commands)
 
     def predict_sigma_deg(self, commands: ArrayLike) -> Vec:
-        """Standard deviations of the errors of the angles that `predict` answers [deg], of their shape.
+        """Standard deviations of the errors of the angles that `predict` returns [deg], of the same shape.
 
-        With a sensor the error is that of the estimate now; until then the disturbance walks on, see `NoiseModel`:
+        With a sensor the error is that of the present estimate plus the random walk of the disturbance, see
+        `NoiseModel`:
 
             sigma_k^2 = sigma_now^2 + k drift^2 dt + motion^2 (|du_1| + ... + |du_k|)
 
-        Without a sensor it is the error of the model's free runs, at any time. NaN where that is not known. The noise
-        of a later reading is not part of it. Commands and errors are those of `predict`.
+        Without a sensor it is the error of the model's free runs. NaN if unknown. The noise of later readings is not
+        included. Arguments and exceptions are those of `predict`.
         """
         assembly = self._assembly
         return predicted_sigmas(assembly.limits, assembly.predictor, self._memory, self._controller, commands)
 
     def fork(self) -> Self:
-        """Independent copy for a planner that predicts while this controller controls the device.
+        """Return an independent copy for a planner that predicts while this controller controls the device.
 
-        It shares model, settings and limits and has a memory, a clock and a lock of its own: no call of either is seen
-        by the other, and both may be stepped at the same time from two threads. What a fork answers is not sent. It
-        costs no more than some references.
+        It shares model, settings and limits and has its separate memory, clock and lock, so both may be stepped at the
+        same time from two threads. The commands of a copy are not sent.
 
         Raises:
             ControllerError: if the controller runs in C, whose memory cannot be copied.
@@ -298,7 +291,7 @@ class TipController:
         return other
 
     def reachable(self, theta_deg: float) -> Reach:
-        """Whether the model can be held at `theta_deg` [deg] within command and soft angle limits, and why not."""
+        """Return whether the model can be held at `theta_deg` [deg] within command and soft angle limits."""
         return self._assembly.workspace.judge(require_number(theta_deg, "reachable"), self._memory.disturbance_deg)
 
     def stop(self) -> None:
@@ -327,7 +320,7 @@ class TipController:
             self._memory = memory
 
     def replay(self, commands: ArrayLike, angles_deg: ArrayLike, held: float | None = None) -> None:
-        """Reset to the state after a recording of another controller, hysteresis included; a latched stop stays.
+        """Reset to the state after a recording of another controller, hysteresis included; a latched stop remains.
 
         Args:
             commands: the last commands that were sent (T,) [mm or bar], the newest at the end.
@@ -349,17 +342,16 @@ class TipController:
             self._memory = take_up(memory, present, self._controller, holds)
 
     def snapshot(self) -> Snapshot:
-        """Snapshot of the whole state; equal futures follow from it."""
+        """Return a snapshot of the whole state, which with the inputs determines all future commands."""
         return self._memory
 
     def restore(self, snapshot: Snapshot, held: float | None = None) -> None:
-        """Restore the state of `snapshot`, except for a latched stop, which stays, and for the command that is held.
+        """Restore the state of `snapshot`, except a latched stop and the held command.
 
-        A simulation that rewinds its device too says so: `restore(snapshot, held=snapshot.command.u)`. After a stop it
-        calls `reset` first.
+        With a simulated device that is reset too: `restore(snapshot, held=snapshot.command.u)`, after a stop `reset`
+        first.
 
         Args:
-            snapshot: of a controller of the same kind, settings, limits and model.
             held: the command that the device holds now, from which the next one is limited; None for the one sent last.
 
         Raises:
@@ -386,7 +378,7 @@ class TipController:
             with self._lock:
                 now = self._memory
                 if now.reference is reference and now.control is not None:
-                    if now.steps != memory.steps:  # it has gone on meanwhile: the angle that is wanted now is known
+                    if now.steps != memory.steps:  # steps were taken meanwhile: use the present reference angle
                         start = replace(start, theta_deg=now.control.due)
                     self._memory = set_request(now, request, self.dt, start)
                     return

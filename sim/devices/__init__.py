@@ -1,4 +1,1 @@
-"""Simulated devices by name: the tendon catheter of S2, and those that installed packages add.
-
-They are not made of the operators that are identified on them (`models.operators`).
-"""
+"""Simulated devices by name, not made of identified operators: the tendon catheter of S2, and those of packages."""

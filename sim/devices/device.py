@@ -1,4 +1,4 @@
-"""Interface of simulated devices (explicit state, commands in, motion out), their parameters, and a device by name."""
+"""Interface of simulated devices with explicit state, their parameters, and named devices."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ class DeviceMotion:
     """Motion of a device under T commands, without any sensor."""
 
     angle: Vec  # true tip angle at the end of each sample [deg], (T,)
-    actuator: Vec  # what the drive reached: tendon displacement [mm] or muscle pressure [bar], (T,)
+    actuator: Vec  # output of the drive: tendon displacement [mm] or muscle pressure [bar], (T,)
     tension: Vec  # of the tendon [N], (T,); not-a-number where the device has none
     state: Vec  # after the last sample, (S,)
 
 
 class Device(Protocol):
-    """A device whose whole memory is its state (S,)."""
+    """Simulated device whose complete memory is its state (S,)."""
 
     @property
     def command_unit(self) -> str:
@@ -33,26 +33,26 @@ class Device(Protocol):
 
     @property
     def commands(self) -> tuple[float, float]:
-        """Least and greatest command that the device takes."""
+        """Least and greatest command of the device."""
         ...
 
     def virgin(self) -> Vec:
-        """State (S,) of a device that rests at its least command and has never been moved."""
+        """Return the state (S,) of a new device: at rest at its least command, never moved before."""
         ...
 
     def advance(self, state: Vec, commands: Vec, dt_s: float, random: np.random.Generator) -> DeviceMotion:
-        """Run commands (T,), each held for `dt_s` [s]; commands beyond the limits are clipped. `state` is kept."""
+        """Run commands (T,), each held for `dt_s` [s]; commands beyond the limits are clipped. `state` is unchanged."""
         ...
 
 
 def quantity(default: float, unit: str, lower: float, upper: float, meaning: str) -> Any:
-    """A dataclass field with a default, a unit, inclusive bounds and a line on what it is."""
+    """Define a dataclass field with default, unit, inclusive bounds and a line on its meaning."""
     return field(default=default, metadata={"unit": unit, "bounds": (lower, upper), "meaning": meaning})
 
 
 @dataclass(frozen=True)
 class Quantities:
-    """A block of parameters; every `quantity` in it is compared with its bounds.
+    """Base of parameter blocks: the bounds of every `quantity` are checked.
 
     Raises:
         ConfigError: naming the block, the parameter, the value and the bounds.
@@ -71,11 +71,9 @@ class Quantities:
 
 @dataclass(frozen=True)
 class NamedDevice:
-    """A simulated device that settings files give by its name.
+    """Simulated device that settings files refer to by name.
 
     Attributes:
-        make: the device, from its parameters.
-        parameters: their class, a block of `Quantities`.
         varied: parameters that differ from one specimen to the next, which a tuning draws where nothing else is said.
     """
 

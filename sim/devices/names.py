@@ -1,4 +1,4 @@
-"""Simulated devices by name, with their parameters as settings files give them."""
+"""Construction of simulated devices from their names and the parameters in settings files."""
 
 from __future__ import annotations
 
@@ -28,11 +28,7 @@ _OF_THE_LABORATORY = ("muscle", "rod")
 
 
 class DeviceError(ConfigError):
-    """A wrong description of a device.
-
-    Args:
-        at: keys from the description to the offending entry.
-    """
+    """Error in the description of a device; `at` is the path of keys to the wrong entry."""
 
     def __init__(self, message: str, at: tuple[str, ...]) -> None:
         super().__init__(message)
@@ -40,7 +36,7 @@ class DeviceError(ConfigError):
 
 
 def device_parameters(name: str, parameters: Mapping[str, float], factors: Mapping[str, float]) -> Any:
-    """The parameters of a device: its defaults, with `parameters` in their places, times `factors`.
+    """Return the parameters of a device: its defaults, replaced by `parameters`, then multiplied by `factors`.
 
     Raises:
         DeviceError: on an unknown device or parameter, a whole number with a factor or a fraction, or a value out of
@@ -70,7 +66,7 @@ def device_parameters(name: str, parameters: Mapping[str, float], factors: Mappi
 
 
 def named_device(name: str, parameters: Mapping[str, float], factors: Mapping[str, float]) -> Device:
-    """A device by name; arguments and errors are those of `device_parameters`.
+    """Build a device by name; arguments are those of `device_parameters`.
 
     Raises:
         DeviceError: as `device_parameters`.
@@ -80,7 +76,7 @@ def named_device(name: str, parameters: Mapping[str, float], factors: Mapping[st
 
 
 def parameter_lines(name: str) -> list[str]:
-    """One line for each parameter of a device: name, unit, bounds, default, meaning."""
+    """Return one line for each parameter of a device: name, unit, bounds, default, meaning."""
     made = DEVICES[name].parameters()
     lines = []
     for f in fields(made):
@@ -91,7 +87,7 @@ def parameter_lines(name: str) -> list[str]:
 
 
 def plain_parameters(name: str, parameters: Mapping[str, float], factors: Mapping[str, float]) -> dict[str, Any]:
-    """Every number of a device as plain data; arguments and errors are those of `device_parameters`.
+    """Return every number of a device as plain data; arguments are those of `device_parameters`.
 
     Raises:
         DeviceError: as `device_parameters`.
@@ -100,7 +96,6 @@ def plain_parameters(name: str, parameters: Mapping[str, float], factors: Mappin
 
 
 def _check_bounds(where: str, value: float, metadata: Mapping[str, Any], at: tuple[str, ...]) -> None:
-    """Raises DeviceError with the value and its bounds."""
     (lower, upper), unit = metadata["bounds"], "" if metadata["unit"] == "1" else f" {metadata['unit']}"
     if not (math.isfinite(value) and lower <= value <= upper):
         raise DeviceError(f"{where} is {value:.6g}{unit}, expected {lower:g} to {upper:g}{unit}", at)

@@ -1,4 +1,4 @@
-"""The tendon catheter of S2: distributed friction between two lines."""
+"""Tendon catheter of S2, with distributed friction between its loading and unloading lines."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ EXTRA_STATES = 5
 
 
 class TendonNumbers(NamedTuple):
-    """Parameters of the recursion; see `tendon.TendonParameters`."""
+    """Parameters of the recursion of `advance`; see `TendonParameters`."""
 
     drive_share: float  # 1 - exp(-dt / drive_lag)
     middle_slope: float
@@ -47,7 +47,7 @@ class TendonNumbers(NamedTuple):
 def advance(
     state: Any, widths: Any, commands: Any, bumps: Any, p: Any, dt: float, angle: Any, drive: Any, tension: Any
 ) -> None:
-    """Move `state` (N + 5,) on through commands (T,); `widths` (N,), `bumps` (T,) standard normal; outputs (T,)."""
+    """Advance `state` (N + 5,) by commands (T,) in place; `widths` (N,), `bumps` (T,) standard normal; outputs (T,)."""
     count = widths.size
     x, rough, viscous, creep, reached = state[count:]
     for k in range(commands.size):
@@ -60,7 +60,7 @@ def advance(
         half = (p.half_gap_deg + p.half_gap_slope * x) * (1 + p.viscous_s_per_mm * travel / dt) * max(1 + rough, 0.0)
         total = 0.0
         for i in range(count):
-            # The friction of one element holds it until the wall reaches it.
+            # The friction of an element holds it until the wall reaches it.
             state[i] = max(middle - widths[i] * half, min(middle + widths[i] * half, state[i]))
             total += state[i]
         bend = total / count
@@ -77,7 +77,7 @@ def advance(
 
 @dataclass(frozen=True)
 class TendonParameters(Quantities):
-    """Numbers of the tendon catheter; `friction`, widths and noise were set as docs/reference/devices.md says.
+    """Parameters of the tendon catheter; docs/reference/devices.md says how friction, widths and noise were set.
 
     Raises:
         ConfigError: if a number is out of its bounds, or the lines cross within the travel.
@@ -122,7 +122,7 @@ class TendonParameters(Quantities):
 
     @property
     def widths(self) -> Vec:
-        """Widths of the elements over their mean (N,): a narrow band, then a tail that makes the mean 1."""
+        """Widths of the elements relative to their mean (N,): a narrow band, then a tail that makes the mean 1."""
         core = min(max(round(self.core_share * self.elements), 1), self.elements - 1)
         band = np.linspace(self.core_from, self.core_to, core)
         rest = self.elements - core
@@ -132,7 +132,7 @@ class TendonParameters(Quantities):
 
 @final
 class TendonCatheter:
-    """Tendon displacement [mm] to tip angle [deg] through N friction elements between two lines.
+    """Device with input tendon displacement [mm] and output tip angle [deg], of N friction elements between two lines.
 
     With x the drive's displacement, x' = (u - x) / drive_lag, and its speed v = x':
 
@@ -162,7 +162,7 @@ class TendonCatheter:
         return 0.0, self.parameters.travel_mm
 
     def virgin(self) -> Vec:
-        """State (N + 5,) at the pretension, before any flexure."""
+        """Return the state (N + 5,) at the pretension, before any flexure."""
         p = self._numbers(1.0)
         elements = p.middle_deg + p.end_deg - self._widths * p.half_gap_deg
         bend = float(elements.mean())
@@ -180,7 +180,7 @@ class TendonCatheter:
 
     @property
     def state_size(self) -> int:
-        """S = N + 5."""
+        """Number of entries of the state, S = N + 5."""
         return self._widths.size + EXTRA_STATES
 
     def _numbers(self, dt_s: float) -> TendonNumbers:
@@ -210,5 +210,5 @@ class TendonCatheter:
 
 
 def _share(dt_s: float, lag_s: float) -> float:
-    """Share of a step that a first-order lag has made after one sample, exact for a held input."""
+    """Step response of a first-order lag after one sample, exact for a held input."""
     return 1 - math.exp(-dt_s / lag_s) if lag_s > 0 else 1.0

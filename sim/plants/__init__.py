@@ -1,1 +1,1 @@
-"""Simulated plants: a chain of operators or a device of its own physics, with injectable effects."""
+"""Simulated plants, made of operators or of a device with separate physics, with additional effects."""

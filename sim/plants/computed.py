@@ -1,4 +1,4 @@
-"""Base class of simulated plants, and operators in series with explicit state."""
+"""Base class of simulated plants, and series of operators with explicit state."""
 
 from __future__ import annotations
 
@@ -33,14 +33,12 @@ class Sensing:
 
 
 class ComputedPlant(ABC):
-    """A `ctrl.loop.Plant` that is computed; its state is hidden, as that of hardware is.
+    """Base class of computed plants (`ctrl.loop.Plant`); the state is hidden, as in a real device.
 
-    A reset always returns to the same rest; random numbers and noise begin anew. A subclass defines the rest and the
-    change within a sample; its state is replaced in each sample and never altered, so that copies may share it.
+    A reset always returns to the same rest and restarts the random numbers. A subclass defines the rest and the change
+    within a sample; its state is replaced in each sample and never altered, so that copies may share it.
 
     Args:
-        dt_s: sample time [s].
-        command_unit: mm or bar.
         seed: of noise and randomness of the device; equal seeds give the same run after every reset.
 
     Raises:
@@ -56,16 +54,16 @@ class ComputedPlant(ABC):
             raise ConfigError(f"dt_s: got {dt_s}, expected a positive number")
         self.dt, self.seed, self.sensing = dt_s, seed, sensing
         self.rest_command, self.command_unit = rest_command, command_unit
-        self._sensors = OperatorCascade(sensing.sensors, 1.0)  # sensors have no time in them
+        self._sensors = OperatorCascade(sensing.sensors, 1.0)  # sensors do not depend on time
         self._restart()
 
     @property
     def true_angle(self) -> float:
-        """Tip angle without noise and quantisation [deg]: for metrics, hidden from controllers."""
+        """Tip angle without noise and quantisation [deg], for metrics; hidden from controllers."""
         return self._angle
 
     def reset(self) -> float:
-        """Bring the device to rest at its command of rest and return the measured tip angle [deg]."""
+        """Bring the device to rest at its rest command, and return the measured tip angle [deg]."""
         self._restart()
         return self._measured()
 
@@ -75,28 +73,28 @@ class ComputedPlant(ABC):
         return self._measured()
 
     def reseeded(self, seed: int) -> Self:
-        """The same device with another realisation of everything random."""
+        """Return the same device with another realisation of all random numbers."""
         other = copy(self)
         other.seed = seed
         other.reset()
         return other
 
     def copied(self) -> Self:
-        """Plant that continues from the present state with the same future noise; the two are independent."""
+        """Return a plant that continues from the present state with the same future noise; the two are independent."""
         other = copy(self)
         other._random = deepcopy(self._random)
         return other
 
     def stop(self) -> None:  # noqa: B027  # hardware has something to do here
-        """Nothing to do: a computed device is safe as it stands."""
+        """Do nothing: a computed device is always safe."""
 
     @abstractmethod
     def _at_rest(self, random: np.random.Generator) -> tuple[float, Any]:
-        """True angle [deg] and state before a run."""
+        """Return the true angle [deg] and the state before a run."""
 
     @abstractmethod
     def _advanced(self, state: Any, u: float, random: np.random.Generator) -> tuple[float, Any]:
-        """True angle [deg] and state after command `u` for one sample."""
+        """Return the true angle [deg] and the state after command `u` for one sample."""
 
     def _restart(self) -> None:
         self._random = np.random.default_rng(self.seed)
@@ -112,7 +110,7 @@ class ComputedPlant(ABC):
 
 
 def sensors_at_rest(sensors: Sequence[Sensor], angle: float, seed: int) -> Vec:
-    """State (S,) of sensors in series at a true angle [deg]; `seed` is mixed into the seed of every sensor."""
+    """Return the state (S,) of sensors in series at a true angle [deg]; `seed` is mixed into every sensor's seed."""
     states = [
         np.asarray(sensor.reseeded(_mixed(sensor.seed, seed, k)).at_rest(angle, angle, sensor.values)).ravel()
         for k, sensor in enumerate(sensors)
@@ -121,16 +119,16 @@ def sensors_at_rest(sensors: Sequence[Sensor], angle: float, seed: int) -> Vec:
 
 
 def _mixed(sensor_seed: int, seed: int, k: int) -> int:
-    """A seed for sensor number `k`; the generator mixes neighbouring seeds itself."""
+    """Seed of sensor number `k`; the generator decorrelates neighbouring seeds."""
     return (sensor_seed + 1_000_003 * (seed + 7919 * k)) % 2**63
 
 
-_SETTLED = 20.0  # time constants after which nothing is left of a step: e^-20 of 100 deg is 2e-7 deg
-_LONGEST_REST_S = 600.0  # slower creep has not settled when an experiment begins
+_SETTLED = 20.0  # time constants after which a step response has settled: e^-20 of 100 deg is 2e-7 deg
+_LONGEST_REST_S = 600.0  # slower creep has not settled at the start of an experiment
 
 
 def settling_s(chain: Chain) -> float:
-    """Time after which a held command leaves the chain at rest [s]."""
+    """Return the time after which a chain under a held command is at rest [s]."""
     return sum(_settling_of(operator) for operator in chain.operators)
 
 
@@ -143,7 +141,7 @@ def _settling_of(operator: Operator) -> float:
 
 
 def still(chain: Chain) -> Vec:
-    """Parameter values of the chain with every clock-driven operator at its neutral values."""
+    """Return the chain's parameter values with every clock-driven operator at its neutral values."""
     values: list[float] = []
     for operator in chain.operators:
         effect = EFFECTS.get(operator.name)
@@ -152,7 +150,7 @@ def still(chain: Chain) -> Vec:
 
 
 def clocks(chain: Chain) -> NDArray[np.bool_]:
-    """Mask of the state's entries that are clocks."""
+    """Return the mask of the state's entries that are clocks."""
     mask = []
     for operator in chain.operators:
         effect = EFFECTS.get(operator.name)
@@ -162,9 +160,7 @@ def clocks(chain: Chain) -> NDArray[np.bool_]:
 
 @final
 class OperatorCascade:
-    """Operators in series with explicit state and sample time `dt_s` [s]; without operators the signal passes
-    unchanged.
-    """
+    """Operators in series with explicit state and sample time `dt_s` [s]; the identity without operators."""
 
     def __init__(self, operators: Sequence[Operator], dt_s: float) -> None:
         self._chain = Chain(operators[0], after=tuple(operators[1:])) if operators else None
@@ -173,17 +169,17 @@ class OperatorCascade:
 
     @property
     def settling_s(self) -> float:
-        """Time after which the output is at rest for a held signal [s]."""
+        """Time after which the output is at rest under a constant signal [s]."""
         return 0.0 if self._chain is None else settling_s(self._chain)
 
     def at_rest(self, signal: float) -> Vec:
-        """State (S,) after a signal that has been held for long."""
+        """Return the state (S,) after a signal that has been constant for long."""
         if self._chain is None:
             return np.empty(0)
         return np.asarray(self._chain.rest(signal, signal, self._chain.values), dtype=np.float64).ravel()
 
     def run(self, state: Vec, signal: Vec, settle: bool = False) -> tuple[Vec, Vec]:
-        """Output for a signal (T,), and the state after it; `settle` as of `run_chain`."""
+        """Compute the output for a signal (T,), and the state after it; `settle` as of `run_chain`."""
         if self._chain is None:
             return signal, state
         return run_chain(self._chain, self._dt_s, state, signal, self._kernels, settle)
@@ -192,11 +188,10 @@ class OperatorCascade:
 def run_chain(
     chain: Chain, dt_s: float, state: Vec, signal: Vec, kernels: ChainKernels | None = None, settle: bool = False
 ) -> tuple[Vec, Vec]:
-    """Output of a chain (T,) for a signal (T,), and its state afterwards; the given state (S,) is unchanged.
+    """Compute the output (T,) of a chain for a signal (T,), and its final state; the given state (S,) is unchanged.
 
     Args:
-        dt_s: sample time [s].
-        kernels: of the chain, looked up where left out, which takes longer than a sample.
+        kernels: of the chain; if left out they are searched, which takes longer than a sample.
         settle: whether clock-driven effects are frozen, with their clocks at zero afterwards.
     """
     kernels = kernels or compile_step(chain.transition)

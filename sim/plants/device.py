@@ -1,4 +1,4 @@
-"""Plants from settings: a simulator file, or a device with its own physics by name."""
+"""Plants from settings: a simulator file, or a named device with separate physics."""
 
 from __future__ import annotations
 
@@ -37,14 +37,13 @@ class DeviceState:
 
 @final
 class DevicePlant(ComputedPlant):
-    """A `Device` as a plant, with effects of the library on either side of it.
+    """Plant of a `Device`, with effects of the library on command and angle.
 
     Before every run the device does its initialisation flexure (one period of 0.1 Hz over the commands) and rests at
     the lowest one, for 5 s and as long as its effects take to settle.
 
     Args:
-        effects: in addition; 0.05 deg of noise where left out. Its `mismatch` has to be empty, see `devices.names`.
-        dt_s: sample time [s].
+        effects: additional ones; 0.05 deg of noise where left out. Its `mismatch` has to be empty, see `devices.names`.
         commands: range of the flexure, the lowest being its rest; all of the device's where left out.
         seed: of noise and friction; equal seeds give the same run after every reset.
 
@@ -104,7 +103,7 @@ _NAMES = {"simulator", "device", "parameters"}
 def make_plant(
     settings: PlantSettings, dt_s: float | None = None, commands: Range | None = None, seed: int = 0
 ) -> ComputedPlant:
-    """The plant of a study.
+    """Build the plant of a study.
 
     Args:
         dt_s: sample time [s]; a simulator's own, or 0.04 s, where left out.
@@ -122,7 +121,7 @@ def make_plant(
 
 
 def plant_files(settings: PlantSettings) -> tuple[Path, ...]:
-    """Files that the plant is read from."""
+    """Files from which the plant is read."""
     return (_file(settings),) if settings.device is None else ()
 
 
@@ -135,7 +134,7 @@ def plant_hash(settings: PlantSettings) -> str:
 
 
 def varied_parameters(settings: PlantSettings) -> tuple[str, ...]:
-    """Names under `mismatch` of the parameters that differ between specimens of the plant."""
+    """Names of the parameters under `mismatch` that differ between specimens of the plant."""
     if settings.device is None:
         return load_simulator(_file(settings)).chain.labels
     return DEVICES[settings.device].varied

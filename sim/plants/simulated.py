@@ -1,4 +1,4 @@
-"""The simulated device: a chain of operators with effects on either side, sensors and wrong parameters."""
+"""Simulated plant of a simulator: a chain of operators with additional effects, sensors and parameter errors."""
 
 from __future__ import annotations
 
@@ -60,16 +60,16 @@ class Effects:
 
     @property
     def placed(self) -> tuple[PlacedEffect, ...]:
-        """The effects of the library that act on the device, sensors left out."""
+        """Effects of the library that act on the device, without sensors."""
         return tuple(e for e in self._placed() if not isinstance(e.operator, Sensor))
 
     @property
     def sensors(self) -> tuple[Sensor, ...]:
-        """The sensors among the effects."""
+        """Sensors among the effects."""
         return tuple(e.operator for e in self._placed() if isinstance(e.operator, Sensor))
 
     def sensing(self, before: tuple[Sensor, ...] = ()) -> Sensing:
-        """Angle sensor; `before` are sensors of the device itself."""
+        """Return the angle sensor; `before` are sensors of the device itself."""
         return Sensing(self.noise_deg, self.quantisation_deg, (*before, *self.sensors))
 
     @property
@@ -92,9 +92,9 @@ def _placed(spec: PlacedEffect | Mapping[str, Any], k: int) -> PlacedEffect:
 
 
 def plant_simulator(simulator: Simulator, effects: Effects, dt_s: float) -> Simulator:
-    """The simulator at sample time `dt_s` [s], with wrong parameters and all effects but sensors.
+    """Return the simulator at sample time `dt_s` [s] with parameter errors and effects, without sensors.
 
-    Lag and delay of the actuator stand in front, effects of the library on either side after the existing ones.
+    Lag and delay of the actuator are in front, effects of the library on either side after the existing ones.
     """
     chain = mismatched(simulator.chain, effects.mismatch)
     after = tuple(operator for operator in chain.after if not isinstance(operator, Sensor))
@@ -105,7 +105,7 @@ def plant_simulator(simulator: Simulator, effects: Effects, dt_s: float) -> Simu
 
 
 def mismatched(chain: Chain, factors: Mapping[str, float]) -> Chain:
-    """The chain with some parameters multiplied.
+    """Return the chain with some parameters multiplied by factors.
 
     Raises:
         ConfigError: on a label that the chain does not have.
@@ -119,7 +119,7 @@ def mismatched(chain: Chain, factors: Mapping[str, float]) -> Chain:
 
 @final
 class SimulatedPlant(ComputedPlant):
-    """A chain of operators as a plant.
+    """Plant of a chain of operators.
 
     Before every run the device does its initialisation flexure (S2: one period of 0.1 Hz to the highest command and
     back) and rests at the simulator's `rest_command`, at the lowest one without it. Drift and periodic disturbance
@@ -128,8 +128,7 @@ class SimulatedPlant(ComputedPlant):
     Args:
         dt_s: sample time [s]; the simulator's own where left out.
         commands: range of flexure and rest; the simulator's limits where left out.
-        seed: of the sensor noise, mixed into the seed of every sensor among the effects; equal seeds give equal noise
-            after every reset.
+        seed: of the sensor noise and the sensors among the effects; equal seeds give equal noise after every reset.
 
     Raises:
         ConfigError: if `effects` name a parameter that the simulator does not have.
@@ -158,11 +157,11 @@ class SimulatedPlant(ComputedPlant):
 
     @property
     def rest(self) -> tuple[float, Vec]:
-        """True angle [deg] and state (S,) that every reset brings."""
+        """True angle [deg] and state (S,) after every reset."""
         return self._rest
 
     def _at_rest(self, random: np.random.Generator) -> tuple[float, Vec]:
-        del random  # nothing in a chain is
+        del random  # a chain has no randomness
         return self._rest
 
     def _advanced(self, state: Vec, u: float, random: np.random.Generator) -> tuple[float, Vec]:
@@ -171,15 +170,15 @@ class SimulatedPlant(ComputedPlant):
 
 
 def rest_of(simulator: Simulator, commands: Range) -> float:
-    """Rest command within a range: that of the simulator's file, or the lower end without one."""
+    """Rest command within a range: that of the simulator's file, or the lower end of the range without one."""
     return rest_within(simulator.rest_command, commands.lower, commands.upper)
 
 
 def conditioned(simulator: Simulator, commands: Range) -> tuple[float, Vec]:
-    """Angle [deg] and state at the rest command after the initialisation flexure and a rest.
+    """Return angle [deg] and state at the rest command after the initialisation flexure and a rest.
 
-    The rest lasts until lags have settled, and creep within ten minutes. Clock-driven effects are frozen meanwhile: the
-    clock starts with the run. Before the flexure the device is at its lowest command.
+    The rest lasts until lags have settled, and creep within ten minutes. Clock-driven effects are frozen until the run
+    starts. Before the flexure the device is at its lowest command.
     """
     rest = rest_of(simulator, commands)
     flexure = initialisation_flexure(commands, simulator.dt_s, warmup_samples=1, rest=rest)
@@ -188,7 +187,7 @@ def conditioned(simulator: Simulator, commands: Range) -> tuple[float, Vec]:
 
 
 def fresh(simulator: Simulator, commands: Range) -> tuple[float, Vec]:
-    """Angle [deg] and state at the rest command of a device without any earlier flexure."""
+    """Return angle [deg] and state at the rest command of a device without any earlier flexure."""
     rest = rest_of(simulator, commands)
     samples = round(settling_s(simulator.chain) / simulator.dt_s) if rest > commands.lower else 0
     return _run(simulator, _lowest(simulator, commands), np.full(1 + samples, rest))
@@ -200,6 +199,5 @@ def _lowest(simulator: Simulator, commands: Range) -> Vec:
 
 
 def _run(simulator: Simulator, state: Vec, commands: Vec) -> tuple[float, Vec]:
-    """The last angle, and the state with its clocks at zero."""
     theta, after = run_chain(simulator.chain, simulator.dt_s, state, commands, settle=True)
     return float(theta[-1]), after

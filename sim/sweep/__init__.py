@@ -1,5 +1,5 @@
-"""Closed-loop studies over grids and draws: every run a row of one table.
+"""Closed-loop studies over grids and random draws, with one table row per run.
 
-`settings.SweepSettings` says what is varied, `plan` turns it into rows and does one of them, `table` keeps the
-rows, `run.run_sweep` does the whole and `run.reproduce` repeats one row.
+`settings.SweepSettings` defines the variation, `plan` makes and runs rows, `table` stores them, `run.run_sweep` runs
+the whole sweep, and `run.reproduce` repeats one row.
 """

@@ -1,4 +1,4 @@
-"""Rows of a sweep: settings and identity of each run, and the run itself in a worker process."""
+"""Rows of a sweep: settings and identity of each run, and its execution in a worker process."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ from ..results import TrackingMetrics, result_of
 from ..study import prepare
 from .settings import SweepSettings, changed, drawn, label, path_parts, place
 
-_KNOWLEDGE = ("model", "inverse", "actuator_lag_s")  # costly to open, so that they change last
+_KNOWLEDGE = ("model", "inverse", "actuator_lag_s")  # costly to open, so that they vary slowest
 _ID_DIGITS = 16
 
 
 @dataclass(frozen=True)
 class SweepRow:
-    """One closed-loop run."""
+    """Row of a sweep: one closed-loop run."""
 
     id: str  # hash of settings and model files, 16 hexadecimal digits
     controller: str
@@ -42,12 +42,12 @@ class SweepRow:
     files: tuple[str, ...]  # SHA-256 of plant, model and inverse
 
     def config(self) -> SimulationConfig:
-        """The settings."""
+        """Settings of the run."""
         return SimulationConfig.parse(json.loads(self.settings), f"row {self.id}")
 
 
 def file_hashes(config: SimulationConfig, known: dict[str, str] | None = None) -> tuple[str, ...]:
-    """SHA-256 of plant, model and inverse; `known` stores those of files by name."""
+    """SHA-256 of plant, model and inverse; `known` caches those of files by name."""
     known = {} if known is None else known
 
     def of(name: str) -> str:
@@ -62,14 +62,14 @@ def file_hashes(config: SimulationConfig, known: dict[str, str] | None = None) -
 
 @dataclass(frozen=True)
 class SweepPlan:
-    """All rows of a sweep, made on demand."""
+    """Generator of all rows of a sweep."""
 
     settings: SweepSettings
     source: Path | None = None
 
     @cached_property
     def grid(self) -> tuple[dict[str, tuple[str, Any]], ...]:
-        """Grid points: name and value by path; what is costly to change changes last."""
+        """Grid points: name and value by path; settings that are costly to change vary slowest."""
         paths = sorted(self.settings.grid, key=lambda path: path_parts(path)[0] not in _KNOWLEDGE)
         values = [list(self.settings.grid[path].items()) for path in paths]
         return tuple(dict(zip(paths, point, strict=True)) for point in itertools.product(*values))
@@ -91,7 +91,7 @@ class SweepPlan:
                             yield row
 
     def check(self) -> int:
-        """Number of rows, duplicates included, after a check of every grid point and every end of a draw.
+        """Return the number of rows, duplicates included, after a check of every grid point and every end of a draw.
 
         Raises:
             ConfigError: if a path or value does not fit the study; names the line.
@@ -109,7 +109,7 @@ class SweepPlan:
         return total
 
     def columns(self) -> dict[str, str]:
-        """Kind of the column of every factor: `number`, or `text` for names and everything else."""
+        """Column type of every factor: `number`, or `text` for names and all other values."""
         grid = {path: _kind(values.values(), values) for path, values in self.settings.grid.items()}
         return grid | {path: _kind(draw.ends) for path, draw in self.settings.draw.items()}
 
@@ -118,7 +118,7 @@ class SweepPlan:
         return {path: float(v) if kinds[path] == "number" else label(v) for path, v in values.items()}
 
     def _at(self, point: Mapping[str, tuple[str, Any]]) -> Any:
-        """The study at a grid point, with defaults for keys that a block among the values leaves out."""
+        """Study at a grid point, with defaults for missing keys of blocks among the values."""
         data = self._with(self.settings.base, {path: value for path, (_, value) in point.items()}, "grid")
         return self._study(data).model_dump(mode="json") if point else data
 
@@ -131,11 +131,11 @@ class SweepPlan:
         return data
 
     def _study(self, data: Any, *where: str) -> SimulationConfig:
-        """The study of some data; `where` are the keys to blame, else those that the error leads to."""
+        """Study of plain data; an error names the keys `where`, else those that the error reports."""
         study = SimulationConfig.parse(
             data, lambda at: self._located(where or self._blamed([str(part) for part in at]))
         )
-        if study.tune_pid is not None:  # a search a row would cost hundreds of runs
+        if study.tune_pid is not None:  # a search per row would cost hundreds of runs
             raise ConfigError(f"{self._located(('base',))}: tune_pid is for `simulate` alone, expected none")
         return study
 
@@ -143,7 +143,7 @@ class SweepPlan:
         return f"{place(self.source, *keys)}{'.'.join(keys)}"
 
     def _blamed(self, at: Sequence[str]) -> tuple[str, ...]:
-        """Entry of the sweep with the longest path to a setting; marks of validators between are skipped."""
+        """Sweep entry responsible for an error: the one with the longest path to the setting."""
         longest: tuple[int, tuple[str, ...]] = (0, ("base", *at))
         for block, paths in (("grid", self.settings.grid), ("draw", self.settings.draw)):
             for path in paths:
@@ -165,12 +165,12 @@ def _rows(
 
 
 def row_id(row: SweepRow) -> str:
-    """SHA-256 over a row's settings and model files, first 16 digits."""
+    """Identity of a row: the first 16 digits of the SHA-256 over its settings and model files."""
     return json_hash([row.settings, list(row.files)])[:_ID_DIGITS]
 
 
 def _kind(values: Iterable[Any], names: Iterable[str] | None = None) -> str:
-    """`number` if all values are numbers without other names."""
+    """Column type: `number` if all values are numbers without other names, else `text`."""
     values = list(values)
     numbers = all(isinstance(value, int | float) and not isinstance(value, bool) for value in values)
     return "number" if numbers and (names is None or list(names) == [label(value) for value in values]) else "text"
@@ -180,11 +180,11 @@ def _kind(values: Iterable[Any], names: Iterable[str] | None = None) -> str:
 ROW_COLUMNS = ("id", "status", "message", "controller", "motion", "draw", "seed")
 RESULT_COLUMNS = tuple(f.name for f in fields(TrackingMetrics) if not f.name.startswith("step_"))
 COST_COLUMNS = ("samples", "step_mean_s", "step_p99_s", "wall_s", "cpu_s", "host", "files", "settings")
-_KEPT = 4  # models a process keeps ready
+_KEPT = 4  # models that a process caches
 
 
 def run_row(row: SweepRow) -> dict[str, Any]:
-    """Row of the table for one run; an error becomes a row with its message."""
+    """Run one row and return its table entries; an error becomes a row with its message."""
     busy = time.process_time()
     made = attempt(lambda: _figures(row))
     return {
@@ -214,7 +214,7 @@ def _figures(row: SweepRow) -> dict[str, Any]:
 
 
 def run_settings(config: SimulationConfig) -> tuple[TrackingMetrics, int]:
-    """Metrics and samples of a study with one controller and one motion."""
+    """Return metrics and samples of a study with one controller and one motion."""
     study = prepare(config, shared_knowledge(config))
     ((motion, _),) = study.motions.items()
     ((name, settings),) = study.config.controllers.items()
@@ -223,7 +223,7 @@ def run_settings(config: SimulationConfig) -> tuple[TrackingMetrics, int]:
 
 
 def shared_knowledge(config: SimulationConfig) -> ControllerModel:
-    """Opened models, once a process for each model, inverse and lag."""
+    """Return the opened models, cached per process for each model, inverse and lag."""
     return _kept_knowledge(config.model, config.inverse, config.actuator_lag_s, file_hashes(config)[1:])
 
 
@@ -234,7 +234,7 @@ def _kept_knowledge(model: str, inverse: str | None, actuator_lag_s: float, file
 
 
 def metrics_columns(metrics: TrackingMetrics) -> dict[str, Any]:
-    """Metrics as columns: those that a repetition reproduces to the last bit, and the times of a step."""
+    """Return metrics as columns: those that a repetition reproduces bitwise, and the step times."""
     columns = {name: getattr(metrics, name) for name in RESULT_COLUMNS if name != "ladder"}
     times = {"step_mean_s": metrics.step_mean_s, "step_p99_s": metrics.step_p99_s}
     return columns | times | {"ladder": canonical(metrics.ladder)}

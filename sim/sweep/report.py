@@ -1,4 +1,4 @@
-"""The report of a sweep: tables by factor, box plots by controller, the worst runs with their ids."""
+"""Report of a sweep: tables by factor, box plots by controller, the worst runs with their ids."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _SHORT = 28
 
 
 def plain_log(axis: Axis) -> None:
-    """Ticks of a logarithmic axis as 0.4, 1, 2 in place of powers of ten; fewer over more decades."""
+    """Label a logarithmic axis with 0.4, 1, 2 in place of powers of ten; fewer labels over more decades."""
 
     def text(value: float, _: object) -> str:
         low, high = sorted(axis.get_view_interval())
@@ -43,19 +43,19 @@ def plain_log(axis: Axis) -> None:
 
 @dataclass(frozen=True, eq=False)
 class SweepView:
-    """Rows of one plan: columns (N,) of the table, and kinds of the factors."""
+    """Rows of one plan: columns (N,) of the table, and types of the factors."""
 
     table: Mapping[str, Column]
     factors: Mapping[str, str]
 
     @classmethod
     def of(cls, folder: Path, factors: Mapping[str, str], ids: set[str]) -> SweepView:
-        """Columns of the report for the rows with these ids."""
+        """Read the columns of the rows with these ids."""
         table = table_of(folder, dict.fromkeys([*_NAMES, *factors]))
         return cls(table, factors).rows(np.array([str(identity) in ids for identity in table["id"]], dtype=bool))
 
     def rows(self, chosen: NDArray[np.bool_]) -> SweepView:
-        """Rows of a mask (N,)."""
+        """Return the rows selected by a mask (N,)."""
         k = np.flatnonzero(chosen)
         columns = self.table.items()
         return SweepView(
@@ -63,7 +63,7 @@ class SweepView:
         )
 
     def done(self) -> SweepView:
-        """Rows that have figures."""
+        """Rows whose run succeeded."""
         return self.rows(np.array(self.table["status"]) == "done")
 
     def failed(self) -> list[tuple[str, str]]:
@@ -72,7 +72,7 @@ class SweepView:
         return [(str(i), str(message)) for i, status, message in zip(*columns, strict=True) if status != "done"]
 
     def where(self, name: str, value: str) -> SweepView:
-        """Rows with this text in a column."""
+        """Return the rows with this text in a column."""
         return self.rows(np.array(texts(self.table, name)) == value)
 
     def names(self, name: str) -> tuple[str, ...]:
@@ -80,12 +80,12 @@ class SweepView:
         return tuple(dict.fromkeys(texts(self.table, name)))
 
     def figures(self, name: str) -> Vec:
-        """A column of numbers (N,)."""
+        """Return a column of numbers (N,)."""
         return numbers(self.table, name)
 
 
 def sweep_report(view: SweepView, meta: Mapping[str, Any]) -> Report:
-    """Page of a sweep."""
+    """Make the report of a sweep."""
     done, failed = view.done(), view.failed()
     pieces: list[Piece] = [Heading("Runs"), KeyValues(_facts(view, done, meta))]
     if failed:

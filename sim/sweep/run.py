@@ -1,4 +1,4 @@
-"""A whole sweep in a resumable run folder, and one of its rows made again."""
+"""Execution of a sweep in a resumable run folder, and repetition of one of its rows."""
 
 from __future__ import annotations
 
@@ -31,16 +31,12 @@ from .report import SweepView, sweep_report
 from .settings import SweepSettings, sweep_in
 from .table import COPY, TABLE, RunTable, rows_of
 
-_NEAR = 20  # ids that an error names
+_NEAR = 20  # ids listed in an error
 
 
 @dataclass(frozen=True)
 class SweepOutcome:
-    """Outcome of a sweep: files and counts of rows.
-
-    Attributes:
-        failed, message: rows whose run failed, with the first error.
-    """
+    """Outcome of a sweep: files, numbers of rows, and the number of failed rows with the first error."""
 
     table: Path
     report: Path
@@ -100,12 +96,12 @@ def run_sweep(
 
 
 def columns_of(plan: SweepPlan) -> tuple[str, ...]:
-    """Names of all columns of the table, in their order."""
+    """Return the names of all columns of the table, in order."""
     return (*ROW_COLUMNS, *plan.columns(), *RESULT_COLUMNS, *COST_COLUMNS)
 
 
 def open_folder(path: Path, settings: SweepSettings) -> RunFolder:
-    """Run folder, new or of an earlier call; a `ConfigError` if it holds something else."""
+    """Open a run folder, new or of an earlier call; a `ConfigError` if it holds another kind of data."""
     plain = settings.model_dump(mode="json")
     plain["draw"] = {name: draw.model_dump(mode="json", exclude_none=True) for name, draw in settings.draw.items()}
 
@@ -122,7 +118,7 @@ def open_folder(path: Path, settings: SweepSettings) -> RunFolder:
 
 @dataclass(frozen=True)
 class ReproducedFigure:
-    """Figure of a row in the table and in its repetition."""
+    """Value of one metric in the table and in its repetition."""
 
     name: str
     before: Any
@@ -130,13 +126,13 @@ class ReproducedFigure:
 
     @property
     def equal(self) -> bool:
-        """Whether both are equal to the last bit; both missing counts as equal."""
+        """Whether both values are bitwise equal; two missing ones count as equal."""
         both_nan = all(isinstance(v, float) and math.isnan(v) for v in (self.before, self.repeated))
         return both_nan or bool(self.before == self.repeated)
 
 
 def reproduce(folder: Path | str, identity: str, out: Path | str | None = None) -> tuple[ReproducedFigure, ...]:
-    """Repetition of one row from the table alone; returns every figure that does not depend on the machine's speed.
+    """Repeat one row from the table alone; returns every value that does not depend on the machine's speed.
 
     Args:
         identity: of the row, or its first digits where they are unique.
@@ -160,7 +156,7 @@ def reproduce(folder: Path | str, identity: str, out: Path | str | None = None) 
 
 
 def _row(folder: Path, identity: str) -> dict[str, Any]:
-    """Row with an id, or with the only id that begins so."""
+    """Row with an id, or with the only id that begins with these digits."""
     if not (folder / TABLE).exists():
         raise LogError(f"{folder}: no table of runs in it, expected the folder of a sweep")
     rows = list(rows_of(folder, identity, settings=True))

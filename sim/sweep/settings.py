@@ -1,4 +1,4 @@
-"""Settings of a sweep: a closed-loop study, what of it is varied, and dotted paths into configurations."""
+"""Settings of a sweep: a closed-loop study, its variation, and dotted paths into configurations."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _WHOLE = re.compile(r'(?:"[^"]+"|[^."]+)(?:\.(?:"[^"]+"|[^."]+))*')
 
 
 class DrawSettings(Settings):
-    """One distribution, exactly one of these keys.
+    """Block of one distribution, with exactly one of these keys.
 
     Attributes:
         log_uniform: lower and upper end, both positive; the logarithm is uniform.
@@ -54,11 +54,11 @@ class DrawSettings(Settings):
 
     @property
     def ends(self) -> tuple[Any, ...]:
-        """Bounds of any draw, or all values of a choice."""
+        """Return the bounds of a draw, or all values of a choice."""
         return next(v for v in (self.choice, self.uniform, self.log_uniform, self.integer) if v is not None)
 
     def sample(self, random: np.random.Generator) -> Any:
-        """One draw, as plain Python."""
+        """Draw one value, as plain Python."""
         if self.choice is not None:
             return self.choice[int(random.integers(len(self.choice)))]
         if self.integer is not None:
@@ -70,17 +70,14 @@ class DrawSettings(Settings):
 
 
 def drawn(draws: Mapping[str, DrawSettings], seed: int, number: int) -> dict[str, Any]:
-    """Draw number `number` of every path.
-
-    Each path has its own random numbers, so that neither a further path nor more draws change the others.
-    """
+    """Return draw `number` of every path; the random numbers of a path are independent of other paths and draws."""
     return {
         path: draw.sample(np.random.default_rng([seed, number, crc32(path.encode())])) for path, draw in draws.items()
     }
 
 
 class SweepSettings(Settings):
-    """Grid points times draws times seeds, and for each every controller along every motion of the study: a row each.
+    """Settings of a sweep: a row for each grid point, draw, seed, controller and motion.
 
     Attributes:
         base: the study; a file, or the settings themselves.
@@ -101,7 +98,7 @@ class SweepSettings(Settings):
     @field_validator("grid", mode="before")
     @classmethod
     def _named(cls, grid: Any) -> Any:
-        """Values by name; those of a list are named by what they are."""
+        """Name the values of the grid; those of a list are named by their text."""
         if not isinstance(grid, dict):
             return grid
         named = {}
@@ -121,12 +118,12 @@ class SweepSettings(Settings):
 
 
 def label(value: Any) -> str:
-    """Value as text: itself where it is one, JSON otherwise."""
+    """Text of a value: unchanged if it is a text, JSON otherwise."""
     return value if isinstance(value, str) else json.dumps(value)
 
 
 def load_sweep(path: Path | str, overrides: Iterable[str] = ()) -> SweepSettings:
-    """Settings of a sweep with its study, every file name absolute.
+    """Read the settings of a sweep with its study, every file name absolute.
 
     Raises:
         ConfigError: on an unreadable file, a malformed override, an unknown key or a value out of bounds.
@@ -136,13 +133,13 @@ def load_sweep(path: Path | str, overrides: Iterable[str] = ()) -> SweepSettings
 
 
 def with_base(settings: SweepSettings, path: Path) -> SweepSettings:
-    """The sweep with its study in it."""
+    """Return the sweep with its study included."""
     study = study_of(settings.base, path)
     return settings.model_copy(update={"base": study.model_dump(mode="json")})
 
 
 def study_of(base: str | dict[str, Any], path: Path) -> SimulationConfig:
-    """Study that another settings file names or contains."""
+    """Return the study that another settings file names or contains."""
     folder = path.resolve().parent
     if isinstance(base, str):
         return load_simulation(folder / base)
@@ -154,7 +151,7 @@ def study_of(base: str | dict[str, Any], path: Path) -> SimulationConfig:
 
 
 def sweep_in(folder: Path) -> SweepSettings | None:
-    """Sweep of a run folder, None where it holds another kind of run.
+    """Return the sweep of a run folder; None if it holds another kind of run.
 
     Raises:
         ConfigError: if its settings are damaged.
@@ -170,7 +167,7 @@ def sweep_in(folder: Path) -> SweepSettings | None:
 
 
 def path_parts(path: str) -> tuple[str, ...]:
-    """Keys of a dotted path; a key with dots stands in double quotes.
+    """Split a dotted path into its keys; a key with dots is in double quotes.
 
     Raises:
         ConfigError: if it is no path.
@@ -181,7 +178,7 @@ def path_parts(path: str) -> tuple[str, ...]:
 
 
 def changed(data: Any, path: str, value: Any) -> Any:
-    """Copy of plain data with one value replaced.
+    """Return a copy of plain data with one value replaced.
 
     The block of the value has to exist, so that a wrong name is detected; a block that is null counts as empty.
 
@@ -192,7 +189,7 @@ def changed(data: Any, path: str, value: Any) -> Any:
 
 
 def value_at(data: Any, path: str) -> Any:
-    """Value at a path.
+    """Return the value at a path.
 
     Raises:
         ConfigError: if there is none; names the nearest key.
@@ -232,5 +229,5 @@ def _index(data: list[Any], part: str, path: str) -> int:
 
 
 def place(file: Path | str | None, *keys: str) -> str:
-    """`FILE, line N: ` of a key in a YAML file as a prefix of messages; empty for settings without a file."""
+    """Prefix `FILE, line N: ` of messages on a key in a YAML file; empty for settings without a file."""
     return "" if file is None else f"{place_in(file)(keys)}: "

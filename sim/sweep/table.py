@@ -1,7 +1,6 @@
-"""The table of a sweep: a row for each run in one SQLite file, with a copy as CSV to be read.
+"""Table of a sweep: a row for each run in one SQLite file, with a readable copy as CSV.
 
-Rows are written by the one process that collects results; workers return theirs to it. Writers of several processes on
-one machine wait for each other.
+Only the process that collects results writes rows. Several such processes on one machine wait for each other.
 """
 
 from __future__ import annotations
@@ -30,14 +29,14 @@ _CREATE = "CREATE TABLE IF NOT EXISTS runs (id TEXT PRIMARY KEY, status TEXT, se
 _PUT = """INSERT INTO runs VALUES (?, ?, ?, ?) ON CONFLICT (id) DO UPDATE
 SET status = excluded.status, settings = excluded.settings, figures = excluded.figures
 WHERE excluded.status = 'done' OR runs.status <> 'done'"""
-_NOT_COPIED = ("settings", "files")  # to repeat a run; of no use to a reader
+_NOT_COPIED = ("settings", "files")  # for repetition of a run only
 _BUSY_S = 60.0  # wait for another process's writing
-_PAUSE = 10.0  # time between two writings over the time that one takes: writing costs a tenth of the time at most
+_PAUSE = 10.0  # time between two writes over the duration of one: writing takes at most a tenth of the time
 
 
 @final
 class RunTable:
-    """Rows by `id` in one SQLite file, each written whole or not at all; the last successful run of a row is kept.
+    """Rows by `id` in one SQLite file, written atomically; the last successful run of a row is stored.
 
     `folder` is that of the sweep; the file is created where it is missing.
 
@@ -53,19 +52,19 @@ class RunTable:
             base.execute(_CREATE)
 
     def done(self) -> set[str]:
-        """Ids of the rows that need no repetition."""
+        """Return the ids of the rows that need no repetition."""
         with _opened(self._folder) as base:
             return {identity for (identity,) in base.execute("SELECT id FROM runs WHERE status = 'done'")}
 
     def add(self, row: Mapping[str, Any]) -> None:
-        """Take a row: `id`, `status`, `settings` (JSON), and figures that are numbers, texts or None."""
+        """Add a row: `id`, `status`, `settings` (JSON), and values that are numbers, texts or None."""
         figures = plain({name: value for name, value in row.items() if name not in ("id", "status", "settings")})
         self._rows.append((row["id"], row["status"], row.get("settings", ""), json.dumps(figures)))
         if time.monotonic() - self._written >= _PAUSE * self._cost_s:
             self.flush()
 
     def flush(self) -> None:
-        """Write the rows taken so far, all or none of them."""
+        """Write the added rows, all or none of them."""
         start = time.monotonic()
         with _opened(self._folder) as base:
             base.executemany(_PUT, self._rows)
@@ -74,10 +73,7 @@ class RunTable:
         self._cost_s = self._written - start
 
     def copy(self, names: Iterable[str]) -> Path | None:
-        """Write all rows as CSV, whole or not at all, without the settings; None without a row.
-
-        `names` are the first columns; columns of rows of earlier forms of the sweep follow.
-        """
+        """Write all rows as CSV atomically, without the settings, first the columns `names`; None without a row."""
         self.flush()
         columns = dict.fromkeys(name for name in names if name not in _NOT_COPIED)
         count = 0
@@ -98,7 +94,7 @@ class RunTable:
 
 
 def rows_of(folder: Path, prefix: str = "", *, settings: bool = False) -> Iterator[dict[str, Any]]:
-    """Rows of a table in the order in which they came; none without a table.
+    """Rows of a table in the order in which they were added; none without a table.
 
     Args:
         prefix: first digits of their ids.
@@ -118,7 +114,7 @@ def rows_of(folder: Path, prefix: str = "", *, settings: bool = False) -> Iterat
 
 
 def table_of(folder: Path, names: Iterable[str]) -> dict[str, Column]:
-    """Columns (N,) of a table; a missing figure is NaN among numbers, None among texts and in a column without values.
+    """Read the columns (N,) of a table; a missing value is NaN in a column of numbers, else None.
 
     Raises:
         LogError: if the file is damaged.
@@ -131,19 +127,19 @@ def table_of(folder: Path, names: Iterable[str]) -> dict[str, Column]:
 
 
 def numbers(table: Mapping[str, Column], name: str) -> Vec:
-    """A column of numbers (N,)."""
+    """Return a column of numbers (N,)."""
     return np.asarray(table[name], dtype=np.float64)
 
 
 def texts(table: Mapping[str, Column], name: str) -> list[str]:
-    """A column as texts, numbers to six digits, missing ones as empty texts."""
+    """Return a column as texts, numbers to six digits, missing values as empty texts."""
     return [
         "" if value is None else value if isinstance(value, str) else f"{float(value):.6g}" for value in table[name]
     ]
 
 
 def _column(values: Sequence[Any]) -> Column:
-    """Numbers as an array (N,), NaN where there is none; with a text among them, or without any value, texts."""
+    """Column as an array (N,) of numbers with NaN for missing values; as texts if it has a text or no value."""
     kinds = {type(value) for value in values} - {type(None)}
     if kinds and kinds <= {int, float}:
         return np.array([math.nan if value is None else float(value) for value in values], dtype=np.float64)
@@ -152,7 +148,7 @@ def _column(values: Sequence[Any]) -> Column:
 
 @contextmanager
 def _opened(folder: Path) -> Iterator[sqlite3.Connection]:
-    """Transaction, applied whole or not at all; a `LogError` if the file is damaged, or cannot be read or written."""
+    """Atomic transaction; a `LogError` if the file is damaged, or cannot be read or written."""
     path = folder / TABLE
     try:
         with closing(sqlite3.connect(path, timeout=_BUSY_S)) as base, base:

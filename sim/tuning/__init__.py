@@ -1,5 +1,5 @@
-"""Controller settings by search over a set of plants with drawn effects.
+"""Tuning of controller settings by search over a set of plants with drawn effects.
 
-`settings.TuneSettings` says what is searched on which plants, `objective` is the cost, `optuna_` does one trial of the
-search, `run.run_tuning` the whole with a check on held-out plants. `gains` searches PID gains on one plant.
+`settings.TuneSettings` defines search and plants, `objective` is the cost, `optuna_` runs one trial, and
+`run.run_tuning` the whole search with a check on held-out plants. `gains` searches PID gains on one plant.
 """

@@ -1,4 +1,4 @@
-"""PID gains by global search on the study's own plant and motions: the best PID for comparison."""
+"""PID gains by global search on the study's plant and motions: the best PID for comparison."""
 
 from __future__ import annotations
 
@@ -33,12 +33,12 @@ class PidTuning:
 
 
 def tuned_gains(study: Study, settings: PidLike, progress: Progress | None = None) -> PidTuning:
-    """Search of the gains that track all motions of a study best, by seeded differential evolution.
+    """Search the gains that track all motions of a study best, by seeded differential evolution.
 
-    J = mean over motions of mean_k (theta_k - r_k)^2 with the true angle theta, which makes the result the strongest
-    opponent of a model-based controller, not a forecast for another device. The noise has the study's deviation but is
-    another realisation, so that the comparison is not biased towards these gains. The given gains belong to the first
-    population, so that the result is never worse.
+    J = mean over motions of mean_k (theta_k - r_k)^2 with the true angle theta, so the result is the strongest
+    competitor of a model-based controller, not a prediction for another device. The noise has the study's deviation but
+    is another realisation, so that the comparison is not biased towards these gains. The given gains belong to the
+    first population, so that the result is never worse.
 
     Args:
         settings: the controller whose `kp`, `ki`, `kd` and dead zone are searched; everything else stays.
@@ -63,7 +63,7 @@ def searched_gains(
     seed: int,
     progress: Progress | None = None,
 ) -> PidTuning:
-    """Gains of least mean square error by seeded differential evolution, never worse than the given ones.
+    """Search the gains of least mean square error by seeded differential evolution, never worse than the given ones.
 
     Args:
         settings: start of the search; everything but `kp`, `ki`, `kd` and dead zone stays.
@@ -103,7 +103,7 @@ def searched_gains(
 
 
 def tuned_study(study: Study, progress: Progress | None = None) -> Study:
-    """The study with tuned gains of every `pid` and `inverse_pid`, without a further search."""
+    """Return the study with tuned gains of every `pid` and `inverse_pid`; the result contains no further search."""
     if study.config.tune_pid is None:
         return study
     chosen = {name: s for name, s in study.config.controllers.items() if isinstance(s, PidLike)}
@@ -121,10 +121,10 @@ def tuned_study(study: Study, progress: Progress | None = None) -> Study:
 
 
 def with_gains(settings: PidLike, x: Vec) -> PidLike:
-    """The controller at a point of the search: log kp, log ki, kd, dead zone."""
+    """Return the controller at a point of the search: log kp, log ki, kd, dead zone."""
     kp, ki = np.exp(x[:2])
     gains = {"kp_per_deg": kp, "ki_per_deg_s": ki, "kd_s_per_deg": x[2], "dead_zone_deg": x[3]}
-    # Four digits are all that anybody would write down, and what stands in the report is what ran.
+    # Rounded to four digits, so that the reported values are those that ran.
     rounded = {name: float(f"{value:.4g}") for name, value in gains.items()}
     return settings.model_copy(update={"gains": settings.gains.model_copy(update=rounded)})
 
@@ -137,6 +137,6 @@ def _point(settings: PidLike) -> Vec:
 
 
 def mean_square_of(study: Study, settings: AnyControllerSettings) -> float:
-    """Mean over motions of the mean square true error of a controller [deg^2]."""
+    """Compute the mean over motions of the mean square true error of a controller [deg^2]."""
     runs = [study.run(settings, motion) for motion in study.motions]
     return float(np.mean([np.mean(run.counted_deg**2) for run in runs]))

@@ -1,4 +1,4 @@
-"""Cost of a controller over a set of plants, in the search and on held-out plants; the outcome of a tuning."""
+"""Cost of a controller over a set of plants, comparison on held-out plants, and result of a tuning."""
 
 from __future__ import annotations
 
@@ -43,18 +43,18 @@ class PlantScore:
 def plant_config(
     settings: TuneSettings, plants: PlantsSettings, number: int, controller: AnyControllerSettings
 ) -> SimulationConfig:
-    """Study of plant `number` of a set."""
+    """Return the study of plant `number` of a set."""
     data = settings.base
     for path, value in drawn(settings.draw, plants.seed, number).items():
         data = changed(data, path, value)
     study = SimulationConfig.parse(data, f"plant {number}")
-    # Another realisation of the noise for every plant, and none of those of another set.
+    # Every plant has its own realisation of the noise, different from those of other sets.
     seed = int(np.random.SeedSequence([plants.seed, number]).generate_state(1)[0])
     return study.model_copy(update={"seed": seed, "controllers": {str(settings.controller): controller}})
 
 
 def plant_score(config: SimulationConfig) -> PlantScore:
-    """Score of one controller along every motion."""
+    """Compute the score of one controller along every motion."""
     study = prepare(config, shared_knowledge(config))
     ((name, controller),) = study.config.controllers.items()
     squares, travel, need, beyond = [], 0.0, 0.0, 0
@@ -85,13 +85,13 @@ def needed_travel(study: Study, motion: str) -> float:
 
 
 def plant_cost(score: PlantScore, objective: ObjectiveSettings) -> float:
-    """J = error + violation_deg [any violation] + chatter_deg max(0, travel - 1) [deg]."""
+    """Cost of one plant, J = error + violation_deg [any violation] + chatter_deg max(0, travel - 1) [deg]."""
     beyond = objective.violation_deg if score.violations else 0.0
     return score.error_deg + beyond + objective.chatter_deg * max(0.0, score.travel - 1.0)
 
 
 def robust(costs: Sequence[float] | Vec, objective: ObjectiveSettings) -> float:
-    """(w_mean mean J_p + w_tail mean of the worst J_p) / (w_mean + w_tail) [deg]; the worst are one plant at least."""
+    """Robust objective (w_mean mean J_p + w_tail mean of the worst J_p) / (w_mean + w_tail) [deg]."""
     values = np.sort(np.asarray(costs, dtype=np.float64))[::-1]
     worst = values[: max(1, round(objective.tail_share * len(values)))]
     total = objective.mean * float(np.mean(values)) + objective.tail * float(np.mean(worst))
@@ -100,31 +100,31 @@ def robust(costs: Sequence[float] | Vec, objective: ObjectiveSettings) -> float:
 
 @dataclass(frozen=True, eq=False)
 class HeldOut:
-    """Scores on the held-out plants, with the same plants and noise for both settings."""
+    """Scores of given and tuned settings on the same held-out plants with the same noise."""
 
     given: tuple[PlantScore, ...]
     tuned: tuple[PlantScore, ...]
     objective: ObjectiveSettings
 
     def costs(self, name: str) -> Vec:
-        """Cost of `given` or `tuned` on every plant (P,) [deg]."""
+        """Return the cost of `given` or `tuned` on every plant (P,) [deg]."""
         return np.array([plant_cost(score, self.objective) for score in getattr(self, name)])
 
     def errors(self, name: str) -> Vec:
-        """Error on every plant (P,) [deg]."""
+        """Return the error on every plant (P,) [deg]."""
         return np.array([score.error_deg for score in getattr(self, name)])
 
     def value(self, name: str) -> float:
-        """Robust objective [deg]."""
+        """Robust objective of `given` or `tuned` [deg]."""
         return robust(self.costs(name), self.objective)
 
     @property
     def gain(self) -> float:
-        """1 - tuned / given of the robust objective."""
+        """Relative gain, 1 - tuned / given of the robust objective."""
         return 1.0 - self.value("tuned") / self.value("given")
 
     def interval(self, share: float = 0.9) -> tuple[float, float]:
-        """Interval of the gain over resampled plants (paired bootstrap, seeded)."""
+        """Confidence interval of the gain over resampled plants (paired bootstrap, seeded)."""
         given, tuned = self.costs("given"), self.costs("tuned")
         random = np.random.default_rng(0)
         gains = []
@@ -136,11 +136,11 @@ class HeldOut:
 
     @property
     def better(self) -> int:
-        """Number of plants on which the tuned settings cost less."""
+        """Number of plants on which the tuned settings have the lower cost."""
         return int(np.sum(self.costs("tuned") < self.costs("given")))
 
     def rows(self) -> list[tuple[str, float, float, float, float, int]]:
-        """Name, objective, mean error, error on the worst plant, mean travel, plants with a violation."""
+        """Return name, objective, mean error, error on the worst plant, mean travel, plants with a violation."""
         rows = []
         for name in _NAMES:
             scores: tuple[PlantScore, ...] = getattr(self, name)
@@ -150,7 +150,7 @@ class HeldOut:
         return rows
 
     def columns(self) -> dict[str, Any]:
-        """Table with one row for each plant."""
+        """Return the table with one row for each plant."""
         table: dict[str, Any] = {"plant": np.arange(len(self.given))}
         for name in _NAMES:
             scores: tuple[PlantScore, ...] = getattr(self, name)
@@ -164,7 +164,7 @@ class HeldOut:
 def held_out(
     settings: TuneSettings, values: dict[str, Any], backend: Backend, progress: Progress | None = None
 ) -> HeldOut:
-    """Scores of given and tuned settings on every held-out plant."""
+    """Compute the scores of given and tuned settings on every held-out plant."""
     cases = [(name, number) for number in range(settings.held_out.count) for name in _NAMES]
     scored = partial(_held_out_score, settings, values)
     scores = dict(
@@ -177,7 +177,6 @@ def held_out(
 def _held_out_score(
     settings: TuneSettings, tuned: Mapping[str, Any], case: tuple[str, int]
 ) -> tuple[tuple[str, int], PlantScore]:
-    """Score of the given or the tuned settings on one held-out plant, with its case."""
     name, number = case
     controller = settings.with_values(dict(tuned) if name == "tuned" else {})
     return case, plant_score(plant_config(settings, settings.held_out, number, controller))
@@ -194,7 +193,7 @@ class SlotOutcome:
 
 @dataclass(frozen=True)
 class SearchTrial:
-    """A trial of a search."""
+    """Finished trial of a search."""
 
     slot: int
     state: State  # `done` or `pruned`
@@ -206,7 +205,7 @@ class SearchTrial:
 
 
 def pareto_front(trials: Sequence[SearchTrial]) -> tuple[SearchTrial, ...]:
-    """Trials without another one of both less error and less travel, by rising error; pruned ones are left out."""
+    """Trials not dominated in error and travel, by rising error; pruned ones are left out."""
     front: list[SearchTrial] = []
     for trial in sorted((t for t in trials if t.state == "done"), key=lambda t: (t.error_deg, t.travel)):
         if not front or trial.travel < front[-1].travel:
@@ -230,8 +229,8 @@ class Tuning:
         return in_brief(self, text)
 
     def plot(self) -> Figure:
-        """Cost of every held-out plant, tuned against given; below the diagonal the tuned settings win."""
-        from hystmpc.trials.report import MEASURED, REFERENCE, new_figure  # matplotlib, which a search does without
+        """Draw the cost of every held-out plant, tuned against given; below the diagonal the tuning is better."""
+        from hystmpc.trials.report import MEASURED, REFERENCE, new_figure  # matplotlib, which a search does not need
 
         given, tuned = self.check.costs("given"), self.check.costs("tuned")
         reach = 1.05 * float(max(given.max(), tuned.max()))

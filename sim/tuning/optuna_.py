@@ -1,4 +1,4 @@
-"""The search in Optuna: a shared storage in which every trial has a slot, so that none is done twice."""
+"""Search with Optuna in a shared storage, where every trial has a slot, so that none is executed twice."""
 
 from __future__ import annotations
 
@@ -21,18 +21,18 @@ from .settings import TuneSettings
 
 _HEARTBEAT_S = 5
 _GRACE_S = 20  # without a heartbeat a trial counts as lost
-_BUSY_S = 60.0  # that a process waits for another one's writing
+_BUSY_S = 60.0  # wait for another process's writing
 _STARTUP = 10  # trials before the sampler learns from them, and before any is pruned
 _ENDED = (TrialState.COMPLETE, TrialState.PRUNED)
 _FIGURES = ("error_deg", "travel", "plants")
 
 
 class _TakenError(HystmpcError):
-    """The slot belongs to an earlier trial."""
+    """Error of a slot that belongs to an earlier trial."""
 
 
 def open_search(storage: str, name: str) -> optuna.Study:
-    """Search in its storage, created where it is missing.
+    """Open a search in its storage, created if it is missing.
 
     Raises:
         ConfigError: if the storage cannot be opened.
@@ -46,7 +46,7 @@ def open_search(storage: str, name: str) -> optuna.Study:
 
 
 def _storage(url: str) -> optuna.storages.RDBStorage:
-    """Open storage; a new one where the file was removed since, as a connection would continue in the removed file."""
+    """Open storage, a new one if the file was removed since: a connection would continue in the removed file."""
     path = Path(url.removeprefix("sqlite:///"))
     if not url.startswith("sqlite:///"):
         return _opened(url, 0)
@@ -99,7 +99,7 @@ def run_slot(settings: TuneSettings, storage: str, slot: int) -> SlotOutcome:
 
 
 def trials_of(storage: str, name: str) -> tuple[SearchTrial, ...]:
-    """All finished trials, by slot."""
+    """Return all finished trials, by slot."""
     trials = {}
     for trial in open_search(storage, name).get_trials(deepcopy=False):
         if trial.state in _ENDED and all(key in trial.user_attrs for key in ("slot", "values", *_FIGURES)):
@@ -112,9 +112,9 @@ def trials_of(storage: str, name: str) -> tuple[SearchTrial, ...]:
 
 
 def _value(settings: TuneSettings, study: optuna.Study, trial: optuna.Trial, slot: int) -> float:
-    """The robust objective of one point of the search; reported after every plant."""
+    """Robust objective of one point of the search; reported after every plant."""
     trial.set_user_attr("slot", slot)
-    # Two processes may have taken the slot at once; both see both, and the one that came second leaves it.
+    # Two processes may have taken the slot at once; both detect it, and the second one leaves it.
     live = [t for t in _of_slot(study, slot) if t.state in (*_ENDED, TrialState.RUNNING)]
     if any(other.number < trial.number for other in live):
         raise _TakenError(f"slot {slot} is done elsewhere")
@@ -139,13 +139,13 @@ def _value(settings: TuneSettings, study: optuna.Study, trial: optuna.Trial, slo
 
 
 def given_values(settings: TuneSettings) -> dict[str, Any]:
-    """Searched settings at their given values."""
+    """Return the searched settings at their given values."""
     given = settings.given.model_dump(mode="json")
     return {path: value_at(given, path) for path in settings.search}
 
 
 def _suggested(trial: optuna.Trial, path: str, one: DrawSettings) -> Any:
-    """Point of the search, rounded to four digits, so that the written value is the tested one."""
+    """Suggested value, rounded to four digits, so that the written value is the tested one."""
     if one.choice is not None:
         named = {label(value): value for value in one.choice}
         return named[trial.suggest_categorical(path, list(named))]
@@ -157,7 +157,7 @@ def _suggested(trial: optuna.Trial, path: str, one: DrawSettings) -> Any:
 
 
 def _sampler(settings: TuneSettings, slot: int) -> optuna.samplers.BaseSampler:
-    """Sampler with the random numbers of a slot; equal processes would propose equal points otherwise."""
+    """Sampler with the random numbers of a slot; otherwise equal processes would propose equal points."""
     seed = int(np.random.SeedSequence([settings.seed, slot]).generate_state(1)[0])
     sampler = optuna.samplers.TPESampler(seed=seed, n_startup_trials=_STARTUP, constant_liar=True)
     if slot > 0:

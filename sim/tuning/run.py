@@ -1,4 +1,4 @@
-"""A tuning in a resumable run folder: search, check on held-out plants, controller file, report."""
+"""Execution of a tuning in a resumable run folder: search, check on held-out plants, controller file, report."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ from .objective import SearchTrial, SlotOutcome, Tuning, held_out, pareto_front
 from .settings import TuneSettings
 
 _REPORT_RUNS = 4  # runs of a plant that take as long as the report
-_WAIT_S = 3.0  # until trials that another process does are asked for again
+_WAIT_S = 3.0  # time between two checks for trials of other processes
 
 
 def run_tuning(
@@ -55,8 +55,8 @@ def run_tuning(
     Args:
         settings: complete, as `load_tuning` gives them.
         out: a new or empty folder, or one of a tuning, whose trials are kept; one for each machine.
-        storage: of the search, as Optuna names it, such as `postgresql://...`, shared by machines that name the same
-            one; a file in `out` where left out.
+        storage: Optuna's URL of the search, such as `postgresql://...`, shared by machines; a file in `out` where left
+            out.
 
     Raises:
         ConfigError: if the folder holds something else, the storage cannot be opened, workers die repeatedly, or optuna
@@ -89,9 +89,9 @@ def run_tuning(
 def search(
     settings: TuneSettings, backend: Backend, storage: str, progress: Progress | None = None
 ) -> tuple[tuple[SearchTrial, ...], tuple[SlotOutcome, ...]]:
-    """Run the open trials; those of other processes are awaited."""
+    """Run the open trials, and wait for those of other processes."""
     optuna_ = _optuna()
-    optuna_.open_search(storage, settings.search_name)  # made before the workers meet
+    optuna_.open_search(storage, settings.search_name)  # before the workers open it
     slots: Sequence[int] = range(settings.trials)
     failed: list[SlotOutcome] = []
     ended = 0
@@ -112,7 +112,7 @@ def search(
 
 
 def _optuna() -> Any:
-    """Module that needs Optuna; a `ConfigError` if it is not installed."""
+    """Import the module that needs Optuna; a `ConfigError` if it is not installed."""
     try:
         from . import optuna_
     except ModuleNotFoundError as error:
@@ -121,7 +121,7 @@ def _optuna() -> Any:
 
 
 def _folder(path: Path, settings: TuneSettings) -> RunFolder:
-    """A new run folder, or the one that a tuning left."""
+    """Open a run folder, new or of an earlier tuning."""
 
     def refusal(before: Any) -> str:
         if not isinstance(before, dict) or "search" not in before:
@@ -136,7 +136,7 @@ def _folder(path: Path, settings: TuneSettings) -> RunFolder:
 
 
 def _changed(before: TuneSettings, now: TuneSettings) -> list[str]:
-    """Names of settings that make the trials of one search useless to another."""
+    """Names of changed settings that invalidate the earlier trials of a search."""
     if before.fingerprint == now.fingerprint:
         return []
     old, new = before.model_dump(mode="json"), now.model_dump(mode="json")
@@ -170,7 +170,7 @@ _PER_ROW = 3
 
 
 def tuning_report(tuning: Tuning, meta: Mapping[str, Any]) -> Report:
-    """The page of a tuning."""
+    """Make the report of a tuning."""
     settings, check = tuning.settings, tuning.check
     low, high = check.interval()
     verdict = (

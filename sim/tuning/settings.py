@@ -36,7 +36,7 @@ _WEIGHTS = {
 }
 _HORIZON = {"horizon": DrawSettings(integer=(5, 30))}
 _SAMPLING = {"sigma": DrawSettings(log_uniform=(0.03, 1.5)), "temperature": DrawSettings(log_uniform=(2e-3, 0.5))}
-# By kind of controller. Samples, iterations and solvers are left alone: they trade error for time, not for effort.
+# By kind of controller. Samples, iterations and solvers are not searched: they trade error for computing time.
 SPACES: dict[str, dict[str, DrawSettings]] = {
     "inverse": {**_ESTIMATOR, "reference_dead_zone_deg": DrawSettings(uniform=(0.0, 0.3))},
     "pid": _GAINS,
@@ -51,10 +51,10 @@ _FACTOR = (0.9, 1.1)
 
 
 def default_space(settings: AnyControllerSettings) -> dict[str, DrawSettings]:
-    """Ranges by dotted path below a controller.
+    """Return the default search ranges by dotted path below a controller.
 
     Raises:
-        ConfigError: for a controller from outside the package, which has no known ranges.
+        ConfigError: for an external controller, which has no known ranges.
     """
     if settings.kind not in SPACES:
         raise ConfigError(f"search: got none for {settings.kind}, expected ranges: only {', '.join(SPACES)} have some")
@@ -62,14 +62,14 @@ def default_space(settings: AnyControllerSettings) -> dict[str, DrawSettings]:
 
 
 def default_draws(plant: PlantSettings) -> dict[str, DrawSettings]:
-    """Lag, noise, and a tenth either way for each parameter that varies."""
+    """Return the default distributions: lag, noise, and plus or minus a tenth for each parameter that varies."""
     draws = {"plant.lag_s": DrawSettings(uniform=_LAG_S), "plant.noise_deg": DrawSettings(uniform=_NOISE_DEG)}
     factor = DrawSettings(uniform=_FACTOR)
     return draws | {f'plant.mismatch."{label}"': factor for label in varied_parameters(plant)}
 
 
 class PlantsSettings(Settings):
-    """A set of plants; `seed` is of the draws and of the plants' noise.
+    """Set of plants for the search or for the final check.
 
     Attributes:
         count: number of plants.
@@ -104,7 +104,7 @@ class ObjectiveSettings(Settings):
 
 
 class TuneSettings(Settings):
-    """A tuning.
+    """Settings of a tuning.
 
     Attributes:
         base: the study: plant, model, motions; a file, or the settings themselves.
@@ -138,17 +138,17 @@ class TuneSettings(Settings):
 
     @property
     def study(self) -> SimulationConfig:
-        """The study, with the tuned controller alone."""
+        """Return the study, with the tuned controller alone."""
         return SimulationConfig.parse(self.base, "base")
 
     @property
     def given(self) -> AnyControllerSettings:
-        """The controller as it was given."""
+        """Return the controller before tuning."""
         return next(iter(self.study.controllers.values()))
 
     @property
     def fingerprint(self) -> str:
-        """Hash of everything but the number of trials, which may grow later; 12 hexadecimal digits."""
+        """Hash of everything but the number of trials, which may grow; 12 hexadecimal digits."""
         return json_hash(self.model_dump(mode="json", exclude={"trials", "held_out"}))[:12]
 
     @property
@@ -157,7 +157,7 @@ class TuneSettings(Settings):
         return f"hystmpc-{self.fingerprint}"
 
     def with_values(self, values: dict[str, Any]) -> AnyControllerSettings:
-        """The controller with some changed settings."""
+        """Return the controller with some settings changed."""
         data: Any = self.given.model_dump(mode="json")
         for path, value in values.items():
             data = changed(data, path, value)
@@ -165,7 +165,7 @@ class TuneSettings(Settings):
 
 
 def load_tuning(path: Path | str, overrides: Iterable[str] = ()) -> TuneSettings:
-    """Settings of a tuning, with the study, the search space and the draws in it.
+    """Read the settings of a tuning, with the study, the search space and the draws included.
 
     Raises:
         ConfigError: on an unreadable file, an unknown key, a value out of bounds, or a path that leads nowhere.
@@ -175,7 +175,7 @@ def load_tuning(path: Path | str, overrides: Iterable[str] = ()) -> TuneSettings
 
 
 def complete(settings: TuneSettings, path: Path) -> TuneSettings:
-    """The tuning with all defaults filled in, checked.
+    """Return the checked tuning with all defaults filled in.
 
     Raises:
         ConfigError: if study, controller or a path is wrong; names the line.
@@ -209,7 +209,6 @@ def _chosen(name: str | None, study: SimulationConfig, path: Path) -> str:
 
 
 def _check(settings: TuneSettings, path: Path) -> None:
-    """Check both ends of every range."""
     given = settings.given.model_dump(mode="json")
     for block, ranges in (("search", settings.search), ("draw", settings.draw)):
         for key, one in ranges.items():

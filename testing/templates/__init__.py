@@ -1,4 +1,4 @@
-"""Templates of classes that a laboratory brings: each a folder with class, contract tests that pass, and settings."""
+"""Templates of external classes: each a folder with class, contract tests that pass, and settings."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ KINDS: Mapping[str, str] = MappingProxyType(
 
 
 def write_template(kind: str, folder: Path) -> tuple[Path, ...]:
-    """Write the template of a kind of class into a new or empty folder; returns its files.
+    """Write the template of a kind of class into a new or empty folder, and return its files.
 
     Raises:
         ConfigError: if there is no such kind, or the folder holds something or cannot be written.
