@@ -23,7 +23,7 @@ def in_brief(kind: object, text: str) -> str:
 
 
 def brief(self: Any) -> str:
-    """`__repr__` of a dataclass of results: its fields in short, arrays as their shape, sequences by their length."""
+    """Short `__repr__` of a dataclass of results: arrays by their shape, sequences by their length."""
     parts = (f"{f.name}={_shortened(getattr(self, f.name))}" for f in fields(self) if f.repr)
     return in_brief(self, ", ".join(parts))
 

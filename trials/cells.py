@@ -50,12 +50,12 @@ _DAY_S, _HOUR_S = 86_400, 3_600
 
 @dataclass(frozen=True, eq=False)
 class Converted:
-    """One column.
+    """One column of a table after conversion to numbers, if possible.
 
     Attributes:
         kind: `number`, `time` [s since the first stamp], or `text`.
-        values: (T,), not-a-number where the cell is empty; none of a text.
-        fault: first cell that is not of this kind, and why; None where all are.
+        values: (T,), not-a-number where the cell is empty; None for a text.
+        fault: first cell of another kind, and the reason; None if there is none.
     """
 
     kind: str
@@ -64,7 +64,7 @@ class Converted:
 
 
 def is_value(cell: str) -> bool:
-    """Whether a cell holds a number, a date or a time; a mark for a missing value is none of these."""
+    """Whether a cell holds a number, a date or a time, and no mark for a missing value."""
     return bool(cell) and (_number_like(cell) or _stamp(cell) is not None)
 
 
@@ -77,6 +77,9 @@ def _number_like(cell: str) -> bool:
 
 def convert(columns: Sequence[Sequence[str]], comma_likely: bool) -> list[Converted]:
     """Convert every column of a table; a decimal mark that is certain in one column holds for all of them.
+
+    Args:
+        comma_likely: whether an ambiguous comma is a decimal mark, as in cells that semicolons separate.
 
     Args:
         comma_likely: whether a lone comma is a decimal mark where nothing tells, as in cells that semicolons separate.
@@ -170,7 +173,7 @@ def _numbers(cells: Sequence[str], mark: str, comma_likely: bool) -> Converted:
 
 
 def _stamp(cell: str) -> re.Match[str] | None:
-    """A date, a time of day or both; at least one of them."""
+    """Match a cell with a date, a time of day, or both."""
     if len(cell) > _LONGEST_STAMP or (":" not in cell and cell.count("-") + cell.count("/") + cell.count(".") < 2):
         return None
     stamp = _STAMP.fullmatch(cell)
@@ -178,7 +181,7 @@ def _stamp(cell: str) -> re.Match[str] | None:
 
 
 def _times(cells: Sequence[str]) -> Converted:
-    """Convert dates and times of day to seconds since the first; without a date, midnight is passed."""
+    """Convert dates and times of day to seconds since the first; without a date, a fall in time is midnight."""
     stamps = [None if cell.lower() in MISSING else _stamp(cell) for cell in cells]
     known = [k for k, stamp in enumerate(stamps) if stamp is not None]
     fault = next(((k, "") for k, cell in enumerate(cells) if stamps[k] is None and cell.lower() not in MISSING), None)
@@ -198,7 +201,7 @@ def _times(cells: Sequence[str]) -> Converted:
 
 
 def _second(stamp: re.Match[str], unit: int) -> tuple[int, int]:
-    """Time of day minus its zone: whole seconds and nanoseconds."""
+    """Time of day in UTC: whole seconds and nanoseconds."""
     hour, minute, second = (int(stamp[name] or 0) for name in ("h", "m", "sec"))
     if half := stamp["half"]:
         hour = hour % 12 + (12 if half[0] in "pP" else 0)
@@ -212,7 +215,7 @@ def _second(stamp: re.Match[str], unit: int) -> tuple[int, int]:
 
 
 def _since_first(days: Sequence[int], seconds: Sequence[tuple[int, int]], turn: int | None) -> Vec:
-    """Stamps [s] counted from the first one, in whole numbers so that no digit is lost."""
+    """Time stamps [s] from the first one on, computed in integers so that no digit is lost."""
     if not seconds:
         return np.zeros(0)
     whole = np.array([day * _DAY_S + second for day, (second, _) in zip(days, seconds, strict=True)], dtype=np.int64)
@@ -243,7 +246,7 @@ def _spread(days: Sequence[int]) -> float:
 
 
 def _day(triple: tuple[str | None, ...], order: str) -> int | None:
-    """Day number of year, month and day in one order; None where there is no such date in it."""
+    """Day number of year, month and day in one order; None if the date does not exist."""
     a, b, c = (part or "" for part in triple)
     if not a:
         return 0

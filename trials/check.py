@@ -32,10 +32,10 @@ _MODEL_HZ = 25.0  # at which `fit` runs where nothing else is asked for
 def check(log: Log, layout: AnyLayout = "auto", sampled_hz: float | None = None) -> CheckReport:
     """Check a log: time base, jitter, gaps, duplicates, values, units, sign, excitation, segments and first flexure.
 
-    A file or frame is read leniently: what `read_trials` would refuse becomes a finding.
+    Faults for which `read_trials` would refuse a file or frame become findings.
 
     Args:
-        sampled_hz: rate [Hz] of a log that was sampled evenly, whose time stamps are not looked at.
+        sampled_hz: rate [Hz] of an evenly sampled log, whose time stamps are ignored.
 
     Raises:
         LogError: if it cannot be read, or lacks a column or signal.
@@ -49,7 +49,7 @@ def check(log: Log, layout: AnyLayout = "auto", sampled_hz: float | None = None)
 
 
 def _report(log: UncheckedLog, layout: AnyLayout | None = None) -> CheckReport:
-    """All findings; those on the motion are made on samples that are finite, in order of time, and repaired."""
+    """All findings; those on the motion use finite, sorted and decoded samples."""
     mapping = layout if isinstance(layout, LogMapping) else None
     findings = [Finding(Severity.NOTE, "file", log.note)] if log.note else []
     findings += _value_findings(log)
@@ -77,7 +77,7 @@ def _report(log: UncheckedLog, layout: AnyLayout | None = None) -> CheckReport:
 
 
 def _short(t: Vec) -> Iterator[Finding]:
-    """Finding on a log that is too short at the usual rate of models."""
+    """Finding on a log with too few samples at the usual rate of models."""
     duration, count = float(t[-1] - t[0]), t.size
     if count >= LEAST_SAMPLES and duration * _MODEL_HZ + 1 < LEAST_SAMPLES:
         rate = min(round(200 / duration, -1), (count - 1) / duration) if duration > 0 else _MODEL_HZ
@@ -89,7 +89,7 @@ def _short(t: Vec) -> Iterator[Finding]:
 
 
 def _value_findings(log: UncheckedLog) -> Iterator[Finding]:
-    """Findings on samples without a finite number, per signal."""
+    """Findings on values that are not finite, per signal."""
     clean = True
     main = {"time": log.t, "command": log.command, "angle": log.angle}
     for name, values in {**main, **log.channels}.items():
@@ -104,7 +104,10 @@ def _value_findings(log: UncheckedLog) -> Iterator[Finding]:
 
 
 def require_sound(trial: Trial) -> None:
-    """Refuse a trial with wrong signals: another unit of time, codes for missing values, wraps, an output that leads.
+    """Refuse a trial with a wrong unit of time, missing-value codes, wraps, or an angle ahead of its command.
+
+    Raises:
+        LogError: with the finding of `check`.
 
     Raises:
         LogError: with what `check` says of it.
@@ -143,7 +146,10 @@ _COMMANDS, _ANGLES, _ANY = (-100.0, 100.0), (-200.0, 200.0), (-np.inf, np.inf)  
 
 
 def motion_findings(trial: Trial, ranges: tuple[Range | None, Range | None]) -> Iterator[Finding]:
-    """Findings on a trial whose values are finite and in order.
+    """Findings on a trial with finite values and increasing time.
+
+    Args:
+        ranges: plausible values of command and angle; None for those of a bending tip.
 
     Args:
         ranges: plausible values of command and angle; None for those of a tip that bends.
@@ -201,7 +207,7 @@ def _units(name: str, values: Vec, unit: str, plausible: tuple[float, float], be
 
 
 def _sign(trial: Trial) -> Finding:
-    """Sign and size of the gain from command to angle, at the delay of best correlation."""
+    """Finding on sign and size of the gain from command to angle, at the delay of best correlation."""
     lag, together = _best_delay(trial)
     u, y = trial.command[: len(trial) - lag], trial.angle[lag:]
     u, y = u - u.mean(), y - y.mean()
@@ -222,10 +228,10 @@ _WHY = "; a play wider than the motion, a long delay, or signals of two devices?
 
 
 def _best_delay(trial: Trial) -> tuple[int, float]:
-    """Delay of best correlation [samples] within what a device may have, and the correlation; 0 if a delay adds little.
+    """Delay of best correlation [samples] within the limits for a device, and the correlation.
 
-    A periodic command is like its opposite half a period later: the sign is that without a delay, unless the other one
-    leaves next to nothing.
+    The delay is 0 if it adds little. For a periodic command, half a period of delay changes the sign: the sign without
+    delay is used, unless it leaves almost no correlation.
     """
     u, y = trial.command, trial.angle
     lags, like = correlations(u, y, min(round(DELAY_S / trial.dt), len(trial) // 4))
@@ -276,13 +282,13 @@ _FULL_LOOP = 1.2  # of the half-way gap, by which the gap at the start is greate
 
 @dataclass(frozen=True)
 class HoldEnd:
-    """The end of a hold of the command.
+    """Mean state at the end of a hold of the command.
 
     Attributes:
         start, stop: samples of the hold.
-        angle: a recorded one of its end, their median.
+        angle: recorded angle nearest to the mean: the median.
         error: standard error of that angle.
-        drift: speed of the angle there, its standard error on top [angle/s].
+        drift: upper bound of the angle's speed: its estimate plus one standard error [angle/s].
     """
 
     start: int
@@ -296,15 +302,13 @@ class HoldEnd:
 def _first_flexure(trial: Trial, parts: Segments) -> Finding:
     """Permanent set after the first flexure: change of the angle between two rests at one command.
 
-    The angle has to stand still in both, so that lag, drift and creep are no set. Creep of time constant tau that
-    drifts by d is still off by d tau, and not by more than 0.5 T / tau of the bend if it had the time T to grow; for no
-    tau that is more than sqrt(0.5 d T bend).
+    Lag, drift and creep are excluded. Creep of time constant tau and drift d is d tau away from its end, and at most
+    0.5 T / tau of the bend after the time T: for every tau at most sqrt(0.5 d T bend).
 
-    A play leaves the angle above where it began, if the flexure was upwards and came back from there, whatever the
-    play: a change the other way is a set. Of a change this way, the gap between the way there and the way back tells:
-    of plays that begin between their middle and the side of the flexure it is never wider at the start than half-way.
-    Plays begin so where the command begins at zero, the end of its range. Anywhere else it is a set, or a play that
-    began elsewhere.
+    A play can leave the angle above its start after an upward flexure, but not below it: a change below is a set. For a
+    change above, the gap between loading and unloading decides: if the play starts between its middle and the side of
+    the flexure, as for a command that starts at the end of its range, this gap is never wider at the start than
+    half-way. Otherwise the cause is a set or a play with another start.
     """
     unit, u = trial.units.command, trial.command
     if not parts.reversals.size:
@@ -354,7 +358,7 @@ def _set(trial: Trial, before: HoldEnd, after: HoldEnd, top: int, opening: str) 
 
 
 def _rest(trial: Trial, start: int, stop: int, grain: float = 0.0) -> HoldEnd:
-    """Angle at the end of a hold; `grain` is the drift that a constant reading may hide."""
+    """Angle at the end of a hold; `grain` is the largest drift that a constant reading may hide."""
     first = stop - max(2, round((stop - start) * _TAIL))
     first = max(first, start)
     t, y = trial.t[first:stop], trial.angle[first:stop]
@@ -376,7 +380,7 @@ def _rest(trial: Trial, start: int, stop: int, grain: float = 0.0) -> HoldEnd:
 
 
 def _may_be_play(trial: Trial, before: HoldEnd, after: HoldEnd, top: int) -> bool:
-    """Whether a play that begins elsewhere explains a change of the angle between two rests."""
+    """Whether a play with another initial state explains a change of the angle between two rests."""
     u, y = trial.command, trial.angle
     span, change = float(np.ptp(u)), after.angle - before.angle
     way = y[before.stop : top + 1 + round(DELAY_S / trial.dt)] - before.angle
@@ -401,7 +405,7 @@ def _may_be_play(trial: Trial, before: HoldEnd, after: HoldEnd, top: int) -> boo
 
 
 def _at(u: Vec, y: Vec, start: int, stop: int, level: float) -> float | None:
-    """Angle where the command first passes a level between two samples; None where it does not."""
+    """Angle at which the command first crosses a level between two samples; None if it does not."""
     side = u[start : stop + 1] >= level
     passed = np.flatnonzero(side[1:] != side[:-1])
     if not passed.size:
@@ -412,7 +416,7 @@ def _at(u: Vec, y: Vec, start: int, stop: int, level: float) -> float | None:
 
 
 def _numbers(values: Vec, scale: float, offset: float) -> Vec:
-    """Numbers (T,) in the log behind a signal = scale * number + offset; integers are exact."""
+    """Logged numbers (T,) of a signal = scale * number + offset; integers are exact."""
     if scale == 1.0 and offset == 0.0:
         return values
     numbers = (values - offset) / scale
@@ -424,6 +428,9 @@ def encoding_findings(
     trial: Trial, scales: Mapping[str, tuple[float, float]], where: Callable[[int], str]
 ) -> tuple[list[Finding], Trial]:
     """Findings on missing-value codes, wraps and sign bits of command and angle, and the decoded trial.
+
+    Args:
+        scales: scale and offset from logged numbers to `command` and `angle`; 1 and 0 if left out.
 
     Args:
         scales: scale and offset by which `command` and `angle` were made of the numbers in the log, if not 1 and 0.

@@ -35,9 +35,9 @@ class ClockShift:
     """Shift of the angle's time stamps against the command's.
 
     Attributes:
-        late_s: by which the angle's stamps are late [s]; below zero they are early.
-        correlation: of angle and command without this shift.
-        without: the same as they stand.
+        late_s: delay of the angle's stamps [s]; negative if they are early.
+        correlation: of angle and command after removal of the shift.
+        without: correlation before removal of the shift.
     """
 
     late_s: float
@@ -46,7 +46,7 @@ class ClockShift:
 
     @property
     def text(self) -> str:
-        """The shift in words, with the key of a mapping file that takes it out."""
+        """Description of the shift, with the key of a mapping file that removes it."""
         late = "later" if self.late_s > 0 else "earlier"
         return (
             f"the angle answers {abs(self.late_s):.3g} s {late} than the command was given (correlation "
@@ -58,9 +58,9 @@ class ClockShift:
 def clock_shift(t: Vec, command: Vec, angle: Vec) -> ClockShift | None:
     """Time shift between command and angle that no device explains; None if there is none.
 
-    It is told where a shift makes the two look alike (correlation of 0.9 and more) and leaves less than 0.3 of the
-    variance that is left by every delay of up to `DELAY_S`, and by every first-order lag. A periodic command tells no
-    shift from another one a period later: where the command is like itself after this time, none is told.
+    A shift is reported if it gives a correlation of at least 0.9 and leaves less than 0.3 of the variance that remains
+    after every delay of up to `DELAY_S` and every first-order lag. No shift is reported if the command repeats itself
+    after this time: shifts by a period are indistinguishable.
     """
     duration = float(t[-1] - t[0])
     dt = max(duration / _GRID, float(np.median(np.diff(t))))
@@ -87,7 +87,7 @@ def clock_shift(t: Vec, command: Vec, angle: Vec) -> ClockShift | None:
 
 
 def _repeats(u: Vec, lag: int, slack: int) -> bool:
-    """Whether a command is so periodic that a delay of up to `slack` samples cannot be told from `lag`."""
+    """Whether the command is so periodic that delays of `lag` and of up to `slack` samples are indistinguishable."""
     near, far = (lag - slack, lag) if lag > 0 else (-lag, slack - lag)
     _, like = correlations(u, u, min(far, u.size - 10))
     later = np.abs(like[like.size // 2 :])  # from no lag on
@@ -96,9 +96,9 @@ def _repeats(u: Vec, lag: int, slack: int) -> bool:
 
 
 def _like_a_device(u: Vec, y: Vec, lag: int, dt: float, whole: Vec) -> float:
-    """Greatest correlation at a delay that a device may have: of the whole log, and of its compared parts.
+    """Greatest correlation at a plausible delay of a device: of the whole log, and of the compared parts.
 
-    A log whose first motion differs from its later ones is like itself one motion later, but also in each part.
+    Both are needed: a log whose first motion differs correlates as a whole with itself one motion later.
     """
     greatest, count = [float(whole.max())], u.size - abs(lag)
     for part in (slice(0, count), slice(u.size - count, u.size)):

@@ -50,10 +50,10 @@ class Encoding:
     """Encoding of the numbers of one signal, and the decoded signal.
 
     Attributes:
-        key: of a mapping file, that reads it.
+        key: key of a mapping file that decodes it.
         value: the code, the modulus, or the bit.
-        samples: where it shows: codes, or first samples behind a jump.
-        values: the repaired signal (T,); not-a-number in place of codes.
+        samples: samples with a code, or first samples after a jump.
+        values: the decoded signal (T,); not-a-number in place of codes.
     """
 
     key: Key
@@ -65,7 +65,7 @@ class Encoding:
 def unwrapped(values: Vec, modulus: float) -> Vec:
     """Unwrap a signal (T,) by a modulus; its first value is in [-modulus / 2, modulus / 2).
 
-    A step of more than half the modulus is taken for a wrap. Not-a-number is left out and stays.
+    A step of more than half the modulus counts as a wrap. Not-a-number is ignored and remains.
     """
     known = np.flatnonzero(np.isfinite(values))
     out = values.astype(np.float64)
@@ -88,14 +88,14 @@ def decoded(values: Vec, missing: tuple[float, ...], sign_bit: int | None, wraps
 
 
 def encodings(values: Vec, other: Vec, dt: float, is_command: bool) -> list[Encoding]:
-    """Detect the encodings of one signal, in the order in which they have to be decoded.
+    """Detect the encodings of one signal, in the order of their decoding.
 
-    Codes for a missing value are isolated: the signal jumps to exactly this value and back. Wraps and a sign bit are
-    jumps of one size between the ends of the signal's range, without which the other signal explains it better.
+    A code for a missing value is isolated: the signal jumps to exactly this value and back. Wraps and a sign bit are
+    jumps of one size between the ends of the range; without them the other signal explains this one better.
 
     Args:
         values: as logged (T,), finite.
-        other: the command of an angle, the angle of a command (T,).
+        other: the command for an angle, the angle for a command (T,).
         dt: usual sample interval [s].
     """
     repairs: list[Encoding] = []
@@ -121,7 +121,7 @@ def encodings(values: Vec, other: Vec, dt: float, is_command: bool) -> list[Enco
 
 
 def _code(values: Vec, known: Mask, dt: float, is_command: bool, far_only: bool) -> Encoding | None:
-    """Detect a code for a missing value; `far_only`: a listed code, far from all other values."""
+    """Detect a missing-value code; `far_only` restricts this to listed codes far from all other values."""
     signal, index = values[known], np.flatnonzero(known)
     if signal.size < _LEAST:
         return None
@@ -185,14 +185,14 @@ def _jumps(values: Vec, other: Vec, late: int, is_command: bool) -> Encoding | N
 
 
 def _unasked(command: Vec, jumps: Index, late: int) -> bool:
-    """Whether no step of the command precedes a jump of the angle."""
+    """Whether the angle jumps without a preceding step of the command."""
     steps, least = np.abs(np.diff(command, prepend=command[:1])), _ASKED * float(np.ptp(command))
     before = np.cumsum(steps > least)
     return bool(np.all(before[jumps] == before[np.maximum(jumps - late, 0)]))
 
 
 def _repairs(signal: Vec, jumps: Vec, usual: float) -> list[tuple[Key, float, Vec]]:
-    """Possible encodings behind these jumps, the nearest modulus first."""
+    """Possible encodings that explain the jumps, the nearest modulus first."""
     least, most, size = float(signal.min()), float(signal.max()), float(np.median(jumps))
     slack = 2 * usual + 0.02 * size
     if float(np.ptp(jumps)) > 4 * slack:

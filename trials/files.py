@@ -16,7 +16,7 @@ _NAME = 40  # characters of a file's name that its temporary file shows
 
 
 def write_atomically(path: Path | str, content: bytes | str) -> Path:
-    """Write `content` to `path` through a temporary file in the same folder, so that no half file remains.
+    """Write `content` to `path` through a temporary file in the same folder, so that no partial file remains.
 
     Raises:
         OSError: if the folder cannot be made or written.
@@ -41,11 +41,11 @@ def write_atomically(path: Path | str, content: bytes | str) -> Path:
 
 
 def require_writable(path: Path | str) -> None:
-    """Refuse a place where no file or folder can be made or replaced, before any work is done for it.
+    """Refuse a path at which no file or folder can be made or replaced, before any computation.
 
     Raises:
-        ConfigError: if a part of the path is a file or cannot be entered, the name is too long, or what the file or
-            folder would be written into may not be changed.
+        ConfigError: if a part of the path is a file or cannot be entered, the name is too long, or the parent folder or
+            the existing file is write-protected.
     """
     target = Path(path)
     try:

@@ -30,7 +30,7 @@ from .types import Vec
 
 
 class Severity(StrEnum):
-    """Severity of a finding, least first."""
+    """Severity of a finding, in increasing order."""
 
     OK = "ok"
     NOTE = "note"  # worth knowing
@@ -43,9 +43,9 @@ class Finding:
     """One line of a quality check.
 
     Attributes:
-        severity: how much it matters.
-        topic: what was looked at, such as `jitter` or `units`.
-        message: what was found, with numbers and units.
+        severity: importance.
+        topic: subject of the check, such as `jitter` or `units`.
+        message: result with numbers and units.
     """
 
     severity: Severity
@@ -59,7 +59,7 @@ class CheckReport:
 
     Attributes:
         source: path of the log.
-        layout: layout it was read with, empty for a trial from memory.
+        layout: layout of the log; empty for a trial from memory.
     """
 
     source: str
@@ -71,7 +71,7 @@ class CheckReport:
 
     @property
     def worst(self) -> Severity:
-        """The greatest severity among the findings."""
+        """Greatest severity among the findings."""
         order = list(Severity)
         return max((f.severity for f in self.findings), key=order.index, default=Severity.OK)
 
@@ -100,12 +100,12 @@ _STOOD = 0.02  # of the range of the command: it stood still over a gap
 
 @dataclass(frozen=True, eq=False)
 class LogClock:
-    """The time stamps of a log.
+    """Time stamps of a log, with the wrap of their counter and their unit.
 
     Attributes:
-        t: stamps [s] as they were read, less wraps of a counter, (T,).
+        t: stamps [s] as read, after removal of the wraps of a counter, (T,).
         wrap: of the counter, in `unit`.
-        unit: in which the log has them, a key of `SECONDS`.
+        unit: unit in the log, a key of `SECONDS`.
     """
 
     t: Vec
@@ -121,7 +121,7 @@ class LogClock:
 
 
 def clock_of(t: Vec, command: Vec, unit: str = "s") -> LogClock:
-    """Analyse time stamps (T,) [s] that were read in `unit`; the command (T,) shows how fast the device moves."""
+    """Analyse time stamps (T,) [s] that were read in `unit`; the command (T,) shows the pace of the device."""
     wrap = counter_wrap(t / SECONDS[unit])
     whole = t if wrap is None else without_wraps(t, wrap.modulus * SECONDS[unit])
     known = command[np.isfinite(command)]
@@ -132,7 +132,7 @@ def clock_of(t: Vec, command: Vec, unit: str = "s") -> LogClock:
 
 
 def sampled_time(clock: LogClock) -> Vec:
-    """Time (T,) [s] in the likely unit, evenly spaced where a coarse clock repeats its stamps."""
+    """Time (T,) [s] in the likely unit, evenly spaced if a coarse clock repeats its stamps."""
     steps = np.diff(clock.t[np.isfinite(clock.t)])
     coarse = steps.size and np.all(steps >= 0) and np.mean(steps == 0) > _COARSE_SHARE
     if coarse and clock.interval is not None and clock.interval.middle > 0:
@@ -217,7 +217,7 @@ def _gaps(
 
 
 def gaps_text(trial: Trial, parts: Sequence[Trial]) -> str:
-    """Text on how a trial is cut at its gaps: samples left out, and parts used; empty without a gap."""
+    """Text on the parts of a trial between its gaps and the samples left out; empty without a gap."""
     left = len(trial) - sum(map(len, parts))
     if not left and len(parts) == 1:
         return ""
@@ -251,7 +251,7 @@ def _order(clock: LogClock, kept: NDArray[np.intp], intervals: Vec, where: Calla
 
 
 def _stuck(t: Vec, command: Vec, angle: Vec) -> Finding:
-    """Stuck samples: the stretch of constant angle over which the command moves farthest."""
+    """Finding on stuck samples: the stretch of constant angle with the largest motion of the command."""
     topic = "stuck samples"
     starts = np.concatenate(([0], np.flatnonzero(angle[1:] != angle[:-1]) + 1))
     share = 1 - (starts.size - 1) / (angle.size - 1)

@@ -84,7 +84,9 @@ _MARKUP = re.compile(r"\s*<(\?xml|!doctype|html|[a-z][\w:.-]*[\s/>])", re.IGNORE
 
 
 def format_of(path: Path) -> str:
-    """Name of the format of a file: of `ENDINGS`, or `text` for all without a special reader.
+    """Name of the format of a file: one of `ENDINGS`, or `text` for all formats without a special reader.
+
+    Missing and unreadable files cause no error here, but in their reader.
 
     What lies at the path is not judged: a reader says that a file is missing or cannot be read.
     """
@@ -119,10 +121,10 @@ def _packed(path: Path) -> str | None:
 
 
 def require_known(path: Path | str, data: bytes) -> None:
-    """Refuse a file whose first bytes say that it is of a format that is not read.
+    """Refuse a file whose first bytes show an unsupported format.
 
     Raises:
-        LogError: names the format and what to do.
+        LogError: names the format and the remedy.
     """
     head = data[:_HEAD]
     for start, name, remedy in _FOREIGN:
@@ -149,7 +151,7 @@ _MANY, _FEW = 0.4, 0.02  # shares of zero bytes: text of western letters in UTF-
 
 
 def read_lines(path: Path | str) -> list[str]:
-    """Text of a file, line by line; byte order marks, UTF-16, CRLF and a missing last newline make no difference.
+    """Read the lines of a text file with any byte order mark and line ends, in UTF-8, UTF-16 or another encoding.
 
     Raises:
         LogError: if the path is missing, a folder, unreadable, empty, or of a format that is no delimited text.
@@ -166,7 +168,7 @@ def read_lines(path: Path | str) -> list[str]:
 
 
 def read_bytes(path: Path | str, count: int | None = None, bounded: bool = True) -> bytes:
-    """All bytes of a file, or its first `count`.
+    """Read all bytes of a file, or its first `count`.
 
     Args:
         bounded: whether more than `MOST_BYTES` are refused; a recording of many topics may be larger than its signals.
@@ -195,18 +197,21 @@ def read_bytes(path: Path | str, count: int | None = None, bounded: bool = True)
 
 
 def one_line(error: Exception) -> str:
-    """Text of an error on one line; its type where it has none."""
+    """Text of an error on one line, or its type if the text is empty."""
     return " ".join(str(error).split()) or type(error).__name__
 
 
 def damaged(reason: str) -> str:
-    """Note on a log of which only the part before a fault was read."""
+    """Note on a log that was read only up to a fault."""
     return f"cut off or damaged: {reason}; what stands before is read"
 
 
 @contextmanager
 def reading(path: Path | str, what: str) -> Iterator[None]:
-    """Context for reading a file by a third-party library, which may raise anything on a damaged file.
+    """Context for reading a file by a third-party library, which may raise any exception on a damaged file.
+
+    Raises:
+        LogError: for any exception of the library; names the file and its expected format.
 
     Raises:
         LogError: for whatever the library raises; names the file and what it was expected to be.
@@ -220,7 +225,7 @@ def reading(path: Path | str, what: str) -> Iterator[None]:
 
 
 def seconds_since_first(dates: NDArray[Any]) -> Vec:
-    """Dates (T,) of numpy as seconds since the first one; not-a-number where there is no date."""
+    """Dates (T,) of numpy as seconds since the first one; not-a-number for a missing date."""
     return np.asarray((dates - dates[:1]) / np.timedelta64(1, "s"), dtype=np.float64)
 
 

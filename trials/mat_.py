@@ -1,4 +1,4 @@
-"""Variables of MATLAB files, version 4 to 7.3; what a file unpacks to is bounded before any of it is unpacked."""
+"""Variables of MATLAB files, version 4 to 7.3; the unpacked size is limited before any data are unpacked."""
 
 from __future__ import annotations
 
@@ -28,8 +28,7 @@ _LONGEST_TEXT = 10_000  # letters of a text that are read; a text is no signal
 def open_mat(path: Path | str) -> ArrayLog:
     """Read the variables of a MATLAB file, version 4 to 7.3.
 
-    Tables, timetables and other objects of MATLAB are left out: only MATLAB can read them. Who asks for one is told how
-    to save it.
+    Tables, timetables and other objects, which only MATLAB can read, are left out; a request for one gives advice.
 
     Raises:
         LogError: if the file is missing, cut off or no MATLAB file, its links form a loop, or `h5py` (version 7.3) is
@@ -77,7 +76,7 @@ def _read_scipy(path: str) -> tuple[dict[str, Any], dict[str, str]]:
 
 
 def _opaque(value: Any, name: str) -> tuple[str, str]:
-    """Name and class of an object; those of a table stand in its content."""
+    """Name and class of a MATLAB object; for a table they are part of its content."""
     if value.dtype.names and {"s0", "s2"} <= set(value.dtype.names) and value.size:
         title, kind = (value.reshape(-1)[0][part] for part in ("s0", "s2"))
         return _text(title) or name, _text(kind) or "object"
@@ -89,7 +88,7 @@ def _text(value: Any) -> str:
 
 
 def _plain(value: Any, depth: int = 0) -> Any:
-    """Structs as mappings, struct arrays and cells as lists; MATLAB's 1x1 wrappings fall away."""
+    """Convert structs to mappings, struct arrays and cells to lists, and unwrap MATLAB's 1x1 arrays."""
     if not isinstance(value, np.ndarray) or depth > _DEEPEST:
         return value
     if value.dtype.names and value.dtype.kind == "V":
@@ -121,10 +120,7 @@ def _read_hdf5(path: str) -> tuple[dict[str, Any], dict[str, str]]:
 
 
 class _Hdf5Tree:
-    """Bounded reader of the objects of an HDF5 file, whose links may form loops.
-
-    Nothing outside the file is opened, whatever the file says.
-    """
+    """Bounded reader of the objects of an HDF5 file, which opens nothing outside the file; links may form loops."""
 
     def __init__(self, path: str, file: Any) -> None:
         self._path, self._file = path, file
@@ -133,7 +129,7 @@ class _Hdf5Tree:
         self._bytes = MOST_BYTES
 
     def item(self, group: Any, name: str, left: int = _MOST_SOFT_LINKS) -> Any:
-        """The object behind a link, which stays in the file: h5py alone would follow it into another one."""
+        """Return the object behind a link within the file; h5py alone would follow links into other files."""
         from h5py import h5l  # pyright: ignore[reportAttributeAccessIssue]  # compiled, without a stub
 
         links, key = group.id.links, name.encode("utf-8", "surrogateescape")
@@ -182,7 +178,7 @@ class _Hdf5Tree:
         return LogError(f"{self._path}: more than {_MOST_OBJECTS} objects, each link counted, expected a log")
 
     def _require_inside(self, item: Any) -> None:
-        """Refuse data that lie elsewhere, need other code to be read, or would fill the memory."""
+        """Refuse data in other files, data that need other code, or data that exceed the memory."""
         made = item.id.get_create_plist()
         if item.external or item.is_virtual:
             raise LogError(f"{self._path}: the data of {item.name!r} lie in another file, expected all data inside")
@@ -218,9 +214,9 @@ _LEAST = 8  # bytes that any element of these takes
 
 
 def _require_bounded(path: str, data: bytes) -> None:
-    """Refuse a file that would fill the memory, or whose cells say to be more than the file has room for.
+    """Refuse a file whose content exceeds the memory, or whose cells exceed the size of the file.
 
-    A file of version 4 is not packed: it is as large as it is. What is damaged is left to the reader.
+    Version 4 has no compression; faults in damaged files are raised by the reader.
     """
     ends = {b"IM": "<", b"MI": ">"}.get(data[126:128])
     if ends is None or not any(data[:4]):
@@ -233,7 +229,7 @@ class _MatElements:
     """Bounded walk over the elements of a MATLAB file.
 
     Attributes:
-        ends: byte order, as `struct` names it.
+        ends: byte order, in the notation of `struct`.
         left: bytes that may still be unpacked.
     """
 
@@ -277,7 +273,7 @@ class _MatElements:
         return memoryview(unpacked)
 
     def _require_room(self, content: memoryview) -> None:
-        """Refuse a matrix of cells or structs that there is no room for: each would be made before any is read."""
+        """Refuse a matrix of cells or structs larger than the file allows, since all are allocated before reading."""
         (_, flags), (kind, sizes), *_ = [*self._elements(content[:4096]), (0, content[:0]), (0, content[:0])]
         if len(flags) < 4 or kind != _INT32:
             return

@@ -1,4 +1,4 @@
-"""Reading recorded trials of any format: files and folders, data frames, trials in memory; on one uniform grid."""
+"""Reading of recorded trials in any format on one uniform grid: files, folders, data frames, trials in memory."""
 
 from __future__ import annotations
 
@@ -102,7 +102,7 @@ _OTHERS = ", ".join(f"*{ending}" for ending in ENDINGS)
 
 
 def expand_logs(paths: Iterable[Path | str]) -> list[Path]:
-    """Logs to read: a folder stands for its `*.csv`, or else its logs of other formats, in the order of their names.
+    """Files of the logs to read; a folder stands for its `*.csv`, otherwise for its logs of other formats, by name.
 
     Raises:
         LogError: if nothing is given, or a folder holds no log.
@@ -119,7 +119,7 @@ def expand_logs(paths: Iterable[Path | str]) -> list[Path]:
 
 
 def _logs_in(folder: Path) -> list[Path]:
-    """The `*.csv` of a folder; without any, its bags and logs of other formats, by name."""
+    """The `*.csv` of a folder, otherwise its bags and logs of other formats, by name."""
     if is_bag(folder):
         return [folder]
     entries = sorted(entry for entry in folder.iterdir() if not entry.name.startswith(_NO_LOGS))
@@ -224,9 +224,9 @@ _PLACE = re.compile(r"\[\d{1,4}\]")  # a column by its place, also of a table wh
 
 
 def at_rate(trials: Iterable[Trial], rate_hz: float) -> list[Trial]:
-    """Trials cut at their gaps, on a uniform grid, without the noise of a measured command (`remove_command_noise`).
+    """Cut trials at their gaps, remove the noise of a measured command, and resample them to a uniform grid.
 
-    One without such noise that lies on the grid is left as it is.
+    Trials without such noise that are already on the grid remain unchanged.
     """
     parts = remove_command_noise([part for trial in trials for part in parts_at_gaps(trial)])
     for k, part in enumerate(parts):

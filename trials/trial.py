@@ -26,13 +26,12 @@ _LONGEST_SOURCE = 100  # characters of a path in a line
 
 @dataclass(frozen=True)
 class Units:
-    """Units of command and angle, as tables, reports and files print them.
+    """Units of command and angle, as in tables, reports and files.
 
     Attributes:
         command: of the command, such as tendon travel mm or pressure bar.
-        angle: of the output, a tip angle in deg unless the log has another.
-        inverse: whether command and angle have changed places; where left out, whether the command is in deg and the
-            output is not.
+        angle: of the output, such as a tip angle in deg.
+        inverse: whether command and angle are exchanged; by default, whether only the command is in deg.
     """
 
     command: str = "mm"
@@ -139,7 +138,7 @@ class Trial:
         return replace(self, t=self.t[part], command=self.command[part], angle=self.angle[part], channels=channels)
 
     def plot(self) -> Figure:
-        """Angle and command over time, and the angle over the command: the hysteresis loop."""
+        """Draw angle and command over time, and the angle over the command: the hysteresis loop."""
         from .report import COMMAND, MEASURED, new_figure  # matplotlib takes longer to import than a trial to read
 
         angle, command = f"angle [{self.units.angle}]", f"command [{self.units.command}]"
@@ -223,9 +222,9 @@ def gap_limit_s(median_interval_s: float) -> float:
 
 
 def parts_at_gaps(trial: Trial) -> tuple[Trial, ...]:
-    """Cut a trial at its gaps and drop parts that are too short, see `PART_S`.
+    """Cut a trial at its gaps and drop parts shorter than `PART_S`.
 
-    Time keeps its origin. Of several parts each says in its source from when it is.
+    Time keeps its origin. With several parts, the source of each names its time range.
 
     Raises:
         LogError: if the parts that are too short make more than `LEFT_OUT` of the trial.
@@ -247,7 +246,7 @@ def parts_at_gaps(trial: Trial) -> tuple[Trial, ...]:
 
 
 def _widest_gap(trial: Trial, limit: float) -> str:
-    """Beginning of an error line: the widest gap."""
+    """Beginning of an error line on the widest gap."""
     intervals = np.diff(trial.t)
     k = int(np.argmax(intervals))
     return (
@@ -257,7 +256,7 @@ def _widest_gap(trial: Trial, limit: float) -> str:
 
 
 class SlowLogError(LogError):
-    """A log has too few samples for a rate: a finer grid would only invent them."""
+    """Error on a log with too few samples for a rate: interpolation would add no information."""
 
     def __init__(self, source: str, log_hz: float, asked: str, remedy: str = "") -> None:
         super().__init__(
@@ -273,7 +272,7 @@ class SlowLogError(LogError):
 def resample(trial: Trial, rate_hz: float) -> Trial:
     """Interpolate all signals linearly onto t[0] + k / rate_hz, up to the last sample.
 
-    Short parts beside a gap are left out first (`parts_at_gaps`). There is no anti-aliasing filter: a command that a
+    Short parts next to a gap are left out first (`parts_at_gaps`). There is no anti-aliasing filter: a command that a
     controller sent is not band-limited, and a filter would shift its turning points.
 
     Raises:
@@ -297,7 +296,7 @@ def resample(trial: Trial, rate_hz: float) -> Trial:
 
 
 def require_uniform(trial: Trial) -> float:
-    """Sample interval [s] of a trial on a uniform grid.
+    """Return the sample interval [s] of a uniformly sampled trial; refuse others.
 
     Raises:
         LogError: if an interval differs from the median by more than 1 %.

@@ -1,4 +1,4 @@
-"""Types that all rooms use: arrays with time as first axis, and the progress of a long computation."""
+"""Types common to all modules: arrays with time as first axis, and the progress of a long computation."""
 
 from __future__ import annotations
 
@@ -44,4 +44,4 @@ def parts(progress: Progress | None, seconds: Sequence[float]) -> tuple[Progress
 
 
 def no_progress(done: float, total: float, note: str = "", /) -> None:
-    """A `Progress` that shows nothing."""
+    """Progress callback without any effect."""

@@ -25,10 +25,9 @@ _UTF_16 = (b"<\0", b"\0<", b"\xff\xfe", b"\xfe\xff")
 
 
 def open_xlsx(path: Path | str, wanted: Iterable[str] = ()) -> LogTable:
-    """Read the sheet of a workbook that holds most of the wanted names, otherwise the first one with a table.
+    """Read the sheet of a workbook with most of the wanted names, otherwise the first one with a table.
 
-    Formulas count with the values that they had when the workbook was saved; dates and times of day are seconds since
-    the first.
+    Formulas have their values at the time of saving; dates and times of day are seconds since the first.
 
     Raises:
         LogError: if `openpyxl` is not installed, the file is no workbook, unpacks to more than `MOST_BYTES`, or no
@@ -85,7 +84,7 @@ def _texts(row: Sequence[Any]) -> list[str]:
 
 
 def _text(value: Any) -> str:
-    """A cell as a text file would hold it."""
+    """Cell value as text, in the form of a text file."""
     if value is None:
         return ""
     if isinstance(value, bool):
@@ -100,7 +99,7 @@ def _text(value: Any) -> str:
 
 
 def _require_bounded(path: Path | str) -> None:
-    """Refuse a workbook that unpacks to too much, or whose XML defines entities."""
+    """Refuse a workbook with a too large unpacked size, or whose XML defines entities."""
     with zipfile.ZipFile(path) as archive:
         parts = archive.infolist()
         size = sum(part.file_size for part in parts)

@@ -1,4 +1,4 @@
-"""Attribution: the causes of a gap, selected on the development trials and confirmed on the final ones."""
+"""Attribution: selection of the causes of a gap on the development trials, and their test on the final ones."""
 
 from __future__ import annotations
 
@@ -44,8 +44,8 @@ class Attribution:
     Attributes:
         validation: development runs, on which hypotheses are fitted and compared.
         inclusion: share of block resamples in which each effect is chosen.
-        jumps: of the tip in steady motion, where they are the sign of stick-slip.
-        facts: what the verdict depends on, but for the final trials.
+        jumps: of the tip in steady motion, if they indicate stick-slip.
+        facts: facts for the verdict, without the final trials.
     """
 
     validation: CrossValidation
@@ -58,11 +58,11 @@ class Attribution:
 
 @dataclass(frozen=True, eq=False)
 class Conclusion:
-    """Verdict, and the errors on the final trials that belong to it.
+    """Verdict, and the errors on the final trials.
 
     Attributes:
-        facts: what it depends on, less the causes that did not surely lower the error of the final trials.
-        chosen: the corrected simulator; the retuned one where no effect is the explanation.
+        facts: without the causes that did not significantly lower the error of the final trials.
+        chosen: the corrected simulator; the retuned one if no effect is the explanation.
         floor: from repeats or noise, with the corrected simulator.
     """
 
@@ -83,7 +83,7 @@ def attribute(
 ) -> Attribution:
     """Select the causes on the development trials, without the effects `left_out`.
 
-    `advance` is called with the share of the present round of the selection and the effect that is tried.
+    `advance` is called with the share of the present round of the selection and the effect under test.
     """
     jumps = find_jumps(prepared.everything, retuned, prepared.signs)
     unusable = bool(prepared.too_little or prepared.checked.unrelated)
@@ -133,11 +133,11 @@ def attribute(
 def usable_effects(
     prepared: PreparedTrials, in_core: Iterable[str], left_out: Sequence[str], runs: Sequence[Run]
 ) -> tuple[Candidate, ...]:
-    """Candidate effects that these trials can test; without a known order of recording, none that depends on it.
+    """Candidate effects that these trials can test; without recording order none that depends on it.
 
     Args:
-        in_core: effects that the core of the nominal simulator has a parameter for.
-        runs: that size the effects.
+        in_core: effects with a parameter in the core of the nominal simulator.
+        runs: runs from which the sizes of the effects are estimated.
     """
     made = candidates(Scale.of(runs), in_core, left_out)
     if prepared.order == "known":
@@ -146,15 +146,15 @@ def usable_effects(
 
 
 def drift_test(validation: CrossValidation) -> Callable[[Hypothesis], bool]:
-    """Test for a significant drift within trials; each hypothesis is fitted once."""
+    """Test for a significant drift within trials that fits each hypothesis only once."""
     return functools.cache(lambda h: drift_is_significant(validation, h))
 
 
 def confirm(prepared: PreparedTrials, attribution: Attribution, seed: int) -> Conclusion:
-    """Evaluate the final trials with the selected causes and decide the verdict; drop causes that they do not confirm.
+    """Evaluate the final trials with the selected causes, drop causes without confirmation, and decide the verdict.
 
-    A cause whose interval of the closed share reaches zero on the final trials is dropped; all of them are where the
-    interval of what they close together does.
+    A cause is dropped if the interval of its closed share contains zero on the final trials; all are dropped if that of
+    their common closed share does.
     """
     retuned, facts = attribution.retuned, attribution.facts
     provisional = decide_verdict(facts)
@@ -186,9 +186,9 @@ def confirm(prepared: PreparedTrials, attribution: Attribution, seed: int) -> Co
 
 
 def as_given_if_better(prepared: PreparedTrials, attribution: Attribution) -> Attribution:
-    """Replace the retuned simulator by the one as given where retuning raises the error of the final trials.
+    """Return to the simulator as given if retuning raises the error of the final trials.
 
-    As a cause is dropped that does not lower that error: numbers that fit the development trials alone are no better.
+    The rule is that of the causes: parameters that fit only the development trials are no improvement.
     """
     problem = attribution.retuned.problem
     given = Hypothesis(problem, problem.as_given, math.nan)
@@ -212,7 +212,7 @@ def _confirmed_causes(
 
 
 def _at_floor(closed: GapClosed, floor_deg: float) -> bool:
-    """Whether the retuned simulator leaves no more than a floor [deg] on the final trials."""
+    """Whether the retuned simulator's error on the final trials is at most a floor [deg]."""
     return closed.gap.retuned_rmse_deg**2 < AT_FLOOR * floor_deg**2
 
 
@@ -233,10 +233,10 @@ def _without_cause(
 
 
 def _sensor_matters(prepared: PreparedTrials, selection: Selection) -> bool:
-    """Whether sensor faults make up a large part of the remaining error, or exceed the model-form error by themselves.
+    """Whether sensor faults are a large part of the remaining error, or alone exceed the model-form error.
 
-    White noise may be a disturbance that is faster than the log. Steps, outliers and held values are read off it.
-    Steps that the sensor had at identification are no fault of it.
+    Steps, outliers and held values are measured directly; white noise may be a disturbance that is faster than the log.
+    Steps that already existed at identification are no fault.
     """
     signs, left, mended = prepared.signs, selection.chosen.mse, _repair_mse(prepared)
     noise = signs.energy if signs.noisy or (signs.coarse and prepared.excess_mse > 0) else 0.0
@@ -258,7 +258,7 @@ def _is_gap(prepared: PreparedTrials, mse: float) -> bool:
 def floor_of(prepared: PreparedTrials, hypothesis: Hypothesis) -> NoiseFloor:
     """Noise floor of the residual, after correction by shifts and phases of single trials that a cause explains.
 
-    It is never less than the rounding of the readings, which leaves no noise where the angle rests.
+    It is at least the rounding of the readings, which is invisible in the noise at rest.
     """
     problem = hypothesis.problem
     residuals = prepared.residuals(hypothesis)
@@ -270,13 +270,13 @@ def floor_of(prepared: PreparedTrials, hypothesis: Hypothesis) -> NoiseFloor:
 
 @dataclass(frozen=True, eq=False)
 class Findings:
-    """Result of every step.
+    """Results of all steps of a diagnosis.
 
     Attributes:
-        detectable: the least size at which the trials would show each effect, from their commands alone.
-        localisation: of the retuned residual; None where there is none.
-        stability: of the verdict over resampled splits; None where the trials allow no choice.
-        left_out: effects that the library went without.
+        detectable: smallest detectable size of each effect, from the commands alone.
+        localisation: of the retuned residual; None without one.
+        stability: of the verdict over resampled splits; None if the trials allow no choice.
+        left_out: effects excluded from the library.
         seconds: duration of each step [s].
     """
 

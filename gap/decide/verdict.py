@@ -1,4 +1,4 @@
-"""The verdict of a diagnosis: one decision table over the facts of the earlier steps."""
+"""Verdict of a diagnosis: one decision table over the facts of the earlier steps."""
 
 from __future__ import annotations
 
@@ -64,10 +64,10 @@ class FinalFacts:
     """Errors on the final trials.
 
     Attributes:
-        residual_ratio: RMSE with all causes over noise and model-form error; 1 where that is unknown.
-        unproven: whether effects were selected and none of them surely lowers the error.
-        at_floor: whether the retuned simulator leaves no more than the noise.
-        moved: error of the simulator as given over that of the retuned one, mean squares.
+        residual_ratio: RMSE with all causes over noise and model-form error; 1 if that is unknown.
+        unproven: whether effects were selected, but none of them significantly lowers the error.
+        at_floor: whether the error of the retuned simulator is at most the noise.
+        moved: mean square error of the simulator as given over that of the retuned one.
     """
 
     closed_share: float
@@ -84,18 +84,17 @@ class VerdictFacts:
     Attributes:
         effects: names of the effects selected on the development trials.
         retuned_mse, chosen_mse: held-out errors without and with them [deg^2].
-        retuned_fit_mse: error of the retuned simulator on the trials that it was retuned on [deg^2].
-        floor_mse: below which an error carries no evidence [deg^2].
-        form_mse: model-form error, or `floor_mse` where that is unknown [deg^2].
+        retuned_fit_mse: error of the retuned simulator on the trials of its fit [deg^2].
+        floor_mse: error below which there is no evidence [deg^2].
+        form_mse: model-form error, or `floor_mse` if unknown [deg^2].
         structure_left: whether the selected effect alone leaves structure that contradicts it (`structure_left`).
-        ambiguity: for each effect the others that explain the development trials as well.
+        ambiguity: for each effect the others that explain the development trials equally well.
         sensor: whether the sensor's faults are a good part of the error that the effects leave.
-        sensor_gap: whether they would be a gap without any other cause.
-        new_step: whether the readings have steps that the simulator's device did not have, and that do not vanish
-            beside the error.
+        sensor_gap: whether the sensor's faults alone would be a gap.
+        new_step: whether the readings have steps absent in the simulator's device, and not negligible in the error.
         too_little, unrelated: whether the trials are too short, or no angle follows its command.
-        width_grown: width of the loop with the selected effects in place, over the given one.
-        final: errors on the final trials with the causes that were selected; None before these are evaluated.
+        width_grown: width of the loop with the selected effects, over the given one.
+        final: errors on the final trials with the selected causes; None before their evaluation.
     """
 
     effects: frozenset[str]
@@ -118,25 +117,25 @@ class VerdictFacts:
 
     @property
     def least_retuned_mse(self) -> float:
-        """Retuned error, held out or fitted, the lesser of the two [deg^2].
+        """Smaller one of the held-out and the fitted error of the retuned simulator [deg^2].
 
-        Held-out motions that are unlike the fitted ones add no structural gap.
+        Held-out motions unlike the fitted ones must not add a structural gap.
         """
         return min(self.retuned_mse, self.retuned_fit_mse)
 
     @property
     def closed(self) -> float:
-        """Share of the structural error of the development trials that the selected effects close."""
+        """Share of the structural error of the development trials closed by the selected effects."""
         return (self.retuned_mse - self.chosen_mse) / max(self.retuned_mse - self.floor_mse, 1e-12)
 
     def with_only(self, effects: frozenset[str], chosen_mse: float, width_grown: float) -> VerdictFacts:
-        """Facts after removal of some of the selected effects."""
+        """Facts after removal of all effects but the given ones."""
         ambiguity = tuple(names for names in self.ambiguity if names[0] in effects)
         return replace(self, effects=effects, chosen_mse=chosen_mse, ambiguity=ambiguity, width_grown=width_grown)
 
 
 def residual_ratio(mse: float, form_mse: float, noise_mse: float) -> float:
-    """RMSE with all causes over noise and model-form error; 1 where the model-form error is unknown (zero)."""
+    """RMSE with all causes over noise and model-form error; 1 if the model-form error is unknown (zero)."""
     return math.sqrt(mse / max(form_mse, noise_mse, _LEAST_MSE)) if form_mse > 0 else 1.0
 
 
@@ -146,7 +145,7 @@ class VerdictDecision:
 
     Attributes:
         case: row of the table in `decide_verdict`.
-        ambiguity: sets of effects that these trials cannot tell apart; empty but for the verdict `one_of`.
+        ambiguity: sets of effects that these trials cannot distinguish; empty unless the verdict is `one_of`.
         sensor: whether the sensor is a cause.
     """
 
@@ -171,10 +170,10 @@ class VerdictDecision:
 
 
 def decide_verdict(facts: VerdictFacts) -> VerdictDecision:
-    """Decide the verdict: the first row that applies, then the facts that replace a verdict of its kind.
+    """Decide the verdict by the first applicable row of a table, then apply the facts that override it.
 
-    Effects that are not in the library are imitated by others, mostly several at once, that close a part of the gap:
-    therefore several effects have to close more on the final trials than one alone.
+    Other effects, mostly several at once, can imitate an effect missing in the library and close part of the gap:
+    therefore several effects must close more on the final trials than a single one.
     """
     none_selected, form, retuned = not facts.effects, facts.form_mse, facts.least_retuned_mse
     left_open = facts.closed < _LEAST_CLOSED and facts.chosen_mse > STILL_OPEN * facts.floor_mse
@@ -211,7 +210,7 @@ def decide_verdict(facts: VerdictFacts) -> VerdictDecision:
 
 
 def _retuned_case(case: str, facts: VerdictFacts) -> str:
-    """`moved` or `reshaped` where retuning lowered the error and leaves model-form error; else the given case."""
+    """`moved` or `reshaped` if retuning lowered the error and leaves model-form error; otherwise the given case."""
     verdict, moved = VERDICTS[case], min(facts.retuning.moved, facts.final.moved if facts.final else math.inf)
     if verdict == "none":
         return "moved" if moved >= _MOVED else case
@@ -222,7 +221,7 @@ def _retuned_case(case: str, facts: VerdictFacts) -> str:
 
 
 def _reshaped(verdict: Verdict, facts: VerdictFacts) -> bool:
-    """Whether a hysteresis core of the same structure explains the error that retuning leaves: one row is enough.
+    """Whether a hysteresis core of the same structure explains the error after retuning; one row suffices.
 
     | the error is                                                | in place of                                      |
     |-------------------------------------------------------------|--------------------------------------------------|
@@ -241,7 +240,7 @@ def _reshaped(verdict: Verdict, facts: VerdictFacts) -> bool:
 
 
 def _confirmed(facts: VerdictFacts) -> bool:
-    """Whether the final trials confirm the selected effects; True before these are evaluated."""
+    """Whether the final trials confirm the selected effects; True before their evaluation."""
     if facts.final is None:
         return True
     enough = _CONFIRMED_SEVERAL if len(facts.effects) > 1 else _CONFIRMED_ALONE
