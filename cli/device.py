@@ -1,4 +1,4 @@
-"""Verbs on devices: `run`, `record`, `commission` and `investigate` move one, `device` serves a simulated one."""
+"""Subcommands for devices: `run`, `record`, `commission` and `investigate` move one, `device` simulates one."""
 
 from __future__ import annotations
 
@@ -109,11 +109,7 @@ def record(call: Call) -> None:
 
 
 def _begun(call: Call, load: Callable[..., S]) -> S:
-    """Settings of a run whose folder is vacant; a latched stop is released where `--reset` asks for it.
-
-    Raises:
-        ConfigError: if the folder is not new or empty, or another program controls the device now.
-    """
+    """Settings of a run in a vacant folder; `--reset` releases a latched stop."""
     from hystmpc.rig.run import reset_latch
     from hystmpc.tasks.inputs import allow_classes
     from hystmpc.trials.run_folder import require_vacant
@@ -129,7 +125,7 @@ def _begun(call: Call, load: Callable[..., S]) -> S:
 def _recording(
     call: Call, settings: RunSettings | RecordSettings, meta: RecordingMeta, desk: Desk, report: bool = True
 ) -> Callable[[], RecorderProcess]:
-    """Function that opens the recording once the device has answered, and prints the address of the page."""
+    """Function that opens the recording after the device's answer, and prints the address of the page."""
     from hystmpc.rig.recording.recorder_process import Views, open_recorder_process
 
     live = settings.live
@@ -148,7 +144,7 @@ def _recording(
 
 
 def _print_outcome(settings: BenchSettings, result: BenchResult) -> None:
-    """Print timing, faults and the end of a run; nothing where the terminal has been closed."""
+    """Print timing, faults and the end of a run, unless the terminal is closed."""
     if result.outcome.cause == "SIGHUP":
         sys.stdout = sys.stderr = open(os.devnull, "w")  # noqa: SIM115 - for the rest of the process
     timings, outcome = result.timings, result.outcome
@@ -268,7 +264,7 @@ def investigate(
 
 
 def _print_plan(plan: DevicePlan, part: str) -> None:
-    """Print parts, motions, minutes and limits, before anything moves."""
+    """Print parts, motions, minutes and limits, before any motion."""
     rows = [(name, what, f"{minutes:.1f}") for name, what, minutes in plan.rows]
     grid = table(plan.title, (part, "motions", "min"), rows, True)
     grid.columns[1].justify = "left"
@@ -278,11 +274,7 @@ def _print_plan(plan: DevicePlan, part: str) -> None:
 
 @contextmanager
 def _stages_kept(folder: Path | None) -> Iterator[None]:
-    """Context that prints how the device has stopped, or why a stage was not completed.
-
-    Raises:
-        Exit: of typer.
-    """
+    """Context that prints how the device has stopped, or why a stage was not completed."""
     from hystmpc.bench.device import DeviceStoppedError
     from hystmpc.bench.stages import EndedEarlyError
 

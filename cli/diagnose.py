@@ -1,4 +1,4 @@
-"""Verb `diagnose`: causes of the gap between a simulator and its device, and the motion to record next."""
+"""Subcommand `diagnose`: causes of the gap between a simulator and its device, and the motion to record next."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ def print_diagnosis(diagnosis: Diagnosis) -> None:
 
 
 def _self_test(seed: int) -> None:
-    """Print for each known truth whether it was recovered; exit code 1 if one was not."""
+    """Print for each known effect whether it was identified; exit code 1 if one was not."""
     from hystmpc.gap.self_test import self_test
 
     with progress_of("self-test") as progress:

@@ -1,4 +1,4 @@
-"""Verbs on logs and models: `check`, `fit`, `evaluate`, `export`, `export-c`, `export-fmu`, `report`."""
+"""Subcommands on logs and models: `check`, `fit`, `evaluate`, `export`, `export-c`, `export-fmu`, `report`."""
 
 from __future__ import annotations
 
@@ -62,10 +62,10 @@ class FitCommand(TyperCommand):
     """Parser of `fit`, which refuses logs on both sides of `--test LOG`: `--test a.csv b.csv` would fit b.csv."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Parse as usual, then look at what stands right behind the log of each `--test`.
+        """Parse arguments, then check the argument after the log of each `--test`.
 
         Raises:
-            ConfigError: if a log of the fit stands there and others stand elsewhere.
+            ConfigError: if it is a log of the fit and there are others elsewhere.
         """
         given = list(args)
         rest = super().parse_args(ctx, args)
@@ -129,7 +129,7 @@ def fit(
 
 
 def _print_model(made: Fit, limits: DeviceLimits) -> None:
-    """Print what each part of the device explains, the stored limits, and the errors of the export."""
+    """Print the error explained by each part of the device, the stored limits, and the errors of the export."""
     from hystmpc.tasks.fit import part_tables
 
     done, gate, units = made.identified, made.exported, made.trials[0].units
@@ -148,7 +148,7 @@ def _print_model(made: Fit, limits: DeviceLimits) -> None:
 
 
 def limits_line(stored: ModelMetadata, given: DeviceLimits) -> str:
-    """Sentence on the limits that controllers of the model respect, and whether the device or its logs gave them."""
+    """Sentence on the limits that controllers of the model respect, and their origin: device or logs."""
     box, unit = stored.command_limits, stored.command_unit
     rate = f"at most {stored.command_rate:.4g} {unit}/s"
     text = f"limits stored in the model: {box.lower:.4g} to {box.upper:.4g} {unit}, {rate}"

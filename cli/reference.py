@@ -1,4 +1,4 @@
-"""Verbs of reference: `schema` of configuration files, `effects` of the library, `new` templates of classes."""
+"""Reference commands: `schema` of configuration files, `effects` of the library, `new` templates of classes."""
 
 from __future__ import annotations
 
@@ -111,7 +111,7 @@ def settings_of(kind: str) -> Any:
 
 
 def json_schema(annotation: Any, title: str) -> dict[str, Any]:
-    """A JSON schema (draft 2020-12) of a file: that of pydantic, with the meaning of every key as its description.
+    """JSON schema (draft 2020-12) of a file: pydantic's schema, with the meaning of every key as description.
 
     Args:
         annotation: a class of settings, or a union of such classes.
@@ -132,7 +132,7 @@ def json_schema(annotation: Any, title: str) -> dict[str, Any]:
 
 
 def mapping_in(body: dict[str, Any]) -> dict[str, Any]:
-    """The part of a schema that describes a mapping of keys."""
+    """Part of a schema that describes a mapping of keys."""
     return next(part for part in (body, *body.get("anyOf", ())) if "properties" in part)
 
 
@@ -148,7 +148,7 @@ def meanings_of(kind: type[Settings]) -> Mapping[str, str]:
 
 
 def blocks_in(annotation: Any) -> Iterator[type[Settings]]:
-    """The classes of settings in an annotation, those in containers and unions included."""
+    """Classes of settings in an annotation, including those in containers and unions."""
     from hystmpc.trials.config import Settings
 
     if isinstance(annotation, type) and issubclass(annotation, Settings):
@@ -158,7 +158,7 @@ def blocks_in(annotation: Any) -> Iterator[type[Settings]]:
 
 
 def reachable(annotation: Any) -> tuple[type[Settings], ...]:
-    """All blocks that can stand in a file, each once, outer ones first."""
+    """All blocks that a file can contain, each once, outer ones first."""
     blocks: dict[type[Settings], None] = {}
     waiting = list(blocks_in(annotation))
     while waiting:

@@ -146,10 +146,7 @@ def detectable_in_logs(trials: Sequence[Trial], simulator: Simulator | LoadedMod
 
 
 def _selection_progress(progress: Progress) -> Callable[[float, str], None]:
-    """Progress of the selection, 5 to 85 %: each round, with a restarted count, takes 40 % of the rest.
-
-    Every round counts its candidates anew, which tells where one begins.
-    """
+    """Progress of the selection, 5 to 85 %: each round, with a restarted count, takes 40 % of the rest."""
     rounds, last = 0, 0.0
 
     def advance(share: float, what: str) -> None:
@@ -271,10 +268,7 @@ def _probabilities(findings: Findings, public: Mapping[str, str]) -> dict[str, f
 
 
 def _unnamed_probability(findings: Findings) -> float:
-    """Probability of effects outside the verdict; if the verdict is no gap, that of another verdict.
-
-    Where nothing is missing in the simulator, it is the chance that the verdict is another one.
-    """
+    """Probability of effects outside the verdict; if the verdict is no gap, that of another verdict."""
     if findings.conclusion.decision.verdict not in ("none", "retuned"):
         return 1.0
     return 1 - _SURE_OF_NONE * _stability_share(findings)

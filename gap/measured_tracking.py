@@ -42,9 +42,9 @@ class MeasuredRun:
     Attributes:
         name: motion and controller of a simulation; empty at a bench.
         t: end of the sample, from the beginning of the reference [s].
-        reference_deg, angle_deg: wanted and measured angle; of a simulation the true one [deg].
-        noise_deg: standard deviation of the noise in that angle; None where it is not known [deg].
-        approached_first: whether the reference began with a way from where the device was.
+        reference_deg, angle_deg: reference and measured angle; for a simulation the true angle [deg].
+        noise_deg: standard deviation of the noise in that angle; None if unknown [deg].
+        approached_first: whether the reference began with an approach from the device's position.
     """
 
     folder: Path
@@ -67,12 +67,12 @@ class MeasuredRun:
 
 @only_reads()
 def measured_runs(folder: Path) -> tuple[MeasuredRun, ...]:
-    """All runs of a folder of `run` or `simulate`.
+    """Read all runs of a folder of `run` or `simulate`.
 
     Raises:
         LogError: if it holds no such run, or one that was stopped before the end of its reference.
         ConfigError: if its settings are not those of such a run.
-        TrajectoryError: if its reference cannot be made any more.
+        TrajectoryError: if its reference cannot be regenerated.
     """
     run = RunFolder.open(folder)
     if run.config().keys() >= _BENCH:
@@ -150,8 +150,8 @@ class TrackingFall:
     """Fall of the tracking error from an earlier run to a run on the same reference.
 
     Attributes:
-        before: the earlier run; None where none was given.
-        expected: on this very reference; None without a diagnosis.
+        before: the earlier run; None without one.
+        expected: on this reference; None without a diagnosis.
     """
 
     after: MeasuredRun
@@ -175,7 +175,7 @@ class TrackingFall:
 
 
 def tracking_falls(run: Path, before: Sequence[Path], diagnosis: Path | None = None) -> tuple[TrackingFall, ...]:
-    """Fall of the tracking error from every earlier run, and the fall that a diagnosis predicts on the same reference.
+    """Fall of the tracking error from every earlier run, and its prediction by a diagnosis on the same reference.
 
     Args:
         run: folder of `run` or `simulate`.
@@ -319,7 +319,7 @@ def _expected_line(fall: TrackingFall, expected: TrackingGap) -> str:
 
 
 def _noise_words(*runs: MeasuredRun) -> str:
-    """How the sensor noise in the measured angle was treated."""
+    """Text on the treatment of the sensor noise in the measured angle."""
     if all(run.noise_deg is None for run in runs):
         return "(with the sensor's noise: no model file knows it)"
     if any(run.noise_deg is None for run in runs):

@@ -1,4 +1,4 @@
-"""Check of recorded logs before they are used."""
+"""Check of recorded logs before their use."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ class LogsCheck:
 
     Attributes:
         reports: one for each log.
-        detectable: least size at which a diagnosis would show each effect; None without a simulator, or where a log
-            cannot be used.
+        detectable: smallest detectable size of each effect in a diagnosis; None without a simulator, or with an
+            unusable log.
     """
 
     reports: tuple[CheckReport, ...]

@@ -127,11 +127,7 @@ def export_fmu(
 
 
 def _plant(source: Simulator | SimulatedPlant | Path | str) -> SimulatedPlant:
-    """The plant of a study, or a simulator alone.
-
-    Raises:
-        ExportError: if it is not made of operators.
-    """
+    """The plant of a study, or a simulator alone; refuse a model without operators."""
     from hystmpc.sim.plants.device import make_plant
     from hystmpc.sim.plants.simulated import SimulatedPlant
 
@@ -163,7 +159,7 @@ def _plant_settings(source: Path) -> PlantSettings:
 
 
 def _left_out(plant: SimulatedPlant) -> tuple[str, ...]:
-    """Parts of the plant that the FMU does not have."""
+    """Parts of the plant that are missing in the FMU."""
     sensing = plant.sensing
     parts = [f"noise of {sensing.noise_deg:g} deg"] if sensing.noise_deg else []
     parts += [f"steps of {sensing.quantisation_deg:g} deg"] if sensing.quantisation_deg else []

@@ -44,11 +44,11 @@ class Fit:
 
     Attributes:
         kind: of model, such as `pi` or `lstm`.
-        identified: what the identification returned: bundle for the export, history of the error, report.
-        trials: that it was identified from, as recorded or swapped, uniformly sampled.
-        evaluations: free runs over the trials of the fit and over those that it did not see, each with the words that
-            name them; empty where neither a file nor trials for the test were asked for.
-        exported: comparison of the exported model with its reference; None where none was written.
+        identified: result of the identification: bundle for the export, history of the error, report.
+        trials: trials of the identification, as recorded or swapped, uniformly sampled.
+        evaluations: free runs over the trials of the fit and over unseen ones, each with a title; empty without a file
+            and without test trials.
+        exported: comparison of the exported model with its reference; None without an export.
     """
 
     kind: str
@@ -62,7 +62,7 @@ class Fit:
 
     @cached_property
     def model(self) -> LoadedModel:
-        """The model, as `load_model` opens it from a file."""
+        """Model of the fit, equal to that opened by `load_model` from a file."""
         if self.identified.simulator is not None:
             from hystmpc.models.simulator import ChainModel
 
@@ -74,7 +74,7 @@ class Fit:
 
     @property
     def simulator(self) -> Simulator:
-        """The readable form of an operator.
+        """Simulator of an operator model: its readable form.
 
         Raises:
             FitError: if the model is a network, which has none.
@@ -99,7 +99,7 @@ class Fit:
         return Path(path)
 
     def plot(self) -> Figure:
-        """Free run of the model on the trials that it was identified from."""
+        """Draw the free run of the model on the trials of its identification."""
         return evaluate(self, self.trials).plot()
 
     def _repr_html_(self) -> str:
@@ -210,7 +210,7 @@ def _scored(
     report: Path | str | None,
     progress: Progress | None,
 ) -> Fit:
-    """The fit with free runs of the written model over each set of trials; writes its page."""
+    """Add free runs of the written model over each set of trials, and write the page."""
     model = opened(made if out is None else out)
     scores = [(which, free_runs(model, trials, skip, progress)) for which, trials in sets.items()]
     made = replace(made, evaluations=tuple(scores))
@@ -221,7 +221,7 @@ def _scored(
 
 @dataclass(frozen=True)
 class _LogReader:
-    """Reader of logs at the rate of the fit; it names a rate for a log too slow for the default one."""
+    """Reader of logs at the rate of the fit; proposes a rate for a log too slow for the default one."""
 
     layout: AnyLayout
     rate_hz: float | None
@@ -239,11 +239,7 @@ class _LogReader:
 
 
 def _unseen(test: Sequence[Log], seen: Sequence[Path]) -> list[Path]:
-    """Files of the test, none of which the fit sees.
-
-    Raises:
-        ConfigError: on one that the fit sees.
-    """
+    """Files of the test; refuse one that is also used in the fit."""
     logs = files_read([log for log in test if isinstance(log, Path | str)], "auto")[:-1] if test else []
     known = {log.resolve() for log in seen}
     for log in logs:
@@ -261,7 +257,7 @@ def _device_limits(limits: CommandLimits | DeviceLimits | None) -> DeviceLimits:
 
 
 def _warn_of_limits(trials: Sequence[Trial], limits: Range | None, say: Say | None) -> None:
-    """Warn where the logs' commands go beyond the limits that the model is to have."""
+    """Warn of commands in the logs beyond the limits of the model."""
     from hystmpc.models.evaluate import RANGE_SLACK
 
     if limits is None or say is None:
@@ -300,7 +296,7 @@ def _identify(
 
 
 def _written(done: Identified, path: Path, progress: Progress | None = None) -> EquivalenceReport | None:
-    """Write the readable form or the exported model; returns the comparison of the latter with its reference."""
+    """Write the readable form, or the exported model and return the comparison with its reference."""
     if done.simulator is not None and path.suffix.lower() in SIMULATOR.endings:
         done.simulator.save(path)
         return None

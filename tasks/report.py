@@ -1,4 +1,4 @@
-"""Report of a run folder, written from the files in it."""
+"""Report of a run folder, written from its files."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class WrittenReport:
-    """A report that was written.
+    """A written report.
 
     Attributes:
         path: of the page.
-        lines: how far the tracking error fell, and what the review of an experiment says.
+        lines: fall of the tracking error, and the result of the review of an experiment.
     """
 
     path: Path
@@ -76,7 +76,7 @@ def report(
 
 
 def _commissioning(run: Path, compared: bool) -> WrittenReport:
-    """Write the report of a commissioning, which compares with no other run."""
+    """Write the report of a commissioning, which cannot be compared with another run."""
     if compared:
         raise ConfigError("report: a commissioning has no use for --before and --diagnosis, expected a run of `run`")
     from hystmpc.bench.commission import rewrite_report
@@ -95,7 +95,7 @@ def _fall(run: Path, before: list[Path], diagnosis: Path | None) -> tuple[tuple[
 
 
 def _settings_of(run: Path) -> Set[str]:
-    """The keys of the run's settings; none where there are none."""
+    """Keys of the run's settings; empty without settings."""
     file = run / "config.yaml"
     settings = read_yaml(file) if file.is_file() else None
     return settings.keys() if isinstance(settings, dict) else frozenset()

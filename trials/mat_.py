@@ -214,10 +214,7 @@ _LEAST = 8  # bytes that any element of these takes
 
 
 def _require_bounded(path: str, data: bytes) -> None:
-    """Refuse a file whose content exceeds the memory, or whose cells exceed the size of the file.
-
-    Version 4 has no compression; faults in damaged files are raised by the reader.
-    """
+    """Refuse a file whose content exceeds the memory, or whose cells exceed the file; version 4 is uncompressed."""
     ends = {b"IM": "<", b"MI": ">"}.get(data[126:128])
     if ends is None or not any(data[:4]):
         return

@@ -234,10 +234,7 @@ def _more_on_logarithmic(axis: Axis, low: float, high: float) -> None:
 
 
 def _print_as_it_is(figure: Figure) -> None:
-    """Turn off mathematics in every text but the tick labels of logarithmic axes.
-
-    Names of files and trials are external; two `$` in one would be read as mathematics, which fails.
-    """
+    """Turn off mathematics outside logarithmic tick labels, since two `$` in an external name would fail."""
     axes = [axis for each in figure.axes for axis in (each.xaxis, each.yaxis)]
     powers = [axis for axis in axes if isinstance(axis.get_major_formatter(), LogFormatter)]
     mathematical = {

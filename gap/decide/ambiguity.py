@@ -74,10 +74,7 @@ def _distinguishable(chosen: HeldOutErrors, other: HeldOutErrors) -> bool:
 
 
 def _follows_line(share: float, trials: int) -> bool:
-    """Whether trial shifts follow a line over time: r^2 of N independent normal ones is Beta(1/2, (N - 2)/2).
-
-    The share r^2 of independent normal shifts has the distribution Beta(1/2, (N - 2)/2).
-    """
+    """Whether trial shifts follow a line over time: r^2 of N independent normal ones is Beta(1/2, (N - 2)/2)."""
     return trials > 2 and bool(beta.sf(min(share, 1.0), 0.5, 0.5 * (trials - 2)) < _SCATTER)
 
 

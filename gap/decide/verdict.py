@@ -221,7 +221,7 @@ def _retuned_case(case: str, facts: VerdictFacts) -> str:
 
 
 def _reshaped(verdict: Verdict, facts: VerdictFacts) -> bool:
-    """Whether a hysteresis core of the same structure explains the error after retuning; one row suffices.
+    """Whether the error after retuning indicates a reshaped hysteresis core; one row of the table suffices.
 
     | the error is                                                | in place of                                      |
     |-------------------------------------------------------------|--------------------------------------------------|

@@ -31,10 +31,10 @@ class NoiseFloor:
     """Root mean square error of the best simulator.
 
     Attributes:
-        rmse_deg: from repeats where there are any, else the noise [deg].
-        kind: which of the two.
-        noise_deg: white noise of the residual [deg]. Differences between repeats also hold what is not locked to the
-            command, such as a heartbeat or drift; the noise does not.
+        rmse_deg: from repeats if there are any, otherwise the noise [deg].
+        kind: origin of that value.
+        noise_deg: white noise of the residual [deg]; unlike differences between repeats it excludes a heartbeat, drift
+            and other motion not locked to the command.
     """
 
     rmse_deg: float
@@ -91,10 +91,10 @@ def find_floor(
 
 
 def find_repeats(trials: Sequence[Trial]) -> tuple[RepeatedMotion, ...]:
-    """All pairs of stretches of uniform trials at one rate whose commands are equal.
+    """Find all pairs of stretches with equal commands in uniform trials at one rate.
 
-    Turning points and ends of holds at equal levels propose the shifts. A stretch counts once it has visited both its
-    extremes, since hysteresis has then lost its earlier memory (wiping-out property). It is at least 2 s long and
+    Turning points and ends of holds at equal levels give candidate shifts. A stretch counts from its visit to both
+    extremes on, since hysteresis has then lost its earlier memory (wiping-out property). It is at least 2 s long and
     covers 30 % of the range of all commands.
     """
     if not trials:
@@ -120,7 +120,7 @@ def find_repeats(trials: Sequence[Trial]) -> tuple[RepeatedMotion, ...]:
 
 
 def _shifts(first: Trial, second: Trial, a: Index, b: Index, band: float, same: bool) -> list[int]:
-    """Candidate shifts: they align at least two marks of equal level; best supported first."""
+    """Candidate shifts that align at least two marks of equal level; best supported first."""
     equal = np.abs(first.command[a][:, None] - second.command[b][None, :]) <= 2 * band
     shifts = (b[None, :] - a[:, None])[equal]
     if same:
@@ -136,7 +136,7 @@ def _shifts(first: Trial, second: Trial, a: Index, b: Index, band: float, same: 
 def _longest_repeat(
     pair: tuple[int, int], trials: tuple[Trial, Trial], shift: int, band: float, least: float
 ) -> RepeatedMotion | None:
-    """Longest equal part at about a given shift, which is refined to a fraction of a sample."""
+    """Longest equal part near a given shift, which is refined to a fraction of a sample."""
     u, v = trials[0].command, trials[1].command
     start, stop = _longest(np.abs(_shifted(v, shift, u.size) - u) <= 4 * band)
     if (stop - start) * trials[0].dt < _LEAST_S:
@@ -156,12 +156,12 @@ def _longest_repeat(
 
 
 def _shifted(v: Vec, shift: float, size: int) -> Vec:
-    """v at k + shift for k = 0 ... size - 1, not-a-number outside."""
+    """Signal v at k + shift for k = 0 ... size - 1, not-a-number outside."""
     return np.interp(np.arange(size) + shift, np.arange(v.size), v, left=np.nan, right=np.nan)
 
 
 def _longest(inside: Mask) -> tuple[int, int]:
-    """First and last sample (exclusive) of the longest stretch; (0, 0) without one."""
+    """First and last sample (exclusive) of the longest run of true values; (0, 0) without one."""
     starts, stops = runs(inside)
     k = int(np.argmax(stops - starts)) if starts.size else 0
     return (int(starts[k]), int(stops[k])) if starts.size else (0, 0)

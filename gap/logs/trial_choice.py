@@ -1,4 +1,4 @@
-"""Order of recording, choice of the trials that can be afforded, and their split into development and final runs."""
+"""Recording order, choice of trials within the computing budget, and their split into development and final runs."""
 
 from __future__ import annotations
 
@@ -32,14 +32,14 @@ NEEDS_ORDER: Mapping[str, str] = {
 
 
 def in_recording_order(trials: Sequence[Trial], ordered: bool) -> tuple[list[Trial], Order]:
-    """Sort the trials by the order of recording, or by their content where that order is unknown.
+    """Sort the trials by the order of recording, or by their content if that order is unknown.
 
-    Time stamps count first, then the caller's word, then a manifest. A single trial has its order. Where nothing tells
-    the order, trials are sorted by the range of their commands, their length and their content, so that every later
-    choice (folds, final trials, seeds) is the same whatever the order of the files.
+    Time stamps have precedence, then the caller's statement, then a manifest. A single trial has its order. The order
+    by range of commands, length and content makes every later choice (folds, final trials, seeds) independent of the
+    order of the files.
 
     Raises:
-        GapError: if the caller says so and the time stamps or the manifest say otherwise.
+        GapError: if time stamps or manifest contradict the caller's statement.
         ConfigError: if a manifest cannot be used.
     """
     if len(trials) < 2:
@@ -102,7 +102,7 @@ class Workload:
     Attributes:
         kept: numbers of the trials, in recording order.
         samples: number of first samples of each that are used.
-        note: what is left out, in one line; empty where nothing is.
+        note: omissions, in one line; empty without any.
         estimate: the cost in one line; empty below 30 s.
     """
 
@@ -119,7 +119,7 @@ class ChosenTrials:
     Attributes:
         trials: uniform, all at one rate, in recording order.
         given: the same as recorded, cut at gaps, without the noise of a measured command.
-        before: history of the device before each, trials that were not chosen included.
+        before: history of the device before each, omitted trials included.
     """
 
     trials: tuple[Trial, ...]
@@ -141,11 +141,11 @@ class ChosenTrials:
 def choose_trials(
     trials: Sequence[Trial], facts: ModelMetadata, fixed: bool, seed: int, ordered: bool = True
 ) -> ChosenTrials:
-    """Choose trials that can be afforded and bring them to one rate.
+    """Choose trials within the computing budget and resample them to one rate.
 
     Args:
-        fixed: whether the simulator is valid at its own rate only.
-        ordered: whether the trials stand in the order of recording; if not, each begins anew.
+        fixed: whether the simulator is valid only at its own rate.
+        ordered: whether the trials are in recording order; if not, each has no history.
     """
     parts = remove_command_noise([part for trial in trials for part in _parts(trial)])
     rate = 1.0 / facts.dt_s
@@ -188,12 +188,12 @@ def affordable(
     most: int = MOST_SAMPLES,
     ordered: bool = True,
 ) -> Workload:
-    """Choose trials that together have at most `most` samples; all of them where that suffices.
+    """Choose trials that together have at most `most` samples; all of them if possible.
 
-    First and last trial (where their order is known), one of every kind of motion and, of every kind, the two trials
-    most alike come first; then the kinds in turn, in an order that the seed draws. Where fewer than twelve trials would
-    be used, long ones are cut to their first part instead, since the state of the hysteresis is known at the start of a
-    trial only.
+    First and last trial (if their order is known), one of every kind of motion and, of every kind, the two most similar
+    trials come first; then the kinds in turn, in an order drawn from the seed. If fewer than twelve trials would be
+    used, long ones are cut to their first part instead, since the state of the hysteresis is known only at the start of
+    a trial.
     """
     sizes = np.array([len(trial) for trial in trials])
     kept, samples = list(range(len(trials))), sizes
@@ -214,7 +214,7 @@ def affordable(
 
 
 def _left_out(what: str, used: Index, recorded: Index, dt: float, most: int, seed: int, ordered: bool) -> str:
-    """Note on the trials and parts that are not used."""
+    """Note on omitted trials and parts."""
     cut, ends = used < recorded, "the first, the last, " if ordered else ""
     text = (
         f"{what}, more than are diagnosed in minutes ({most:,} samples of {_MOST_TRIALS} trials): {used.size} trials "
@@ -227,7 +227,7 @@ def _left_out(what: str, used: Index, recorded: Index, dt: float, most: int, see
 
 
 def _order(trials: Sequence[Trial], motions: Sequence[MotionType], seed: int, ordered: bool) -> tuple[list[int], int]:
-    """Numbers of all trials, those that are needed most first, and how many are needed."""
+    """Numbers of all trials by priority, and the number of necessary ones."""
     features = motion_features([trial.command for trial in trials], trials[0].dt)
     kinds = [np.flatnonzero(np.array(motions) == kind) for kind in dict.fromkeys(motions)]
     needed = dict.fromkeys([0, len(trials) - 1] if ordered else [])
@@ -242,7 +242,7 @@ def _order(trials: Sequence[Trial], motions: Sequence[MotionType], seed: int, or
 
 
 def _most_alike(features: Vec) -> tuple[int, int] | None:
-    """Numbers of the two motions that are most alike; None where no motion repeats another."""
+    """Numbers of the two most similar motions; None if no motion repeats another."""
     if len(features) < 2:
         return None
     distance, other = (np.asarray(part) for part in KDTree(features).query(features, k=2))
@@ -252,7 +252,7 @@ def _most_alike(features: Vec) -> tuple[int, int] | None:
 
 
 def _length_limit(sizes: Index, most: int) -> int:
-    """Greatest length to which trials can be cut so that together they have no more than `most` samples."""
+    """Greatest length of the trials at which they together have at most `most` samples."""
     ascending = np.sort(sizes)
     left = most
     for k, size in enumerate(ascending.tolist()):
@@ -266,15 +266,15 @@ def _length_limit(sizes: Index, most: int) -> int:
 def split_runs(
     runs: Sequence[Run], motions: Sequence[str], ordered: bool = True
 ) -> tuple[tuple[Run, ...], tuple[Run, ...]]:
-    """Development and final runs, by whole trials.
+    """Split whole trials into development and final runs.
 
     A quarter of the trials is final: first repeats of a motion, then motions most like another, the latest among
-    equals. A motion that is like no other stays a development run. Of one or two trials the last third of what counts
-    is final: it is simulated from the beginning of the trial and scored alone. The other two thirds of a single trial
-    are two folds.
+    equals. A unique motion stays a development run. Of one or two trials the last third of the counted samples is
+    final: it is simulated from the beginning of the trial and scored alone. The other two thirds of a single trial are
+    two folds.
 
     Args:
-        ordered: whether they stand in the order of recording; the first one then is never final.
+        ordered: whether they are in recording order; the first one then is never final.
     """
     if len(runs) < _LEAST_TRIALS:
         return _split_in_time(runs)
@@ -310,7 +310,7 @@ def _split_in_time(runs: Sequence[Run]) -> tuple[tuple[Run, ...], tuple[Run, ...
 
 
 def motion_features(commands: Sequence[Vec], dt_s: float) -> Vec:
-    """Levels, speeds, rests and length of K commands (K, 10); near to each other where one repeats another."""
+    """Levels, speeds, rests and length of K commands (K, 10), with similar values for similar motions."""
     low, high = min(float(u.min()) for u in commands), max(float(u.max()) for u in commands)
     return np.array([_features(u, dt_s, max(high - low, 1e-12)) for u in commands])
 

@@ -1,4 +1,4 @@
-"""Open hypotheses: the explanations that the trials do not reject, as simulators of a further motion."""
+"""Open hypotheses: explanations that the trials do not reject, as simulators of a further motion."""
 
 from __future__ import annotations
 
@@ -37,11 +37,11 @@ _MOST = 4  # hypotheses for a gap that nothing explains
 
 
 def next_step(findings: Findings) -> MotionProposal | None:
-    """The motion to record next; None where nothing is open.
+    """Propose the next motion to record; None if no hypothesis is open.
 
-    It is to separate, in this order: all effects that these trials cannot tell apart; an effect that was named and
-    another from which these motions cannot tell it (`unseparated`); for a gap without explanation, effects of
-    different families. Where no angle follows its command, no motion is proposed.
+    It shall separate, in this order: all effects that these trials cannot distinguish; a named effect and others that
+    these motions cannot distinguish from it (`unseparated`); for a gap without explanation, effects of different
+    families. If no angle follows its command, no motion is proposed.
     """
     task = discrimination_task(findings, confirm=False)
     if task is None:
@@ -51,10 +51,10 @@ def next_step(findings: Findings) -> MotionProposal | None:
 
 @dataclass(frozen=True, eq=False)
 class DiscriminationTask:
-    """Model discrimination task: the hypotheses that a further motion has to separate.
+    """Model discrimination task: the hypotheses that a further motion shall separate.
 
     Attributes:
-        confirms: whether the trials so far decide already, so that the motion only puts their answer to the test.
+        confirms: whether the trials decide already, so that the motion only tests their result.
     """
 
     hypotheses: tuple[OpenHypothesis, ...]
@@ -63,10 +63,10 @@ class DiscriminationTask:
 
 
 def discrimination_task(findings: Findings, confirm: bool = True) -> DiscriminationTask | None:
-    """The hypotheses that stay open after these trials; where none is, those that would test the verdict.
+    """Hypotheses that remain open after these trials; if there are none, those that test the verdict.
 
-    A named effect is tested against those that it is taken for, each fitted in its place; no gap is tested against a
-    single effect of each family. None where no angle follows its command.
+    A named effect is tested against effects that it may be confused with, each fitted in its place; no gap is tested
+    against a single effect of each family. None if no angle follows its command.
     """
     if findings.prepared.checked.unrelated:
         return None
@@ -95,7 +95,7 @@ def _rivals(findings: Findings) -> dict[str, Hypothesis]:
 
 
 def open_explanations(findings: Findings) -> dict[str, Hypothesis]:
-    """Open hypotheses by the effect that tells each from the others."""
+    """Open hypotheses, by the effect that distinguishes each from the others."""
     decision, attribution = findings.conclusion.decision, findings.attribution
     if decision.effects_unknown:
         return _families(findings)
@@ -113,9 +113,9 @@ def open_explanations(findings: Findings) -> dict[str, Hypothesis]:
 
 
 def unseparated(findings: Findings) -> tuple[str, ...]:
-    """A named effect and those that these motions cannot separate from it, judged by their commands.
+    """A named effect and the effects that these motions cannot separate from it, from the commands.
 
-    They stay open beside it: the equations of a device are not the library's, so that the angles do not decide alone.
+    They remain open, since a device's equations differ from the library's: the angles alone do not decide.
     """
     chosen = findings.conclusion.chosen.effects
     if findings.conclusion.decision.verdict != "named":
@@ -131,7 +131,7 @@ def unseparated(findings: Findings) -> tuple[str, ...]:
 
 
 def _with_effect(findings: Findings, rest: frozenset[str], name: str) -> Hypothesis | None:
-    """Hypothesis of the causes `rest` and one more, from the selection, else fitted now."""
+    """Hypothesis of the causes `rest` and one more, from the selection or a new fit."""
     attribution, names = findings.attribution, rest | {name}
     if names == findings.conclusion.chosen.effects:
         return findings.conclusion.chosen
@@ -141,13 +141,13 @@ def _with_effect(findings: Findings, rest: frozenset[str], name: str) -> Hypothe
 
 
 def _fitted_with(attribution: Attribution, names: frozenset[str]) -> Hypothesis:
-    """The hypothesis with these causes, as the selection fitted it; else the retuned simulator."""
+    """Hypothesis with these causes from the selection; otherwise the retuned simulator."""
     known = attribution.selection.tried.get(names)
     return known.hypothesis if known else attribution.retuned
 
 
 def _fit_with(findings: Findings, base: Hypothesis, name: str) -> Hypothesis | None:
-    """The best variant of an effect added to a hypothesis; None where it is no operator."""
+    """Best variant of an effect added to a hypothesis; None if it is no operator."""
     problem, validation = base.problem, findings.attribution.validation
     z, there = problem.retuned(base.q), [list(values.values()) for values in problem.effect_values(base.q)]
     library = usable_effects(findings.prepared, validation.baseline.effects, (), validation.runs)
@@ -160,7 +160,7 @@ def _fit_with(findings: Findings, base: Hypothesis, name: str) -> Hypothesis | N
 
 
 def _families(findings: Findings) -> dict[str, Hypothesis]:
-    """Single effects that were tried, the best first; if fewer than two, one of each family, of typical size."""
+    """Single tested effects, the best first; if fewer than two, one of each family, of typical size."""
     attribution, retuned = findings.attribution, findings.attribution.retuned
     singles = sorted((j for names, j in attribution.selection.tried.items() if len(names) == 1), key=lambda j: j.mse)
     tried = {next(iter(j.hypothesis.effects)): j.hypothesis for j in singles if j.hypothesis.problem.effects}
@@ -195,10 +195,10 @@ def _limits(findings: Findings) -> CommandLimits:
 
 
 def open_hypothesis(name: str, hypothesis: Hypothesis, prepared: PreparedTrials) -> OpenHypothesis:
-    """A fitted hypothesis as `propose` takes it; its retunings move one unknown each.
+    """Convert a fitted hypothesis for `propose`, with one retuning for each unknown.
 
-    What each trial has of its own (`trial_shift`, the phase of a disturbance) is not simulated: in a single further
-    motion a shift is a matter of retuning, and a phase would be another one.
+    Terms of single trials (`trial_shift`, the phase of a disturbance) are not simulated: in one further motion a shift
+    belongs to retuning, and the phase is another one.
     """
     problem, q = hypothesis.problem, hypothesis.q
     nudges = [np.clip(q + _STEP * row, problem.lower, problem.upper) for row in np.eye(problem.size)]
