@@ -130,7 +130,6 @@ class TimeLeft:
         return elapsed * (1.0 - share) / share
 
     def _elapsed(self, now: float) -> float:
-        """Time since the start without the pauses [s]."""
         if self._began is None:
             return 0.0
         return (now if self._pause is None else self._pause) - self._began - self._paused
@@ -153,9 +152,7 @@ class Computation:
 
     Attributes:
         share: completed share of the steps, None if unknown.
-        left: estimate of the time left.
         began: start time [s].
-        reported: whether it has reported yet.
         said: time of its last printed line [s]; `stage` is the first word of that line's note.
     """
 
@@ -324,7 +321,6 @@ class Screen:
     def _bar(
         self, number: int, title: str, total: float | None, share: float | None, left: float | None, note: str = ""
     ) -> None:
-        """Update the bar of a computation, or add it at the first call."""
         if self._bars is None:
             columns = (
                 TextColumn("{task.description}", markup=False),
@@ -344,14 +340,12 @@ class Screen:
         self._bars.update(self._drawn[number], total=total, completed=done, note=note, left=clock_words(left))
 
     def _end(self) -> None:
-        """Stop drawing; the bars stay on the terminal."""
         if self._bars is not None:
             self._bars.stop()
             self._bars = None
             self._drawn.clear()
 
     def _watch(self) -> None:
-        """Start a thread that updates the display while it is not empty."""
         if self._ticks and self._thread is None:
             self._over.clear()
             self._thread = threading.Thread(target=self._go, name="progress", daemon=True)
@@ -376,7 +370,6 @@ def bar(title: str, total: float | None = None, pace: Pace = EVEN) -> Iterator[C
     """Context that shows the progress and the time left of a computation.
 
     Args:
-        title: name of the computation.
         total: total steps, if known.
         pace: share of the time by share of the steps.
 
@@ -399,7 +392,6 @@ def progress_of(title: str, pace: Pace = EVEN, kept: str = "", after: float = 0.
     """Context that shows the progress of a task and yields its `progress` callback.
 
     Args:
-        title: name of the computation.
         pace: share of the time by share of the steps.
         kept: line on the results kept after Ctrl-C; if empty, Ctrl-C ends the block as any other exception.
         after: steps that follow those which the task counts.

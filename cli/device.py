@@ -180,7 +180,6 @@ def _row(name: str, times: TimingSummary) -> list[str]:
 
 
 def _exit(result: BenchResult) -> None:
-    """End the program with exit code 3 after a stop."""
     if result.outcome.cause:
         raise typer.Exit(STOPPED)
 
@@ -264,7 +263,6 @@ def investigate(
 
 
 def _print_plan(plan: DevicePlan, part: str) -> None:
-    """Print parts, motions, minutes and limits, before any motion."""
     rows = [(name, what, f"{minutes:.1f}") for name, what, minutes in plan.rows]
     grid = table(plan.title, (part, "motions", "min"), rows, True)
     grid.columns[1].justify = "left"

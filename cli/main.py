@@ -79,7 +79,6 @@ def verbs_of_others() -> Mapping[str, tuple[str, str]]:
 
 
 def _lines() -> dict[str, str]:
-    """Every subcommand and its line in `hystmpc --help`."""
     return {name: line for name, (_, line) in {**VERBS, **verbs_of_others()}.items()}
 
 

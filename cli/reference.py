@@ -111,12 +111,7 @@ def settings_of(kind: str) -> Any:
 
 
 def json_schema(annotation: Any, title: str) -> dict[str, Any]:
-    """JSON schema (draft 2020-12) of a file: pydantic's schema, with the meaning of every key as description.
-
-    Args:
-        annotation: a class of settings, or a union of such classes.
-        title: of the schema.
-    """
+    """JSON schema (draft 2020-12) of a file: pydantic's schema, with the meaning of every key as description."""
     from pydantic import TypeAdapter
 
     schema: dict[str, Any] = TypeAdapter(annotation).json_schema()

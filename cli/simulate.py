@@ -78,7 +78,6 @@ def _named(text: str) -> tuple[str, Path]:
 
 
 def _sweep(call: Call, file: Path) -> None:
-    """Compute the missing runs of a sweep."""
     kept = f"interrupted: finished runs are kept in {call.out}, the same command goes on"
     outcome: SweepOutcome = call.run("sweep", 1, config=file, kept=kept)
     if outcome.failed:

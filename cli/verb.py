@@ -69,7 +69,6 @@ class Call:
 
         Args:
             title, pace, kept, after: see `progress_of`.
-            k: number of the task.
             more: arguments in place of those from the command line.
         """
         with progress_of(title, pace, kept, after) as progress:
@@ -87,7 +86,6 @@ class Verb:
         tasks: MODULE:NAME of each function in `hystmpc.tasks`; a common parameter is that of the first.
         shows: function that runs a task and prints its result; it may add options, and its docstring is help as well.
         differs: by parameter, changes to the option made by `_parameter`; None for no option.
-        cls: class of the subcommand.
     """
 
     tasks: tuple[str, ...]

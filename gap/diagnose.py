@@ -63,7 +63,6 @@ def find_causes(
     Args:
         trials: of one device.
         simulator: a chain of operators or an exported model.
-        seed: of every resampling.
         without: effects left out of the library.
         only: the library itself; all effects if left out.
         progress: called with completed steps, total steps and the present step.
@@ -158,8 +157,6 @@ def _selection_progress(progress: Progress) -> Callable[[float, str], None]:
 
 
 class _StepTimes:
-    """Durations of the steps of a diagnosis."""
-
     def __init__(self) -> None:
         self._last = time.perf_counter()
         self.seconds: dict[str, float] = {}
@@ -189,7 +186,6 @@ def _localisation(prepared: PreparedTrials, seed: int) -> Localisation | None:
 
 
 def _diagnosis(findings: Findings, parameters: Sequence[ParameterRow]) -> Diagnosis:
-    """Result of a diagnosis, from the findings of all steps."""
     from .report.words import reason_for
 
     prepared, attribution, conclusion = findings.prepared, findings.attribution, findings.conclusion
@@ -284,7 +280,6 @@ def _effects(
     parameters: Sequence[ParameterRow],
     grouped: Configuration | None,
 ) -> tuple[IdentifiedEffect, ...]:
-    """Identified effects, the most probable first."""
     closed, decades, log = findings.conclusion.closed, findings.prepared.decades, findings.prepared.checked.trials[0]
     units = {
         name: dict(UNITS) if grouped and name == SHIFT else {r.name: r.unit for r in parameters if r.owner == name}

@@ -38,13 +38,11 @@ class IdentifiedEffect:
     """Effect that the diagnosis added to the simulator.
 
     Attributes:
-        name: public name of the effect.
         probability: calibrated probability that this effect is present, at most (1 + inclusion) / 2.
         inclusion: share of block resamples that choose it.
         closed_share: share of the structural gap that it closes on the final trials, by the error without it.
         closed_ci90: 90 % interval of that share, block bootstrap over the final trials.
         rmse_before_deg, rmse_after_deg: on the final trials, the other effects present, without and with it [deg].
-        parameters: identified values by name.
         units: of each; 1 for a plain number.
         undetermined: parameters whose 90 % interval is about as wide as their range, so that their values are unusable.
     """
@@ -81,7 +79,6 @@ class Gap:
         floor_kind: from repeats of a motion, or from the noise of the residual (a lower bound).
         closed_share, unexplained_share: of the structural gap; they add up to one.
         closed_ci90: 90 % interval of the closed share.
-        final_trials: names of the trials.
         repeats_rmse_deg: difference between repeats of a motion, retuned [deg]; not-a-number without repeats. If the
             retuned error is at most this and has no known cause, the floor is the noise.
     """
@@ -150,7 +147,6 @@ class Detectable:
     """Smallest detectable size of one effect.
 
     Attributes:
-        effect: public name of the effect.
         parameter, unit: in which the size is stated, and its unit.
         size: distance of the parameter from its value without the effect; infinite if no size is detectable.
         hidden: share of the effect's energy that retuning absorbs at that size, 0 to 1; not-a-number without a size.
@@ -233,7 +229,6 @@ class TrackingGap:
         before_deg, after_deg: with the simulator as given, and with the corrected one, over all motions; not-a-number
             if unknown.
         before_range_deg, after_range_deg: least and greatest value over several seeds of the noise.
-        motions: errors of each motion.
         why_not: reason why it is unknown, in one sentence; otherwise empty.
     """
 
@@ -267,11 +262,9 @@ class Diagnosis:
 
     Attributes:
         verdict: named | one_of (see `ambiguity`) | retuned (see `moved`) | unknown | none | too_little.
-        reason: the verdict in one sentence.
         effects: chosen effects, the most probable first.
         ambiguity: sets of effects that these trials cannot distinguish.
         ranking: every effect with its probability, most likely first.
-        gap: sizes.
         retuned: baseline quantities, each (nominal, retuned).
         moved: parameters significantly changed by retuning; empty unless the verdict is `retuned`.
         groups: names of the trials that share a configuration, the largest group first; only with the effect

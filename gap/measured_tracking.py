@@ -258,7 +258,6 @@ def _require_same(after: MeasuredRun, before: MeasuredRun) -> None:
 
 
 def _simulators(folder: Path) -> tuple[Simulator, Simulator]:
-    """Nominal and corrected simulator of a diagnosis."""
     if not holds_diagnosis(folder):
         raise LogError(f"--diagnosis {folder}: got no {DIAGNOSIS_FILE}, expected a folder of `diagnose`")
     for name in (GIVEN_FILE, FIXED_FILE):
@@ -319,7 +318,6 @@ def _expected_line(fall: TrackingFall, expected: TrackingGap) -> str:
 
 
 def _noise_words(*runs: MeasuredRun) -> str:
-    """Text on the treatment of the sensor noise in the measured angle."""
     if all(run.noise_deg is None for run in runs):
         return "(with the sensor's noise: no model file knows it)"
     if any(run.noise_deg is None for run in runs):

@@ -119,7 +119,6 @@ def locked_part(trials: Sequence[Trial], residuals: Sequence[Vec]) -> list[Vec]:
 
 
 def _folded(signals: Sequence[Mat]) -> list[Mat]:
-    """Signals (T, ...) of every trial; of a single trial its parts."""
     if len(signals) > 1:
         return list(signals)
     edges = np.linspace(0, len(signals[0]), _PARTS + 1).astype(np.intp)

@@ -188,13 +188,11 @@ def _row(name: str, case: _Case, simulator: Simulator, seed: int) -> SelfTestRow
 
 
 def _sets(diagnosis: Diagnosis) -> list[tuple[str, ...]]:
-    """Identified effects, each with its alternatives."""
     sets = {names[0]: names for names in diagnosis.ambiguity}
     return [sets.get(effect.name, (effect.name,)) for effect in diagnosis.effects]
 
 
 def _recovered(diagnosis: Diagnosis, truth: tuple[str, ...]) -> bool:
-    """Whether the identified effects match the true ones one to one."""
     if not truth:
         return diagnosis.verdict in ("none", "retuned")
     sets = _sets(diagnosis)

@@ -196,7 +196,6 @@ def _opened(
 
 
 def _folder_of(config: Settings) -> Path:
-    """Base folder of the relative file names of a bench."""
     return Path(config).resolve().parent if isinstance(config, Path | str) else Path()
 
 

@@ -257,7 +257,6 @@ def _device_limits(limits: CommandLimits | DeviceLimits | None) -> DeviceLimits:
 
 
 def _warn_of_limits(trials: Sequence[Trial], limits: Range | None, say: Say | None) -> None:
-    """Warn of commands in the logs beyond the limits of the model."""
     from hystmpc.models.evaluate import RANGE_SLACK
 
     if limits is None or say is None:

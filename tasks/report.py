@@ -85,7 +85,6 @@ def _commissioning(run: Path, compared: bool) -> WrittenReport:
 
 
 def _fall(run: Path, before: list[Path], diagnosis: Path | None) -> tuple[tuple[str, ...], tuple[Piece, ...]]:
-    """Fall of the tracking error since earlier runs: sentences, and pieces of the page."""
     if not before and diagnosis is None:
         return (), ()
     from hystmpc.gap.measured_tracking import fall_lines, fall_pieces, tracking_falls
@@ -95,7 +94,6 @@ def _fall(run: Path, before: list[Path], diagnosis: Path | None) -> tuple[tuple[
 
 
 def _settings_of(run: Path) -> Set[str]:
-    """Keys of the run's settings; empty without settings."""
     file = run / "config.yaml"
     settings = read_yaml(file) if file.is_file() else None
     return settings.keys() if isinstance(settings, dict) else frozenset()

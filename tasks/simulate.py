@@ -121,7 +121,6 @@ def reproduce(folder: Path | str, row: str, out: Path | str | None = None) -> tu
 
 
 def _added(name: str, controller: Settings) -> str:
-    """Override that adds the settings of a controller to a study."""
     if not name or "." in name:
         raise ConfigError(f"--controller {name}: expected NAME=FILE, a name without dots")
     data = read_yaml(controller) if isinstance(controller, Path | str) else controller

@@ -101,7 +101,6 @@ class ArrayLog(SignalLog):
         return array.astype(np.float64).reshape(-1)
 
     def _missing(self, signal: str) -> LogError:
-        """Error for a signal that is missing or cannot be read."""
         first = str((split_path(signal) or [signal])[0])
         unread = None if first in self.variables else self.not_read(first)
         return unread or missing(self.path, signal, self.names())
@@ -123,7 +122,6 @@ def _along(value: Any, signal: int) -> Any:
 
 
 def _vectors(value: Any, prefix: str) -> list[tuple[str, NDArray[Any]]]:
-    """All vectors of numbers in a value, with their names."""
     if isinstance(value, Mapping):
         inner = [(f"{prefix}.{name}" if prefix else str(name), item) for name, item in value.items()]
         return [vector for path, item in inner for vector in _vectors(item, path)]
@@ -249,7 +247,6 @@ def open_tdms(path: Path | str) -> ArrayLog:
 
 @contextmanager
 def _warnings() -> Iterator[list[str]]:
-    """Collect the warnings that the TDMS library gives on a damaged file."""
     logger, warnings = logging.getLogger("nptdms"), list[str]()
     handler = logging.Handler(logging.WARNING)
     handler.emit = lambda record: warnings.append(" ".join(record.getMessage().split()))  # type: ignore[method-assign]

@@ -105,7 +105,6 @@ def convert(columns: Sequence[Sequence[str]], comma_likely: bool) -> list[Conver
 
 
 def _floats(cells: Sequence[str]) -> Vec | None:
-    """Numbers of the cells by `float`; None if one cell is no number."""
     if any("_" in cell for cell in cells):  # Python reads 1_0 as 10, a log does not mean it
         return None
     try:

@@ -89,7 +89,6 @@ def _short(t: Vec) -> Iterator[Finding]:
 
 
 def _value_findings(log: UncheckedLog) -> Iterator[Finding]:
-    """Findings on values that are not finite, per signal."""
     clean = True
     main = {"time": log.t, "command": log.command, "angle": log.angle}
     for name, values in {**main, **log.channels}.items():
@@ -185,7 +184,6 @@ def motion_findings(trial: Trial, ranges: tuple[Range | None, Range | None]) -> 
 
 
 def _moved(trial: Trial, late_s: float) -> Trial:
-    """Trial with its angle shifted earlier by `late_s`."""
     at = trial.t + late_s
     inside = (at >= trial.t[0]) & (at <= trial.t[-1])
     angle = np.interp(at[inside], trial.t, trial.angle)
@@ -285,7 +283,6 @@ class HoldEnd:
     """Mean state at the end of a hold of the command.
 
     Attributes:
-        start, stop: samples of the hold.
         angle: recorded angle nearest to the mean: the median.
         error: standard error of that angle.
         drift: upper bound of the angle's speed: its estimate plus one standard error [angle/s].
@@ -336,7 +333,6 @@ def _no_two_rests(opening: str, why: str) -> Finding:
 
 
 def _set(trial: Trial, before: HoldEnd, after: HoldEnd, top: int, opening: str) -> Finding:
-    """Finding on the change of the angle between two rests at one command."""
     bend, change = float(np.ptp(trial.angle)), after.angle - before.angle
     elapsed, moved = trial.t[after.stop - 1] - trial.t[before.stop - 1], trial.t[after.start] - trial.t[before.stop - 1]
     drift = max(before.drift, after.drift)

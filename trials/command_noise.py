@@ -117,7 +117,6 @@ def _white(t: Vec, signals: Vec) -> float:
 
 
 def _deviation(left: Vec) -> float:
-    """Robust standard deviation of residuals, from their median absolute value."""
     return _NORMAL * float(np.median(np.abs(left)))
 
 

@@ -241,7 +241,6 @@ def place_in(path: Path | str, overrides: Sequence[str] = ()) -> Callable[[Locat
 
 
 def _entry(node: yaml.Node | None, part: str | int) -> tuple[int, yaml.Node] | None:
-    """Line and value of one entry of a block."""
     if isinstance(node, yaml.MappingNode):
         for key, value in node.value:
             if isinstance(key, yaml.ScalarNode) and key.value == str(part):

@@ -187,7 +187,6 @@ def _require_units(table: LogTable, expected: Mapping[str, str]) -> None:
 
 
 def _header_hint(table: LogTable) -> str:
-    """Advice for an error line if the header holds no known name."""
     if table.named:
         return MAPPING_HINT
     return " (the first row holds numbers, expected column names; a mapping file can name columns '[0]', '[1]')"

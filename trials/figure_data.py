@@ -51,7 +51,6 @@ class Curve:
     """A line of a panel.
 
     Attributes:
-        series: its label, or an empty text.
         x, y: all of its points (N,).
         look: colour, width [pt], dashes [pt], opacity, and whether it goes in steps to each point.
     """
@@ -152,7 +151,6 @@ def _label(artist: Any) -> str:
 
 
 def _title(axes: Axes) -> str:
-    """First nonempty one of the three titles of a panel."""
     return next(filter(None, (_plain(axes.get_title(place)) for place in ("left", "center", "right"))), "")
 
 

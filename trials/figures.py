@@ -93,7 +93,6 @@ class SimulatedTrial:
     Attributes:
         measured: output and its look, (T,).
         runs: simulated outputs and their looks, (T,).
-        first: first drawn sample of the error.
     """
 
     title: str

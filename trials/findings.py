@@ -43,9 +43,7 @@ class Finding:
     """One line of a quality check.
 
     Attributes:
-        severity: importance.
         topic: subject of the check, such as `jitter` or `units`.
-        message: result with numbers and units.
     """
 
     severity: Severity
@@ -58,7 +56,6 @@ class CheckReport:
     """All findings on one log, in the order of the checks.
 
     Attributes:
-        source: path of the log.
         layout: layout of the log; empty for a trial from memory.
     """
 

@@ -109,7 +109,6 @@ def is_bag(folder: Path) -> bool:
 
 
 def _packed(path: Path) -> str | None:
-    """Format of a ZIP archive, by the names in it."""
     try:
         with zipfile.ZipFile(path) as archive:
             names = archive.namelist()
@@ -252,7 +251,6 @@ def _decoded(path: Path | str, data: bytes) -> str:
 
 
 def _unmarked(data: bytes) -> str:
-    """Encoding of text without a byte order mark."""
     sample = data[:_SAMPLE]
     half = max(1, len(sample) // 2)
     even, odd = sample[::2].count(0) / half, sample[1::2].count(0) / half

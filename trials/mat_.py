@@ -46,7 +46,6 @@ def open_mat(path: Path | str) -> ArrayLog:
 
 
 def _object(kind: str, name: str) -> str:
-    """Advice for a variable that only MATLAB can read."""
     short = name if name.isidentifier() and len(name) <= 40 else "T"
     remedy = {
         "table": f"writetable({short}, 'log.csv')",

@@ -210,7 +210,6 @@ def open_mcap(path: Path | str) -> MessageLog:
 
 
 def _decoder(encoding: str, schema: Any) -> Decoder:
-    """Decoder of the messages of a channel."""
     if encoding == "json":
         return _parse_json
     if encoding == "cdr" and schema is not None:
@@ -333,7 +332,6 @@ def _require_bounded(path: str, data: bytes) -> None:
 
 
 def _records(data: bytes) -> Iterator[tuple[dict[bytes, bytes], memoryview]]:
-    """Header fields and content of every complete record."""
     at, view = len(_MAGIC), memoryview(data)
     while at + 4 <= len(data):
         length = _SIZE.unpack_from(data, at)[0]

@@ -171,7 +171,6 @@ class MessageLog(SignalLog):
         return [Series(np.array(t), np.array(y)) for t, y in zip(stamps, values, strict=True)]
 
     def _place(self, signal: str) -> tuple[str, list[str | int]]:
-        """Topic and path into its messages."""
         fitting = [name for name in self.topics if signal == name or signal.startswith((f"{name}.", f"{name}["))]
         if not fitting:
             topics = sorted(self.topics)

@@ -173,7 +173,6 @@ def resolve(layout: AnyLayout) -> AnyLayout:
 
 
 def _is_table(log: Path | str | FrameLike) -> bool:
-    """Whether a log is delimited text, a workbook or a data frame."""
     return isinstance(log, FrameLike) or not (is_bag(Path(log)) or format_of(Path(log)) in OPENERS)
 
 

@@ -181,7 +181,6 @@ class Report:
 
 
 def _plots(pieces: Sequence[Piece], heading: str = "figure") -> Iterator[tuple[str, Plot]]:
-    """Every figure with the heading above it."""
     for piece in pieces:
         if isinstance(piece, Heading):
             heading = piece.text
@@ -246,7 +245,6 @@ def _print_as_it_is(figure: Figure) -> None:
 
 
 def _bitmap(figure: Figure, prefix: str = "") -> str:
-    """Figure as an `<img>` element with embedded data."""
     del prefix
     three_ticks(figure)
     out = io.BytesIO()
@@ -256,7 +254,6 @@ def _bitmap(figure: Figure, prefix: str = "") -> str:
 
 
 def _block(piece: Piece, number: str, drawn: Callable[[Figure, str], str] = figure_svg) -> dict[str, Any]:
-    """Fields of one piece of a report for the page template."""
     if isinstance(piece, Heading):
         return {"kind": "heading", "text": piece.text, "level": piece.level, "id": f"section-{number}"}
     if isinstance(piece, Paragraph):

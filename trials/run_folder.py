@@ -46,7 +46,6 @@ class RunFolder:
     Every file is written completely or not at all. Use `create` for a new run and `open` for an existing one.
 
     Attributes:
-        path: the folder.
         meta: content of `meta.json`: format, versions, seed, model hashes, host, start, command line.
     """
 

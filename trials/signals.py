@@ -88,7 +88,6 @@ class UncheckedLog:
         t, command, angle: time [s], command and output in `units`, each (T,).
         layout: name of the layout; empty for a trial from memory.
         ranges: plausible values of command and angle; None for any.
-        cells: cells of a table behind the samples.
     """
 
     t: Vec
@@ -200,7 +199,6 @@ def _decoded(series: Series, settings: SignalSettings) -> Series:
 
 
 def _shifted(series: Series, shift_s: float) -> Series:
-    """Valid samples of a signal, with its stamps shifted."""
     if series.left_out is None or not series.left_out.any():
         return Series(series.t + shift_s, series.values) if shift_s else series
     return Series(series.t[~series.left_out] + shift_s, series.values[~series.left_out])
@@ -358,7 +356,6 @@ def _ordered(series: Series) -> Series:
 
 
 def _at(t: Vec, series: Series, settings: SignalSettings) -> Vec:
-    """Scaled values of a signal at times t."""
     same = t.size == series.t.size and np.array_equal(t, series.t)
     return settings.scale * (series.values if same else at_times(t, series, settings.hold)) + settings.offset
 

@@ -44,7 +44,6 @@ class Grid:
         delimiter: of the cells; empty if they are separate already.
         header_row: index of the header, or of the first row of data.
         units: cells of the row of units below the header; empty if there is none.
-        start, stop: rows of data, by index.
     """
 
     delimiter: str
@@ -121,7 +120,6 @@ def grid_of_cells(rows: Sequence[Sequence[str]], source: str, wanted: Iterable[s
 
 
 def _uncommented(line: str) -> str:
-    """Row of text without a comment mark at its beginning."""
     for mark in _COMMENTS:
         if line.lstrip().startswith(mark):
             return line.lstrip().lstrip(mark[0]).lstrip(" ")
@@ -160,7 +158,6 @@ def _located(
     source: str,
     wanted: Iterable[str],
 ) -> Grid:
-    """Locate header, units, and first and last row of data."""
     judged = {k: _judged(cells(k)) for k in sample}
     data = next((k for k in sample if judged[k][0] == width and _is_data(judged[k])), None)
     if data is None:  # names alone, or cells of which none is a number
@@ -228,7 +225,6 @@ class LogTable:
         texts: other columns, each of length T.
         times: names of the columns of `numbers` that were dates or times of day; seconds since the first.
         units: entries of a row of units below the header, by column.
-        named: whether the file has a header row.
         header_row: row of the header, counted from 1.
         faults: for a column that mixes numbers and other cells: first such sample, and an addition to its error.
         rows: function that reads the rows again for messages; none for a data frame.
@@ -412,7 +408,6 @@ def _require_once(header: Sequence[str], where: str) -> None:
 
 
 def _rows(lines: Sequence[str], grid: Grid, source: str) -> Iterable[Row]:
-    """Rows of data that are neither blank nor a comment."""
     if grid.delimiter == BLANK or not any('"' in line for line in lines[grid.start :]):
         for k in range(grid.start, len(lines)):
             cells = cells_of(lines[k], grid.delimiter)
@@ -434,7 +429,6 @@ def _is_comment(cells: Sequence[str]) -> bool:
 
 
 def _checked(rows: Iterable[Row], header: Sequence[str], source: str) -> list[Row]:
-    """Rows with the width of the header, without empty cells at their end."""
     kept, width = [], len(header)
     for number, cells in rows:
         if len(cells) != width and (len(cells) < width or any(cells[width:])):

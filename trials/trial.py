@@ -57,7 +57,6 @@ class Trial:
         command: tendon travel [mm] or pressure [bar], shape (T,).
         angle: tip angle [deg], shape (T,).
         channels: further named signals, each of shape (T,), in the units of the log; may hold not-a-number.
-        units: units of command and angle.
         source: where the trial came from (a file's path), for messages and reports.
         command_noise: standard deviation of the noise that was taken off the recorded command, in its unit; 0 for none.
 
@@ -168,7 +167,6 @@ class Trial:
 
 
 def _vector(values: ArrayLike, name: str, source: str) -> Vec:
-    """Read-only copy of `values` with one dimension."""
     vector = np.array(values, dtype=np.float64)
     if vector.ndim != 1:
         raise LogError(f"{source}: {name} has shape {vector.shape}, expected one dimension (T,)")
@@ -246,7 +244,6 @@ def parts_at_gaps(trial: Trial) -> tuple[Trial, ...]:
 
 
 def _widest_gap(trial: Trial, limit: float) -> str:
-    """Beginning of an error line on the widest gap."""
     intervals = np.diff(trial.t)
     k = int(np.argmax(intervals))
     return (

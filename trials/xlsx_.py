@@ -48,7 +48,6 @@ def open_xlsx(path: Path | str, wanted: Iterable[str] = ()) -> LogTable:
 
 
 def _sheets(path: Path | str) -> list[tuple[str, list[list[str]]]]:
-    """Title and cells of every sheet."""
     from openpyxl import load_workbook
 
     _require_bounded(path)
@@ -84,7 +83,6 @@ def _texts(row: Sequence[Any]) -> list[str]:
 
 
 def _text(value: Any) -> str:
-    """Cell value as text, in the form of a text file."""
     if value is None:
         return ""
     if isinstance(value, bool):

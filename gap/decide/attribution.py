@@ -212,14 +212,12 @@ def _confirmed_causes(
 
 
 def _at_floor(closed: GapClosed, floor_deg: float) -> bool:
-    """Whether the retuned simulator's error on the final trials is at most a floor [deg]."""
     return closed.gap.retuned_rmse_deg**2 < AT_FLOOR * floor_deg**2
 
 
 def _without_cause(
     attribution: Attribution, facts: VerdictFacts, chosen: Hypothesis, dropped: str
 ) -> tuple[VerdictFacts, Hypothesis]:
-    """Remove one cause from the facts and from the corrected simulator."""
     if dropped not in chosen.effects:
         if dropped == "sensor":
             return replace(facts, sensor=False, new_step=False), chosen
@@ -251,7 +249,6 @@ def _repair_mse(prepared: PreparedTrials) -> float:
 
 
 def _is_gap(prepared: PreparedTrials, mse: float) -> bool:
-    """Whether the model-form error plus this error counts as a gap."""
     return 0 < (NO_GAP - 1) * prepared.form_mse <= mse
 
 

@@ -71,7 +71,6 @@ class ClosedShares:
         return shares
 
     def _widened(self, middle: float, ends: Interval) -> Interval:
-        """Interval widened by the scatter between trials."""
         further = self.spread * max(abs(middle), _LEAST_SIZE)
         return middle - float(np.hypot(middle - ends[0], further)), middle + float(np.hypot(ends[1] - middle, further))
 
@@ -117,7 +116,6 @@ class ClosedByCause:
         share: of the structural gap, by the error that returns without this cause.
         ci90: 90 % interval of it.
         rmse_without_deg: RMSE without this cause, the others present [deg].
-        parameters: identified values by name.
     """
 
     share: float
@@ -180,7 +178,6 @@ class FinalErrors:
 
     Args:
         retuned, chosen: the simulator without and with its causes.
-        sensor: whether the sensor is a cause.
         jumps: of the tip, if they are a cause.
     """
 

@@ -199,7 +199,6 @@ def slow_mse(hypothesis: Hypothesis, runs: Sequence[Run]) -> float:
 
 
 def _hat_functions(x: Vec) -> Mat:
-    """Piecewise linear functions (T, K), one at each knot."""
     knots = np.unique(np.quantile(x, np.linspace(0.0, 1.0, _KNOTS)))
     return np.stack([np.interp(x, knots, row) for row in np.eye(knots.size)], axis=1)
 
@@ -219,7 +218,6 @@ class Jumps:
     In each window, as short as noise and resolution allow, the measured motion is a multiple g of the simulated one.
 
     Attributes:
-        windows: number of windows.
         stuck, jumped, back: share of them with g below 0.3, above 2, and below -0.5.
         carried: share of the measured motion in windows with g above 2.
         height_deg: median change of the tip's lead over the simulator in a jump [deg].

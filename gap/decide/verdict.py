@@ -146,7 +146,6 @@ class VerdictDecision:
     Attributes:
         case: row of the table in `decide_verdict`.
         ambiguity: sets of effects that these trials cannot distinguish; empty unless the verdict is `one_of`.
-        sensor: whether the sensor is a cause.
     """
 
     case: str

@@ -303,7 +303,6 @@ def _is_significant(correlations: Vec) -> bool:
 
 
 def _little_motion(parts: Sequence[_TrialSums], expected: Sequence[Mat]) -> list[bool]:
-    """Mask of trials in which little motion is expected."""
     sizes = [float(w[:, 0] @ p.gram @ w[:, 0]) / p.samples for p, w in zip(parts, expected, strict=True)]
     return [size < _EXPECTED**2 * float(np.mean(sizes)) for size in sizes]
 
@@ -348,7 +347,6 @@ def _changes(signal: Mat, width: int, steps: int) -> Mat:
 
 
 def _reordered(size: int, length: int, random: np.random.Generator) -> NDArray[np.intp]:
-    """Indices of `size` samples after a random permutation of blocks of one length."""
     blocks = max(size // length, 1)
     block = np.roll(np.arange(size) * blocks // size, int(random.integers(size)))
     return np.argsort(random.permutation(blocks)[block], kind="stable")

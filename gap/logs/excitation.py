@@ -109,7 +109,6 @@ def _ramp_speeds(moves: Sequence[Move], dt: float, least: float) -> tuple[float,
 
 
 def _top_levels(trials: Sequence[Trial], parts: Sequence[Segments], low: float, span: float) -> int:
-    """Number of distinct levels of the upper turning points."""
     levels: list[float] = []
     for trial, part in zip(trials, parts, strict=True):
         turns = np.concatenate([trial.command[:1], trial.command[part.reversals], trial.command[-1:]])
@@ -143,7 +142,6 @@ class ConfusableEffects:
     Attributes:
         effects: their public names; two names of one class if `one_class`.
         separable: whether these motions can distinguish them.
-        separated_by: motion that distinguishes them.
         present: the part of it in these motions.
         alike_in_sine, alike_in_hold: share of one effect's gap that the other reproduces on a single 0.2 Hz sine, and
             on a ramp with a hold of 8 s (study on a Prandtl-Ishlinskii model with three plays, 50 Hz).

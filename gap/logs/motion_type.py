@@ -122,7 +122,6 @@ def _time(journey: list[Move]) -> int:
 
 
 def _between_rests(moves: list[Move], rests: list[tuple[int, int]]) -> list[list[Move]]:
-    """Groups of moves without a rest between them."""
     starts = [a for a, _ in rests]
     places = np.searchsorted(starts, [move.start for move in moves])
     return [[move for move, at in zip(moves, places, strict=True) if at == k] for k in sorted(set(places.tolist()))]
@@ -238,6 +237,5 @@ def _last_direction(parts: Segments) -> Vec:
 
 
 def _samples_since(events: Mask) -> Index:
-    """Samples since the last event, or since the start (T,)."""
     k = np.arange(events.size)
     return k - np.maximum.accumulate(np.where(events, k, 0))

@@ -248,7 +248,6 @@ def _network_baseline(
 
 
 def _plays(copies: Sequence[Trial], command: Range) -> Chain:
-    """Rate-independent plays fitted to the free runs of a network."""
     from hystmpc.models.identify.chain_kinds import prandtl_ishlinskii_starts
 
     runs, fits = runs_of(copies), []
@@ -412,7 +411,6 @@ def _angles(chain: Chain, run: Run, commands: Vec, dt_s: float) -> Vec:
 
 
 def _free_run_from(run: Runs, start: TrialStart, commands: Vec) -> Vec:
-    """Angles (T,) over commands (T,) from a start on [deg]."""
     plan = np.concatenate([start.approach, commands])
     return np.asarray(run(np.array([start.command]), np.array([start.angle]), plan[None])[0, len(start.approach) :])
 

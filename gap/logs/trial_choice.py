@@ -214,7 +214,6 @@ def affordable(
 
 
 def _left_out(what: str, used: Index, recorded: Index, dt: float, most: int, seed: int, ordered: bool) -> str:
-    """Note on omitted trials and parts."""
     cut, ends = used < recorded, "the first, the last, " if ordered else ""
     text = (
         f"{what}, more than are diagnosed in minutes ({most:,} samples of {_MOST_TRIALS} trials): {used.size} trials "

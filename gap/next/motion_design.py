@@ -35,7 +35,6 @@ class OpenHypothesis:
     """Hypothesis that the logs do not reject, as a fitted simulator.
 
     Attributes:
-        name: public name of the effect.
         simulate: command (T,) [mm or bar] and sample time [s] to angle (T,) [deg], from rest.
         retunings: simulators with a small change of one parameter each, whose differences do not count as separation;
             if empty, the angle one sample later replaces them.
@@ -188,7 +187,6 @@ def evaluate_motion(
 
 
 def _distance(left: Vec, noise: Noise) -> Vec:
-    """Distances d of the separations (N, T) in units of the noise."""
     still = left - left.mean(axis=-1, keepdims=True)
     seen = np.linalg.norm(noise.whiten(still), axis=-1)
     form = noise.form_deg / (_FORM_SPREAD * np.maximum(np.sqrt(np.mean(still**2, axis=-1)), 1e-300))
@@ -249,7 +247,6 @@ class SearchedMotion:
         seconds: device time of the motion, including the overhead of its run [s].
         menu: the best motion of the menu by the same measure; None if none can be simulated.
         menu_bits, menu_seconds: information and device time of that one.
-        looked_at: number of simulated motions.
     """
 
     chosen: EvaluatedMotion
@@ -329,7 +326,6 @@ def search_motion(
 
 
 def _rate(option: EvaluatedMotion, count: int, settings: SearchSettings) -> float:
-    """Expected information per second of device time."""
     return information_bits(option.probability, count) / (option.motion.duration_s + settings.overhead_s)
 
 

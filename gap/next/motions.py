@@ -96,7 +96,6 @@ class MotionTemplate:
 def _strokes(
     peaks: Sequence[float], hold_s: float, speed: float = 0.5, stroke_s: float = 0.0
 ) -> tuple[RampAndHold, ...]:
-    """Strokes from the lowest command to each peak and back."""
     return tuple(RampAndHold(target, hold_s, speed, stroke_s) for peak in peaks for target in (peak, 0.0))
 
 
@@ -205,7 +204,6 @@ def _reach(template: MotionTemplate, limits: CommandLimits) -> float:
 
 
 def _duration_s(template: MotionTemplate, reach: float, rate: float) -> float:
-    """Duration at a reach [s]."""
     at, seconds = 0.0, 2 * REST_S
     for part in template.parts:
         if isinstance(part, RampAndHold):

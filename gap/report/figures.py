@@ -178,7 +178,6 @@ def _names(diagnosis: Diagnosis) -> list[str]:
 
 
 def _label(diagnosis: Diagnosis, name: str) -> str:
-    """Name of an effect with the letters of its ambiguous sets."""
     sets = [chr(ord("A") + k) for k, names in enumerate(diagnosis.ambiguity) if name in names]
     return f"{in_words(name)} ({', '.join(sets)})" if sets else in_words(name)
 
@@ -235,7 +234,6 @@ def _shares(axes: Axes, diagnosis: Diagnosis, names: Sequence[str]) -> None:
 
 
 def _look(diagnosis: Diagnosis, name: str) -> tuple[str, str]:
-    """Colour and hatch of an effect."""
     if any(name in names for names in diagnosis.ambiguity):
         return _AMBIGUOUS, "////"
     return (_CHOSEN, "") if any(effect.name == name for effect in diagnosis.effects) else (_OTHER, "")

@@ -108,7 +108,6 @@ def _write(data: ReportData, run: RunFolder) -> None:
 
 
 def _log(data: ReportData) -> dict[str, Any]:
-    """Log of all trials in sequence, with the simulated angles."""
     starts, at = [], 0.0
     for trial in data.trials:
         starts.append(at - trial.trial.t[0])

@@ -90,7 +90,6 @@ class TrackingCurve:
     Attributes:
         t: end of the sample [s].
         reference_deg, before_deg, after_deg: reference, and the true angle before and after the correction [deg].
-        first: first sample that counts.
     """
 
     name: str
@@ -107,12 +106,10 @@ class ReportData:
 
     Attributes:
         simulator: name of the simulator's file.
-        trials: in recording order, at least one.
         localisation: of the retuned residual; None without a residual.
         noise_deg: white noise of the measured angle [deg]; not-a-number if unknown.
         proposal: next motion to record; None if no hypothesis is open.
         fixed: the corrected simulator, if it can be written as one.
-        files: further files of the diagnosis by name.
         nominal: the simulator as given; None of a network.
         curves: closed loops before and after the correction; empty if not simulated.
     """
@@ -229,7 +226,6 @@ def _trials(findings: Findings, floor_deg: float) -> tuple[TrialRuns, ...]:
 
 
 def _candidates(findings: Findings, diagnosis: Diagnosis) -> tuple[CandidateRow, ...]:
-    """Each effect tested alone, and a faulty sensor."""
     selection, decades = findings.attribution.selection, findings.prepared.decades
     probabilities, before = dict(diagnosis.ranking), selection.baseline
     chosen, retuned = {effect.name for effect in diagnosis.effects}, float(np.sqrt(before.mse))

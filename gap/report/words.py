@@ -85,7 +85,6 @@ def reason_for(
 
 
 def _retuned_words(decision: VerdictDecision, gap: Gap, moved: Sequence[RetunedParameter], unit: str) -> str:
-    """Changed parameters, and the fall of the RMSE by retuning."""
     each = [
         f"{in_words(row.name)} {row.given:.3g} to {row.value:.3g}{'' if row.unit == '1' else f' {row.unit}'} "
         f"(90 % interval {row.ci90[0]:.3g} to {row.ci90[1]:.3g})"
@@ -407,7 +406,6 @@ def _unrelated(data: ReportData) -> bool:
 
 
 def _corrected(data: ReportData) -> str:
-    """Advice on the use of the corrected simulator."""
     diagnosis = data.diagnosis
     if _unrelated(data):
         return "Look for a wrong file or column, a loose sensor, or a tendon or line that is broken."
@@ -430,7 +428,6 @@ def _corrected(data: ReportData) -> str:
 
 
 def _with_effects(data: ReportData, fixed: Simulator) -> str:
-    """Advice on the use of a corrected simulator that holds all, some or none of the effects."""
     diagnosis, chain = data.diagnosis, fixed.chain
     built_in = {effect_of(operator.name) for operator in (*chain.before, *chain.after)}
     names = [effect.name for effect in diagnosis.effects]
@@ -474,5 +471,4 @@ def _disagreement(diagnosis: Diagnosis) -> str:
 
 
 def _sentence(text: str) -> str:
-    """A text with a capital letter and a full stop."""
     return f"{text[:1].upper()}{text[1:]}{'' if text.endswith('.') else '.'}" if text else ""
