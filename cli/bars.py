@@ -125,7 +125,7 @@ class TimeLeft:
             return 0.0
         if self._share < _LEAST_SHARE or elapsed < _LEAST_S or self._at <= 0.0:
             return None
-        # No farther than the last step went: where a step takes longer, the mean speed falls.
+        # At most by the width of the last step: during a longer step the mean speed falls.
         share = min(self._share * elapsed / self._at, self._farthest)
         return elapsed * (1.0 - share) / share
 
@@ -168,7 +168,7 @@ class Computation:
 
     def line(self, now: float) -> str | None:
         """Line due at a time, if any: at once for a new stage, otherwise every `EVERY_S`."""
-        # What counts, `3 of 9`, and what names a part, `lag/command`, begins no stage.
+        # A count, `3 of 9`, or a name of a part, `lag/command`, begins no stage.
         stage = self.note.partition(" ")[0].strip(":,")
         stage = "" if stage[:1].isdigit() or "/" in stage else stage
         late = self.said is None or stage != self.stage or now - self.said >= EVERY_S
@@ -330,7 +330,7 @@ class Screen:
                 TextColumn("left {task.fields[left]}", markup=False),
                 TextColumn("{task.fields[note]}", markup=False),
             )
-            # Standard output that goes to a file is not drawn over, and has to get there.
+            # Standard output redirected to a file is not overdrawn, and must be complete.
             both = sys.stdout.isatty()
             self._bars = Progress(*columns, console=self._console, auto_refresh=False, redirect_stdout=both)
             self._bars.start()

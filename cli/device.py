@@ -129,7 +129,7 @@ def _recording(
     from hystmpc.rig.recording.recorder_process import Views, open_recorder_process
 
     live = settings.live
-    # A page from which something may be asked is always served.
+    # A page that can send requests is always served.
     views = Views(terminal=call.live, page=call.page or live.control, host=live.host, port=live.port)
 
     def opened() -> RecorderProcess:
@@ -144,7 +144,6 @@ def _recording(
 
 
 def _print_outcome(settings: BenchSettings, result: BenchResult) -> None:
-    """Print timing, faults and the end of a run, unless the terminal is closed."""
     if result.outcome.cause == "SIGHUP":
         sys.stdout = sys.stderr = open(os.devnull, "w")  # noqa: SIM115 - for the rest of the process
     timings, outcome = result.timings, result.outcome

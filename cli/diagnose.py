@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 FAILED = 1
 _REPORT = 10  # steps of the report, after the hundred of the diagnosis
-# Three rounds of the selection, as on logs of a catheter with a simulator that was identified from others.
+# Three rounds of the selection, as measured on logs of a catheter with a simulator identified from other logs.
 _PACE: Pace = ((0, 0), (0.05, 0.12), (0.34, 0.31), (0.51, 0.44), (0.62, 0.57), (0.77, 0.6), (0.91, 0.69), (1, 1))
 
 
@@ -88,7 +88,6 @@ def print_diagnosis(diagnosis: Diagnosis) -> None:
 
 
 def _self_test(seed: int) -> None:
-    """Print for each known effect whether it was identified; exit code 1 if one was not."""
     from hystmpc.gap.self_test import self_test
 
     with progress_of("self-test") as progress:

@@ -17,5 +17,5 @@ def main() -> None:
     try:
         program()
     finally:
-        # The work is done or refused, and the exit code stands: Ctrl-C while the interpreter ends would replace it.
+        # The exit code is final: Ctrl-C during the end of the interpreter would replace it.
         signal.signal(signal.SIGINT, signal.SIG_IGN)

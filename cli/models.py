@@ -180,7 +180,6 @@ def evaluate(call: Call) -> None:
 
 
 def _print_errors(title: str, evaluation: Evaluation) -> None:
-    """Print the errors of each trial and their mean; `no bias` is the offset-free RMSE."""
     from hystmpc.models.evaluate import ERROR_COLUMNS, error_rows, start_sentences
 
     runs = evaluation.trials

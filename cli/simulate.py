@@ -90,7 +90,6 @@ def _sweep(call: Call, file: Path) -> None:
 
 
 def _reproduce(folder: Path, identity: str, target: Path | None) -> None:
-    """Compute a row of a sweep a second time; exit code 1 if a figure differs."""
     from hystmpc.tasks.simulate import reproduce
 
     figures = reproduce(folder, identity, target)

@@ -123,7 +123,6 @@ class RetunedParameter:
     Attributes:
         name: `gain`, `offset`, `backlash_width`, or the core's name for it.
         unit: of it; 1 for a plain number.
-        given, value: as given, and retuned.
         ci90: 90 % interval of the retuned value.
     """
 

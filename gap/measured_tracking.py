@@ -270,7 +270,6 @@ def _simulators(folder: Path) -> tuple[Simulator, Simulator]:
 
 
 def _expected(run: MeasuredRun, nominal: Simulator, corrected: Simulator) -> TrackingGap:
-    """Expected errors on the reference of a run, with its controller."""
     if not isinstance(run.settings, LinearisedMpcSettings | SamplingMpcSettings):
         return TrackingGap(why_not=f"{run.name or run.folder}: its controller does not predict with a model")
     nominal, corrected = nominal.at_sample_time(run.dt_s), corrected.at_sample_time(run.dt_s)

@@ -186,7 +186,6 @@ class Spectrum:
 
     Attributes:
         coherent: share of the energy that is linear in the command, by coherence.
-        lines: sharp lines not locked to the command, strongest first.
     """
 
     coherent: float
@@ -242,7 +241,7 @@ def _coherent(trials: Sequence[Trial], residuals: Sequence[Vec]) -> float:
             sums[k] += segments * density
     cross, command, residual = np.abs(sums[0]) ** 2, sums[1].real, sums[2].real
     coherence = np.divide(cross, command * residual, out=np.zeros(cross.size), where=command * residual > 0)
-    # Of n independent segments, half of those that overlap by half, unrelated signals have a coherence of 1 / n.
+    # Unrelated signals have a coherence of 1 / n, with n independent segments: half of those that overlap by half.
     bias = min(1.0 / max(0.5 * (count + 1), 1.0), 0.99)
     coherence = np.clip((coherence - bias) / (1 - bias), 0.0, 1.0)
     return float(coherence @ residual / residual.sum()) if residual.sum() > 0 else 0.0
@@ -296,7 +295,6 @@ def _commanded(s: _Periodograms, grid: Vec) -> Mask:
 
 
 def _line_energy(s: _Periodograms, hz: float) -> float:
-    """Energy of a spectral line above the local level, the geometric mean of both sides."""
     off = s.hz - hz
     inside, reach = np.abs(off) <= _WIDE * s.bin_hz, 4 * _WIDE * s.bin_hz
     sides = [s.unlocked[side & (np.abs(off) <= reach) & ~inside] for side in (off < 0, off > 0)]
@@ -391,7 +389,7 @@ def _residual_shares(power: Vec, labels: Index, blocks: Index, seed: int) -> dic
     random = np.random.default_rng(seed)
     weights = random.multinomial(len(energy), np.full(len(energy), 1 / len(energy)), size=_RESAMPLES)
     drawn, seconds = weights @ energy, weights @ spent
-    # The time in each part is given by the motion, so that only the density is resampled.
+    # The motion fixes the time in each part, so that only the density is resampled.
     drawn = time * np.divide(drawn, seconds, out=np.zeros_like(drawn), where=seconds > 0)
     totals = np.maximum(drawn.sum(axis=1, keepdims=True), np.finfo(np.float64).tiny)
     low, high = np.quantile(drawn / totals, [0.05, 0.95], axis=0).tolist()

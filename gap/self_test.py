@@ -38,7 +38,6 @@ class SelfTestRow:
     """Result of one case of the self-test.
 
     Attributes:
-        verdict, named: of the diagnosis; indistinguishable effects are joined by `|`.
         passed: whether the true effect was identified, alone or in an indistinguishable set.
     """
 

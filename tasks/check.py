@@ -25,7 +25,6 @@ class LogsCheck:
     """Findings on logs.
 
     Attributes:
-        reports: one for each log.
         detectable: smallest detectable size of each effect in a diagnosis; None without a simulator, or with an
             unusable log.
     """

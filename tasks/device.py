@@ -24,7 +24,6 @@ class DevicePlan:
     """Plan of the motions of a device.
 
     Attributes:
-        title: name and place of the device.
         rows: stage, its motions, and minutes of device time.
         limits: limits of the motion, in a sentence.
     """

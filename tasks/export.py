@@ -159,7 +159,6 @@ def _plant_settings(source: Path) -> PlantSettings:
 
 
 def _left_out(plant: SimulatedPlant) -> tuple[str, ...]:
-    """Parts of the plant that are missing in the FMU."""
     sensing = plant.sensing
     parts = [f"noise of {sensing.noise_deg:g} deg"] if sensing.noise_deg else []
     parts += [f"steps of {sensing.quantisation_deg:g} deg"] if sensing.quantisation_deg else []

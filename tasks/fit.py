@@ -43,7 +43,6 @@ class Fit:
     """A model identified from trials.
 
     Attributes:
-        kind: of model, such as `pi` or `lstm`.
         identified: result of the identification: bundle for the export, history of the error, report.
         trials: trials of the identification, as recorded or swapped, uniformly sampled.
         evaluations: free runs over the trials of the fit and over unseen ones, each with a title; empty without a file
@@ -295,7 +294,6 @@ def _identify(
 
 
 def _written(done: Identified, path: Path, progress: Progress | None = None) -> EquivalenceReport | None:
-    """Write the readable form, or the exported model and return the comparison with its reference."""
     if done.simulator is not None and path.suffix.lower() in SIMULATOR.endings:
         done.simulator.save(path)
         return None
@@ -331,7 +329,6 @@ def part_tables(parts: AutoFit, units: Units) -> Iterator[tuple[str, Sequence[st
 
 
 def _interval(row: ParameterRow) -> str:
-    """Text of a confidence interval; one-sided for a parameter at the end of its search range."""
     low, high = row.ci90
     if row.at_bound and math.isinf(high):
         return f"{low:.4g} or more"

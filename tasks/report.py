@@ -24,7 +24,6 @@ class WrittenReport:
     """A written report.
 
     Attributes:
-        path: of the page.
         lines: fall of the tracking error, and the result of the review of an experiment.
     """
 
@@ -76,7 +75,6 @@ def report(
 
 
 def _commissioning(run: Path, compared: bool) -> WrittenReport:
-    """Write the report of a commissioning, which cannot be compared with another run."""
     if compared:
         raise ConfigError("report: a commissioning has no use for --before and --diagnosis, expected a run of `run`")
     from hystmpc.bench.commission import rewrite_report

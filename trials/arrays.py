@@ -38,7 +38,6 @@ class ArrayLog(SignalLog):
         variables: by name; a struct is a mapping, a struct array or a cell a list, numbers are arrays.
         clocks: time stamps [s] of signals with separate time stamps, by name of the signal.
         unread: advice on each variable that cannot be read, by its name.
-        times: names of signals of dates, converted to seconds since the first.
     """
 
     path: str

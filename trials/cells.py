@@ -234,7 +234,7 @@ def _days(stamps: Sequence[re.Match[str]]) -> tuple[list[int], int | None]:
     if not fitting:
         wrong = {triple for triple in different if all(days[triple] is None for days in by_order.values())}
         return [], next((k for k, triple in enumerate(triples) if triple in wrong), 0)
-    # 03/04 is April the third, or March the fourth: where only the order of the file can tell, days follow closely.
+    # 03/04 is 3 April or 4 March: if all else is ambiguous, consecutive days must be close to each other.
     choices = [[days[triple] or 0 for triple in triples] for days in fitting]
     return min(choices, key=_spread), None
 

@@ -131,8 +131,8 @@ _MUCH_MORE, _FAR_MORE = 0.5, 0.1  # of the variance left without a delay, or wit
 _ALIKE = 0.95  # correlation at a delay that tells the sign where that without one does not
 _ROUNDING = 1e-9
 
-# Range of a signal -> what its numbers look like: (from, to, suspicion); between the rows they look right. Only where
-# travel in mm or pressure in bar bends a tip by degrees: of any other device nothing is known that could be compared.
+# Range of a signal and its suspected unit: (from, to, suspicion); ranges between the rows are plausible. Only for
+# travel in mm or pressure in bar that bends a tip by degrees: for other devices there is no reference.
 _MISTAKEN: dict[str, tuple[tuple[float, float, str], ...]] = {
     "mm": ((0.0, 0.05, "metres"), (200.0, np.inf, "micrometres")),
     "bar": ((0.0, 0.02, "MPa or a valve signal"), (20.0, 5e3, "kPa or psi"), (5e3, np.inf, "Pa")),
@@ -194,7 +194,7 @@ def _units(name: str, values: Vec, unit: str, plausible: tuple[float, float], be
     low, high, topic = float(values.min()), float(values.max()), f"units of {name}"
     text = f"{low:.4g} to {high:.4g} {unit}"
     for least, most, suspicion in _MISTAKEN.get(unit, ()) if bends else ():
-        # 30.0 to 30.1 is no angle in radians: a signal in a larger unit has small values, not a small range alone.
+        # 30.0 to 30.1 is no angle in radians: a larger unit gives small values, not only a small range.
         if least < high - low <= most and max(-low, high) <= 2 * most:
             return Finding(Severity.WARNING, topic, f"{text}: looks like {suspicion}, expected {unit}")
     if low < plausible[0] or high > plausible[1]:
@@ -226,11 +226,7 @@ _WHY = "; a play wider than the motion, a long delay, or signals of two devices?
 
 
 def _best_delay(trial: Trial) -> tuple[int, float]:
-    """Delay of best correlation [samples] within the limits for a device, and the correlation.
-
-    The delay is 0 if it adds little. For a periodic command, half a period of delay changes the sign: the sign without
-    delay is used, unless it leaves almost no correlation.
-    """
+    """Plausible delay [samples] of best correlation and its value; delay 0 if the gain is small or the sign ambiguous."""
     u, y = trial.command, trial.angle
     lags, like = correlations(u, y, min(round(DELAY_S / trial.dt), len(trial) // 4))
     like = like[lags >= 0]
@@ -242,7 +238,7 @@ def _best_delay(trial: Trial) -> tuple[int, float]:
     fallen = np.flatnonzero(same < 0.5 * np.maximum.accumulate(same))
     best = int(np.argmax(same[: int(fallen[0])] if fallen.size else same))
     useful = 1 - same[best] ** 2 < _MUCH_MORE * (1 - now**2)
-    # Of a weak likeness that only grows with the delay, such as that of a force and its motion, nothing is known.
+    # A weak correlation that only increases with the delay, as of a force and its motion, gives no sign.
     best = best if useful and (abs(now) >= _FOLLOWS or same[best] >= _ALIKE) else 0
     return best, float(like[best])
 

@@ -96,10 +96,7 @@ def _repeats(u: Vec, lag: int, slack: int) -> bool:
 
 
 def _like_a_device(u: Vec, y: Vec, lag: int, dt: float, whole: Vec) -> float:
-    """Greatest correlation at a plausible delay of a device: of the whole log, and of the compared parts.
-
-    Both are needed: a log whose first motion differs correlates as a whole with itself one motion later.
-    """
+    """Greatest correlation at a plausible delay of a device: of the whole log, and of the compared parts."""
     greatest, count = [float(whole.max())], u.size - abs(lag)
     for part in (slice(0, count), slice(u.size - count, u.size)):
         lags, like = correlations(u[part], y[part], round(DELAY_S / dt))
@@ -141,7 +138,7 @@ def correlations(u: Vec, y: Vec, most: int) -> tuple[Index, Vec]:
     power_u = cross(u * u, ones_y) - sum_u**2 / count
     power_y = cross(ones_u, y * y) - sum_y**2 / count
     together = cross(u, y) - sum_u * sum_y / count
-    # Where hardly anything moves in the common part, likeness is chance.
+    # With hardly any motion in the common part, correlation is due to chance.
     moves = (power_u > 0.1 * count * u.var()) & (power_y > 0.1 * count * y.var())
     scale = np.sqrt(np.where(moves, power_u * power_y, 1.0))
     return lags, np.asarray(np.where(moves, together / scale, 0.0), dtype=np.float64)

@@ -328,7 +328,6 @@ def _misread_number(value: Any, annotation: Any) -> tuple[tuple[Any, ...], Any] 
 
 
 def _members(annotation: Any) -> Iterator[Any]:
-    """Types that an annotation allows: members of unions, without constraints."""
     origin = get_origin(annotation)
     if origin is Annotated:
         yield from _members(get_args(annotation)[0])

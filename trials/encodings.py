@@ -114,7 +114,7 @@ def encodings(values: Vec, other: Vec, dt: float, is_command: bool) -> list[Enco
     repairs += codes(values, far_only=True)
     values = repairs[-1].values if repairs else values
     jumps, others = _jumps(values, other, late, is_command), codes(values, far_only=False)
-    # Jumps that are all to one value and back are its code, whatever their size.
+    # Jumps of any size to one value and back indicate a code.
     if jumps is not None and (not others or _jumps(others[-1].values, other, late, is_command) is not None):
         return [*repairs, jumps]
     return [*repairs, *others]
@@ -136,7 +136,7 @@ def _code(values: Vec, known: Mask, dt: float, is_command: bool, far_only: bool)
         low, high = (float(end) for end in np.percentile(rest, [1, 99]))
         away = max(low - value, value - high) / max(high - low, 1e-12 * abs(value), 1e-300)
         starts, stops = runs(here)
-        # The smaller of the steps into and out of each run of the value; at an end of the log the only one.
+        # The smaller of the steps into and out of each run of the value; at an end of the log the single one.
         into = np.where(starts > 0, np.abs(value - signal[np.maximum(starts - 1, 0)]), np.inf)
         out = np.where(stops < signal.size, np.abs(signal[np.minimum(stops, signal.size - 1)] - value), np.inf)
         jump, neighbours = np.minimum(into, out), np.abs(np.diff(signal))[~(here[1:] | here[:-1])]
@@ -170,7 +170,7 @@ def _jumps(values: Vec, other: Vec, late: int, is_command: bool) -> Encoding | N
         return None
     before = _unexplained(signal, witness, late, is_command)
     at = tuple(int(index[k + 1]) for k in np.flatnonzero(big))
-    # An angle that jumps while its command does not, by the same each time, is no motion.
+    # Equal jumps of the angle without jumps of the command are no motion.
     unasked = not is_command and _unasked(witness, np.flatnonzero(big) + 1, late)
     if not unasked and np.count_nonzero(big) < _FEW:
         return None

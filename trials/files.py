@@ -67,7 +67,6 @@ def require_writable(path: Path | str) -> None:
 
 
 def _mode(path: Path) -> int | None:
-    """File mode at a path, without following links; None if nothing is there."""
     try:
         return os.lstat(path).st_mode
     except FileNotFoundError:

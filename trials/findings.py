@@ -53,11 +53,7 @@ class Finding:
 
 @dataclass(frozen=True)
 class CheckReport:
-    """All findings on one log, in the order of the checks.
-
-    Attributes:
-        layout: layout of the log; empty for a trial from memory.
-    """
+    """All findings on one log, in the order of the checks."""
 
     source: str
     layout: str
@@ -123,7 +119,7 @@ def clock_of(t: Vec, command: Vec, unit: str = "s") -> LogClock:
     whole = t if wrap is None else without_wraps(t, wrap.modulus * SECONDS[unit])
     known = command[np.isfinite(command)]
     turns = turning_points(known, DEFAULT_RULE.reversal * float(np.ptp(known)))[1].size if known.size else 0
-    # A mapping that names a unit other than seconds is believed.
+    # A unit other than seconds in a mapping is accepted without a check.
     suspicion = suspected_unit(whole, turns) if unit == "s" else suspected_unit(whole)
     return LogClock(whole, wrap, unit, interval_of(whole), suspicion)
 
@@ -155,7 +151,6 @@ def time_findings(clock: LogClock, command: Vec, angle: Vec, where: Callable[[in
 
 
 def _base(clock: LogClock, duration: float) -> Finding:
-    """Finding on sampling rate and duration, or on the suspected unit of time."""
     assert clock.interval is not None
     t, rate = clock.t, 1 / max(clock.interval.middle, 1e-300)
     if clock.suspicion is None:

@@ -23,7 +23,7 @@ MOST_BYTES = 1 << 30
 _HEAD = 4096
 _HDF5 = b"\x89HDF\r\n\x1a\n"
 
-# First bytes -> a format with a reader of its own.
+# First bytes -> a format with a special reader.
 _READ = (
     (b"\x89MCAP0\r\n", "mcap"),
     (b"#ROSBAG V", "rosbag1"),

@@ -38,10 +38,7 @@ _reading: ContextVar[bool] = ContextVar("reading", default=False)
 
 
 def allow_python(*names: str) -> None:
-    """Allow the import of classes that files name as `python: MODULE:CLASS`.
-
-    The permission holds for this process and for the processes that it starts later.
-    """
+    """Allow this process, and those started later, to import classes given in files as `python: MODULE:CLASS`."""
     given = os.environ.get(ALLOWED, "").split()
     os.environ[ALLOWED] = " ".join(dict.fromkeys([*given, *(names or (_ALL,))]))
 
@@ -58,10 +55,7 @@ def only_reads() -> Iterator[None]:
 
 @contextmanager
 def given_by(where: object) -> Iterator[None]:
-    """Context for the validation of data from `where`; `MEMORY` marks data of the program itself.
-
-    Nested data have the same source.
-    """
+    """Context for the validation of data, also nested, from `where`; `MEMORY` marks data of the program itself."""
     token = _by_code.set(where == MEMORY if _by_code.get() is None else _by_code.get())
     try:
         yield
@@ -100,10 +94,7 @@ def _place_of(name: str) -> str:
 
 @contextmanager
 def working_folder() -> Iterator[None]:
-    """Context of an import from the working folder, which comes last on the import path.
-
-    Files in it cannot replace installed modules.
-    """
+    """Context of an import from the working folder, last on the import path to replace no installed module."""
     here = str(Path.cwd())
     if here in sys.path:
         yield

@@ -222,12 +222,7 @@ def _require_bounded(path: str, data: bytes) -> None:
 
 @dataclass
 class _MatElements:
-    """Bounded walk over the elements of a MATLAB file.
-
-    Attributes:
-        ends: byte order, in the notation of `struct`.
-        left: bytes that may still be unpacked.
-    """
+    """Bounded walk over the elements of a MATLAB file."""
 
     path: str
     ends: str

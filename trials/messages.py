@@ -103,7 +103,6 @@ class Topic:
     """One topic of a log.
 
     Attributes:
-        kind: message type or schema, for messages.
         decode: from the bytes of a message to mappings, sequences and numbers, or to an object with fields.
     """
 

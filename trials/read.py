@@ -186,8 +186,6 @@ def _open(log: Path | str | FrameLike, wanted: Iterable[str]) -> SignalLog:
 
 
 class _TableLog(SignalLog):
-    """A `SignalLog` over the columns of a table, for mapping files."""
-
     def __init__(self, table: LogTable) -> None:
         self.path, self.table, self.note, self.times = table.source, table, "", table.times
 
@@ -223,10 +221,7 @@ _PLACE = re.compile(r"\[\d{1,4}\]")  # a column by its place, also of a table wh
 
 
 def at_rate(trials: Iterable[Trial], rate_hz: float) -> list[Trial]:
-    """Cut trials at their gaps, remove the noise of a measured command, and resample them to a uniform grid.
-
-    Trials without such noise that are already on the grid remain unchanged.
-    """
+    """Cut trials at their gaps, remove the noise of a measured command, and resample them to a uniform grid."""
     parts = remove_command_noise([part for trial in trials for part in parts_at_gaps(trial)])
     for k, part in enumerate(parts):
         even = False

@@ -70,10 +70,7 @@ def by_clock(trials: Sequence[Trial]) -> list[int] | None:
 
 
 def by_manifest(sources: Sequence[str]) -> list[int] | None:
-    """Indices of the logs in the order of the manifests in their folders; None if a log is not listed.
-
-    Folders are ordered by the starts of their sessions.
-    """
+    """Indices of the logs in manifest order, folders by the starts of their sessions; None if a log is not listed."""
     places: list[tuple[str, int]] = []
     manifests = {folder: _manifest(folder) for folder in {Path(source).parent for source in sources}}
     starts = [manifest.start for manifest in manifests.values() if manifest is not None]
@@ -96,7 +93,6 @@ def _span(trial: Trial) -> tuple[float, float]:
 
 
 def _manifest(folder: Path) -> RecordingManifest | None:
-    """Manifest of a folder; None if there is none or the file is of another kind."""
     file = folder / MANIFEST
     if not file.is_file():
         return None

@@ -58,10 +58,7 @@ class StyledFigure(Figure):
 
 @contextmanager
 def new_figure(width: float = 7.0, height: float = 3.2) -> Iterator[StyledFigure]:
-    """Context with a new figure of a size [inch] in the style of the project; the figure stays valid afterwards.
-
-    It is made without pyplot: no global state keeps it alive, and no display is needed.
-    """
+    """Context with a new figure of a size [inch] in the style of the project, without pyplot and without a display."""
     with mpl.rc_context(_style()):
         yield StyledFigure(figsize=(width, height))
 

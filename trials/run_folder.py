@@ -228,7 +228,6 @@ def alone_in(folder: Path) -> Iterator[None]:
 
 
 def _column(values: ArrayLike | Sequence[str]) -> NDArray[np.generic] | tuple[str, ...]:
-    """Numbers as an array, texts (and enumerations of texts) as plain strings."""
     array = np.asarray(values)
     if array.dtype.kind in "fiu":
         return array

@@ -82,7 +82,7 @@ def segment(trial: Trial, rule: SegmentRule = DEFAULT_RULE) -> Segments:
         labels = np.repeat(direction * (-1) ** np.arange(pieces.size), pieces).astype(np.int8)
     band = rule.hold_band * span
     held = _held(command, round(rule.hold_s / dt) + 1, band)
-    # Two holds may meet without a sample between them: the first of the later one then stands for the move.
+    # Two holds may meet without a sample between them: the first sample of the later one then counts as the move.
     meets = held & np.roll(held, 1) & (np.abs(np.diff(command, prepend=command[0])) > band)
     labels[held & ~meets] = Motion.HOLD
     return Segments(labels, reversals)

@@ -86,7 +86,6 @@ class UncheckedLog:
 
     Attributes:
         t, command, angle: time [s], command and output in `units`, each (T,).
-        layout: name of the layout; empty for a trial from memory.
         ranges: plausible values of command and angle; None for any.
     """
 
@@ -193,7 +192,6 @@ def read_mapped(source: SignalLog, mapping: LogMapping) -> UncheckedLog:
 
 
 def _decoded(series: Series, settings: SignalSettings) -> Series:
-    """Decode a signal by the keys of its mapping, and mark the codes for missing values."""
     values = decoded(series.values, settings.missing, settings.sign_bit, settings.wraps_at)
     return Series(series.t, values, np.isnan(values) & ~np.isnan(series.values))
 
@@ -315,7 +313,7 @@ def _joined(source: SignalLog, mapping: LogMapping, logged: Sequence[Series]) ->
             f"{_two_clocks(mapping, command, angle)}"
         )
     signals = [_at(t, series, settings) for series, settings in zip(logged, mapping.signals(), strict=True)]
-    # What gives the base keeps its values as they are: nothing of it is interpolated, not even where a stamp repeats.
+    # The base signal keeps its values without interpolation, even at repeated stamps.
     k = 1 if mapping.base == "angle" else 0
     settings = mapping.signals()[k]
     signals[k] = settings.scale * base.values[inside] + settings.offset
@@ -334,7 +332,6 @@ def _joined(source: SignalLog, mapping: LogMapping, logged: Sequence[Series]) ->
 
 
 def _two_clocks(mapping: LogMapping, command: Series, angle: Series) -> str:
-    """Advice on two signals with hardly any common time, for the end of an error line."""
     shift = shift_between(command.t, command.values, angle.t, angle.values)
     if shift is None:
         return "; are their clocks two?"

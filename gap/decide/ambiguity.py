@@ -62,9 +62,9 @@ def ambiguity_of(selection: Selection, drift_shows: Callable[[Hypothesis], bool]
 
 
 def _distinguishable(chosen: HeldOutErrors, other: HeldOutErrors) -> bool:
-    """Whether held-out trials are significantly closer to the chosen prediction than to the other one.
+    """Whether held-out trials are significantly closer to the chosen prediction a than to the other one b.
 
-        (|y - b|^2 - |y - a|^2) / |a - b|^2 = 1 - 2 (y - a) . (b - a) / |a - b|^2 is 1 if a is true, -1 if b is true.
+    (|y - b|^2 - |y - a|^2) / |a - b|^2 = 1 - 2 (y - a) . (b - a) / |a - b|^2 is 1 if a is true, -1 if b is true.
     """
     if chosen.parts is not None and other.parts is not None:
         held_out, quick = timing_errors(other, chosen)

@@ -32,8 +32,7 @@ from .verdict import AT_FLOOR, WIDTH_GROWN, FinalFacts, VerdictDecision, Verdict
 
 _PREDICTABLE = 0.5  # of the retuned error: largest part of it that jumps may add to the floor of the selection
 _NOISE_SHARE, _MENDED_SHARE = 0.3, 0.1  # of the remaining error: noise and resolution, outliers and dropouts, to count
-# Share of the retuned error from which steps that the readings did not have are named where there is no other gap: the
-# log itself proves them.
+# Least share of the retuned error for naming new steps of the readings without another gap: the log itself proves them.
 _STEP_SHARE = 0.005
 
 
@@ -45,7 +44,6 @@ class Attribution:
         validation: development runs, on which hypotheses are fitted and compared.
         inclusion: share of block resamples in which each effect is chosen.
         jumps: of the tip in steady motion, if they indicate stick-slip.
-        facts: facts for the verdict, without the final trials.
     """
 
     validation: CrossValidation
@@ -177,7 +175,7 @@ def confirm(prepared: PreparedTrials, attribution: Attribution, seed: int) -> Co
         facts, chosen, floor, closed = _confirmed_causes(prepared, attribution, facts, retuned, seed)
         decision = decide_verdict(replace(facts, final=final))
     if decision.verdict == "unknown" and repeatable.kind == "repeats" and _at_floor(closed, repeatable.rmse_deg):
-        # What differs between repeats is the gap, not its floor.
+        # The differences between repeats are the gap, not its floor.
         floor = NoiseFloor(repeatable.noise_deg, "noise", repeatable.noise_deg)
         closed = FinalErrors(prepared, attribution.validation, retuned, retuned, floor, decision.sensor, seed).closed()
     differ_deg = repeatable.rmse_deg if repeatable.kind == "repeats" else math.nan
@@ -186,10 +184,7 @@ def confirm(prepared: PreparedTrials, attribution: Attribution, seed: int) -> Co
 
 
 def as_given_if_better(prepared: PreparedTrials, attribution: Attribution) -> Attribution:
-    """Return to the simulator as given if retuning raises the error of the final trials.
-
-    The rule is that of the causes: parameters that fit only the development trials are no improvement.
-    """
+    """Return to the simulator as given if retuning raises the error of the final trials."""
     problem = attribution.retuned.problem
     given = Hypothesis(problem, problem.as_given, math.nan)
     given = replace(given, mse=attribution.validation.fitted_errors(given).mse)
@@ -231,11 +226,7 @@ def _without_cause(
 
 
 def _sensor_matters(prepared: PreparedTrials, selection: Selection) -> bool:
-    """Whether sensor faults are a large part of the remaining error, or alone exceed the model-form error.
-
-    Steps, outliers and held values are measured directly; white noise may be a disturbance that is faster than the log.
-    Steps that already existed at identification are no fault.
-    """
+    """Whether sensor faults dominate the remaining error or exceed the model-form error; noise may be a disturbance."""
     signs, left, mended = prepared.signs, selection.chosen.mse, _repair_mse(prepared)
     noise = signs.energy if signs.noisy or (signs.coarse and prepared.excess_mse > 0) else 0.0
     good_part = noise > _NOISE_SHARE * left or mended > _MENDED_SHARE * left

@@ -98,8 +98,8 @@ def closed_interval(retuned: Blocks, before: Blocks, after: Blocks, floor_mse: f
     return float(low), float(high)
 
 
-# Of a 90 % interval; below a normal distribution's 1.645, since sessions have the same kinds of motion. Of 43 sessions
-# of development seeds 5801 and 5810 that were recorded again 39 lie within.
+# Of a 90 % interval; below a normal distribution's 1.645, since sessions have the same kinds of motion. Of 43 repeated
+# sessions of development seeds 5801 and 5810, 39 lie within.
 _TRIALS = 1.0
 _LEAST_FLOOR = 0.02  # share of the floor that stays when a sensor's noise is taken off it
 _LEAST_DEG = 1e-6
@@ -295,7 +295,6 @@ def measured_blocks(prepared: PreparedTrials, hypothesis: Hypothesis) -> Blocks:
 
 
 def _parameters(chosen: Hypothesis, prepared: PreparedTrials) -> dict[str, Mapping[str, float]]:
-    """Identified values by cause and name; for effects of single trials, statistics over the trials."""
     problem = chosen.problem
     parameters: dict[str, Mapping[str, float]] = dict(problem.identified(chosen.q))
     if problem.terms.frequency_hz:

@@ -21,7 +21,7 @@ NAME = "configuration_change"
 SHIFT = "trial_shift"
 UNITS = {"offset_deg": "deg", "gain_share": "1", "width_deg": "deg"}
 _LEAST_OF_GROUP = 2
-# What shifts of 2 or 3 groups have to explain on trials left out, of what shifts of each trial explain.
+# Least share, on held-out trials, explained by shifts of 2 or 3 groups of that explained by shifts of each trial.
 _EXPLAINED = {2: 0.87, 3: 0.95}
 _RIDGE = 1e-9
 
@@ -131,8 +131,8 @@ def _shifts(hypothesis: Hypothesis, runs: Sequence[Run]) -> _Shifts:
 
 _KNOTS = 10  # of a curve, in each direction
 _SLOW_S = 3.0
-# A curved gain alone is no explanation where two free curves of the angle explain more than the first share of the
-# structural error that it leaves, and more than the second share of all of it.
+# A curved gain alone is no explanation if two free curves of the angle explain more than the first share of the
+# remaining structural error, and more than the second share of the whole one.
 _CURVE_LEFT, _CURVE_SIZE = 0.7, 0.012
 _WANDER = 0.7  # slow change within trials, over what shifts between them explain, above which a shift explains nothing
 

@@ -94,10 +94,7 @@ def retuning_of(prepared: PreparedTrials, retuned: Hypothesis, left_out_mse: flo
 
 
 def width_grown(hypothesis: Hypothesis) -> float:
-    """Ratio of the loop width of a hypothesis, without its effects, to that of the simulator as given.
-
-    The width due to effects is excluded: the remaining ratio is the change of the core's friction.
-    """
+    """Ratio of the loop width of a hypothesis, without its effects, to that of the simulator as given."""
     baseline = hypothesis.problem.baseline
     before, after = (baseline.loop_width(z) for z in (baseline.nominal, hypothesis.problem.retuned(hypothesis.q)))
     return after / before if before > 0 else 1.0
@@ -106,10 +103,7 @@ def width_grown(hypothesis: Hypothesis) -> float:
 def reidentified_share(
     prepared: PreparedTrials, validation: CrossValidation, retuned: HeldOutErrors, floor_mse: float
 ) -> float:
-    """Share of the retuned error above the floor that a newly identified core explains held out, 0 to 1.
-
-    The core is a fitted sum of plays with a free curve each, the richest structure of a static loop.
-    """
+    """Share of the retuned error above the floor that a newly identified sum of plays explains held out, 0 to 1."""
     try:
         forms = core_forms(prepared.decades.trials(prepared.checked.trials), Scale.of(validation.runs))
     except FitError:

@@ -38,10 +38,10 @@ _MENDS_FORM = frozenset(
 )  # what the form error of a simple core of friction looks like
 
 
-# Thresholds of the verdict, chosen on development cases and frozen; others stand where they are used. MSE: mean square.
+# Thresholds of the verdict, chosen on development cases and frozen; others are defined at their use. MSE: mean square.
 AT_FLOOR = 1.1  # retuned MSE over that of a floor, on the final trials, up to which there is no gap above it
-# The same over the model-form error, where no effect of the library lowers the error, or not enough to explain it: a
-# simulator whose model-form error has grown, as by friction, is then likelier than an unknown cause.
+# The same over the model-form error, if no effect of the library explains the error: an increased model-form error, as
+# by friction, is then more likely than an unknown cause.
 _NO_CAUSE = 7.0
 _LEAST_CLOSED = 0.4  # share of the structural error that the causes have to close to explain it
 STILL_OPEN = 1.5  # remaining MSE over the floor, below which the error counts as explained all the same
@@ -49,11 +49,10 @@ _CONFIRMED_ALONE, _CONFIRMED_SEVERAL = 0.55, 0.8  # share of the final gap that 
 _CONFIRMED_LEFT = 2.4  # RMSE with all causes over noise and model-form error, up to which they are confirmed as well
 _MOVED = 2.0  # MSE of the simulator as given over that of the retuned one, from which numbers were off ...
 _LOWERED = 1.2  # ... and the same where the retuned one leaves more than its form error had been
-# Share of the retuned error that plays of other weights and widths have to explain for it to be the form error of a
-# friction that has changed.
+# Least share of the retuned error explained by plays of other weights and widths, for a changed friction.
 _FRICTION = 0.6
-# Width of the loop with the effects in place, over the given one, from which the friction has grown so far that effects
-# may be what it does: a tendon that only pulls goes slack under it, for example.
+# Width of the loop with the effects, over the given one, from which an increased friction may cause the effects
+# themselves, such as slack of a tendon that only pulls.
 WIDTH_GROWN = 1.35
 _ANEW = 0.9  # share of the structural error that a core identified anew has to explain for effects to be that
 _UNREPEATABLE = 0.5  # share of the retuned error in which repeats of one motion differ, from which it is no form error
@@ -82,7 +81,6 @@ class VerdictFacts:
     """Errors and findings on which the verdict depends.
 
     Attributes:
-        effects: names of the effects selected on the development trials.
         retuned_mse, chosen_mse: held-out errors without and with them [deg^2].
         retuned_fit_mse: error of the retuned simulator on the trials of its fit [deg^2].
         floor_mse: error below which there is no evidence [deg^2].
@@ -144,7 +142,6 @@ class VerdictDecision:
     """Verdict of the decision table, and its consequences.
 
     Attributes:
-        case: row of the table in `decide_verdict`.
         ambiguity: sets of effects that these trials cannot distinguish; empty unless the verdict is `one_of`.
     """
 

@@ -207,7 +207,7 @@ def _log_notes(trial: Trial) -> Iterator[str]:
         return
     onward = np.gradient(command)
     for end, at, way in (("greatest", trial.angle.max(), 1.0), ("least", trial.angle.min(), -1.0)):
-        # On the way back backlash holds the angle as well; on the way there a stop or the sensor does.
+        # While unloading, backlash also holds the angle; while loading, only a stop or the sensor does.
         stuck = (trial.angle == at) & (way * onward > 0)
         travel = float(np.ptp(command[stuck])) / float(np.ptp(command)) if stuck.any() else 0.0
         if np.mean(stuck) > _AT_EXTREME and travel > _TRAVEL:

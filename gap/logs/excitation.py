@@ -28,8 +28,6 @@ class Excitation:
     """Excitation by the commands of all trials; shares refer to the range of all commands.
 
     Attributes:
-        motions: kind of motion per trial.
-        repeats: pairs of stretches with equal commands.
         longest_hold_s: longest rest of the command [s]; 0 without one.
         fastest: 99th percentile of its speed while it moves [cmd/s].
         ramp_speeds: speeds of its constant-speed moves that are a factor of 1.6 or more apart, slowest first [cmd/s].

@@ -59,10 +59,7 @@ class RepeatedMotion:
     shift: float
 
     def differences(self, signals: Sequence[Vec]) -> tuple[Vec, float]:
-        """Difference of one signal (T,) between the two parts, and its white-noise variance over that of the signal.
-
-        Interpolation to fractions of a sample reduces that ratio below two.
-        """
+        """Difference of a signal (T,) between the parts, and its noise variance over the signal's (at most 2)."""
         whole = int(np.floor(self.shift))
         part = self.shift - whole
         later = signals[self.second][self.start + whole : self.stop + whole]

@@ -212,7 +212,6 @@ def _require_size(simulator: Simulator, decades: Decades) -> None:
 
 
 def _identification(simulator: Simulator | LoadedModel, decades: Decades) -> Identification:
-    """Identification record of the simulator, residuals in working units."""
     if not isinstance(simulator, Simulator):
         return Identification(method="network")
     identification = simulator.identification
@@ -280,7 +279,7 @@ def model_form_mse(
 def _identified_on(identification: Identification, trials: Sequence[Trial], dt_s: float) -> bool:
     """Whether the simulator was identified on one or all of these trials, at any sampling rate."""
     known = {r.fingerprint for r in identification.residuals if r.fingerprint}
-    # A file's sample time is rounded: 0.03333333333 s stand for 30 Hz, but 0.03 s for 1 / 0.03 Hz.
+    # A file's sample time is rounded: 0.03333333333 s means 30 Hz, but 0.03 s means 1 / 0.03 Hz.
     parts = remove_command_noise([part for trial in trials for part in _parts(trial)])
     for taken in (
         trials,

@@ -140,10 +140,7 @@ def _spikes(trial: Trial, step: float, noise: float) -> tuple[Mask, int]:
 
 
 def _held(trial: Trial, step: float, noise: float) -> Mask:
-    """Mask of samples that repeat the last value, longer than usual, before a jump larger than the changes around it.
-
-    A dead zone has no such jump. A run of equal readings too long for the noise counts as held in any case.
-    """
+    """Mask of samples that repeat the last value before a large jump (not a dead zone), or longer than by chance."""
     angle, usual = trial.angle, _pace(trial)
     edges = np.concatenate([[0], np.flatnonzero(np.diff(angle) != 0) + 1])
     lengths = np.diff(np.append(edges, angle.size))

@@ -102,7 +102,6 @@ class Workload:
     Attributes:
         kept: numbers of the trials, in recording order.
         samples: number of first samples of each that are used.
-        note: omissions, in one line; empty without any.
         estimate: the cost in one line; empty below 30 s.
     """
 
@@ -167,13 +166,11 @@ def choose_trials(
 
 
 def _beginning(trial: Trial, end_s: float) -> Trial:
-    """Trial up to a time [s]; the whole trial if at most one sample comes later."""
     stop = int(np.searchsorted(trial.t, end_s, side="right"))
     return trial if trial.t[-1] - end_s <= 1.5 * trial.dt else trial.select(0, stop)
 
 
 def _parts(trial: Trial) -> tuple[Trial, ...]:
-    """Parts of a trial between gaps, by the same rule as in `check`, `fit` and `evaluate`."""
     parts = parts_at_gaps(trial)
     for part in parts:
         if part.duration_s < LEAST_S:
@@ -251,7 +248,6 @@ def _most_alike(features: Vec) -> tuple[int, int] | None:
 
 
 def _length_limit(sizes: Index, most: int) -> int:
-    """Greatest length of the trials at which they together have at most `most` samples."""
     ascending = np.sort(sizes)
     left = most
     for k, size in enumerate(ascending.tolist()):
@@ -283,7 +279,7 @@ def split_runs(
     features = motion_features([run.command for run in runs], runs[0].dt_s)
     apart = np.linalg.norm(features[:, None] - features[None], axis=-1)
     while len(chosen) < count:
-        # Of the most frequent motion left, the trial most like another.
+        # The trial most similar to another, of the most frequent remaining motion.
         often = max(
             left[1:] if ordered else left,
             key=lambda k: (

@@ -96,7 +96,6 @@ class MotionProposal:
     """Proposed motion of the next recording.
 
     Attributes:
-        names: effects that the motion shall distinguish.
         options: every motion that could be simulated, in the order of the menu.
     """
 
@@ -136,10 +135,7 @@ def propose(candidates: Sequence[OpenHypothesis], motions: Sequence[SampledMotio
 
 
 def expected_probability(distances: ArrayLike) -> float:
-    """Mean probability of the right candidate from distances (K, K) in units of the noise; the diagonal is ignored.
-
-    Identical candidates give 1 / K; the probability increases with every distance.
-    """
+    """Mean probability of the right candidate from distances (K, K) in units of the noise; 1 / K if all are zero."""
     d = np.asarray(distances, dtype=np.float64)
     inverse = 1 / ndtr(d / 2)
     np.fill_diagonal(inverse, 0.0)

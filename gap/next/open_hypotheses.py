@@ -81,7 +81,6 @@ def discrimination_task(findings: Findings, confirm: bool = True) -> Discriminat
 
 
 def _rivals(findings: Findings) -> dict[str, Hypothesis]:
-    """Hypotheses of the verdict and of its alternatives, by the name of the effect."""
     chosen, attribution = findings.conclusion.chosen, findings.attribution
     if not chosen.effects:
         return {NOTHING: attribution.retuned, **_families(findings)}
@@ -105,9 +104,9 @@ def open_explanations(findings: Findings) -> dict[str, Hypothesis]:
     for effect, *others in decision.ambiguity or (unseparated(findings),):
         rest = findings.conclusion.chosen.effects - {effect}
         base = _fitted_with(attribution, rest)
-        # The effects chosen of further sets are in the first hypothesis.
+        # The first hypothesis contains the chosen effects of the further sets.
         for name in others if made else (effect, *others):
-            # In one more trial a shift of its own is a matter of retuning.
+            # In one further trial, an individual shift belongs to retuning.
             made.setdefault(name, base if name == "trial_shift" else _with_effect(findings, rest, name))
     return {name: hypothesis for name, hypothesis in made.items() if hypothesis is not None}
 
@@ -141,7 +140,6 @@ def _with_effect(findings: Findings, rest: frozenset[str], name: str) -> Hypothe
 
 
 def _fitted_with(attribution: Attribution, names: frozenset[str]) -> Hypothesis:
-    """Hypothesis with these causes from the selection; otherwise the retuned simulator."""
     known = attribution.selection.tried.get(names)
     return known.hypothesis if known else attribution.retuned
 

@@ -112,7 +112,6 @@ def closed_figure(data: ReportData) -> Figure:
 
 
 def _points(axes: Axes, stage: Stage, values: list[float], intervals: list[Interval | None]) -> None:
-    """Draw the values of one simulator with their intervals, one row each."""
     rows = np.arange(len(values)) + _OFFSET[stage]
     for row, value, interval in zip(rows, values, intervals, strict=True):
         if interval is not None and np.isfinite(value):
@@ -122,10 +121,7 @@ def _points(axes: Axes, stage: Stage, values: list[float], intervals: list[Inter
 
 
 def rmse_interval(trials: Sequence[TrialRuns], stage: Stage) -> Interval | None:
-    """90 % block-bootstrap interval of the RMSE over some trials [deg]; None for fewer than four blocks of 2 s.
-
-    The seed is fixed, so that a report is reproducible.
-    """
+    """90 % block-bootstrap interval of the RMSE over some trials [deg]; None for fewer than four blocks of 2 s."""
     sums, counts = _blocks(trials, stage)
     if sums.size < _LEAST_BLOCKS:
         return None
@@ -170,7 +166,6 @@ def effects_figure(data: ReportData) -> Figure:
 
 
 def _names(diagnosis: Diagnosis) -> list[str]:
-    """Effects to draw: the most probable, and all that the verdict names."""
     ranked = [name for name, _ in diagnosis.ranking]
     spoken = [effect.name for effect in diagnosis.effects] + [name for names in diagnosis.ambiguity for name in names]
     keep = set(ranked[:MOST_EFFECTS]) | set(spoken)
@@ -286,10 +281,7 @@ _STAIRS: Any = {"linewidth": 1.5, "baseline": None}
 
 
 def heat_figure(trials: Sequence[TrialRuns], unit: str, stages: Sequence[Stage]) -> Figure:
-    """Draw the command over time above |simulated - measured| as colour, one strip for each simulator.
-
-    All trials share one scale of colour and of time, so that strips are comparable.
-    """
+    """Draw the command over time above |simulated - measured| as colour strips, on one scale for all trials."""
     longest = max(trial.trial.duration_s for trial in trials)
     sizes = np.concatenate([np.abs(trial.residual("retuned")) for trial in trials])
     top = float(np.quantile(sizes, 0.995)) or 1.0
@@ -354,10 +346,7 @@ def over_time(trials: Sequence[TrialRuns], stages: Sequence[Stage]) -> Figure:
 
 
 def before_after_figure(trial: TrialRuns, after: Stage) -> Figure:
-    """Draw measured and simulated angles before and after the correction over time, and both errors.
-
-    A long trial opens at the window with the largest error.
-    """
+    """Draw angle and error before and after the correction over time, first the window with the largest error."""
     t = trial.trial.t - trial.trial.t[0]
     size, energy, at = (
         round(_WINDOW_S / trial.trial.dt),

@@ -105,12 +105,10 @@ class ReportData:
     """Data of the report of a diagnosis.
 
     Attributes:
-        simulator: name of the simulator's file.
         localisation: of the retuned residual; None without a residual.
         noise_deg: white noise of the measured angle [deg]; not-a-number if unknown.
         proposal: next motion to record; None if no hypothesis is open.
         fixed: the corrected simulator, if it can be written as one.
-        nominal: the simulator as given; None of a network.
         curves: closed loops before and after the correction; empty if not simulated.
     """
 

@@ -391,7 +391,6 @@ def _intervals(diagnosis: Diagnosis) -> str:
 
 
 def _densest(diagnosis: Diagnosis) -> str:
-    """Part of the motion with the densest error, if it is significant."""
     places = {name: at for name, at in diagnosis.where.items() if at.density > _DENSE and at.share > _MOST}
     if not places:
         return ""
@@ -401,7 +400,6 @@ def _densest(diagnosis: Diagnosis) -> str:
 
 
 def _unrelated(data: ReportData) -> bool:
-    """Whether no angle follows its command, so that no simulator is corrected."""
     return data.nominal is not None and data.fixed is None
 
 
