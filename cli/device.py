@@ -191,7 +191,7 @@ def _exit(result: BenchResult) -> None:
 def commission(call: Call, dry_run: DryRun = False) -> None:
     """Find safe range and rate, record, identify, make a controller, verify it, report.
 
-    The device moves for five minutes at most. Ctrl-C keeps what is complete; the same command goes on. Exit code 3
+    The device moves for five minutes at most. Ctrl-C keeps the completed parts; the same command continues. Exit code 3
     after a safe stop, 1 if a stage could not be completed, 130 if Ctrl-C ended a computation.
     """
     from hystmpc.tasks.device import commission_plan
@@ -231,9 +231,9 @@ def investigate(
     dry_run: DryRun = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print investigation.json and nothing else.")] = False,
 ) -> None:
-    """Find out why a simulator and its device differ: record, diagnose, record what decides most.
+    """Find the causes of the difference between a simulator and its device: record, diagnose, record the next motion.
 
-    Ctrl-C keeps what is complete; the same command goes on. Exit code 0 whatever the verdict, 3 after a safe stop, 1 if
+    Ctrl-C keeps the completed parts; the same command continues. Exit code 0 for any verdict, 3 after a safe stop, 1 if
     a part could not be completed, 130 if Ctrl-C ended a computation.
     """
     from hystmpc.tasks.device import investigation_plan
@@ -292,7 +292,7 @@ def device(
     overrides: Annotated[list[str] | None, typer.Option("--set", help="Change a setting: link.bind_port=0.")] = None,
     seconds: Annotated[float, typer.Option(min=0, help="End after this time; 0 for Ctrl-C.")] = 0.0,
 ) -> None:
-    """The device listens on the loopback unless the file has another address, until Ctrl-C."""
+    """The simulated device listens until Ctrl-C, on the loopback unless the file has another address."""
     from hystmpc.bench.device import make_plant
     from hystmpc.rig.device import DeviceSettings, serve
     from hystmpc.trials.config import load_settings

@@ -37,7 +37,7 @@ def diagnose(
         bool, typer.Option("--self-test", help="Recover known truths instead of reading logs.")
     ] = False,
 ) -> None:
-    """Exit code 0 whatever the verdict.
+    """The exit code is 0 for any verdict.
 
     Raises:
         ConfigError: if logs, simulator or folder are missing.

@@ -36,7 +36,7 @@ _SEEN_PART = {"--command-limits": "the range", "--command-rate": "the rate"}
 def check(call: Call) -> None:
     """The check covers time base, jitter, gaps, duplicates, NaN, units, sign, segments, first flexure.
 
-    Exit code 1 if a log cannot be used. With --sim also the least size at which `diagnose` would show each effect, from
+    Exit code 1 if a log cannot be used. With --sim also the smallest detectable size of each effect in `diagnose`, from
     the commands alone.
     """
     checked: LogsCheck = call.run("check", show=_print_findings)
@@ -243,7 +243,7 @@ def export_c(call: Call) -> None:
 def export_fmu(call: Call) -> None:
     """The input of the co-simulation FMU is the command, its output the true angle without sensor noise.
 
-    The FMU holds its C sources, and a binary where a compiler is found: CC, cc, or the package ziglang.
+    The FMU holds its C sources, and a binary if a compiler is available: CC, cc, or the package ziglang.
     """
     made: FmuExport = call.run("export")
     facts = made.described
@@ -262,7 +262,7 @@ def export_fmu(call: Call) -> None:
 
 @verb("report:report")
 def report(call: Call) -> None:
-    """For an experiment the report says what is due: nothing, `fit` or `diagnose`.
+    """For an experiment the report recommends the next step: none, `fit` or `diagnose`.
 
     With an earlier run it says how far the tracking error fell, and with a diagnosis how far it was expected to fall on
     this reference.

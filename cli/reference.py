@@ -45,7 +45,7 @@ TELLS = "says which block this is."
 def schema(
     kind: Annotated[str | None, typer.Argument(help="Kind of file; left out, the kinds are listed.")] = None,
 ) -> None:
-    """An editor checks and completes a file whose schema it knows."""
+    """Editors use the schema to check and complete a configuration file."""
     if kind is not None:
         typer.echo(json.dumps(json_schema(settings_of(kind), f"hystmpc: {FILES[kind][1]}"), indent=1))
         return
@@ -90,7 +90,7 @@ def new(
     kind: Annotated[str, typer.Argument(help="Kind of class: transport, effect or controller.")],
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="New or empty folder.")],
 ) -> None:
-    """The folder has the class, contract tests that pass as they are, and a file to try the class with."""
+    """The folder contains the class, contract tests that pass unchanged, and a file to try the class."""
     from hystmpc.testing.templates import write_template
 
     for file in write_template(kind, folder):

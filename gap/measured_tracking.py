@@ -60,7 +60,7 @@ class MeasuredRun:
 
     @property
     def rmse_deg(self) -> float:
-        """Root of mean (angle - reference)^2 - noise^2, zero where the noise exceeds the error [deg]."""
+        """Root of mean (angle - reference)^2 - noise^2, zero if the noise exceeds the error [deg]."""
         error = (self.angle_deg - self.reference_deg)[np.isfinite(self.angle_deg)]
         return math.sqrt(max(float(np.mean(error**2)) - (self.noise_deg or 0.0) ** 2, 0.0))
 
@@ -180,7 +180,7 @@ def tracking_falls(run: Path, before: Sequence[Path], diagnosis: Path | None = N
     Args:
         run: folder of `run` or `simulate`.
         before: folders of the same kind, on the same reference.
-        diagnosis: folder of `diagnose`; its simulators are run in closed loop on the run's own reference.
+        diagnosis: folder of `diagnose`; its simulators are run in closed loop on the run's reference.
 
     Raises:
         LogError: if a folder holds no run or diagnosis, or references differ.

@@ -38,7 +38,7 @@ def memory_gains(
     clock, over all trials but one, applied to that one. A single trial is cut into four.
 
     Args:
-        ordered: whether the trials are in recording order; if not, the clock starts anew in each.
+        ordered: whether the trials are in recording order; if not, the clock restarts in each.
     """
     clocks = np.concatenate([[0.0], np.cumsum([trial.duration_s if ordered else 0.0 for trial in trials])])
     features = [memory_features(trial, loop_width, float(t)) for trial, t in zip(trials, clocks[:-1], strict=True)]

@@ -134,7 +134,7 @@ def investigate(
         say: called with each message of the process at the device.
 
     Returns:
-        The verdict round by round, what ended it, and files of report and corrected simulator.
+        Verdict of each round, reason of the end, and files of report and corrected simulator.
 
     Raises:
         HystmpcError: if a setting is wrong, the folder holds something else, the device does not answer, or a motion

@@ -141,24 +141,24 @@ def fit(
         out: file to write: .onnx, or .yaml for an operator; it is scored as it is read back.
         layout: layout of the logs: auto, canonical, tendon-catheter, or a mapping file *.yaml.
         sampled_hz: rate [Hz] of logs sampled evenly; stands in for a broken or missing clock.
-        rate_hz: rate [Hz] of the model, to which the logs are resampled; 25 where left out.
+        rate_hz: rate [Hz] of the model, to which the logs are resampled; 25 if left out.
         skip_first_flexure: count each trial only from the command's first reversal on.
         inverse: identify the map from angle to command.
-        plays: plays of a pi (4 where left out) or drdpi (10).
+        plays: plays of a pi (4 if left out) or drdpi (10).
         drive: drive before a network or kernel: auto, or a simulator (.yaml, builtin:NAME) that has it.
-        residual: with auto: network of what its operators leave, lstm or gru; used only if it helps on held-out trials.
-        training: settings of the training: best or paper; those of the kind where left out.
+        residual: with auto: lstm or gru for the residual of its operators; used only if it helps on held-out trials.
+        training: settings of the training: best or paper; those of the kind if left out.
         steps: greatest number of epochs (paper), updates (best) or iterations.
-        hold_out: whole trials by which a network is stopped early; the number of the training where left out.
+        hold_out: whole trials by which a network is stopped early; the number of the training if left out.
         validation: log or folder that only judges, in place of trials held out.
         constancy_weight: weight of a network's constant-in, constant-out term; S2 has 1e-4.
         seed: seed of everything drawn at random.
-        limits: what the device may be sent; what the trials show where left out, also of a part that is None.
+        limits: command limits of the device; those of the trials if left out, also for a part that is None.
         test: log or folder to score on, which the fit does not see.
         report: write one page with tables and figures here, .html.
         figures: new folder for every figure of the report: SVG, PDF, and its data as CSV.
         force: replace an older file of the same kind; never one of another.
-        progress: called with steps done, their number (infinite where it is not known) and the error so far.
+        progress: called with steps done, their number (infinite if unknown) and the error so far.
         say: called with each note and warning.
 
     Raises:

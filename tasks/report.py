@@ -38,10 +38,10 @@ def report(
     diagnosis: Path | str | None = None,
     figures: Path | str | None = None,
 ) -> WrittenReport:
-    """Write report.html of a run folder again.
+    """Rewrite report.html of a run folder.
 
-    Of an experiment it says what is due: nothing, `fit` or `diagnose`. With an earlier run it says how far the tracking
-    error fell, and with a diagnosis how far it was expected to fall on this reference.
+    For an experiment it recommends the next step: none, `fit` or `diagnose`. With an earlier run it says how far the
+    tracking error fell, and with a diagnosis how far it was expected to fall on this reference.
 
     Args:
         run: run folder, or that of a commissioning.

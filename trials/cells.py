@@ -54,7 +54,7 @@ class Converted:
 
     Attributes:
         kind: `number`, `time` [s since the first stamp], or `text`.
-        values: (T,), not-a-number where the cell is empty; None for a text.
+        values: (T,), not-a-number for an empty cell; None for a text.
         fault: first cell of another kind, and the reason; None if there is none.
     """
 
@@ -82,7 +82,7 @@ def convert(columns: Sequence[Sequence[str]], comma_likely: bool) -> list[Conver
         comma_likely: whether an ambiguous comma is a decimal mark, as in cells that semicolons separate.
 
     Args:
-        comma_likely: whether a lone comma is a decimal mark where nothing tells, as in cells that semicolons separate.
+        comma_likely: whether an ambiguous comma is a decimal mark, as in cells separated by semicolons.
     """
     plain = [_floats(cells) for cells in columns]
     if all(values is not None or not any("," in cell for cell in c) for values, c in zip(plain, columns, strict=True)):

@@ -109,7 +109,7 @@ def require_sound(trial: Trial) -> None:
         LogError: with the finding of `check`.
 
     Raises:
-        LogError: with what `check` says of it.
+        LogError: with the finding of `check`.
     """
     unit = suspected_unit(trial.t)
     if unit is not None and unit.certain:
@@ -226,7 +226,7 @@ _WHY = "; a play wider than the motion, a long delay, or signals of two devices?
 
 
 def _best_delay(trial: Trial) -> tuple[int, float]:
-    """Plausible delay [samples] of best correlation and its value; delay 0 if the gain is small or the sign ambiguous."""
+    """Delay of best correlation within plausible limits [samples], and the correlation; delay 0 without a clear gain."""
     u, y = trial.command, trial.angle
     lags, like = correlations(u, y, min(round(DELAY_S / trial.dt), len(trial) // 4))
     like = like[lags >= 0]

@@ -296,7 +296,7 @@ class Settings(BaseModel):
                 data of the program itself, which may name its classes.
 
         Raises:
-            ConfigError: one line with the first offending key, what was got and what was expected.
+            ConfigError: one line with the first offending key, the actual and the expected value.
         """
         try:
             with given_by(where):

@@ -102,7 +102,7 @@ def read_csv(log: Path | str | FrameLike, layout: str | Layout = "auto") -> Tria
     not-a-number), and columns of text are left out.
 
     Raises:
-        LogError: on anything else; one line with file, row, column, what was got and what was expected.
+        LogError: on anything else; one line with file, row, column, the actual and the expected value.
         ConfigError: on an unknown layout.
     """
     return read_columns(log, layout).trial()
@@ -137,7 +137,7 @@ def open_table(log: Path | str | FrameLike, wanted: Iterable[str] = ()) -> LogTa
         wanted: names that identify the header row, and the sheet.
 
     Args:
-        wanted: names that tell the header row, and the sheet.
+        wanted: names that identify the header row, and the sheet.
     """
     if isinstance(log, FrameLike):
         return frame_table(log)
@@ -202,7 +202,7 @@ def lvm_table(lines: Sequence[str], source: str) -> LogTable:
     """Columns of a LabVIEW measurement; `X_Value` [s] is computed from `X0` and `Delta_X` if it is empty.
 
     Raises:
-        LogError: if a header is cut off, channels have times of their own, or there are no rows.
+        LogError: if a header is cut off, channels have separate times, or there are no rows.
     """
     ends = [k for k, line in enumerate(lines) if line.startswith(_END)]
     if not ends:

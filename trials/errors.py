@@ -48,7 +48,7 @@ class HystmpcError(Exception):
 
 
 class LogError(HystmpcError):
-    """Error of a recorded log that cannot be used; the text names file, row and what was expected."""
+    """Error of a recorded log that cannot be used; the text names file, row and expected value."""
 
 
 class ConfigError(HystmpcError):

@@ -213,7 +213,7 @@ def reading(path: Path | str, what: str) -> Iterator[None]:
         LogError: for any exception of the library; names the file and its expected format.
 
     Raises:
-        LogError: for whatever the library raises; names the file and what it was expected to be.
+        LogError: for any exception of the library; names the file and its expected format.
     """
     try:
         yield

@@ -1,7 +1,7 @@
 """Classes and objects from outside the package: MODULE:NAME in a file, or an installed package's entry point.
 
 Only this module imports names given as text, after one security check. Allowed are entry points of installed packages,
-names given by a program's own code, and names that the user has confirmed; none while a folder is only read.
+names given by the calling program, and names that the user has confirmed; none while a folder is only read.
 """
 
 from __future__ import annotations
@@ -166,7 +166,7 @@ def installed_objects(group: str, what: str, kind: type[T], taken: Iterable[str]
 
     Args:
         group: of the entry points; the value of each is MODULE:NAME.
-        taken: names of the package's own.
+        taken: names already in use.
 
     Raises:
         ConfigError: if one cannot be imported, is of another class, or has a name that is taken.

@@ -69,7 +69,7 @@ def read_trials(
         sampled_hz: rate [Hz] of logs that were sampled evenly, whose time stamps are not looked at.
 
     Raises:
-        LogError: if nothing is found, or a log cannot be read or resampled; names file, row and what was expected.
+        LogError: if no log exists, or a log cannot be read or resampled; names file, row and the expected value.
         ConfigError: on an unknown layout or a wrong mapping file.
     """
     layout = resolve(layout)
@@ -87,10 +87,10 @@ def read_trials(
 
 
 def read_log(log: Log, layout: AnyLayout = "auto", sampled_hz: float | None = None) -> Trial:
-    """Read one trial; see `read_trials`, which takes folders too.
+    """Read one trial; see `read_trials`, which also accepts folders.
 
     Raises:
-        LogError: if the log cannot be used; one line with the file, what was got and what is available.
+        LogError: if the log cannot be used; one line with the file, the actual and the available signals.
         ConfigError: on an unknown layout or a wrong mapping file, or a layout of another format.
     """
     if isinstance(log, Trial):

@@ -117,7 +117,7 @@ class RunFolder:
         return cls(Path(path), meta)
 
     def write_log(self, columns: Mapping[str, ArrayLike | Sequence[str]]) -> None:
-        """Write `log.csv`, and `log.mcap` where `mcap` is installed.
+        """Write `log.csv`, and `log.mcap` if `mcap` is installed.
 
         Args:
             columns: `time_s`, `command` (or `command_bar`, ...), `angle_deg`, then any further numbers or texts,

@@ -399,7 +399,7 @@ def merged(t: Vec, command: Vec, angle: Vec, channels: Mapping[str, Vec]) -> tup
 
     Returns:
         rows of the table, (T,); time; the command, which keeps its last value until the next one; channels,
-        interpolated between their own rows.
+        interpolated between their rows.
     """
     u = filled_rows(t, command)
     inside = ~np.isnan(angle) & np.isfinite(t)

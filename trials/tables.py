@@ -227,7 +227,7 @@ class LogTable:
         units: entries of a row of units below the header, by column.
         header_row: row of the header, counted from 1.
         faults: for a column that mixes numbers and other cells: first such sample, and an addition to its error.
-        rows: function that reads the rows again for messages; none for a data frame.
+        rows: function that rereads the rows for messages; None for a data frame.
     """
 
     source: str

@@ -57,7 +57,7 @@ class Trial:
         command: tendon travel [mm] or pressure [bar], shape (T,).
         angle: tip angle [deg], shape (T,).
         channels: further named signals, each of shape (T,), in the units of the log; may hold not-a-number.
-        source: where the trial came from (a file's path), for messages and reports.
+        source: origin of the trial (a file's path), for messages and reports.
         command_noise: standard deviation of the noise that was taken off the recorded command, in its unit; 0 for none.
 
     Raises:
@@ -274,7 +274,7 @@ def resample(trial: Trial, rate_hz: float) -> Trial:
 
     Raises:
         ConfigError: if the rate is not a positive number.
-        SlowLogError: on a rate above 1.5 times the log's own.
+        SlowLogError: on a rate above 1.5 times that of the log.
         LogError: at a gap, or if the trial is shorter than one interval.
     """
     positive_rate(rate_hz)

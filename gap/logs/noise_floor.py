@@ -74,7 +74,7 @@ def find_floor(
     """Noise floor of uniform trials, from repeated motions and from white noise.
 
     From repeats: sigma^2 = sum_p sum_k (e2 - e1)^2 / sum_p n_p w_p over pairs p of n_p samples, with w = 2 at a shift
-    of whole samples, less where interpolation reduces the noise. Residuals, not angles, are compared, since commands of
+    of whole samples, less if interpolation reduces the noise. Residuals, not angles, are compared, since commands of
     repeats may differ by 1 % of their range.
     """
     noise = white_noise(residuals)

@@ -143,7 +143,7 @@ def choose_trials(
     """Choose trials within the computing budget and resample them to one rate.
 
     Args:
-        fixed: whether the simulator is valid only at its own rate.
+        fixed: whether the simulator is valid only at its nominal rate.
         ordered: whether the trials are in recording order; if not, each has no history.
     """
     parts = remove_command_noise([part for trial in trials for part in _parts(trial)])

@@ -443,7 +443,7 @@ def _with_effects(data: ReportData, fixed: Simulator) -> str:
 
 
 def _probability(diagnosis: Diagnosis) -> str:
-    """Probabilities of the identified effects and of their alternatives; else of the most likely effect."""
+    """Probabilities of the identified effects and of their alternatives; otherwise of the most likely effect."""
     chance = diagnosis.probabilities
     effects = [effect.name for effect in diagnosis.effects]
     shown = list(dict.fromkeys([*effects, *(name for names in diagnosis.ambiguity for name in names)]))
@@ -457,7 +457,7 @@ def _probability(diagnosis: Diagnosis) -> str:
 
 
 def _disagreement(diagnosis: Diagnosis) -> str:
-    """Explanation where probability and inclusion of an effect disagree; empty where they agree."""
+    """Explanation of a disagreement between probability and inclusion of an effect; otherwise empty."""
     apart = [e for e in diagnosis.effects if (e.probability >= _LIKELY) != (e.inclusion >= _LIKELY)]
     if not apart:
         return ""
