@@ -25,15 +25,15 @@ if TYPE_CHECKING:
     from hystmpc.trials.types import Progress as Report
 
 Pace = Sequence[tuple[float, float]]
-"""Points (share of the steps, share of the time), rising from (0, 0) to (1, 1): how long the steps take."""
+"""Points (share of the steps, share of the time) of the progress, rising from (0, 0) to (1, 1)."""
 
 EVEN: Pace = ((0.0, 0.0), (1.0, 1.0))
 
 RISE_PER_S = 0.02
-"""Greatest rise of a displayed time left in a second, as a share of itself."""
+"""Greatest relative rise of a displayed time left [1/s]."""
 
 FIRST_S, EVERY_S = 2.0, 10.0
-"""A computation prints a line after the first time, then one in each of the second [s]."""
+"""Time to the first line of a computation, and interval of its later lines [s]."""
 
 _FALL_S = 3.0  # time constant with which a displayed time left falls to a shorter estimate
 _LEAST_S, _LEAST_SHARE = 1.0, 0.01  # before which no time left is estimated

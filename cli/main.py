@@ -49,11 +49,10 @@ VERBS: Mapping[str, tuple[str, str]] = MappingProxyType(
         "demo": ("simulate:demo", "Track two motions with every controller on a simulated device."),
     }
 )
-"""Every verb: MODULE:NAME of its function in this package, and its line in `hystmpc --help`."""
+"""Subcommands: MODULE:NAME of their functions in this package, and their lines in `hystmpc --help`."""
 
 GROUP = "hystmpc.verbs"
-"""Entry points by which installed packages add verbs. The value is MODULE:NAME of a mapping of the same form as `VERBS`
-from each verb to the MODULE:NAME of its function or group, and its line in `hystmpc --help`."""
+"""Entry point group of further subcommands; each value is MODULE:NAME of a mapping in the form of `VERBS`."""
 
 _LABORATORY = "Studies and benchmarks are verbs of hystmpc-lab: pip install ./lab, or 'hystmpc[papers]'."
 

@@ -36,10 +36,10 @@ FILES: Mapping[str, tuple[str, str]] = MappingProxyType(
         "simulator": ("hystmpc.models.simulator:SimulatorFile", "a simulator that `hystmpc fit` writes"),
     }
 )
-"""Kinds of file: where their settings are defined, and what the file is."""
+"""Kinds of file: location of their settings, and a description."""
 
 TELLS = "says which block this is."
-"""Meaning of a key that only tells kinds of blocks apart."""
+"""Meaning of a key that only distinguishes kinds of blocks."""
 
 
 def schema(

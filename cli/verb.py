@@ -37,7 +37,7 @@ _TYPES: Mapping[str, Any] = {
     "Iterable[str]": _TEXTS,
     "Sequence[str]": _TEXTS,
 }
-"""Types of options by the annotations of the tasks; every other annotation is that of a file."""
+"""Types of options by the annotations of the tasks; all other annotations are files."""
 
 _FLAGS = {"out": "--out", "overrides": "--set", "simulator": "--sim"}
 _INJECTED = ("progress", "say", "show")

@@ -15,7 +15,7 @@ from hystmpc.trials.brief import brief, in_brief
 
 FORMAT = "hystmpc-diagnosis/2"
 FORMATS = ("hystmpc-diagnosis/1", FORMAT)
-"""What readers accept; version 2 has all keys of version 1, with their meaning."""
+"""Accepted formats; version 2 has all keys of version 1, with their meaning."""
 
 FIXED_FILE, MOTION_FILE = "sim.fixed.yaml", "next_motion.csv"
 """Files of the corrected simulator and of the proposed motion in the folder of a diagnosis."""
@@ -27,7 +27,7 @@ Order = Literal["known", "unknown"]
 
 
 FLIPS = "the verdict flips between splits of the trials, so that no simulator surely stands for the device"
-"""Why nothing can be foretold with effects that cannot be relied on."""
+"""Reason for no prediction from effects that are unreliable."""
 
 _STABLE = 0.7  # of the resamples: a verdict that comes out less often is said to flip
 _NO_FALL, _HIDDEN = 0.05, 0.3  # of the error: less is no fall; the same where the fall is below the floor

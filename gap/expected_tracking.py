@@ -29,17 +29,17 @@ from .diagnosis import FLIPS, Diagnosis, MotionTracking, TrackingGap
 from .report.report_data import ReportData, TrackingCurve, TrialRuns
 
 SEEDS = (1, 2)
-"""Of the noise; the interval of an error is between its least and its greatest value over them."""
+"""Seeds of the noise; they give the least and the greatest value of an error."""
 
 DEFAULT_CONTROLLER = LinearisedMpcSettings(adaptation=None, supervisor=None)
-"""The controller of which a diagnosis speaks. One that learns finds on the device what its model lacks, and more of it
-than in a simulation, where part of it is a walk that nobody can learn: of it no fall can be foretold."""
+"""Controller of the predicted tracking error, without learning: on a device it would learn more of the model error than
+of the random walk that represents this error in a simulation, so that no prediction is possible."""
 
 AGREEMENT = 0.3
-"""How far two falls of the error may be from each other, as a share of the expected one, to agree."""
+"""Greatest difference between two agreeing falls of the error, as a share of the expected one."""
 
 ROUGHNESS = 0.7
-"""Of the walk that stands for what is unexplained; chosen on drawn devices of the study's development seed, frozen."""
+"""Scale of the walk of the unexplained disturbance; chosen on devices of the study's development seed, frozen."""
 
 
 def expected_tracking(
@@ -180,7 +180,7 @@ def next_disturbance(disturbance: float, travel: float, dt_s: float, noise: Nois
 
 SCANS_HZ = {"scan": 0.2}
 LEAST_CLOSED = 0.8
-"""Share of the structural gap that has to be closed; with more left open a loop can do what no simulation shows."""
+"""Least closed share of the structural gap for a prediction: with less, the simulation does not represent the loop."""
 
 _MOVES = 3
 _COVERED = (0.02, 0.98)  # quantiles of the simulated angles: what was reached by accident is no motion

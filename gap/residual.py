@@ -33,9 +33,9 @@ def memory_gains(
 ) -> dict[str, float]:
     """Share of the residual's energy about its mean that each memory explains held out, by name; below 0 if none.
 
-    Ridge regression on a few features of speed (|v|, v, sign), time since the last reversal and age of the hold
-    (decaying exponentials times the last direction), travel since the reversal (in loop widths) and in total, and the
-    clock, over all trials but one, applied to that one. A single trial is cut into four.
+    Ridge regression over all trials but one, applied to that one. The features are speed (|v|, v, sign), time since the
+    last reversal and age of the hold (decaying exponentials times the last direction), travel since the reversal (in
+    loop widths) and in total, and the clock. A single trial is cut into four.
 
     Args:
         ordered: whether the trials are in recording order; if not, the clock restarts in each.

@@ -103,7 +103,7 @@ _CASES: dict[str, _Case] = {
     "lag and creep": _Case(("creep", "lag"), (Lag(0.2), Creep((0.2,), (5.0,)))),
 }
 CASES: Mapping[str, _Case] = _CASES | {name: _as_shown(name) for name in diagnosable() if name not in _CASES}
-"""Every truth: nothing, a merely mis-set simulator, each effect at a clear size, and two at once."""
+"""Cases with known effects: none, a mis-set simulator, each effect at a clear size, and two at once."""
 
 
 def self_test(

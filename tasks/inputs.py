@@ -29,10 +29,10 @@ S = TypeVar("S", bound=Keys)
 
 Logs: TypeAlias = Log | Iterable[Log]
 Settings: TypeAlias = Path | str | Mapping[str, Any]
-"""A YAML file, or the same as a mapping."""
+"""Settings as a YAML file or a mapping."""
 
 Say: TypeAlias = Callable[[str], None]
-"""Called with a note or a warning, one line."""
+"""Callback for a note or a warning, one line."""
 
 
 class Fitted(Protocol):

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 LONGEST = 200
-"""Characters of the line."""
+"""Greatest length of the line [characters]."""
 
 _LONGEST_TEXT = 40  # of a text inside it
 _MOST_NUMBERS = 3  # of a sequence that is written out

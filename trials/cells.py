@@ -16,7 +16,7 @@ from .types import Vec
 MISSING = frozenset(
     ("", "nan", "-nan", "na", "n/a", "#n/a", "#nv", "null", "none", "nil", "-", "--", "---", "inval", "missing")
 )
-"""What stands in a cell without a value; compared in small letters."""
+"""Marks of a missing value in a cell, in lower case."""
 
 _POWER = r"(?:[eE][-+]?\d+)?"
 _GROUP = "[ \u00a0\u202f'\u2019]"  # marks of thousands that are no decimal mark

@@ -23,7 +23,7 @@ from .trial import Trial, even_time, parts_at_gaps, resample
 from .types import Vec
 
 LEAST_SAMPLES = 50
-"""Samples of a trial from which a model can be identified."""
+"""Least number of samples for the identification of a model."""
 
 _MODEL_HZ = 25.0  # at which `fit` runs where nothing else is asked for
 
@@ -31,8 +31,6 @@ _MODEL_HZ = 25.0  # at which `fit` runs where nothing else is asked for
 @in_a_line
 def check(log: Log, layout: AnyLayout = "auto", sampled_hz: float | None = None) -> CheckReport:
     """Check a log: time base, jitter, gaps, duplicates, values, units, sign, excitation, segments and first flexure.
-
-    Faults for which `read_trials` would refuse a file or frame become findings.
 
     Args:
         sampled_hz: rate [Hz] of an evenly sampled log, whose time stamps are ignored.
@@ -226,7 +224,7 @@ _WHY = "; a play wider than the motion, a long delay, or signals of two devices?
 
 
 def _best_delay(trial: Trial) -> tuple[int, float]:
-    """Delay of best correlation within plausible limits [samples], and the correlation; delay 0 without a clear gain."""
+    """Delay of best correlation within plausible limits [samples], and the correlation; 0 without a clear gain."""
     u, y = trial.command, trial.angle
     lags, like = correlations(u, y, min(round(DELAY_S / trial.dt), len(trial) // 4))
     like = like[lags >= 0]
@@ -261,10 +259,10 @@ def _segments(trial: Trial, parts: Segments) -> Finding:
 
 
 SAME = 0.005
-"""Share of the command's range within which two rests are at one command."""
+"""Share of the command's range within which two rests count as one command."""
 
 LEAST_SET = 0.02
-"""Share of the angle's range below which a change is none; three times the noise of an electromagnetic tracker."""
+"""Least share of the angle's range that counts as a change; three times the noise of an electromagnetic tracker."""
 
 _LEAST_NOISES = 4.0  # standard errors
 _BENDS = 0.2  # of the range of the angle: less of a first flexure does not tell which way the angle goes

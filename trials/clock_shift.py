@@ -10,10 +10,10 @@ from .segments import turning_points
 from .types import Index, Vec
 
 DELAY_S = 2.0
-"""Delay of an angle behind its command that a device may have [s]: less is never told from one."""
+"""Greatest plausible delay of an angle after its command [s]; smaller shifts are not distinguished from it."""
 
 IMPOSSIBLE_S = 0.5
-"""Time by which an angle that answers early is no answer, whatever the command's own sensor [s]."""
+"""Lead of an angle that no response explains, even with a slow sensor of the command [s]."""
 
 _EARLY_S = 0.25  # by which a measured command may come late
 _GRID = 1500  # samples that are looked at

@@ -10,14 +10,14 @@ import numpy as np
 from .types import Index, Mask, Vec
 
 SECONDS = MappingProxyType({"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0, "d": 86400.0})
-"""Unit of a time signal -> seconds; spreadsheets count in days, `d`."""
+"""Seconds per unit of a time signal; `d` are days, as in spreadsheets."""
 
 UNIT_NAMES = MappingProxyType(
     {"ms": "milliseconds", "us": "microseconds", "ns": "nanoseconds", "min": "minutes", "h": "hours", "d": "days"}
 )
 
 SLOWEST_HZ, FASTEST_HZ, UNUSUAL_HZ = 1.0, 1e5, 2e4
-"""No closed loop of this field samples at the first or slower, nor at the second or faster; few at the third."""
+"""Rates outside the first two do not occur in closed loops of this field; those above the third are rare."""
 
 _DATES = (20_000.0, 80_000.0)  # days since 1900 in spreadsheets: the years 1954 to 2119
 _USUAL_HZ, _USUAL_S = 50.0, 2.0  # a rate, and a time between two reversals, that devices of this field have

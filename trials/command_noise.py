@@ -80,10 +80,10 @@ def _like(trial: Trial, sigma: float, stride: int) -> tuple[float, int]:
 def _noise_level(trial: Trial) -> tuple[float, int]:
     """Standard deviation of the command noise, 0 for none, and its correlation length in samples.
 
-    Noise is the residual of a cubic through the neighbouring samples, if in the less moving half of the log it is
-    always present, white (equal at larger sample distances, with a flat spectrum), no rounding, and without response of
-    the angle. Commands in steps or lines are not always noisy, smooth commands are not white, and random commands are
-    large or have a response. Correlated samples, as of a filtered sensor, are tested at larger distances.
+    Noise is the residual of a cubic through the neighbouring samples in the half of the log with less motion. It must
+    be always present, white (equal at larger sample distances, with a flat spectrum), no rounding, and without response
+    of the angle. Commands in steps or lines are not always noisy, smooth commands are not white, and random commands
+    are large or have a response.
     """
     stride, signals = 1, np.column_stack([trial.command, trial.angle])
     while stride == 1 or stride * trial.dt <= _LONGEST_S:

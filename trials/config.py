@@ -27,7 +27,7 @@ Count = Annotated[int, Field(ge=1)]
 NotNegativeInt = Annotated[int, Field(ge=0)]
 Port = Annotated[int, Field(ge=0, le=65535)]
 FolderName = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$", max_length=80)]
-"""A name that becomes a folder of a run."""
+"""Name that also serves as the name of a folder of a run."""
 LARGEST_FILE = 4_000_000  # bytes of a configuration
 
 

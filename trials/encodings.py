@@ -16,13 +16,13 @@ CODES = (
     999.0, 9999.0, 99999.0, 999999.0, 9999999.0, 999.9, 999.99, 9999.99, 32767.0, 32768.0, 65535.0, 8388607.0,
     8388608.0, 16777215.0, 2147483647.0, 2147483648.0, 4294967295.0, 1e6, 1e9, 1e10, 1e20, 1e30, 1e31, 1e38,
 )  # fmt: skip
-"""Magnitudes that loggers write in the place of a missing value, whatever the sign."""
+"""Magnitudes that loggers write in place of a missing value, with any sign."""
 
 MODULI = (
     np.pi, 2 * np.pi, 1.0, 90.0, 100.0, 180.0, 200.0, 360.0, 400.0, 720.0, 1000.0, 1440.0, 1800.0, 2000.0, 3600.0,
     4000.0, 6400.0, 8000.0, 10000.0, 20000.0, 36000.0, *(2.0**bits for bits in range(7, 33)),
 )  # fmt: skip
-"""Where angles and counters wrap: radians, turns, percent, degrees, gons, decimal counts, and 2^n counts."""
+"""Usual moduli of angles and counters: radians, turns, percent, degrees, gons, decimal counts, and 2^n counts."""
 
 _UNUSUAL = (1.0, 90.0, 100.0, 200.0, 400.0, 1000.0, 1800.0, 2000.0, 3600.0, 4000.0, 6400.0, 8000.0, 10000.0, 20000.0)
 _CODES = 3  # different ones in one signal

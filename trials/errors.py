@@ -12,18 +12,14 @@ P = ParamSpec("P")
 R = TypeVar("R")
 
 LONGEST = 292
-"""Characters of the text of an error: with `error: ` before it, a line has at most 300."""
+"""Greatest length of an error text [characters]: with `error: ` before it, a line has at most 300."""
 
 
 _SHORTEST_PLACE = 24
 
 
 def in_short(text: str) -> str:
-    """Shorten a text to `LONGEST` characters: first the beginning of a long path, then the middle of the text.
-
-    A path keeps its last part and at least `_SHORTEST_PLACE` characters, so that the text does not depend on the
-    folder.
-    """
+    """Shorten a text to `LONGEST` characters: first the beginning of a long path, then the middle of the text."""
     place, colon, rest = text.partition(": ")
     over = len(text) - LONGEST + len("...")
     if len(text) > LONGEST and "/" in place:

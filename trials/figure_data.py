@@ -23,12 +23,12 @@ from .files import figures_folder
 from .types import Vec
 
 MOST_POINTS = 3000
-"""Points of a curve that a page can show."""
+"""Greatest number of points of a curve on a page."""
 
 MOST_ZOOMED = 20_000  # points of a curve in a figure that zooms; more make a page heavy
 
 COLUMNS = ("panel", "x axis", "y axis", "kind", "series", "x", "y", "value")
-"""Of the table of a figure: a row for each point of a curve, each bar, each step and each cell of an image."""
+"""Columns of the table of a figure, with a row for each point, bar, step and cell of an image."""
 
 _WHOLE: WeakKeyDictionary[Line2D, tuple[Vec, Vec]] = WeakKeyDictionary()
 _MATHS = re.compile(r"\$\\mathdefault\{([^}]*)\}\$")

@@ -18,7 +18,7 @@ from .errors import LogError
 from .types import Vec
 
 MOST_BYTES = 1 << 30
-"""Of a log, as it lies and unpacked: more is no log of one trial."""
+"""Greatest size of a log, packed or unpacked; a log of one trial is smaller."""
 
 _HEAD = 4096
 _HDF5 = b"\x89HDF\r\n\x1a\n"
@@ -45,7 +45,7 @@ ENDINGS = {
     ".xlsm": "xlsx",
     ".lvm": "text",
 }
-"""Ending -> format, where the first bytes do not tell it; every other ending is delimited text."""
+"""Formats by file ending, if the first bytes do not identify them; all other endings are delimited text."""
 
 _CSV = "export the table as CSV: a header row, one row a sample"
 _IMAGE = "expected a log; no curve is read out of an image"
@@ -84,12 +84,7 @@ _MARKUP = re.compile(r"\s*<(\?xml|!doctype|html|[a-z][\w:.-]*[\s/>])", re.IGNORE
 
 
 def format_of(path: Path) -> str:
-    """Name of the format of a file: one of `ENDINGS`, or `text` for all formats without a special reader.
-
-    Missing and unreadable files cause no error here, but in their reader.
-
-    What lies at the path is not judged: a reader says that a file is missing or cannot be read.
-    """
+    """Name of the format of a file: one of `ENDINGS`, or `text` for all formats without a special reader."""
     by_ending = ENDINGS.get(path.suffix.lower(), "text")
     try:
         if not path.is_file():  # also a pipe, from which every byte can be had only once

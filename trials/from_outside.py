@@ -23,13 +23,13 @@ from .errors import ConfigError, did_you_mean
 T = TypeVar("T")
 
 MODULE_AND_CLASS = r"^\w+(\.\w+)*:\w+$"
-"""What `python: MODULE:CLASS` in a file has to look like."""
+"""Pattern of `python: MODULE:CLASS` in a file."""
 
 MEMORY = "<memory>"
-"""The source of data that a program's own code gives."""
+"""Source of data given by the program itself."""
 
 ALLOWED = "HYSTMPC_ALLOW_PYTHON"
-"""Variable of the environment: each MODULE:CLASS that files may name, with spaces between, or `all`."""
+"""Environment variable with each MODULE:CLASS that files may name, separated by spaces, or `all`."""
 
 _ALL = "all"
 _LONGEST_PLACE = 100  # characters of a file's name in a refusal

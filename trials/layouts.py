@@ -100,17 +100,17 @@ class Layout:
 _FURTHER = ("nm", "mbar", "mV", "kV", "mA", "mN", "kN", "Nm", "K", "count", "1")
 
 COMMAND_UNITS = ("mm", "bar", "kPa", "V", "A", "N", "deg", "rad", "percent", *_FURTHER)
-"""Units that a canonical command column may carry in its name; a bare `command` is in the first of them."""
+"""Units in the name of a canonical command column; the first is that of a bare `command`."""
 
 OUTPUT_UNITS = ("mm", "um", "m", "N", "V", "A", "bar", "kPa", "percent", "cm", "Pa", "MPa", "psi", *_FURTHER)
-"""Units, beside deg, that the canonical column `angle_<unit>` may carry in its name."""
+"""Units, in addition to deg, in the name of the canonical column `angle_<unit>`."""
 
 COMMAND_UNIT_OF = MappingProxyType(
     {unit: (unit, 1.0) for unit in COMMAND_UNITS}
     | {"um": ("mm", 1e-3), "cm": ("mm", 10.0), "m": ("mm", 1e3)}
     | {"Pa": ("bar", 1e-5), "MPa": ("bar", 10.0), "psi": ("bar", 0.0689475729)}
 )
-"""Unit that a command may be logged in -> the unit that it is read in, and the factor; any other stays what it is."""
+"""Unit after reading and conversion factor by logged unit of the command; other units remain."""
 
 _MICRO = str.maketrans({"\u00b5": "u", "\u03bc": "u"})  # the micro sign, and the Greek letter that looks like it
 _ALIASES = MappingProxyType(
@@ -139,7 +139,7 @@ CANONICAL = Layout(
 )
 
 OUTPUT_COLUMN = MappingProxyType({"deg": CANONICAL.angle} | {u: name for name, u in CANONICAL.other_angles.items()})
-"""Unit of an output -> its canonical column."""
+"""Canonical column by unit of an output."""
 
 
 def command_column(unit: str) -> str:
@@ -212,20 +212,20 @@ MAPPING_HINT = (
     "; or map the names: `{time: NAME, command: {signal: NAME, unit: mm}, angle: {signal: NAME, unit: deg}}` "
     "in map.yaml, `--layout map.yaml`"
 )
-"""For the end of an error line on columns that no layout knows."""
+"""End of an error line on columns that fit no layout."""
 
 
 ANGLE_UNIT_OF = MappingProxyType({"rad": ("deg", math.degrees(1.0))})
-"""Unit that an output may be logged in -> the unit that it is read in, and the factor; any other stays what it is."""
+"""Unit after reading and conversion factor by logged unit of the output; other units remain."""
 
 UnitName = Literal[
     "deg", "rad", "mm", "um", "nm", "cm", "m", "bar", "mbar", "kPa", "Pa", "MPa", "psi", "V", "mV", "kV", "A", "mA",
     "N", "mN", "kN", "Nm", "K", "percent", "count", "1",
 ]  # fmt: skip
-"""Units that a mapping may name; a list, so that a slip of the pen is no new unit. `1` is for all others."""
+"""Units allowed in a mapping, as a list to detect spelling errors; `1` is for all others."""
 
 LOG_TIME, HEADER_TIME = "log", "header"
-"""Times that every message has: when it was logged, and `header.stamp` of stamped messages."""
+"""Time stamps of every message: time of logging, and `header.stamp` of stamped messages."""
 
 
 class SignalSettings(Settings):

@@ -33,7 +33,7 @@ from .trial import Trial, even_time, parts_at_gaps, positive_rate, require_unifo
 from .types import Vec
 
 AnyLayout = str | Layout | LogMapping
-"""A layout's name, a mapping file (`*.yaml`), a `Layout` (tables), a `LogMapping`, or `auto`."""
+"""Layout: its name, a mapping file (`*.yaml`), a `Layout` (tables), a `LogMapping`, or `auto`."""
 
 Log = Path | str | FrameLike | Trial
 """One recorded trial: a file, the folder of a ROS 2 bag, a data frame, or the trial itself."""
@@ -47,8 +47,7 @@ OPENERS = {
     "npy": ("arrays", "open_npz"),
     "tdms": ("arrays", "open_tdms"),
 }
-"""Formats of named signals, each with module and name of its reader, which is imported when asked for; all others are
-tables."""
+"""Formats of named signals, with module and name of the reader, imported at use; other formats are tables."""
 
 
 @in_a_line

@@ -17,7 +17,7 @@ from .files import write_atomically
 from .trial import Trial
 
 SEPARATION_COLUMN = "separation_deg"
-"""A column that no recording has, by which a motion that a diagnosis has proposed is told from a log."""
+"""Column that only motions proposed by a diagnosis have, and no recording."""
 
 
 def require_recorded(trial: Trial) -> None:

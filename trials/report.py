@@ -46,7 +46,7 @@ DASHES: tuple[Any, ...] = (
     (0, (3, 1)),
     (0, (6, 1.5, 1.5, 1.5, 1.5, 1.5)),
 )
-"""Styles of lines that lie on each other, so that more than their colour tells them apart."""
+"""Line styles that distinguish overlapping lines without colour."""
 
 
 class StyledFigure(Figure):
@@ -148,10 +148,7 @@ class Report:
     subtitle: str = ""
 
     def html(self) -> str:
-        """Self-contained HTML page with embedded styles and figures; equal pieces give equal text.
-
-        A script is included only if a figure zooms. A table of contents is left out if folded sections serve as one.
-        """
+        """Self-contained HTML page with embedded styles and figures; equal pieces give equal text."""
         blocks = [_block(piece, str(number)) for number, piece in enumerate(self.pieces, start=1)]
         folded = any(isinstance(piece, Folded) for piece in self.pieces)
         contents = [] if folded else [block for block in blocks if block["kind"] == "heading"]

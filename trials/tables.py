@@ -19,7 +19,7 @@ from .formats import seconds_since_first
 from .types import Vec
 
 BLANK = " "
-"""The delimiter of cells that one or several blanks separate."""
+"""Delimiter of cells separated by one or several blanks."""
 
 MOST_COLUMNS = 4096
 

@@ -208,8 +208,8 @@ GAP_INTERVALS = 3.0
 """A gap is also at least this many median sample intervals, so that slow logs are not all gaps."""
 
 PART_S, LEFT_OUT = 5.0, 0.1
-"""Parts of a log between gaps that are shorter [s] are left out, up to this share of the log: a part begins in motion,
-with a history that nobody knows. The longest part always counts."""
+"""Shortest part of a log between gaps [s], and greatest share of the log left out with shorter ones, which begin in
+motion with an unknown history. The longest part always counts."""
 
 _RATE_MARGIN = 1.5  # a grid this much finer than the log itself would only invent samples
 

@@ -14,7 +14,7 @@ from .formats import reading
 from .tables import MOST_COLUMNS, LogTable, sheet_table
 
 MOST_BYTES = 1 << 28
-"""Of all parts of a workbook, unpacked: a million rows of four columns have half of it."""
+"""Greatest unpacked size of a workbook; a million rows of four columns have half of it."""
 
 _MOST_PARTS, _MOST_ROWS, _MOST_SHEETS = 2000, 1_048_576, 50
 _MOST_CELLS = 20_000_000

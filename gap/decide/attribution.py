@@ -244,10 +244,7 @@ def _is_gap(prepared: PreparedTrials, mse: float) -> bool:
 
 
 def floor_of(prepared: PreparedTrials, hypothesis: Hypothesis) -> NoiseFloor:
-    """Noise floor of the residual, after correction by shifts and phases of single trials that a cause explains.
-
-    It is at least the rounding of the readings, which is invisible in the noise at rest.
-    """
+    """Noise floor of the residual, at least its rounding, after correction by shifts and phases of single trials."""
     problem = hypothesis.problem
     residuals = prepared.residuals(hypothesis)
     if problem.terms.names:

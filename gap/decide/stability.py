@@ -32,7 +32,7 @@ Names = frozenset[str]
 
 
 _TrialSplit = tuple[tuple[int, ...], tuple[int, ...], int | None]
-"""Development and final runs of one resample, and the seed of blocks drawn with replacement; None draws none."""
+"""Development and final runs of one resample, and the seed of the block resampling; None without it."""
 
 
 def stability_of(

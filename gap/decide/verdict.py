@@ -29,7 +29,7 @@ VERDICTS: Mapping[str, Verdict] = {
     "moved": "retuned",  # no gap, and the error fell by retuning
     "reshaped": "retuned",  # the error fell by retuning, and a core of the same structure explains the rest
 }
-"""Verdict of each case of `decide_verdict`; the first rows in the order in which they are looked at."""
+"""Verdict of each case of `decide_verdict`; the first rows in the order of their evaluation."""
 
 _UNUSABLE = ("too_little", "unrelated")
 _LEAST_MSE = 1e-9  # [deg^2]
@@ -115,10 +115,7 @@ class VerdictFacts:
 
     @property
     def least_retuned_mse(self) -> float:
-        """Smaller one of the held-out and the fitted error of the retuned simulator [deg^2].
-
-        Held-out motions unlike the fitted ones must not add a structural gap.
-        """
+        """Smaller of held-out and fitted retuned error [deg^2], since unlike motions must not add a structural gap."""
         return min(self.retuned_mse, self.retuned_fit_mse)
 
     @property

@@ -20,10 +20,10 @@ from .preparation import PreparedTrials
 from .trial_choice import NEEDS_ORDER
 
 NO_GAP = 2.2
-"""Retuned mean square error over the model-form error, below which there is no gap; frozen."""
+"""Greatest ratio of retuned mean square error to model-form error without a gap; frozen."""
 
 _SIZES = np.geomspace(0.02, 20.0, 10)
-"""Sizes that are tried, as shares of the size from which a fit starts."""
+"""Tested sizes, as shares of the start value of a fit."""
 
 _TYPICAL = {"drift": 0.02, "nonlinear_gain": 0.1}  # share of the angle's range, where a fit starts at nothing
 _NONE = 1e-9  # mean square [deg^2] below which nothing shows

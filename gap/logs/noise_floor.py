@@ -17,7 +17,7 @@ from .motion_type import command_segments
 from .sensor import white_noise
 
 TOLERANCE = 0.01
-"""Commands are equal where they differ by less than this share of their range."""
+"""Share of the range within which two commands count as equal."""
 
 _LEAST_REPEATED_S = 5.0  # of repeats in all, for a floor from repeats
 _LEAST_S = 2.0  # of one repeat

@@ -28,7 +28,7 @@ NEEDS_ORDER: Mapping[str, str] = {
     SET_ACROSS_TRIALS: "A set that the first trials leave in all later ones needs the order of recording, which is "
     "unknown; a first flexure that comes in every trial anew is looked for.",
 }
-"""What cannot be tested where the order is unknown, and why, a sentence each."""
+"""Effects that cannot be tested without the recording order, with the reason in one sentence each."""
 
 
 def in_recording_order(trials: Sequence[Trial], ordered: bool) -> tuple[list[Trial], Order]:
@@ -73,7 +73,7 @@ _DIGITS = 2  # of a distance: repeats by hand are never quite equal
 
 
 MOST_SAMPLES = 300_000
-"""Samples of all trials together that are diagnosed; 20 trials of 600 s at 25 Hz."""
+"""Greatest number of samples in a diagnosis; 20 trials of 600 s at 25 Hz."""
 
 # Measured with `lab/benchmarks/diagnosis_time.py --trials 20 --seconds 600`: two effects, 69 s of a shared core.
 _SECONDS, _START_S = 0.22e-3, 5.0
@@ -87,7 +87,7 @@ MOST_HZ = 50.0
 """Greatest rate of a diagnosis: tip motions end at a few Hz, and time grows with the rate."""
 
 LEAST_HZ = 10.0
-"""A simulator of a lower rate is diagnosed at that of the logs: what is quick would not show at its own."""
+"""Least rate of a diagnosis: below it the rate of the logs is used, since fast effects would be invisible."""
 
 LEAST_S = 2.0
 """Shortest trial [s]."""

@@ -228,10 +228,10 @@ def sampled_burst(part: SineBurst, centre: float, reach: float, rate: float, dt:
 
 
 LEGS = 6
-"""Ramps of a motion, each with a hold."""
+"""Number of ramps of a motion, each with a hold."""
 
 SIZE = 3 * LEGS + 4
-"""Numbers of a motion, each between 0 and 1."""
+"""Number of parameters of a motion, each between 0 and 1."""
 
 _BURST_AFTER = 3  # legs
 _SLOWEST, _HOLD_S = 0.03, (0.05, 20.0)  # of the allowed rate; shortest and longest hold, logarithmic

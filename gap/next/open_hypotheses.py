@@ -31,7 +31,7 @@ _STEP = 0.3  # of the unknowns' typical changes
 _LEAST_NOISE_DEG = 1e-3
 _TYPICAL = ("lag", "creep", "stick_slip", "contact")  # one of each family, where fewer than two effects were tried
 NOTHING = "nothing"
-"""Name of the explanation that nothing is missing."""
+"""Name of the hypothesis without any missing effect."""
 
 _MOST = 4  # hypotheses for a gap that nothing explains
 
