@@ -36,9 +36,9 @@ FIRST_S, EVERY_S = 2.0, 10.0
 """Time to the first line of a computation, and interval of its later lines [s]."""
 
 _FALL_S = 3.0  # time constant with which a displayed time left falls to a shorter estimate
-_LEAST_S, _LEAST_SHARE = 1.0, 0.01  # before which no time left is estimated
+_LEAST_S, _LEAST_SHARE = 1.0, 0.01  # least time and share for an estimate of the time left
 _TICK_S = 0.25
-_DRAWN_S = 1.0  # after which a bar is drawn whose computation has not reported yet
+_DRAWN_S = 1.0  # delay of a bar whose computation has not reported yet
 _RESTED_S = 3.0  # without compilation, after which it counts as ended
 _COMPILING = "compiling, first use only"
 

@@ -164,7 +164,7 @@ def main() -> None:
         app()
     except HystmpcError as error:
         _end(str(error))
-    except OSError as error:  # a full disk, a file that may not be read: the machine's, not a defect of the program
+    except OSError as error:  # a full disk, a file that may not be read: a fault of the machine, not of the program
         _end(f"{error.filename}: {error.strerror}" if error.filename and error.strerror else str(error))
 
 

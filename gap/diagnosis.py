@@ -341,7 +341,7 @@ class Diagnosis:
 
     def plot(self) -> Figure:
         """Draw the probability of each effect, and the share of the structural gap closed by the chosen ones."""
-        from hystmpc.trials.report import MODEL, REFERENCE, new_figure  # matplotlib, which a verdict does without
+        from hystmpc.trials.report import MODEL, REFERENCE, new_figure  # matplotlib, not needed for a verdict
 
         names, closed = [name for name, _ in self.ranking], {e.name: e.closed_share for e in self.effects}
         with new_figure(7.0, 1.0 + 0.25 * len(names)) as figure:

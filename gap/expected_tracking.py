@@ -183,8 +183,8 @@ LEAST_CLOSED = 0.8
 """Least closed share of the structural gap for a prediction: with less, the simulation does not represent the loop."""
 
 _MOVES = 3
-_COVERED = (0.02, 0.98)  # quantiles of the simulated angles: what was reached by accident is no motion
-_FASTEST, _SPEED_SHARE = 0.99, 0.5  # quantile of the simulated speed, and how much of it a reference takes
+_COVERED = (0.02, 0.98)  # quantiles of the simulated angles: rare extremes are excluded
+_FASTEST, _SPEED_SHARE = 0.99, 0.5  # quantile of the simulated speed, and the share of it in a reference
 _FAST_DT_S = 0.019  # below it a second seed would take too long
 
 

@@ -306,7 +306,7 @@ def _line_energy(s: _Periodograms, hz: float) -> float:
 MOTION_PARTS = ("loading", "unloading", "after_reversal", "hold", "first_flexure")
 """Parts of a motion, exclusive; precedence: hold, first_flexure, after_reversal, direction."""
 
-_AFTER = 0.1  # way after a reversal that counts as after it, as a share of the command's range in the trial
+_AFTER = 0.1  # travel that counts as after a reversal, as a share of the command's range in the trial
 _RESAMPLES = 500
 _BLOCK_S, _LEAST_BLOCKS = 2.0, 10
 

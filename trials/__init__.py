@@ -42,7 +42,7 @@ def lazily(package: str, *names: tuple[str, str]) -> Callable[[str], Any]:
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
         module, entry = home[name]
         value = getattr(import_module(module), entry.rpartition("=")[2])
-        setattr(import_module(package), name, value)  # asked for once
+        setattr(import_module(package), name, value)  # stored for later access
         return value
 
     getattribute.names = list(home)  # type: ignore[attr-defined]  # for `__all__`

@@ -26,7 +26,7 @@ from .layouts import HEADER_TIME, LOG_TIME
 from .signals import Series, SignalLog, missing, split_path, walk
 from .types import Vec
 
-_MOST_SIGNALS = 64  # of a matrix or a list that are listed
+_MOST_SIGNALS = 64  # greatest number of listed signals of a matrix or a list
 
 
 @final
@@ -81,7 +81,7 @@ class ArrayLog(SignalLog):
         return stamps if stamps is not None and stamps.size == count else np.full(count, np.nan)
 
     def _vector(self, signal: str) -> Vec:
-        if signal in self._named:  # a name that holds dots or brackets of its own
+        if signal in self._named:  # a name that contains dots or brackets
             return self._named[signal].astype(np.float64)
         *way, last = split_path(signal) or [signal]
         try:
@@ -265,7 +265,7 @@ def _read(path: str, data: bytes) -> tuple[dict[str, Any], dict[str, Vec], froze
     variables: dict[str, dict[str, Any]] = {}
     waves: dict[str, tuple[Any, float, float, int]] = {}
     times: set[str] = set()
-    with TdmsFile.open(BytesIO(data)) as file:  # of bytes: of a path, an index file beside it would be read too
+    with TdmsFile.open(BytesIO(data)) as file:  # bytes, since a path would also read its index file
         channels = [channel for group in file.groups() for channel in group.channels()]
         if len(channels) > _MOST_CHANNELS:
             raise LogError(f"{path}: {len(channels)} channels, expected at most {_MOST_CHANNELS}")

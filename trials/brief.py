@@ -11,8 +11,8 @@ from typing import Any
 LONGEST = 200
 """Greatest length of the line [characters]."""
 
-_LONGEST_TEXT = 40  # of a text inside it
-_MOST_NUMBERS = 3  # of a sequence that is written out
+_LONGEST_TEXT = 40  # characters of a text inside it
+_MOST_NUMBERS = 3  # greatest length of a sequence that is written in full
 
 
 def in_brief(kind: object, text: str) -> str:

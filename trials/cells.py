@@ -105,7 +105,7 @@ def convert(columns: Sequence[Sequence[str]], comma_likely: bool) -> list[Conver
 
 
 def _floats(cells: Sequence[str]) -> Vec | None:
-    if any("_" in cell for cell in cells):  # Python reads 1_0 as 10, a log does not mean it
+    if any("_" in cell for cell in cells):  # Python reads 1_0 as 10, which a log does not mean
         return None
     try:
         return np.array([float(cell) if cell else math.nan for cell in cells])
@@ -119,7 +119,7 @@ def _marks(cells: Iterable[str]) -> set[str]:
     for cell in cells:
         if ("." in cell or "," in cell) and _number_like(cell):
             marks.add(_mark(cell))
-            if marks & {".", ","}:  # a cell that says otherwise is found when the column is read
+            if marks & {".", ","}:  # contradicting cells are detected when the column is read
                 break
     return marks
 
@@ -131,7 +131,7 @@ def _mark(cell: str) -> str:
     if points + commas > 1:
         return "," if points else "."
     one = _EITHER.fullmatch(cell.replace(_MINUS, "-"))
-    if one is None:  # thousands parted by a space or an apostrophe
+    if one is None:  # thousands separated by a space or an apostrophe
         return "." if points else ","
     before, mark, after, power = one.groups()
     sure = len(after) != 3 or not 1 <= len(before) <= 3 or before.startswith("0") or power

@@ -25,7 +25,7 @@ from .types import Vec
 LEAST_SAMPLES = 50
 """Least number of samples for the identification of a model."""
 
-_MODEL_HZ = 25.0  # at which `fit` runs where nothing else is asked for
+_MODEL_HZ = 25.0  # default rate of `fit`
 
 
 @in_a_line
@@ -124,9 +124,9 @@ def require_sound(trial: Trial) -> None:
 
 
 _SEGMENT_RATE_HZ = 50.0  # enough for tip motions up to a few Hz
-_FOLLOWS, _SURE = 0.3, 0.85  # correlation of angle and command below which the sign cannot be told, or is in doubt
+_FOLLOWS, _SURE = 0.3, 0.85  # correlation of angle and command below which the sign is unknown, or doubtful
 _MUCH_MORE, _FAR_MORE = 0.5, 0.1  # of the variance left without a delay, or with the other sign
-_ALIKE = 0.95  # correlation at a delay that tells the sign where that without one does not
+_ALIKE = 0.95  # least correlation at a delay that decides the sign
 _ROUNDING = 1e-9
 
 # Range of a signal and its suspected unit: (from, to, suspicion); ranges between the rows are plausible. Only for
@@ -265,11 +265,11 @@ LEAST_SET = 0.02
 """Least share of the angle's range that counts as a change; three times the noise of an electromagnetic tracker."""
 
 _LEAST_NOISES = 4.0  # standard errors
-_BENDS = 0.2  # of the range of the angle: less of a first flexure does not tell which way the angle goes
+_BENDS = 0.2  # of the range of the angle: a smaller first flexure gives no direction of the angle
 _SAME_READING = 1e-6  # of the range of the angle
-_TAIL = 0.5  # of a rest, at its end: what is looked at
-_CREEP = 0.5  # of the bend: the most that creep adds
-_FULL_LOOP = 1.2  # of the half-way gap, by which the gap at the start is greater if plays from rest are not its cause
+_TAIL = 0.5  # share of a rest, at its end, that is evaluated
+_CREEP = 0.5  # greatest share of the bend due to creep
+_FULL_LOOP = 1.2  # least ratio of the gap at the start to that half-way if plays from rest are not its cause
 
 
 @dataclass(frozen=True)

@@ -15,19 +15,19 @@ DELAY_S = 2.0
 IMPOSSIBLE_S = 0.5
 """Lead of an angle that no response explains, even with a slow sensor of the command [s]."""
 
-_EARLY_S = 0.25  # by which a measured command may come late
-_GRID = 1500  # samples that are looked at
-_LEAST = 50  # samples of a signal that are looked at
-_LONGEST = 0.5  # of the log: more would leave too little in common
-_LIKE = 0.9  # least correlation at the shift that is told
+_EARLY_S = 0.25  # greatest delay of a measured command
+_GRID = 1500  # greatest number of evaluated samples
+_LEAST = 50  # least number of evaluated samples of a signal
+_LONGEST = 0.5  # greatest shift as a share of the log; the rest is the common part
+_LIKE = 0.9  # least correlation at a reported shift
 _TURNS, _TURN = (
     4,
     0.1,
-)  # reversals that are compared, and their size in ranges of the command: of few, likeness is chance
+)  # compared reversals, and their size in ranges of the command: with few, correlation is due to chance
 _KNOWN = 0.8  # correlation above which an angle follows its command, or a command its own past
-_GONE = 0.5  # correlation below which a command is no longer like itself
+_GONE = 0.5  # correlation below which a command no longer repeats itself
 _BETTER = 0.3  # of the variance that no delay of a device explains
-_LAGS_S = np.geomspace(0.1, 60.0, 9)  # time constants of a device that is slow instead
+_LAGS_S = np.geomspace(0.1, 60.0, 9)  # time constants of a slow device, the alternative to a shift
 
 
 @dataclass(frozen=True)

@@ -21,9 +21,9 @@ SLOWEST_HZ, FASTEST_HZ, UNUSUAL_HZ = 1.0, 1e5, 2e4
 
 _DATES = (20_000.0, 80_000.0)  # days since 1900 in spreadsheets: the years 1954 to 2119
 _USUAL_HZ, _USUAL_S = 50.0, 2.0  # a rate, and a time between two reversals, that devices of this field have
-_IN_DOUBT = 0.5  # powers of ten: two units that differ by less in how usual they are, are both named
+_IN_DOUBT = 0.5  # powers of ten: two units with a smaller difference in plausibility are both named
 _NEVER_TURNS_S = 1000.0  # between two reversals
-_SAME = 1.5  # a step of a clock that is longer than that many usual ones is a gap
+_SAME = 1.5  # least clock step of a gap, in usual steps
 
 
 @dataclass(frozen=True)
@@ -89,7 +89,7 @@ def _resolution(t: Vec) -> float:
     """Resolution of increasing stamps [s], from their last decimal; 0 if they have full float precision."""
     least = float(np.diff(t).min())
     for digits in range(10):
-        if 10.0**-digits > 1.001 * least:  # stamps that coarse would repeat
+        if 10.0**-digits > 1.001 * least:  # such coarse stamps would repeat
             continue
         scaled = t * 10.0**digits
         if np.all(np.abs(scaled - np.rint(scaled)) < 1e-4):

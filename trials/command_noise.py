@@ -18,22 +18,22 @@ from scipy.optimize import isotonic_regression
 from .trial import Trial
 from .types import Vec
 
-_LEAST, _MOST = 2e-4, 0.08  # of the command's range: less moves nothing, and more is a random command
-_LONGEST_S = 0.12  # noise whose samples hang together for longer is a motion
-_BLOCK, _QUIET = 16, 0.3  # samples of a block, and the share of the blocks that are looked at: those that move least
-_LEAST_BLOCKS, _OF_QUIET = 8, 1.5  # noise over its level in the blocks that have least of it
+_LEAST, _MOST = 2e-4, 0.08  # of the command's range: smaller noise has no effect, larger noise is a random command
+_LONGEST_S = 0.12  # noise with a longer correlation time is a motion
+_BLOCK, _QUIET = 16, 0.3  # samples of a block, and the share of the evaluated blocks: the least motion
+_LEAST_BLOCKS, _OF_QUIET = 8, 1.5  # noise over its level in the quietest blocks
 _NORMAL = 1.4826  # standard deviation over the median distance
 _FARTHER = ((2, 1.3), (4, 1.5))  # times as far apart, and by what factor white noise may seem larger then; a walk
 # would be larger by 1.4 and 2
-_LONE = 4.0  # standard deviations: what is larger is a step or a corner
-_FLAT = 2.5  # by so much may the two parts of the upper half of a white spectrum differ
+_LONE = 4.0  # standard deviations: larger residuals are steps or corners
+_FLAT = 2.5  # greatest ratio between the two parts of the upper half of a white spectrum
 _ROUNDED = 0.5  # of the least change: rounding has 0.29
-_LAGS = 8  # samples after which an angle answers
-_BY_CHANCE, _ANSWER = 4.0, 0.02  # times what chance explains; of the device's slope, the least answer to a motion
+_LAGS = 8  # greatest delay of the angle's response [samples]
+_BY_CHANCE, _ANSWER = 4.0, 0.02  # multiple of chance; least response, relative to the device's slope
 _WINDOWS = (4, 6, 8, 12, 16, 24, 32, 48, 64, 96, 128, 192, 256, 384, 512)
 _AGREE = 1.5  # standard deviations; more rounds corners, less leaves noise
-_ALIKE = 1.6  # factor by which the noise of two trials may seem to differ
-_TURN = 2.5  # standard deviations of the noise: a smaller motion back and forth is none
+_ALIKE = 1.6  # greatest ratio between the noise estimates of two trials
+_TURN = 2.5  # standard deviations of the noise: smaller reversals are ignored
 
 
 def remove_command_noise(trials: Sequence[Trial]) -> list[Trial]:

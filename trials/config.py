@@ -32,7 +32,7 @@ LARGEST_FILE = 4_000_000  # bytes of a configuration
 
 
 DEEPEST = 100  # levels of blocks within blocks
-MOST_ENTRIES = 500_000  # keys, values and blocks; an alias counts as all that it stands for
+MOST_ENTRIES = 500_000  # keys, values and blocks; an alias counts with its whole content
 LONGEST_INTEGER = 100  # digits
 
 _TAG = "tag:yaml.org,2002:"

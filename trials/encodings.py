@@ -25,23 +25,23 @@ MODULI = (
 """Usual moduli of angles and counters: radians, turns, percent, degrees, gons, decimal counts, and 2^n counts."""
 
 _UNUSUAL = (1.0, 90.0, 100.0, 200.0, 400.0, 1000.0, 1800.0, 2000.0, 3600.0, 4000.0, 6400.0, 8000.0, 10000.0, 20000.0)
-_CODES = 3  # different ones in one signal
-_MANY = 0.4  # of the samples: a value that makes more of them is no exception
+_CODES = 3  # greatest number of different codes in one signal
+_MANY = 0.4  # of the samples: a more frequent value is no code
 _FAR, _ANY_FAR = 0.5, 3.0  # ranges of the others by which a known code, or any value, lies outside them
-_JUMP = 5.0  # times the greatest usual step: no motion
+_JUMP = 5.0  # multiple of the greatest usual step above which a step is no motion
 _USUAL = 99.5  # percentile of the steps that are usual
-_BRIEF_S = 0.25  # stretches of a value that is no known code
-_ROUNDED = 1e-4  # of a modulus: by which a jump may be longer, where numbers are rounded
-_CHOPPY = 0.1  # share of steps that jump, above which a signal has no usual step
-_LATE_S = 1.5  # of an angle behind its command
-_CLEARLY = 0.95  # of what the repair before it leaves: a repair that is taken in its place
-_SMOOTH = 2.0  # greatest other steps: what a repair may leave of the jumps
+_BRIEF_S = 0.25  # longest run of an unlisted code
+_ROUNDED = 1e-4  # tolerance of a jump due to rounding, relative to the modulus
+_CHOPPY = 0.1  # share of jumps above which a signal has no usual step
+_LATE_S = 1.5  # greatest delay of an angle after its command
+_CLEARLY = 0.95  # ratio to the error of the previous repair below which another replaces it
+_SMOOTH = 2.0  # remaining size of the jumps after a repair, in greatest other steps
 _FEW = 2  # jumps
 _LEAST = 10  # samples
 _LEAST_BIT = 7
-_SOFT = (0.0, -1.0)  # codes that lie within the range of many signals: told by the jumps alone
-_ASKED = 0.1  # of the range of the command: a step, in one sample, that may make an angle jump
-_NO_WORSE = 1.3  # of the same, for jumps of an angle that its command does not ask for
+_SOFT = (0.0, -1.0)  # codes within the range of many signals: detected only by the jumps
+_ASKED = 0.1  # of the range of the command: a step in one sample that can cause a jump of the angle
+_NO_WORSE = 1.3  # of the same, for jumps of an angle without a cause in its command
 _BETTER = 0.6  # of the variance left unexplained by the other signal, after a repair that counts
 
 
@@ -205,7 +205,7 @@ def _repairs(signal: Vec, jumps: Vec, usual: float) -> list[tuple[Key, float, Ve
             repairs.append(("sign_bit", float(bit), sign_and_magnitude(signal, bit)))
     # A motion across the seam shortens the jump by its step: the modulus is no less than the longest one.
     steps = np.abs(np.diff(signal))
-    grain = float(steps[steps > 0].min())  # a sensor of coarse steps leaves two moduli open: the usual one of them
+    grain = float(steps[steps > 0].min())  # a sensor of coarse steps leaves two moduli open: the usual one is chosen
     shortest = max(float(jumps.max()), most - least)
     longest = shortest + max(float(np.percentile(steps[steps <= usual], _USUAL)), grain) + _ROUNDED * shortest
     near = [m for m in MODULI if (1 - _ROUNDED) * shortest <= m <= longest] or [plainest(shortest, longest)]

@@ -20,7 +20,7 @@ Look = Mapping[str, Any]
 REFERENCE_LOOK: Look = {"color": REFERENCE, "linewidth": 2.4, "alpha": 0.45, "label": "reference"}
 ZERO_LOOK: Look = {"color": REFERENCE, "linewidth": 0.6}
 LIMIT_LOOK: Look = {"color": REFERENCE, "linestyle": (0, (2, 4)), "linewidth": 0.8}
-_ACROSS = 3  # panels in a line: a loop in less than a third of the width cannot be read
+_ACROSS = 3  # panels in a line: a smaller loop is unreadable
 
 
 @dataclass(frozen=True, eq=False)

@@ -59,7 +59,7 @@ def require_writable(path: Path | str) -> None:
     if not place.is_dir():
         raise ConfigError(f"{target}: cannot be written ({place} is not a folder), expected a path that can be made")
     try:
-        with tempfile.TemporaryFile(dir=place):  # what the system says of permissions is no promise: it has to be tried
+        with tempfile.TemporaryFile(dir=place):  # reported permissions are unreliable: only a trial decides
             pass
     except OSError as error:
         reason = f"{error.strerror} in {place}"

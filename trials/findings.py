@@ -33,7 +33,7 @@ class Severity(StrEnum):
     """Severity of a finding, in increasing order."""
 
     OK = "ok"
-    NOTE = "note"  # worth knowing
+    NOTE = "note"  # information
     WARNING = "warning"  # the log can be used, results will suffer
     ERROR = "error"  # readers or identifications will refuse the log
 
@@ -83,12 +83,12 @@ class CheckReport:
         return Report(self.source, (Table(("", "topic", "finding"), rows),), self.layout).fragment()
 
 
-_JITTER_SHARE = 0.1  # of the median interval; more is worth knowing
+_JITTER_SHARE = 0.1  # of the median interval; more is reported
 _STUCK_SHARE = 0.05  # of the range of the command: travel without any change of the angle
 _COARSE_SHARE = 0.1  # of the stamps that repeat: their clock is coarse, not out of order
-_STEP_SHARE = 0.005  # of the range of the angle: a finer step of a sensor is no matter
-_NAMED = 6  # parts of a log that are listed
-_STOOD = 0.02  # of the range of the command: it stood still over a gap
+_STEP_SHARE = 0.005  # of the range of the angle: a finer step of a sensor is irrelevant
+_NAMED = 6  # greatest number of listed parts of a log
+_STOOD = 0.02  # of the range of the command: it did not move over a gap
 
 
 @dataclass(frozen=True, eq=False)

@@ -87,7 +87,7 @@ def format_of(path: Path) -> str:
     """Name of the format of a file: one of `ENDINGS`, or `text` for all formats without a special reader."""
     by_ending = ENDINGS.get(path.suffix.lower(), "text")
     try:
-        if not path.is_file():  # also a pipe, from which every byte can be had only once
+        if not path.is_file():  # also a pipe, whose bytes can be read only once
             return by_ending
         with path.open("rb") as file:
             head = file.read(_HEAD)
@@ -133,7 +133,7 @@ def require_known(path: Path | str, data: bytes) -> None:
 _CONTROL = re.compile(r"[\x00-\x08\x0e-\x1f]")
 _MARKS = (
     (codecs.BOM_UTF8, "utf-8"),
-    (codecs.BOM_UTF32_LE, "utf-32-le"),  # begins as the mark of UTF-16 does
+    (codecs.BOM_UTF32_LE, "utf-32-le"),  # begins like the mark of UTF-16
     (codecs.BOM_UTF32_BE, "utf-32-be"),
     (codecs.BOM_UTF16_LE, "utf-16-le"),
     (codecs.BOM_UTF16_BE, "utf-16-be"),

@@ -214,7 +214,7 @@ def with_kind(known: Iterable[str], group: str) -> Callable[[Any], Any]:
 def _judge(name: Any, group: str) -> None:
     """Refuse a class that may not be imported; allow one that the program itself names."""
     if not isinstance(name, str) or not re.match(MODULE_AND_CLASS, name) or _reading.get():
-        return  # the field itself says what is wrong, or nothing is imported
+        return  # the field reports the error, or nothing is imported
     if refused := refusal(name, group):
         if _by_code.get():
             allow_python(name)

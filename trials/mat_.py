@@ -20,8 +20,8 @@ from .formats import MOST_BYTES, read_bytes, reading
 _HDF5 = b"\x89HDF\r\n\x1a\n"
 _DEEPEST = 8  # structs within structs; deeper is no log
 _MOST_OBJECTS = 20_000  # of an HDF5 file, counted once for every link
-_FILTERS = {1, 2, 3, 4, 5, 6, 32000}  # of the library itself; any other is code that it would look for on this machine
-_MOST_SOFT_LINKS = 16  # that lead to one another
+_FILTERS = {1, 2, 3, 4, 5, 6, 32000}  # of the library itself; any other would be code loaded from this machine
+_MOST_SOFT_LINKS = 16  # greatest number of chained soft links
 _LONGEST_TEXT = 10_000  # letters of a text that are read; a text is no signal
 
 
@@ -257,7 +257,7 @@ class _MatElements:
         try:
             unpacked = unpacking.decompress(content, self.left + 1)
         except zlib.error:
-            return memoryview(b"")  # the reader says so
+            return memoryview(b"")  # reported by the reader
         self.left -= len(unpacked)
         if self.left < 0:
             raise LogError(f"{self.path}: unpacks to more than {MOST_BYTES} bytes, expected a log")

@@ -357,7 +357,7 @@ def _header_fields(head: bytes) -> dict[bytes, bytes]:
 def _unpacked_size(compression: bytes, content: memoryview, most: int) -> int:
     """Unpacked size of a chunk [bytes]; any number above `most` if it is larger than that."""
     if compression == b"none":
-        return 0  # as large as it lies
+        return 0  # not compressed
     if compression == b"bz2":
         return len(bz2.BZ2Decompressor().decompress(content, most + 1))
     if compression == b"lz4":

@@ -138,7 +138,7 @@ class MessageLog(SignalLog):
             try:
                 fields = fields_of(self.topics[topic].decode(raw))
             except (UnreadableError, RecursionError, OverflowError):
-                continue  # what cannot be read is not on offer; asking for it says why
+                continue  # unreadable signals are not listed; a request for one gives the reason
             values |= {f"{topic}.{name}" if name else topic: value for name, value in fields.items()}
         return values
 

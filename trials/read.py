@@ -74,7 +74,7 @@ def read_trials(
     layout = resolve(layout)
     several = [logs] if isinstance(logs, Path | str | FrameLike | Trial) else list(logs)
     trials = []
-    for log in several or expand_logs([]):  # which refuses to do without any
+    for log in several or expand_logs([]):  # raises an error without any
         files = expand_logs([log]) if isinstance(log, Path | str) else [log]
         trials += [read_log(file, layout, sampled_hz) for file in files]
     counts, seen = Counter(trial.source for trial in trials), Counter[str]()
@@ -126,7 +126,7 @@ def _logs_in(folder: Path) -> list[Path]:
     return tables or [entry for entry in entries if is_bag(entry) or entry.suffix.lower() in ENDINGS]
 
 
-_NO_LOGS = (".", "~$")  # what macOS and Excel leave beside files
+_NO_LOGS = (".", "~$")  # auxiliary files of macOS and Excel
 
 
 def read_unchecked(

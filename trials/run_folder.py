@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from .report import Report
 
 FORMAT = "hystmpc-run/1"
-_META = {"start": str, "versions": dict}  # of meta.json, that readers rely on
+_META = {"start": str, "versions": dict}  # required keys of meta.json
 _PACKAGES = ("hystmpc", "numpy", "casadi", "onnxruntime", "osqp")
 
 Column = NDArray[np.float64] | tuple[str, ...]

@@ -29,7 +29,7 @@ from .tables import LogTable
 from .trial import Trial, Units, clock_advice
 from .types import Index, Vec
 
-_MOST_COMPARED = 2000  # names among which the nearest is looked for
+_MOST_COMPARED = 2000  # greatest number of names compared for the nearest
 _STEP = re.compile(r"\.?([^.\[\]]+)|\[([^\[\]]+)\]")
 
 
@@ -368,7 +368,7 @@ def at_times(t: Vec, series: Series, hold: bool) -> Vec:
 
 
 _LEAST_ROWS = 10
-_SHARE = 0.2  # of rows that lack one of the two; fewer are single cells that went missing, which are named
+_SHARE = 0.2  # of rows that lack one of the two; fewer are single missing cells, which are named
 _EVEN = 3.0  # times the median: a longer run of empty cells is a dropout
 
 

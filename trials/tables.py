@@ -24,7 +24,7 @@ BLANK = " "
 MOST_COLUMNS = 4096
 
 _DELIMITERS = (",", ";", "\t", "|", BLANK)
-_SAMPLE, _LETTERS = 400, 200_000  # most rows, and letters in all, that tell the layout
+_SAMPLE, _LETTERS = 400, 200_000  # greatest number of rows and characters used to detect the layout
 _COMMENTS = ("#", "%", "//")
 _UNIT_WORDS = """
 s sec secs second seconds ms msec us usec ns min h hour hours d day days hz khz mm um nm cm m in inch deg rad ° degree
@@ -64,7 +64,7 @@ def cells_of(line: str, delimiter: str) -> list[str]:
         try:
             cells = [cell.strip() for cell in next(csv.reader([line], delimiter=delimiter), [])]
             return [cell for cell in cells if cell] if delimiter == BLANK else cells
-        except csv.Error:  # a cell longer than any
+        except csv.Error:  # a cell beyond the length limit
             return [line]
     return [cell.strip() for cell in line.split(delimiter)]
 

@@ -106,7 +106,7 @@ class Trial:
         return in_brief(self, f"{source}: {len(self)} samples in {self.duration_s:.4g} s, {units}")
 
     def __reduce__(self) -> tuple[type[Trial], tuple[object, ...]]:
-        # A mapping proxy cannot be pickled, and trials travel to worker processes.
+        # A mapping proxy cannot be pickled, and trials are sent to worker processes.
         signals = self.t, self.command, self.angle, dict(self.channels)
         return Trial, (*signals, self.units, self.source, self.command_noise)
 
@@ -263,7 +263,7 @@ class SlowLogError(LogError):
         self.source, self.log_hz, self._rest = source, log_hz, (asked, remedy)
 
     def __reduce__(self) -> tuple[type[SlowLogError], tuple[object, ...]]:
-        return SlowLogError, (self.source, self.log_hz, *self._rest)  # it travels out of worker processes
+        return SlowLogError, (self.source, self.log_hz, *self._rest)  # for transfer from worker processes
 
 
 def resample(trial: Trial, rate_hz: float) -> Trial:

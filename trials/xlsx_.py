@@ -52,12 +52,12 @@ def _sheets(path: Path | str) -> list[tuple[str, list[list[str]]]]:
 
     _require_bounded(path)
     sheets, left = [], _MOST_CELLS
-    with warnings.catch_warnings(), Path(path).open("rb") as file:  # of a path, the library asks for its ending
-        warnings.simplefilter("ignore")  # of styles and extensions that are not kept
+    with warnings.catch_warnings(), Path(path).open("rb") as file:  # for a path the library would require an ending
+        warnings.simplefilter("ignore")  # on ignored styles and extensions
         book = load_workbook(file, read_only=True, data_only=True, keep_links=False)
         try:
             for sheet in book.worksheets[:_MOST_SHEETS]:
-                sheet.reset_dimensions()  # what the file says of them is often wrong
+                sheet.reset_dimensions()  # stored dimensions are often wrong
                 rows: list[list[str]] = []
                 filled = 0
                 for row in sheet.iter_rows(max_row=_MOST_ROWS, values_only=True):

@@ -26,12 +26,12 @@ _BIAS, _AMBIGUOUS, _SURE, _GENERIC = 1.4, -1.85, 1.45, -1.1
 _UNTRIED = -2.0  # set by judgement, not fitted: keeps the probability below 0.8
 _DRAWS = 300
 
-_NEARER = 0.2  # how much nearer the measurement is to the chosen explanation than to another, -1 to 1 ...
+_NEARER = 0.2  # least preference of the measurement for the chosen explanation over another, -1 to 1 ...
 _NEARER_ERRORS = 1.5  # ... and by how many standard errors, for the two to be told apart
 _TIMING_ERRORS, _QUICK_ERRORS = 2.0, 3.0  # the same for lag, delay and rate dependence, held out in parts, or quick
 _SIGNIFICANT_DRIFT = 3.0  # standard errors by which a drift shows within trials
 _SCATTER = 0.01  # chance by which shifts that scatter follow the clock so well, below which they are a drift
-_SIMPLICITY = 0.04  # share of the structural error that a resample has to gain by one more cause
+_SIMPLICITY = 0.04  # least share of the structural error explained by one more cause in a resample
 
 
 def ambiguity_of(selection: Selection, drift_shows: Callable[[Hypothesis], bool]) -> tuple[tuple[str, ...], ...]:

@@ -134,7 +134,7 @@ _SLOW_S = 3.0
 # A curved gain alone is no explanation if two free curves of the angle explain more than the first share of the
 # remaining structural error, and more than the second share of the whole one.
 _CURVE_LEFT, _CURVE_SIZE = 0.7, 0.012
-_WANDER = 0.7  # slow change within trials, over what shifts between them explain, above which a shift explains nothing
+_WANDER = 0.7  # slow change within trials, over the part explained by shifts, above which a shift is no explanation
 
 
 def structure_left(selection: Selection, runs: Sequence[Run], everything: Sequence[Run], floor_mse: float) -> bool:

@@ -23,7 +23,7 @@ from ..residual import friction_share
 _ASKED = 1.5  # held-out error over model-form error, from which the widths of curved plays are freed
 _GAINED = 0.5  # of the error above the model-form error, by which it has to fall with them
 _MOST_NOISE = 0.9  # of the model-form error
-_LEAST_MOVE = 0.01  # of a number: less has no meaning for a device
+_LEAST_MOVE = 0.01  # of a number: less is irrelevant for a device
 _LEAST_LEFT = 0.5  # of the height of a loop
 _MOST_GROWN = 4.0  # height of a loop over the given one: more is no friction of the same device
 

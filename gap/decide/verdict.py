@@ -35,7 +35,7 @@ _UNUSABLE = ("too_little", "unrelated")
 _LEAST_MSE = 1e-9  # [deg^2]
 _MENDS_FORM = frozenset(
     {"asymmetry", "nonlinear_gain", "trial_shift"}
-)  # what the form error of a simple core of friction looks like
+)  # effects that resemble the form error of a simple core of friction
 
 
 # Thresholds of the verdict, chosen on development cases and frozen; others are defined at their use. MSE: mean square.

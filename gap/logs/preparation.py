@@ -312,7 +312,7 @@ def nominal_noise_deg(identification: Identification, step_deg: float = 0.0) -> 
     return max(white, step_deg / math.sqrt(12.0))
 
 
-_SAME = 0.1  # of the error: two that differ by less, or by no more energy than the noise has, say the same
+_SAME = 0.1  # of the error: errors that differ by less, or by at most the energy of the noise, are equal
 _ROUNDED = 1e-3  # of a sample time, which files round
 
 
@@ -416,7 +416,7 @@ def _free_run_from(run: Runs, start: TrialStart, commands: Vec) -> Vec:
 
 _ONE_REST = 0.01  # of the command's range: rests this near to each other are one
 _LEAST_SAMPLES = 3
-_BEYOND = 3.0  # times what motions change the angle at rest by: more does not come from a motion
+_BEYOND = 3.0  # times what motions change the angle at rest by: more has another cause than a motion
 _BEYOND_FORM = 2.0  # times the model-form error (RMS): less does not matter
 
 

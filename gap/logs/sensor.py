@@ -21,17 +21,17 @@ _SHAPE = 0.2, 0.8  # of a spike's height: pull on its neighbours' second differe
 _SPIKES, _SPIKE_RATE = 3, 0.001
 _RESUMES = 5.0  # standard deviations of noise by which a held value jumps when it resumes
 _HELD_STRETCHES, _HELD_RATE = 3, 0.003
-_LEAST_JUMP = 0.003  # of the angle's range: smallest spike or jump that is looked at
+_LEAST_JUMP = 0.003  # of the angle's range: smallest evaluated spike or jump
 _JUMP = 1.6  # times the steps around it
 _BY_CHANCE = 0.001  # runs of equal readings in a trial, as long or longer, that its noise gives: held ones are longer
-_MOST_REPEATS = 0.3  # probability that two readings at rest are equal: above it a run of them says little
+_MOST_REPEATS = 0.3  # probability that two readings at rest are equal: above it a run of them is no evidence
 _REAL_NOISE = 1e-4  # of the angle's range: less may be the curvature of a motion without noise
 _STEPS = 3.0  # least spike or jump in steps of the grid
 _SLOWEST_S = 0.05  # update interval of a tip tracker; a value that stays for longer is held
 _ORDERS = (2, 3, 4)
-_CLEARLY_LOWER = 0.93  # of the lower order's estimate: a higher order, which scatters more, is taken below that only
-_KEPT = 0.8  # smallest share of the differences; the rest holds jumps, kinks and spikes
-_KEPT_MOMENT = 0.43773  # E[z^2 | |z| < 1.28155] of a standard normal z: what keeping 80 % leaves of its variance
+_CLEARLY_LOWER = 0.93  # ratio to the lower order's estimate below which a higher, more scattered order is used
+_KEPT = 0.8  # share of the differences, the smallest ones; the rest contains jumps, kinks and spikes
+_KEPT_MOMENT = 0.43773  # E[z^2 | |z| < 1.28155] of a standard normal z: variance ratio of the smallest 80 %
 _MOVING = 1e-4  # of the command's range per sample
 
 

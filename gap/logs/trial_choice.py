@@ -69,7 +69,7 @@ _PART_FINAL = 0.35
 _SPEEDS = (0.25, 0.5, 0.75, 0.9, 0.99)
 _STILL = 1e-3  # strokes per second
 _LENGTH = 0.3
-_DIGITS = 2  # of a distance: repeats by hand are never quite equal
+_DIGITS = 2  # digits of a distance: manual repeats are never exactly equal
 
 
 MOST_SAMPLES = 300_000
@@ -81,7 +81,7 @@ _BYTES, _START_BYTES = 0.6e3, 0.35e9
 _SOON_S = 30.0  # a shorter diagnosis is not announced
 _MOST_TRIALS = 200  # repeats are searched in all pairs of trials
 _LEAST_UNCUT_TRIALS = 12  # trials are cut before fewer than these are used
-_REPEAT = 0.005  # distance of `motion_features`: the same motion again
+_REPEAT = 0.005  # distance of `motion_features` of a repeated motion
 
 MOST_HZ = 50.0
 """Greatest rate of a diagnosis: tip motions end at a few Hz, and time grows with the rate."""

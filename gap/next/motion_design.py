@@ -213,8 +213,8 @@ def _unexplained(targets: Vec, basis: Vec, noise: Noise) -> Vec:
     return targets - weights.T @ (basis[moves] / norms[moves, None])
 
 
-_DRAWN, _GENERATIONS = 12, 8  # members beside the menu's; 24 in all, so that a search looks at about 200 motions
-_LEAST_S = 6.0  # a shorter motion is not worth a run of its own
+_DRAWN, _GENERATIONS = 12, 8  # members in addition to the menu's 12; about 200 motions per search
+_LEAST_S = 6.0  # a shorter motion is not worth a separate run
 
 
 @dataclass(frozen=True)

@@ -33,7 +33,7 @@ _TYPICAL = ("lag", "creep", "stick_slip", "contact")  # one of each family, wher
 NOTHING = "nothing"
 """Name of the hypothesis without any missing effect."""
 
-_MOST = 4  # hypotheses for a gap that nothing explains
+_MOST = 4  # greatest number of hypotheses for an unexplained gap
 
 
 def next_step(findings: Findings) -> MotionProposal | None:

@@ -271,7 +271,7 @@ def closed_loop_figure(curves: Sequence[TrackingCurve]) -> Figure:
 _BINS, _SEGMENT_S = 12, 16.0
 _ROUNDING = 1e-9
 
-_COLUMNS = 400  # more cannot be told apart across a page
+_COLUMNS = 400  # more are not visible across a page
 
 _WINDOW_S = 40.0
 _LOOK: dict[Stage, Any] = {stage: {**look, "linewidth": 0.9} for stage, look in LOOK.items()}

@@ -328,9 +328,9 @@ def in_words(name: str) -> str:
 
 
 _NEVER_HELD = ("trial_shift", "sensor", "configuration_change")  # of the trials or the sensor, not of the simulator
-_BY_JUMPS = ("stick_slip",)  # found by its jumps, it is in the simulator only where a fit found it as well
+_BY_JUMPS = ("stick_slip",)  # detected by its jumps; part of the simulator only if a fit contains it
 _LIKELY = 0.5  # probability, and share of the resamples, from which an effect counts as likely
-_DENSE, _MOST = 1.5, 0.3  # density and share of the error, above which a place is worth a sentence
+_DENSE, _MOST = 1.5, 0.3  # density and share of the error, above which a part of the motion is mentioned
 
 
 def verdict_facts(diagnosis: Diagnosis) -> tuple[str, ...]:
