@@ -219,7 +219,6 @@ class Screen:
     """Display of the computations of this program.
 
     Args:
-        console: standard error.
         clock: time [s].
         ticks: whether a thread updates it; otherwise the caller calls `tick`.
     """
@@ -369,10 +368,6 @@ SCREEN = Screen(errors)
 def bar(title: str, total: float | None = None, pace: Pace = EVEN) -> Iterator[Callable[..., None]]:
     """Context that shows the progress and the time left of a computation.
 
-    Args:
-        total: total steps, if known.
-        pace: share of the time by share of the steps.
-
     Yields:
         A function of the completed steps, a note, and a new total.
     """
@@ -392,7 +387,6 @@ def progress_of(title: str, pace: Pace = EVEN, kept: str = "", after: float = 0.
     """Context that shows the progress of a task and yields its `progress` callback.
 
     Args:
-        pace: share of the time by share of the steps.
         kept: line on the results kept after Ctrl-C; if empty, Ctrl-C ends the block as any other exception.
         after: steps that follow those which the task counts.
 

@@ -129,7 +129,6 @@ def fit(
 
 
 def _print_model(made: Fit, limits: DeviceLimits) -> None:
-    """Print the error explained by each part of the device, the stored limits, and the errors of the export."""
     from hystmpc.tasks.fit import part_tables
 
     done, gate, units = made.identified, made.exported, made.trials[0].units

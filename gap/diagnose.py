@@ -337,12 +337,10 @@ def diagnose_trials(
     """Diagnose trials as `hystmpc diagnose` does: verdict, expected tracking error, and the folder of results.
 
     Args:
-        trials: as recorded, of one device.
-        simulator: a chain of operators or an exported model.
         out: folder for report, corrected simulator and next motion; nothing is written if left out.
         called: further facts on the call, stored in the folder with the arguments below.
         model: file of the simulator; the folder stores its SHA-256, the report its name.
-        seed, without, only, ordered, skip_first_flexure, progress, say: see `find_causes`.
+        trials, simulator, seed, without, only, ordered, skip_first_flexure, progress, say: see `find_causes`.
 
     Raises:
         LogError, GapError, ModelError: see `find_causes`.

@@ -75,7 +75,6 @@ def _report(log: UncheckedLog, layout: AnyLayout | None = None) -> CheckReport:
 
 
 def _short(t: Vec) -> Iterator[Finding]:
-    """Finding on a log with too few samples at the usual rate of models."""
     duration, count = float(t[-1] - t[0]), t.size
     if count >= LEAST_SAMPLES and duration * _MODEL_HZ + 1 < LEAST_SAMPLES:
         rate = min(round(200 / duration, -1), (count - 1) / duration) if duration > 0 else _MODEL_HZ
@@ -278,7 +277,6 @@ class HoldEnd:
 
     Attributes:
         angle: recorded angle nearest to the mean: the median.
-        error: standard error of that angle.
         drift: upper bound of the angle's speed: its estimate plus one standard error [angle/s].
     """
 

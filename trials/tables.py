@@ -186,7 +186,6 @@ def _located(
 
 
 def _names(cells: list[str], delimiter: str) -> tuple[str, ...]:
-    """Cells of a header row, without the comment mark and the empty cells at its end."""
     first = _uncommented(cells[0]).strip() if cells else ""
     names = [first, *cells[1:]] if first or delimiter != BLANK else cells[1:]
     while names and not names[-1]:

@@ -156,7 +156,6 @@ def ranking(
     inclusion. None exceeds the effect that it could replace, or the most probable chosen one.
 
     Args:
-        inclusion: share of the resamples whose best explanation contains each effect.
         ambiguity: sets of effects that could replace each other, the chosen one first.
         left_open: probability of an effect that the verdict does not name.
     """

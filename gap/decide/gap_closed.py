@@ -27,7 +27,6 @@ class ClosedShares:
     """Shares of the structural gap closed by the stages of a correction, on given trials.
 
     Attributes:
-        before: errors of the retuned simulator.
         floor_mse: irreducible error of any simulator [deg^2].
         spread: half of a 90 % interval due to differences between trials, relative to the closed share.
     """

@@ -50,7 +50,6 @@ class CheckedTrials(ChosenTrials):
     """Checked trials with their excitation and notes.
 
     Attributes:
-        excitation: motions, speeds, holds and repeats of their commands.
         notes: faults and shortcomings of the trials, a sentence each.
         left_out: omitted trials and the reasons, a line each; also among the notes.
         unrelated: reason why the angles of all trials are unusable; empty if they follow their commands.

@@ -47,7 +47,6 @@ class PreparedTrials:
     tendon catheter: thresholds and bounds are stated for that size. In them `deg` and `cmd` mean a working unit.
 
     Attributes:
-        checked: trials at one rate, and the excitation by their commands.
         baseline: the nominal simulator and the freedom of retuning.
         development, final: runs for the choice of causes, and runs that are evaluated once.
         everything: all runs with every sample counted; in recording order if known, otherwise by content.

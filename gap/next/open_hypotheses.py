@@ -184,7 +184,6 @@ def _noise(findings: Findings) -> Noise:
 
 
 def _limits(findings: Findings) -> CommandLimits:
-    """Range of the recorded commands; the higher of the recorded rate and that of the simulator's file."""
     simulator, trials = findings.simulator, findings.prepared.checked.trials
     facts: ModelMetadata = simulator.metadata() if isinstance(simulator, Simulator) else simulator.metadata
     fastest = max(float(np.abs(np.diff(trial.command)).max()) / trial.dt for trial in trials)

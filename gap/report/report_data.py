@@ -34,7 +34,6 @@ class TrialRuns:
     """One trial with its free runs.
 
     Attributes:
-        trial: as diagnosed, on the simulator's sample time.
         role: fit, select or final (evaluated once).
         nominal, retuned, with_effects: simulated angles [deg], (T,), of the simulator as given, refitted, and refitted
             with the chosen effects; without any the last equals the second.
