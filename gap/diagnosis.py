@@ -43,7 +43,7 @@ class IdentifiedEffect:
         closed_share: share of the structural gap that it closes on the final trials, by the error without it.
         closed_ci90: 90 % interval of that share, block bootstrap over the final trials.
         rmse_before_deg, rmse_after_deg: on the final trials, the other effects present, without and with it [deg].
-        units: of each; 1 for a plain number.
+        units: of the parameters; 1 for a plain number.
         undetermined: parameters whose 90 % interval is about as wide as their range, so that their values are unusable.
     """
 

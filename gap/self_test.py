@@ -38,6 +38,7 @@ class SelfTestRow:
     """Result of one case of the self-test.
 
     Attributes:
+        named: named effects; indistinguishable ones are joined by `|`.
         passed: whether the true effect was identified, alone or in an indistinguishable set.
     """
 

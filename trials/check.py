@@ -273,7 +273,7 @@ _FULL_LOOP = 1.2  # least ratio of the gap at the start to that half-way if play
 
 @dataclass(frozen=True)
 class HoldEnd:
-    """Mean state at the end of a hold of the command.
+    """State at the end of a hold of the command.
 
     Attributes:
         angle: recorded angle nearest to the mean: the median.

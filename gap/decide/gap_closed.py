@@ -83,8 +83,8 @@ def closed_share(retuned_mse: float, with_mse: float, floor_mse: float) -> float
 def closed_interval(retuned: Blocks, before: Blocks, after: Blocks, floor_mse: float, seed: int) -> Interval:
     """90 % interval of the share closed between two stages, with common block resamples; zero without a gap.
 
-    If the gap of a resample is below the floor, its fall is divided by a tenth of the whole gap, which keeps the sign
-    of the fall: that sign is the evidence of a cause.
+    The fall in a resample is divided by its gap, but at least by a tenth of the whole gap. This keeps the sign of the
+    fall, which is the evidence of a cause.
     """
     rng = np.random.default_rng(seed)
     draws = rng.integers(0, retuned.energy.size, (_DRAWS, retuned.energy.size))

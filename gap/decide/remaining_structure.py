@@ -218,7 +218,7 @@ class Jumps:
     In each window, as short as noise and resolution allow, the measured motion is a multiple g of the simulated one.
 
     Attributes:
-        stuck, jumped, back: share of them with g below 0.3, above 2, and below -0.5.
+        stuck, jumped, back: share of the windows with g below 0.3, above 2, and below -0.5.
         carried: share of the measured motion in windows with g above 2.
         height_deg: median change of the tip's lead over the simulator in a jump [deg].
         fastest_deg_s: 90 % quantile of the simulated speeds of jumps [deg/s].

@@ -81,7 +81,7 @@ class VerdictFacts:
     """Errors and findings on which the verdict depends.
 
     Attributes:
-        retuned_mse, chosen_mse: held-out errors without and with them [deg^2].
+        retuned_mse, chosen_mse: held-out errors without and with the selected effects [deg^2].
         retuned_fit_mse: error of the retuned simulator on the trials of its fit [deg^2].
         floor_mse: error below which there is no evidence [deg^2].
         form_mse: model-form error, or `floor_mse` if unknown [deg^2].

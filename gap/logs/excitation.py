@@ -140,7 +140,7 @@ class ConfusableEffects:
     Attributes:
         effects: their public names; two names of one class if `one_class`.
         separable: whether these motions can distinguish them.
-        present: the part of it in these motions.
+        present: the part of the separating motion in these motions.
         alike_in_sine, alike_in_hold: share of one effect's gap that the other reproduces on a single 0.2 Hz sine, and
             on a ramp with a hold of 8 s (study on a Prandtl-Ishlinskii model with three plays, 50 Hz).
         one_class: equal in command and angle for every motion, by algebra.
