@@ -1,4 +1,4 @@
-"""Progress and time left of long computations: bars on a terminal, else lines; compilation is one of them."""
+"""Progress and time left of long computations, compilation included: bars on a terminal, otherwise lines."""
 
 from __future__ import annotations
 
@@ -25,20 +25,20 @@ if TYPE_CHECKING:
     from hystmpc.trials.types import Progress as Report
 
 Pace = Sequence[tuple[float, float]]
-"""Points (share of the steps, share of the time), rising from (0, 0) to (1, 1): how long the steps take."""
+"""Points (share of the steps, share of the time) of the progress, rising from (0, 0) to (1, 1)."""
 
 EVEN: Pace = ((0.0, 0.0), (1.0, 1.0))
 
 RISE_PER_S = 0.02
-"""Greatest rise of a displayed time left in a second, as a share of itself."""
+"""Greatest relative rise of a displayed time left [1/s]."""
 
 FIRST_S, EVERY_S = 2.0, 10.0
-"""A computation prints a line after the first time, then one in each of the second [s]."""
+"""Time to the first line of a computation, and interval of its later lines [s]."""
 
 _FALL_S = 3.0  # time constant with which a displayed time left falls to a shorter estimate
-_LEAST_S, _LEAST_SHARE = 1.0, 0.01  # before which no time left is estimated
+_LEAST_S, _LEAST_SHARE = 1.0, 0.01  # least time and share for an estimate of the time left
 _TICK_S = 0.25
-_DRAWN_S = 1.0  # after which a bar is drawn whose computation has not reported yet
+_DRAWN_S = 1.0  # delay of a bar whose computation has not reported yet
 _RESTED_S = 3.0  # without compilation, after which it counts as ended
 _COMPILING = "compiling, first use only"
 
@@ -52,7 +52,7 @@ class Steady:
         self._read = 0.0
 
     def show(self, wanted: float | None, now: float, paused: bool) -> float | None:
-        """The time left to display for an estimate [s] at a time [s]; during a pause it does not count down."""
+        """Time left to display for an estimate [s] at a time [s]; during a pause it is constant."""
         gone, self._read = now - self._read, now
         if wanted is None or self._shown is None:
             self._shown = wanted
@@ -67,14 +67,14 @@ class Steady:
 
 @final
 class TimeLeft:
-    """Estimate of the time left by the mean speed since the start.
+    """Estimate of the time left from the mean speed since the start.
 
-    With elapsed time E and the share p of the time that has passed, E (1 - p) / p is left. The mean speed errs by the
-    factor between the fastest and the slowest stage at most; the speed of the last seconds would jump at each stage.
-    Between two reports p goes on at that speed, as far as the last step was wide. Pauses do not count.
+    With elapsed time E and the elapsed share p of the time, E (1 - p) / p is left. The error of the mean speed is at
+    most the factor between the fastest and the slowest stage; the present speed would jump at each stage. Between two
+    reports p grows at the mean speed, at most by the last step. Pauses do not count.
 
     Args:
-        pace: share of the time by share of the steps, as measured; steps of one length where left out.
+        pace: share of the time by share of the steps, as measured; by default steps of equal duration.
     """
 
     def __init__(self, pace: Pace = EVEN) -> None:
@@ -87,7 +87,7 @@ class TimeLeft:
         self._steady = Steady()
 
     def reported(self, share: float, now: float) -> None:
-        """Set the share of the steps, 0 to 1, that is done at a time [s]; a smaller one than before restarts it."""
+        """Set the completed share of the steps, 0 to 1, at a time [s]; a decrease restarts the estimate."""
         step = share - self._done
         if self._began is None or step < 0.0:
             self._began, self._paused, self._steady, step = now, 0.0, Steady(), 0.0
@@ -98,22 +98,22 @@ class TimeLeft:
         self._at = self._elapsed(now)
 
     def pause(self, now: float) -> None:
-        """Stop the clock: the computation waits for something that is not part of it."""
+        """Stop the clock during a wait that is not part of the computation."""
         if self._pause is None:
             self._pause = now
 
     def go_on(self, now: float) -> None:
-        """Start the clock again after a pause."""
+        """Restart the clock after a pause."""
         if self._pause is not None:
             self._paused += now - self._pause
             self._pause = None
 
     def seconds(self, now: float) -> float | None:
-        """The time left to display [s]; None as long as nothing is known."""
+        """Time left to display [s]; None if unknown."""
         return self._steady.show(self._estimate(now), now, self._pause is not None)
 
     def _passed(self, share: float) -> float:
-        """Share of the time that has passed when a share of the steps is done."""
+        """Elapsed share of the time at a completed share of the steps."""
         k = min(max(bisect_right(self._steps, share), 1), len(self._steps) - 1)
         wide = self._steps[k] - self._steps[k - 1]
         part = min((share - self._steps[k - 1]) / wide, 1.0)
@@ -125,19 +125,18 @@ class TimeLeft:
             return 0.0
         if self._share < _LEAST_SHARE or elapsed < _LEAST_S or self._at <= 0.0:
             return None
-        # No farther than the last step went: where a step takes longer, the mean speed falls.
+        # At most by the width of the last step: during a longer step the mean speed falls.
         share = min(self._share * elapsed / self._at, self._farthest)
         return elapsed * (1.0 - share) / share
 
     def _elapsed(self, now: float) -> float:
-        """Time since the start without the pauses [s]."""
         if self._began is None:
             return 0.0
         return (now if self._pause is None else self._pause) - self._began - self._paused
 
 
 def clock_words(seconds: float | None) -> str:
-    """Text of a time left, no finer than an estimate is: 0:07, 0:35, 2:40; empty where it is not known."""
+    """Text of a time left with the precision of an estimate: 0:07, 0:35, 2:40; empty if unknown."""
     if seconds is None:
         return ""
     step = 10.0 if seconds > 120.0 else 5.0 if seconds > 20.0 else 1.0
@@ -152,11 +151,9 @@ class Computation:
     """State of one computation.
 
     Attributes:
-        share: of the steps that are done, None where it is not known.
-        left: estimate of the time left.
-        began: when it began [s].
-        reported: whether it has reported yet.
-        said: when its last line was printed [s], and `stage` the first word of that line's note.
+        share: completed share of the steps, None if unknown.
+        began: start time [s].
+        said: time of its last printed line [s]; `stage` is the first word of that line's note.
     """
 
     title: str
@@ -170,8 +167,8 @@ class Computation:
     stage: str = ""
 
     def line(self, now: float) -> str | None:
-        """The line that is due at a time, if any: at once for a new stage, else after `EVERY_S`."""
-        # What counts, `3 of 9`, and what names a part, `lag/command`, begins no stage.
+        """Line due at a time, if any: at once for a new stage, otherwise every `EVERY_S`."""
+        # A count, `3 of 9`, or a name of a part, `lag/command`, begins no stage.
         stage = self.note.partition(" ")[0].strip(":,")
         stage = "" if stage[:1].isdigit() or "/" in stage else stage
         late = self.said is None or stage != self.stage or now - self.said >= EVERY_S
@@ -186,7 +183,7 @@ class Computation:
 
 @final
 class Compiling:
-    """State of the compilation of kernels, which is shown as a computation."""
+    """State of the compilation of kernels, shown as a computation."""
 
     def __init__(self) -> None:
         self.state, self.at = Compilation(0.0, 0.0, False), 0.0  # as reported last, and when
@@ -195,19 +192,19 @@ class Compiling:
         self._steady = Steady()
 
     def shown(self, now: float) -> bool:
-        """Whether it goes on, and takes long enough to be shown."""
+        """Whether a compilation is active and long enough to be shown."""
         goes_on = self.state.busy or now - self.at < _RESTED_S
         self._shown = goes_on and (self._shown or self.state.worth_telling(now - self.at))
         return self._shown
 
     def left(self, now: float) -> tuple[float, float]:
-        """Share that is done, and the time left [s]."""
+        """Completed share, and the time left [s]."""
         done = self.state.done_s + (now - self.at if self.state.busy else 0.0)
         left = self._steady.show(max(self.state.total_s - done, 0.0), now, not self.state.busy) or 0.0
         return (done / (done + left) if done + left > 0 else 0.0), left
 
     def line(self, now: float) -> str | None:
-        """The line that is due at a time, if any."""
+        """Line due at a time, if any."""
         if not self.shown(now):
             return None
         if self._said is not None and (now - self._said < EVERY_S or not self.state.busy):
@@ -222,9 +219,8 @@ class Screen:
     """Display of the computations of this program.
 
     Args:
-        console: standard error.
         clock: time [s].
-        ticks: whether a thread updates it; else `tick` is called from outside.
+        ticks: whether a thread updates it; otherwise the caller calls `tick`.
     """
 
     def __init__(self, console: Console, clock: Callable[[], float] = time.monotonic, ticks: bool = True) -> None:
@@ -239,7 +235,7 @@ class Screen:
         self._number = 0
 
     def open(self, title: str, total: float | None, pace: Pace) -> int:
-        """Begin to show a computation; returns its number."""
+        """Add a computation to the display and return its number."""
         with self._lock:
             self._number += 1
             work = self._works[self._number] = Computation(title, self._clock(), TimeLeft(pace), total)
@@ -249,7 +245,7 @@ class Screen:
             return self._number
 
     def tell(self, number: int, done: float, note: str, total: float | None) -> None:
-        """Set how many steps of a computation are done; a total may become known or change."""
+        """Set the completed steps of a computation, and its total if known."""
         with self._lock:
             work, now = self._works[number], self._clock()
             first, work.reported = not work.reported, True
@@ -261,7 +257,7 @@ class Screen:
                 self.tick()
 
     def close(self, number: int) -> None:
-        """End a computation; one that was never drawn leaves nothing on the screen."""
+        """Remove a computation; one that was never drawn leaves no trace on the screen."""
         with self._lock:
             self.tick()
             work = self._works.pop(number)
@@ -272,7 +268,7 @@ class Screen:
                 self._end()
 
     def compiles(self, state: Compilation) -> None:
-        """Set how far the compilation of kernels is."""
+        """Set the state of the compilation of kernels."""
         with self._lock:
             self._compiling.state = state
             now = self._compiling.at = self._clock()
@@ -282,7 +278,7 @@ class Screen:
             self.tick()
 
     def stop(self) -> None:
-        """End the display: a thread that draws while the interpreter ends would end it with an error."""
+        """Stop the display before the interpreter ends, since a drawing thread would then cause an error."""
         with self._lock:
             thread, self._thread = self._thread, None
             self._over.set()
@@ -291,7 +287,7 @@ class Screen:
         self._end()
 
     def tick(self) -> None:
-        """Update the display; a terminal that has been closed does not end the computation."""
+        """Update the display; a closed terminal does not end the computation."""
         with self._lock, suppress(OSError):
             now = self._clock()
             if self._console.is_terminal:
@@ -324,7 +320,6 @@ class Screen:
     def _bar(
         self, number: int, title: str, total: float | None, share: float | None, left: float | None, note: str = ""
     ) -> None:
-        """Update the bar of a computation, which is added at the first call."""
         if self._bars is None:
             columns = (
                 TextColumn("{task.description}", markup=False),
@@ -334,7 +329,7 @@ class Screen:
                 TextColumn("left {task.fields[left]}", markup=False),
                 TextColumn("{task.fields[note]}", markup=False),
             )
-            # Standard output that goes to a file is not drawn over, and has to get there.
+            # Standard output redirected to a file is not overdrawn, and must be complete.
             both = sys.stdout.isatty()
             self._bars = Progress(*columns, console=self._console, auto_refresh=False, redirect_stdout=both)
             self._bars.start()
@@ -344,14 +339,12 @@ class Screen:
         self._bars.update(self._drawn[number], total=total, completed=done, note=note, left=clock_words(left))
 
     def _end(self) -> None:
-        """Stop drawing; the bars stay on the terminal as they are."""
         if self._bars is not None:
             self._bars.stop()
             self._bars = None
             self._drawn.clear()
 
     def _watch(self) -> None:
-        """Let a thread tick as long as there is something to show."""
         if self._ticks and self._thread is None:
             self._over.clear()
             self._thread = threading.Thread(target=self._go, name="progress", daemon=True)
@@ -373,15 +366,10 @@ SCREEN = Screen(errors)
 
 @contextmanager
 def bar(title: str, total: float | None = None, pace: Pace = EVEN) -> Iterator[Callable[..., None]]:
-    """Context in which the progress and the time left of a computation are shown.
-
-    Args:
-        title: name of the computation.
-        total: steps in all, if they are known.
-        pace: share of the time by share of the steps.
+    """Context that shows the progress and the time left of a computation.
 
     Yields:
-        A function of the steps done, a note, and a total that has become known or has changed.
+        A function of the completed steps, a note, and a new total.
     """
     number = SCREEN.open(title, total, pace)
 
@@ -396,16 +384,14 @@ def bar(title: str, total: float | None = None, pace: Pace = EVEN) -> Iterator[C
 
 @contextmanager
 def progress_of(title: str, pace: Pace = EVEN, kept: str = "", after: float = 0.0) -> Iterator[Report]:
-    """Context in which the progress of a task is shown; it gives the callback `progress`.
+    """Context that shows the progress of a task and yields its `progress` callback.
 
     Args:
-        title: name of the computation.
-        pace: share of the time by share of the steps.
-        kept: line on what Ctrl-C leaves; where empty Ctrl-C ends the block as any other exception.
+        kept: line on the results kept after Ctrl-C; if empty, Ctrl-C ends the block as any other exception.
         after: steps that follow those which the task counts.
 
     Raises:
-        typer.Exit: with 130 if the user ended it and something is kept.
+        typer.Exit: with 130 if the user ended it and results are kept.
     """
     try:
         with bar(title, pace=pace) as tell:

@@ -1,4 +1,4 @@
-"""Consoles, lines and tables of the verbs."""
+"""Consoles, lines and tables of the command line."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from rich.table import Table
 
 
 def plain_console(**options: Any) -> Console:
-    """Console that prints text without markup: a file may be called `[/red].csv` or `:bell:.csv`."""
+    """Console that prints text without markup, since a file may be called `[/red].csv` or `:bell:.csv`."""
     return Console(markup=False, emoji=False, **options)
 
 
@@ -33,7 +33,7 @@ def say(text: str, style: str = "yellow") -> None:
 
 
 def table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]], last_apart: bool = False) -> Table:
-    """A table whose first column is text and whose others are numbers; the last row may stand apart."""
+    """Table with text in the first column and numbers in the others; the last row may be separate."""
     grid = Table(title=title, title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
     for k, name in enumerate(columns):
         grid.add_column(name, justify="left" if k == 0 else "right", overflow="fold")

@@ -1,4 +1,4 @@
-"""Verbs on devices: `run`, `record`, `commission` and `investigate` move one, `device` serves a simulated one."""
+"""Subcommands for devices: `run`, `record`, `commission` and `investigate` move one, `device` simulates one."""
 
 from __future__ import annotations
 
@@ -109,11 +109,7 @@ def record(call: Call) -> None:
 
 
 def _begun(call: Call, load: Callable[..., S]) -> S:
-    """Settings of a run whose folder is vacant; a latched stop is released where `--reset` asks for it.
-
-    Raises:
-        ConfigError: if the folder is not new or empty, or another program controls the device now.
-    """
+    """Settings of a run in a vacant folder; `--reset` releases a latched stop."""
     from hystmpc.rig.run import reset_latch
     from hystmpc.tasks.inputs import allow_classes
     from hystmpc.trials.run_folder import require_vacant
@@ -129,11 +125,11 @@ def _begun(call: Call, load: Callable[..., S]) -> S:
 def _recording(
     call: Call, settings: RunSettings | RecordSettings, meta: RecordingMeta, desk: Desk, report: bool = True
 ) -> Callable[[], RecorderProcess]:
-    """Function that opens the recording once the device has answered, and prints the address of the page."""
+    """Function that opens the recording after the device's answer, and prints the address of the page."""
     from hystmpc.rig.recording.recorder_process import Views, open_recorder_process
 
     live = settings.live
-    # A page from which something may be asked is always served.
+    # A page that can send requests is always served.
     views = Views(terminal=call.live, page=call.page or live.control, host=live.host, port=live.port)
 
     def opened() -> RecorderProcess:
@@ -148,7 +144,6 @@ def _recording(
 
 
 def _print_outcome(settings: BenchSettings, result: BenchResult) -> None:
-    """Print timing, faults and the end of a run; nothing where the terminal has been closed."""
     if result.outcome.cause == "SIGHUP":
         sys.stdout = sys.stderr = open(os.devnull, "w")  # noqa: SIM115 - for the rest of the process
     timings, outcome = result.timings, result.outcome
@@ -184,7 +179,6 @@ def _row(name: str, times: TimingSummary) -> list[str]:
 
 
 def _exit(result: BenchResult) -> None:
-    """End the program with exit code 3 after a stop."""
     if result.outcome.cause:
         raise typer.Exit(STOPPED)
 
@@ -197,7 +191,7 @@ def _exit(result: BenchResult) -> None:
 def commission(call: Call, dry_run: DryRun = False) -> None:
     """Find safe range and rate, record, identify, make a controller, verify it, report.
 
-    The device moves for five minutes at most. Ctrl-C keeps what is complete; the same command goes on. Exit code 3
+    The device moves for five minutes at most. Ctrl-C keeps the completed parts; the same command continues. Exit code 3
     after a safe stop, 1 if a stage could not be completed, 130 if Ctrl-C ended a computation.
     """
     from hystmpc.tasks.device import commission_plan
@@ -237,9 +231,9 @@ def investigate(
     dry_run: DryRun = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print investigation.json and nothing else.")] = False,
 ) -> None:
-    """Find out why a simulator and its device differ: record, diagnose, record what decides most.
+    """Find the causes of the difference between a simulator and its device: record, diagnose, record the next motion.
 
-    Ctrl-C keeps what is complete; the same command goes on. Exit code 0 whatever the verdict, 3 after a safe stop, 1 if
+    Ctrl-C keeps the completed parts; the same command continues. Exit code 0 for any verdict, 3 after a safe stop, 1 if
     a part could not be completed, 130 if Ctrl-C ended a computation.
     """
     from hystmpc.tasks.device import investigation_plan
@@ -268,7 +262,6 @@ def investigate(
 
 
 def _print_plan(plan: DevicePlan, part: str) -> None:
-    """Print parts, motions, minutes and limits, before anything moves."""
     rows = [(name, what, f"{minutes:.1f}") for name, what, minutes in plan.rows]
     grid = table(plan.title, (part, "motions", "min"), rows, True)
     grid.columns[1].justify = "left"
@@ -278,11 +271,7 @@ def _print_plan(plan: DevicePlan, part: str) -> None:
 
 @contextmanager
 def _stages_kept(folder: Path | None) -> Iterator[None]:
-    """Context that prints how the device has stopped, or why a stage was not completed.
-
-    Raises:
-        Exit: of typer.
-    """
+    """Context that prints how the device has stopped, or why a stage was not completed."""
     from hystmpc.bench.device import DeviceStoppedError
     from hystmpc.bench.stages import EndedEarlyError
 
@@ -303,7 +292,7 @@ def device(
     overrides: Annotated[list[str] | None, typer.Option("--set", help="Change a setting: link.bind_port=0.")] = None,
     seconds: Annotated[float, typer.Option(min=0, help="End after this time; 0 for Ctrl-C.")] = 0.0,
 ) -> None:
-    """The device listens on the loopback unless the file has another address, until Ctrl-C."""
+    """The simulated device listens until Ctrl-C, on the loopback unless the file has another address."""
     from hystmpc.bench.device import make_plant
     from hystmpc.rig.device import DeviceSettings, serve
     from hystmpc.trials.config import load_settings

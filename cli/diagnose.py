@@ -1,4 +1,4 @@
-"""Verb `diagnose`: causes of the gap between a simulator and its device, and the motion to record next."""
+"""Subcommand `diagnose`: causes of the gap between a simulator and its device, and the motion to record next."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 FAILED = 1
 _REPORT = 10  # steps of the report, after the hundred of the diagnosis
-# Three rounds of the selection, as on logs of a catheter with a simulator that was identified from others.
+# Three rounds of the selection, as measured on logs of a catheter with a simulator identified from other logs.
 _PACE: Pace = ((0, 0), (0.05, 0.12), (0.34, 0.31), (0.51, 0.44), (0.62, 0.57), (0.77, 0.6), (0.91, 0.69), (1, 1))
 
 
@@ -37,7 +37,7 @@ def diagnose(
         bool, typer.Option("--self-test", help="Recover known truths instead of reading logs.")
     ] = False,
 ) -> None:
-    """Exit code 0 whatever the verdict.
+    """The exit code is 0 for any verdict.
 
     Raises:
         ConfigError: if logs, simulator or folder are missing.
@@ -88,7 +88,6 @@ def print_diagnosis(diagnosis: Diagnosis) -> None:
 
 
 def _self_test(seed: int) -> None:
-    """Print for each known truth whether it was recovered; exit code 1 if one was not."""
     from hystmpc.gap.self_test import self_test
 
     with progress_of("self-test") as progress:

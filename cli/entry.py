@@ -1,4 +1,4 @@
-"""Start of the program, in which Ctrl-C prints no traceback even while modules are imported."""
+"""Start of the program, in which Ctrl-C prints no traceback even during imports."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ _INTERRUPTED = 130
 
 
 def main() -> None:
-    """Import the verbs and run the program."""
+    """Import the subcommands and run the program."""
     try:
         from .main import main as program
     except KeyboardInterrupt:
@@ -17,5 +17,5 @@ def main() -> None:
     try:
         program()
     finally:
-        # The work is done or refused, and the exit code stands: Ctrl-C while the interpreter ends would replace it.
+        # The exit code is final: Ctrl-C during the end of the interpreter would replace it.
         signal.signal(signal.SIGINT, signal.SIG_IGN)

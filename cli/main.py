@@ -1,4 +1,4 @@
-"""The program `hystmpc`: its verbs, each imported when it is called, and how errors and Ctrl-C end it."""
+"""Program `hystmpc`: its subcommands, each imported at its call, and its end by errors and Ctrl-C."""
 
 from __future__ import annotations
 
@@ -49,11 +49,10 @@ VERBS: Mapping[str, tuple[str, str]] = MappingProxyType(
         "demo": ("simulate:demo", "Track two motions with every controller on a simulated device."),
     }
 )
-"""Every verb: MODULE:NAME of its function in this package, and its line in `hystmpc --help`."""
+"""Subcommands: MODULE:NAME of their functions in this package, and their lines in `hystmpc --help`."""
 
 GROUP = "hystmpc.verbs"
-"""Entry points by which installed packages add verbs. The value is MODULE:NAME of a mapping of the same form as `VERBS`
-from each verb to the MODULE:NAME of its function or group, and its line in `hystmpc --help`."""
+"""Entry point group of further subcommands; each value is MODULE:NAME of a mapping in the form of `VERBS`."""
 
 _LABORATORY = "Studies and benchmarks are verbs of hystmpc-lab: pip install ./lab, or 'hystmpc[papers]'."
 
@@ -67,7 +66,7 @@ def _nothing() -> None:
 
 @cache
 def verbs_of_others() -> Mapping[str, tuple[str, str]]:
-    """Verbs of installed packages, see `GROUP`; a verb of hystmpc itself cannot be replaced.
+    """Subcommands of installed packages, see `GROUP`; a subcommand of hystmpc itself cannot be replaced.
 
     Raises:
         ConfigError: if a package's mapping cannot be imported.
@@ -79,12 +78,11 @@ def verbs_of_others() -> Mapping[str, tuple[str, str]]:
 
 
 def _lines() -> dict[str, str]:
-    """Every verb and its line in `hystmpc --help`."""
     return {name: line for name, (_, line) in {**VERBS, **verbs_of_others()}.items()}
 
 
 class Verbs(TyperGroup):
-    """Group of the verbs, which imports the module of the verb that is called and no other."""
+    """Group of the subcommands, which imports only the module of the called subcommand."""
 
     def list_commands(self, ctx: Any) -> list[str]:
         """Names in the order of `VERBS`, then those of installed packages."""
@@ -92,7 +90,7 @@ class Verbs(TyperGroup):
         return list(_lines())
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
-        """Command of a verb, None for an unknown one."""
+        """Return a subcommand by name, None for an unknown one."""
         if cmd_name not in VERBS and cmd_name not in verbs_of_others():
             return None
         builtin = cmd_name in VERBS
@@ -111,13 +109,13 @@ class Verbs(TyperGroup):
         return typer.main.get_command(group).get_command(ctx, cmd_name)  # type: ignore[attr-defined]  # it is a group
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
-        """A line for each verb, without importing any of them."""
+        """Write a help line for each subcommand, without importing any of them."""
         del ctx
         with formatter.section("Commands"):
             formatter.write_dl(list(_lines().items()))
 
     def shell_complete(self, ctx: Any, incomplete: str) -> list[Any]:
-        """Verbs and options that begin with `incomplete`, without importing any verb."""
+        """Subcommands and options that begin with `incomplete`, without importing any subcommand."""
         verbs = [
             SimpleNamespace(type="plain", value=name, help=line)
             for name, line in _lines().items()
@@ -126,7 +124,7 @@ class Verbs(TyperGroup):
         return [*verbs, *super(TyperGroup, self).shell_complete(ctx, incomplete)]
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
-        """The verb that was called; an unknown one is answered with the nearest."""
+        """Return the called subcommand; for an unknown name raise an error with the nearest."""
         if args and args[0] not in VERBS and args[0] not in _lines() and not args[0].startswith("-"):
             near = get_close_matches(args[0], _lines(), n=1)
             hint = f" Did you mean {near[0]!r}?" if near else f" {_LABORATORY}"
@@ -166,7 +164,7 @@ def main() -> None:
         app()
     except HystmpcError as error:
         _end(str(error))
-    except OSError as error:  # a full disk, a file that may not be read: the machine's, not a defect of the program
+    except OSError as error:  # a full disk, a file that may not be read: a fault of the machine, not of the program
         _end(f"{error.filename}: {error.strerror}" if error.filename and error.strerror else str(error))
 
 

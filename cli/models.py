@@ -1,4 +1,4 @@
-"""Verbs on logs and models: `check`, `fit`, `evaluate`, `export`, `export-c`, `export-fmu`, `report`."""
+"""Subcommands on logs and models: `check`, `fit`, `evaluate`, `export`, `export-c`, `export-fmu`, `report`."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ _SEEN_PART = {"--command-limits": "the range", "--command-rate": "the rate"}
 def check(call: Call) -> None:
     """The check covers time base, jitter, gaps, duplicates, NaN, units, sign, segments, first flexure.
 
-    Exit code 1 if a log cannot be used. With --sim also the least size at which `diagnose` would show each effect, from
+    Exit code 1 if a log cannot be used. With --sim also the smallest detectable size of each effect in `diagnose`, from
     the commands alone.
     """
     checked: LogsCheck = call.run("check", show=_print_findings)
@@ -62,10 +62,10 @@ class FitCommand(TyperCommand):
     """Parser of `fit`, which refuses logs on both sides of `--test LOG`: `--test a.csv b.csv` would fit b.csv."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Parse as usual, then look at what stands right behind the log of each `--test`.
+        """Parse arguments, then check the argument after the log of each `--test`.
 
         Raises:
-            ConfigError: if a log of the fit stands there and others stand elsewhere.
+            ConfigError: if it is a log of the fit and there are others elsewhere.
         """
         given = list(args)
         rest = super().parse_args(ctx, args)
@@ -129,7 +129,6 @@ def fit(
 
 
 def _print_model(made: Fit, limits: DeviceLimits) -> None:
-    """Print what each part of the device explains, the stored limits, and the errors of the export."""
     from hystmpc.tasks.fit import part_tables
 
     done, gate, units = made.identified, made.exported, made.trials[0].units
@@ -148,7 +147,7 @@ def _print_model(made: Fit, limits: DeviceLimits) -> None:
 
 
 def limits_line(stored: ModelMetadata, given: DeviceLimits) -> str:
-    """Sentence on the limits that controllers of the model respect, and whether the device or its logs gave them."""
+    """Sentence on the limits that controllers of the model respect, and their origin: device or logs."""
     box, unit = stored.command_limits, stored.command_unit
     rate = f"at most {stored.command_rate:.4g} {unit}/s"
     text = f"limits stored in the model: {box.lower:.4g} to {box.upper:.4g} {unit}, {rate}"
@@ -180,7 +179,6 @@ def evaluate(call: Call) -> None:
 
 
 def _print_errors(title: str, evaluation: Evaluation) -> None:
-    """Print the errors of each trial and their mean; `no bias` is the offset-free RMSE."""
     from hystmpc.models.evaluate import ERROR_COLUMNS, error_rows, start_sentences
 
     runs = evaluation.trials
@@ -244,7 +242,7 @@ def export_c(call: Call) -> None:
 def export_fmu(call: Call) -> None:
     """The input of the co-simulation FMU is the command, its output the true angle without sensor noise.
 
-    The FMU holds its C sources, and a binary where a compiler is found: CC, cc, or the package ziglang.
+    The FMU holds its C sources, and a binary if a compiler is available: CC, cc, or the package ziglang.
     """
     made: FmuExport = call.run("export")
     facts = made.described
@@ -263,7 +261,7 @@ def export_fmu(call: Call) -> None:
 
 @verb("report:report")
 def report(call: Call) -> None:
-    """For an experiment the report says what is due: nothing, `fit` or `diagnose`.
+    """For an experiment the report recommends the next step: none, `fit` or `diagnose`.
 
     With an earlier run it says how far the tracking error fell, and with a diagnosis how far it was expected to fall on
     this reference.

@@ -1,4 +1,4 @@
-"""Verbs of reference: `schema` of configuration files, `effects` of the library, `new` templates of classes."""
+"""Reference commands: `schema` of configuration files, `effects` of the library, `new` templates of classes."""
 
 from __future__ import annotations
 
@@ -36,16 +36,16 @@ FILES: Mapping[str, tuple[str, str]] = MappingProxyType(
         "simulator": ("hystmpc.models.simulator:SimulatorFile", "a simulator that `hystmpc fit` writes"),
     }
 )
-"""Kinds of file: where their settings are defined, and what the file is."""
+"""Kinds of file: location of their settings, and a description."""
 
 TELLS = "says which block this is."
-"""Meaning of a key that only tells kinds of blocks apart."""
+"""Meaning of a key that only distinguishes kinds of blocks."""
 
 
 def schema(
     kind: Annotated[str | None, typer.Argument(help="Kind of file; left out, the kinds are listed.")] = None,
 ) -> None:
-    """An editor checks and completes a file whose schema it knows."""
+    """Editors use the schema to check and complete a configuration file."""
     if kind is not None:
         typer.echo(json.dumps(json_schema(settings_of(kind), f"hystmpc: {FILES[kind][1]}"), indent=1))
         return
@@ -90,7 +90,7 @@ def new(
     kind: Annotated[str, typer.Argument(help="Kind of class: transport, effect or controller.")],
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="New or empty folder.")],
 ) -> None:
-    """The folder has the class, contract tests that pass as they are, and a file to try the class with."""
+    """The folder contains the class, contract tests that pass unchanged, and a file to try the class."""
     from hystmpc.testing.templates import write_template
 
     for file in write_template(kind, folder):
@@ -111,12 +111,7 @@ def settings_of(kind: str) -> Any:
 
 
 def json_schema(annotation: Any, title: str) -> dict[str, Any]:
-    """A JSON schema (draft 2020-12) of a file: that of pydantic, with the meaning of every key as its description.
-
-    Args:
-        annotation: a class of settings, or a union of such classes.
-        title: of the schema.
-    """
+    """JSON schema (draft 2020-12) of a file: pydantic's schema, with the meaning of every key as description."""
     from pydantic import TypeAdapter
 
     schema: dict[str, Any] = TypeAdapter(annotation).json_schema()
@@ -132,7 +127,7 @@ def json_schema(annotation: Any, title: str) -> dict[str, Any]:
 
 
 def mapping_in(body: dict[str, Any]) -> dict[str, Any]:
-    """The part of a schema that describes a mapping of keys."""
+    """Part of a schema that describes a mapping of keys."""
     return next(part for part in (body, *body.get("anyOf", ())) if "properties" in part)
 
 
@@ -148,7 +143,7 @@ def meanings_of(kind: type[Settings]) -> Mapping[str, str]:
 
 
 def blocks_in(annotation: Any) -> Iterator[type[Settings]]:
-    """The classes of settings in an annotation, those in containers and unions included."""
+    """Classes of settings in an annotation, including those in containers and unions."""
     from hystmpc.trials.config import Settings
 
     if isinstance(annotation, type) and issubclass(annotation, Settings):
@@ -158,7 +153,7 @@ def blocks_in(annotation: Any) -> Iterator[type[Settings]]:
 
 
 def reachable(annotation: Any) -> tuple[type[Settings], ...]:
-    """All blocks that can stand in a file, each once, outer ones first."""
+    """All blocks that a file can contain, each once, outer ones first."""
     blocks: dict[type[Settings], None] = {}
     waiting = list(blocks_in(annotation))
     while waiting:

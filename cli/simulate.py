@@ -1,4 +1,4 @@
-"""Verbs of the simulated closed loop: `simulate` of a study or a sweep, `tune` and `demo`."""
+"""Subcommands of the simulated closed loop: `simulate` for a study or a sweep, `tune` and `demo`."""
 
 from __future__ import annotations
 
@@ -70,11 +70,7 @@ def simulate(
 
 
 def _named(text: str) -> tuple[str, Path]:
-    """Name and file of `NAME=FILE`.
-
-    Raises:
-        ConfigError: if it is not of that form.
-    """
+    """Name and file of `NAME=FILE`; refuse any other form."""
     name, separator, file = text.partition("=")
     if not separator or not name or "." in name:
         raise ConfigError(f"--controller {text}: expected NAME=FILE, a name without dots")
@@ -82,7 +78,6 @@ def _named(text: str) -> tuple[str, Path]:
 
 
 def _sweep(call: Call, file: Path) -> None:
-    """Compute the runs of a sweep that are not in its folder yet."""
     kept = f"interrupted: finished runs are kept in {call.out}, the same command goes on"
     outcome: SweepOutcome = call.run("sweep", 1, config=file, kept=kept)
     if outcome.failed:
@@ -95,7 +90,6 @@ def _sweep(call: Call, file: Path) -> None:
 
 
 def _reproduce(folder: Path, identity: str, target: Path | None) -> None:
-    """Compute a row of a sweep a second time; exit code 1 if a figure differs."""
     from hystmpc.tasks.simulate import reproduce
 
     figures = reproduce(folder, identity, target)
@@ -109,7 +103,7 @@ def _reproduce(folder: Path, identity: str, target: Path | None) -> None:
 
 
 def print_study(result: StudyResult, folder: Path) -> None:
-    """Print a table for each motion of a study, its conclusions, and how many runs Ctrl-C has left.
+    """Print a table for each motion of a study, its conclusions, and the number of runs left by Ctrl-C.
 
     Angles in degrees, commands in their unit, times in milliseconds: error over the run, over the last halves of holds,
     greatest command range over one of those, time of a step, samples beyond a limit. A star marks the least RMSE.

@@ -1,4 +1,4 @@
-"""Verbs from the functions of `tasks`: each parameter becomes an argument or option, its text in `Args:` the help."""
+"""Subcommands from the functions of `tasks`: parameters become arguments and options, their `Args:` text the help."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ _TYPES: Mapping[str, Any] = {
     "Iterable[str]": _TEXTS,
     "Sequence[str]": _TEXTS,
 }
-"""Types of options by the annotations of the tasks; every other annotation is that of a file."""
+"""Types of options by the annotations of the tasks; all other annotations are files."""
 
 _FLAGS = {"out": "--out", "overrides": "--set", "simulator": "--sim"}
 _INJECTED = ("progress", "say", "show")
@@ -46,7 +46,7 @@ _ENTRY = re.compile(r"^ {4}(\w+(?:, \w+)*): (.*(?:\n {5,}.*)*)", re.MULTILINE)
 
 
 def entries_of(docstring: str | None, section: str) -> dict[str, str]:
-    """Texts of a section of a docstring, such as `Args` or `Attributes`, by the names that they explain."""
+    """Entries of a docstring section such as `Args` or `Attributes`, by name."""
     matched = re.search(_SECTION.format(section), inspect.cleandoc(docstring or "") + "\n", re.MULTILINE)
     entries = _ENTRY.finditer(matched[1] if matched else "")
     return {name: " ".join(entry[2].split()) for entry in entries for name in entry[1].split(", ")}
@@ -54,7 +54,7 @@ def entries_of(docstring: str | None, section: str) -> dict[str, str]:
 
 @final
 class Call:
-    """Call of a verb; its attributes are the arguments from the command line, () for a list without entries."""
+    """Call of a subcommand; its attributes are the command-line arguments, () for an empty list."""
 
     def __init__(self, tasks: tuple[Task, ...], given: Mapping[str, Any]) -> None:
         self._tasks, self._given = tasks, given
@@ -65,11 +65,10 @@ class Call:
         return self._given[name]
 
     def run(self, title: str, k: int = 0, *, pace: Pace = EVEN, kept: str = "", after: float = 0.0, **more: Any) -> Any:
-        """Run the verb's k-th task and show its progress; returns its result.
+        """Run the k-th task of the subcommand, show its progress, and return its result.
 
         Args:
             title, pace, kept, after: see `progress_of`.
-            k: number of the task.
             more: arguments in place of those from the command line.
         """
         with progress_of(title, pace, kept, after) as progress:
@@ -81,13 +80,12 @@ class Call:
 @final
 @dataclass(frozen=True)
 class Verb:
-    """Command whose arguments and options are the parameters of tasks.
+    """Subcommand (verb) whose arguments and options are the parameters of tasks.
 
     Attributes:
-        tasks: MODULE:NAME of each function in `hystmpc.tasks`; a parameter of several is that of the first.
-        shows: runs a task and prints its result; it may have further options, and its docstring is help as well.
-        differs: by parameter, what its option has in place of what `_parameter` gives it; None for no option.
-        cls: class of the command.
+        tasks: MODULE:NAME of each function in `hystmpc.tasks`; a common parameter is that of the first.
+        shows: function that runs a task and prints its result; it may add options, and its docstring is help as well.
+        differs: by parameter, changes to the option made by `_parameter`; None for no option.
     """
 
     tasks: tuple[str, ...]
@@ -96,7 +94,7 @@ class Verb:
     cls: type[TyperCommand] | None = None
 
     def callback(self) -> Callable[..., None]:
-        """The function that typer calls, with the signature that typer reads."""
+        """Function that typer calls, with the signature that typer reads."""
         tasks = tuple(_task(name) for name in self.tasks)
         parameters: dict[str, Parameter] = {}
         for task in tasks:
@@ -121,7 +119,7 @@ class Verb:
 def verb(
     *tasks: str, cls: type[TyperCommand] | None = None, **differs: Options | None
 ) -> Callable[[Callable[..., None]], Verb]:
-    """Decorator of a function that runs a task and prints its result; see `Verb`."""
+    """Decorate a function that runs a task and prints its result; see `Verb`."""
     return lambda shows: Verb(tasks, shows, differs, cls)
 
 
@@ -132,15 +130,7 @@ def _task(place: str) -> Task:
 
 
 def _parameter(parameter: Parameter, *, flag: str = "", kind: Any = None, help: str, **more: Any) -> Parameter:
-    """Parameter of the command: an option if it is a keyword or has a flag, else an argument.
-
-    Args:
-        parameter: of the task.
-        flag: name of the option, in place of the one made of the parameter's name.
-        kind: type, in place of that of the annotation.
-        help: text of the help.
-        more: `default` in place of the task's, and keywords of typer.
-    """
+    """Parameter of the command: an option if it is a keyword or has a `flag`, otherwise an argument."""
     kind = kind or _TYPES.get(parameter.annotation.removesuffix(" | None"), Path)
     flag = flag or _FLAGS.get(parameter.name, "")
     if not flag and parameter.kind is Parameter.KEYWORD_ONLY:

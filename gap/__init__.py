@@ -1,1 +1,1 @@
-"""The sim-to-real diagnosis: the place of the gap, its causes, the share that they close, and the next motion."""
+"""Sim-to-real diagnosis: location and causes of the gap, the share that the causes close, and the next motion."""

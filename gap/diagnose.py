@@ -63,17 +63,16 @@ def find_causes(
     Args:
         trials: of one device.
         simulator: a chain of operators or an exported model.
-        seed: of every resampling.
         without: effects left out of the library.
-        only: the library itself; all effects where left out.
-        progress: called with steps done, steps in all and the present step.
-        say: called before the long part with a line on each trial that is left out and on the expected duration.
-        ordered: whether the caller knows that the trials stand in the order of recording, as who recorded them does. If
-            not, time stamps or a manifest may tell it; else the result does not depend on their order.
+        only: the library itself; all effects if left out.
+        progress: called with completed steps, total steps and the present step.
+        say: called before the long part with a line on each omitted trial and on the expected duration.
+        ordered: whether the caller knows that the trials are in recording order. If not, time stamps or a manifest may
+            define it; otherwise the result does not depend on their order.
         skip_first_flexure: count each trial only from the command's first reversal on.
 
     Raises:
-        LogError: if a trial is a proposed motion, or its command never turns where the first flexure is skipped.
+        LogError: if a trial is a proposed motion, or its command never turns and the first flexure is skipped.
         GapError: on unusable trials (`check_trials`), or an unknown effect.
         ModelError: if the simulator is an inverse map.
     """
@@ -146,10 +145,7 @@ def detectable_in_logs(trials: Sequence[Trial], simulator: Simulator | LoadedMod
 
 
 def _selection_progress(progress: Progress) -> Callable[[float, str], None]:
-    """Progress of the selection, 5 to 85 %: each round takes 40 % of the remaining progress.
-
-    Every round counts its candidates anew, which tells where one begins.
-    """
+    """Progress of the selection, 5 to 85 %: each round, with a restarted count, takes 40 % of the rest."""
     rounds, last = 0, 0.0
 
     def advance(share: float, what: str) -> None:
@@ -161,8 +157,6 @@ def _selection_progress(progress: Progress) -> Callable[[float, str], None]:
 
 
 class _StepTimes:
-    """Duration of each step."""
-
     def __init__(self) -> None:
         self._last = time.perf_counter()
         self.seconds: dict[str, float] = {}
@@ -182,7 +176,7 @@ def _left_out(without: Sequence[str], only: Sequence[str] | None) -> tuple[str, 
 
 
 def _localisation(prepared: PreparedTrials, seed: int) -> Localisation | None:
-    """Localisation of the residual of a simulator that is retuned to all trials, since it decides nothing."""
+    """Localisation of the residual after retuning to all trials, for information only."""
     retuned = CrossValidation(prepared.baseline, prepared.counted).retuned()
     errors = prepared.scored(prepared.residuals(retuned))
     if not any(np.any(error) for error in errors):
@@ -192,7 +186,6 @@ def _localisation(prepared: PreparedTrials, seed: int) -> Localisation | None:
 
 
 def _diagnosis(findings: Findings, parameters: Sequence[ParameterRow]) -> Diagnosis:
-    """The result, from the findings of all steps."""
     from .report.words import reason_for
 
     prepared, attribution, conclusion = findings.prepared, findings.attribution, findings.conclusion
@@ -271,10 +264,7 @@ def _probabilities(findings: Findings, public: Mapping[str, str]) -> dict[str, f
 
 
 def _unnamed_probability(findings: Findings) -> float:
-    """Probability left for effects that the verdict does not name.
-
-    Where nothing is missing in the simulator, it is the chance that the verdict is another one.
-    """
+    """Probability of effects outside the verdict; if the verdict is no gap, that of another verdict."""
     if findings.conclusion.decision.verdict not in ("none", "retuned"):
         return 1.0
     return 1 - _SURE_OF_NONE * _stability_share(findings)
@@ -290,7 +280,6 @@ def _effects(
     parameters: Sequence[ParameterRow],
     grouped: Configuration | None,
 ) -> tuple[IdentifiedEffect, ...]:
-    """Identified effects, the most probable first."""
     closed, decades, log = findings.conclusion.closed, findings.prepared.decades, findings.prepared.checked.trials[0]
     units = {
         name: dict(UNITS) if grouped and name == SHIFT else {r.name: r.unit for r in parameters if r.owner == name}
@@ -326,7 +315,7 @@ class DiagnosisResult:
 
     @property
     def diagnosis(self) -> Diagnosis:
-        """The result."""
+        """Verdict, effects, gap and next motion."""
         return self.data.diagnosis
 
 
@@ -348,12 +337,10 @@ def diagnose_trials(
     """Diagnose trials as `hystmpc diagnose` does: verdict, expected tracking error, and the folder of results.
 
     Args:
-        trials: as recorded, of one device.
-        simulator: a chain of operators or an exported model.
-        out: folder for report, corrected simulator and next motion; nothing is written where left out.
-        called: further facts of how it was called, kept in the folder beside the arguments below.
-        model: file of the simulator; its SHA-256 is kept in the folder, its name stands in the report.
-        seed, without, only, ordered, skip_first_flexure, progress, say: see `find_causes`.
+        out: folder for report, corrected simulator and next motion; nothing is written if left out.
+        called: further facts on the call, stored in the folder with the arguments below.
+        model: file of the simulator; the folder stores its SHA-256, the report its name.
+        trials, simulator, seed, without, only, ordered, skip_first_flexure, progress, say: see `find_causes`.
 
     Raises:
         LogError, GapError, ModelError: see `find_causes`.

@@ -1,4 +1,4 @@
-"""The result of a diagnosis and its fixed JSON form."""
+"""Result of a diagnosis and its fixed JSON form."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from hystmpc.trials.brief import brief, in_brief
 
 FORMAT = "hystmpc-diagnosis/2"
 FORMATS = ("hystmpc-diagnosis/1", FORMAT)
-"""What readers accept; version 2 has all keys of version 1, with their meaning."""
+"""Accepted formats; version 2 has all keys of version 1, with their meaning."""
 
 FIXED_FILE, MOTION_FILE = "sim.fixed.yaml", "next_motion.csv"
 """Files of the corrected simulator and of the proposed motion in the folder of a diagnosis."""
@@ -27,7 +27,7 @@ Order = Literal["known", "unknown"]
 
 
 FLIPS = "the verdict flips between splits of the trials, so that no simulator surely stands for the device"
-"""Why nothing can be foretold with effects that cannot be relied on."""
+"""Reason for no prediction from effects that are unreliable."""
 
 _STABLE = 0.7  # of the resamples: a verdict that comes out less often is said to flip
 _NO_FALL, _HIDDEN = 0.05, 0.3  # of the error: less is no fall; the same where the fall is below the floor
@@ -38,15 +38,13 @@ class IdentifiedEffect:
     """Effect that the diagnosis added to the simulator.
 
     Attributes:
-        name: its public name.
         probability: calibrated probability that this effect is present, at most (1 + inclusion) / 2.
-        inclusion: share of block resamples in which it was chosen.
+        inclusion: share of block resamples that choose it.
         closed_share: share of the structural gap that it closes on the final trials, by the error without it.
         closed_ci90: 90 % interval of that share, block bootstrap over the final trials.
         rmse_before_deg, rmse_after_deg: on the final trials, the other effects present, without and with it [deg].
-        parameters: identified values by name.
-        units: of each; 1 for a plain number.
-        undetermined: parameters whose 90 % interval is about as wide as their range: their values say nothing.
+        units: of the parameters; 1 for a plain number.
+        undetermined: parameters whose 90 % interval is about as wide as their range, so that their values are unusable.
     """
 
     name: str
@@ -75,15 +73,14 @@ class Gap:
     closed_share = (MSE_retuned - MSE_with) / (MSE_retuned - MSE_floor)
 
     Attributes:
-        nominal_rmse_deg, retuned_rmse_deg, with_effects_rmse_deg: on the final trials [deg]; retuned is never more than
-            nominal: numbers that are worse there are not taken.
-        floor_rmse_deg: error that stays with any simulator [deg], at least the rounding of the readings.
+        nominal_rmse_deg, retuned_rmse_deg, with_effects_rmse_deg: on the final trials [deg]; retuned is at most
+            nominal, since a worse retuning is rejected.
+        floor_rmse_deg: irreducible error of any simulator [deg], at least the rounding of the readings.
         floor_kind: from repeats of a motion, or from the noise of the residual (a lower bound).
         closed_share, unexplained_share: of the structural gap; they add up to one.
         closed_ci90: 90 % interval of the closed share.
-        final_trials: names of the trials.
-        repeats_rmse_deg: what repeats of a motion differ by, retuned [deg]; not-a-number where none is repeated. Where
-            the retuned error is no more than that and has no known cause, the floor is the noise.
+        repeats_rmse_deg: difference between repeats of a motion, retuned [deg]; not-a-number without repeats. If the
+            retuned error is at most this and has no known cause, the floor is the noise.
     """
 
     nominal_rmse_deg: float
@@ -100,7 +97,7 @@ class Gap:
 
     @property
     def unrepeatable(self) -> bool:
-        """Whether all that retuning leaves differs between repeats of a motion: no structural gap of the command."""
+        """Whether the whole error after retuning differs between repeats: no structural gap of the command."""
         return self.floor_kind == "noise" and math.isfinite(self.repeats_rmse_deg)
 
 
@@ -124,9 +121,8 @@ class RetunedParameter:
     """Parameter of the hysteresis core that retuning has changed.
 
     Attributes:
-        name: `gain`, `offset`, `backlash_width`, or as the core calls it.
+        name: `gain`, `offset`, `backlash_width`, or the core's name for it.
         unit: of it; 1 for a plain number.
-        given, value: as given, and retuned.
         ci90: 90 % interval of the retuned value.
     """
 
@@ -139,7 +135,7 @@ class RetunedParameter:
 
 @dataclass(frozen=True)
 class Untestable:
-    """Something that these logs cannot test, and why, in one sentence."""
+    """Item that these logs cannot test, and the reason in one sentence."""
 
     name: str
     why: str
@@ -150,11 +146,9 @@ class Detectable:
     """Smallest detectable size of one effect.
 
     Attributes:
-        effect: its public name.
         parameter, unit: in which the size is stated, and its unit.
-        size: distance of the parameter from where the effect is absent; infinite where no size shows.
-        hidden: share of the effect's energy that retuning takes up at that size, 0 to 1; not-a-number where no size
-            shows.
+        size: distance of the parameter from its value without the effect; infinite if no size is detectable.
+        hidden: share of the effect's energy that retuning absorbs at that size, 0 to 1; not-a-number without a size.
         untestable: whether it needs the order of recording, which is unknown.
     """
 
@@ -171,9 +165,9 @@ class DetectableSizes:
     """Smallest detectable size of every effect, from the commands of the logs alone.
 
     Attributes:
-        needed_rmse_deg: RMSE that an effect has to leave after retuning to count as a gap [deg].
-        effects: the least size of each; empty where it cannot be said.
-        why_not: why it cannot be said, in one sentence; empty where it can.
+        needed_rmse_deg: RMSE after retuning from which an effect counts as a gap [deg].
+        effects: the smallest size of each; empty if unknown.
+        why_not: reason why it is unknown, in one sentence; otherwise empty.
         unit: of the needed RMSE, that of the log.
     """
 
@@ -199,11 +193,11 @@ class Stability:
 
 @dataclass(frozen=True)
 class NextMotion:
-    """The motion to record next.
+    """Proposed motion of the next recording.
 
     Attributes:
-        file: name of the motion's file beside the diagnosis.
-        separates: effects that it is to tell apart.
+        file: name of the motion's file in the folder of the diagnosis.
+        separates: effects that the motion shall distinguish.
         expected_probability: probability that it names the right one of them.
         duration_s: of the motion [s].
     """
@@ -228,14 +222,13 @@ class MotionTracking:
 class TrackingGap:
     """Expected fall of the closed-loop tracking error with the corrected simulator as the model.
 
-    All errors are RMS, true angle less reference, simulated on the corrected simulator with its noise.
+    All errors are RMS, true angle minus reference, simulated on the corrected simulator with its noise.
 
     Attributes:
         before_deg, after_deg: with the simulator as given, and with the corrected one, over all motions; not-a-number
-            where it cannot be said.
+            if unknown.
         before_range_deg, after_range_deg: least and greatest value over several seeds of the noise.
-        motions: each motion's.
-        why_not: why it cannot be said, in one sentence; empty where it can.
+        why_not: reason why it is unknown, in one sentence; otherwise empty.
     """
 
     before_deg: float = math.nan
@@ -257,7 +250,7 @@ class TrackingGap:
         return self.fall_deg / self.before_deg if self.before_deg > 0 else 0.0
 
     def changes(self, floor_deg: float) -> bool:
-        """Whether a fall or rise is expected: by 5 % of the error, and by 30 % where it is below the floor [deg]."""
+        """Whether the error is expected to change: by 5 %, and by 30 % if it is below the floor [deg]."""
         least = _HIDDEN if abs(self.fall_deg) < floor_deg else _NO_FALL
         return self.fall_deg != 0 and abs(self.fall_deg) >= least * self.before_deg
 
@@ -268,26 +261,24 @@ class Diagnosis:
 
     Attributes:
         verdict: named | one_of (see `ambiguity`) | retuned (see `moved`) | unknown | none | too_little.
-        reason: the verdict in one sentence.
         effects: chosen effects, the most probable first.
-        ambiguity: sets of effects that these trials cannot tell apart.
+        ambiguity: sets of effects that these trials cannot distinguish.
         ranking: every effect with its probability, most likely first.
-        gap: sizes.
         retuned: baseline quantities, each (nominal, retuned).
-        moved: numbers that retuning has surely moved; empty but for the verdict `retuned`.
-        groups: names of the trials that share a configuration, the largest group first; empty but with the effect
+        moved: parameters significantly changed by retuning; empty unless the verdict is `retuned`.
+        groups: names of the trials that share a configuration, the largest group first; only with the effect
             `configuration_change`.
         where: share of the residual by part of the motion.
         notes: faults and shortcomings of the trials, a sentence each.
-        next_motion: the motion to record next; None where nothing is open.
-        tracking: fall of the closed-loop tracking error; None where it was not asked for.
+        next_motion: proposed motion of the next recording; None if no hypothesis is open.
+        tracking: fall of the closed-loop tracking error; None if not requested.
         order: whether the order of recording is known.
-        untestable: what these logs cannot test because it is not.
-        stability: of the verdict over resampled splits; None where the trials allow no choice.
-        explainable_share: share of the structural gap that a flexible model of the command's past explains on trials
-            left out; None without a gap.
-        detectable: the least size at which these logs would show each effect; None where it was not asked for.
-        unit: of the output as logged, such as deg or N; every number whose name ends in `_deg` is in it.
+        untestable: items that these logs cannot test without the order of recording.
+        stability: of the verdict over resampled splits; None if the trials allow no choice.
+        explainable_share: share of the structural gap that a flexible model of the command's past explains on held-out
+            trials; None without a gap.
+        detectable: smallest detectable size of each effect; None if not requested.
+        unit: of the output as logged, such as deg or N; it applies to all numbers named `..._deg`.
         command_unit: of the command as logged.
     """
 
@@ -317,7 +308,7 @@ class Diagnosis:
 
     @property
     def relies_on_its_split(self) -> bool:
-        """Whether effects are named that come out on too few other splits of the trials to be relied on."""
+        """Whether effects are named that too few other splits of the trials confirm."""
         return bool(self.effects) and self.stability is not None and self.stability.flips
 
     @property
@@ -327,11 +318,11 @@ class Diagnosis:
 
     @property
     def kept_as_given(self) -> bool:
-        """Whether retuning was not taken, since it did not lower the error of the final trials."""
+        """Whether retuning was rejected, since it did not lower the error of the final trials."""
         return bool(self.retuned) and all(given == retuned for given, retuned in self.retuned.values())
 
     def as_json(self) -> dict[str, Any]:
-        """The fixed form `hystmpc-diagnosis/2`: plain dicts, lists, numbers and strings."""
+        """Convert to the fixed form `hystmpc-diagnosis/2`: plain dicts, lists, numbers and strings."""
         fields, stability = _plain(asdict(self)), self.stability
         fields |= {
             "stability": None if stability is None else stability.share,
@@ -349,8 +340,8 @@ class Diagnosis:
         return "\n".join(lines)
 
     def plot(self) -> Figure:
-        """Probability of each effect, and the share of the structural gap that the chosen ones close."""
-        from hystmpc.trials.report import MODEL, REFERENCE, new_figure  # matplotlib, which a verdict does without
+        """Draw the probability of each effect, and the share of the structural gap closed by the chosen ones."""
+        from hystmpc.trials.report import MODEL, REFERENCE, new_figure  # matplotlib, not needed for a verdict
 
         names, closed = [name for name, _ in self.ranking], {e.name: e.closed_share for e in self.effects}
         with new_figure(7.0, 1.0 + 0.25 * len(names)) as figure:
@@ -383,7 +374,6 @@ class Diagnosis:
 
 
 def _plain(value: Any) -> Any:
-    """Data with lists in place of tuples, also inside dicts."""
     if isinstance(value, dict):
         return {key: _plain(item) for key, item in value.items()}
     return [_plain(item) for item in value] if isinstance(value, tuple) else value

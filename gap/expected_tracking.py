@@ -29,17 +29,17 @@ from .diagnosis import FLIPS, Diagnosis, MotionTracking, TrackingGap
 from .report.report_data import ReportData, TrackingCurve, TrialRuns
 
 SEEDS = (1, 2)
-"""Of the noise; the interval of an error is between its least and its greatest value over them."""
+"""Seeds of the noise; they give the least and the greatest value of an error."""
 
 DEFAULT_CONTROLLER = LinearisedMpcSettings(adaptation=None, supervisor=None)
-"""The controller of which a diagnosis speaks. One that learns finds on the device what its model lacks, and more of it
-than in a simulation, where part of it is a walk that nobody can learn: of it no fall can be foretold."""
+"""Controller of the predicted tracking error, without learning: on a device it would learn more of the model error than
+of the random walk that represents this error in a simulation, so that no prediction is possible."""
 
 AGREEMENT = 0.3
-"""How far two falls of the error may be from each other, as a share of the expected one, to agree."""
+"""Greatest difference between two agreeing falls of the error, as a share of the expected one."""
 
 ROUGHNESS = 0.7
-"""Of the walk that stands for what is unexplained; chosen on drawn devices of the study's development seed, frozen."""
+"""Scale of the walk of the unexplained disturbance; chosen on devices of the study's development seed, frozen."""
 
 
 def expected_tracking(
@@ -53,17 +53,17 @@ def expected_tracking(
 ) -> tuple[TrackingGap, tuple[TrackingCurve, ...]]:
     """Expected tracking error with a controller on the nominal simulator, and on the corrected one.
 
-    The plant is the corrected simulator with what it leaves unexplained, see `UnexplainedPlant`. Before and after meet
-    the same noise, so that equal simulators give equal errors.
+    The plant is the corrected simulator with its unexplained disturbance, see `UnexplainedPlant`. Before and after
+    share the same noise, so that equal simulators give equal errors.
 
         error^2 = mean over the samples that count of (true angle - reference)^2,   overall: mean over the motions
 
-    The fall has to be the same, within `AGREEMENT` of itself, on the corrected simulator alone. Where what is left
-    unexplained decides how much a loop gains, no fall is foretold (`why_not`).
+    The fall must be the same, within `AGREEMENT` of itself, on the corrected simulator alone. If the unexplained part
+    decides the gain of a loop, no fall is predicted (`why_not`).
 
     Args:
-        settings: of the controller; where left out, `DEFAULT_CONTROLLER`, linearised and predictive without learning.
-        floor_deg: RMSE that stays with any simulator; a fall that it hides counts as none.
+        settings: of the controller; if left out, `DEFAULT_CONTROLLER`, linearised and predictive without learning.
+        floor_deg: irreducible RMSE of any simulator; a smaller fall counts as none.
 
     Raises:
         GapError: if the two simulators differ in sample time, unit or limits.
@@ -118,7 +118,7 @@ def _squares(
 
 
 def _undetermined(gap: TrackingGap, alone: TrackingGap, floor_deg: float) -> str:
-    """Why the fall of the error is undetermined, given the fall without disturbance; empty where it is determined."""
+    """Reason for an undetermined fall of the error, from the fall without disturbance; otherwise empty."""
     if not gap.changes(floor_deg) or abs(alone.fall_share - gap.fall_share) <= AGREEMENT * abs(gap.fall_share):
         return ""
     low, high = sorted((gap.fall_share, alone.fall_share))
@@ -140,9 +140,9 @@ class UnexplainedPlant(ComputedPlant):
         theta_k = model_k + d_k,   d_{k+1} = sqrt(1 - q_k / m^2) d_k + sqrt(q_k) w_k,
         q_k = c^2 (drift^2 dt + motion^2 |u_{k+1} - u_k|),   y_k = theta_k + sensor v_k
 
-    d is the walk of `NoiseModel`, held to its `model_sigma_deg` m; without m it is the walk itself. What a model has
-    wrong is smoother than a walk, and a loop rejects it better: c = `ROUGHNESS`. The device rests at its
-    command of rest after a flexure over all commands.
+    d is the walk of `NoiseModel`, limited to its `model_sigma_deg` m; without m it is the walk itself. Model errors are
+    smoother than a walk, and a loop rejects them better: c = `ROUGHNESS`. The plant rests at its rest command after a
+    flexure over all commands.
     """
 
     def __init__(self, simulator: Simulator, seed: int, explained: bool = False) -> None:
@@ -180,19 +180,19 @@ def next_disturbance(disturbance: float, travel: float, dt_s: float, noise: Nois
 
 SCANS_HZ = {"scan": 0.2}
 LEAST_CLOSED = 0.8
-"""Share of the structural gap that has to be closed; with more left open a loop can do what no simulation shows."""
+"""Least closed share of the structural gap for a prediction: with less, the simulation does not represent the loop."""
 
 _MOVES = 3
-_COVERED = (0.02, 0.98)  # quantiles of the simulated angles: what was reached by accident is no motion
-_FASTEST, _SPEED_SHARE = 0.99, 0.5  # quantile of the simulated speed, and how much of it a reference takes
+_COVERED = (0.02, 0.98)  # quantiles of the simulated angles: rare extremes are excluded
+_FASTEST, _SPEED_SHARE = 0.99, 0.5  # quantile of the simulated speed, and the share of it in a reference
 _FAST_DT_S = 0.019  # below it a second seed would take too long
 
 
 def with_tracking(data: ReportData, progress: Progress | None = None) -> ReportData:
     """Add the expected fall of the closed-loop tracking error to the report data and its diagnosis.
 
-    References are drawn from the seed of the diagnosis. They stay within the angles that the trials covered, as the
-    simulator with its effects has them, and within half of the greatest speed there.
+    References are drawn from the seed of the diagnosis, within the angles of the trials (as simulated with the effects)
+    and half of their greatest speed.
     """
     report = progress or no_progress
     report(98, 100, "closed loop before and after")
@@ -213,7 +213,7 @@ def with_tracking(data: ReportData, progress: Progress | None = None) -> ReportD
 
 
 def covered_motions(trials: Sequence[TrialRuns], fixed: Simulator, seed: int) -> tuple[CountedMotion, ...]:
-    """Reference motions within the angles and half of the speed that the trials covered."""
+    """Reference motions within the angles and half of the speed covered by the trials."""
     angles = [trial.with_effects for trial in trials]
     low, high = np.quantile(np.concatenate(angles), _COVERED)
     speeds = [np.abs(np.diff(trial.with_effects)) / trial.trial.dt for trial in trials]
@@ -224,7 +224,7 @@ def covered_motions(trials: Sequence[TrialRuns], fixed: Simulator, seed: int) ->
 
 
 def _why_not(data: ReportData) -> str:
-    """Why no fall of the error can be predicted, in one sentence; empty where it can."""
+    """Reason why no fall of the error can be predicted, in one sentence; otherwise empty."""
     diagnosis: Diagnosis = data.diagnosis
     if data.unit != "deg":
         return f"the controllers follow angles in deg, and the output of this device is in {data.unit}"

@@ -42,9 +42,9 @@ class MeasuredRun:
     Attributes:
         name: motion and controller of a simulation; empty at a bench.
         t: end of the sample, from the beginning of the reference [s].
-        reference_deg, angle_deg: wanted and measured angle; of a simulation the true one [deg].
-        noise_deg: standard deviation of the noise in that angle; None where it is not known [deg].
-        approached_first: whether the reference began with a way from where the device was.
+        reference_deg, angle_deg: reference and measured angle; for a simulation the true angle [deg].
+        noise_deg: standard deviation of the noise in that angle; None if unknown [deg].
+        approached_first: whether the reference began with an approach from the device's position.
     """
 
     folder: Path
@@ -60,19 +60,19 @@ class MeasuredRun:
 
     @property
     def rmse_deg(self) -> float:
-        """Root of mean (angle - reference)^2 - noise^2, zero where the noise exceeds the error [deg]."""
+        """Root of mean (angle - reference)^2 - noise^2, zero if the noise exceeds the error [deg]."""
         error = (self.angle_deg - self.reference_deg)[np.isfinite(self.angle_deg)]
         return math.sqrt(max(float(np.mean(error**2)) - (self.noise_deg or 0.0) ** 2, 0.0))
 
 
 @only_reads()
 def measured_runs(folder: Path) -> tuple[MeasuredRun, ...]:
-    """All runs of a folder of `run` or `simulate`.
+    """Read all runs of a folder of `run` or `simulate`.
 
     Raises:
         LogError: if it holds no such run, or one that was stopped before the end of its reference.
         ConfigError: if its settings are not those of such a run.
-        TrajectoryError: if its reference cannot be made any more.
+        TrajectoryError: if its reference cannot be regenerated.
     """
     run = RunFolder.open(folder)
     if run.config().keys() >= _BENCH:
@@ -150,8 +150,8 @@ class TrackingFall:
     """Fall of the tracking error from an earlier run to a run on the same reference.
 
     Attributes:
-        before: the earlier run; None where none was given.
-        expected: on this very reference; None without a diagnosis.
+        before: the earlier run; None without one.
+        expected: on this reference; None without a diagnosis.
     """
 
     after: MeasuredRun
@@ -175,12 +175,12 @@ class TrackingFall:
 
 
 def tracking_falls(run: Path, before: Sequence[Path], diagnosis: Path | None = None) -> tuple[TrackingFall, ...]:
-    """Fall of the tracking error from every earlier run, and the fall that a diagnosis predicts on the same reference.
+    """Fall of the tracking error from every earlier run, and its prediction by a diagnosis on the same reference.
 
     Args:
         run: folder of `run` or `simulate`.
         before: folders of the same kind, on the same reference.
-        diagnosis: folder of `diagnose`; its simulators are run in closed loop on the run's own reference.
+        diagnosis: folder of `diagnose`; its simulators are run in closed loop on the run's reference.
 
     Raises:
         LogError: if a folder holds no run or diagnosis, or references differ.
@@ -258,7 +258,6 @@ def _require_same(after: MeasuredRun, before: MeasuredRun) -> None:
 
 
 def _simulators(folder: Path) -> tuple[Simulator, Simulator]:
-    """Nominal and corrected simulator of a diagnosis."""
     if not holds_diagnosis(folder):
         raise LogError(f"--diagnosis {folder}: got no {DIAGNOSIS_FILE}, expected a folder of `diagnose`")
     for name in (GIVEN_FILE, FIXED_FILE):
@@ -271,7 +270,6 @@ def _simulators(folder: Path) -> tuple[Simulator, Simulator]:
 
 
 def _expected(run: MeasuredRun, nominal: Simulator, corrected: Simulator) -> TrackingGap:
-    """Expected errors on the reference of a run, with its controller."""
     if not isinstance(run.settings, LinearisedMpcSettings | SamplingMpcSettings):
         return TrackingGap(why_not=f"{run.name or run.folder}: its controller does not predict with a model")
     nominal, corrected = nominal.at_sample_time(run.dt_s), corrected.at_sample_time(run.dt_s)
@@ -319,7 +317,6 @@ def _expected_line(fall: TrackingFall, expected: TrackingGap) -> str:
 
 
 def _noise_words(*runs: MeasuredRun) -> str:
-    """How the sensor noise in the measured angle was treated."""
     if all(run.noise_deg is None for run in runs):
         return "(with the sensor's noise: no model file knows it)"
     if any(run.noise_deg is None for run in runs):

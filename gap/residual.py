@@ -33,12 +33,12 @@ def memory_gains(
 ) -> dict[str, float]:
     """Share of the residual's energy about its mean that each memory explains held out, by name; below 0 if none.
 
-    Ridge regression on a few features of speed (|v|, v, sign), time since the last reversal and age of the hold
-    (decaying exponentials times the last direction), travel since the reversal (in loop widths) and in all, and the
-    clock, over all trials but one, applied to that one. A trial that stands alone is cut into four.
+    Ridge regression over all trials but one, applied to that one. The features are speed (|v|, v, sign), time since the
+    last reversal and age of the hold (decaying exponentials times the last direction), travel since the reversal (in
+    loop widths) and in total, and the clock. A single trial is cut into four.
 
     Args:
-        ordered: whether the trials stand in the order of recording; if not, the clock starts anew in each.
+        ordered: whether the trials are in recording order; if not, the clock restarts in each.
     """
     clocks = np.concatenate([[0.0], np.cumsum([trial.duration_s if ordered else 0.0 for trial in trials])])
     features = [memory_features(trial, loop_width, float(t)) for trial, t in zip(trials, clocks[:-1], strict=True)]
@@ -55,8 +55,8 @@ def explainable_share(trials: Sequence[Trial], residuals: Sequence[Vec], seed: i
     """Share of the residual's energy that a flexible model of the command's past explains held out, 0 to 1.
 
     Leave-one-trial-out ridge regression on lagged commands, speeds, play states of six widths, commands low-passed at
-    five time constants, and `tanh` of random mixtures of these. The ridge, and whether the random features are used,
-    are chosen for each trial on the others. A trial that the regression makes worse counts as unexplained.
+    five time constants, and `tanh` of random mixtures of these. For each trial, the ridge and the use of random
+    features are chosen on the others. A trial with an increased error counts as unexplained.
     """
     targets = _folded(residuals)
     energies = np.array([float(y @ y) for y in targets])
@@ -84,9 +84,9 @@ def friction_share(trials: Sequence[Trial], residuals: Sequence[Vec], noise_deg:
 
         r = c + a_0 u + sum_i a_i z_i,  z_i the plays of half-widths from 0.5 to 20 % of the command's range
 
-    is what a Prandtl-Ishlinskii model of other weights and widths would add to the simulator. Ridge regression, each
-    trial left out once and weighted by its RMS; what comes before its first reversal does not count. The plays begin
-    where the command came down to its start, rose to it, or never moved before; the best of the three counts.
+    is the change by other weights and widths of a Prandtl-Ishlinskii model. Ridge regression, each trial left out once
+    and weighted by its RMS; samples before its first reversal do not count. Of three initial states of the plays (after
+    a fall, after a rise, no earlier motion) the best counts.
     """
     starts = [int(next(iter(segment(trial).reversals), 0)) for trial in trials]
     targets = _folded([error[k:] for error, k in zip(residuals, starts, strict=True)])
@@ -119,7 +119,6 @@ def locked_part(trials: Sequence[Trial], residuals: Sequence[Vec]) -> list[Vec]:
 
 
 def _folded(signals: Sequence[Mat]) -> list[Mat]:
-    """Signals (T, ...) of every trial; of a single trial its parts."""
     if len(signals) > 1:
         return list(signals)
     edges = np.linspace(0, len(signals[0]), _PARTS + 1).astype(np.intp)
@@ -129,10 +128,7 @@ def _folded(signals: Sequence[Mat]) -> list[Mat]:
 def _held_out(
     rows: Sequence[Mat], targets: Sequence[Vec], ridges: Sequence[float], more: Callable[[Mat], Mat] | None = None
 ) -> Mat:
-    """Squared errors (ridges, folds) on each fold of a ridge fit with intercept to the others.
-
-    `more` adds features that are made of these, for one fold at a time: of all folds they would be gigabytes.
-    """
+    """Squared errors (ridges, folds) of ridge fits to the other folds; `more` adds features by fold to save memory."""
 
     def features(k: int) -> Mat:
         return _with_one(rows[k] if more is None else more(rows[k]))
@@ -174,7 +170,7 @@ _VISIBLE = 3.0  # over the local median, in half of the trials: noise exceeds it
 
 @dataclass(frozen=True)
 class SpectralLine:
-    """A sharp line of the residual that the command does not have.
+    """Sharp spectral line of the residual that is absent in the command.
 
     Attributes:
         share: of the residual's energy about its mean.
@@ -186,11 +182,10 @@ class SpectralLine:
 
 @dataclass(frozen=True)
 class Spectrum:
-    """The residual of all trials by frequency, about each trial's mean.
+    """Spectrum of the residual of all trials, about each trial's mean.
 
     Attributes:
         coherent: share of the energy that is linear in the command, by coherence.
-        lines: sharp lines not locked to the command, strongest first.
     """
 
     coherent: float
@@ -199,8 +194,7 @@ class Spectrum:
 
 @dataclass(frozen=True, eq=False)
 class _Periodograms:
-    """Hann-windowed periodograms (F,) of one trial: of the residual, of its part that is not locked to the command, and
-    of the command; `fundamental` is the command's [Hz], 0 without one."""
+    """Hann periodograms (F,) of the residual, its unlocked part and the command; command frequency [Hz] or 0."""
 
     hz: Vec
     power: Vec
@@ -247,17 +241,16 @@ def _coherent(trials: Sequence[Trial], residuals: Sequence[Vec]) -> float:
             sums[k] += segments * density
     cross, command, residual = np.abs(sums[0]) ** 2, sums[1].real, sums[2].real
     coherence = np.divide(cross, command * residual, out=np.zeros(cross.size), where=command * residual > 0)
-    # Of n independent segments, half of those that overlap by half, unrelated signals have a coherence of 1 / n.
+    # Unrelated signals have a coherence of 1 / n, with n independent segments: half of those that overlap by half.
     bias = min(1.0 / max(0.5 * (count + 1), 1.0), 0.99)
     coherence = np.clip((coherence - bias) / (1 - bias), 0.0, 1.0)
     return float(coherence @ residual / residual.sum()) if residual.sum() > 0 else 0.0
 
 
 def _lines(shown: Sequence[_Periodograms], total: float) -> tuple[SpectralLine, ...]:
-    """Frequencies at which the power of the unlocked part over its local median, mean over trials, is beyond chance.
+    """Frequencies at which the unlocked power over its local median, averaged over trials, is significant.
 
-    Without lines the ratio of power to its local median is exponential over ln 2; its logarithm has mean
-    -0.5772 - ln ln 2 and variance pi^2 / 6, and the mean of n trials is nearly normal.
+    Without lines that ratio is exponential over ln 2; its logarithm has mean -0.5772 - ln ln 2 and variance pi^2 / 6.
     """
     finest = min(s.bin_hz for s in shown)
     grid = np.arange(_LOWEST_HZ, max(s.hz[-1] for s in shown) - finest, finest)
@@ -284,7 +277,6 @@ def _lines(shown: Sequence[_Periodograms], total: float) -> tuple[SpectralLine, 
 
 
 def _ratio(power: Vec, bin_hz: float) -> Vec:
-    """Power over its local median."""
     size = 2 * max(_LEAST_NEIGHBOURS // 2, round(0.5 * _NEIGHBOURS_HZ / bin_hz)) + 1
     level = median_filter(power, size=size, mode="nearest")
     return power / np.maximum(level, 1e-12 * max(float(power.max()), 1e-300))
@@ -303,7 +295,6 @@ def _commanded(s: _Periodograms, grid: Vec) -> Mask:
 
 
 def _line_energy(s: _Periodograms, hz: float) -> float:
-    """Energy of a spectral line above the local level, the geometric mean of both sides."""
     off = s.hz - hz
     inside, reach = np.abs(off) <= _WIDE * s.bin_hz, 4 * _WIDE * s.bin_hz
     sides = [s.unlocked[side & (np.abs(off) <= reach) & ~inside] for side in (off < 0, off > 0)]
@@ -315,7 +306,7 @@ def _line_energy(s: _Periodograms, hz: float) -> float:
 MOTION_PARTS = ("loading", "unloading", "after_reversal", "hold", "first_flexure")
 """Parts of a motion, exclusive; precedence: hold, first_flexure, after_reversal, direction."""
 
-_AFTER = 0.1  # way after a reversal that counts as after it, as a share of the command's range in the trial
+_AFTER = 0.1  # travel that counts as after a reversal, as a share of the command's range in the trial
 _RESAMPLES = 500
 _BLOCK_S, _LEAST_BLOCKS = 2.0, 10
 
@@ -354,9 +345,9 @@ def localise(
 def motion_part_labels(trial: Trial) -> Index:
     """Number in `MOTION_PARTS` of every sample (T,) of a uniform trial.
 
-    `hold`: the command rests. `first_flexure`: it moves, and has not turned yet in this trial. `after_reversal`: it
-    moves, and has travelled less than a tenth of its range since it turned. Else `loading` or `unloading`. The parts
-    depend on the command alone, so that every simulator of a device is judged by the same ones.
+    `hold`: the command rests. `first_flexure`: it moves, before its first turn in this trial. `after_reversal`: it
+    moves, less than a tenth of its range after a turn. Otherwise `loading` or `unloading`. The parts depend on the
+    command alone, so that they are the same for every simulator of a device.
     """
     parts = command_segments(trial)
     labels = np.where(parts.labels == Motion.UNLOADING, MOTION_PARTS.index("unloading"), MOTION_PARTS.index("loading"))
@@ -372,7 +363,7 @@ def motion_part_labels(trial: Trial) -> Index:
 
 
 def _blocks(residuals: Sequence[Vec], dt: float) -> Index:
-    """Number of the block of every sample of all trials; no block reaches over two trials."""
+    """Block number of every sample of all trials; no block spans two trials."""
     samples = sum(e.size for e in residuals)
     longest = max(e.size for e in residuals)
     total = np.sum([autocorrelation(e - e.mean(), longest) for e in residuals], axis=0)
@@ -398,7 +389,7 @@ def _residual_shares(power: Vec, labels: Index, blocks: Index, seed: int) -> dic
     random = np.random.default_rng(seed)
     weights = random.multinomial(len(energy), np.full(len(energy), 1 / len(energy)), size=_RESAMPLES)
     drawn, seconds = weights @ energy, weights @ spent
-    # The time in each part is given by the motion, so that only the density is resampled.
+    # The motion fixes the time in each part, so that only the density is resampled.
     drawn = time * np.divide(drawn, seconds, out=np.zeros_like(drawn), where=seconds > 0)
     totals = np.maximum(drawn.sum(axis=1, keepdims=True), np.finfo(np.float64).tiny)
     low, high = np.quantile(drawn / totals, [0.05, 0.95], axis=0).tolist()

@@ -38,8 +38,8 @@ class SelfTestRow:
     """Result of one case of the self-test.
 
     Attributes:
-        verdict, named: of the diagnosis; named effects, those that it cannot tell apart joined by `|`.
-        passed: whether the truth was found, alone or in a set that these trials cannot tell apart.
+        named: named effects; indistinguishable ones are joined by `|`.
+        passed: whether the true effect was identified, alone or in an indistinguishable set.
     """
 
     name: str
@@ -57,7 +57,7 @@ class _Case:
 
     Attributes:
         before, after: their operators on the command and on the angle.
-        off: gain, and offset [deg], by which the device is off its simulator.
+        off: deviation of the device from its simulator: gain, and offset [deg].
         per_trial: operator of each trial, drawn from a generator.
     """
 
@@ -104,16 +104,16 @@ _CASES: dict[str, _Case] = {
     "lag and creep": _Case(("creep", "lag"), (Lag(0.2), Creep((0.2,), (5.0,)))),
 }
 CASES: Mapping[str, _Case] = _CASES | {name: _as_shown(name) for name in diagnosable() if name not in _CASES}
-"""Every truth: nothing, a merely mis-set simulator, each effect at a clear size, and two at once."""
+"""Cases with known effects: none, a mis-set simulator, each effect at a clear size, and two at once."""
 
 
 def self_test(
     seed: int = 1, progress: Progress | None = None, cases: Sequence[str] | None = None
 ) -> tuple[SelfTestRow, ...]:
-    """Diagnose every known truth.
+    """Diagnose simulated devices with known effects.
 
-    The device is a Prandtl-Ishlinskii model of three plays, its simulator a backlash that was identified on trials of
-    the device without any effect; so the simulator's form is never exact.
+    The device is a Prandtl-Ishlinskii model of three plays, its simulator a backlash identified on trials without any
+    effect, so that the simulator's form is never exact.
     """
     names = tuple(CASES) if cases is None else tuple(cases)
     simulator = identify("backlash", record(CASES["none"], seed + 1000))[0]
@@ -128,7 +128,7 @@ def self_test(
 
 
 def record(case: _Case, seed: int) -> list[Trial]:
-    """Trials of a device, one after another; persistent states carry over."""
+    """Record trials of a simulated device in sequence; persistent states carry over."""
     random, trials = np.random.default_rng(seed), []
     shifts = np.random.default_rng(_SHIFT_SEED)
     gain, offset = case.off
@@ -151,7 +151,7 @@ def record(case: _Case, seed: int) -> list[Trial]:
 
 
 def motions(random: np.random.Generator) -> list[Vec]:
-    """Commands of the trials, which reach further at first: ramps and holds, sines, steps, point to point."""
+    """Commands of the trials, with larger amplitudes at first: ramps and holds, sines, steps, point to point."""
     t = _DT_S * np.arange(round(_TRIAL_S / _DT_S))
     levels = np.array([0, 0, 1, 1, 0, 0, 0.6, 0.6, 0, 0, 0.3])
     ramps = np.interp(t, [0, 1, 3, 7, 9, 12, 13, 14, 15, 18, 19], _SPAN * levels)
@@ -164,7 +164,7 @@ def motions(random: np.random.Generator) -> list[Vec]:
 
 
 def _legs(levels: Sequence[float] | Vec, holds: Sequence[float] | Vec) -> tuple[Vec, Vec]:
-    """Times and commands of moves at full speed between levels in shares of the span, each held for some seconds."""
+    """Times and commands of full-speed moves between levels in shares of the span, each with a hold [s]."""
     times, commands = [0.0, 1.0], [0.0, 0.0]
     for level, hold in zip(levels, holds, strict=True):
         way = abs(_SPAN * level - commands[-1]) / _SPEED
@@ -188,13 +188,11 @@ def _row(name: str, case: _Case, simulator: Simulator, seed: int) -> SelfTestRow
 
 
 def _sets(diagnosis: Diagnosis) -> list[tuple[str, ...]]:
-    """Identified effects, each with its alternatives."""
     sets = {names[0]: names for names in diagnosis.ambiguity}
     return [sets.get(effect.name, (effect.name,)) for effect in diagnosis.effects]
 
 
 def _recovered(diagnosis: Diagnosis, truth: tuple[str, ...]) -> bool:
-    """Whether the identified effects match the truth one to one."""
     if not truth:
         return diagnosis.verdict in ("none", "retuned")
     sets = _sets(diagnosis)

@@ -1,4 +1,4 @@
-"""Check of recorded logs before they are used."""
+"""Check of recorded logs before their use."""
 
 from __future__ import annotations
 
@@ -25,9 +25,8 @@ class LogsCheck:
     """Findings on logs.
 
     Attributes:
-        reports: one for each log.
-        detectable: least size at which a diagnosis would show each effect; None without a simulator, or where a log
-            cannot be used.
+        detectable: smallest detectable size of each effect in a diagnosis; None without a simulator, or with an
+            unusable log.
     """
 
     reports: tuple[CheckReport, ...]
@@ -70,13 +69,13 @@ def check(
 ) -> LogsCheck:
     """Check time base, jitter, gaps, duplicates, values, units, sign, excitation, segments and first flexure.
 
-    A file or frame is read leniently: what `read_trials` would refuse becomes a finding.
+    Faults for which `read_trials` would refuse a file or frame become findings.
 
     Args:
         logs: logs, data frames or trials.
         layout: layout of the logs: auto, canonical, tendon-catheter, or a mapping file *.yaml.
         sampled_hz: rate [Hz] of logs sampled evenly; stands in for a broken or missing clock.
-        simulator: simulator of a diagnosis: what it would show, from the commands alone.
+        simulator: simulator of a diagnosis: smallest detectable effects, from the commands alone.
         show: called with the findings on each log as soon as they are there.
         progress: called with the logs done and their number.
 

@@ -21,12 +21,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class DevicePlan:
-    """Plan of what a device is going to do.
+    """Plan of the motions of a device.
 
     Attributes:
-        title: name and place of the device.
         rows: stage, its motions, and minutes of device time.
-        limits: within which it moves, in a sentence.
+        limits: limits of the motion, in a sentence.
     """
 
     title: str
@@ -135,7 +134,7 @@ def investigate(
         say: called with each message of the process at the device.
 
     Returns:
-        The verdict round by round, what ended it, and files of report and corrected simulator.
+        Verdict of each round, reason of the end, and files of report and corrected simulator.
 
     Raises:
         HystmpcError: if a setting is wrong, the folder holds something else, the device does not answer, or a motion
@@ -185,7 +184,7 @@ def _planned(settings: CommissionSettings, rows: Iterable[tuple[str, str, float]
 def _opened(
     settings: CommissionSettings, config: Settings, reset: bool, live: bool, page: bool, say: Say | None
 ) -> Open:
-    """Function that opens the device of a bench; a latched stop is released where `reset` asks for it."""
+    """Function that opens the device of a bench; `reset` releases a latched stop."""
     from hystmpc.bench.device import opened_device
     from hystmpc.rig.recording.recorder_process import Views
     from hystmpc.rig.run import reset_latch
@@ -196,7 +195,6 @@ def _opened(
 
 
 def _folder_of(config: Settings) -> Path:
-    """Folder that relative file names of a bench refer to."""
     return Path(config).resolve().parent if isinstance(config, Path | str) else Path()
 
 

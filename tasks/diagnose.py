@@ -41,12 +41,12 @@ def diagnose(
         layout: layout of the logs: auto, canonical, tendon-catheter, or a mapping file *.yaml.
         seed: seed of everything drawn at random.
         without: leave this effect out of the library.
-        only: look for this effect, and no other that is not named so.
+        only: restrict the library to this effect; may be repeated.
         ordered: the logs are in recording order. Else time stamps or a manifest may tell it; where they do not, the
             result does not depend on the order given.
         skip_first_flexure: count each trial only from the command's first reversal on.
         figures: new folder for every figure of the report: SVG, PDF, and its data as CSV.
-        progress: called with steps done, steps in all and what is done.
+        progress: called with completed steps, total steps and the present step.
         say: called with each note and warning.
 
     Raises:
@@ -66,7 +66,7 @@ def diagnose(
     recorded = recorded_trials(as_list(trials), layout)
     if say is not None:
         warn_of_units(recorded, say)
-    from hystmpc.gap.diagnose import diagnose_trials  # compiles: kept out of the way of refusals
+    from hystmpc.gap.diagnose import diagnose_trials  # compiles: imported after all checks
 
     with figures_to(figures):
         done = diagnose_trials(

@@ -33,7 +33,7 @@ class Evaluation:
 
     Attributes:
         trials: the runs, each with `trial`, the model's angle `theta` (T,) and `errors`.
-        subtitle: of the page; the number of trials where empty.
+        subtitle: of the page; if empty, the number of trials.
     """
 
     trials: tuple[TrialEvaluation, ...]
@@ -65,7 +65,7 @@ class Evaluation:
         return self.trials[k]
 
     def plot(self) -> Figure:
-        """Measurement, model and error over time, of the three trials with the greatest error."""
+        """Draw measurement, model and error over time, of the three trials with the greatest error."""
         from hystmpc.models.evaluation_report import free_run_figure
 
         return free_run_figure(self.trials)
@@ -153,7 +153,7 @@ def free_runs(
 
 
 def warn_outside(evaluation: Evaluation, facts: ModelMetadata, say: Say) -> None:
-    """Warn where commands leave the range that the model was identified on."""
+    """Warn of commands outside the range of the model's identification."""
     beyond = [run for run in evaluation if run.outside > 0]
     if beyond:
         worst, trained = max(beyond, key=lambda run: run.outside), facts.trained_command

@@ -33,7 +33,7 @@ def export(model: Fit | Simulator | Path | str, out: Path | str, *, force: bool 
         force: replace an older file of the same kind; never one of another.
 
     Returns:
-        The largest differences seen between onnxruntime, CasADi and the reference.
+        The largest differences between onnxruntime, CasADi and the reference.
 
     Raises:
         ConfigError: if the file may not be written.
@@ -71,7 +71,7 @@ def export_c(
 
     Raises:
         ConfigError: if a setting is wrong or a file may not be written.
-        ExportError: where a part of the controller has no C; says what was got and what is supported.
+        ExportError: if a part of the controller has no C form; names it and the supported ones.
         ModelError, ControllerError: as `TipController.from_config`.
     """
     from hystmpc.codegen import export_controller
@@ -95,7 +95,7 @@ def export_fmu(
     """Write a simulator with its effects as a co-simulation FMU.
 
     Its input is the command, its output the true angle without the noise of a sensor. The FMU holds its C sources, and
-    a binary where a compiler is found: CC, cc, or the package ziglang.
+    a binary if a compiler is available: CC, cc, or the package ziglang.
 
     Args:
         simulator: a simulator, a simulated plant, a simulator file, `builtin:NAME`, or the file of a study.
@@ -127,11 +127,7 @@ def export_fmu(
 
 
 def _plant(source: Simulator | SimulatedPlant | Path | str) -> SimulatedPlant:
-    """The plant of a study, or a simulator alone.
-
-    Raises:
-        ExportError: if it is not made of operators.
-    """
+    """The plant of a study, or a simulator alone; refuse a model without operators."""
     from hystmpc.sim.plants.device import make_plant
     from hystmpc.sim.plants.simulated import SimulatedPlant
 
@@ -163,7 +159,6 @@ def _plant_settings(source: Path) -> PlantSettings:
 
 
 def _left_out(plant: SimulatedPlant) -> tuple[str, ...]:
-    """Parts of the plant that the FMU does not have."""
     sensing = plant.sensing
     parts = [f"noise of {sensing.noise_deg:g} deg"] if sensing.noise_deg else []
     parts += [f"steps of {sensing.quantisation_deg:g} deg"] if sensing.quantisation_deg else []

@@ -43,12 +43,11 @@ class Fit:
     """A model identified from trials.
 
     Attributes:
-        kind: of model, such as `pi` or `lstm`.
-        identified: what the identification returned: bundle for the export, history of the error, report.
-        trials: that it was identified from, as recorded or swapped, uniformly sampled.
-        evaluations: free runs over the trials of the fit and over those that it did not see, each with the words that
-            name them; empty where neither a file nor trials for the test were asked for.
-        exported: comparison of the exported model with its reference; None where none was written.
+        identified: result of the identification: bundle for the export, history of the error, report.
+        trials: trials of the identification, as recorded or swapped, uniformly sampled.
+        evaluations: free runs over the trials of the fit and over unseen ones, each with a title; empty without a file
+            and without test trials.
+        exported: comparison of the exported model with its reference; None without an export.
     """
 
     kind: str
@@ -62,7 +61,7 @@ class Fit:
 
     @cached_property
     def model(self) -> LoadedModel:
-        """The model, as `load_model` opens it from a file."""
+        """Model of the fit, equal to that opened by `load_model` from a file."""
         if self.identified.simulator is not None:
             from hystmpc.models.simulator import ChainModel
 
@@ -74,7 +73,7 @@ class Fit:
 
     @property
     def simulator(self) -> Simulator:
-        """The readable form of an operator.
+        """Simulator of an operator model: its readable form.
 
         Raises:
             FitError: if the model is a network, which has none.
@@ -99,7 +98,7 @@ class Fit:
         return Path(path)
 
     def plot(self) -> Figure:
-        """Free run of the model on the trials that it was identified from."""
+        """Draw the free run of the model on the trials of its identification."""
         return evaluate(self, self.trials).plot()
 
     def _repr_html_(self) -> str:
@@ -142,24 +141,24 @@ def fit(
         out: file to write: .onnx, or .yaml for an operator; it is scored as it is read back.
         layout: layout of the logs: auto, canonical, tendon-catheter, or a mapping file *.yaml.
         sampled_hz: rate [Hz] of logs sampled evenly; stands in for a broken or missing clock.
-        rate_hz: rate [Hz] of the model, to which the logs are resampled; 25 where left out.
+        rate_hz: rate [Hz] of the model, to which the logs are resampled; 25 if left out.
         skip_first_flexure: count each trial only from the command's first reversal on.
         inverse: identify the map from angle to command.
-        plays: plays of a pi (4 where left out) or drdpi (10).
+        plays: plays of a pi (4 if left out) or drdpi (10).
         drive: drive before a network or kernel: auto, or a simulator (.yaml, builtin:NAME) that has it.
-        residual: with auto: network of what its operators leave, lstm or gru; used only if it helps on held-out trials.
-        training: settings of the training: best or paper; those of the kind where left out.
+        residual: with auto: lstm or gru for the residual of its operators; used only if it helps on held-out trials.
+        training: settings of the training: best or paper; those of the kind if left out.
         steps: greatest number of epochs (paper), updates (best) or iterations.
-        hold_out: whole trials by which a network is stopped early; the number of the training where left out.
+        hold_out: whole trials by which a network is stopped early; the number of the training if left out.
         validation: log or folder that only judges, in place of trials held out.
         constancy_weight: weight of a network's constant-in, constant-out term; S2 has 1e-4.
         seed: seed of everything drawn at random.
-        limits: what the device may be sent; what the trials show where left out, also of a part that is None.
+        limits: command limits of the device; those of the trials if left out, also for a part that is None.
         test: log or folder to score on, which the fit does not see.
         report: write one page with tables and figures here, .html.
         figures: new folder for every figure of the report: SVG, PDF, and its data as CSV.
         force: replace an older file of the same kind; never one of another.
-        progress: called with steps done, their number (infinite where it is not known) and the error so far.
+        progress: called with steps done, their number (infinite if unknown) and the error so far.
         say: called with each note and warning.
 
     Raises:
@@ -210,7 +209,7 @@ def _scored(
     report: Path | str | None,
     progress: Progress | None,
 ) -> Fit:
-    """The fit with free runs of the written model over each set of trials; writes its page."""
+    """Add free runs of the written model over each set of trials, and write the page."""
     model = opened(made if out is None else out)
     scores = [(which, free_runs(model, trials, skip, progress)) for which, trials in sets.items()]
     made = replace(made, evaluations=tuple(scores))
@@ -221,7 +220,7 @@ def _scored(
 
 @dataclass(frozen=True)
 class _LogReader:
-    """Reader of logs at the rate of the fit; it names a rate for a log too slow for the default one."""
+    """Reader of logs at the rate of the fit; proposes a rate for a log too slow for the default one."""
 
     layout: AnyLayout
     rate_hz: float | None
@@ -239,11 +238,7 @@ class _LogReader:
 
 
 def _unseen(test: Sequence[Log], seen: Sequence[Path]) -> list[Path]:
-    """Files of the test, none of which the fit sees.
-
-    Raises:
-        ConfigError: on one that the fit sees.
-    """
+    """Files of the test; refuse one that is also used in the fit."""
     logs = files_read([log for log in test if isinstance(log, Path | str)], "auto")[:-1] if test else []
     known = {log.resolve() for log in seen}
     for log in logs:
@@ -261,7 +256,6 @@ def _device_limits(limits: CommandLimits | DeviceLimits | None) -> DeviceLimits:
 
 
 def _warn_of_limits(trials: Sequence[Trial], limits: Range | None, say: Say | None) -> None:
-    """Warn where the logs' commands go beyond the limits that the model is to have."""
     from hystmpc.models.evaluate import RANGE_SLACK
 
     if limits is None or say is None:
@@ -300,7 +294,6 @@ def _identify(
 
 
 def _written(done: Identified, path: Path, progress: Progress | None = None) -> EquivalenceReport | None:
-    """Write the readable form or the exported model; returns the comparison of the latter with its reference."""
     if done.simulator is not None and path.suffix.lower() in SIMULATOR.endings:
         done.simulator.save(path)
         return None
@@ -336,7 +329,6 @@ def part_tables(parts: AutoFit, units: Units) -> Iterator[tuple[str, Sequence[st
 
 
 def _interval(row: ParameterRow) -> str:
-    """Text of a confidence interval; one-sided for a parameter at the end of its search range."""
     low, high = row.ci90
     if row.at_bound and math.isinf(high):
         return f"{low:.4g} or more"

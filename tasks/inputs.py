@@ -29,14 +29,14 @@ S = TypeVar("S", bound=Keys)
 
 Logs: TypeAlias = Log | Iterable[Log]
 Settings: TypeAlias = Path | str | Mapping[str, Any]
-"""A YAML file, or the same as a mapping."""
+"""Settings as a YAML file or a mapping."""
 
 Say: TypeAlias = Callable[[str], None]
-"""Called with a note or a warning, one line."""
+"""Callback for a note or a warning, one line."""
 
 
 class Fitted(Protocol):
-    """Result of an identification, see `Fit`."""
+    """Protocol of the result of an identification, see `Fit`."""
 
     @property
     def model(self) -> LoadedModel:
@@ -63,7 +63,7 @@ def opened(model: Model, start: Start = "initial") -> LoadedModel:
 
 
 def chain_or_model(model: Model) -> Simulator | LoadedModel:
-    """Chain of operators of a model, or the model itself if it is a network.
+    """Return the chain of operators of a model, or a network as it is.
 
     Raises:
         ModelError: if a file has another ending, or cannot be opened.
@@ -99,7 +99,7 @@ def recorded_trials(logs: Sequence[Log], layout: AnyLayout, sampled_hz: float | 
     """Read logs as recorded; proposed motions and misread signals are refused.
 
     Raises:
-        LogError: if a log cannot be read, is a proposed motion, or its signals are read wrongly.
+        LogError: if a log cannot be read, is a proposed motion, or its signals are misread.
         ConfigError: on an unknown layout, or a rate that is no positive number.
     """
     trials = read_trials(logs, layout, sampled_hz=sampled_hz)
@@ -132,7 +132,7 @@ def trials_at(
 
 
 def warn_of_units(trials: Iterable[Trial], say: Say) -> None:
-    """Warn of signals that seem to have another unit or clock, which no error of a model shows."""
+    """Warn of signals with a suspected other unit or clock, which no error of a model shows."""
     for trial in trials:
         for finding in check(trial).findings:
             if finding.topic.startswith(("units", "clocks")) and finding.severity is Severity.WARNING:
@@ -140,13 +140,13 @@ def warn_of_units(trials: Iterable[Trial], say: Say) -> None:
 
 
 def allow_classes(allow: bool) -> None:
-    """Permit the import of classes that files name as `python: MODULE:CLASS`, where the caller trusts them."""
+    """Permit the import of classes that files name as `python: MODULE:CLASS`, if the caller trusts them."""
     if allow:
         allow_python()
 
 
 def settings_of(kind: type[S], given: Settings, overrides: Iterable[str]) -> S:
-    """Settings of a YAML file or of a mapping, with changes such as `plant.lag_s=0.1`.
+    """Read settings from a YAML file or a mapping, with changes such as `plant.lag_s=0.1`.
 
     Raises:
         ConfigError: on an unreadable file, a malformed change, an unknown key or a value out of bounds.
@@ -160,7 +160,7 @@ def settings_of(kind: type[S], given: Settings, overrides: Iterable[str]) -> S:
 
 
 def processes(jobs: int | None) -> int:
-    """Number of worker processes; one a core where it is left out.
+    """Number of worker processes; by default one per core.
 
     Raises:
         ConfigError: if it is below 1.

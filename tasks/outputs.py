@@ -1,4 +1,4 @@
-"""Outputs of the tasks: files that may not be written are refused before any computation."""
+"""Outputs of the tasks: existing or write-protected files are refused before any computation."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from hystmpc.trials.run_folder import require_vacant
 
 @dataclass(frozen=True)
 class Output:
-    """A kind of file that a verb writes.
+    """A kind of output file.
 
     Attributes:
         what: its name, with an article, for messages.
         endings: of its file names, in lower case.
-        format_of: says the format of such a file; empty, or an error of reading, for any other file.
-        formats: with which that has to begin.
+        format_of: function from a file to its format; empty, or a reading error, for any other file.
+        formats: permitted beginnings of the format.
     """
 
     what: str
@@ -32,7 +32,7 @@ class Output:
     formats: tuple[str, ...]
 
     def is_one(self, path: Path) -> bool:
-        """Whether a file is of this kind, of whatever version."""
+        """Whether a file is of this kind, in any version."""
         try:
             return self.format_of(path).startswith(self.formats)
         except (OSError, ValueError, LookupError, RecursionError, HystmpcError, zipfile.BadZipFile):
@@ -105,19 +105,19 @@ def check_output(
     force: bool = False,
     of: str = "",
 ) -> None:
-    """Refuse a file that may not be written; only `--force` replaces one, and only one of the same kind.
+    """Refuse a path that may not be written; only `--force` replaces a file, and only one of the same kind.
 
     Args:
-        option: that names the file, for messages.
+        option: option of the file, for messages.
         path: the file.
-        kinds: that the verb can write there; its ending chooses.
-        inputs: files that the same call reads, which it may not replace.
+        kinds: permitted kinds, selected by the ending.
+        inputs: input files of the same call, which must not be replaced.
         force: whether an older file may be replaced.
-        of: what is written, for the message on a wrong ending.
+        of: content of the file, for the message on a wrong ending.
 
     Raises:
-        ConfigError: if the ending is none of the kinds, the path is a folder or an input or cannot be written, or
-            something lies there that may not be replaced.
+        ConfigError: if the ending is none of the kinds, the path is a folder or an input or cannot be written, or an
+            existing file may not be replaced.
     """
     path = Path(path)
     where = f"{option} {path}"
@@ -144,5 +144,5 @@ def check_output(
 def _same(path: Path, other: Path) -> bool:
     try:
         return path.samefile(other)
-    except (OSError, ValueError):  # one of them is not there
+    except (OSError, ValueError):  # one of them does not exist
         return False

@@ -1,4 +1,4 @@
-"""Report of a run folder, written from the files in it."""
+"""Report of a run folder, written from its files."""
 
 from __future__ import annotations
 
@@ -21,11 +21,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class WrittenReport:
-    """A report that was written.
+    """A written report.
 
     Attributes:
-        path: of the page.
-        lines: how far the tracking error fell, and what the review of an experiment says.
+        lines: fall of the tracking error, and the result of the review of an experiment.
     """
 
     path: Path
@@ -39,10 +38,10 @@ def report(
     diagnosis: Path | str | None = None,
     figures: Path | str | None = None,
 ) -> WrittenReport:
-    """Write report.html of a run folder again.
+    """Rewrite report.html of a run folder.
 
-    Of an experiment it says what is due: nothing, `fit` or `diagnose`. With an earlier run it says how far the tracking
-    error fell, and with a diagnosis how far it was expected to fall on this reference.
+    For an experiment it recommends the next step: none, `fit` or `diagnose`. With an earlier run it says how far the
+    tracking error fell, and with a diagnosis how far it was expected to fall on this reference.
 
     Args:
         run: run folder, or that of a commissioning.
@@ -76,7 +75,6 @@ def report(
 
 
 def _commissioning(run: Path, compared: bool) -> WrittenReport:
-    """Write the report of a commissioning, which compares with no other run."""
     if compared:
         raise ConfigError("report: a commissioning has no use for --before and --diagnosis, expected a run of `run`")
     from hystmpc.bench.commission import rewrite_report
@@ -85,7 +83,6 @@ def _commissioning(run: Path, compared: bool) -> WrittenReport:
 
 
 def _fall(run: Path, before: list[Path], diagnosis: Path | None) -> tuple[tuple[str, ...], tuple[Piece, ...]]:
-    """Fall of the tracking error since earlier runs: sentences, and pieces of the page."""
     if not before and diagnosis is None:
         return (), ()
     from hystmpc.gap.measured_tracking import fall_lines, fall_pieces, tracking_falls
@@ -95,7 +92,6 @@ def _fall(run: Path, before: list[Path], diagnosis: Path | None) -> tuple[tuple[
 
 
 def _settings_of(run: Path) -> Set[str]:
-    """The keys of the run's settings; none where there are none."""
     file = run / "config.yaml"
     settings = read_yaml(file) if file.is_file() else None
     return settings.keys() if isinstance(settings, dict) else frozenset()

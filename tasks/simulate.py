@@ -104,8 +104,8 @@ def reproduce(folder: Path | str, row: str, out: Path | str | None = None) -> tu
 
     Args:
         folder: of the sweep.
-        row: its identity, or its first digits where no other begins with them.
-        out: a new or empty run folder; nothing is written where left out.
+        row: its identity, or its first digits if unique.
+        out: a new or empty run folder; nothing is written if left out.
 
     Returns:
         Every figure that does not depend on how fast the machine is: before, now, and whether they are equal.
@@ -121,11 +121,6 @@ def reproduce(folder: Path | str, row: str, out: Path | str | None = None) -> tu
 
 
 def _added(name: str, controller: Settings) -> str:
-    """Override that adds the settings of a controller to a study.
-
-    Raises:
-        ConfigError: if the name has a dot, or the file holds no controller.
-    """
     if not name or "." in name:
         raise ConfigError(f"--controller {name}: expected NAME=FILE, a name without dots")
     data = read_yaml(controller) if isinstance(controller, Path | str) else controller
@@ -188,8 +183,8 @@ def build_controller(
     Args:
         controller: `inverse`, `pid`, `inverse_pid`, `linearised_mpc` or `sampling_mpc`; or its settings.
         model: that it predicts with: a fit, simulator, opened model or file.
-        inverse: file of what is inverted in the model's place, for a network.
-        limits: hard limits of command and rate; those of the model where left out.
+        inverse: file of the map to invert in place of the model, for a network.
+        limits: hard limits of command and rate; those of the model if left out.
         actuator_lag_s: first-order lag of the command that the model does not contain [s].
 
     Raises:

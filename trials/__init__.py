@@ -29,10 +29,10 @@ __all__ = [
 
 
 def lazily(package: str, *names: tuple[str, str]) -> Callable[[str], Any]:
-    """The `__getattr__` of a package (PEP 562) that imports a module when one of its names is first asked for.
+    """Return the `__getattr__` of a package (PEP 562) that imports each module at the first use of one of its names.
 
     Args:
-        package: `__name__` of the package, whose `__all__` has the same names: `names` of what is returned.
+        package: `__name__` of the package; its `__all__` is `names` of the returned function.
         names: module and names in it, separated by blanks; `NAME=OTHER` makes the module's OTHER the package's NAME.
     """
     home = {entry.partition("=")[0]: (module, entry) for module, text in names for entry in text.split()}
@@ -42,7 +42,7 @@ def lazily(package: str, *names: tuple[str, str]) -> Callable[[str], Any]:
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
         module, entry = home[name]
         value = getattr(import_module(module), entry.rpartition("=")[2])
-        setattr(import_module(package), name, value)  # asked for once
+        setattr(import_module(package), name, value)  # stored for later access
         return value
 
     getattribute.names = list(home)  # type: ignore[attr-defined]  # for `__all__`

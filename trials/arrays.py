@@ -26,7 +26,7 @@ from .layouts import HEADER_TIME, LOG_TIME
 from .signals import Series, SignalLog, missing, split_path, walk
 from .types import Vec
 
-_MOST_SIGNALS = 64  # of a matrix or a list that are listed
+_MOST_SIGNALS = 64  # greatest number of listed signals of a matrix or a list
 
 
 @final
@@ -36,9 +36,8 @@ class ArrayLog(SignalLog):
 
     Attributes:
         variables: by name; a struct is a mapping, a struct array or a cell a list, numbers are arrays.
-        clocks: time stamps [s] of signals that have their own, by name of the signal.
-        unread: variables that cannot be read, by name, and what to do.
-        times: names of signals that were dates; they are in seconds since the first.
+        clocks: time stamps [s] of signals with separate time stamps, by name of the signal.
+        unread: advice on each variable that cannot be read, by its name.
     """
 
     path: str
@@ -50,14 +49,11 @@ class ArrayLog(SignalLog):
 
     @property
     def clock(self) -> str:  # type: ignore[override]  # read only, as all of it
-        """A signal of dates, else the times of waveforms."""
+        """Name of the time signal: a signal of dates, otherwise the times of waveforms."""
         return min(self.times, default=LOG_TIME if self.clocks else "")
 
     def names(self) -> tuple[str, ...]:
-        """Vectors, and the signals of matrices: `t`, `run.tip`, `data[1]`, counted from 0.
-
-        The samples of a matrix lie along its longer side, whichever this is.
-        """
+        """Names of vectors and of the signals of matrices along the longer side: `t`, `run.tip`, `data[1]`, from 0."""
         return tuple(self._named)
 
     @cached_property
@@ -65,7 +61,7 @@ class ArrayLog(SignalLog):
         return dict(_vectors(self.variables, ""))
 
     def series(self, signals: Sequence[str], time: str) -> list[Series]:
-        """The signals asked for; see `SignalLog`.
+        """Return the requested signals with their time stamps; see `SignalLog`.
 
         Raises:
             LogError: on an unknown signal, one that is no vector, or one of another length than time.
@@ -85,7 +81,7 @@ class ArrayLog(SignalLog):
         return stamps if stamps is not None and stamps.size == count else np.full(count, np.nan)
 
     def _vector(self, signal: str) -> Vec:
-        if signal in self._named:  # a name that holds dots or brackets of its own
+        if signal in self._named:  # a name that contains dots or brackets
             return self._named[signal].astype(np.float64)
         *way, last = split_path(signal) or [signal]
         try:
@@ -104,13 +100,12 @@ class ArrayLog(SignalLog):
         return array.astype(np.float64).reshape(-1)
 
     def _missing(self, signal: str) -> LogError:
-        """Error for a signal that is missing, or that cannot be read."""
         first = str((split_path(signal) or [signal])[0])
         unread = None if first in self.variables else self.not_read(first)
         return unread or missing(self.path, signal, self.names())
 
     def not_read(self, name: str = "") -> LogError | None:
-        """Error for a variable that cannot be read: the named one, otherwise the first such variable."""
+        """Error for the named variable if it cannot be read; without a name, for the first such variable."""
         if not self.unread:
             return None
         known = name if name in self.unread else next(iter(self.unread))
@@ -118,7 +113,7 @@ class ArrayLog(SignalLog):
 
 
 def _along(value: Any, signal: int) -> Any:
-    """One signal of a matrix; its samples lie along the longer side, down the columns of a square."""
+    """One signal of a matrix, whose samples lie along the longer side, or down the columns of a square."""
     plain = np.squeeze(value)
     if plain.ndim < 2:
         return plain.reshape(1, -1)[signal]
@@ -126,7 +121,6 @@ def _along(value: Any, signal: int) -> Any:
 
 
 def _vectors(value: Any, prefix: str) -> list[tuple[str, NDArray[Any]]]:
-    """Everything that is a vector of numbers, by name."""
     if isinstance(value, Mapping):
         inner = [(f"{prefix}.{name}" if prefix else str(name), item) for name, item in value.items()]
         return [vector for path, item in inner for vector in _vectors(item, path)]
@@ -148,9 +142,7 @@ _PICKLED = "an array of pickled objects, which can run code; save plain numbers 
 
 
 def open_npz(path: Path | str) -> ArrayLog:
-    """Read the arrays of a file of NumPy: of an `.npz` by name, the one of an `.npy` as `[0]`, `[1]`, ... or `data`.
-
-    Fields of a structured array have names of their own.
+    """Read the arrays of a NumPy file: an `.npz` by name, an `.npy` as `[0]`, `[1]`, ... or `data`, or by field name.
 
     Raises:
         LogError: if the file is missing, cut off, no file of NumPy, or unpacks to more than `MOST_BYTES`.
@@ -215,7 +207,7 @@ def _array(path: str, file: BinaryIO, size: int, left: int) -> np.ndarray[Any, A
 
 
 def _single(value: np.ndarray[Any, Any]) -> dict[str, Any]:
-    """The signals of a file with one array."""
+    """Signals of a file that holds one array."""
     if value.dtype.names:
         return dict(cast(Mapping[str, Any], _fields(value)))
     plain = np.squeeze(value)
@@ -233,14 +225,14 @@ _MOST_CHANNELS = 2000
 
 
 def open_tdms(path: Path | str) -> ArrayLog:
-    """Read the channels of a TDMS file; those of numbers and of time stamps, which become seconds since the first.
+    """Read the channels of numbers and time stamps of a TDMS file; time stamps become seconds since the first.
 
-    A channel that was written as a waveform has a time of its own (`time: log` in a mapping file): its start and its
-    increment, counted from the earliest start of all channels.
+    A channel written as a waveform has its time (`time: log` in a mapping file) from its start and its increment,
+    counted from the earliest start of all channels.
 
     Raises:
-        LogError: if `npTDMS` is not installed, the file is missing, cut off or no TDMS file, or says to hold more
-            samples than it has room for.
+        LogError: if `npTDMS` is not installed, the file is missing, cut off or no TDMS file, or declares more samples
+            than its size allows.
     """
     require("nptdms", "logs", f"{path}: reading TDMS files")
     data = read_bytes(path)
@@ -254,7 +246,6 @@ def open_tdms(path: Path | str) -> ArrayLog:
 
 @contextmanager
 def _warnings() -> Iterator[list[str]]:
-    """Collect the warnings of the library on a damaged file."""
     logger, warnings = logging.getLogger("nptdms"), list[str]()
     handler = logging.Handler(logging.WARNING)
     handler.emit = lambda record: warnings.append(" ".join(record.getMessage().split()))  # type: ignore[method-assign]
@@ -274,7 +265,7 @@ def _read(path: str, data: bytes) -> tuple[dict[str, Any], dict[str, Vec], froze
     variables: dict[str, dict[str, Any]] = {}
     waves: dict[str, tuple[Any, float, float, int]] = {}
     times: set[str] = set()
-    with TdmsFile.open(BytesIO(data)) as file:  # of bytes: of a path, an index file beside it would be read too
+    with TdmsFile.open(BytesIO(data)) as file:  # bytes, since a path would also read its index file
         channels = [channel for group in file.groups() for channel in group.channels()]
         if len(channels) > _MOST_CHANNELS:
             raise LogError(f"{path}: {len(channels)} channels, expected at most {_MOST_CHANNELS}")

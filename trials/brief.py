@@ -9,10 +9,10 @@ from pathlib import Path
 from typing import Any
 
 LONGEST = 200
-"""Characters of the line."""
+"""Greatest length of the line [characters]."""
 
-_LONGEST_TEXT = 40  # of a text inside it
-_MOST_NUMBERS = 3  # of a sequence that is written out
+_LONGEST_TEXT = 40  # characters of a text inside it
+_MOST_NUMBERS = 3  # greatest length of a sequence that is written in full
 
 
 def in_brief(kind: object, text: str) -> str:
@@ -23,7 +23,7 @@ def in_brief(kind: object, text: str) -> str:
 
 
 def brief(self: Any) -> str:
-    """`__repr__` of a dataclass of results: its fields in short, arrays as their shape, sequences by their length."""
+    """Short `__repr__` of a dataclass of results: arrays by their shape, sequences by their length."""
     parts = (f"{f.name}={_shortened(getattr(self, f.name))}" for f in fields(self) if f.repr)
     return in_brief(self, ", ".join(parts))
 

@@ -16,7 +16,7 @@ from .types import Vec
 MISSING = frozenset(
     ("", "nan", "-nan", "na", "n/a", "#n/a", "#nv", "null", "none", "nil", "-", "--", "---", "inval", "missing")
 )
-"""What stands in a cell without a value; compared in small letters."""
+"""Marks of a missing value in a cell, in lower case."""
 
 _POWER = r"(?:[eE][-+]?\d+)?"
 _GROUP = "[ \u00a0\u202f'\u2019]"  # marks of thousands that are no decimal mark
@@ -50,12 +50,12 @@ _DAY_S, _HOUR_S = 86_400, 3_600
 
 @dataclass(frozen=True, eq=False)
 class Converted:
-    """One column.
+    """One column of a table after conversion to numbers, if possible.
 
     Attributes:
         kind: `number`, `time` [s since the first stamp], or `text`.
-        values: (T,), not-a-number where the cell is empty; none of a text.
-        fault: first cell that is not of this kind, and why; None where all are.
+        values: (T,), not-a-number for an empty cell; None for a text.
+        fault: first cell of another kind, and the reason; None if there is none.
     """
 
     kind: str
@@ -64,7 +64,7 @@ class Converted:
 
 
 def is_value(cell: str) -> bool:
-    """Whether a cell holds a number, a date or a time; a mark for a missing value is none of these."""
+    """Whether a cell holds a number, a date or a time, and no mark for a missing value."""
     return bool(cell) and (_number_like(cell) or _stamp(cell) is not None)
 
 
@@ -79,7 +79,10 @@ def convert(columns: Sequence[Sequence[str]], comma_likely: bool) -> list[Conver
     """Convert every column of a table; a decimal mark that is certain in one column holds for all of them.
 
     Args:
-        comma_likely: whether a lone comma is a decimal mark where nothing tells, as in cells that semicolons separate.
+        comma_likely: whether an ambiguous comma is a decimal mark, as in cells that semicolons separate.
+
+    Args:
+        comma_likely: whether an ambiguous comma is a decimal mark, as in cells separated by semicolons.
     """
     plain = [_floats(cells) for cells in columns]
     if all(values is not None or not any("," in cell for cell in c) for values, c in zip(plain, columns, strict=True)):
@@ -102,8 +105,7 @@ def convert(columns: Sequence[Sequence[str]], comma_likely: bool) -> list[Conver
 
 
 def _floats(cells: Sequence[str]) -> Vec | None:
-    """Numbers of the cells by `float`; None if one cell is no number."""
-    if any("_" in cell for cell in cells):  # Python reads 1_0 as 10, a log does not mean it
+    if any("_" in cell for cell in cells):  # Python reads 1_0 as 10, which a log does not mean
         return None
     try:
         return np.array([float(cell) if cell else math.nan for cell in cells])
@@ -117,7 +119,7 @@ def _marks(cells: Iterable[str]) -> set[str]:
     for cell in cells:
         if ("." in cell or "," in cell) and _number_like(cell):
             marks.add(_mark(cell))
-            if marks & {".", ","}:  # a cell that says otherwise is found when the column is read
+            if marks & {".", ","}:  # contradicting cells are detected when the column is read
                 break
     return marks
 
@@ -129,7 +131,7 @@ def _mark(cell: str) -> str:
     if points + commas > 1:
         return "," if points else "."
     one = _EITHER.fullmatch(cell.replace(_MINUS, "-"))
-    if one is None:  # thousands parted by a space or an apostrophe
+    if one is None:  # thousands separated by a space or an apostrophe
         return "." if points else ","
     before, mark, after, power = one.groups()
     sure = len(after) != 3 or not 1 <= len(before) <= 3 or before.startswith("0") or power
@@ -170,7 +172,7 @@ def _numbers(cells: Sequence[str], mark: str, comma_likely: bool) -> Converted:
 
 
 def _stamp(cell: str) -> re.Match[str] | None:
-    """A date, a time of day or both; at least one of them."""
+    """Match a cell with a date, a time of day, or both."""
     if len(cell) > _LONGEST_STAMP or (":" not in cell and cell.count("-") + cell.count("/") + cell.count(".") < 2):
         return None
     stamp = _STAMP.fullmatch(cell)
@@ -178,7 +180,7 @@ def _stamp(cell: str) -> re.Match[str] | None:
 
 
 def _times(cells: Sequence[str]) -> Converted:
-    """Convert dates and times of day to seconds since the first; without a date, midnight is passed."""
+    """Convert dates and times of day to seconds since the first; without a date, a fall in time is midnight."""
     stamps = [None if cell.lower() in MISSING else _stamp(cell) for cell in cells]
     known = [k for k, stamp in enumerate(stamps) if stamp is not None]
     fault = next(((k, "") for k, cell in enumerate(cells) if stamps[k] is None and cell.lower() not in MISSING), None)
@@ -198,7 +200,7 @@ def _times(cells: Sequence[str]) -> Converted:
 
 
 def _second(stamp: re.Match[str], unit: int) -> tuple[int, int]:
-    """Time of day minus its zone: whole seconds and nanoseconds."""
+    """Time of day in UTC: whole seconds and nanoseconds."""
     hour, minute, second = (int(stamp[name] or 0) for name in ("h", "m", "sec"))
     if half := stamp["half"]:
         hour = hour % 12 + (12 if half[0] in "pP" else 0)
@@ -212,7 +214,7 @@ def _second(stamp: re.Match[str], unit: int) -> tuple[int, int]:
 
 
 def _since_first(days: Sequence[int], seconds: Sequence[tuple[int, int]], turn: int | None) -> Vec:
-    """Stamps [s] counted from the first one, in whole numbers so that no digit is lost."""
+    """Time stamps [s] from the first one on, computed in integers so that no digit is lost."""
     if not seconds:
         return np.zeros(0)
     whole = np.array([day * _DAY_S + second for day, (second, _) in zip(days, seconds, strict=True)], dtype=np.int64)
@@ -232,7 +234,7 @@ def _days(stamps: Sequence[re.Match[str]]) -> tuple[list[int], int | None]:
     if not fitting:
         wrong = {triple for triple in different if all(days[triple] is None for days in by_order.values())}
         return [], next((k for k, triple in enumerate(triples) if triple in wrong), 0)
-    # 03/04 is April the third, or March the fourth: where only the order of the file can tell, days follow closely.
+    # 03/04 is 3 April or 4 March: if all else is ambiguous, consecutive days must be close to each other.
     choices = [[days[triple] or 0 for triple in triples] for days in fitting]
     return min(choices, key=_spread), None
 
@@ -243,7 +245,7 @@ def _spread(days: Sequence[int]) -> float:
 
 
 def _day(triple: tuple[str | None, ...], order: str) -> int | None:
-    """Day number of year, month and day in one order; None where there is no such date in it."""
+    """Day number of year, month and day in one order; None if the date does not exist."""
     a, b, c = (part or "" for part in triple)
     if not a:
         return 0

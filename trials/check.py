@@ -23,19 +23,17 @@ from .trial import Trial, even_time, parts_at_gaps, resample
 from .types import Vec
 
 LEAST_SAMPLES = 50
-"""Samples of a trial from which a model can be identified."""
+"""Least number of samples for the identification of a model."""
 
-_MODEL_HZ = 25.0  # at which `fit` runs where nothing else is asked for
+_MODEL_HZ = 25.0  # default rate of `fit`
 
 
 @in_a_line
 def check(log: Log, layout: AnyLayout = "auto", sampled_hz: float | None = None) -> CheckReport:
     """Check a log: time base, jitter, gaps, duplicates, values, units, sign, excitation, segments and first flexure.
 
-    A file or frame is read leniently: what `read_trials` would refuse becomes a finding.
-
     Args:
-        sampled_hz: rate [Hz] of a log that was sampled evenly, whose time stamps are not looked at.
+        sampled_hz: rate [Hz] of an evenly sampled log, whose time stamps are ignored.
 
     Raises:
         LogError: if it cannot be read, or lacks a column or signal.
@@ -49,7 +47,7 @@ def check(log: Log, layout: AnyLayout = "auto", sampled_hz: float | None = None)
 
 
 def _report(log: UncheckedLog, layout: AnyLayout | None = None) -> CheckReport:
-    """All findings; those on the motion are made on samples that are finite, in order of time, and repaired."""
+    """All findings; those on the motion use finite, sorted and decoded samples."""
     mapping = layout if isinstance(layout, LogMapping) else None
     findings = [Finding(Severity.NOTE, "file", log.note)] if log.note else []
     findings += _value_findings(log)
@@ -77,7 +75,6 @@ def _report(log: UncheckedLog, layout: AnyLayout | None = None) -> CheckReport:
 
 
 def _short(t: Vec) -> Iterator[Finding]:
-    """Finding on a log that is too short at the usual rate of models."""
     duration, count = float(t[-1] - t[0]), t.size
     if count >= LEAST_SAMPLES and duration * _MODEL_HZ + 1 < LEAST_SAMPLES:
         rate = min(round(200 / duration, -1), (count - 1) / duration) if duration > 0 else _MODEL_HZ
@@ -89,7 +86,6 @@ def _short(t: Vec) -> Iterator[Finding]:
 
 
 def _value_findings(log: UncheckedLog) -> Iterator[Finding]:
-    """Findings on samples without a finite number, per signal."""
     clean = True
     main = {"time": log.t, "command": log.command, "angle": log.angle}
     for name, values in {**main, **log.channels}.items():
@@ -104,10 +100,13 @@ def _value_findings(log: UncheckedLog) -> Iterator[Finding]:
 
 
 def require_sound(trial: Trial) -> None:
-    """Refuse a trial with wrong signals: another unit of time, codes for missing values, wraps, an output that leads.
+    """Refuse a trial with a wrong unit of time, missing-value codes, wraps, or an angle ahead of its command.
 
     Raises:
-        LogError: with what `check` says of it.
+        LogError: with the finding of `check`.
+
+    Raises:
+        LogError: with the finding of `check`.
     """
     unit = suspected_unit(trial.t)
     if unit is not None and unit.certain:
@@ -124,13 +123,13 @@ def require_sound(trial: Trial) -> None:
 
 
 _SEGMENT_RATE_HZ = 50.0  # enough for tip motions up to a few Hz
-_FOLLOWS, _SURE = 0.3, 0.85  # correlation of angle and command below which the sign cannot be told, or is in doubt
+_FOLLOWS, _SURE = 0.3, 0.85  # correlation of angle and command below which the sign is unknown, or doubtful
 _MUCH_MORE, _FAR_MORE = 0.5, 0.1  # of the variance left without a delay, or with the other sign
-_ALIKE = 0.95  # correlation at a delay that tells the sign where that without one does not
+_ALIKE = 0.95  # least correlation at a delay that decides the sign
 _ROUNDING = 1e-9
 
-# Range of a signal -> what its numbers look like: (from, to, suspicion); between the rows they look right. Only where
-# travel in mm or pressure in bar bends a tip by degrees: of any other device nothing is known that could be compared.
+# Range of a signal and its suspected unit: (from, to, suspicion); ranges between the rows are plausible. Only for
+# travel in mm or pressure in bar that bends a tip by degrees: for other devices there is no reference.
 _MISTAKEN: dict[str, tuple[tuple[float, float, str], ...]] = {
     "mm": ((0.0, 0.05, "metres"), (200.0, np.inf, "micrometres")),
     "bar": ((0.0, 0.02, "MPa or a valve signal"), (20.0, 5e3, "kPa or psi"), (5e3, np.inf, "Pa")),
@@ -143,7 +142,10 @@ _COMMANDS, _ANGLES, _ANY = (-100.0, 100.0), (-200.0, 200.0), (-np.inf, np.inf)  
 
 
 def motion_findings(trial: Trial, ranges: tuple[Range | None, Range | None]) -> Iterator[Finding]:
-    """Findings on a trial whose values are finite and in order.
+    """Findings on a trial with finite values and increasing time.
+
+    Args:
+        ranges: plausible values of command and angle; None for those of a bending tip.
 
     Args:
         ranges: plausible values of command and angle; None for those of a tip that bends.
@@ -179,7 +181,6 @@ def motion_findings(trial: Trial, ranges: tuple[Range | None, Range | None]) -> 
 
 
 def _moved(trial: Trial, late_s: float) -> Trial:
-    """Trial with its angle shifted earlier by `late_s`."""
     at = trial.t + late_s
     inside = (at >= trial.t[0]) & (at <= trial.t[-1])
     angle = np.interp(at[inside], trial.t, trial.angle)
@@ -190,7 +191,7 @@ def _units(name: str, values: Vec, unit: str, plausible: tuple[float, float], be
     low, high, topic = float(values.min()), float(values.max()), f"units of {name}"
     text = f"{low:.4g} to {high:.4g} {unit}"
     for least, most, suspicion in _MISTAKEN.get(unit, ()) if bends else ():
-        # 30.0 to 30.1 is no angle in radians: a signal in a larger unit has small values, not a small range alone.
+        # 30.0 to 30.1 is no angle in radians: a larger unit gives small values, not only a small range.
         if least < high - low <= most and max(-low, high) <= 2 * most:
             return Finding(Severity.WARNING, topic, f"{text}: looks like {suspicion}, expected {unit}")
     if low < plausible[0] or high > plausible[1]:
@@ -201,7 +202,7 @@ def _units(name: str, values: Vec, unit: str, plausible: tuple[float, float], be
 
 
 def _sign(trial: Trial) -> Finding:
-    """Sign and size of the gain from command to angle, at the delay of best correlation."""
+    """Finding on sign and size of the gain from command to angle, at the delay of best correlation."""
     lag, together = _best_delay(trial)
     u, y = trial.command[: len(trial) - lag], trial.angle[lag:]
     u, y = u - u.mean(), y - y.mean()
@@ -222,11 +223,7 @@ _WHY = "; a play wider than the motion, a long delay, or signals of two devices?
 
 
 def _best_delay(trial: Trial) -> tuple[int, float]:
-    """Delay of best correlation [samples] within what a device may have, and the correlation; 0 if a delay adds little.
-
-    A periodic command is like its opposite half a period later: the sign is that without a delay, unless the other one
-    leaves next to nothing.
-    """
+    """Delay of best correlation within plausible limits [samples], and the correlation; 0 without a clear gain."""
     u, y = trial.command, trial.angle
     lags, like = correlations(u, y, min(round(DELAY_S / trial.dt), len(trial) // 4))
     like = like[lags >= 0]
@@ -238,7 +235,7 @@ def _best_delay(trial: Trial) -> tuple[int, float]:
     fallen = np.flatnonzero(same < 0.5 * np.maximum.accumulate(same))
     best = int(np.argmax(same[: int(fallen[0])] if fallen.size else same))
     useful = 1 - same[best] ** 2 < _MUCH_MORE * (1 - now**2)
-    # Of a weak likeness that only grows with the delay, such as that of a force and its motion, nothing is known.
+    # A weak correlation that only increases with the delay, as of a force and its motion, gives no sign.
     best = best if useful and (abs(now) >= _FOLLOWS or same[best] >= _ALIKE) else 0
     return best, float(like[best])
 
@@ -261,28 +258,26 @@ def _segments(trial: Trial, parts: Segments) -> Finding:
 
 
 SAME = 0.005
-"""Share of the command's range within which two rests are at one command."""
+"""Share of the command's range within which two rests count as one command."""
 
 LEAST_SET = 0.02
-"""Share of the angle's range below which a change is none; three times the noise of an electromagnetic tracker."""
+"""Least share of the angle's range that counts as a change; three times the noise of an electromagnetic tracker."""
 
 _LEAST_NOISES = 4.0  # standard errors
-_BENDS = 0.2  # of the range of the angle: less of a first flexure does not tell which way the angle goes
+_BENDS = 0.2  # of the range of the angle: a smaller first flexure gives no direction of the angle
 _SAME_READING = 1e-6  # of the range of the angle
-_TAIL = 0.5  # of a rest, at its end: what is looked at
-_CREEP = 0.5  # of the bend: the most that creep adds
-_FULL_LOOP = 1.2  # of the half-way gap, by which the gap at the start is greater if plays from rest are not its cause
+_TAIL = 0.5  # share of a rest, at its end, that is evaluated
+_CREEP = 0.5  # greatest share of the bend due to creep
+_FULL_LOOP = 1.2  # least ratio of the gap at the start to that half-way if plays from rest are not its cause
 
 
 @dataclass(frozen=True)
 class HoldEnd:
-    """The end of a hold of the command.
+    """State at the end of a hold of the command.
 
     Attributes:
-        start, stop: samples of the hold.
-        angle: a recorded one of its end, their median.
-        error: standard error of that angle.
-        drift: speed of the angle there, its standard error on top [angle/s].
+        angle: recorded angle nearest to the mean: the median.
+        drift: upper bound of the angle's speed: its estimate plus one standard error [angle/s].
     """
 
     start: int
@@ -296,15 +291,13 @@ class HoldEnd:
 def _first_flexure(trial: Trial, parts: Segments) -> Finding:
     """Permanent set after the first flexure: change of the angle between two rests at one command.
 
-    The angle has to stand still in both, so that lag, drift and creep are no set. Creep of time constant tau that
-    drifts by d is still off by d tau, and not by more than 0.5 T / tau of the bend if it had the time T to grow; for no
-    tau that is more than sqrt(0.5 d T bend).
+    Lag, drift and creep are excluded. Creep of time constant tau and drift d is d tau away from its end, and at most
+    0.5 T / tau of the bend after the time T: for every tau at most sqrt(0.5 d T bend).
 
-    A play leaves the angle above where it began, if the flexure was upwards and came back from there, whatever the
-    play: a change the other way is a set. Of a change this way, the gap between the way there and the way back tells:
-    of plays that begin between their middle and the side of the flexure it is never wider at the start than half-way.
-    Plays begin so where the command begins at zero, the end of its range. Anywhere else it is a set, or a play that
-    began elsewhere.
+    A play can leave the angle above its start after an upward flexure, but not below it: a change below is a set. For a
+    change above, the gap between loading and unloading decides: if the play starts between its middle and the side of
+    the flexure, as for a command that starts at the end of its range, this gap is never wider at the start than
+    half-way. Otherwise the cause is a set or a play with another start.
     """
     unit, u = trial.units.command, trial.command
     if not parts.reversals.size:
@@ -332,7 +325,6 @@ def _no_two_rests(opening: str, why: str) -> Finding:
 
 
 def _set(trial: Trial, before: HoldEnd, after: HoldEnd, top: int, opening: str) -> Finding:
-    """Finding on the change of the angle between two rests at one command."""
     bend, change = float(np.ptp(trial.angle)), after.angle - before.angle
     elapsed, moved = trial.t[after.stop - 1] - trial.t[before.stop - 1], trial.t[after.start] - trial.t[before.stop - 1]
     drift = max(before.drift, after.drift)
@@ -354,7 +346,7 @@ def _set(trial: Trial, before: HoldEnd, after: HoldEnd, top: int, opening: str) 
 
 
 def _rest(trial: Trial, start: int, stop: int, grain: float = 0.0) -> HoldEnd:
-    """Angle at the end of a hold; `grain` is the drift that a constant reading may hide."""
+    """Angle at the end of a hold; `grain` is the largest drift that a constant reading may hide."""
     first = stop - max(2, round((stop - start) * _TAIL))
     first = max(first, start)
     t, y = trial.t[first:stop], trial.angle[first:stop]
@@ -376,7 +368,7 @@ def _rest(trial: Trial, start: int, stop: int, grain: float = 0.0) -> HoldEnd:
 
 
 def _may_be_play(trial: Trial, before: HoldEnd, after: HoldEnd, top: int) -> bool:
-    """Whether a play that begins elsewhere explains a change of the angle between two rests."""
+    """Whether a play with another initial state explains a change of the angle between two rests."""
     u, y = trial.command, trial.angle
     span, change = float(np.ptp(u)), after.angle - before.angle
     way = y[before.stop : top + 1 + round(DELAY_S / trial.dt)] - before.angle
@@ -401,7 +393,7 @@ def _may_be_play(trial: Trial, before: HoldEnd, after: HoldEnd, top: int) -> boo
 
 
 def _at(u: Vec, y: Vec, start: int, stop: int, level: float) -> float | None:
-    """Angle where the command first passes a level between two samples; None where it does not."""
+    """Angle at which the command first crosses a level between two samples; None if it does not."""
     side = u[start : stop + 1] >= level
     passed = np.flatnonzero(side[1:] != side[:-1])
     if not passed.size:
@@ -412,7 +404,7 @@ def _at(u: Vec, y: Vec, start: int, stop: int, level: float) -> float | None:
 
 
 def _numbers(values: Vec, scale: float, offset: float) -> Vec:
-    """Numbers (T,) in the log behind a signal = scale * number + offset; integers are exact."""
+    """Logged numbers (T,) of a signal = scale * number + offset; integers are exact."""
     if scale == 1.0 and offset == 0.0:
         return values
     numbers = (values - offset) / scale
@@ -424,6 +416,9 @@ def encoding_findings(
     trial: Trial, scales: Mapping[str, tuple[float, float]], where: Callable[[int], str]
 ) -> tuple[list[Finding], Trial]:
     """Findings on missing-value codes, wraps and sign bits of command and angle, and the decoded trial.
+
+    Args:
+        scales: scale and offset from logged numbers to `command` and `angle`; 1 and 0 if left out.
 
     Args:
         scales: scale and offset by which `command` and `angle` were made of the numbers in the log, if not 1 and 0.

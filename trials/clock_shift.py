@@ -10,24 +10,24 @@ from .segments import turning_points
 from .types import Index, Vec
 
 DELAY_S = 2.0
-"""Delay of an angle behind its command that a device may have [s]: less is never told from one."""
+"""Greatest plausible delay of an angle after its command [s]; smaller shifts are not distinguished from it."""
 
 IMPOSSIBLE_S = 0.5
-"""Time by which an angle that answers early is no answer, whatever the command's own sensor [s]."""
+"""Lead of an angle that no response explains, even with a slow sensor of the command [s]."""
 
-_EARLY_S = 0.25  # by which a measured command may come late
-_GRID = 1500  # samples that are looked at
-_LEAST = 50  # samples of a signal that are looked at
-_LONGEST = 0.5  # of the log: more would leave too little in common
-_LIKE = 0.9  # least correlation at the shift that is told
+_EARLY_S = 0.25  # greatest delay of a measured command
+_GRID = 1500  # greatest number of evaluated samples
+_LEAST = 50  # least number of evaluated samples of a signal
+_LONGEST = 0.5  # greatest shift as a share of the log; the rest is the common part
+_LIKE = 0.9  # least correlation at a reported shift
 _TURNS, _TURN = (
     4,
     0.1,
-)  # reversals that are compared, and their size in ranges of the command: of few, likeness is chance
+)  # compared reversals, and their size in ranges of the command: with few, correlation is due to chance
 _KNOWN = 0.8  # correlation above which an angle follows its command, or a command its own past
-_GONE = 0.5  # correlation below which a command is no longer like itself
+_GONE = 0.5  # correlation below which a command no longer repeats itself
 _BETTER = 0.3  # of the variance that no delay of a device explains
-_LAGS_S = np.geomspace(0.1, 60.0, 9)  # time constants of a device that is slow instead
+_LAGS_S = np.geomspace(0.1, 60.0, 9)  # time constants of a slow device, the alternative to a shift
 
 
 @dataclass(frozen=True)
@@ -35,9 +35,9 @@ class ClockShift:
     """Shift of the angle's time stamps against the command's.
 
     Attributes:
-        late_s: by which the angle's stamps are late [s]; below zero they are early.
-        correlation: of angle and command without this shift.
-        without: the same as they stand.
+        late_s: delay of the angle's stamps [s]; negative if they are early.
+        correlation: of angle and command after removal of the shift.
+        without: correlation before removal of the shift.
     """
 
     late_s: float
@@ -46,7 +46,7 @@ class ClockShift:
 
     @property
     def text(self) -> str:
-        """The shift in words, with the key of a mapping file that takes it out."""
+        """Description of the shift, with the key of a mapping file that removes it."""
         late = "later" if self.late_s > 0 else "earlier"
         return (
             f"the angle answers {abs(self.late_s):.3g} s {late} than the command was given (correlation "
@@ -58,9 +58,9 @@ class ClockShift:
 def clock_shift(t: Vec, command: Vec, angle: Vec) -> ClockShift | None:
     """Time shift between command and angle that no device explains; None if there is none.
 
-    It is told where a shift makes the two look alike (correlation of 0.9 and more) and leaves less than 0.3 of the
-    variance that is left by every delay of up to `DELAY_S`, and by every first-order lag. A periodic command tells no
-    shift from another one a period later: where the command is like itself after this time, none is told.
+    A shift is reported if it gives a correlation of at least 0.9 and leaves less than 0.3 of the variance that remains
+    after every delay of up to `DELAY_S` and every first-order lag. No shift is reported if the command repeats itself
+    after this time: shifts by a period are indistinguishable.
     """
     duration = float(t[-1] - t[0])
     dt = max(duration / _GRID, float(np.median(np.diff(t))))
@@ -87,7 +87,7 @@ def clock_shift(t: Vec, command: Vec, angle: Vec) -> ClockShift | None:
 
 
 def _repeats(u: Vec, lag: int, slack: int) -> bool:
-    """Whether a command is so periodic that a delay of up to `slack` samples cannot be told from `lag`."""
+    """Whether the command is so periodic that delays of `lag` and of up to `slack` samples are indistinguishable."""
     near, far = (lag - slack, lag) if lag > 0 else (-lag, slack - lag)
     _, like = correlations(u, u, min(far, u.size - 10))
     later = np.abs(like[like.size // 2 :])  # from no lag on
@@ -96,10 +96,7 @@ def _repeats(u: Vec, lag: int, slack: int) -> bool:
 
 
 def _like_a_device(u: Vec, y: Vec, lag: int, dt: float, whole: Vec) -> float:
-    """Greatest correlation at a delay that a device may have: of the whole log, and of its compared parts.
-
-    A log whose first motion differs from its later ones is like itself one motion later, but also in each part.
-    """
+    """Greatest correlation at a plausible delay of a device: of the whole log, and of the compared parts."""
     greatest, count = [float(whole.max())], u.size - abs(lag)
     for part in (slice(0, count), slice(u.size - count, u.size)):
         lags, like = correlations(u[part], y[part], round(DELAY_S / dt))
@@ -141,7 +138,7 @@ def correlations(u: Vec, y: Vec, most: int) -> tuple[Index, Vec]:
     power_u = cross(u * u, ones_y) - sum_u**2 / count
     power_y = cross(ones_u, y * y) - sum_y**2 / count
     together = cross(u, y) - sum_u * sum_y / count
-    # Where hardly anything moves in the common part, likeness is chance.
+    # With hardly any motion in the common part, correlation is due to chance.
     moves = (power_u > 0.1 * count * u.var()) & (power_y > 0.1 * count * y.var())
     scale = np.sqrt(np.where(moves, power_u * power_y, 1.0))
     return lags, np.asarray(np.where(moves, together / scale, 0.0), dtype=np.float64)

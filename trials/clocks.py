@@ -10,20 +10,20 @@ import numpy as np
 from .types import Index, Mask, Vec
 
 SECONDS = MappingProxyType({"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0, "d": 86400.0})
-"""Unit of a time signal -> seconds; spreadsheets count in days, `d`."""
+"""Seconds per unit of a time signal; `d` are days, as in spreadsheets."""
 
 UNIT_NAMES = MappingProxyType(
     {"ms": "milliseconds", "us": "microseconds", "ns": "nanoseconds", "min": "minutes", "h": "hours", "d": "days"}
 )
 
 SLOWEST_HZ, FASTEST_HZ, UNUSUAL_HZ = 1.0, 1e5, 2e4
-"""No closed loop of this field samples at the first or slower, nor at the second or faster; few at the third."""
+"""Rates outside the first two do not occur in closed loops of this field; those above the third are rare."""
 
 _DATES = (20_000.0, 80_000.0)  # days since 1900 in spreadsheets: the years 1954 to 2119
 _USUAL_HZ, _USUAL_S = 50.0, 2.0  # a rate, and a time between two reversals, that devices of this field have
-_IN_DOUBT = 0.5  # powers of ten: two units that differ by less in how usual they are, are both named
+_IN_DOUBT = 0.5  # powers of ten: two units with a smaller difference in plausibility are both named
 _NEVER_TURNS_S = 1000.0  # between two reversals
-_SAME = 1.5  # a step of a clock that is longer than that many usual ones is a gap
+_SAME = 1.5  # least clock step of a gap, in usual steps
 
 
 @dataclass(frozen=True)
@@ -52,11 +52,11 @@ def plainest(least: float, most: float) -> float:
 
 
 def interval_of(t: Vec) -> Interval | None:
-    """The sample interval from stamps (T,) [s] that may repeat or run backwards; None without a forward step.
+    """Sample interval from stamps (T,) [s] that may repeat or run backwards; None without a forward step.
 
-    The longest stretch without a step backwards or a gap counts. Of stamps that repeat, since their clock is coarse,
-    n samples from one change of the stamp to another last as long as n - 1 to n + 1 intervals. Of others the two ends
-    are known to the last digit that is written. Jitter widens both.
+    The estimate uses the longest stretch without a step backwards or a gap. With a coarse clock, n samples between two
+    changes of the stamp last n - 1 to n + 1 intervals. Otherwise the two ends are exact to the last digit. Jitter
+    widens both bounds.
     """
     t = t[np.isfinite(t)]
     steps = np.diff(t)
@@ -80,16 +80,16 @@ def interval_of(t: Vec) -> Interval | None:
 
 
 def runs(inside: Mask) -> tuple[Index, Index]:
-    """Starts and stops (exclusive) of the runs of true values in (T,)."""
+    """Starts and stops (exclusive) of the runs of true values in a mask (T,)."""
     edges = np.diff(np.concatenate(([0], inside.astype(np.int8), [0])))
     return np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)
 
 
 def _resolution(t: Vec) -> float:
-    """Resolution of increasing stamps [s], by their last decimal; 0 if they have all digits."""
+    """Resolution of increasing stamps [s], from their last decimal; 0 if they have full float precision."""
     least = float(np.diff(t).min())
     for digits in range(10):
-        if 10.0**-digits > 1.001 * least:  # stamps that coarse would repeat
+        if 10.0**-digits > 1.001 * least:  # such coarse stamps would repeat
             continue
         scaled = t * 10.0**digits
         if np.all(np.abs(scaled - np.rint(scaled)) < 1e-4):
@@ -102,8 +102,8 @@ class SuspectedUnit:
     """Suspected unit of time stamps that were read as seconds.
 
     Attributes:
-        units: the unit, or two that are as likely, keys of `SECONDS`.
-        certain: in seconds the rate would be none of this field.
+        units: the unit, or two equally likely ones, keys of `SECONDS`.
+        certain: whether the rate in seconds is impossible in this field.
     """
 
     units: tuple[str, ...]
@@ -111,7 +111,7 @@ class SuspectedUnit:
 
     @property
     def text(self) -> str:
-        """Question to the user, and the key of a mapping file that corrects it."""
+        """Question to the user, and the key of a mapping file that corrects the unit."""
         names = " or ".join(UNIT_NAMES[unit] for unit in self.units)
         return f"is it in {names}? A mapping file with `time_unit: {self.units[0]}` reads it"
 
@@ -119,11 +119,11 @@ class SuspectedUnit:
 def suspected_unit(t: Vec, turns: int = 0) -> SuspectedUnit | None:
     """Suspected unit of stamps (T,) that were read as seconds; None if seconds are plausible.
 
-    Where the rate is too slow or too fast for seconds, that unit is taken in which the rate and the time between two
-    reversals of the command are most usual.
+    If the rate is too slow or too fast for seconds, the unit is chosen that makes the rate and the time between two
+    reversals of the command most usual.
 
     Args:
-        turns: reversals of the command; 0 where they are not known.
+        turns: reversals of the command; 0 if unknown.
     """
     interval = interval_of(t)
     if interval is None:
@@ -158,9 +158,9 @@ class CounterWrap:
     """Wrap of a clock: a counter that restarts at its least value.
 
     Attributes:
-        modulus: by how much it fell, in the unit of the stamps.
-        bits: of the counter; 0 where it is none of 2^n.
-        samples: first samples after it fell.
+        modulus: size of the fall, in the unit of the stamps.
+        bits: of the counter; 0 if the modulus is not 2^n.
+        samples: first samples after a fall.
     """
 
     modulus: float
@@ -169,7 +169,7 @@ class CounterWrap:
 
     @property
     def text(self) -> str:
-        """Description for messages."""
+        """Description of the wrap for messages."""
         if self.bits and self.modulus == 2.0**self.bits:
             return f"a counter of {self.bits} bits that wraps at 2^{self.bits}"
         return f"a clock that wraps at {self.modulus:.16g}"

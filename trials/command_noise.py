@@ -1,7 +1,7 @@
 """Measurement noise of a recorded command: detection and removal, so that it causes no reversals.
 
-A play follows the extremes of its input. It turns the noise of a measured command, as of a pressure sensor, into travel
-that the device never made: at rest the model creeps on with the logarithm of time.
+A play follows the extremes of its input: it turns the noise of a measured command, such as a pressure, into false
+travel, and at rest the model drifts with the logarithm of time.
 """
 
 from __future__ import annotations
@@ -18,29 +18,29 @@ from scipy.optimize import isotonic_regression
 from .trial import Trial
 from .types import Vec
 
-_LEAST, _MOST = 2e-4, 0.08  # of the command's range: less moves nothing, and more is a random command
-_LONGEST_S = 0.12  # noise whose samples hang together for longer is a motion
-_BLOCK, _QUIET = 16, 0.3  # samples of a block, and the share of the blocks that are looked at: those that move least
-_LEAST_BLOCKS, _OF_QUIET = 8, 1.5  # noise over its level in the blocks that have least of it
+_LEAST, _MOST = 2e-4, 0.08  # of the command's range: smaller noise has no effect, larger noise is a random command
+_LONGEST_S = 0.12  # noise with a longer correlation time is a motion
+_BLOCK, _QUIET = 16, 0.3  # samples of a block, and the share of the evaluated blocks: the least motion
+_LEAST_BLOCKS, _OF_QUIET = 8, 1.5  # noise over its level in the quietest blocks
 _NORMAL = 1.4826  # standard deviation over the median distance
 _FARTHER = ((2, 1.3), (4, 1.5))  # times as far apart, and by what factor white noise may seem larger then; a walk
 # would be larger by 1.4 and 2
-_LONE = 4.0  # standard deviations: what is larger is a step or a corner
-_FLAT = 2.5  # by so much may the two parts of the upper half of a white spectrum differ
+_LONE = 4.0  # standard deviations: larger residuals are steps or corners
+_FLAT = 2.5  # greatest ratio between the two parts of the upper half of a white spectrum
 _ROUNDED = 0.5  # of the least change: rounding has 0.29
-_LAGS = 8  # samples after which an angle answers
-_BY_CHANCE, _ANSWER = 4.0, 0.02  # times what chance explains; of the device's slope, the least answer to a motion
+_LAGS = 8  # greatest delay of the angle's response [samples]
+_BY_CHANCE, _ANSWER = 4.0, 0.02  # multiple of chance; least response, relative to the device's slope
 _WINDOWS = (4, 6, 8, 12, 16, 24, 32, 48, 64, 96, 128, 192, 256, 384, 512)
 _AGREE = 1.5  # standard deviations; more rounds corners, less leaves noise
-_ALIKE = 1.6  # factor by which the noise of two trials may seem to differ
-_TURN = 2.5  # standard deviations of the noise: a smaller motion back and forth is none
+_ALIKE = 1.6  # greatest ratio between the noise estimates of two trials
+_TURN = 2.5  # standard deviations of the noise: smaller reversals are ignored
 
 
 def remove_command_noise(trials: Sequence[Trial]) -> list[Trial]:
     """Remove the measurement noise of the command from trials of one device; its size is stored in `command_noise`.
 
-    One without such noise is left as it is. Where it is found in one trial, others whose quietest parts are as noisy
-    have it, too.
+    Trials without noise remain unchanged. If one trial has noise, it is also removed from others with equally noisy
+    quiet parts.
     """
     noises = [(0.0, 1) if trial.command_noise > 0 else _noise_level(trial) for trial in trials]
     sure = [noise for noise in noises if noise[0] > 0]
@@ -54,7 +54,7 @@ def remove_command_noise(trials: Sequence[Trial]) -> list[Trial]:
 
 
 def noise_text(trial: Trial) -> str:
-    """Text on the noise that was removed from the command of a trial; empty if none was."""
+    """Text on the noise removed from the command of a trial; empty if there was none."""
     if trial.command_noise == 0:
         return ""
     return f"noise of {trial.command_noise:.2g} {trial.units.command} is taken off the measured command"
@@ -69,7 +69,7 @@ def _without(trial: Trial, sigma: float, stride: int) -> Trial:
 
 
 def _like(trial: Trial, sigma: float, stride: int) -> tuple[float, int]:
-    """Noise level of other trials, if the quietest parts of this one have as much; otherwise zero."""
+    """Noise level of the other trials, if the quietest parts of this trial are as noisy; otherwise zero."""
     thinned = trial.command[::stride]
     if trial.command_noise > 0 or thinned.size < _LEAST_BLOCKS * _BLOCK:
         return 0.0, 1
@@ -78,13 +78,12 @@ def _like(trial: Trial, sigma: float, stride: int) -> tuple[float, int]:
 
 
 def _noise_level(trial: Trial) -> tuple[float, int]:
-    """Standard deviation of the noise of a command, 0 for none, and the number of samples over which it is correlated.
+    """Standard deviation of the command noise, 0 for none, and its correlation length in samples.
 
-    Noise is what is left of a sample by a cubic through its neighbours, if all this holds in the half of the log that
-    moves least: it is there at all times, it is white (as large between samples that are farther apart, and with a flat
-    spectrum), it is no rounding, and the angle does not answer to it. What was sent in steps or lines is not there at
-    all times, a smooth or a wandering command is not white, and a random one is large or is answered. Samples that hang
-    together, as of a filtered sensor, are looked at at greater intervals.
+    Noise is the residual of a cubic through the neighbouring samples in the half of the log with less motion. It must
+    be always present, white (equal at larger sample distances, with a flat spectrum), no rounding, and without response
+    of the angle. Commands in steps or lines are not always noisy, smooth commands are not white, and random commands
+    are large or have a response.
     """
     stride, signals = 1, np.column_stack([trial.command, trial.angle])
     while stride == 1 or stride * trial.dt <= _LONGEST_S:
@@ -96,7 +95,7 @@ def _noise_level(trial: Trial) -> tuple[float, int]:
 
 
 def _white(t: Vec, signals: Vec) -> float:
-    """Standard deviation of white noise in the command that the output does not follow; 0 if there is none."""
+    """Standard deviation of white noise in the command without response of the output; 0 if there is none."""
     span, height = (float(v) for v in np.ptp(signals, axis=0))
     if t.size < _LEAST_BLOCKS * _BLOCK or not span > 0:
         return 0.0
@@ -118,7 +117,6 @@ def _white(t: Vec, signals: Vec) -> float:
 
 
 def _deviation(left: Vec) -> float:
-    """Robust standard deviation of residuals, by their median absolute value."""
     return _NORMAL * float(np.median(np.abs(left)))
 
 
@@ -175,8 +173,8 @@ def _responds(left: Vec, rests: NDArray[np.bool_], sigma: float, slope: float) -
 def _smoothed(command: Vec, sigma: float, stride: int) -> Vec:
     """Smooth the command by local straight lines over adaptive windows before and after each sample.
 
-    Of windows that end at a sample, the longest whose value there agrees with those of all shorter ones, and likewise
-    of windows that begin there: steps and corners stay where they are, and a rest is averaged over hundreds of samples.
+    Each side uses its longest window whose value agrees with those of all shorter ones: steps and corners stay in
+    place, and a rest is averaged over hundreds of samples.
 
     Source: Katkovnik, A new method for varying adaptive bandwidth selection, IEEE Trans. Signal Process. 47 (1999)
     2567-2571 (intersection of confidence intervals).
@@ -220,7 +218,7 @@ def _monotone(command: Vec, turn: float) -> Vec:
 
 
 def _turning_points(command: Vec, turn: float) -> list[int]:
-    """First and last sample, and the reversals between them by more than `turn`."""
+    """First sample, reversals by more than `turn`, and last sample."""
     turns, least, most, way = [0], 0, 0, 0
     for k, value in enumerate(command.tolist()):
         least = k if value < command[least] else least

@@ -1,9 +1,9 @@
 """Configuration files: strict YAML, validated by pydantic; an unknown key is refused with the nearest known name.
 
-PyYAML follows YAML 1.1, in which `010` is 8, `1:30` is 90 and `on` is true. Here a plain scalar is a number only where
-it is written as JSON writes one (`12`, `-0.5`, `1e-3`; also `+1`, `.5`, `2.`, `.inf`, `.nan`), and a truth value only
-where it is `true` or `false`. Everything else is text, dates and octal, hexadecimal and sexagesimal numbers among it,
-and `Settings` refuses text where it expects a number.
+PyYAML follows YAML 1.1, in which `010` is 8, `1:30` is 90 and `on` is true. Here a plain scalar is a number only in the
+form of JSON (`12`, `-0.5`, `1e-3`; also `+1`, `.5`, `2.`, `.inf`, `.nan`), and a truth value only as `true` or `false`.
+Everything else is text, including dates and octal, hexadecimal and sexagesimal numbers; `Settings` refuses text in
+place of a number.
 """
 
 from __future__ import annotations
@@ -27,12 +27,12 @@ Count = Annotated[int, Field(ge=1)]
 NotNegativeInt = Annotated[int, Field(ge=0)]
 Port = Annotated[int, Field(ge=0, le=65535)]
 FolderName = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$", max_length=80)]
-"""A name that becomes a folder of a run."""
+"""Name that also serves as the name of a folder of a run."""
 LARGEST_FILE = 4_000_000  # bytes of a configuration
 
 
 DEEPEST = 100  # levels of blocks within blocks
-MOST_ENTRIES = 500_000  # keys, values and blocks; an alias counts as all that it stands for
+MOST_ENTRIES = 500_000  # keys, values and blocks; an alias counts with its whole content
 LONGEST_INTEGER = 100  # digits
 
 _TAG = "tag:yaml.org,2002:"
@@ -45,10 +45,10 @@ _FIRST_OF_NUMBER = [*"-+.0123456789"]
 
 
 class YamlError(ValueError):
-    """A text that is not strict YAML; one line.
+    """One-line error on a text that is not strict YAML.
 
     Attributes:
-        line, column: where, from 1; None where that is unknown.
+        line, column: position, from 1; None if unknown.
     """
 
     def __init__(self, problem: str, line: int | None = None, column: int | None = None) -> None:
@@ -62,7 +62,7 @@ def _refusal(problem: str, mark: Any) -> yaml.MarkedYAMLError:
 
 
 class _StrictLoader(yaml.SafeLoader):
-    """Strict YAML loader, see the module's docstring; its bounds hold before any object is built."""
+    """Strict YAML loader (see the module) that checks its bounds before any object is built."""
 
     def __init__(self, text: str) -> None:
         super().__init__(text)
@@ -70,7 +70,7 @@ class _StrictLoader(yaml.SafeLoader):
         self._sizes: dict[int, int] = {}  # entries of each anchored node, itself included
 
     def compose_node(self, parent: Any, index: Any) -> Any:
-        """Compose a node and everything below it, within the bounds of depth and size."""
+        """Compose a node and its content within the bounds of depth and size."""
         event: Any = self.peek_event()  # type: ignore[no-untyped-call]  # the stubs leave it open
         before = self._entries
         if self._depth >= DEEPEST:
@@ -92,7 +92,7 @@ class _StrictLoader(yaml.SafeLoader):
         return node
 
     def compose_mapping_node(self, anchor: Any) -> Any:
-        """Compose a block of keys and refuse a repeated key, before `<<` merges others into it."""
+        """Compose a block and refuse a repeated key, before `<<` merges others into it."""
         node = super().compose_mapping_node(anchor)
         lines: dict[tuple[str, str], int] = {}
         for key, _ in node.value:
@@ -106,14 +106,14 @@ class _StrictLoader(yaml.SafeLoader):
         return node
 
     def truth_value(self, node: Any) -> bool:
-        """`true` or `false`."""
+        """Construct a truth value from `true` or `false`."""
         text = self.construct_scalar(node)
         if text not in _BOOLEANS:
             raise _refusal(f"got {text!r}, expected true or false", node.start_mark)
         return _BOOLEANS[text]
 
     def integer(self, node: Any) -> int:
-        """A decimal integer of any but absurd length."""
+        """Construct a decimal integer of bounded length."""
         text = self.construct_scalar(node)
         if not _INTEGER.match(text):
             raise _refusal(f"got {text[:40]!r}, expected a decimal integer", node.start_mark)
@@ -123,7 +123,7 @@ class _StrictLoader(yaml.SafeLoader):
         return int(text)
 
     def number(self, node: Any) -> float:
-        """A decimal number, an infinity or not-a-number."""
+        """Construct a decimal number, an infinity or not-a-number."""
         text = self.construct_scalar(node)
         if not _NUMBER.match(text):
             raise _refusal(f"got {text[:40]!r}, expected a decimal number", node.start_mark)
@@ -152,11 +152,11 @@ _StrictLoader.yaml_constructors = {
 
 
 def parse_yaml(text: str) -> Any:
-    """Plain data: mappings, lists, texts, numbers, truth values and None.
+    """Parse strict YAML into plain data: mappings, lists, texts, numbers, truth values and None.
 
     Raises:
-        YamlError: if the text is not YAML, holds a key twice in one block, an unknown tag, an alias inside its own
-            block or an absurd integer, or is deeper or larger than the bounds above.
+        YamlError: if the text is not YAML, repeats a key in one block, has an unknown tag, an alias inside its own
+            block or a too long integer, or is deeper or larger than the bounds above.
     """
     return _read(text, _StrictLoader.get_single_data)
 
@@ -206,10 +206,9 @@ class MisplacedError(ValueError):
 
 
 def line_of(text: str, at: Location) -> int | None:
-    """Line, from 1, of the entry at keys and indices `at`, or of the innermost block around it that is there.
+    """Line, from 1, of the entry at keys and indices `at`, or of the innermost existing block around it.
 
-    Entries of `at` that are no key of the file (a validator's own marks) are passed over. None if the text is no YAML
-    or nothing of `at` is there.
+    Entries of `at` that are no key of the file are ignored. None if the text is no YAML or nothing of `at` exists.
     """
     try:
         node: yaml.Node | None = _read(text, _StrictLoader.get_single_node)
@@ -242,7 +241,6 @@ def place_in(path: Path | str, overrides: Sequence[str] = ()) -> Callable[[Locat
 
 
 def _entry(node: yaml.Node | None, part: str | int) -> tuple[int, yaml.Node] | None:
-    """Line and value of one entry of a block."""
     if isinstance(node, yaml.MappingNode):
         for key, value in node.value:
             if isinstance(key, yaml.ScalarNode) and key.value == str(part):
@@ -254,13 +252,13 @@ def _entry(node: yaml.Node | None, part: str | int) -> tuple[int, yaml.Node] | N
 
 
 class _MisreadError(MisplacedError):
-    """Text or a truth value where a number is expected."""
+    """Error on text or a truth value in place of a number."""
 
 
 class Settings(BaseModel):
     """Base of every configuration block: frozen, no unknown keys, units in the key names.
 
-    A number has to be given as a number: text and truth values, which pydantic would convert, are refused.
+    Text and truth values in place of a number are refused; pydantic alone would convert them.
 
     Raises:
         ConfigError: through `parse`; pydantic's ValidationError if built directly.
@@ -294,11 +292,11 @@ class Settings(BaseModel):
         """Validate plain data.
 
         Args:
-            where: the source's name, or a function that tells it for the keys and indices of an entry; left out, they
-                are the program's own, and may name classes of it.
+            where: name of the source, or a function from keys and indices of an entry to its place; `MEMORY` stands for
+                data of the program itself, which may name its classes.
 
         Raises:
-            ConfigError: one line with the first offending key, what was got and what was expected.
+            ConfigError: one line with the first offending key, the actual and the expected value.
         """
         try:
             with given_by(where):
@@ -317,10 +315,7 @@ class Settings(BaseModel):
 
 
 def _misread_number(value: Any, annotation: Any) -> tuple[tuple[Any, ...], Any] | None:
-    """First text or Boolean in `value` at a place where `annotation` allows only numbers.
-
-    pydantic turns `true` into 1.0 and `"010"` into 10.0. Blocks (pydantic models) look after their own fields.
-    """
+    """First text or Boolean in `value` where `annotation` allows only numbers; pydantic would convert it."""
     members = tuple(_members(annotation))
     if isinstance(value, str | bool):
         kinds = set(members) - {NoneType}
@@ -333,7 +328,6 @@ def _misread_number(value: Any, annotation: Any) -> tuple[tuple[Any, ...], Any] 
 
 
 def _members(annotation: Any) -> Iterator[Any]:
-    """Types that an annotation allows: members of unions, without constraints."""
     origin = get_origin(annotation)
     if origin is Annotated:
         yield from _members(get_args(annotation)[0])
@@ -345,7 +339,7 @@ def _members(annotation: Any) -> Iterator[Any]:
 
 
 def _items(value: Any, origin: Any, of: tuple[Any, ...]) -> Iterator[tuple[Any, Any, Any]]:
-    """Key or index, entry and annotation of everything in a container."""
+    """Key or index, entry and annotation of each entry of a container."""
     if not isinstance(origin, type) or not of:
         return
     if isinstance(value, Mapping) and issubclass(origin, Mapping) and len(of) == 2:
@@ -382,7 +376,7 @@ def read_yaml(path: Path | str) -> Any:
 
 
 def load_settings(kind: type[S], path: Path | str, overrides: Iterable[str] = ()) -> S:
-    """Read `path`, apply `a.b=3` overrides and validate as `kind`.
+    """Read a YAML file, apply overrides such as `a.b=3` and validate it as `kind`.
 
     Raises:
         ConfigError: on an unreadable file, a malformed override, an unknown key or a value out of bounds; names file
@@ -397,10 +391,10 @@ def load_settings(kind: type[S], path: Path | str, overrides: Iterable[str] = ()
 
 
 def override(data: dict[str, Any], text: str) -> None:
-    """Set `a.b=3` in nested mappings, in place.
+    """Apply an override such as `a.b=3` to nested mappings, in place.
 
     Raises:
-        ConfigError: on a malformed change, or a key of a value that is no mapping.
+        ConfigError: on a malformed override, or a key of a value that is no mapping.
     """
     key, separator, value = text.partition("=")
     if not separator or not key:
@@ -418,5 +412,5 @@ def override(data: dict[str, Any], text: str) -> None:
 
 
 def dump_yaml(data: Any) -> str:
-    """Plain data as YAML in the order given; read back as the same by `parse_yaml` and by YAML 1.1."""
+    """Write plain data as YAML in the given order; `parse_yaml` and YAML 1.1 read back the same data."""
     return yaml.dump(data, Dumper=_Dumper, sort_keys=False, allow_unicode=True)

@@ -38,7 +38,7 @@ from .xlsx_ import open_xlsx
 
 
 def format_table(columns: Mapping[str, Sequence[str] | NDArray[np.generic]]) -> str:
-    """Comma-separated text of columns of one length; numbers are written so that they read back exactly."""
+    """Write columns of equal length as comma-separated text; numbers read back exactly."""
     cells = [
         map(repr, c.tolist()) if isinstance(c, np.ndarray) and c.dtype.kind in "fiu" else c for c in columns.values()
     ]
@@ -102,14 +102,14 @@ def read_csv(log: Path | str | FrameLike, layout: str | Layout = "auto") -> Tria
     not-a-number), and columns of text are left out.
 
     Raises:
-        LogError: on anything else; one line with file, row, column, what was got and what was expected.
+        LogError: on anything else; one line with file, row, column, the actual and the expected value.
         ConfigError: on an unknown layout.
     """
     return read_columns(log, layout).trial()
 
 
 def write_csv(trial: Trial, path: Path | str) -> Path:
-    """Write a trial in canonical columns, whole or not at all; it reads back exactly.
+    """Write a trial in canonical columns, completely or not at all; it reads back exactly.
 
     A command in mm is written as `command`, in another unit as `command_<unit>`; an output as `angle_<unit>`.
 
@@ -131,10 +131,13 @@ def write_csv(trial: Trial, path: Path | str) -> Path:
 
 
 def open_table(log: Path | str | FrameLike, wanted: Iterable[str] = ()) -> LogTable:
-    """The columns of delimited text, a LabVIEW measurement, a sheet of a workbook, or a data frame.
+    """Open delimited text, a LabVIEW measurement, a sheet of a workbook, or a data frame as a table.
 
     Args:
-        wanted: names that tell the header row, and the sheet.
+        wanted: names that identify the header row, and the sheet.
+
+    Args:
+        wanted: names that identify the header row, and the sheet.
     """
     if isinstance(log, FrameLike):
         return frame_table(log)
@@ -146,7 +149,7 @@ def open_table(log: Path | str | FrameLike, wanted: Iterable[str] = ()) -> LogTa
 
 
 def _table_and_layout(log: Path | str | FrameLike, layout: Layout | None) -> tuple[LogTable, Layout]:
-    """Columns of a log, and their layout: the given one, otherwise the one that matches the header."""
+    """Columns of a log with their layout: the given one, otherwise the one that matches the header."""
     wanted = layout.known() if layout is not None else [name for layout in LAYOUTS for name in layout.known()]
     table = open_table(log, wanted)
     header, clock = table.header, _clock(table, (layout or CANONICAL).spelled(table.header), (layout or CANONICAL).time)
@@ -184,7 +187,6 @@ def _require_units(table: LogTable, expected: Mapping[str, str]) -> None:
 
 
 def _header_hint(table: LogTable) -> str:
-    """Advice for an error line, if the header holds no known name."""
     if table.named:
         return MAPPING_HINT
     return " (the first row holds numbers, expected column names; a mapping file can name columns '[0]', '[1]')"
@@ -197,10 +199,10 @@ _SEPARATORS = {"tab": "\t", "comma": ",", "semicolon": ";", "space": " "}
 
 
 def lvm_table(lines: Sequence[str], source: str) -> LogTable:
-    """Columns of a measurement; `X_Value` is in seconds, computed from `X0` and `Delta_X` if it is empty.
+    """Columns of a LabVIEW measurement; `X_Value` [s] is computed from `X0` and `Delta_X` if it is empty.
 
     Raises:
-        LogError: if a header is cut off, channels have times of their own, or there are no rows.
+        LogError: if a header is cut off, channels have separate times, or there are no rows.
     """
     ends = [k for k, line in enumerate(lines) if line.startswith(_END)]
     if not ends:
@@ -242,7 +244,7 @@ def lvm_table(lines: Sequence[str], source: str) -> LogTable:
 
 
 def _keys(lines: Sequence[str], separator: str) -> Mapping[str, list[str]]:
-    """Keys of a header in small letters, and their values; of several channels one each."""
+    """Lower-case keys of a header, and their values, one per channel."""
     rows = [[cell.strip() for cell in line.split(separator)] for line in lines]
     return {row[0].lower(): [cell for cell in row[1:] if cell] or [""] for row in rows if row and row[0]}
 
@@ -250,7 +252,7 @@ def _keys(lines: Sequence[str], separator: str) -> Mapping[str, list[str]]:
 def _blocks(
     lines: Sequence[str], ends: Sequence[int], separator: str
 ) -> Iterator[tuple[Mapping[str, list[str]], list[str], list[list[str]]]]:
-    """Header, names of the columns and rows of every part of a file."""
+    """Header, column names and rows of every part of a file."""
     for number, end in enumerate(ends):
         begin = ends[number - 1] + 1 if number else 0
         stop = ends[number + 1] if number + 1 < len(ends) else len(lines)

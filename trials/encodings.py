@@ -16,32 +16,32 @@ CODES = (
     999.0, 9999.0, 99999.0, 999999.0, 9999999.0, 999.9, 999.99, 9999.99, 32767.0, 32768.0, 65535.0, 8388607.0,
     8388608.0, 16777215.0, 2147483647.0, 2147483648.0, 4294967295.0, 1e6, 1e9, 1e10, 1e20, 1e30, 1e31, 1e38,
 )  # fmt: skip
-"""Magnitudes that loggers write in the place of a missing value, whatever the sign."""
+"""Magnitudes that loggers write in place of a missing value, with any sign."""
 
 MODULI = (
     np.pi, 2 * np.pi, 1.0, 90.0, 100.0, 180.0, 200.0, 360.0, 400.0, 720.0, 1000.0, 1440.0, 1800.0, 2000.0, 3600.0,
     4000.0, 6400.0, 8000.0, 10000.0, 20000.0, 36000.0, *(2.0**bits for bits in range(7, 33)),
 )  # fmt: skip
-"""Where angles and counters wrap: radians, turns, percent, degrees, gons, decimal counts, and 2^n counts."""
+"""Usual moduli of angles and counters: radians, turns, percent, degrees, gons, decimal counts, and 2^n counts."""
 
 _UNUSUAL = (1.0, 90.0, 100.0, 200.0, 400.0, 1000.0, 1800.0, 2000.0, 3600.0, 4000.0, 6400.0, 8000.0, 10000.0, 20000.0)
-_CODES = 3  # different ones in one signal
-_MANY = 0.4  # of the samples: a value that makes more of them is no exception
+_CODES = 3  # greatest number of different codes in one signal
+_MANY = 0.4  # of the samples: a more frequent value is no code
 _FAR, _ANY_FAR = 0.5, 3.0  # ranges of the others by which a known code, or any value, lies outside them
-_JUMP = 5.0  # times the greatest usual step: no motion
+_JUMP = 5.0  # multiple of the greatest usual step above which a step is no motion
 _USUAL = 99.5  # percentile of the steps that are usual
-_BRIEF_S = 0.25  # stretches of a value that is no known code
-_ROUNDED = 1e-4  # of a modulus: by which a jump may be longer, where numbers are rounded
-_CHOPPY = 0.1  # share of steps that jump, above which a signal has no usual step
-_LATE_S = 1.5  # of an angle behind its command
-_CLEARLY = 0.95  # of what the repair before it leaves: a repair that is taken in its place
-_SMOOTH = 2.0  # greatest other steps: what a repair may leave of the jumps
+_BRIEF_S = 0.25  # longest run of an unlisted code
+_ROUNDED = 1e-4  # tolerance of a jump due to rounding, relative to the modulus
+_CHOPPY = 0.1  # share of jumps above which a signal has no usual step
+_LATE_S = 1.5  # greatest delay of an angle after its command
+_CLEARLY = 0.95  # ratio to the error of the previous repair below which another replaces it
+_SMOOTH = 2.0  # remaining size of the jumps after a repair, in greatest other steps
 _FEW = 2  # jumps
 _LEAST = 10  # samples
 _LEAST_BIT = 7
-_SOFT = (0.0, -1.0)  # codes that lie within the range of many signals: told by the jumps alone
-_ASKED = 0.1  # of the range of the command: a step, in one sample, that may make an angle jump
-_NO_WORSE = 1.3  # of the same, for jumps of an angle that its command does not ask for
+_SOFT = (0.0, -1.0)  # codes within the range of many signals: detected only by the jumps
+_ASKED = 0.1  # of the range of the command: a step in one sample that can cause a jump of the angle
+_NO_WORSE = 1.3  # of the same, for jumps of an angle without a cause in its command
 _BETTER = 0.6  # of the variance left unexplained by the other signal, after a repair that counts
 
 
@@ -50,10 +50,10 @@ class Encoding:
     """Encoding of the numbers of one signal, and the decoded signal.
 
     Attributes:
-        key: of a mapping file, that reads it.
+        key: key of a mapping file that decodes it.
         value: the code, the modulus, or the bit.
-        samples: where it shows: codes, or first samples behind a jump.
-        values: the repaired signal (T,); not-a-number in place of codes.
+        samples: samples with a code, or first samples after a jump.
+        values: the decoded signal (T,); not-a-number in place of codes.
     """
 
     key: Key
@@ -65,7 +65,7 @@ class Encoding:
 def unwrapped(values: Vec, modulus: float) -> Vec:
     """Unwrap a signal (T,) by a modulus; its first value is in [-modulus / 2, modulus / 2).
 
-    A step of more than half the modulus is taken for a wrap. Not-a-number is left out and stays.
+    A step of more than half the modulus counts as a wrap. Not-a-number is ignored and remains.
     """
     known = np.flatnonzero(np.isfinite(values))
     out = values.astype(np.float64)
@@ -88,14 +88,14 @@ def decoded(values: Vec, missing: tuple[float, ...], sign_bit: int | None, wraps
 
 
 def encodings(values: Vec, other: Vec, dt: float, is_command: bool) -> list[Encoding]:
-    """Detect the encodings of one signal, in the order in which they have to be decoded.
+    """Detect the encodings of one signal, in the order of their decoding.
 
-    Codes for a missing value are isolated: the signal jumps to exactly this value and back. Wraps and a sign bit are
-    jumps of one size between the ends of the signal's range, without which the other signal explains it better.
+    A code for a missing value is isolated: the signal jumps to exactly this value and back. Wraps and a sign bit are
+    jumps of one size between the ends of the range; without them the other signal explains this one better.
 
     Args:
         values: as logged (T,), finite.
-        other: the command of an angle, the angle of a command (T,).
+        other: the command for an angle, the angle for a command (T,).
         dt: usual sample interval [s].
     """
     repairs: list[Encoding] = []
@@ -114,14 +114,14 @@ def encodings(values: Vec, other: Vec, dt: float, is_command: bool) -> list[Enco
     repairs += codes(values, far_only=True)
     values = repairs[-1].values if repairs else values
     jumps, others = _jumps(values, other, late, is_command), codes(values, far_only=False)
-    # Jumps that are all to one value and back are its code, whatever their size.
+    # Jumps of any size to one value and back indicate a code.
     if jumps is not None and (not others or _jumps(others[-1].values, other, late, is_command) is not None):
         return [*repairs, jumps]
     return [*repairs, *others]
 
 
 def _code(values: Vec, known: Mask, dt: float, is_command: bool, far_only: bool) -> Encoding | None:
-    """Detect a code for a missing value; `far_only`: a listed code, far from all other values."""
+    """Detect a missing-value code; `far_only` restricts this to listed codes far from all other values."""
     signal, index = values[known], np.flatnonzero(known)
     if signal.size < _LEAST:
         return None
@@ -136,7 +136,7 @@ def _code(values: Vec, known: Mask, dt: float, is_command: bool, far_only: bool)
         low, high = (float(end) for end in np.percentile(rest, [1, 99]))
         away = max(low - value, value - high) / max(high - low, 1e-12 * abs(value), 1e-300)
         starts, stops = runs(here)
-        # The smaller of the steps into and out of each run of the value; at an end of the log the only one.
+        # The smaller of the steps into and out of each run of the value; at an end of the log the single one.
         into = np.where(starts > 0, np.abs(value - signal[np.maximum(starts - 1, 0)]), np.inf)
         out = np.where(stops < signal.size, np.abs(signal[np.minimum(stops, signal.size - 1)] - value), np.inf)
         jump, neighbours = np.minimum(into, out), np.abs(np.diff(signal))[~(here[1:] | here[:-1])]
@@ -170,7 +170,7 @@ def _jumps(values: Vec, other: Vec, late: int, is_command: bool) -> Encoding | N
         return None
     before = _unexplained(signal, witness, late, is_command)
     at = tuple(int(index[k + 1]) for k in np.flatnonzero(big))
-    # An angle that jumps while its command does not, by the same each time, is no motion.
+    # Equal jumps of the angle without jumps of the command are no motion.
     unasked = not is_command and _unasked(witness, np.flatnonzero(big) + 1, late)
     if not unasked and np.count_nonzero(big) < _FEW:
         return None
@@ -185,14 +185,14 @@ def _jumps(values: Vec, other: Vec, late: int, is_command: bool) -> Encoding | N
 
 
 def _unasked(command: Vec, jumps: Index, late: int) -> bool:
-    """Whether no step of the command precedes a jump of the angle."""
+    """Whether the angle jumps without a preceding step of the command."""
     steps, least = np.abs(np.diff(command, prepend=command[:1])), _ASKED * float(np.ptp(command))
     before = np.cumsum(steps > least)
     return bool(np.all(before[jumps] == before[np.maximum(jumps - late, 0)]))
 
 
 def _repairs(signal: Vec, jumps: Vec, usual: float) -> list[tuple[Key, float, Vec]]:
-    """Possible encodings behind these jumps, the nearest modulus first."""
+    """Possible encodings that explain the jumps, the nearest modulus first."""
     least, most, size = float(signal.min()), float(signal.max()), float(np.median(jumps))
     slack = 2 * usual + 0.02 * size
     if float(np.ptp(jumps)) > 4 * slack:
@@ -205,7 +205,7 @@ def _repairs(signal: Vec, jumps: Vec, usual: float) -> list[tuple[Key, float, Ve
             repairs.append(("sign_bit", float(bit), sign_and_magnitude(signal, bit)))
     # A motion across the seam shortens the jump by its step: the modulus is no less than the longest one.
     steps = np.abs(np.diff(signal))
-    grain = float(steps[steps > 0].min())  # a sensor of coarse steps leaves two moduli open: the usual one of them
+    grain = float(steps[steps > 0].min())  # a sensor of coarse steps leaves two moduli open: the usual one is chosen
     shortest = max(float(jumps.max()), most - least)
     longest = shortest + max(float(np.percentile(steps[steps <= usual], _USUAL)), grain) + _ROUNDED * shortest
     near = [m for m in MODULI if (1 - _ROUNDED) * shortest <= m <= longest] or [plainest(shortest, longest)]

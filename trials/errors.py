@@ -1,4 +1,4 @@
-"""The exceptions of hystmpc: one base class, one line each, saying got, expected, available and where."""
+"""Exceptions of hystmpc: one base class, each text one line with the wrong value, the expected ones and its place."""
 
 from __future__ import annotations
 
@@ -12,18 +12,14 @@ P = ParamSpec("P")
 R = TypeVar("R")
 
 LONGEST = 292
-"""Characters of the text of an error: with `error: ` before it, a line has at most 300."""
+"""Greatest length of an error text [characters]: with `error: ` before it, a line has at most 300."""
 
 
 _SHORTEST_PLACE = 24
 
 
 def in_short(text: str) -> str:
-    """Shorten a text to `LONGEST` characters: first the beginning of a long path, then the middle of the text.
-
-    A path keeps its last part whole, and at least `_SHORTEST_PLACE` characters: the same log is refused by the same
-    words wherever it lies.
-    """
+    """Shorten a text to `LONGEST` characters: first the beginning of a long path, then the middle of the text."""
     place, colon, rest = text.partition(": ")
     over = len(text) - LONGEST + len("...")
     if len(text) > LONGEST and "/" in place:
@@ -37,9 +33,10 @@ def in_short(text: str) -> str:
 
 
 class HystmpcError(Exception):
-    """Base of every error that hystmpc raises on purpose; the command line prints its text and exits with 2.
+    """Base of every intended error of hystmpc; the command line prints its text and exits with 2.
 
-    A text of more than `LONGEST` characters loses its middle: its beginning names the file, its end says what to do.
+    A text of more than `LONGEST` characters loses its middle, since its beginning names the file and its end the
+    remedy.
     """
 
     def __init__(self, *parts: object) -> None:
@@ -47,7 +44,7 @@ class HystmpcError(Exception):
 
 
 class LogError(HystmpcError):
-    """Error of a recorded log that cannot be used; the text names file, row and what was expected."""
+    """Error of a recorded log that cannot be used; the text names file, row and expected value."""
 
 
 class ConfigError(HystmpcError):
@@ -59,7 +56,7 @@ class ModelError(HystmpcError):
 
 
 class ExportError(HystmpcError):
-    """Error of an exported model that differs from its reference; nothing is left on disk."""
+    """Error of an exported model that differs from its reference; no file is left on disk."""
 
 
 class FitError(HystmpcError):
@@ -67,7 +64,7 @@ class FitError(HystmpcError):
 
 
 class FitInterruptedError(FitError):
-    """End of a fit by the user before it had a result."""
+    """Interruption of a fit by the user before the first result."""
 
 
 class TrajectoryError(HystmpcError):
@@ -79,7 +76,7 @@ class ControllerError(HystmpcError):
 
 
 class GapError(HystmpcError):
-    """Error of trials that cannot be compared with a simulator: nothing recorded, another unit, sign or device."""
+    """Error of trials that cannot be compared with a simulator: no recording, another unit, sign or device."""
 
 
 def shown(value: object, longest: int = 100) -> str:
@@ -93,12 +90,12 @@ def shown(value: object, longest: int = 100) -> str:
 
 
 def in_a_line(function: Callable[P, R]) -> Callable[P, R]:
-    """Decorator of a public function: an argument of a wrong type raises `ConfigError`.
+    """Decorate a public function so that an argument of a wrong type raises `ConfigError`.
 
-    What Python says of it is in the line, and the cause of the error.
+    The line holds the text of Python's error, which is its cause.
 
     Raises:
-        ConfigError: by the function made of it, for what Python raises on a wrong type, key, number or file.
+        ConfigError: by the decorated function, for Python's errors on a wrong type, key, number or file.
     """
 
     @functools.wraps(function)
@@ -125,7 +122,7 @@ def did_you_mean(got: str, available: Iterable[str]) -> str:
 
 
 def nearest(got: str, available: Iterable[str]) -> str:
-    """Return `; did you mean 'b'?`, or nothing where no name is near."""
+    """Return `; did you mean 'b'?`, or an empty text if no name is similar."""
     near = [name for name in available if len(name) <= _LONGEST_NAME]  # the search takes the product of the lengths
     close = difflib.get_close_matches(got, near, n=1) if len(got) <= _LONGEST_NAME else []
     return f"; did you mean {close[0]!r}?" if close else ""

@@ -23,24 +23,24 @@ from .files import figures_folder
 from .types import Vec
 
 MOST_POINTS = 3000
-"""Points of a curve that a page can show."""
+"""Greatest number of points of a curve on a page."""
 
 MOST_ZOOMED = 20_000  # points of a curve in a figure that zooms; more make a page heavy
 
 COLUMNS = ("panel", "x axis", "y axis", "kind", "series", "x", "y", "value")
-"""Of the table of a figure: a row for each point of a curve, each bar, each step and each cell of an image."""
+"""Columns of the table of a figure, with a row for each point, bar, step and cell of an image."""
 
 _WHOLE: WeakKeyDictionary[Line2D, tuple[Vec, Vec]] = WeakKeyDictionary()
 _MATHS = re.compile(r"\$\\mathdefault\{([^}]*)\}\$")
 
 
 def draw_long(axes: Axes, x: Vec, y: Vec, **look: Any) -> None:
-    """Draw a curve with no more points than a page can show, and keep all of them for tables and for zooming."""
+    """Draw a curve with no more points than a page can show; tables and zooming use all points."""
     draw_part(axes, x, y, slice(None), **look)
 
 
 def draw_part(axes: Axes, x: Vec, y: Vec, part: NDArray[np.bool_] | slice, **look: Any) -> None:
-    """Draw a part of a curve, thinned, and keep the whole for tables and for zooming."""
+    """Draw a part of a curve with fewer points; tables and zooming use the whole curve."""
     step = max(1, -(-x[part].size // MOST_POINTS))
     (line,) = axes.plot(x[part][::step], y[part][::step], **look)
     _WHOLE[line] = (x, y)
@@ -51,7 +51,6 @@ class Curve:
     """A line of a panel.
 
     Attributes:
-        series: its label, empty where it has none.
         x, y: all of its points (N,).
         look: colour, width [pt], dashes [pt], opacity, and whether it goes in steps to each point.
     """
@@ -84,7 +83,7 @@ def curves_of(axes: Axes) -> Iterator[Curve]:
 
 
 def rows_of(figure: Figure) -> Iterator[tuple[object, ...]]:
-    """The table of a figure, see `COLUMNS`."""
+    """Rows of the data table of a figure, in the columns of `COLUMNS`."""
     for number, axes in enumerate(figure.axes, start=1):
         name = _title(axes) or str(number)
         place = (
@@ -152,7 +151,6 @@ def _label(artist: Any) -> str:
 
 
 def _title(axes: Axes) -> str:
-    """The first of the three titles that a panel may have."""
     return next(filter(None, (_plain(axes.get_title(place)) for place in ("left", "center", "right"))), "")
 
 
@@ -163,7 +161,8 @@ def _plain(text: str) -> str:
 def zoomed(figure: Figure) -> dict[str, Any]:
     """Data of an interactive figure: panels, axes and curves with all points.
 
-    Drawn before: places are those of the last drawing. A panel's own legend stays with it where the figure has one too.
+    The figure must be drawn before, since positions are those of the last drawing. Legends of single panels are
+    included even if the figure has one.
     """
     width, height = figure.get_size_inches()
     panels, legend = [], dict[str, dict[str, Any]]()
@@ -199,7 +198,7 @@ def zoomed(figure: Figure) -> dict[str, Any]:
 
 
 def _of_zoom(curve: Curve) -> dict[str, Any]:
-    """A curve with six digits, which no screen shows; null where there is no number."""
+    """A curve with six digits, more than a screen shows; null for values that are not finite."""
     step = max(1, -(-curve.x.size // MOST_ZOOMED))
     x, y = (
         [float(f"{v:.6g}") if np.isfinite(v) else None for v in values[::step].tolist()]
@@ -213,7 +212,7 @@ _WORD = re.compile(r"[a-z0-9]+")
 
 
 def write_figures(named: Iterable[tuple[str, str, Figure]]) -> None:
-    """Write figures where `figures_to` asks for them: `01-WORDS.svg`, `.pdf` and `.csv` for each, in their order."""
+    """Write figures into the folder of `figures_to`, in order: `01-WORDS.svg`, `.pdf` and `.csv` for each."""
     folder = figures_folder()
     if folder is None:
         return

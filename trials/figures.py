@@ -1,4 +1,4 @@
-"""Figures that several reports show: closed loops over time, simulations with their error, loops over the command."""
+"""Figures common to several reports: closed loops over time, simulations with their error, loops over the command."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ Look = Mapping[str, Any]
 REFERENCE_LOOK: Look = {"color": REFERENCE, "linewidth": 2.4, "alpha": 0.45, "label": "reference"}
 ZERO_LOOK: Look = {"color": REFERENCE, "linewidth": 0.6}
 LIMIT_LOOK: Look = {"color": REFERENCE, "linestyle": (0, (2, 4)), "linewidth": 0.8}
-_ACROSS = 3  # panels in a line: a loop in less than a third of the width cannot be read
+_ACROSS = 3  # panels in a line: a smaller loop is unreadable
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,7 +42,7 @@ class TrackedMotion:
     """Closed loops along one motion.
 
     Attributes:
-        reference_deg: (T,); not drawn where all of it is NaN.
+        reference_deg: (T,); not drawn if all of it is NaN.
         approach_s: end of the approach, which does not count [s]; shaded.
     """
 
@@ -61,7 +61,7 @@ def tracking_figure(
     limits: Sequence[float] = (),
     held: bool = False,
 ) -> Figure:
-    """Reference and angles over time, and below them the command or the error; a column for each motion."""
+    """Draw reference and angles over time, above the command or the error, with a column for each motion."""
     drawn: Look = {"drawstyle": "steps-pre"} if held else {}
     with new_figure(7.0, height) as figure:
         rows = figure.subplots(2, len(motions), squeeze=False, sharex="col", sharey="row", height_ratios=(3, 2))
@@ -93,7 +93,6 @@ class SimulatedTrial:
     Attributes:
         measured: output and its look, (T,).
         runs: simulated outputs and their looks, (T,).
-        first: first sample of the error that is drawn.
     """
 
     title: str
@@ -105,7 +104,7 @@ class SimulatedTrial:
 
 
 def time_figure(trials: Sequence[SimulatedTrial], error: str = "residual") -> Figure:
-    """Measured and simulated output of each trial over time, and below them simulation minus measurement."""
+    """Draw measured and simulated output of each trial over time, above simulation minus measurement."""
     with new_figure(7.0, 0.7 + 2.6 * len(trials)) as figure:
         rows = figure.subplots(2 * len(trials), 1, height_ratios=(5, 3) * len(trials))
         for upper, lower, trial in zip(rows[::2], rows[1::2], trials, strict=True):
@@ -138,7 +137,7 @@ class LoopPanel:
 
 
 def loop_figure(panels: Sequence[LoopPanel], command_unit: str, output_unit: str) -> Figure:
-    """Output over command, the hysteresis loop: a panel for each trial or controller."""
+    """Draw output over command, the hysteresis loop, with a panel for each trial or controller."""
     across = min(_ACROSS, len(panels))
     lines = -(-len(panels) // across)
     full = across == _ACROSS
@@ -165,7 +164,7 @@ def output_label(unit: str) -> str:
 
 
 def shortened(name: str, most: int = 26) -> str:
-    """A file's name of at most `most` characters, without its middle where it is longer."""
+    """Shorten a file name to at most `most` characters by leaving out its middle."""
     if len(name) <= most:
         return name
     head = (most - 1) // 2

@@ -16,7 +16,7 @@ _NAME = 40  # characters of a file's name that its temporary file shows
 
 
 def write_atomically(path: Path | str, content: bytes | str) -> Path:
-    """Write `content` to `path` through a temporary file in the same folder, so that no half file remains.
+    """Write `content` to `path` through a temporary file in the same folder, so that no partial file remains.
 
     Raises:
         OSError: if the folder cannot be made or written.
@@ -41,11 +41,11 @@ def write_atomically(path: Path | str, content: bytes | str) -> Path:
 
 
 def require_writable(path: Path | str) -> None:
-    """Refuse a place where no file or folder can be made or replaced, before any work is done for it.
+    """Refuse a path at which no file or folder can be made or replaced, before any computation.
 
     Raises:
-        ConfigError: if a part of the path is a file or cannot be entered, the name is too long, or what the file or
-            folder would be written into may not be changed.
+        ConfigError: if a part of the path is a file or cannot be entered, the name is too long, or the parent folder or
+            the existing file is write-protected.
     """
     target = Path(path)
     try:
@@ -59,7 +59,7 @@ def require_writable(path: Path | str) -> None:
     if not place.is_dir():
         raise ConfigError(f"{target}: cannot be written ({place} is not a folder), expected a path that can be made")
     try:
-        with tempfile.TemporaryFile(dir=place):  # what the system says of permissions is no promise: it has to be tried
+        with tempfile.TemporaryFile(dir=place):  # reported permissions are unreliable: only a trial decides
             pass
     except OSError as error:
         reason = f"{error.strerror} in {place}"
@@ -67,7 +67,6 @@ def require_writable(path: Path | str) -> None:
 
 
 def _mode(path: Path) -> int | None:
-    """File mode at a path, without following links; None if nothing is there."""
     try:
         return os.lstat(path).st_mode
     except FileNotFoundError:

@@ -30,10 +30,10 @@ from .types import Vec
 
 
 class Severity(StrEnum):
-    """Severity of a finding, least first."""
+    """Severity of a finding, in increasing order."""
 
     OK = "ok"
-    NOTE = "note"  # worth knowing
+    NOTE = "note"  # information
     WARNING = "warning"  # the log can be used, results will suffer
     ERROR = "error"  # readers or identifications will refuse the log
 
@@ -43,9 +43,7 @@ class Finding:
     """One line of a quality check.
 
     Attributes:
-        severity: how much it matters.
-        topic: what was looked at, such as `jitter` or `units`.
-        message: what was found, with numbers and units.
+        topic: subject of the check, such as `jitter` or `units`.
     """
 
     severity: Severity
@@ -55,12 +53,7 @@ class Finding:
 
 @dataclass(frozen=True)
 class CheckReport:
-    """All findings on one log, in the order of the checks.
-
-    Attributes:
-        source: path of the log.
-        layout: layout it was read with, empty for a trial from memory.
-    """
+    """All findings on one log, in the order of the checks."""
 
     source: str
     layout: str
@@ -71,7 +64,7 @@ class CheckReport:
 
     @property
     def worst(self) -> Severity:
-        """The greatest severity among the findings."""
+        """Greatest severity among the findings."""
         order = list(Severity)
         return max((f.severity for f in self.findings), key=order.index, default=Severity.OK)
 
@@ -90,22 +83,22 @@ class CheckReport:
         return Report(self.source, (Table(("", "topic", "finding"), rows),), self.layout).fragment()
 
 
-_JITTER_SHARE = 0.1  # of the median interval; more is worth knowing
+_JITTER_SHARE = 0.1  # of the median interval; more is reported
 _STUCK_SHARE = 0.05  # of the range of the command: travel without any change of the angle
 _COARSE_SHARE = 0.1  # of the stamps that repeat: their clock is coarse, not out of order
-_STEP_SHARE = 0.005  # of the range of the angle: a finer step of a sensor is no matter
-_NAMED = 6  # parts of a log that are listed
-_STOOD = 0.02  # of the range of the command: it stood still over a gap
+_STEP_SHARE = 0.005  # of the range of the angle: a finer step of a sensor is irrelevant
+_NAMED = 6  # greatest number of listed parts of a log
+_STOOD = 0.02  # of the range of the command: it did not move over a gap
 
 
 @dataclass(frozen=True, eq=False)
 class LogClock:
-    """The time stamps of a log.
+    """Time stamps of a log, with the wrap of their counter and their unit.
 
     Attributes:
-        t: stamps [s] as they were read, less wraps of a counter, (T,).
+        t: stamps [s] as read, after removal of the wraps of a counter, (T,).
         wrap: of the counter, in `unit`.
-        unit: in which the log has them, a key of `SECONDS`.
+        unit: unit in the log, a key of `SECONDS`.
     """
 
     t: Vec
@@ -121,18 +114,18 @@ class LogClock:
 
 
 def clock_of(t: Vec, command: Vec, unit: str = "s") -> LogClock:
-    """Analyse time stamps (T,) [s] that were read in `unit`; the command (T,) shows how fast the device moves."""
+    """Analyse time stamps (T,) [s] that were read in `unit`; the command (T,) shows the pace of the device."""
     wrap = counter_wrap(t / SECONDS[unit])
     whole = t if wrap is None else without_wraps(t, wrap.modulus * SECONDS[unit])
     known = command[np.isfinite(command)]
     turns = turning_points(known, DEFAULT_RULE.reversal * float(np.ptp(known)))[1].size if known.size else 0
-    # A mapping that names a unit other than seconds is believed.
+    # A unit other than seconds in a mapping is accepted without a check.
     suspicion = suspected_unit(whole, turns) if unit == "s" else suspected_unit(whole)
     return LogClock(whole, wrap, unit, interval_of(whole), suspicion)
 
 
 def sampled_time(clock: LogClock) -> Vec:
-    """Time (T,) [s] in the likely unit, evenly spaced where a coarse clock repeats its stamps."""
+    """Time (T,) [s] in the likely unit, evenly spaced if a coarse clock repeats its stamps."""
     steps = np.diff(clock.t[np.isfinite(clock.t)])
     coarse = steps.size and np.all(steps >= 0) and np.mean(steps == 0) > _COARSE_SHARE
     if coarse and clock.interval is not None and clock.interval.middle > 0:
@@ -158,7 +151,6 @@ def time_findings(clock: LogClock, command: Vec, angle: Vec, where: Callable[[in
 
 
 def _base(clock: LogClock, duration: float) -> Finding:
-    """Finding on sampling rate and duration, or on the suspected unit of time."""
     assert clock.interval is not None
     t, rate = clock.t, 1 / max(clock.interval.middle, 1e-300)
     if clock.suspicion is None:
@@ -217,7 +209,7 @@ def _gaps(
 
 
 def gaps_text(trial: Trial, parts: Sequence[Trial]) -> str:
-    """Text on how a trial is cut at its gaps: samples left out, and parts used; empty without a gap."""
+    """Text on the parts of a trial between its gaps and the samples left out; empty without a gap."""
     left = len(trial) - sum(map(len, parts))
     if not left and len(parts) == 1:
         return ""
@@ -251,7 +243,7 @@ def _order(clock: LogClock, kept: NDArray[np.intp], intervals: Vec, where: Calla
 
 
 def _stuck(t: Vec, command: Vec, angle: Vec) -> Finding:
-    """Stuck samples: the stretch of constant angle over which the command moves farthest."""
+    """Finding on stuck samples: the stretch of constant angle with the largest motion of the command."""
     topic = "stuck samples"
     starts = np.concatenate(([0], np.flatnonzero(angle[1:] != angle[:-1]) + 1))
     share = 1 - (starts.size - 1) / (angle.size - 1)

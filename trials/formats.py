@@ -18,12 +18,12 @@ from .errors import LogError
 from .types import Vec
 
 MOST_BYTES = 1 << 30
-"""Of a log, as it lies and unpacked: more is no log of one trial."""
+"""Greatest size of a log, packed or unpacked; a log of one trial is smaller."""
 
 _HEAD = 4096
 _HDF5 = b"\x89HDF\r\n\x1a\n"
 
-# First bytes -> a format with a reader of its own.
+# First bytes -> a format with a special reader.
 _READ = (
     (b"\x89MCAP0\r\n", "mcap"),
     (b"#ROSBAG V", "rosbag1"),
@@ -45,7 +45,7 @@ ENDINGS = {
     ".xlsm": "xlsx",
     ".lvm": "text",
 }
-"""Ending -> format, where the first bytes do not tell it; every other ending is delimited text."""
+"""Formats by file ending, if the first bytes do not identify them; all other endings are delimited text."""
 
 _CSV = "export the table as CSV: a header row, one row a sample"
 _IMAGE = "expected a log; no curve is read out of an image"
@@ -84,13 +84,10 @@ _MARKUP = re.compile(r"\s*<(\?xml|!doctype|html|[a-z][\w:.-]*[\s/>])", re.IGNORE
 
 
 def format_of(path: Path) -> str:
-    """Name of the format of a file: of `ENDINGS`, or `text` for all without a special reader.
-
-    What lies at the path is not judged: a reader says that a file is missing or cannot be read.
-    """
+    """Name of the format of a file: one of `ENDINGS`, or `text` for all formats without a special reader."""
     by_ending = ENDINGS.get(path.suffix.lower(), "text")
     try:
-        if not path.is_file():  # also a pipe, from which every byte can be had only once
+        if not path.is_file():  # also a pipe, whose bytes can be read only once
             return by_ending
         with path.open("rb") as file:
             head = file.read(_HEAD)
@@ -107,7 +104,6 @@ def is_bag(folder: Path) -> bool:
 
 
 def _packed(path: Path) -> str | None:
-    """Format of a ZIP archive, by the names in it."""
     try:
         with zipfile.ZipFile(path) as archive:
             names = archive.namelist()
@@ -119,10 +115,10 @@ def _packed(path: Path) -> str | None:
 
 
 def require_known(path: Path | str, data: bytes) -> None:
-    """Refuse a file whose first bytes say that it is of a format that is not read.
+    """Refuse a file whose first bytes show an unsupported format.
 
     Raises:
-        LogError: names the format and what to do.
+        LogError: names the format and the remedy.
     """
     head = data[:_HEAD]
     for start, name, remedy in _FOREIGN:
@@ -137,7 +133,7 @@ def require_known(path: Path | str, data: bytes) -> None:
 _CONTROL = re.compile(r"[\x00-\x08\x0e-\x1f]")
 _MARKS = (
     (codecs.BOM_UTF8, "utf-8"),
-    (codecs.BOM_UTF32_LE, "utf-32-le"),  # begins as the mark of UTF-16 does
+    (codecs.BOM_UTF32_LE, "utf-32-le"),  # begins like the mark of UTF-16
     (codecs.BOM_UTF32_BE, "utf-32-be"),
     (codecs.BOM_UTF16_LE, "utf-16-le"),
     (codecs.BOM_UTF16_BE, "utf-16-be"),
@@ -149,7 +145,7 @@ _MANY, _FEW = 0.4, 0.02  # shares of zero bytes: text of western letters in UTF-
 
 
 def read_lines(path: Path | str) -> list[str]:
-    """Text of a file, line by line; byte order marks, UTF-16, CRLF and a missing last newline make no difference.
+    """Read the lines of a text file with any byte order mark and line ends, in UTF-8, UTF-16 or another encoding.
 
     Raises:
         LogError: if the path is missing, a folder, unreadable, empty, or of a format that is no delimited text.
@@ -166,7 +162,7 @@ def read_lines(path: Path | str) -> list[str]:
 
 
 def read_bytes(path: Path | str, count: int | None = None, bounded: bool = True) -> bytes:
-    """All bytes of a file, or its first `count`.
+    """Read all bytes of a file, or its first `count`.
 
     Args:
         bounded: whether more than `MOST_BYTES` are refused; a recording of many topics may be larger than its signals.
@@ -195,21 +191,24 @@ def read_bytes(path: Path | str, count: int | None = None, bounded: bool = True)
 
 
 def one_line(error: Exception) -> str:
-    """Text of an error on one line; its type where it has none."""
+    """Text of an error on one line, or its type if the text is empty."""
     return " ".join(str(error).split()) or type(error).__name__
 
 
 def damaged(reason: str) -> str:
-    """Note on a log of which only the part before a fault was read."""
+    """Note on a log that was read only up to a fault."""
     return f"cut off or damaged: {reason}; what stands before is read"
 
 
 @contextmanager
 def reading(path: Path | str, what: str) -> Iterator[None]:
-    """Context for reading a file by a third-party library, which may raise anything on a damaged file.
+    """Context for reading a file by a third-party library, which may raise any exception on a damaged file.
 
     Raises:
-        LogError: for whatever the library raises; names the file and what it was expected to be.
+        LogError: for any exception of the library; names the file and its expected format.
+
+    Raises:
+        LogError: for any exception of the library; names the file and its expected format.
     """
     try:
         yield
@@ -220,7 +219,7 @@ def reading(path: Path | str, what: str) -> Iterator[None]:
 
 
 def seconds_since_first(dates: NDArray[Any]) -> Vec:
-    """Dates (T,) of numpy as seconds since the first one; not-a-number where there is no date."""
+    """Dates (T,) of numpy as seconds since the first one; not-a-number for a missing date."""
     return np.asarray((dates - dates[:1]) / np.timedelta64(1, "s"), dtype=np.float64)
 
 
@@ -247,7 +246,6 @@ def _decoded(path: Path | str, data: bytes) -> str:
 
 
 def _unmarked(data: bytes) -> str:
-    """Encoding of text without a byte order mark."""
     sample = data[:_SAMPLE]
     half = max(1, len(sample) // 2)
     even, odd = sample[::2].count(0) / half, sample[1::2].count(0) / half

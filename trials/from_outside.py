@@ -1,7 +1,7 @@
 """Classes and objects from outside the package: MODULE:NAME in a file, or an installed package's entry point.
 
-All imports of what a text names are here, behind one gate. It is open for entry points of installed packages, for names
-that a program's own code gives, and for those that somebody has said yes to. While a folder is only read it is shut.
+Only this module imports names given as text, after one security check. Allowed are entry points of installed packages,
+names given by the calling program, and names that the user has confirmed; none while a folder is only read.
 """
 
 from __future__ import annotations
@@ -23,13 +23,13 @@ from .errors import ConfigError, did_you_mean
 T = TypeVar("T")
 
 MODULE_AND_CLASS = r"^\w+(\.\w+)*:\w+$"
-"""What `python: MODULE:CLASS` in a file has to look like."""
+"""Pattern of `python: MODULE:CLASS` in a file."""
 
 MEMORY = "<memory>"
-"""The source of data that a program's own code gives."""
+"""Source of data given by the program itself."""
 
 ALLOWED = "HYSTMPC_ALLOW_PYTHON"
-"""Variable of the environment: each MODULE:CLASS that files may name, with spaces between, or `all`."""
+"""Environment variable with each MODULE:CLASS that files may name, separated by spaces, or `all`."""
 
 _ALL = "all"
 _LONGEST_PLACE = 100  # characters of a file's name in a refusal
@@ -38,17 +38,14 @@ _reading: ContextVar[bool] = ContextVar("reading", default=False)
 
 
 def allow_python(*names: str) -> None:
-    """Allow classes that files name as `python: MODULE:CLASS`: their modules may be imported.
-
-    It holds for this process and for those that it starts from now on.
-    """
+    """Allow this process, and those started later, to import classes given in files as `python: MODULE:CLASS`."""
     given = os.environ.get(ALLOWED, "").split()
     os.environ[ALLOWED] = " ".join(dict.fromkeys([*given, *(names or (_ALL,))]))
 
 
 @contextmanager
 def only_reads() -> Iterator[None]:
-    """Context in which a folder is only read: no class that it names is imported, even if it is allowed."""
+    """Context for reading a folder: no class named in it is imported, even if it is allowed."""
     token = _reading.set(True)
     try:
         yield
@@ -58,10 +55,7 @@ def only_reads() -> Iterator[None]:
 
 @contextmanager
 def given_by(where: object) -> Iterator[None]:
-    """Context in which data from `where` are validated; `MEMORY` marks data of the program itself.
-
-    Data within data are of the same source.
-    """
+    """Context for the validation of data, also nested, from `where`; `MEMORY` marks data of the program itself."""
     token = _by_code.set(where == MEMORY if _by_code.get() is None else _by_code.get())
     try:
         yield
@@ -100,10 +94,7 @@ def _place_of(name: str) -> str:
 
 @contextmanager
 def working_folder() -> Iterator[None]:
-    """Context of an import from the working folder, which is last on the import path.
-
-    A file in it takes the place of no module that is installed.
-    """
+    """Context of an import from the working folder, last on the import path to replace no installed module."""
     here = str(Path.cwd())
     if here in sys.path:
         yield
@@ -117,7 +108,7 @@ def working_folder() -> Iterator[None]:
 
 
 def installed(group: str) -> dict[str, str]:
-    """MODULE:NAME by the name of each entry point that installed packages have in a group."""
+    """Entry points of installed packages in a group: MODULE:NAME by entry name."""
     return {entry.name: entry.value.partition("[")[0].strip() for entry in entry_points(group=group)}
 
 
@@ -125,13 +116,13 @@ def object_named(name: str, what: str, group: str, fits: Callable[[Any], bool], 
     """Import the object MODULE:NAME from an installed package or the working folder.
 
     Args:
-        what: the object's place in a sentence, such as `transport`.
+        what: the object's role in a sentence, such as `transport`.
         fits: whether a value of the module is of the right kind.
         wanted: that kind in a sentence, such as `class`.
 
     Raises:
-        ConfigError: if nobody has said yes to it, there is no such module or object, the object is of another kind, or
-            the module cannot be imported.
+        ConfigError: if nobody has allowed it, there is no such module or object, the object is of another kind, or the
+            module cannot be imported.
     """
     if refused := refusal(name, group):
         raise ConfigError(f"{what}: {refused}")
@@ -171,11 +162,11 @@ def class_named(name: str, what: str, group: str, base: type[T]) -> type[T]:
 
 
 def installed_objects(group: str, what: str, kind: type[T], taken: Iterable[str]) -> dict[str, T]:
-    """The instances of a class that installed packages have in a group, by their `name`.
+    """Instances of a class in an entry point group of installed packages, by their `name`.
 
     Args:
         group: of the entry points; the value of each is MODULE:NAME.
-        taken: names of the package's own.
+        taken: names already in use.
 
     Raises:
         ConfigError: if one cannot be imported, is of another class, or has a name that is taken.
@@ -192,12 +183,12 @@ def installed_objects(group: str, what: str, kind: type[T], taken: Iterable[str]
 def with_kind(known: Iterable[str], group: str) -> Callable[[Any], Any]:
     """Validator of a block with `kind: NAME` or `python: MODULE:CLASS`; the latter becomes `kind: python`.
 
-    A class that may not be imported is refused here, before anything else is done. A reader of a folder lets it be, and
-    one that is not found is refused where it would be imported.
+    Here a class that is not allowed is refused before any other work, unless a folder is only read. A missing class is
+    refused at its import.
 
     Args:
         known: kinds of the package itself, which come before an entry point of the same name.
-        group: of the entry points that make further kinds known.
+        group: entry point group of further kinds.
     """
     kinds = [kind for kind in known if kind != "python"]
 
@@ -223,7 +214,7 @@ def with_kind(known: Iterable[str], group: str) -> Callable[[Any], Any]:
 def _judge(name: Any, group: str) -> None:
     """Refuse a class that may not be imported; allow one that the program itself names."""
     if not isinstance(name, str) or not re.match(MODULE_AND_CLASS, name) or _reading.get():
-        return  # the field itself says what is wrong, or nothing is imported
+        return  # the field reports the error, or nothing is imported
     if refused := refusal(name, group):
         if _by_code.get():
             allow_python(name)

@@ -15,7 +15,7 @@ from .errors import ConfigError
 
 
 def plain(value: Any) -> Any:
-    """Data for JSON: NumPy numbers as plain ones, tuples as lists, not-a-number and infinity as null."""
+    """Convert a value to data for JSON: NumPy numbers to plain ones, tuples to lists, non-finite numbers to null."""
     if isinstance(value, Mapping):
         return {str(key): plain(item) for key, item in value.items()}
     if isinstance(value, np.ndarray | np.generic):
@@ -31,12 +31,12 @@ def file_text(data: Any, indent: int = 1) -> str:
 
 
 def canonical(data: Any, default: Callable[[Any], Any] | None = None) -> str:
-    """One line of JSON, keys in order: equal texts for equal data."""
+    """One line of JSON with sorted keys: equal texts for equal data."""
     return json.dumps(data, sort_keys=True, default=default)
 
 
 def json_hash(data: Any, default: Callable[[Any], Any] | None = None) -> str:
-    """SHA-256 of data, as hexadecimal digits; see `canonical`."""
+    """SHA-256 of the canonical JSON of data, as hexadecimal digits."""
     return text_hash(canonical(data, default))
 
 

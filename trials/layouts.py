@@ -1,4 +1,4 @@
-"""Layouts of recorded logs: which column or signal is time, which the command, which the tip angle."""
+"""Layouts of recorded logs: the columns or signals of time, command and tip angle."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ class Layout:
     """One layout of a delimited text log.
 
     Attributes:
-        name: what a user writes after `--layout`.
+        name: value of `--layout`.
         summary: one line for help texts.
         time: column of the time stamps [s].
-        command: command columns and their units; of these a log holds exactly one, or the first, which wins.
+        command: command columns and their units; a log holds exactly one of these, or the first one takes precedence.
         angle: column of the tip angle [deg].
-        channels: readable names of further columns; columns not listed keep the name they have in the log.
+        channels: readable names of further columns; other columns keep their name in the log.
         command_range, angle_range: least and greatest plausible value, for the quality check; None for any device.
-        other_angles: columns of an output that is no angle, and their units; of these and `angle` a log holds one.
+        other_angles: columns of an output that is no angle, and their units; a log holds one of these and `angle`.
     """
 
     name: str
@@ -41,13 +41,13 @@ class Layout:
     other_angles: Mapping[str, str] = field(default_factory=dict)
 
     def known(self) -> tuple[str, ...]:
-        """Names that time, command and output may have."""
+        """Known names of the columns of time, command and output."""
         return (self.time, self.angle, *self.command, *self.other_angles)
 
     def spelled(self, header: Sequence[str]) -> tuple[str, ...]:
-        """Header in the spelling of this layout, where only capitals or the micro sign differ.
+        """Header in the spelling of this layout, if only capitals or the micro sign differ.
 
-        A name that the layout knows as it stands is kept: capitals tell nm from Nm.
+        Names that match exactly remain: capitals distinguish nm from Nm.
         """
         known = frozenset(self.known())
         names = {_folded(name): name for name in known}
@@ -60,7 +60,7 @@ class Layout:
         return tuple(columns)
 
     def missing(self, header: Sequence[str]) -> list[str]:
-        """Columns that this layout needs and `header` lacks; alternatives are joined by ` or `."""
+        """Required columns that are missing in `header`; alternatives are joined by ` or `."""
         gone = [] if self.time in header else [self.time]
         if not any(name in header for name in (self.angle, *self.other_angles)):
             gone.append(self.angle)
@@ -72,10 +72,10 @@ class Layout:
         return gone
 
     def command_column(self, header: Sequence[str]) -> str:
-        """The column of `header` that holds the command.
+        """Column of `header` that holds the command.
 
         Raises:
-            LogError: if several columns could be meant.
+            LogError: if several columns are possible.
         """
         columns = [name for name in self.command if name in header]
         if len(columns) > 1 and columns[0] != next(iter(self.command)):
@@ -86,10 +86,10 @@ class Layout:
         return columns[0]
 
     def angle_column(self, header: Sequence[str]) -> tuple[str, str]:
-        """The column of `header` that holds the angle or another output, and its unit.
+        """Column of `header` that holds the angle or another output, and its unit.
 
         Raises:
-            LogError: if several columns could be meant.
+            LogError: if several columns are possible.
         """
         columns = [name for name in (self.angle, *self.other_angles) if name in header]
         if len(columns) > 1:
@@ -100,17 +100,17 @@ class Layout:
 _FURTHER = ("nm", "mbar", "mV", "kV", "mA", "mN", "kN", "Nm", "K", "count", "1")
 
 COMMAND_UNITS = ("mm", "bar", "kPa", "V", "A", "N", "deg", "rad", "percent", *_FURTHER)
-"""Units that a canonical command column may carry in its name; a bare `command` is in the first of them."""
+"""Units in the name of a canonical command column; the first is that of a bare `command`."""
 
 OUTPUT_UNITS = ("mm", "um", "m", "N", "V", "A", "bar", "kPa", "percent", "cm", "Pa", "MPa", "psi", *_FURTHER)
-"""Units, beside deg, that the canonical column `angle_<unit>` may carry in its name."""
+"""Units, in addition to deg, in the name of the canonical column `angle_<unit>`."""
 
 COMMAND_UNIT_OF = MappingProxyType(
     {unit: (unit, 1.0) for unit in COMMAND_UNITS}
     | {"um": ("mm", 1e-3), "cm": ("mm", 10.0), "m": ("mm", 1e3)}
     | {"Pa": ("bar", 1e-5), "MPa": ("bar", 10.0), "psi": ("bar", 0.0689475729)}
 )
-"""Unit that a command may be logged in -> the unit that it is read in, and the factor; any other stays what it is."""
+"""Unit after reading and conversion factor by logged unit of the command; other units remain."""
 
 _MICRO = str.maketrans({"\u00b5": "u", "\u03bc": "u"})  # the micro sign, and the Greek letter that looks like it
 _ALIASES = MappingProxyType(
@@ -139,11 +139,11 @@ CANONICAL = Layout(
 )
 
 OUTPUT_COLUMN = MappingProxyType({"deg": CANONICAL.angle} | {u: name for name, u in CANONICAL.other_angles.items()})
-"""Unit of an output -> its canonical column."""
+"""Canonical column by unit of an output."""
 
 
 def command_column(unit: str) -> str:
-    """The canonical column of a command in one of `COMMAND_UNITS`."""
+    """Canonical column of a command in one of `COMMAND_UNITS`."""
     return "command" if unit == COMMAND_UNITS[0] else f"command_{unit}"
 
 
@@ -172,7 +172,7 @@ LAYOUTS: tuple[Layout, ...] = (CANONICAL, TENDON_CATHETER)
 
 
 def layout_named(name: str) -> Layout:
-    """The layout of that name.
+    """Return the layout with a given name.
 
     Raises:
         ConfigError: if there is none; names those available and the nearest.
@@ -184,10 +184,10 @@ def layout_named(name: str) -> Layout:
 
 
 def detect_layout(header: Sequence[str]) -> Layout:
-    """The first layout whose columns are all in `header`.
+    """First layout whose columns are all in `header`.
 
     Raises:
-        LogError: if none fits; lists what each would need and what there is.
+        LogError: if none fits; lists the required and the existing columns.
     """
     for layout in LAYOUTS:
         if not layout.missing(layout.spelled(header)):
@@ -212,20 +212,20 @@ MAPPING_HINT = (
     "; or map the names: `{time: NAME, command: {signal: NAME, unit: mm}, angle: {signal: NAME, unit: deg}}` "
     "in map.yaml, `--layout map.yaml`"
 )
-"""For the end of an error line on columns that no layout knows."""
+"""End of an error line on columns that fit no layout."""
 
 
 ANGLE_UNIT_OF = MappingProxyType({"rad": ("deg", math.degrees(1.0))})
-"""Unit that an output may be logged in -> the unit that it is read in, and the factor; any other stays what it is."""
+"""Unit after reading and conversion factor by logged unit of the output; other units remain."""
 
 UnitName = Literal[
     "deg", "rad", "mm", "um", "nm", "cm", "m", "bar", "mbar", "kPa", "Pa", "MPa", "psi", "V", "mV", "kV", "A", "mA",
     "N", "mN", "kN", "Nm", "K", "percent", "count", "1",
 ]  # fmt: skip
-"""Units that a mapping may name; a list, so that a slip of the pen is no new unit. `1` is for all others."""
+"""Units allowed in a mapping, as a list to detect spelling errors; `1` is for all others."""
 
 LOG_TIME, HEADER_TIME = "log", "header"
-"""Times that every message has: when it was logged, and `header.stamp` of stamped messages."""
+"""Time stamps of every message: time of logging, and `header.stamp` of stamped messages."""
 
 
 class SignalSettings(Settings):
@@ -263,7 +263,7 @@ class SignalSettings(Settings):
 
     @classmethod
     def __get_pydantic_json_schema__(cls, core: Any, handler: Any) -> dict[str, Any]:
-        """The block, or the name of the signal alone."""
+        """JSON schema of the block, or of the name of the signal alone."""
         return {"anyOf": [{"type": "string", "minLength": 1}, dict(handler.resolve_ref_schema(handler(core)))]}
 
 

@@ -1,4 +1,4 @@
-"""Variables of MATLAB files, version 4 to 7.3; what a file unpacks to is bounded before any of it is unpacked."""
+"""Variables of MATLAB files, version 4 to 7.3; the unpacked size is limited before any data are unpacked."""
 
 from __future__ import annotations
 
@@ -20,16 +20,15 @@ from .formats import MOST_BYTES, read_bytes, reading
 _HDF5 = b"\x89HDF\r\n\x1a\n"
 _DEEPEST = 8  # structs within structs; deeper is no log
 _MOST_OBJECTS = 20_000  # of an HDF5 file, counted once for every link
-_FILTERS = {1, 2, 3, 4, 5, 6, 32000}  # of the library itself; any other is code that it would look for on this machine
-_MOST_SOFT_LINKS = 16  # that lead to one another
+_FILTERS = {1, 2, 3, 4, 5, 6, 32000}  # of the library itself; any other would be code loaded from this machine
+_MOST_SOFT_LINKS = 16  # greatest number of chained soft links
 _LONGEST_TEXT = 10_000  # letters of a text that are read; a text is no signal
 
 
 def open_mat(path: Path | str) -> ArrayLog:
     """Read the variables of a MATLAB file, version 4 to 7.3.
 
-    Tables, timetables and other objects of MATLAB are left out: only MATLAB can read them. Who asks for one is told how
-    to save it.
+    Tables, timetables and other objects, which only MATLAB can read, are left out; a request for one gives advice.
 
     Raises:
         LogError: if the file is missing, cut off or no MATLAB file, its links form a loop, or `h5py` (version 7.3) is
@@ -47,7 +46,6 @@ def open_mat(path: Path | str) -> ArrayLog:
 
 
 def _object(kind: str, name: str) -> str:
-    """Advice for a variable that only MATLAB can read."""
     short = name if name.isidentifier() and len(name) <= 40 else "T"
     remedy = {
         "table": f"writetable({short}, 'log.csv')",
@@ -77,7 +75,7 @@ def _read_scipy(path: str) -> tuple[dict[str, Any], dict[str, str]]:
 
 
 def _opaque(value: Any, name: str) -> tuple[str, str]:
-    """Name and class of an object; those of a table stand in its content."""
+    """Name and class of a MATLAB object; for a table they are part of its content."""
     if value.dtype.names and {"s0", "s2"} <= set(value.dtype.names) and value.size:
         title, kind = (value.reshape(-1)[0][part] for part in ("s0", "s2"))
         return _text(title) or name, _text(kind) or "object"
@@ -89,7 +87,7 @@ def _text(value: Any) -> str:
 
 
 def _plain(value: Any, depth: int = 0) -> Any:
-    """Structs as mappings, struct arrays and cells as lists; MATLAB's 1x1 wrappings fall away."""
+    """Convert structs to mappings, struct arrays and cells to lists, and unwrap MATLAB's 1x1 arrays."""
     if not isinstance(value, np.ndarray) or depth > _DEEPEST:
         return value
     if value.dtype.names and value.dtype.kind == "V":
@@ -121,10 +119,7 @@ def _read_hdf5(path: str) -> tuple[dict[str, Any], dict[str, str]]:
 
 
 class _Hdf5Tree:
-    """Bounded reader of the objects of an HDF5 file, whose links may form loops.
-
-    Nothing outside the file is opened, whatever the file says.
-    """
+    """Bounded reader of the objects of an HDF5 file, which opens nothing outside the file; links may form loops."""
 
     def __init__(self, path: str, file: Any) -> None:
         self._path, self._file = path, file
@@ -133,7 +128,7 @@ class _Hdf5Tree:
         self._bytes = MOST_BYTES
 
     def item(self, group: Any, name: str, left: int = _MOST_SOFT_LINKS) -> Any:
-        """The object behind a link, which stays in the file: h5py alone would follow it into another one."""
+        """Return the object behind a link within the file; h5py alone would follow links into other files."""
         from h5py import h5l  # pyright: ignore[reportAttributeAccessIssue]  # compiled, without a stub
 
         links, key = group.id.links, name.encode("utf-8", "surrogateescape")
@@ -182,7 +177,7 @@ class _Hdf5Tree:
         return LogError(f"{self._path}: more than {_MOST_OBJECTS} objects, each link counted, expected a log")
 
     def _require_inside(self, item: Any) -> None:
-        """Refuse data that lie elsewhere, need other code to be read, or would fill the memory."""
+        """Refuse data in other files, data that need other code, or data that exceed the memory."""
         made = item.id.get_create_plist()
         if item.external or item.is_virtual:
             raise LogError(f"{self._path}: the data of {item.name!r} lie in another file, expected all data inside")
@@ -218,10 +213,7 @@ _LEAST = 8  # bytes that any element of these takes
 
 
 def _require_bounded(path: str, data: bytes) -> None:
-    """Refuse a file that would fill the memory, or whose cells say to be more than the file has room for.
-
-    A file of version 4 is not packed: it is as large as it is. What is damaged is left to the reader.
-    """
+    """Refuse a file whose content exceeds the memory, or whose cells exceed the file; version 4 is uncompressed."""
     ends = {b"IM": "<", b"MI": ">"}.get(data[126:128])
     if ends is None or not any(data[:4]):
         return
@@ -230,12 +222,7 @@ def _require_bounded(path: str, data: bytes) -> None:
 
 @dataclass
 class _MatElements:
-    """Bounded walk over the elements of a MATLAB file.
-
-    Attributes:
-        ends: byte order, as `struct` names it.
-        left: bytes that may still be unpacked.
-    """
+    """Bounded walk over the elements of a MATLAB file."""
 
     path: str
     ends: str
@@ -270,14 +257,14 @@ class _MatElements:
         try:
             unpacked = unpacking.decompress(content, self.left + 1)
         except zlib.error:
-            return memoryview(b"")  # the reader says so
+            return memoryview(b"")  # reported by the reader
         self.left -= len(unpacked)
         if self.left < 0:
             raise LogError(f"{self.path}: unpacks to more than {MOST_BYTES} bytes, expected a log")
         return memoryview(unpacked)
 
     def _require_room(self, content: memoryview) -> None:
-        """Refuse a matrix of cells or structs that there is no room for: each would be made before any is read."""
+        """Refuse a matrix of cells or structs larger than the file allows, since all are allocated before reading."""
         (_, flags), (kind, sizes), *_ = [*self._elements(content[:4096]), (0, content[:0]), (0, content[:0])]
         if len(flags) < 4 or kind != _INT32:
             return

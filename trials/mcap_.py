@@ -32,7 +32,7 @@ def available() -> bool:
 def format_mcap(
     columns: Mapping[str, Sequence[str] | NDArray[np.generic]], t: NDArray[np.float64], start_ns: int
 ) -> bytes:
-    """One message per sample, holding all columns; not-a-number becomes null, which JSON has.
+    """Format columns as an MCAP file with one JSON message per sample; not-a-number becomes null.
 
     Args:
         columns: numbers or texts, each of length T.
@@ -64,7 +64,7 @@ _FOOTER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _DATA_END = 2, 3, 4, 5, 6, 15
 
 
 class _DamagedError(Exception):
-    """Damage after which the rest of a file cannot be trusted."""
+    """Error on damage after which the rest of a file is unreliable."""
 
 
 @dataclass
@@ -72,8 +72,8 @@ class McapRecords:
     """Messages of one file in the order in which they were written.
 
     Attributes:
-        schemas, channels: by their ids, as far as they have been met.
-        note: why reading ended before the end of the file; empty if it did not.
+        schemas, channels: by their ids, as read so far.
+        note: reason for an end of reading before the end of the file; empty otherwise.
         left: bytes that may still be unpacked.
     """
 
@@ -84,7 +84,7 @@ class McapRecords:
     left: int = field(default_factory=lambda: MOST_BYTES)
 
     def messages(self) -> Iterator[Any]:
-        """Every whole message; `mcap.records.Message`, its channel in `channels`.
+        """Iterate over every complete message (`mcap.records.Message`), with its channel in `channels`.
 
         Raises:
             LogError: if the file cannot be read or is no MCAP file.
@@ -98,7 +98,7 @@ class McapRecords:
             self.note = damaged(str(error))
 
     def _walk(self, data: bytes, at: int, top: bool) -> Iterator[Any]:
-        """Records of the file, or of one chunk; what follows the data section is not looked at."""
+        """Records of the file, or of one chunk, up to the end of the data section."""
         ended = not top
         while at < len(data):
             if at + _PREFIX.size > len(data):
@@ -141,7 +141,7 @@ class McapRecords:
             raise _DamagedError(f"record that cannot be read ({error or type(error).__name__})") from None
 
     def _chunk(self, body: bytes, whole: bool) -> Iterator[Any]:
-        """Messages of a chunk; of one that is cut off, what lies in it uncompressed."""
+        """Messages of a chunk; of an incomplete chunk only uncompressed ones."""
         from mcap.data_stream import ReadDataStream
         from mcap.exceptions import McapError
         from mcap.records import Chunk
@@ -158,7 +158,7 @@ class McapRecords:
 
 
 def _unpacked(chunk: Any, most: int) -> bytes:
-    """Unpack the records of a chunk, within its declared size; a ValueError says why it cannot be."""
+    """Unpack the records of a chunk within its declared size; a ValueError holds the reason of a failure."""
     if chunk.compression == "":
         return chunk.data
     size = chunk.uncompressed_size
@@ -189,7 +189,7 @@ def _whole(unpacked: bytes, size: int) -> bytes:
 
 
 def open_mcap(path: Path | str) -> MessageLog:
-    """Read the messages of an MCAP file; one that was cut off gives what stands before the cut.
+    """Read the messages of an MCAP file, of an incomplete file up to its end.
 
     Raises:
         LogError: if `mcap` is not installed, the file cannot be read, is no MCAP file, or holds no whole message.
@@ -210,7 +210,6 @@ def open_mcap(path: Path | str) -> MessageLog:
 
 
 def _decoder(encoding: str, schema: Any) -> Decoder:
-    """Decoder of the messages of a channel."""
     if encoding == "json":
         return _parse_json
     if encoding == "cdr" and schema is not None:
@@ -238,8 +237,8 @@ _SIZE = struct.Struct("<I")
 def open_bag(path: Path | str) -> MessageLog:
     """Read the messages of a ROS 2 bag (sqlite3 or mcap storage).
 
-    A bag whose recorder was killed has no metadata.yaml: name the storage file itself. An mcap storage that was cut
-    off gives what stands before the cut; an sqlite3 storage what the database still yields.
+    A bag whose recorder was killed has no metadata.yaml: name the storage file itself. An incomplete mcap storage is
+    read up to its end, an sqlite3 storage as far as the database allows.
 
     Raises:
         LogError: if `rosbags` is not installed, or the bag cannot be read or holds no message.
@@ -306,7 +305,7 @@ def _not_empty(log: MessageLog, kind: str) -> MessageLog:
 
 
 def _recovered(path: str, storage: list[Path]) -> MessageLog:
-    """The mcap files of a bag one by one, each up to where it is whole."""
+    """Messages of the mcap files of a bag, each read up to its first fault."""
     require("mcap", "logs", f"{path}: reading a damaged bag")
     logs, notes = [], []
     for file in storage:
@@ -323,7 +322,7 @@ def _recovered(path: str, storage: list[Path]) -> MessageLog:
 
 
 def _require_bounded(path: str, data: bytes) -> None:
-    """Refuse a bag whose chunks unpack to more than a log holds, before the library unpacks any."""
+    """Refuse a bag whose unpacked chunks exceed the size limit of a log, before the library unpacks any."""
     left = MOST_BYTES
     for fields, content in _records(data):
         if fields.get(b"op") == _BAG_CHUNK:
@@ -333,7 +332,6 @@ def _require_bounded(path: str, data: bytes) -> None:
 
 
 def _records(data: bytes) -> Iterator[tuple[dict[bytes, bytes], memoryview]]:
-    """Header fields and content of every whole record."""
     at, view = len(_MAGIC), memoryview(data)
     while at + 4 <= len(data):
         length = _SIZE.unpack_from(data, at)[0]
@@ -357,9 +355,9 @@ def _header_fields(head: bytes) -> dict[bytes, bytes]:
 
 
 def _unpacked_size(compression: bytes, content: memoryview, most: int) -> int:
-    """Bytes of a chunk, unpacked; more than `most` where it has more."""
+    """Unpacked size of a chunk [bytes]; any number above `most` if it is larger than that."""
     if compression == b"none":
-        return 0  # as large as it lies
+        return 0  # not compressed
     if compression == b"bz2":
         return len(bz2.BZ2Decompressor().decompress(content, most + 1))
     if compression == b"lz4":

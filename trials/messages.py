@@ -1,4 +1,4 @@
-"""Signals of logs that hold messages (JSON, ROS 1, ROS 2): what MCAP files and ROS bags have in common."""
+"""Signals of logs that hold messages (JSON, ROS 1, ROS 2): common part of MCAP files and ROS bags."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ Decoder = Callable[[bytes], Any]
 
 
 class UnreadableError(Exception):
-    """Error of a message, or of its definition, that cannot be read."""
+    """Error on a message, or a definition, that cannot be read."""
 
 
 @lru_cache(maxsize=64)  # parsing a definition takes longer than reading thousands of messages
@@ -27,8 +27,8 @@ def cdr_decoder(message_type: str, encoding: str, definition: str) -> Decoder:
     """Decoder from the bytes of a message to an object with its fields.
 
     Args:
-        encoding: of the definition, `ros2msg`, `ros2idl`, `ros1msg` (then the messages are those of ROS 1), or empty
-            where the bag has none: then it must be one of the message types that come with ROS 2.
+        encoding: of the definition: `ros2msg`, `ros2idl`, `ros1msg` (ROS 1 messages), or empty for the message types
+            that come with ROS 2.
 
     Raises:
         UnreadableError: if the type is not known or its definition cannot be read.
@@ -65,7 +65,7 @@ def cdr_decoder(message_type: str, encoding: str, definition: str) -> Decoder:
 
 
 def late_decoder(message_type: str, encoding: str, definition: str) -> Decoder:
-    """Decoder that parses the definition of its messages when the first one is read; see `cdr_decoder`."""
+    """Decoder that parses the definition of its messages at the first message; see `cdr_decoder`."""
     return lambda raw: cdr_decoder(message_type, encoding, definition)(raw)
 
 
@@ -103,7 +103,6 @@ class Topic:
     """One topic of a log.
 
     Attributes:
-        kind: message type or schema, for messages.
         decode: from the bytes of a message to mappings, sequences and numbers, or to an object with fields.
     """
 
@@ -139,14 +138,15 @@ class MessageLog(SignalLog):
             try:
                 fields = fields_of(self.topics[topic].decode(raw))
             except (UnreadableError, RecursionError, OverflowError):
-                continue  # what cannot be read is not on offer; asking for it says why
+                continue  # unreadable signals are not listed; a request for one gives the reason
             values |= {f"{topic}.{name}" if name else topic: value for name, value in fields.items()}
         return values
 
     def series(self, signals: Sequence[str], time: str) -> list[Series]:
-        """The signals asked for; see `SignalLog`.
+        """Return the requested signals with their time stamps; see `SignalLog`.
 
-        A time signal is a field of the same message: `/tip.time_s`, or `time_s` for one of that name in every topic.
+        A time signal is a field of the same message: `/tip.time_s`, or `time_s` for the field of that name in every
+        topic.
         """
         places = [self._place(signal) for signal in signals]
         clocks = [self._clock(time, topic) for topic, _ in places]
@@ -170,7 +170,6 @@ class MessageLog(SignalLog):
         return [Series(np.array(t), np.array(y)) for t, y in zip(stamps, values, strict=True)]
 
     def _place(self, signal: str) -> tuple[str, list[str | int]]:
-        """Topic and path into its messages."""
         fitting = [name for name in self.topics if signal == name or signal.startswith((f"{name}.", f"{name}["))]
         if not fitting:
             topics = sorted(self.topics)
@@ -179,7 +178,7 @@ class MessageLog(SignalLog):
         return topic, split_path(signal[len(topic) :])
 
     def _clock(self, time: str, topic: str) -> list[str | int] | None:
-        """Path to the time field; None where time is the log's or the header's."""
+        """Path to the time field; None if time comes from the log or the header."""
         if time in (LOG_TIME, HEADER_TIME):
             return None
         if not time.startswith("/"):
@@ -226,6 +225,6 @@ class MessageLog(SignalLog):
 
 
 def path_text(steps: Iterable[str | int]) -> str:
-    """`["position", 0]` as `position[0]`."""
+    """Path as text: `["position", 0]` becomes `position[0]`."""
     text = "".join(f"[{step}]" if isinstance(step, int) else f".{step}" for step in steps)
     return text.removeprefix(".")

@@ -1,4 +1,4 @@
-"""Reading recorded trials of any format: files and folders, data frames, trials in memory; on one uniform grid."""
+"""Reading of recorded trials in any format on one uniform grid: files, folders, data frames, trials in memory."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from .trial import Trial, even_time, parts_at_gaps, positive_rate, require_unifo
 from .types import Vec
 
 AnyLayout = str | Layout | LogMapping
-"""A layout's name, a mapping file (`*.yaml`), a `Layout` (tables), a `LogMapping`, or `auto`."""
+"""Layout: its name, a mapping file (`*.yaml`), a `Layout` (tables), a `LogMapping`, or `auto`."""
 
 Log = Path | str | FrameLike | Trial
 """One recorded trial: a file, the folder of a ROS 2 bag, a data frame, or the trial itself."""
@@ -47,8 +47,7 @@ OPENERS = {
     "npy": ("arrays", "open_npz"),
     "tdms": ("arrays", "open_tdms"),
 }
-"""Formats of named signals, each with module and name of its reader, which is imported when asked for; all others are
-tables."""
+"""Formats of named signals, with module and name of the reader, imported at use; other formats are tables."""
 
 
 @in_a_line
@@ -69,13 +68,13 @@ def read_trials(
         sampled_hz: rate [Hz] of logs that were sampled evenly, whose time stamps are not looked at.
 
     Raises:
-        LogError: if nothing is found, or a log cannot be read or resampled; names file, row and what was expected.
+        LogError: if no log exists, or a log cannot be read or resampled; names file, row and the expected value.
         ConfigError: on an unknown layout or a wrong mapping file.
     """
     layout = resolve(layout)
     several = [logs] if isinstance(logs, Path | str | FrameLike | Trial) else list(logs)
     trials = []
-    for log in several or expand_logs([]):  # which refuses to do without any
+    for log in several or expand_logs([]):  # raises an error without any
         files = expand_logs([log]) if isinstance(log, Path | str) else [log]
         trials += [read_log(file, layout, sampled_hz) for file in files]
     counts, seen = Counter(trial.source for trial in trials), Counter[str]()
@@ -87,10 +86,10 @@ def read_trials(
 
 
 def read_log(log: Log, layout: AnyLayout = "auto", sampled_hz: float | None = None) -> Trial:
-    """Read one trial; see `read_trials`, which takes folders too.
+    """Read one trial; see `read_trials`, which also accepts folders.
 
     Raises:
-        LogError: if the log cannot be used; one line with the file, what was got and what is available.
+        LogError: if the log cannot be used; one line with the file, the actual and the available signals.
         ConfigError: on an unknown layout or a wrong mapping file, or a layout of another format.
     """
     if isinstance(log, Trial):
@@ -102,7 +101,7 @@ _OTHERS = ", ".join(f"*{ending}" for ending in ENDINGS)
 
 
 def expand_logs(paths: Iterable[Path | str]) -> list[Path]:
-    """Logs to read: a folder stands for its `*.csv`, or else its logs of other formats, in the order of their names.
+    """Files of the logs to read; a folder stands for its `*.csv`, otherwise for its logs of other formats, by name.
 
     Raises:
         LogError: if nothing is given, or a folder holds no log.
@@ -119,7 +118,7 @@ def expand_logs(paths: Iterable[Path | str]) -> list[Path]:
 
 
 def _logs_in(folder: Path) -> list[Path]:
-    """The `*.csv` of a folder; without any, its bags and logs of other formats, by name."""
+    """The `*.csv` of a folder, otherwise its bags and logs of other formats, by name."""
     if is_bag(folder):
         return [folder]
     entries = sorted(entry for entry in folder.iterdir() if not entry.name.startswith(_NO_LOGS))
@@ -127,7 +126,7 @@ def _logs_in(folder: Path) -> list[Path]:
     return tables or [entry for entry in entries if is_bag(entry) or entry.suffix.lower() in ENDINGS]
 
 
-_NO_LOGS = (".", "~$")  # what macOS and Excel leave beside files
+_NO_LOGS = (".", "~$")  # auxiliary files of macOS and Excel
 
 
 def read_unchecked(
@@ -173,7 +172,6 @@ def resolve(layout: AnyLayout) -> AnyLayout:
 
 
 def _is_table(log: Path | str | FrameLike) -> bool:
-    """Whether a log is delimited text, a workbook or a data frame."""
     return isinstance(log, FrameLike) or not (is_bag(Path(log)) or format_of(Path(log)) in OPENERS)
 
 
@@ -187,8 +185,6 @@ def _open(log: Path | str | FrameLike, wanted: Iterable[str]) -> SignalLog:
 
 
 class _TableLog(SignalLog):
-    """A `SignalLog` over the columns of a table, for mapping files."""
-
     def __init__(self, table: LogTable) -> None:
         self.path, self.table, self.note, self.times = table.source, table, "", table.times
 
@@ -224,10 +220,7 @@ _PLACE = re.compile(r"\[\d{1,4}\]")  # a column by its place, also of a table wh
 
 
 def at_rate(trials: Iterable[Trial], rate_hz: float) -> list[Trial]:
-    """Trials cut at their gaps, on a uniform grid, without the noise of a measured command (`remove_command_noise`).
-
-    One without such noise that lies on the grid is left as it is.
-    """
+    """Cut trials at their gaps, remove the noise of a measured command, and resample them to a uniform grid."""
     parts = remove_command_noise([part for trial in trials for part in parts_at_gaps(trial)])
     for k, part in enumerate(parts):
         even = False

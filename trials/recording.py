@@ -17,14 +17,14 @@ from .files import write_atomically
 from .trial import Trial
 
 SEPARATION_COLUMN = "separation_deg"
-"""A column that no recording has, by which a motion that a diagnosis has proposed is told from a log."""
+"""Column that only motions proposed by a diagnosis have, and no recording."""
 
 
 def require_recorded(trial: Trial) -> None:
     """Refuse a trial that is no recording: a motion proposed by a diagnosis, or wrong signals.
 
     Raises:
-        LogError: if its angle is the one that a diagnosis expects, or as `require_sound`.
+        LogError: if its angle is the expected angle of a proposed motion, or as `require_sound`.
     """
     if SEPARATION_COLUMN in trial.channels:
         raise LogError(f"{trial.source}: is a motion proposed by a diagnosis, expected what was recorded on it")
@@ -50,7 +50,7 @@ class RecordingManifest(Settings):
 
 
 def write_manifest(folder: Path, files: Sequence[Path], start: datetime | None = None) -> Path:
-    """Write the manifest of logs that were recorded into a folder in that order; the session started now or then."""
+    """Write the manifest of a session: logs of a folder in recording order, and the start (default: now)."""
     begun = (start or datetime.now(UTC)).isoformat()
     content = {"format": FORMAT, "start": begun, "recorded": [file.name for file in files]}
     return write_atomically(folder / MANIFEST, dump_yaml(content))
@@ -59,8 +59,8 @@ def write_manifest(folder: Path, files: Sequence[Path], start: datetime | None =
 def by_clock(trials: Sequence[Trial]) -> list[int] | None:
     """Indices of the trials in the order of their time stamps; None if these do not define one.
 
-    They tell it where all logs have one clock: no two trials have time in common. The wall clock of a bench's log
-    counts before its time stamps, which begin anew in each log.
+    Time stamps define an order if all logs share one clock, so that no two trials overlap in time. The wall clock of a
+    bench's log has precedence, since its time stamps restart in each log.
     """
     spans = [_span(trial) for trial in trials]
     order = sorted(range(len(spans)), key=lambda k: spans[k])
@@ -70,10 +70,7 @@ def by_clock(trials: Sequence[Trial]) -> list[int] | None:
 
 
 def by_manifest(sources: Sequence[str]) -> list[int] | None:
-    """Indices of the logs in the order of the manifests in their folders; None if a log is not listed.
-
-    Logs of several folders are ordered by the starts of their sessions.
-    """
+    """Indices of the logs in manifest order, folders by the starts of their sessions; None if a log is not listed."""
     places: list[tuple[str, int]] = []
     manifests = {folder: _manifest(folder) for folder in {Path(source).parent for source in sources}}
     starts = [manifest.start for manifest in manifests.values() if manifest is not None]
@@ -96,7 +93,6 @@ def _span(trial: Trial) -> tuple[float, float]:
 
 
 def _manifest(folder: Path) -> RecordingManifest | None:
-    """The manifest of a folder; None where there is none, or one of something else."""
     file = folder / MANIFEST
     if not file.is_file():
         return None

@@ -30,7 +30,7 @@ from .files import write_atomically
 
 @cache
 def _style() -> mpl.RcParams:
-    """Style of the figures, from a file that a script takes by `plt.style.use("hystmpc.trials.report")`."""
+    """Style of the figures, from a file that scripts use by `plt.style.use("hystmpc.trials.report")`."""
     with as_file(files("hystmpc.trials").joinpath("report.mplstyle")) as path:
         return mpl.rc_params_from_file(path, use_default_template=False)
 
@@ -46,11 +46,11 @@ DASHES: tuple[Any, ...] = (
     (0, (3, 1)),
     (0, (6, 1.5, 1.5, 1.5, 1.5, 1.5)),
 )
-"""Styles of lines that lie on each other, so that more than their colour tells them apart."""
+"""Line styles that distinguish overlapping lines without colour."""
 
 
 class StyledFigure(Figure):
-    """A figure that a notebook shows without pyplot."""
+    """Figure that a notebook shows without pyplot."""
 
     def _repr_html_(self) -> str:
         return _bitmap(self)
@@ -58,17 +58,14 @@ class StyledFigure(Figure):
 
 @contextmanager
 def new_figure(width: float = 7.0, height: float = 3.2) -> Iterator[StyledFigure]:
-    """A figure of a size [inch] in the style of the project, to be drawn on inside the `with` block; it stays valid.
-
-    Not made through pyplot: nothing global keeps it alive, and no display is needed.
-    """
+    """Context with a new figure of a size [inch] in the style of the project, without pyplot and without a display."""
     with mpl.rc_context(_style()):
         yield StyledFigure(figsize=(width, height))
 
 
 @contextmanager
 def style() -> Iterator[None]:
-    """The style alone, for saving a figure that was made by `new_figure`."""
+    """Context with the style of the project, for saving a figure made by `new_figure`."""
     with mpl.rc_context(_style()):
         yield
 
@@ -81,7 +78,7 @@ _NAMESPACE = re.compile(r'\s+xmlns(?::\w+)?="[^"]*"')  # an SVG inside HTML need
 
 @dataclass(frozen=True)
 class Heading:
-    """A heading, level 2 or 3; it is listed in the table of contents."""
+    """Heading of level 2 or 3, listed in the table of contents."""
 
     text: str
     level: int = 2
@@ -96,21 +93,21 @@ class Paragraph:
 
 @dataclass(frozen=True)
 class Points:
-    """Short sentences, a point each."""
+    """List of short sentences."""
 
     texts: tuple[str, ...]
 
 
 @dataclass(frozen=True)
 class KeyValues:
-    """A short two-column table of names and values."""
+    """Short two-column table of names and values."""
 
     rows: Mapping[str, object]
 
 
 @dataclass(frozen=True)
 class Table:
-    """A table with a header row; numbers are set flush right, and cells of `marked` (row, column) in bold."""
+    """Table with a header row; numbers are right-aligned, and the cells `marked` by (row, column) are bold."""
 
     columns: Sequence[str]
     rows: Sequence[Sequence[object]]
@@ -123,7 +120,7 @@ class Plot:
     """A matplotlib figure and its caption.
 
     Attributes:
-        zoom: whether the page's reader can zoom into its curves; printed, and without scripts, it is the drawing.
+        zoom: whether the reader can zoom into its curves; in print and without scripts the drawing is shown.
     """
 
     figure: Figure
@@ -133,7 +130,7 @@ class Plot:
 
 @dataclass(frozen=True)
 class Folded:
-    """A section that is closed until its heading is clicked; printed, it stays as it is on the screen."""
+    """Section that opens by a click on its heading; in print it appears as on the screen."""
 
     heading: str
     pieces: tuple[Piece, ...]
@@ -144,18 +141,14 @@ Piece = Heading | Paragraph | Points | KeyValues | Table | Plot | Folded
 
 @dataclass(frozen=True)
 class Report:
-    """A page made of pieces."""
+    """Page made of headings, texts, tables, figures and folded sections."""
 
     title: str
     pieces: tuple[Piece, ...]
     subtitle: str = ""
 
     def html(self) -> str:
-        """The page: styles and figures inside, nothing fetched; the same pieces give the same text.
-
-        A script is in it only where a figure zooms.
-        Headings are listed at its top, unless folded sections, closed, are a list themselves.
-        """
+        """Self-contained HTML page with embedded styles and figures; equal pieces give equal text."""
         blocks = [_block(piece, str(number)) for number, piece in enumerate(self.pieces, start=1)]
         folded = any(isinstance(piece, Folded) for piece in self.pieces)
         contents = [] if folded else [block for block in blocks if block["kind"] == "heading"]
@@ -166,13 +159,13 @@ class Report:
         )
 
     def fragment(self) -> str:
-        """Title and pieces alone, for a cell of a notebook; figures are bitmaps, so that no two cells share an id."""
+        """HTML of title and pieces for a notebook cell; figures are bitmaps, so that cells share no ids."""
         title = f"{self.title}: {self.subtitle}" if self.subtitle else self.title
         blocks = [_block(piece, "", _bitmap) for piece in self.pieces]
         return _template().render(title=title, blocks=blocks, css="", script="")
 
     def save(self, path: Path | str) -> Path:
-        """Write the page, whole or not at all; and its figures, where `figures_to` asks for them."""
+        """Write the page completely or not at all, and its figures into the folder of `figures_to`, if any."""
         written = write_atomically(path, self.html())
         for _, plot in _plots(self.pieces):
             three_ticks(plot.figure)
@@ -182,7 +175,6 @@ class Report:
 
 
 def _plots(pieces: Sequence[Piece], heading: str = "figure") -> Iterator[tuple[str, Plot]]:
-    """Every figure, and the heading that it stands under."""
     for piece in pieces:
         if isinstance(piece, Heading):
             heading = piece.text
@@ -193,7 +185,7 @@ def _plots(pieces: Sequence[Piece], heading: str = "figure") -> Iterator[tuple[s
 
 
 def figure_svg(figure: Figure, prefix: str = "") -> str:
-    """A figure as an `<svg>` element to be set into a page.
+    """Figure as an `<svg>` element for a page.
 
     Args:
         prefix: put before every id, so that the figures of one page do not refer to each other's parts.
@@ -222,7 +214,7 @@ def three_ticks(figure: Figure) -> None:
 
 
 def _more_on_logarithmic(axis: Axis, low: float, high: float) -> None:
-    """Numbers at whole decades where there are three; else at 1, 2 and 5, and within a decade at even steps."""
+    """Label whole decades if there are three, otherwise 1, 2 and 5, or even steps within a decade."""
     decades = np.arange(math.ceil(math.log10(low)), math.floor(math.log10(high)) + 1)
     if decades.size >= _TICKS:
         axis.set_major_locator(FixedLocator((10.0 ** decades[:: (decades.size - 1) // 2]).tolist()))
@@ -235,10 +227,7 @@ def _more_on_logarithmic(axis: Axis, low: float, high: float) -> None:
 
 
 def _print_as_it_is(figure: Figure) -> None:
-    """Turn off mathematics in every text but the tick labels of logarithmic axes.
-
-    Names of files and trials come from outside, and two `$` in one would be read as mathematics, which fails.
-    """
+    """Turn off mathematics outside logarithmic tick labels, since two `$` in an external name would fail."""
     axes = [axis for each in figure.axes for axis in (each.xaxis, each.yaxis)]
     powers = [axis for axis in axes if isinstance(axis.get_major_formatter(), LogFormatter)]
     mathematical = {
@@ -250,7 +239,6 @@ def _print_as_it_is(figure: Figure) -> None:
 
 
 def _bitmap(figure: Figure, prefix: str = "") -> str:
-    """A figure as an `<img>` element with embedded data."""
     del prefix
     three_ticks(figure)
     out = io.BytesIO()
@@ -260,7 +248,6 @@ def _bitmap(figure: Figure, prefix: str = "") -> str:
 
 
 def _block(piece: Piece, number: str, drawn: Callable[[Figure, str], str] = figure_svg) -> dict[str, Any]:
-    """Fields of one piece of a report for the page template."""
     if isinstance(piece, Heading):
         return {"kind": "heading", "text": piece.text, "level": piece.level, "id": f"section-{number}"}
     if isinstance(piece, Paragraph):

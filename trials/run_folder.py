@@ -1,4 +1,4 @@
-"""Run folder: the files that every simulation, experiment, study and diagnosis writes, for replay."""
+"""Run folder: the files of every simulation, experiment, study and diagnosis, for replay."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from .report import Report
 
 FORMAT = "hystmpc-run/1"
-_META = {"start": str, "versions": dict}  # of meta.json, that readers rely on
+_META = {"start": str, "versions": dict}  # required keys of meta.json
 _PACKAGES = ("hystmpc", "numpy", "casadi", "onnxruntime", "osqp")
 
 Column = NDArray[np.float64] | tuple[str, ...]
@@ -41,13 +41,12 @@ Column = NDArray[np.float64] | tuple[str, ...]
 
 @dataclass(frozen=True)
 class RunFolder:
-    """One run on disk: `config.yaml`, `meta.json`, `log.csv`, `log.mcap` (where `mcap` is installed), `report.html`.
+    """One run on disk: `config.yaml`, `meta.json`, `log.csv`, `log.mcap` (if `mcap` is installed), `report.html`.
 
-    Every file is written whole or not at all. Use `create` for a new run and `open` for one that exists.
+    Every file is written completely or not at all. Use `create` for a new run and `open` for an existing one.
 
     Attributes:
-        path: the folder.
-        meta: what `meta.json` says: format, versions, seed, model hashes, host, start, command line.
+        meta: content of `meta.json`: format, versions, seed, model hashes, host, start, command line.
     """
 
     path: Path
@@ -63,12 +62,12 @@ class RunFolder:
         models: Iterable[Path | str] = (),
         command_line: Sequence[str] | None = None,
     ) -> RunFolder:
-        """Start a run: make the folder and write what was asked for.
+        """Start a run: make the folder and write settings and metadata.
 
         Args:
-            seed: of the run's random numbers, None where it draws none.
-            models: model files of the run; their SHA-256 is kept.
-            command_line: how the run was started; the process's own where not given.
+            seed: of the run's random numbers; None without random numbers.
+            models: model files of the run; their SHA-256 is stored.
+            command_line: command line of the run; that of this process if left out.
 
         Raises:
             ConfigError: if the path is a file, a folder that is not empty, or cannot be made; or a model is missing.
@@ -98,7 +97,7 @@ class RunFolder:
 
     @classmethod
     def open(cls, path: Path | str) -> RunFolder:
-        """A run that exists.
+        """Open an existing run folder.
 
         Raises:
             LogError: if the folder holds no run, or one of another format.
@@ -118,7 +117,7 @@ class RunFolder:
         return cls(Path(path), meta)
 
     def write_log(self, columns: Mapping[str, ArrayLike | Sequence[str]]) -> None:
-        """Write `log.csv`, and `log.mcap` where `mcap` is installed.
+        """Write `log.csv`, and `log.mcap` if `mcap` is installed.
 
         Args:
             columns: `time_s`, `command` (or `command_bar`, ...), `angle_deg`, then any further numbers or texts,
@@ -154,12 +153,12 @@ class RunFolder:
         return {name: table.numbers[name] if name in table.numbers else table.texts[name] for name in table.header}
 
     def trial(self) -> Trial:
-        """The log as a trial, to be replayed or identified from; columns of text are left out."""
+        """The log as a trial, for replay or identification; columns of text are left out."""
         return read_csv(self.path / "log.csv", CANONICAL)
 
 
 def require_vacant(folder: Path | str) -> None:
-    """Refuse a folder that is not empty: a run never overwrites anything.
+    """Refuse a folder that is not empty, so that a run never overwrites files.
 
     Raises:
         ConfigError: if the path is a file, a folder that is not empty, or cannot be written.
@@ -195,7 +194,7 @@ def require_resumable(folder: Path | str) -> None:
 
 
 def resumed_folder(path: Path, settings: Mapping[str, Any], seed: int, refusal: Callable[[Any], str]) -> RunFolder:
-    """Create a run folder, or open the folder of the same unfinished work; its settings are written anew.
+    """Create a run folder, or open the folder of the same unfinished work and rewrite its settings.
 
     Raises:
         ConfigError: if the folder holds something else.
@@ -212,7 +211,7 @@ def resumed_folder(path: Path, settings: Mapping[str, Any], seed: int, refusal: 
 
 @contextmanager
 def alone_in(folder: Path) -> Iterator[None]:
-    """Context with exclusive write access to a folder for one process; a lock of a dead process does not count.
+    """Context with exclusive write access to a folder for one process; the lock of a dead process is ignored.
 
     Raises:
         ConfigError: if another process works in it.
@@ -229,7 +228,6 @@ def alone_in(folder: Path) -> Iterator[None]:
 
 
 def _column(values: ArrayLike | Sequence[str]) -> NDArray[np.generic] | tuple[str, ...]:
-    """Numbers as an array, texts (and enumerations of texts) as plain strings."""
     array = np.asarray(values)
     if array.dtype.kind in "fiu":
         return array

@@ -1,4 +1,4 @@
-"""Parts of a trial by the motion of its command: loading, unloading, hold; turning points; the first flexure."""
+"""Segments of a trial by the motion of its command: loading, unloading, hold; turning points; the first flexure."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from .types import Index, Vec
 
 
 class Motion(IntEnum):
-    """What the command does at a sample."""
+    """Motion of the command at a sample: loading, unloading or hold."""
 
     UNLOADING = -1
     HOLD = 0
@@ -24,11 +24,11 @@ class Motion(IntEnum):
 
 @dataclass(frozen=True)
 class SegmentRule:
-    """Thresholds, relative to the range of the command so that its scale and offset do not matter.
+    """Thresholds of the segmentation, relative to the range of the command: independent of its scale and offset.
 
     Attributes:
-        reversal: the command turns where it comes back by more than this share of its range; less is noise.
-        hold_band: the command is held where it stays within this share of its range ...
+        reversal: least share of the range by which the command comes back at a turn; less is noise.
+        hold_band: share of the range within which the command stays during a hold ...
         hold_s: ... for at least this long [s]; the crest of a slow sine is shorter.
     """
 
@@ -50,7 +50,7 @@ class Segments:
     reversals: Index
 
     def runs(self, motion: Motion) -> list[tuple[int, int]]:
-        """Start and stop (exclusive) of every unbroken run of that motion."""
+        """Start and stop (exclusive) of every uninterrupted run of one motion."""
         starts, stops = runs(self.labels == motion)
         return list(zip(starts.tolist(), stops.tolist(), strict=True))
 
@@ -66,8 +66,8 @@ DEFAULT_RULE = SegmentRule()
 def segment(trial: Trial, rule: SegmentRule = DEFAULT_RULE) -> Segments:
     """Label every sample of a uniformly sampled trial.
 
-    A sample belongs to the motion that led to it; a command that never moves is one hold. In a trial whose command and
-    angle have changed places it is still the device's command that is looked at.
+    A sample belongs to the motion that led to it; a command that never moves is one hold. For an inverse trial, the
+    device's command is used, not the exchanged one.
 
     Raises:
         LogError: if the sampling is not uniform.
@@ -82,14 +82,14 @@ def segment(trial: Trial, rule: SegmentRule = DEFAULT_RULE) -> Segments:
         labels = np.repeat(direction * (-1) ** np.arange(pieces.size), pieces).astype(np.int8)
     band = rule.hold_band * span
     held = _held(command, round(rule.hold_s / dt) + 1, band)
-    # Two holds may meet without a sample between them: the first of the later one then stands for the move.
+    # Two holds may meet without a sample between them: the first sample of the later one then counts as the move.
     meets = held & np.roll(held, 1) & (np.abs(np.diff(command, prepend=command[0])) > band)
     labels[held & ~meets] = Motion.HOLD
     return Segments(labels, reversals)
 
 
 def first_flexure_end(trial: Trial) -> int:
-    """Sample at which the command first turns: the first flexure, which differs from all later ones, ends here.
+    """First turning point of the command, at which the first flexure ends, which differs from all later ones.
 
     Raises:
         LogError: if the command never turns, or the sampling is not uniform.

@@ -29,18 +29,18 @@ from .tables import LogTable
 from .trial import Trial, Units, clock_advice
 from .types import Index, Vec
 
-_MOST_COMPARED = 2000  # names among which the nearest is looked for
+_MOST_COMPARED = 2000  # greatest number of names compared for the nearest
 _STEP = re.compile(r"\.?([^.\[\]]+)|\[([^\[\]]+)\]")
 
 
 @dataclass(frozen=True, eq=False)
 class Series:
-    """One signal.
+    """One logged signal with its time stamps.
 
     Attributes:
-        t: time stamps [s], (T,); of a log whose samples have none, not-a-number throughout.
-        values: as logged, (T,); not-a-number where the log says null.
-        left_out: samples whose value stands for a missing one, (T,); None for none.
+        t: time stamps [s], (T,); not-a-number throughout for a log without any.
+        values: as logged, (T,); not-a-number for null.
+        left_out: mask of samples with a missing-value code, (T,); None for none.
     """
 
     t: Vec
@@ -52,10 +52,10 @@ class SignalLog:
     """An open log of named signals.
 
     Attributes:
-        path: the file or folder, for messages.
-        note: note to the user about the file, such as that it is cut off; empty for none.
-        clock: signal that is used as time where none has a known name; empty for none.
-        times: names of signals that were dates; they are in seconds since the first.
+        path: file or folder, for messages.
+        note: note to the user on the file, such as on a truncated one; empty for none.
+        clock: signal that serves as time if none has a known name; empty for none.
+        times: names of signals of dates, converted to seconds since the first.
     """
 
     path: str
@@ -64,19 +64,19 @@ class SignalLog:
     times: frozenset[str] = frozenset()
 
     def names(self) -> tuple[str, ...]:
-        """Every signal that can be asked for."""
+        """Names of all available signals."""
         raise NotImplementedError
 
     def series(self, signals: Sequence[str], time: str) -> list[Series]:
-        """The signals asked for; time is `log`, `header`, or the name of a signal that holds it.
+        """Return the requested signals; time is `log`, `header`, or the name of a time signal.
 
         Raises:
-            LogError: on a signal that is not there; names it and those that are.
+            LogError: on a missing signal; names it and the available ones.
         """
         raise NotImplementedError
 
     def not_read(self) -> LogError | None:
-        """Error for a part of the file that cannot be read; None if everything can."""
+        """Error for a part of the file that cannot be read; None if there is none."""
         return None
 
 
@@ -86,9 +86,7 @@ class UncheckedLog:
 
     Attributes:
         t, command, angle: time [s], command and output in `units`, each (T,).
-        layout: name of the layout it was read with; empty for a trial from memory.
         ranges: plausible values of command and angle; None for any.
-        cells: of a table, where its samples stand.
     """
 
     t: Vec
@@ -103,11 +101,11 @@ class UncheckedLog:
     cells: Cells | None = None
 
     def where(self, sample: int) -> str:
-        """A sample as messages name it: `row 7` of a table, else `sample 5`."""
+        """Text on the place of a sample for messages: `row 7` of a table, otherwise `sample 5`."""
         return f"sample {sample}" if self.cells is None else f"row {self.cells.locate(sample, 't')[0]}"
 
     def trial(self) -> Trial:
-        """The log as a trial.
+        """Convert the log to a trial after a check of its values.
 
         Raises:
             LogError: if values are not finite, time does not increase, or fewer than two samples are left; of a table
@@ -124,7 +122,7 @@ class Cells:
 
     Attributes:
         names: columns of the log behind `t`, `command` and `angle`.
-        rows: of the table, one a sample; None where every row is a sample.
+        rows: row of the table of each sample; None if every row is a sample.
     """
 
     table: LogTable
@@ -159,14 +157,14 @@ def _require_valid(log: UncheckedLog, cells: Cells) -> None:
 def read_mapped(source: SignalLog, mapping: LogMapping) -> UncheckedLog:
     """Join the signals of a mapping on one time base.
 
-    The base is the time stamps of the angle (or of the command, as the mapping says) that lie inside the span of the
-    other one. The command keeps its last value until the next (it is what the device was told); measured signals are
-    interpolated linearly; a channel is not-a-number outside its own span. Time starts at zero with the first message
-    where it is the log's or the header's; a time signal keeps its origin.
+    The base is the time stamps of the angle (or of the command, by the mapping) within the span of the other signal.
+    The command keeps its last value until the next, as the device received it; measured signals are interpolated
+    linearly; a channel is not-a-number outside its span. Time of the log or the header starts at zero with the first
+    message; a time signal keeps its origin.
 
     Raises:
-        LogError: if a signal is missing, is empty, or command and angle have no time in common; if a signal and what
-            is to be taken from it have other time stamps.
+        LogError: if a signal is missing or empty, command and angle have no time in common, or a signal and its `minus`
+            have different time stamps.
     """
     wanted = [signal.signal for signal in mapping.signals()]
     timed_by_signal = mapping.rate_hz is None and mapping.time not in (LOG_TIME, HEADER_TIME)
@@ -194,13 +192,11 @@ def read_mapped(source: SignalLog, mapping: LogMapping) -> UncheckedLog:
 
 
 def _decoded(series: Series, settings: SignalSettings) -> Series:
-    """Decode a signal by the keys of its mapping, and mark the codes for missing values."""
     values = decoded(series.values, settings.missing, settings.sign_bit, settings.wraps_at)
     return Series(series.t, values, np.isnan(values) & ~np.isnan(series.values))
 
 
 def _shifted(series: Series, shift_s: float) -> Series:
-    """Valid samples of a signal, with its stamps shifted."""
     if series.left_out is None or not series.left_out.any():
         return Series(series.t + shift_s, series.values) if shift_s else series
     return Series(series.t[~series.left_out] + shift_s, series.values[~series.left_out])
@@ -210,10 +206,10 @@ def canonical_mapping(names: Sequence[str], path: str, clock: str = "") -> LogMa
     """Mapping of a log whose signals have the names of canonical columns.
 
     Args:
-        clock: what stands in for a missing `time_s`: a signal that is one by its kind, or `log`; empty for none.
+        clock: substitute for a missing `time_s`: a signal of times, or `log`; empty for none.
 
     Raises:
-        LogError: if they have not; lists what there is and says what to do.
+        LogError: if names are missing; lists the available ones and the remedy.
     """
     commands, outputs = CANONICAL.command, {column: unit for unit, column in OUTPUT_COLUMN.items()}
     ends = {CANONICAL.spelled([name.rpartition(".")[2]])[0]: name for name in reversed(names)}
@@ -239,7 +235,7 @@ def canonical_mapping(names: Sequence[str], path: str, clock: str = "") -> LogMa
 
 
 def split_path(path: str) -> list[str | int]:
-    """`position[0]` as `["position", 0]`; `[tendon]` stays a text."""
+    """Split a path into keys and indices: `position[0]` becomes `["position", 0]`, `[tendon]` stays a text."""
     steps = [plain or key for plain, key in _STEP.findall(path)]
     return [int(part) if part.lstrip("-").isdigit() else part for part in steps]
 
@@ -248,11 +244,11 @@ def walk(value: Any, steps: Sequence[str | int], single: bool = False) -> Any:
     """Follow keys, attributes and indices into a message; a text index looks up the message's list `name`.
 
     Args:
-        single: whether the one element of a list may also be written without it, and `[0]` of what is no list: MATLAB
-            makes no difference between a struct and an array of one.
+        single: whether a list of one element and the element are equivalent, as a struct and a 1x1 struct array in
+            MATLAB.
 
     Raises:
-        KeyError: where the way ends; holds the step.
+        KeyError: if a step does not exist; holds the step.
     """
     owner: Any = None
     for step in steps:
@@ -286,7 +282,7 @@ def _enter(value: Any, step: str | int, owner: Any) -> Any:
 
 
 def _differences(path: str, mapping: LogMapping, logged: Sequence[Series]) -> list[Series]:
-    """Signals of the mapping after subtraction of each `minus`; `logged` has these at its end, in order."""
+    """Signals of the mapping after subtraction of each `minus`, which are at the end of `logged`, in order."""
     signals = mapping.signals()
     taken = iter(logged[len(signals) :])
     left = []
@@ -317,7 +313,7 @@ def _joined(source: SignalLog, mapping: LogMapping, logged: Sequence[Series]) ->
             f"{_two_clocks(mapping, command, angle)}"
         )
     signals = [_at(t, series, settings) for series, settings in zip(logged, mapping.signals(), strict=True)]
-    # What gives the base keeps its values as they are: nothing of it is interpolated, not even where a stamp repeats.
+    # The base signal keeps its values without interpolation, even at repeated stamps.
     k = 1 if mapping.base == "angle" else 0
     settings = mapping.signals()[k]
     signals[k] = settings.scale * base.values[inside] + settings.offset
@@ -336,7 +332,6 @@ def _joined(source: SignalLog, mapping: LogMapping, logged: Sequence[Series]) ->
 
 
 def _two_clocks(mapping: LogMapping, command: Series, angle: Series) -> str:
-    """Advice on two signals with hardly any common time, for the end of an error line."""
     shift = shift_between(command.t, command.values, angle.t, angle.values)
     if shift is None:
         return "; are their clocks two?"
@@ -347,7 +342,7 @@ def _two_clocks(mapping: LogMapping, command: Series, angle: Series) -> str:
 
 
 def _ordered(series: Series) -> Series:
-    """Samples sorted by time, with finite stamps only; of equal stamps the last one counts."""
+    """Samples with finite stamps, sorted by time; of equal stamps only the last one."""
     order = np.argsort(series.t, kind="stable")
     order = order[np.isfinite(series.t[order])]
     t = series.t[order]
@@ -358,13 +353,12 @@ def _ordered(series: Series) -> Series:
 
 
 def _at(t: Vec, series: Series, settings: SignalSettings) -> Vec:
-    """Values at times t, scaled."""
     same = t.size == series.t.size and np.array_equal(t, series.t)
     return settings.scale * (series.values if same else at_times(t, series, settings.hold)) + settings.offset
 
 
 def at_times(t: Vec, series: Series, hold: bool) -> Vec:
-    """Values at times t, the last one before each or interpolated; not-a-number outside the signal's span."""
+    """Values of a signal at times t, held or interpolated; not-a-number outside its span."""
     known = _ordered(series)
     if hold:
         values = known.values[np.clip(np.searchsorted(known.t, t, side="right") - 1, 0, None)]
@@ -374,16 +368,16 @@ def at_times(t: Vec, series: Series, hold: bool) -> Vec:
 
 
 _LEAST_ROWS = 10
-_SHARE = 0.2  # of rows that lack one of the two; fewer are single cells that went missing, which are named
+_SHARE = 0.2  # of rows that lack one of the two; fewer are single missing cells, which are named
 _EVEN = 3.0  # times the median: a longer run of empty cells is a dropout
 
 
 def is_merged(command: Vec, angle: Vec) -> bool:
-    """Whether command and angle of a table lie in separate rows, so that empty cells are no lost values.
+    """Whether command and angle of a table are in separate rows, so that empty cells are no lost values.
 
-    So it is where at least a fifth of the rows hold one of the two signals only, and one of these is true: the command
-    is in every row that holds the angle; fewer than half of the rows hold both; or the command has a value every few
-    rows throughout. A command that is missing for a while among complete rows is lost.
+    At least a fifth of the rows must hold only one of the two signals, and one of these must be true: the command is in
+    every row with the angle; fewer than half of the rows hold both; or the command has a value every few rows
+    throughout. A command missing for a while among complete rows is lost.
     """
     has_command, has_angle = ~np.isnan(command), ~np.isnan(angle)
     one, both = has_command ^ has_angle, has_command & has_angle
@@ -395,7 +389,7 @@ def is_merged(command: Vec, angle: Vec) -> bool:
 
 
 def filled_rows(t: Vec, values: Vec) -> Series:
-    """Signal of a table in the rows that hold a value of it."""
+    """Values of a signal in the nonempty rows of a table."""
     there = ~np.isnan(values) & np.isfinite(t)
     return Series(t[there], values[there])
 
@@ -405,7 +399,7 @@ def merged(t: Vec, command: Vec, angle: Vec, channels: Mapping[str, Vec]) -> tup
 
     Returns:
         rows of the table, (T,); time; the command, which keeps its last value until the next one; channels,
-        interpolated between their own rows.
+        interpolated between their rows.
     """
     u = filled_rows(t, command)
     inside = ~np.isnan(angle) & np.isfinite(t)
@@ -417,7 +411,7 @@ def merged(t: Vec, command: Vec, angle: Vec, channels: Mapping[str, Vec]) -> tup
 
 
 def merged_note(command: Vec, angle: Vec) -> str:
-    """Note on a log whose signals lie in separate rows."""
+    """Note on a log with signals in separate rows."""
     return (
         f"signals lie in rows of their own: {np.count_nonzero(~np.isnan(command))} of the command, "
         f"{np.count_nonzero(~np.isnan(angle))} of the angle; the command keeps its value until its next row"

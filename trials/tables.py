@@ -1,4 +1,4 @@
-"""Tables: named columns of delimited text, of sheets and of data frames; a bad cell is named by its row and column."""
+"""Tables: named columns of delimited text, of sheets and of data frames; errors name the row and column of a cell."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ from .formats import seconds_since_first
 from .types import Vec
 
 BLANK = " "
-"""The delimiter of cells that one or several blanks separate."""
+"""Delimiter of cells separated by one or several blanks."""
 
 MOST_COLUMNS = 4096
 
 _DELIMITERS = (",", ";", "\t", "|", BLANK)
-_SAMPLE, _LETTERS = 400, 200_000  # most rows, and letters in all, that tell the layout
+_SAMPLE, _LETTERS = 400, 200_000  # greatest number of rows and characters used to detect the layout
 _COMMENTS = ("#", "%", "//")
 _UNIT_WORDS = """
 s sec secs second seconds ms msec us usec ns min h hour hours d day days hz khz mm um nm cm m in inch deg rad ° degree
@@ -41,10 +41,9 @@ class Grid:
     """Location of a table among rows of text or of a sheet.
 
     Attributes:
-        delimiter: of the cells; empty where they are apart already.
-        header_row: index of the row that holds them, or of the first row of data.
-        units: cells of the row of units below the header; empty where there is none.
-        start, stop: rows of data, by index.
+        delimiter: of the cells; empty if they are separate already.
+        header_row: index of the header, or of the first row of data.
+        units: cells of the row of units below the header; empty if there is none.
     """
 
     delimiter: str
@@ -56,7 +55,7 @@ class Grid:
 
 
 def cells_of(line: str, delimiter: str) -> list[str]:
-    """The cells of one row of text, stripped."""
+    """Cells of one row of text, stripped."""
     if not line:
         return []
     if delimiter == BLANK and '"' not in line:
@@ -65,7 +64,7 @@ def cells_of(line: str, delimiter: str) -> list[str]:
         try:
             cells = [cell.strip() for cell in next(csv.reader([line], delimiter=delimiter), [])]
             return [cell for cell in cells if cell] if delimiter == BLANK else cells
-        except csv.Error:  # a cell longer than any
+        except csv.Error:  # a cell beyond the length limit
             return [line]
     return [cell.strip() for cell in line.split(delimiter)]
 
@@ -73,10 +72,10 @@ def cells_of(line: str, delimiter: str) -> list[str]:
 def grid_of_lines(lines: Sequence[str], source: str, wanted: Iterable[str] = ()) -> Grid:
     """Locate the table in lines of text, one of which is not blank.
 
-    The delimiter is the one that leaves the greatest share of cells with a number, a date or a time.
+    The delimiter is the one with the greatest share of cells that hold a number, a date or a time.
 
     Raises:
-        LogError: if there are no rows, or more columns than in any log.
+        LogError: if there are no rows, or more columns than the limit.
     """
     sample: list[int] = []
     letters = 0
@@ -111,7 +110,7 @@ def grid_of_cells(rows: Sequence[Sequence[str]], source: str, wanted: Iterable[s
     """Locate the table among rows of cells, such as those of a sheet; see `grid_of_lines`.
 
     Raises:
-        LogError: if all are empty, or there are more columns than in any log.
+        LogError: if all are empty, or there are more columns than the limit.
     """
     sample = [k for k, row in enumerate(rows) if any(row)][:_SAMPLE]
     if not sample:
@@ -121,7 +120,6 @@ def grid_of_cells(rows: Sequence[Sequence[str]], source: str, wanted: Iterable[s
 
 
 def _uncommented(line: str) -> str:
-    """A row without the mark of a comment at its beginning."""
     for mark in _COMMENTS:
         if line.lstrip().startswith(mark):
             return line.lstrip().lstrip(mark[0]).lstrip(" ")
@@ -129,7 +127,7 @@ def _uncommented(line: str) -> str:
 
 
 def _judged(cells: Sequence[str]) -> tuple[int, int, int]:
-    """Counts of a row: cells, cells with a value, cells with anything else."""
+    """Counts of a row: cells, cells with a value, other nonempty cells."""
     known = [cell for cell in cells if cell.lower() not in MISSING]
     values = sum(map(is_value, known))
     return len(cells), values, len(known) - values
@@ -160,7 +158,6 @@ def _located(
     source: str,
     wanted: Iterable[str],
 ) -> Grid:
-    """Header, units, and first and last row of data."""
     judged = {k: _judged(cells(k)) for k in sample}
     data = next((k for k in sample if judged[k][0] == width and _is_data(judged[k])), None)
     if data is None:  # names alone, or cells of which none is a number
@@ -189,7 +186,6 @@ def _located(
 
 
 def _names(cells: list[str], delimiter: str) -> tuple[str, ...]:
-    """Cells of a row of names, without the mark of a comment and the empty cells at its end."""
     first = _uncommented(cells[0]).strip() if cells else ""
     names = [first, *cells[1:]] if first or delimiter != BLANK else cells[1:]
     while names and not names[-1]:
@@ -223,15 +219,14 @@ class LogTable:
     """Columns of one file or data frame.
 
     Attributes:
-        header: names of all columns in the order of the file; `[0]`, `[1]`, ... where no row names them.
-        numbers: columns of numbers, each (T,), not-a-number where the cell is empty or says so.
-        texts: columns of anything else, each of length T.
-        times: names of the columns of `numbers` that were dates or times of day; they are in seconds since the first.
-        units: what a row of units below the header says, by name of the column.
-        named: whether a row of the file names the columns.
-        header_row: row of the names, counted from 1.
-        faults: of a column that holds numbers and something else: first such sample, and what to add to its error.
-        rows: finds the rows again, to name them in messages; none of a data frame.
+        header: names of all columns in the order of the file; `[0]`, `[1]`, ... without a header row.
+        numbers: columns of numbers, each (T,), not-a-number for empty cells and marks of missing values.
+        texts: other columns, each of length T.
+        times: names of the columns of `numbers` that were dates or times of day; seconds since the first.
+        units: entries of a row of units below the header, by column.
+        header_row: row of the header, counted from 1.
+        faults: for a column that mixes numbers and other cells: first such sample, and an addition to its error.
+        rows: function that rereads the rows for messages; None for a data frame.
     """
 
     source: str
@@ -246,14 +241,14 @@ class LogTable:
     rows: Callable[[], Sequence[Row]] | None = None
 
     def locate(self, sample: int, column: str) -> tuple[int, str]:
-        """Row and text of one cell; rows of a file count from 1, as an editor shows them, of a data frame from 0."""
+        """Row and text of one cell; rows of a file count from 1, as in an editor, of a data frame from 0."""
         if self.rows is None:
             return sample, str(self.texts[column][sample] if column in self.texts else self.numbers[column][sample])
         number, cells = self.rows()[sample]
         return number, cells[self.header.index(column)].strip()
 
     def renamed(self, header: tuple[str, ...]) -> LogTable:
-        """The table with other names of its columns, in their order."""
+        """Copy of the table with new column names, in order."""
         new = dict(zip(self.header, header, strict=True))
         return replace(
             self,
@@ -293,7 +288,7 @@ class FrameLike(Protocol):
         ...
 
     def __getitem__(self, name: Any, /) -> Any:
-        """One column, as `numpy.asarray` takes it."""
+        """Column as `numpy.asarray` accepts it."""
         ...
 
 
@@ -325,10 +320,10 @@ def frame_table(frame: FrameLike) -> LogTable:
 
 
 def text_table(lines: Sequence[str], source: str, wanted: Iterable[str] = ()) -> LogTable:
-    """Columns of delimited text, wherever in it the table lies; see `grid_of_lines`.
+    """Columns of delimited text with the table at any position; see `grid_of_lines`.
 
-    A last line that has no line end and too few cells was cut off while it was written: it is left out. A column that
-    holds both numbers and texts is left to `texts`, with a fault.
+    A last line without line end and with too few cells was cut off while it was written: it is left out. A column with
+    both numbers and texts is stored in `texts`, with a fault.
     """
     grid = grid_of_lines(lines, source, wanted)
     header = grid.header or _numbered(len(cells_of(lines[grid.start], grid.delimiter)))
@@ -365,7 +360,7 @@ def sheet_table(rows: Sequence[Sequence[str]], source: str, wanted: Iterable[str
 
 
 def read_table(lines: Sequence[str], source: str) -> LogTable:
-    """Columns of a text that this package wrote, in which a column is all numbers or all text.
+    """Columns of a text written by this package, in which a column is all numbers or all text.
 
     Raises:
         LogError: see `text_table`; also on text among numbers, named by row and column.
@@ -412,7 +407,6 @@ def _require_once(header: Sequence[str], where: str) -> None:
 
 
 def _rows(lines: Sequence[str], grid: Grid, source: str) -> Iterable[Row]:
-    """Every row of data that is neither blank nor a comment."""
     if grid.delimiter == BLANK or not any('"' in line for line in lines[grid.start :]):
         for k in range(grid.start, len(lines)):
             cells = cells_of(lines[k], grid.delimiter)
@@ -434,7 +428,6 @@ def _is_comment(cells: Sequence[str]) -> bool:
 
 
 def _checked(rows: Iterable[Row], header: Sequence[str], source: str) -> list[Row]:
-    """Rows of the width of the header, without empty cells at their end."""
     kept, width = [], len(header)
     for number, cells in rows:
         if len(cells) != width and (len(cells) < width or any(cells[width:])):
@@ -448,7 +441,7 @@ def _columns(rows: Sequence[Row], width: int) -> list[list[str]]:
 
 
 def _fast(lines: Sequence[str], delimiter: str, width: int) -> Vec | None:
-    """Fast conversion of all cells to numbers (T, width); None if some need conversion cell by cell."""
+    """Fast conversion of all cells to numbers (T, width); None if a cell needs separate conversion."""
     if delimiter != BLANK and {line.count(delimiter) for line in lines if line} != {width - 1}:
         return None
     if delimiter != "," and any("," in line for line in lines):

@@ -26,13 +26,12 @@ _LONGEST_SOURCE = 100  # characters of a path in a line
 
 @dataclass(frozen=True)
 class Units:
-    """Units of command and angle, as tables, reports and files print them.
+    """Units of command and angle, as in tables, reports and files.
 
     Attributes:
         command: of the command, such as tendon travel mm or pressure bar.
-        angle: of the output, a tip angle in deg unless the log has another.
-        inverse: whether command and angle have changed places; where left out, whether the command is in deg and the
-            output is not.
+        angle: of the output, such as a tip angle in deg.
+        inverse: whether command and angle are exchanged; by default, whether only the command is in deg.
     """
 
     command: str = "mm"
@@ -58,8 +57,7 @@ class Trial:
         command: tendon travel [mm] or pressure [bar], shape (T,).
         angle: tip angle [deg], shape (T,).
         channels: further named signals, each of shape (T,), in the units of the log; may hold not-a-number.
-        units: units of command and angle.
-        source: where the trial came from (a file's path), for messages and reports.
+        source: origin of the trial (a file's path), for messages and reports.
         command_noise: standard deviation of the noise that was taken off the recorded command, in its unit; 0 for none.
 
     Raises:
@@ -108,7 +106,7 @@ class Trial:
         return in_brief(self, f"{source}: {len(self)} samples in {self.duration_s:.4g} s, {units}")
 
     def __reduce__(self) -> tuple[type[Trial], tuple[object, ...]]:
-        # A mapping proxy cannot be pickled, and trials travel to worker processes.
+        # A mapping proxy cannot be pickled, and trials are sent to worker processes.
         signals = self.t, self.command, self.angle, dict(self.channels)
         return Trial, (*signals, self.units, self.source, self.command_noise)
 
@@ -139,7 +137,7 @@ class Trial:
         return replace(self, t=self.t[part], command=self.command[part], angle=self.angle[part], channels=channels)
 
     def plot(self) -> Figure:
-        """Angle and command over time, and the angle over the command: the hysteresis loop."""
+        """Draw angle and command over time, and the angle over the command: the hysteresis loop."""
         from .report import COMMAND, MEASURED, new_figure  # matplotlib takes longer to import than a trial to read
 
         angle, command = f"angle [{self.units.angle}]", f"command [{self.units.command}]"
@@ -169,7 +167,6 @@ class Trial:
 
 
 def _vector(values: ArrayLike, name: str, source: str) -> Vec:
-    """Read-only copy of `values` with one dimension."""
     vector = np.array(values, dtype=np.float64)
     if vector.ndim != 1:
         raise LogError(f"{source}: {name} has shape {vector.shape}, expected one dimension (T,)")
@@ -211,8 +208,8 @@ GAP_INTERVALS = 3.0
 """A gap is also at least this many median sample intervals, so that slow logs are not all gaps."""
 
 PART_S, LEFT_OUT = 5.0, 0.1
-"""Parts of a log between gaps that are shorter [s] are left out, up to this share of the log: a part begins in motion,
-with a history that nobody knows. The longest part always counts."""
+"""Shortest part of a log between gaps [s], and greatest share of the log left out with shorter ones, which begin in
+motion with an unknown history. The longest part always counts."""
 
 _RATE_MARGIN = 1.5  # a grid this much finer than the log itself would only invent samples
 
@@ -223,9 +220,9 @@ def gap_limit_s(median_interval_s: float) -> float:
 
 
 def parts_at_gaps(trial: Trial) -> tuple[Trial, ...]:
-    """Cut a trial at its gaps and drop parts that are too short, see `PART_S`.
+    """Cut a trial at its gaps and drop parts shorter than `PART_S`.
 
-    Time keeps its origin. Of several parts each says in its source from when it is.
+    Time keeps its origin. With several parts, the source of each names its time range.
 
     Raises:
         LogError: if the parts that are too short make more than `LEFT_OUT` of the trial.
@@ -247,7 +244,6 @@ def parts_at_gaps(trial: Trial) -> tuple[Trial, ...]:
 
 
 def _widest_gap(trial: Trial, limit: float) -> str:
-    """Beginning of an error line: the widest gap."""
     intervals = np.diff(trial.t)
     k = int(np.argmax(intervals))
     return (
@@ -257,7 +253,7 @@ def _widest_gap(trial: Trial, limit: float) -> str:
 
 
 class SlowLogError(LogError):
-    """A log has too few samples for a rate: a finer grid would only invent them."""
+    """Error on a log with too few samples for a rate: interpolation would add no information."""
 
     def __init__(self, source: str, log_hz: float, asked: str, remedy: str = "") -> None:
         super().__init__(
@@ -267,18 +263,18 @@ class SlowLogError(LogError):
         self.source, self.log_hz, self._rest = source, log_hz, (asked, remedy)
 
     def __reduce__(self) -> tuple[type[SlowLogError], tuple[object, ...]]:
-        return SlowLogError, (self.source, self.log_hz, *self._rest)  # it travels out of worker processes
+        return SlowLogError, (self.source, self.log_hz, *self._rest)  # for transfer from worker processes
 
 
 def resample(trial: Trial, rate_hz: float) -> Trial:
     """Interpolate all signals linearly onto t[0] + k / rate_hz, up to the last sample.
 
-    Short parts beside a gap are left out first (`parts_at_gaps`). There is no anti-aliasing filter: a command that a
+    Short parts next to a gap are left out first (`parts_at_gaps`). There is no anti-aliasing filter: a command that a
     controller sent is not band-limited, and a filter would shift its turning points.
 
     Raises:
         ConfigError: if the rate is not a positive number.
-        SlowLogError: on a rate above 1.5 times the log's own.
+        SlowLogError: on a rate above 1.5 times that of the log.
         LogError: at a gap, or if the trial is shorter than one interval.
     """
     positive_rate(rate_hz)
@@ -297,7 +293,7 @@ def resample(trial: Trial, rate_hz: float) -> Trial:
 
 
 def require_uniform(trial: Trial) -> float:
-    """Sample interval [s] of a trial on a uniform grid.
+    """Return the sample interval [s] of a uniformly sampled trial; refuse others.
 
     Raises:
         LogError: if an interval differs from the median by more than 1 %.

@@ -1,4 +1,4 @@
-"""Types that all rooms use: arrays with time as first axis, and the progress of a long computation."""
+"""Types common to all modules: arrays with time as first axis, and the progress of a long computation."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 Vec = NDArray[np.float64]
-"""One number a sample or a parameter (T,); also where the axes are named at the place."""
+"""Array with one number per sample or parameter (T,), or with other axes where stated."""
 
 Mat = NDArray[np.float64]
-"""Rows by columns, such as samples by parameters (T, P)."""
+"""Matrix, such as samples by parameters (T, P)."""
 
 Mask = NDArray[np.bool_]
-"""Whether each sample counts (T,)."""
+"""Mask of the samples that count (T,)."""
 
 Index = NDArray[np.intp]
 """Numbers of samples or rows (N,)."""
@@ -44,4 +44,4 @@ def parts(progress: Progress | None, seconds: Sequence[float]) -> tuple[Progress
 
 
 def no_progress(done: float, total: float, note: str = "", /) -> None:
-    """A `Progress` that shows nothing."""
+    """Progress callback without any effect."""

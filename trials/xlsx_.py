@@ -14,7 +14,7 @@ from .formats import reading
 from .tables import MOST_COLUMNS, LogTable, sheet_table
 
 MOST_BYTES = 1 << 28
-"""Of all parts of a workbook, unpacked: a million rows of four columns have half of it."""
+"""Greatest unpacked size of a workbook; a million rows of four columns have half of it."""
 
 _MOST_PARTS, _MOST_ROWS, _MOST_SHEETS = 2000, 1_048_576, 50
 _MOST_CELLS = 20_000_000
@@ -25,10 +25,9 @@ _UTF_16 = (b"<\0", b"\0<", b"\xff\xfe", b"\xfe\xff")
 
 
 def open_xlsx(path: Path | str, wanted: Iterable[str] = ()) -> LogTable:
-    """Read the sheet of a workbook that holds most of the wanted names, otherwise the first one with a table.
+    """Read the sheet of a workbook with most of the wanted names, otherwise the first one with a table.
 
-    Formulas count with the values that they had when the workbook was saved; dates and times of day are seconds since
-    the first.
+    Formulas have their values at the time of saving; dates and times of day are seconds since the first.
 
     Raises:
         LogError: if `openpyxl` is not installed, the file is no workbook, unpacks to more than `MOST_BYTES`, or no
@@ -49,17 +48,16 @@ def open_xlsx(path: Path | str, wanted: Iterable[str] = ()) -> LogTable:
 
 
 def _sheets(path: Path | str) -> list[tuple[str, list[list[str]]]]:
-    """Title and cells of every sheet."""
     from openpyxl import load_workbook
 
     _require_bounded(path)
     sheets, left = [], _MOST_CELLS
-    with warnings.catch_warnings(), Path(path).open("rb") as file:  # of a path, the library asks for its ending
-        warnings.simplefilter("ignore")  # of styles and extensions that are not kept
+    with warnings.catch_warnings(), Path(path).open("rb") as file:  # for a path the library would require an ending
+        warnings.simplefilter("ignore")  # on ignored styles and extensions
         book = load_workbook(file, read_only=True, data_only=True, keep_links=False)
         try:
             for sheet in book.worksheets[:_MOST_SHEETS]:
-                sheet.reset_dimensions()  # what the file says of them is often wrong
+                sheet.reset_dimensions()  # stored dimensions are often wrong
                 rows: list[list[str]] = []
                 filled = 0
                 for row in sheet.iter_rows(max_row=_MOST_ROWS, values_only=True):
@@ -85,7 +83,6 @@ def _texts(row: Sequence[Any]) -> list[str]:
 
 
 def _text(value: Any) -> str:
-    """A cell as a text file would hold it."""
     if value is None:
         return ""
     if isinstance(value, bool):
@@ -100,7 +97,7 @@ def _text(value: Any) -> str:
 
 
 def _require_bounded(path: Path | str) -> None:
-    """Refuse a workbook that unpacks to too much, or whose XML defines entities."""
+    """Refuse a workbook with a too large unpacked size, or whose XML defines entities."""
     with zipfile.ZipFile(path) as archive:
         parts = archive.infolist()
         size = sum(part.file_size for part in parts)

@@ -26,19 +26,19 @@ _BIAS, _AMBIGUOUS, _SURE, _GENERIC = 1.4, -1.85, 1.45, -1.1
 _UNTRIED = -2.0  # set by judgement, not fitted: keeps the probability below 0.8
 _DRAWS = 300
 
-_NEARER = 0.2  # how much nearer the measurement is to the chosen explanation than to another, -1 to 1 ...
+_NEARER = 0.2  # least preference of the measurement for the chosen explanation over another, -1 to 1 ...
 _NEARER_ERRORS = 1.5  # ... and by how many standard errors, for the two to be told apart
 _TIMING_ERRORS, _QUICK_ERRORS = 2.0, 3.0  # the same for lag, delay and rate dependence, held out in parts, or quick
 _SIGNIFICANT_DRIFT = 3.0  # standard errors by which a drift shows within trials
 _SCATTER = 0.01  # chance by which shifts that scatter follow the clock so well, below which they are a drift
-_SIMPLICITY = 0.04  # share of the structural error that a resample has to gain by one more cause
+_SIMPLICITY = 0.04  # least share of the structural error explained by one more cause in a resample
 
 
 def ambiguity_of(selection: Selection, drift_shows: Callable[[Hypothesis], bool]) -> tuple[tuple[str, ...], ...]:
     """Sets of effects that explain the development trials equally well, the chosen effect first.
 
-    A drift and shifts between trials are told apart by the drift within the trials, or by shifts that follow the clock
-    as scatter does not.
+    A drift and shifts between trials are distinguished by the drift within the trials, or by shifts that follow the
+    clock more closely than by chance.
     """
     chosen, sets = selection.chosen, []
     names = chosen.hypothesis.effects
@@ -62,11 +62,9 @@ def ambiguity_of(selection: Selection, drift_shows: Callable[[Hypothesis], bool]
 
 
 def _distinguishable(chosen: HeldOutErrors, other: HeldOutErrors) -> bool:
-    """Whether held-out trials are significantly closer to the chosen prediction than to the other one.
+    """Whether held-out trials are significantly closer to the chosen prediction a than to the other one b.
 
-        (|y - b|^2 - |y - a|^2) / |a - b|^2  =  1 - 2 (y - a) . (b - a) / |a - b|^2
-
-    with predictions a, b and measurement y is 1 where a is true, -1 where b is, and 0 where the truth lies half way.
+    (|y - b|^2 - |y - a|^2) / |a - b|^2 = 1 - 2 (y - a) . (b - a) / |a - b|^2 is 1 if a is true, -1 if b is true.
     """
     if chosen.parts is not None and other.parts is not None:
         held_out, quick = timing_errors(other, chosen)
@@ -76,17 +74,14 @@ def _distinguishable(chosen: HeldOutErrors, other: HeldOutErrors) -> bool:
 
 
 def _follows_line(share: float, trials: int) -> bool:
-    """Whether the shifts of the trials follow a line over time more closely than independent shifts do by chance.
-
-    The share r^2 of independent normal shifts has the distribution Beta(1/2, (N - 2)/2).
-    """
+    """Whether trial shifts follow a line over time: r^2 of N independent normal ones is Beta(1/2, (N - 2)/2)."""
     return trials > 2 and bool(beta.sf(min(share, 1.0), 0.5, 0.5 * (trials - 2)) < _SCATTER)
 
 
 def drift_is_significant(validation: CrossValidation, hypothesis: Hypothesis) -> bool:
-    """Whether a drift shows within the development runs when each run may also have an individual shift.
+    """Whether the development runs show a drift even if each run may have an individual shift.
 
-    Its rate has to differ from zero in the direction that it had without shifts.
+    The rate must differ from zero in the direction of the fit without shifts.
     """
     problem = hypothesis.problem
     values = [list(v.values()) for v in problem.effect_values(hypothesis.q)]
@@ -129,10 +124,10 @@ def probability(name: str, share: float, ambiguous: bool, stability: float, untr
         logit P = b_0 + b_1 ambiguous + b_2 sure + b_3 generic (1 - sure) + b_4 untried,    sure = share stability^2
 
     Args:
-        share: of the structural gap that it closes, 0 to 1.
+        share: of the structural gap closed by the effect, 0 to 1.
         ambiguous: whether another effect could replace it.
         stability: share of other splits of the trials with the same verdict, 0 to 1.
-        untried: whether the library lacks an effect with which it can be confounded.
+        untried: whether the library lacks an effect that is confusable with it.
     """
     sure = min(max(share, 0.0), 1.0) * stability**2
     generic = name in EFFECTS and EFFECTS[name].generic  # it can imitate almost any other: its name is less certain
@@ -141,11 +136,9 @@ def probability(name: str, share: float, ambiguous: bool, stability: float, untr
 
 
 def limited_by_inclusion(chance: float, inclusion: float) -> float:
-    """Probability of an effect, bounded by its inclusion in the resamples.
+    """Probability of an effect, limited by its inclusion in the resamples: P <= (1 + inclusion) / 2.
 
-        P <= (1 + inclusion) / 2
-
-    An effect that no resample needs is not likelier than not, whatever it closes where it was chosen.
+    An effect that no resample needs is at most as likely as not, whatever share it closes.
     """
     return min(chance, 0.5 * (1 + min(max(inclusion, 0.0), 1.0)))
 
@@ -157,14 +150,12 @@ def ranking(
     library: Sequence[str],
     left_open: float = 1.0,
 ) -> tuple[tuple[str, float], ...]:
-    """Effects of the library by probability, highest first; of equal ones the chosen effect comes first.
+    """Effects of the library by probability, highest first; among equal ones the chosen effect comes first.
 
-    Effects that could replace a chosen one share the probability that it leaves; the others have half of that times
-    their inclusion. None is likelier than what it could replace, or than the likeliest that was chosen.
+    Effects that could replace a chosen one share its remaining probability; the others have half of that times their
+    inclusion. None exceeds the effect that it could replace, or the most probable chosen one.
 
     Args:
-        chosen: probability of each identified effect.
-        inclusion: share of the resamples in whose best explanation each effect is.
         ambiguity: sets of effects that could replace each other, the chosen one first.
         left_open: probability of an effect that the verdict does not name.
     """

@@ -1,4 +1,4 @@
-"""Attribution: the causes of a gap, selected on the development trials and confirmed on the final ones."""
+"""Attribution: selection of the causes of a gap on the development trials, and their test on the final ones."""
 
 from __future__ import annotations
 
@@ -32,8 +32,7 @@ from .verdict import AT_FLOOR, WIDTH_GROWN, FinalFacts, VerdictDecision, Verdict
 
 _PREDICTABLE = 0.5  # of the retuned error: largest part of it that jumps may add to the floor of the selection
 _NOISE_SHARE, _MENDED_SHARE = 0.3, 0.1  # of the remaining error: noise and resolution, outliers and dropouts, to count
-# Share of the retuned error from which steps that the readings did not have are named where there is no other gap: the
-# log itself proves them.
+# Least share of the retuned error for naming new steps of the readings without another gap: the log itself proves them.
 _STEP_SHARE = 0.005
 
 
@@ -44,8 +43,7 @@ class Attribution:
     Attributes:
         validation: development runs, on which hypotheses are fitted and compared.
         inclusion: share of block resamples in which each effect is chosen.
-        jumps: of the tip in steady motion, where they are the sign of stick-slip.
-        facts: what the verdict depends on, but for the final trials.
+        jumps: of the tip in steady motion, if they indicate stick-slip.
     """
 
     validation: CrossValidation
@@ -58,11 +56,11 @@ class Attribution:
 
 @dataclass(frozen=True, eq=False)
 class Conclusion:
-    """Verdict, and the errors on the final trials that belong to it.
+    """Verdict, and the errors on the final trials.
 
     Attributes:
-        facts: what it depends on, less the causes that did not surely lower the error of the final trials.
-        chosen: the corrected simulator; the retuned one where no effect is the explanation.
+        facts: without the causes that did not significantly lower the error of the final trials.
+        chosen: the corrected simulator; the retuned one if no effect is the explanation.
         floor: from repeats or noise, with the corrected simulator.
     """
 
@@ -83,7 +81,7 @@ def attribute(
 ) -> Attribution:
     """Select the causes on the development trials, without the effects `left_out`.
 
-    `advance` is called with the share of the present round of the selection and the effect that is tried.
+    `advance` is called with the share of the present round of the selection and the effect under test.
     """
     jumps = find_jumps(prepared.everything, retuned, prepared.signs)
     unusable = bool(prepared.too_little or prepared.checked.unrelated)
@@ -133,11 +131,11 @@ def attribute(
 def usable_effects(
     prepared: PreparedTrials, in_core: Iterable[str], left_out: Sequence[str], runs: Sequence[Run]
 ) -> tuple[Candidate, ...]:
-    """Candidate effects that these trials can test; without a known order of recording, none that depends on it.
+    """Candidate effects that these trials can test; without recording order none that depends on it.
 
     Args:
-        in_core: effects that the core of the nominal simulator has a parameter for.
-        runs: that size the effects.
+        in_core: effects with a parameter in the core of the nominal simulator.
+        runs: runs from which the sizes of the effects are estimated.
     """
     made = candidates(Scale.of(runs), in_core, left_out)
     if prepared.order == "known":
@@ -146,15 +144,15 @@ def usable_effects(
 
 
 def drift_test(validation: CrossValidation) -> Callable[[Hypothesis], bool]:
-    """Test for a significant drift within trials; each hypothesis is fitted once."""
+    """Test for a significant drift within trials that fits each hypothesis only once."""
     return functools.cache(lambda h: drift_is_significant(validation, h))
 
 
 def confirm(prepared: PreparedTrials, attribution: Attribution, seed: int) -> Conclusion:
-    """Evaluate the final trials with the selected causes and decide the verdict; drop causes that they do not confirm.
+    """Evaluate the final trials with the selected causes, drop causes without confirmation, and decide the verdict.
 
-    A cause whose interval of the closed share reaches zero on the final trials is dropped; all of them are where the
-    interval of what they close together does.
+    A cause is dropped if the interval of its closed share contains zero on the final trials; all are dropped if that of
+    their common closed share does.
     """
     retuned, facts = attribution.retuned, attribution.facts
     provisional = decide_verdict(facts)
@@ -177,7 +175,7 @@ def confirm(prepared: PreparedTrials, attribution: Attribution, seed: int) -> Co
         facts, chosen, floor, closed = _confirmed_causes(prepared, attribution, facts, retuned, seed)
         decision = decide_verdict(replace(facts, final=final))
     if decision.verdict == "unknown" and repeatable.kind == "repeats" and _at_floor(closed, repeatable.rmse_deg):
-        # What differs between repeats is the gap, not its floor.
+        # The differences between repeats are the gap, not its floor.
         floor = NoiseFloor(repeatable.noise_deg, "noise", repeatable.noise_deg)
         closed = FinalErrors(prepared, attribution.validation, retuned, retuned, floor, decision.sensor, seed).closed()
     differ_deg = repeatable.rmse_deg if repeatable.kind == "repeats" else math.nan
@@ -186,10 +184,7 @@ def confirm(prepared: PreparedTrials, attribution: Attribution, seed: int) -> Co
 
 
 def as_given_if_better(prepared: PreparedTrials, attribution: Attribution) -> Attribution:
-    """Replace the retuned simulator by the one as given where retuning raises the error of the final trials.
-
-    As a cause is dropped that does not lower that error: numbers that fit the development trials alone are no better.
-    """
+    """Return to the simulator as given if retuning raises the error of the final trials."""
     problem = attribution.retuned.problem
     given = Hypothesis(problem, problem.as_given, math.nan)
     given = replace(given, mse=attribution.validation.fitted_errors(given).mse)
@@ -212,14 +207,12 @@ def _confirmed_causes(
 
 
 def _at_floor(closed: GapClosed, floor_deg: float) -> bool:
-    """Whether the retuned simulator leaves no more than a floor [deg] on the final trials."""
     return closed.gap.retuned_rmse_deg**2 < AT_FLOOR * floor_deg**2
 
 
 def _without_cause(
     attribution: Attribution, facts: VerdictFacts, chosen: Hypothesis, dropped: str
 ) -> tuple[VerdictFacts, Hypothesis]:
-    """Remove one cause from the facts and from the corrected simulator."""
     if dropped not in chosen.effects:
         if dropped == "sensor":
             return replace(facts, sensor=False, new_step=False), chosen
@@ -233,11 +226,7 @@ def _without_cause(
 
 
 def _sensor_matters(prepared: PreparedTrials, selection: Selection) -> bool:
-    """Whether sensor faults make up a large part of the remaining error, or exceed the model-form error by themselves.
-
-    White noise may be a disturbance that is faster than the log. Steps, outliers and held values are read off it.
-    Steps that the sensor had at identification are no fault of it.
-    """
+    """Whether sensor faults dominate the remaining error or exceed the model-form error; noise may be a disturbance."""
     signs, left, mended = prepared.signs, selection.chosen.mse, _repair_mse(prepared)
     noise = signs.energy if signs.noisy or (signs.coarse and prepared.excess_mse > 0) else 0.0
     good_part = noise > _NOISE_SHARE * left or mended > _MENDED_SHARE * left
@@ -251,15 +240,11 @@ def _repair_mse(prepared: PreparedTrials) -> float:
 
 
 def _is_gap(prepared: PreparedTrials, mse: float) -> bool:
-    """Whether the model-form error plus this error counts as a gap."""
     return 0 < (NO_GAP - 1) * prepared.form_mse <= mse
 
 
 def floor_of(prepared: PreparedTrials, hypothesis: Hypothesis) -> NoiseFloor:
-    """Noise floor of the residual, after correction by shifts and phases of single trials that a cause explains.
-
-    It is never less than the rounding of the readings, which leaves no noise where the angle rests.
-    """
+    """Noise floor of the residual, at least its rounding, after correction by shifts and phases of single trials."""
     problem = hypothesis.problem
     residuals = prepared.residuals(hypothesis)
     if problem.terms.names:
@@ -270,13 +255,13 @@ def floor_of(prepared: PreparedTrials, hypothesis: Hypothesis) -> NoiseFloor:
 
 @dataclass(frozen=True, eq=False)
 class Findings:
-    """Result of every step.
+    """Results of all steps of a diagnosis.
 
     Attributes:
-        detectable: the least size at which the trials would show each effect, from their commands alone.
-        localisation: of the retuned residual; None where there is none.
-        stability: of the verdict over resampled splits; None where the trials allow no choice.
-        left_out: effects that the library went without.
+        detectable: smallest detectable size of each effect, from the commands alone.
+        localisation: of the retuned residual; None without one.
+        stability: of the verdict over resampled splits; None if the trials allow no choice.
+        left_out: effects excluded from the library.
         seconds: duration of each step [s].
     """
 

@@ -1,4 +1,4 @@
-"""Closed gap: errors on the final trials without and with the causes, the share that each closes, and its interval."""
+"""Closed gap: errors on the final trials without and with the causes, the closed share of each, and its interval."""
 
 from __future__ import annotations
 
@@ -27,9 +27,8 @@ class ClosedShares:
     """Shares of the structural gap closed by the stages of a correction, on given trials.
 
     Attributes:
-        before: errors of the retuned simulator.
-        floor_mse: error that stays with any simulator [deg^2].
-        spread: half of a 90 % interval that is due to differences between trials, as a share of the closed share.
+        floor_mse: irreducible error of any simulator [deg^2].
+        spread: half of a 90 % interval due to differences between trials, relative to the closed share.
     """
 
     before: Blocks
@@ -42,7 +41,7 @@ class ClosedShares:
         return closed_share(self.before.mse, mse, self.floor_mse)
 
     def interval(self, before: Blocks, after: Blocks) -> Interval:
-        """90 % interval of the share that lies between two stages."""
+        """90 % interval of the share closed between two stages."""
         middle = self.closed(self.before.mse - before.mse + after.mse)
         return self._widened(middle, closed_interval(self.before, before, after, self.floor_mse, self.seed))
 
@@ -53,8 +52,8 @@ class ClosedShares:
 
             share_i = closed (E_without_i - E) / sum_j max(E_without_j - E, 0)
 
-        E_without_i is the error without cause i, the others fitted anew. The shares add up to what all close together.
-        The interval is that of the fall, blocks resampled together before and after.
+        E_without_i is the error without cause i after refitting the others. The shares add up to the common closed
+        share. The interval is that of the fall, with common block resamples before and after.
         """
         after = blocks(names)
         without = {name: blocks(names - {name}) for name in sorted(names)}
@@ -71,22 +70,21 @@ class ClosedShares:
         return shares
 
     def _widened(self, middle: float, ends: Interval) -> Interval:
-        """Interval widened by the scatter between trials."""
         further = self.spread * max(abs(middle), _LEAST_SIZE)
         return middle - float(np.hypot(middle - ends[0], further)), middle + float(np.hypot(ends[1] - middle, further))
 
 
 def closed_share(retuned_mse: float, with_mse: float, floor_mse: float) -> float:
-    """(MSE_retuned - MSE_with) / (MSE_retuned - MSE_floor), between -1 and 1; zero where there is no gap."""
+    """(MSE_retuned - MSE_with) / (MSE_retuned - MSE_floor), between -1 and 1; zero if there is no gap."""
     gap = retuned_mse - floor_mse
     return float(np.clip((retuned_mse - with_mse) / gap, -1.0, 1.0)) if gap > 0 else 0.0
 
 
 def closed_interval(retuned: Blocks, before: Blocks, after: Blocks, floor_mse: float, seed: int) -> Interval:
-    """90 % interval of the share that lies between two stages, blocks resampled together; zero without a gap.
+    """90 % interval of the share closed between two stages, with common block resamples; zero without a gap.
 
-    A resample may have less of a gap than the floor is high. Its fall then counts against a tenth of the whole gap, so
-    that the sign of the fall, which is what proves a cause, is kept.
+    The fall in a resample is divided by its gap, but at least by a tenth of the whole gap. This keeps the sign of the
+    fall, which is the evidence of a cause.
     """
     rng = np.random.default_rng(seed)
     draws = rng.integers(0, retuned.energy.size, (_DRAWS, retuned.energy.size))
@@ -99,14 +97,14 @@ def closed_interval(retuned: Blocks, before: Blocks, after: Blocks, floor_mse: f
     return float(low), float(high)
 
 
-# Of a 90 % interval; below a normal distribution's 1.645, since sessions have the same kinds of motion. Of 43 sessions
-# of development seeds 5801 and 5810 that were recorded again 39 lie within.
+# Of a 90 % interval; below a normal distribution's 1.645, since sessions have the same kinds of motion. Of 43 repeated
+# sessions of development seeds 5801 and 5810, 39 lie within.
 _TRIALS = 1.0
-_LEAST_FLOOR = 0.02  # share of the floor that stays when a sensor's noise is taken off it
+_LEAST_FLOOR = 0.02  # least remaining share of the floor after subtraction of a sensor's noise
 _LEAST_DEG = 1e-6
 _GAP_FACTOR = 2.0  # of the floor, from which a single trial counts for the spread of shares
 _UNKNOWN_SPREAD = 0.1
-_LEAST_SHARE = 0.05  # of the structural gap, for jumps and for what another effect could replace
+_LEAST_SHARE = 0.05  # of the structural gap, for jumps and for effects that another could replace
 
 
 @dataclass(frozen=True)
@@ -114,10 +112,9 @@ class ClosedByCause:
     """Share of the gap closed by one cause.
 
     Attributes:
-        share: of the structural gap, by what comes back without this cause.
+        share: of the structural gap, by the error that returns without this cause.
         ci90: 90 % interval of it.
         rmse_without_deg: RMSE without this cause, the others present [deg].
-        parameters: identified values by name.
     """
 
     share: float
@@ -135,12 +132,11 @@ class GapClosed:
     spread: float
 
     def unproven(self, replaceable: Container[str] = ()) -> str:
-        """The cause that is least certain to lower the error of the final trials; empty where all are certain.
+        """Cause with the least certain fall of the final error; empty if all are certain.
 
-        The 90 % interval of what it closes has to lie above zero, that of all causes together, too. Faults of the
-        sensor are proven by the log itself, and may be rare: a resample without those few blocks is no evidence
-        against them. Beside others a cause that could be replaced has to close 5 % of the gap: so little that several
-        effects explain is the form error of the others.
+        The 90 % interval of each closed share, and of their sum, must be above zero. Faults of the sensor need no such
+        test: the log shows them, and resamples may lack rare faults. A cause that could be replaced must close 5 % of
+        the gap beside others, since a smaller share may be the form error of the others.
         """
         sensor = self.causes.get("sensor")
         if sensor and sensor.share <= 0:
@@ -153,36 +149,35 @@ class GapClosed:
 
     @property
     def moved(self) -> float:
-        """Error of the simulator as given over that of the retuned one, mean squares."""
+        """Ratio of mean square errors: simulator as given over retuned simulator."""
         return (self.gap.nominal_rmse_deg / max(self.gap.retuned_rmse_deg, _LEAST_DEG)) ** 2
 
 
 def negligible_cause(shares: Mapping[str, float], replaceable: Container[str]) -> str:
-    """Name of the replaceable cause with the smallest closed share, if that is below 5 %; empty where there is none."""
+    """Name of the replaceable cause with the smallest closed share, if that is below 5 %; otherwise empty."""
     small = [name for name in shares if name in replaceable and shares[name] < _LEAST_SHARE]
     return min(small, key=lambda name: shares[name]) if small and len(shares) > 1 else ""
 
 
 def without_sawtooth(blocks: Blocks, mse: float) -> Blocks:
-    """Errors with the energy of the jumps subtracted, block by block, not below zero."""
+    """Errors of each block after subtraction of the energy of the jumps, at least zero."""
     return replace(blocks, energy=np.maximum(blocks.energy - mse * blocks.samples, 0.0))
 
 
 @final
 class FinalErrors:
-    """Errors on the final trials of the simulator with any of its causes, and what these close.
+    """Errors of the simulator on the final trials with any subset of its causes, and the share that they close.
 
-    Noise of a faulty sensor and jumps of a tip that sticks cannot be predicted by a free run: their energy counts as
-    closed, that of jumps in each block up to a sawtooth of their height.
+    Noise of a faulty sensor and stick-slip jumps are unpredictable in a free run: their energy counts as closed, for
+    jumps in each block up to a sawtooth of their height.
 
     Attributes:
-        after: of the corrected simulator, without the excess noise of a faulty sensor where the sensor is a cause.
-        shares: what the causes close of the error of the retuned simulator, against the angles as measured.
+        after: of the corrected simulator, without excess noise of the sensor if the sensor is a cause.
+        shares: closed shares relative to the retuned simulator, against the angles as measured.
 
     Args:
         retuned, chosen: the simulator without and with its causes.
-        sensor: whether the sensor is a cause.
-        jumps: of the tip, where they are a cause.
+        jumps: of the tip, if they are a cause.
     """
 
     def __init__(
@@ -215,7 +210,7 @@ class FinalErrors:
         return replace(blocks, energy=energy if energy.sum() > 0 else np.zeros_like(energy))
 
     def _between_trials(self, floor_mse: float) -> float:
-        """Half of the 90 % interval that is due to differences between trials, as a share of the closed share."""
+        """Half of the 90 % interval due to differences between trials, relative to the closed share."""
         shares = []
         for run in self._prepared.counted:
             before, after = (
@@ -228,7 +223,7 @@ class FinalErrors:
         return _TRIALS * float(np.std(shares, ddof=1)) / float(np.sqrt(len(self._prepared.final)))
 
     def blocks(self, kept: frozenset[str]) -> Blocks:
-        """Errors with some of the causes, fitted anew on the development runs."""
+        """Errors with some of the causes, refitted on the development runs."""
         if kept not in self._parts:
             part = self._retuned
             if kept:
@@ -238,7 +233,7 @@ class FinalErrors:
         return self._parts[kept]
 
     def closed(self) -> GapClosed:
-        """Sizes of the gap, and what each cause closes; jumps that close less than 5 % of the gap are no cause."""
+        """Sizes of the gap, and the closed share of each cause; jumps that close less than 5 % are no cause."""
         chosen, prepared, shares, causes = self._chosen, self._prepared, self.shares, dict[str, ClosedByCause]()
         identified = _parameters(chosen, prepared)
         for name, (share, ci90) in shares.of_causes(chosen.effects, self.blocks).items():
@@ -283,7 +278,7 @@ class FinalErrors:
 
 
 def final_blocks(hypothesis: Hypothesis, runs: Sequence[Run]) -> Blocks:
-    """Errors of a fitted hypothesis on runs that its fit did not see."""
+    """Errors of a fitted hypothesis on runs outside its fit."""
     return blocks_of([hypothesis.problem.held_out_error(hypothesis.q, run) for run in runs], runs)
 
 
@@ -299,7 +294,6 @@ def measured_blocks(prepared: PreparedTrials, hypothesis: Hypothesis) -> Blocks:
 
 
 def _parameters(chosen: Hypothesis, prepared: PreparedTrials) -> dict[str, Mapping[str, float]]:
-    """Identified values by cause and name; for effects of single trials, statistics over the trials."""
     problem = chosen.problem
     parameters: dict[str, Mapping[str, float]] = dict(problem.identified(chosen.q))
     if problem.terms.frequency_hz:

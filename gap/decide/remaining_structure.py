@@ -1,4 +1,4 @@
-"""Structure of motion and error that tells of a cause: stick-slip jumps, shifts of groups of trials, lack of fit."""
+"""Structure of motion and error that indicates a cause: stick-slip jumps, shifts of groups of trials, lack of fit."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ NAME = "configuration_change"
 SHIFT = "trial_shift"
 UNITS = {"offset_deg": "deg", "gain_share": "1", "width_deg": "deg"}
 _LEAST_OF_GROUP = 2
-# What shifts of 2 or 3 groups have to explain on trials left out, of what shifts of each trial explain.
+# Least share, on held-out trials, explained by shifts of 2 or 3 groups of that explained by shifts of each trial.
 _EXPLAINED = {2: 0.87, 3: 0.95}
 _RIDGE = 1e-9
 
@@ -32,8 +32,8 @@ class Configuration:
 
     Attributes:
         groups: names of the trials of each group, the largest group first.
-        sizes: greatest difference between groups, `offset_deg` [deg at the mean angle], `gain_share` of the gain and,
-            where the core has a width, `width_deg` [deg, what it moves the angle by].
+        sizes: greatest difference between groups: `offset_deg` [deg at the mean angle], `gain_share` of the gain and,
+            if the core has a width, `width_deg` [deg, as change of the angle].
     """
 
     groups: tuple[tuple[str, ...], ...]
@@ -58,7 +58,7 @@ class _Shifts:
     spread: Vec
 
     def shared(self, runs: Sequence[int]) -> Vec:
-        """Least-squares coefficients (K,) shared by some trials."""
+        """Least-squares coefficients (K,) common to some trials."""
         square = self.square[runs].sum(axis=0)
         ridge = _RIDGE * np.trace(square) * np.eye(len(square))
         return np.asarray(np.linalg.solve(square + ridge, self.product[runs].sum(axis=0)), dtype=np.float64)
@@ -73,13 +73,13 @@ class _Shifts:
 
 
 def configuration_of(hypothesis: Hypothesis, runs: Sequence[Run]) -> Configuration | None:
-    """Groups of trials that explain shifts between trials; None where these scatter, or no effect shifts them.
+    """Groups of trials that explain shifts between trials; None if these scatter, or no effect shifts them.
 
         share = (E_all - E_groups) / (E_all - E_own)
 
     with the squared errors of one shift for all other trials, of the groups', and of each trial's own. The fewest
-    groups, of two trials or more, that reach 0.87 (0.95 for three groups) count. Groups are joined by Ward's method
-    (J. Am. Stat. Assoc. 58, 1963) on what offset, gain and width of each trial move the angle by.
+    groups, of two trials or more, that reach 0.87 (0.95 for three groups) count. Groups are joined by Ward's method (J.
+    Am. Stat. Assoc. 58, 1963) on the angle changes by offset, gain and width of each trial.
     """
     if SHIFT not in hypothesis.effects or len(runs) < 2 * _LEAST_OF_GROUP:
         return None
@@ -131,21 +131,21 @@ def _shifts(hypothesis: Hypothesis, runs: Sequence[Run]) -> _Shifts:
 
 _KNOTS = 10  # of a curve, in each direction
 _SLOW_S = 3.0
-# A curved gain alone is no explanation where two free curves of the angle explain more than the first share of the
-# structural error that it leaves, and more than the second share of all of it.
+# A curved gain alone is no explanation if two free curves of the angle explain more than the first share of the
+# remaining structural error, and more than the second share of the whole one.
 _CURVE_LEFT, _CURVE_SIZE = 0.7, 0.012
-_WANDER = 0.7  # slow change within trials, over what shifts between them explain, above which a shift explains nothing
+_WANDER = 0.7  # slow change within trials, over the part explained by shifts, above which a shift is no explanation
 
 
 def structure_left(selection: Selection, runs: Sequence[Run], everything: Sequence[Run], floor_mse: float) -> bool:
     """Lack of fit: whether the only selected effect leaves structure that contradicts it.
 
-    A curved gain leaves no other curve of the angle, shifts between trials leave no slow change within them, and widths
-    of single trials belong to groups of trials.
+    A curved gain must leave no other curve of the angle, shifts between trials no slow change within them, and widths
+    of single trials must not form groups.
 
     Args:
-        everything: all runs; groups of few trials show in all of them alone.
-        floor_mse: below which an error carries no evidence [deg^2].
+        everything: all runs; small groups show only in all of them.
+        floor_mse: error below which there is no evidence [deg^2].
     """
     chosen, retuned = selection.chosen.hypothesis, selection.baseline.hypothesis
     if chosen.problem.terms.shift and chosen.problem.terms.width >= 0 and configuration_of(chosen, everything) is None:
@@ -166,7 +166,7 @@ def remaining_curvature(hypothesis: Hypothesis, runs: Sequence[Run], floor_mse: 
     """Share of the remaining structural error that two free curves of the simulated angle explain, 0 to 1.
 
     One curve applies while the simulated angle rises and another while it falls, each piecewise linear between ten
-    knots at quantiles of the angle. Errors below `floor_mse` [deg^2] carry no evidence.
+    knots at quantiles of the angle. Errors below `floor_mse` [deg^2] are ignored.
     """
     angles, errors = [], []
     for run in runs:
@@ -199,7 +199,6 @@ def slow_mse(hypothesis: Hypothesis, runs: Sequence[Run]) -> float:
 
 
 def _hat_functions(x: Vec) -> Mat:
-    """Piecewise linear functions (T, K), one at each knot."""
     knots = np.unique(np.quantile(x, np.linspace(0.0, 1.0, _KNOTS)))
     return np.stack([np.interp(x, knots, row) for row in np.eye(knots.size)], axis=1)
 
@@ -219,11 +218,10 @@ class Jumps:
     In each window, as short as noise and resolution allow, the measured motion is a multiple g of the simulated one.
 
     Attributes:
-        windows: number of windows.
-        stuck, jumped, back: share of them with g below 0.3, above 2, and below -0.5.
-        carried: share of the measured motion in those above 2.
+        stuck, jumped, back: share of the windows with g below 0.3, above 2, and below -0.5.
+        carried: share of the measured motion in windows with g above 2.
         height_deg: median change of the tip's lead over the simulator in a jump [deg].
-        fastest_deg_s: 90 % quantile of the simulated speeds at which it jumps [deg/s].
+        fastest_deg_s: 90 % quantile of the simulated speeds of jumps [deg/s].
     """
 
     windows: int
@@ -246,7 +244,7 @@ class Jumps:
 
     @property
     def mse(self) -> float:
-        """Energy of a sawtooth of that height [deg^2], the part of it that no free run can predict."""
+        """Energy of a sawtooth of the jump height [deg^2], which no free run can predict."""
         return self.height_deg**2 / 12.0 if self.seen else 0.0
 
     def note(self, unit: str) -> str:
@@ -265,7 +263,7 @@ class Jumps:
 
 
 def find_jumps(runs: Sequence[Run], retuned: Hypothesis, signs: SensorSigns) -> Jumps:
-    """Look for stick-slip in steady motion."""
+    """Detect stick-slip jumps in steady motion."""
     least = max(_NOISES * signs.noise_deg, _STEPS * signs.quantisation_deg, 1e-9)
     simulated = [retuned.problem.angles(retuned.q, run) for run in runs]
     steady = _pattern(runs, simulated, least, _UNEVEN)

@@ -23,7 +23,7 @@ from ..residual import friction_share
 _ASKED = 1.5  # held-out error over model-form error, from which the widths of curved plays are freed
 _GAINED = 0.5  # of the error above the model-form error, by which it has to fall with them
 _MOST_NOISE = 0.9  # of the model-form error
-_LEAST_MOVE = 0.01  # of a number: less has no meaning for a device
+_LEAST_MOVE = 0.01  # of a number: less is irrelevant for a device
 _LEAST_LEFT = 0.5  # of the height of a loop
 _MOST_GROWN = 4.0  # height of a loop over the given one: more is no friction of the same device
 
@@ -33,13 +33,12 @@ class Retuning:
     """Effect of retuning on the error of the simulator.
 
     Attributes:
-        moved: error of the simulator as given over that of the retuned one on development trials that the fit did not
-            see, mean squares.
-        grown_form_mse: model-form error that is to be expected of the retuned simulator [deg^2]; zero where the
-            simulator's own is unknown.
-        friction_share: of the retuned error above the noise, that plays of other weights and widths explain.
-        reidentified_share: of the retuned error above the floor, that a core identified anew explains.
-        unrepeatable: share of the retuned error in which repeats of one motion differ; zero without repeats.
+        moved: mean square error of the simulator as given over that of the retuned one, on held-out development trials.
+        grown_form_mse: expected model-form error of the retuned simulator [deg^2]; zero if the simulator's own is
+            unknown.
+        friction_share: share of the retuned error above the noise explained by plays of other weights and widths.
+        reidentified_share: share of the retuned error above the floor explained by a newly identified core.
+        unrepeatable: share of the retuned error that differs between repeats of one motion; zero without repeats.
     """
 
     moved: float = 1.0
@@ -52,10 +51,10 @@ class Retuning:
 def retuned_with(
     prepared: PreparedTrials, validation: CrossValidation
 ) -> tuple[PreparedTrials, CrossValidation, Hypothesis]:
-    """Retune the simulator, and free the widths of curved plays where that lowers the held-out error.
+    """Retune the simulator, and free the widths of curved plays if that lowers the held-out error.
 
-    The half-widths of curved plays are free where the error asks for it: it is 1.5 times the model-form error, and
-    they explain half of what is above that, by more than two standard errors on trials left out.
+    The half-widths of curved plays are freed if the error is 1.5 times the model-form error and they explain half of
+    the excess, by more than two standard errors on held-out trials.
     """
     retuned, freed = validation.retuned(), prepared.baseline.freed()
     if freed is prepared.baseline or retuned.mse < _ASKED * prepared.form_mse or not prepared.form_mse:
@@ -69,12 +68,12 @@ def retuned_with(
 
 
 def retuning_of(prepared: PreparedTrials, retuned: Hypothesis, left_out_mse: float) -> Retuning:
-    """Measure the effect of retuning on the error, given the retuned error on trials left out [deg^2].
+    """Measure the effect of retuning on the error, given the retuned error on held-out trials [deg^2].
 
         e' = n^2 + min(max(1, h' / h), 4)^2 (e - n^2)
 
-    is the form error of a simulator of friction, which grows with the height h of its loop; n is the noise. Where a
-    loop has lost more than half of its height, no share is counted.
+    is the form error of a simulator of friction, which grows with the height h of its loop; n is the noise. If a loop
+    has lost more than half of its height, no share is counted.
     """
     residuals = prepared.residuals(retuned)
     noise, form, baseline = white_noise(residuals), prepared.form_mse, prepared.baseline
@@ -95,10 +94,7 @@ def retuning_of(prepared: PreparedTrials, retuned: Hypothesis, left_out_mse: flo
 
 
 def width_grown(hypothesis: Hypothesis) -> float:
-    """Ratio of the loop width of a hypothesis, without its effects, to that of the simulator as given.
-
-    Effects take their part of the width: what is left is what the friction of the core has become.
-    """
+    """Ratio of the loop width of a hypothesis, without its effects, to that of the simulator as given."""
     baseline = hypothesis.problem.baseline
     before, after = (baseline.loop_width(z) for z in (baseline.nominal, hypothesis.problem.retuned(hypothesis.q)))
     return after / before if before > 0 else 1.0
@@ -107,10 +103,7 @@ def width_grown(hypothesis: Hypothesis) -> float:
 def reidentified_share(
     prepared: PreparedTrials, validation: CrossValidation, retuned: HeldOutErrors, floor_mse: float
 ) -> float:
-    """Share of the retuned error above the floor that a core identified anew explains held out, 0 to 1.
-
-    It is a sum of plays with a free curve each, all of it fitted: the richest structure of a static loop.
-    """
+    """Share of the retuned error above the floor that a newly identified sum of plays explains held out, 0 to 1."""
     try:
         forms = core_forms(prepared.decades.trials(prepared.checked.trials), Scale.of(validation.runs))
     except FitError:

@@ -1,4 +1,4 @@
-"""Stability of a verdict: the same rules on other splits of the same trials, with the hypotheses that were fitted."""
+"""Stability of a verdict: the same rules on other splits of the same trials, with the fitted hypotheses."""
 
 from __future__ import annotations
 
@@ -32,17 +32,16 @@ Names = frozenset[str]
 
 
 _TrialSplit = tuple[tuple[int, ...], tuple[int, ...], int | None]
-"""Development and final runs of one resample, and the seed of blocks drawn with replacement; None draws none."""
+"""Development and final runs of one resample, and the seed of the block resampling; None without it."""
 
 
 def stability_of(
     prepared: PreparedTrials, attribution: Attribution, conclusion: Conclusion, seed: int
 ) -> Stability | None:
-    """Stability: share of resampled splits with the same verdict and effects; None where the trials allow no choice.
+    """Share of resampled splits with the same verdict and effects; None if the trials allow no choice.
 
-    Every hypothesis that was tried has errors on all trials by fits that did not see them. Choice, ambiguity,
-    confirmation and verdict are made anew from these; nothing is fitted. With fewer than eight splits, blocks of 3 s
-    are drawn with replacement as well.
+    Every hypothesis has held-out errors on all trials. Choice, ambiguity, confirmation and verdict are repeated with
+    these; nothing is refitted. With fewer than eight splits, blocks of 3 s are drawn with replacement as well.
     """
     if prepared.too_little or prepared.checked.unrelated:
         return None
@@ -72,7 +71,7 @@ def _label(verdict: Verdict, names: Names) -> str:
 
 
 def _splits(development: int, final: int, ordered: bool, seed: int) -> Iterator[_TrialSplit]:
-    """Different splits of the runs; the first trial of a known order always stays a development run."""
+    """Different splits of the runs; with a known order the first trial always stays a development run."""
     runs = range(development + final)
     free = runs[1:] if ordered and development > final else runs
     random = np.random.default_rng([seed, len(runs)])
@@ -91,7 +90,7 @@ def _splits(development: int, final: int, ordered: bool, seed: int) -> Iterator[
 
 
 class _ResampledVerdict:
-    """Verdicts on resampled splits, by the errors of the hypotheses that were fitted once."""
+    """Verdicts on resampled splits, from errors of hypotheses that were fitted once."""
 
     def __init__(self, prepared: PreparedTrials, attribution: Attribution, conclusion: Conclusion, seed: int) -> None:
         self._facts, self._seed = conclusion.facts, seed
@@ -130,7 +129,7 @@ class _ResampledVerdict:
         return decision.verdict, kept if decision.explained else frozenset()
 
     def _confirmed_causes(self, facts: VerdictFacts, final: Mapping[Names, Blocks]) -> Names:
-        """Remaining causes after removal of those that do not significantly lower the error of the final runs."""
+        """Causes that significantly lower the error of the final runs."""
         names, replaceable = facts.effects, {names[0] for names in facts.ambiguity}
         while names:
             shares = self._shares(names, final)
@@ -175,7 +174,7 @@ class _ResampledVerdict:
 
 
 def _errors_on_all_runs(judged: HeldOutErrors, final: Sequence[Run]) -> HeldOutErrors:
-    """Held-out errors: on development runs by the fits of the folds, on final runs by the fit to development runs."""
+    """Held-out errors of all runs: by the fits of the folds, on final runs by the fit to development runs."""
     hypothesis = judged.hypothesis
     errors = tuple(hypothesis.problem.held_out_error(hypothesis.q, run) for run in final)
     blocks = blocks_of(errors, final)
@@ -190,7 +189,7 @@ def _errors_on_all_runs(judged: HeldOutErrors, final: Sequence[Run]) -> HeldOutE
 
 
 def _errors_on_runs(judged: HeldOutErrors, runs: Sequence[int], seed: int | None) -> HeldOutErrors:
-    """Errors on some of the runs; with a seed, on as many blocks of each, drawn with replacement."""
+    """Errors on some runs; with a seed, on an equal number of blocks of each, drawn with replacement."""
     places = [np.flatnonzero(judged.run == k) for k in runs]
     if seed is not None:
         random = np.random.default_rng(seed)

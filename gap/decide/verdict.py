@@ -1,4 +1,4 @@
-"""The verdict of a diagnosis: one decision table over the facts of the earlier steps."""
+"""Verdict of a diagnosis: one decision table over the facts of the earlier steps."""
 
 from __future__ import annotations
 
@@ -29,19 +29,19 @@ VERDICTS: Mapping[str, Verdict] = {
     "moved": "retuned",  # no gap, and the error fell by retuning
     "reshaped": "retuned",  # the error fell by retuning, and a core of the same structure explains the rest
 }
-"""Verdict of each case of `decide_verdict`; the first rows in the order in which they are looked at."""
+"""Verdict of each case of `decide_verdict`; the first rows in the order of their evaluation."""
 
 _UNUSABLE = ("too_little", "unrelated")
 _LEAST_MSE = 1e-9  # [deg^2]
 _MENDS_FORM = frozenset(
     {"asymmetry", "nonlinear_gain", "trial_shift"}
-)  # what the form error of a simple core of friction looks like
+)  # effects that resemble the form error of a simple core of friction
 
 
-# Thresholds of the verdict, chosen on development cases and frozen; others stand where they are used. MSE: mean square.
+# Thresholds of the verdict, chosen on development cases and frozen; others are defined at their use. MSE: mean square.
 AT_FLOOR = 1.1  # retuned MSE over that of a floor, on the final trials, up to which there is no gap above it
-# The same over the model-form error, where no effect of the library lowers the error, or not enough to explain it: a
-# simulator whose model-form error has grown, as by friction, is then likelier than an unknown cause.
+# The same over the model-form error, if no effect of the library explains the error: an increased model-form error, as
+# by friction, is then more likely than an unknown cause.
 _NO_CAUSE = 7.0
 _LEAST_CLOSED = 0.4  # share of the structural error that the causes have to close to explain it
 STILL_OPEN = 1.5  # remaining MSE over the floor, below which the error counts as explained all the same
@@ -49,11 +49,10 @@ _CONFIRMED_ALONE, _CONFIRMED_SEVERAL = 0.55, 0.8  # share of the final gap that 
 _CONFIRMED_LEFT = 2.4  # RMSE with all causes over noise and model-form error, up to which they are confirmed as well
 _MOVED = 2.0  # MSE of the simulator as given over that of the retuned one, from which numbers were off ...
 _LOWERED = 1.2  # ... and the same where the retuned one leaves more than its form error had been
-# Share of the retuned error that plays of other weights and widths have to explain for it to be the form error of a
-# friction that has changed.
+# Least share of the retuned error explained by plays of other weights and widths, for a changed friction.
 _FRICTION = 0.6
-# Width of the loop with the effects in place, over the given one, from which the friction has grown so far that effects
-# may be what it does: a tendon that only pulls goes slack under it, for example.
+# Width of the loop with the effects, over the given one, from which an increased friction may cause the effects
+# themselves, such as slack of a tendon that only pulls.
 WIDTH_GROWN = 1.35
 _ANEW = 0.9  # share of the structural error that a core identified anew has to explain for effects to be that
 _UNREPEATABLE = 0.5  # share of the retuned error in which repeats of one motion differ, from which it is no form error
@@ -64,10 +63,10 @@ class FinalFacts:
     """Errors on the final trials.
 
     Attributes:
-        residual_ratio: RMSE with all causes over noise and model-form error; 1 where that is unknown.
-        unproven: whether effects were selected and none of them surely lowers the error.
-        at_floor: whether the retuned simulator leaves no more than the noise.
-        moved: error of the simulator as given over that of the retuned one, mean squares.
+        residual_ratio: RMSE with all causes over noise and model-form error; 1 if that is unknown.
+        unproven: whether effects were selected, but none of them significantly lowers the error.
+        at_floor: whether the error of the retuned simulator is at most the noise.
+        moved: mean square error of the simulator as given over that of the retuned one.
     """
 
     closed_share: float
@@ -82,20 +81,18 @@ class VerdictFacts:
     """Errors and findings on which the verdict depends.
 
     Attributes:
-        effects: names of the effects selected on the development trials.
-        retuned_mse, chosen_mse: held-out errors without and with them [deg^2].
-        retuned_fit_mse: error of the retuned simulator on the trials that it was retuned on [deg^2].
-        floor_mse: below which an error carries no evidence [deg^2].
-        form_mse: model-form error, or `floor_mse` where that is unknown [deg^2].
+        retuned_mse, chosen_mse: held-out errors without and with the selected effects [deg^2].
+        retuned_fit_mse: error of the retuned simulator on the trials of its fit [deg^2].
+        floor_mse: error below which there is no evidence [deg^2].
+        form_mse: model-form error, or `floor_mse` if unknown [deg^2].
         structure_left: whether the selected effect alone leaves structure that contradicts it (`structure_left`).
-        ambiguity: for each effect the others that explain the development trials as well.
+        ambiguity: for each effect the others that explain the development trials equally well.
         sensor: whether the sensor's faults are a good part of the error that the effects leave.
-        sensor_gap: whether they would be a gap without any other cause.
-        new_step: whether the readings have steps that the simulator's device did not have, and that do not vanish
-            beside the error.
+        sensor_gap: whether the sensor's faults alone would be a gap.
+        new_step: whether the readings have steps absent in the simulator's device, and not negligible in the error.
         too_little, unrelated: whether the trials are too short, or no angle follows its command.
-        width_grown: width of the loop with the selected effects in place, over the given one.
-        final: errors on the final trials with the causes that were selected; None before these are evaluated.
+        width_grown: width of the loop with the selected effects, over the given one.
+        final: errors on the final trials with the selected causes; None before their evaluation.
     """
 
     effects: frozenset[str]
@@ -118,25 +115,22 @@ class VerdictFacts:
 
     @property
     def least_retuned_mse(self) -> float:
-        """Retuned error, held out or fitted, the lesser of the two [deg^2].
-
-        Held-out motions that are unlike the fitted ones add no structural gap.
-        """
+        """Smaller of held-out and fitted retuned error [deg^2], since unlike motions must not add a structural gap."""
         return min(self.retuned_mse, self.retuned_fit_mse)
 
     @property
     def closed(self) -> float:
-        """Share of the structural error of the development trials that the selected effects close."""
+        """Share of the structural error of the development trials closed by the selected effects."""
         return (self.retuned_mse - self.chosen_mse) / max(self.retuned_mse - self.floor_mse, 1e-12)
 
     def with_only(self, effects: frozenset[str], chosen_mse: float, width_grown: float) -> VerdictFacts:
-        """Facts after removal of some of the selected effects."""
+        """Facts after removal of all effects but the given ones."""
         ambiguity = tuple(names for names in self.ambiguity if names[0] in effects)
         return replace(self, effects=effects, chosen_mse=chosen_mse, ambiguity=ambiguity, width_grown=width_grown)
 
 
 def residual_ratio(mse: float, form_mse: float, noise_mse: float) -> float:
-    """RMSE with all causes over noise and model-form error; 1 where the model-form error is unknown (zero)."""
+    """RMSE with all causes over noise and model-form error; 1 if the model-form error is unknown (zero)."""
     return math.sqrt(mse / max(form_mse, noise_mse, _LEAST_MSE)) if form_mse > 0 else 1.0
 
 
@@ -145,9 +139,7 @@ class VerdictDecision:
     """Verdict of the decision table, and its consequences.
 
     Attributes:
-        case: row of the table in `decide_verdict`.
-        ambiguity: sets of effects that these trials cannot tell apart; empty but for the verdict `one_of`.
-        sensor: whether the sensor is a cause.
+        ambiguity: sets of effects that these trials cannot distinguish; empty unless the verdict is `one_of`.
     """
 
     case: str
@@ -171,10 +163,10 @@ class VerdictDecision:
 
 
 def decide_verdict(facts: VerdictFacts) -> VerdictDecision:
-    """Decide the verdict: the first row that applies, then the facts that replace a verdict of its kind.
+    """Decide the verdict by the first applicable row of a table, then apply the facts that override it.
 
-    Effects that are not in the library are imitated by others, mostly several at once, that close a part of the gap:
-    therefore several effects have to close more on the final trials than one alone.
+    Other effects, mostly several at once, can imitate an effect missing in the library and close part of the gap:
+    therefore several effects must close more on the final trials than a single one.
     """
     none_selected, form, retuned = not facts.effects, facts.form_mse, facts.least_retuned_mse
     left_open = facts.closed < _LEAST_CLOSED and facts.chosen_mse > STILL_OPEN * facts.floor_mse
@@ -211,7 +203,7 @@ def decide_verdict(facts: VerdictFacts) -> VerdictDecision:
 
 
 def _retuned_case(case: str, facts: VerdictFacts) -> str:
-    """`moved` or `reshaped` where retuning lowered the error and leaves model-form error; else the given case."""
+    """`moved` or `reshaped` if retuning lowered the error and leaves model-form error; otherwise the given case."""
     verdict, moved = VERDICTS[case], min(facts.retuning.moved, facts.final.moved if facts.final else math.inf)
     if verdict == "none":
         return "moved" if moved >= _MOVED else case
@@ -222,7 +214,7 @@ def _retuned_case(case: str, facts: VerdictFacts) -> str:
 
 
 def _reshaped(verdict: Verdict, facts: VerdictFacts) -> bool:
-    """Whether a hysteresis core of the same structure explains the error that retuning leaves: one row is enough.
+    """Whether the error after retuning indicates a reshaped hysteresis core; one row of the table suffices.
 
     | the error is                                                | in place of                                      |
     |-------------------------------------------------------------|--------------------------------------------------|
@@ -241,7 +233,7 @@ def _reshaped(verdict: Verdict, facts: VerdictFacts) -> bool:
 
 
 def _confirmed(facts: VerdictFacts) -> bool:
-    """Whether the final trials confirm the selected effects; True before these are evaluated."""
+    """Whether the final trials confirm the selected effects; True before their evaluation."""
     if facts.final is None:
         return True
     enough = _CONFIRMED_SEVERAL if len(facts.effects) > 1 else _CONFIRMED_ALONE

@@ -50,10 +50,9 @@ class CheckedTrials(ChosenTrials):
     """Checked trials with their excitation and notes.
 
     Attributes:
-        excitation: motions, speeds, holds and repeats of their commands.
         notes: faults and shortcomings of the trials, a sentence each.
-        left_out: what is not diagnosed and why, a line each; also among the notes.
-        unrelated: why the angles of all trials say nothing on a simulator; empty where they follow their commands.
+        left_out: omitted trials and the reasons, a line each; also among the notes.
+        unrelated: reason why the angles of all trials are unusable; empty if they follow their commands.
     """
 
     excitation: Excitation
@@ -65,16 +64,16 @@ class CheckedTrials(ChosenTrials):
 def check_trials(
     trials: Sequence[Trial], simulator: Simulator | ModelMetadata, seed: int = 0, ordered: bool = True
 ) -> CheckedTrials:
-    """Compare units, sign and scale with the simulator's, and bring the trials to one rate.
+    """Compare units, sign and scale with the simulator's, and resample the trials to one rate.
 
-    The rate is that of the simulator where it lies between 10 and 50 Hz and no trial's median rate is lower by a factor
-    of 1.5 or more; else the lowest of 50 Hz and the trials' rates. A network, given by its metadata, always keeps its
-    rate. A log with gaps is cut there. Of more trials than can be afforded some are chosen (`affordable`), and those
-    whose angle does not follow the command are left out (`follows_command`).
+    The rate is that of the simulator if it lies between 10 and 50 Hz and no trial's median rate is lower by a factor of
+    1.5 or more; otherwise the lowest of 50 Hz and the trials' rates. A network, given by its metadata, always keeps its
+    rate. A log with gaps is cut there. Too many trials are reduced (`affordable`), and those whose angle does not
+    follow the command are left out (`follows_command`).
 
     Raises:
         GapError: if there is no trial, units differ, commands or angles never change, the angle falls as the command
-            rises, or command or angle are off by so much that the unit or the device is another.
+            rises, or the size of command or angle indicates another unit or device.
         LogError: if a network's rate is above a log's, or time seems to be in milliseconds.
     """
     facts = simulator.metadata() if isinstance(simulator, Simulator) else simulator
@@ -168,10 +167,7 @@ def _require_commands(trials: Sequence[Trial], facts: ModelMetadata) -> None:
 
 
 def _require_angles(trials: Sequence[Trial], facts: ModelMetadata) -> None:
-    """Compare the angle's range with that of the simulator, scaled to the command's range.
-
-    A range that is too large is that of the middle 96 % of the samples: outliers of a faulty sensor have any size.
-    """
+    """Compare the angle's range, too large ones without outliers, with the simulator's, scaled to the command's."""
     command = max(float(t.command.max()) for t in trials) - min(float(t.command.min()) for t in trials)
     trained = facts.trained_command.upper - facts.trained_command.lower
     if command < _LEAST_SPAN * trained:
@@ -210,7 +206,7 @@ def _log_notes(trial: Trial) -> Iterator[str]:
         return
     onward = np.gradient(command)
     for end, at, way in (("greatest", trial.angle.max(), 1.0), ("least", trial.angle.min(), -1.0)):
-        # On the way back backlash holds the angle as well; on the way there a stop or the sensor does.
+        # While unloading, backlash also holds the angle; while loading, only a stop or the sensor does.
         stuck = (trial.angle == at) & (way * onward > 0)
         travel = float(np.ptp(command[stuck])) / float(np.ptp(command)) if stuck.any() else 0.0
         if np.mean(stuck) > _AT_EXTREME and travel > _TRAVEL:
@@ -247,8 +243,7 @@ _PARTS = 4  # that a single trial is cut into
 
 @dataclass(frozen=True, eq=False)
 class _TrialSums:
-    """A trial, or a part of a single one, by its sums: of features (F, F), of features and the changes of the angle as
-    recorded and in other orders (F, 1 + D), of the squared changes (1 + D,)."""
+    """Sums over a trial: features (F, F), features and changes by order (F, 1 + D), squared changes (1 + D,)."""
 
     gram: Mat
     products: Mat
@@ -257,20 +252,20 @@ class _TrialSums:
 
 
 def follows_command(trials: Sequence[Trial], seed: int = 0) -> tuple[bool, ...]:
-    """Test of each trial: does its angle depend on the past of its command, or is that at least not contradicted?
+    """Test whether each trial's angle depends on the past of its command, or at least does not contradict this.
 
     Changes y of the angle are regressed on those of features of the command's past (levels, speeds, lags, low-passes,
-    plays) by ridge regression over all trials but one, and expected in that one:
+    plays) by ridge regression over all trials but one, and predicted in that one:
 
         share = 1 - sum_trials |y - expected|^2 / sum_trials |y|^2,   r = y . expected / (|y| |expected|)
 
     Changes are taken over the time in which the command loses half of its variance. The null distribution comes from
-    the changes of each trial in another order of blocks.
+    block permutations of the changes of each trial.
 
-    All trials together depend on their commands where share and, in half of the trials, r are large (a quarter, 0.5) or
-    above the 99 % quantile of the null. Then a trial follows where that holds for its r, where r is below that of the
-    median trial by chance only, or where little motion is expected of it. Otherwise the trials of significant r follow
-    if they are half of all or more and depend on their commands without the others.
+    All trials together depend on their commands if share and, in half of the trials, r are large (a quarter, 0.5) or
+    above the 99 % quantile of the null. Then a trial follows if its r passes this test, is below that of the median
+    trial only by chance, or little motion is expected. Otherwise the trials of significant r follow if they are at
+    least half of all and depend on their commands without the others.
 
     Sources: Granger, Newbold, Spurious regressions in econometrics, J. Econometrics 2 (1974); Theiler et al., Testing
     for nonlinearity in time series: the method of surrogate data, Physica D 58 (1992).
@@ -307,7 +302,6 @@ def _is_significant(correlations: Vec) -> bool:
 
 
 def _little_motion(parts: Sequence[_TrialSums], expected: Sequence[Mat]) -> list[bool]:
-    """Trials in which little motion is expected."""
     sizes = [float(w[:, 0] @ p.gram @ w[:, 0]) / p.samples for p, w in zip(parts, expected, strict=True)]
     return [size < _EXPECTED**2 * float(np.mean(sizes)) for size in sizes]
 
@@ -344,7 +338,7 @@ def _lag(command: Vec) -> int:
 
 
 def _changes(signal: Mat, width: int, steps: int) -> Mat:
-    """Changes over so many steps of the means over `width` samples, about their mean."""
+    """Changes over `steps` of the means over `width` samples, about their mean."""
     count = len(signal) // width
     means = signal[: count * width].reshape(count, width, -1).mean(axis=1)
     changes = means[steps:] - means[:-steps]
@@ -352,14 +346,13 @@ def _changes(signal: Mat, width: int, steps: int) -> Mat:
 
 
 def _reordered(size: int, length: int, random: np.random.Generator) -> NDArray[np.intp]:
-    """Indices of `size` samples after a random permutation of blocks of one length."""
     blocks = max(size // length, 1)
     block = np.roll(np.arange(size) * blocks // size, int(random.integers(size)))
     return np.argsort(random.permutation(blocks)[block], kind="stable")
 
 
 def _held_out_share(parts: Sequence[_TrialSums]) -> tuple[float, float, list[Mat]]:
-    """Share explained, its quantile by chance, and the weights (F, 1 + D) for each part, fitted to the others."""
+    """Explained share, its quantile by chance, and the weights (F, 1 + D) for each part, fitted to the others."""
     gram, products = np.sum([p.gram for p in parts], axis=0), np.sum([p.products for p in parts], axis=0)
     energy = np.maximum(np.sum([p.energy for p in parts], axis=0), 1e-300)
     best, kept = np.full(energy.size, -np.inf), list[Mat]()
@@ -380,7 +373,7 @@ def _held_out_share(parts: Sequence[_TrialSums]) -> tuple[float, float, list[Mat
 
 
 def _likeness(part: _TrialSums, weights: Mat) -> Vec:
-    """Correlation of a part's changes, recorded and permuted (1 + D,), with predicted ones; 0 where either is zero."""
+    """Correlation of a part's changes, recorded and permuted (1 + D,), with predicted ones; 0 if either is zero."""
     expected = weights[:, 0]
     size = np.sqrt(max(float(expected @ part.gram @ expected), 0.0) * np.maximum(part.energy, 0.0))
     return np.divide(expected @ part.products, size, out=np.zeros_like(size), where=size > 1e-12)

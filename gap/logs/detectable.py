@@ -20,10 +20,10 @@ from .preparation import PreparedTrials
 from .trial_choice import NEEDS_ORDER
 
 NO_GAP = 2.2
-"""Retuned mean square error over the model-form error, below which there is no gap; frozen."""
+"""Greatest ratio of retuned mean square error to model-form error without a gap; frozen."""
 
 _SIZES = np.geomspace(0.02, 20.0, 10)
-"""Sizes that are tried, as shares of the size from which a fit starts."""
+"""Tested sizes, as shares of the start value of a fit."""
 
 _TYPICAL = {"drift": 0.02, "nonlinear_gain": 0.1}  # share of the angle's range, where a fit starts at nothing
 _NONE = 1e-9  # mean square [deg^2] below which nothing shows
@@ -38,7 +38,7 @@ def smallest_detectable(prepared: PreparedTrials, without: Collection[str] = ())
 
         needed_mse = (NO_GAP - 1) model-form error
 
-    Without an effect a retuned simulator leaves its model-form error, and up to `NO_GAP` times that is no gap.
+    Without an effect a retuned simulator leaves its model-form error; up to `NO_GAP` times that is no gap.
     """
     needed_mse, units = (NO_GAP - 1.0) * prepared.form_mse, prepared.checked.trials[0].units
     if needed_mse <= 0:
@@ -64,9 +64,9 @@ def detectable_sizes(baseline: Baseline, runs: Sequence[Run], needed_mse: float)
         d(s) = theta(with the effect at size s) - theta(nominal),   left(s) = d - J (J^T J)^-1 J^T d
         mean left(s)^2 = needed_mse
 
-    theta is the simulator's angle along the commands, J its derivative by all that retuning may change. Of the measured
-    angles only the first of each trial is used. An effect takes its first form, with its other parameters at the values
-    from which a fit starts.
+    theta is the simulator's angle along the commands, J its derivative by all retuning parameters. Of the measured
+    angles only the first of each trial is used. An effect has its first variant, with its other parameters at the start
+    values of a fit.
     """
     problem = Problem(baseline)
     nominal, slopes = zip(*(problem.linearised(problem.as_given, run) for run in runs), strict=True)

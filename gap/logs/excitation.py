@@ -1,4 +1,4 @@
-"""Excitation: speeds, holds, repeats and ends of a set of motions, and the effects that they can tell apart."""
+"""Excitation: speeds, holds, repeats and ends of a set of motions, and the effects that they can distinguish."""
 
 from __future__ import annotations
 
@@ -28,16 +28,14 @@ class Excitation:
     """Excitation by the commands of all trials; shares refer to the range of all commands.
 
     Attributes:
-        motions: kind of motion per trial.
-        repeats: pairs of stretches with equal commands.
         longest_hold_s: longest rest of the command [s]; 0 without one.
         fastest: 99th percentile of its speed while it moves [cmd/s].
         ramp_speeds: speeds of its constant-speed moves that are a factor of 1.6 or more apart, slowest first [cmd/s].
         steps: moves of a tenth of the range or more within 0.2 s.
         fast_small: moves of less than a third of a second (1.5 Hz and above) and of less than 30 %.
         low_s: time within the lowest tenth [s].
-        top_levels: distinct levels, 8 % apart, in the upper 60 % at which it turns.
-        opening_repeated: whether the first rise of the first trial comes again, in it or a later trial.
+        top_levels: distinct turning levels, 8 % apart, in the upper 60 %.
+        opening_repeated: whether the first rise of the first trial is repeated, in it or a later trial.
     """
 
     motions: tuple[MotionType, ...]
@@ -67,7 +65,7 @@ def excitation_of(trials: Sequence[Trial], ordered: bool = True) -> Excitation:
     """Excitation by uniform trials at one rate, from their commands alone.
 
     Args:
-        ordered: whether they stand in the order of recording; if not, any of them may have been the first.
+        ordered: whether they are in recording order; if not, any of them may have been the first.
     """
     dt = trials[0].dt
     parts = [command_segments(trial) for trial in trials]
@@ -109,7 +107,6 @@ def _ramp_speeds(moves: Sequence[Move], dt: float, least: float) -> tuple[float,
 
 
 def _top_levels(trials: Sequence[Trial], parts: Sequence[Segments], low: float, span: float) -> int:
-    """Number of distinct levels of the upper turning points."""
     levels: list[float] = []
     for trial, part in zip(trials, parts, strict=True):
         turns = np.concatenate([trial.command[:1], trial.command[part.reversals], trial.command[-1:]])
@@ -141,10 +138,9 @@ class ConfusableEffects:
     """Effects with similar responses to some motions.
 
     Attributes:
-        effects: their public names; two names of one class where `one_class`.
-        separable: whether these motions can tell them apart.
-        separated_by: the motion that can.
-        present: the part of it that these motions have.
+        effects: their public names; two names of one class if `one_class`.
+        separable: whether these motions can distinguish them.
+        present: the part of the separating motion in these motions.
         alike_in_sine, alike_in_hold: share of one effect's gap that the other reproduces on a single 0.2 Hz sine, and
             on a ramp with a hold of 8 s (study on a Prandtl-Ishlinskii model with three plays, 50 Hz).
         one_class: equal in command and angle for every motion, by algebra.
@@ -184,7 +180,7 @@ _PAIRS: tuple[tuple[tuple[str, ...], str, float, float], ...] = (
 
 
 def confusability(e: Excitation) -> tuple[ConfusableEffects, ...]:
-    """The table of confusable effects, judged for these motions."""
+    """Table of confusable effects, evaluated for these motions."""
     hold = f"longest hold {e.longest_hold_s:.3g} s" if e.longest_hold_s else "no hold"
     repeats = f"{len(e.repeats)} pairs of repeats" if e.repeats else "no repeat"
     speeds = ", ".join(f"{speed:.3g}" for speed in e.ramp_speeds) or "none"

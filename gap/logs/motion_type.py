@@ -35,10 +35,10 @@ class Move:
     """Part of a trial in which the command rises or falls.
 
     Attributes:
-        start, stop: samples, stop exclusive; the sample before `start` is where it came from.
+        start, stop: samples, stop exclusive; the sample before `start` is its origin.
         first, last: levels at its ends [cmd].
         miss_line, miss_cosine: root mean square distance of its path from a line and from a half cosine, relative to
-            its height; infinite where it has fewer than five samples.
+            its height; infinite for fewer than five samples.
     """
 
     start: int
@@ -60,7 +60,7 @@ class Move:
 
     @property
     def height(self) -> float:
-        """Change of the command, without sign [cmd]."""
+        """Absolute change of the command [cmd]."""
         return abs(self.last - self.first)
 
 
@@ -92,10 +92,10 @@ def _move(command: Vec, start: int, stop: int) -> Move:
 def motion_type(trial: Trial, parts: Segments) -> MotionType:
     """Kind of motion of a uniform trial.
 
-    With a fifth of the time at rest or more, after the rest that it starts with: `steps` where the moves between rests
-    take 0.2 s or less, `holds` where it rests most of the time and for 3 s or more each, else `point_to_point`. Else
-    by the shape between turns: lines at one pace are a `scan`, else `ramps`; half cosines, or nearly, at one pace are a
-    `sine`, whose amplitude may decay; other curves are `sines`. `mixed` is what fits none.
+    With a fifth of the time at rest or more, after the initial rest: `steps` if the moves between rests take 0.2 s or
+    less, `holds` if it rests most of the time and for 3 s or more each, otherwise `point_to_point`. With less rest the
+    shape between turns counts: lines at one pace are a `scan`, otherwise `ramps`; half cosines, or nearly, at one pace
+    are a `sine`, whose amplitude may decay; other curves are `sines`. All other motions are `mixed`.
     """
     holds = parts.holds
     lead = holds[0][1] if holds and holds[0][0] == 0 else 0
@@ -122,7 +122,6 @@ def _time(journey: list[Move]) -> int:
 
 
 def _between_rests(moves: list[Move], rests: list[tuple[int, int]]) -> list[list[Move]]:
-    """Groups of moves without a rest between them."""
     starts = [a for a, _ in rests]
     places = np.searchsorted(starts, [move.start for move in moves])
     return [[move for move, at in zip(moves, places, strict=True) if at == k] for k in sorted(set(places.tolist()))]
@@ -144,14 +143,14 @@ def _continuous(moves: list[Move], span: float) -> MotionType:
 
 
 def _regular(moves: list[Move]) -> bool:
-    """Whether moves in one direction follow each other at one pace; the first may be longer."""
+    """Whether moves in one direction have equal duration; the first may be longer."""
     middles = np.array([0.5 * (move.start + move.stop) for move in moves[1 if len(moves) > 3 else 0 :]])
     periods = middles[2:] - middles[:-2]
     return periods.size < 2 or float(np.std(periods)) <= _REGULAR * float(np.mean(periods)) + 0.5
 
 
 def _monotonic(heights: list[float], slack: float) -> bool:
-    """Whether heights only shrink or only grow, apart from `slack`."""
+    """Whether heights only decrease or only increase, apart from `slack`."""
     steps = np.diff(heights)
     return bool(np.all(steps <= slack) or np.all(steps >= -slack))
 
@@ -227,17 +226,16 @@ def play_states(u: Vec, half: Vec, side: float = 0.0) -> Mat:
 
 
 def _decaying(age: Index, dt: float, weight: Vec) -> list[Vec]:
-    """A weight (T,), alone and times exponentials of an age in samples (T,)."""
+    """Weight (T,), and its products with exponentials of an age in samples (T,)."""
     return [weight, *(weight * np.exp(-(age * dt) / tau) for tau in _AGES_S)]
 
 
 def _last_direction(parts: Segments) -> Vec:
-    """+1 or -1 by the last move at or before each sample (T,); 0 before the first."""
+    """Direction (+1 or -1) of the last move up to each sample (T,); 0 before the first."""
     last = np.maximum.accumulate(np.where(parts.labels != Motion.HOLD, np.arange(parts.labels.size), -1))
     return np.where(last >= 0, parts.labels[last], 0).astype(np.float64)
 
 
 def _samples_since(events: Mask) -> Index:
-    """Samples since the last event, or since the start (T,)."""
     k = np.arange(events.size)
     return k - np.maximum.accumulate(np.where(events, k, 0))

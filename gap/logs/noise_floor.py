@@ -17,7 +17,7 @@ from .motion_type import command_segments
 from .sensor import white_noise
 
 TOLERANCE = 0.01
-"""Commands are equal where they differ by less than this share of their range."""
+"""Share of the range within which two commands count as equal."""
 
 _LEAST_REPEATED_S = 5.0  # of repeats in all, for a floor from repeats
 _LEAST_S = 2.0  # of one repeat
@@ -31,10 +31,10 @@ class NoiseFloor:
     """Root mean square error of the best simulator.
 
     Attributes:
-        rmse_deg: from repeats where there are any, else the noise [deg].
-        kind: which of the two.
-        noise_deg: white noise of the residual [deg]. Differences between repeats also hold what is not locked to the
-            command, such as a heartbeat or drift; the noise does not.
+        rmse_deg: from repeats if there are any, otherwise the noise [deg].
+        kind: origin of that value.
+        noise_deg: white noise of the residual [deg]; unlike differences between repeats it excludes a heartbeat, drift
+            and other motion not locked to the command.
     """
 
     rmse_deg: float
@@ -59,10 +59,7 @@ class RepeatedMotion:
     shift: float
 
     def differences(self, signals: Sequence[Vec]) -> tuple[Vec, float]:
-        """Difference of one signal (T,) between the two parts, and its white-noise variance over that of the signal.
-
-        Interpolation to fractions of a sample reduces that ratio below two.
-        """
+        """Difference of a signal (T,) between the parts, and its noise variance over the signal's (at most 2)."""
         whole = int(np.floor(self.shift))
         part = self.shift - whole
         later = signals[self.second][self.start + whole : self.stop + whole]
@@ -77,7 +74,7 @@ def find_floor(
     """Noise floor of uniform trials, from repeated motions and from white noise.
 
     From repeats: sigma^2 = sum_p sum_k (e2 - e1)^2 / sum_p n_p w_p over pairs p of n_p samples, with w = 2 at a shift
-    of whole samples, less where interpolation reduces the noise. Residuals, not angles, are compared, since commands of
+    of whole samples, less if interpolation reduces the noise. Residuals, not angles, are compared, since commands of
     repeats may differ by 1 % of their range.
     """
     noise = white_noise(residuals)
@@ -91,10 +88,10 @@ def find_floor(
 
 
 def find_repeats(trials: Sequence[Trial]) -> tuple[RepeatedMotion, ...]:
-    """All pairs of stretches of uniform trials at one rate whose commands are equal.
+    """Find all pairs of stretches with equal commands in uniform trials at one rate.
 
-    Turning points and ends of holds at equal levels propose the shifts. A stretch counts once it has visited both its
-    extremes, since hysteresis has then lost its earlier memory (wiping-out property). It is at least 2 s long and
+    Turning points and ends of holds at equal levels give candidate shifts. A stretch counts from its visit to both
+    extremes on, since hysteresis has then lost its earlier memory (wiping-out property). It is at least 2 s long and
     covers 30 % of the range of all commands.
     """
     if not trials:
@@ -120,7 +117,7 @@ def find_repeats(trials: Sequence[Trial]) -> tuple[RepeatedMotion, ...]:
 
 
 def _shifts(first: Trial, second: Trial, a: Index, b: Index, band: float, same: bool) -> list[int]:
-    """Candidate shifts: they align at least two marks of equal level; best supported first."""
+    """Candidate shifts that align at least two marks of equal level; best supported first."""
     equal = np.abs(first.command[a][:, None] - second.command[b][None, :]) <= 2 * band
     shifts = (b[None, :] - a[:, None])[equal]
     if same:
@@ -136,7 +133,7 @@ def _shifts(first: Trial, second: Trial, a: Index, b: Index, band: float, same: 
 def _longest_repeat(
     pair: tuple[int, int], trials: tuple[Trial, Trial], shift: int, band: float, least: float
 ) -> RepeatedMotion | None:
-    """Longest equal part at about a given shift, which is refined to a fraction of a sample."""
+    """Longest equal part near a given shift, which is refined to a fraction of a sample."""
     u, v = trials[0].command, trials[1].command
     start, stop = _longest(np.abs(_shifted(v, shift, u.size) - u) <= 4 * band)
     if (stop - start) * trials[0].dt < _LEAST_S:
@@ -156,12 +153,12 @@ def _longest_repeat(
 
 
 def _shifted(v: Vec, shift: float, size: int) -> Vec:
-    """v at k + shift for k = 0 ... size - 1, not-a-number outside."""
+    """Signal v at k + shift for k = 0 ... size - 1, not-a-number outside."""
     return np.interp(np.arange(size) + shift, np.arange(v.size), v, left=np.nan, right=np.nan)
 
 
 def _longest(inside: Mask) -> tuple[int, int]:
-    """First and last sample (exclusive) of the longest stretch; (0, 0) without one."""
+    """First and last sample (exclusive) of the longest run of true values; (0, 0) without one."""
     starts, stops = runs(inside)
     k = int(np.argmax(stops - starts)) if starts.size else 0
     return (int(starts[k]), int(stops[k])) if starts.size else (0, 0)

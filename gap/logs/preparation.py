@@ -1,4 +1,4 @@
-"""Preparation: trials checked, resampled, repaired and split; the nominal simulator run and its model-form error."""
+"""Preparation: checked, resampled, repaired and split trials; the run nominal simulator and its model-form error."""
 
 from __future__ import annotations
 
@@ -43,21 +43,20 @@ _PLAYS, _EVALUATIONS, _TOLERANCE = 8, 40, 1e-5
 class PreparedTrials:
     """Trials and nominal simulator, ready for the attribution.
 
-    Trials are in the units of the log. All else is in working units, in which the simulator has the size of a tendon
-    catheter: thresholds and bounds are stated for that size. There `deg` and `cmd` stand for a working unit.
+    Trials are in the units of the log. All other values are in working units, in which the simulator has the size of a
+    tendon catheter: thresholds and bounds are stated for that size. In them `deg` and `cmd` mean a working unit.
 
     Attributes:
-        checked: trials at one rate, and what their commands excite.
         baseline: the nominal simulator and the freedom of retuning.
         development, final: runs for the choice of causes, and runs that are evaluated once.
-        everything: all runs, every sample counted; in recording order where it is known, else by content.
-        counted: the same, each from its first sample that is scored on.
-        raw: angles as measured, before the sensor's faults were repaired (T,) each [deg].
-        form_mse: model-form error [deg^2]; zero where unknown.
-        too_little: why the trials do not allow a diagnosis, in words; empty where they do.
-        excess_mse: energy of the sensor's noise beyond its noise at identification [deg^2]; where that is unknown, of
-            its rounding.
-        new_step: whether the sensor's readings have coarse steps that they did not have at identification.
+        everything: all runs with every sample counted; in recording order if known, otherwise by content.
+        counted: the same, each from its first scored sample on.
+        raw: angles as measured, before repair of the sensor's faults (T,) each [deg].
+        form_mse: model-form error [deg^2]; zero if unknown.
+        too_little: reason why the trials do not allow a diagnosis; empty otherwise.
+        excess_mse: energy of the sensor's noise beyond its noise at identification, or beyond its rounding if that is
+            unknown [deg^2].
+        new_step: whether the sensor's readings have coarse steps that were absent at identification.
     """
 
     decades: Decades
@@ -77,7 +76,7 @@ class PreparedTrials:
 
     @property
     def rounding_deg(self) -> float:
-        """RMS error of readings on a grid; 0 where they lie on none [deg]."""
+        """RMS error of readings on a grid; 0 without a grid [deg]."""
         return self.signs.quantisation_deg / math.sqrt(12.0)
 
     def residuals(self, hypothesis: Hypothesis) -> list[Vec]:
@@ -89,7 +88,7 @@ class PreparedTrials:
         return find_floor(self.checked.trials, residuals, self.checked.dt, self.checked.excitation.repeats)
 
     def scored(self, residuals: Sequence[Vec]) -> list[Vec]:
-        """Residuals (T,) of every run with zeros where it does not count [deg]."""
+        """Residuals (T,) of every run with zeros at samples that do not count [deg]."""
         return [np.where(run.counts, error, 0.0) for run, error in zip(self.counted, residuals, strict=True)]
 
 
@@ -103,8 +102,8 @@ def prepare(
     """Check, resample, repair and split trials, and derive the baseline of the simulator.
 
     Args:
-        seed: of the choice among more trials than can be diagnosed.
-        ordered: whether the trials are known to stand in the order of recording, see `in_recording_order`.
+        seed: of the choice among too many trials.
+        ordered: whether the trials are known to be in recording order, see `in_recording_order`.
 
     Raises:
         LogError: if the first flexure is to be skipped and the command of a trial never turns.
@@ -189,7 +188,7 @@ def _baseline_and_runs(
 
 
 def _with_starts(baseline: Baseline, runs: Sequence[Run], simulator: Simulator, decades: Decades) -> tuple[Run, ...]:
-    """Runs with the initial states that the simulator as given finds, as `evaluate` does (`models.start`)."""
+    """Runs with initial states estimated by the simulator as given, as in `evaluate` (`models.start`)."""
     u, y = simulator.trained_command, simulator.trained_angle_deg
     box = search_box(
         Range(lower=u.lower / decades.command, upper=u.upper / decades.command),
@@ -212,7 +211,6 @@ def _require_size(simulator: Simulator, decades: Decades) -> None:
 
 
 def _identification(simulator: Simulator | LoadedModel, decades: Decades) -> Identification:
-    """Identification record of the simulator, residuals in working units."""
     if not isinstance(simulator, Simulator):
         return Identification(method="network")
     identification = simulator.identification
@@ -224,7 +222,7 @@ def _identification(simulator: Simulator | LoadedModel, decades: Decades) -> Ide
 
 
 def shortage(trials: Sequence[Trial]) -> str:
-    """Why trials are too short, or turn too rarely, to select causes and test them; empty where they are not."""
+    """Reason why trials are too short, or have too few reversals, for a diagnosis; otherwise empty."""
     seconds = sum(trial.duration_s for trial in trials)
     turns = sum(segment(trial).reversals.size for trial in trials)
     if seconds < _LEAST_S:
@@ -237,10 +235,7 @@ def shortage(trials: Sequence[Trial]) -> str:
 def _network_baseline(
     model: LoadedModel, trials: Sequence[Trial], command: Range, decades: Decades
 ) -> tuple[Baseline, list[Vec]]:
-    """Plays that replace a network on these commands, and the differences of the network's angles from theirs (T,).
-
-    Effects are applied to the plays: exact without effects, first order with them.
-    """
+    """Plays as a baseline for a network, first order with effects, and the angle differences (T,) that they leave."""
     in_log = [replace(t, command=decades.command * t.command, angle=decades.angle * t.angle) for t in trials]
     angles = [free_run(model, trial.command, started(model, trial)) / decades.angle for trial in in_log]
     copies = [replace(trial, angle=y) for trial, y in zip(trials, angles, strict=True)]
@@ -251,7 +246,6 @@ def _network_baseline(
 
 
 def _plays(copies: Sequence[Trial], command: Range) -> Chain:
-    """Rate-independent plays fitted to the free runs of a network."""
     from hystmpc.models.identify.chain_kinds import prandtl_ishlinskii_starts
 
     runs, fits = runs_of(copies), []
@@ -269,8 +263,8 @@ def model_form_mse(
 ) -> float:
     """Model-form error: mean square residual of the nominal simulator on its identification data [deg^2].
 
-    Zero where it is unknown: the simulator's file stores no residuals, or it was identified on one of these trials
-    (compared by fingerprint), so that its residuals contain the gap itself.
+    Zero if unknown: the simulator's file stores no residuals, or it was identified on one of these trials (compared by
+    fingerprint), so that its residuals contain the gap itself.
     """
     stored = identification.residuals
     if not stored or _identified_on(identification, trials, dt_s):
@@ -284,7 +278,7 @@ def model_form_mse(
 def _identified_on(identification: Identification, trials: Sequence[Trial], dt_s: float) -> bool:
     """Whether the simulator was identified on one or all of these trials, at any sampling rate."""
     known = {r.fingerprint for r in identification.residuals if r.fingerprint}
-    # A file's sample time is rounded: 0.03333333333 s stand for 30 Hz, but 0.03 s for 1 / 0.03 Hz.
+    # A file's sample time is rounded: 0.03333333333 s means 30 Hz, but 0.03 s means 1 / 0.03 Hz.
     parts = remove_command_noise([part for trial in trials for part in _parts(trial)])
     for taken in (
         trials,
@@ -299,17 +293,17 @@ def _identified_on(identification: Identification, trials: Sequence[Trial], dt_s
 
 
 def _parts(trial: Trial) -> tuple[Trial, ...]:
-    """Parts of a trial between gaps, as an identification uses them; none if it is refused."""
+    """Parts of a trial between gaps, as in an identification; none if the trial is refused."""
     with suppress(LogError):
         return parts_at_gaps(trial)
     return ()
 
 
 def nominal_noise_deg(identification: Identification, step_deg: float = 0.0) -> float | None:
-    """Upper bound of the sensor's noise [deg], at identification with readings in steps [deg]; None where unknown.
+    """Upper bound of the sensor's noise [deg], at identification with readings in steps [deg]; None if unknown.
 
-    A residual with lag-one correlation c has at most the share 1 - c of its energy in white noise. The rounding of
-    readings in steps is not white where the angle moves slowly, and counts in full: step / sqrt(12).
+    A residual with lag-one correlation c has at most the share 1 - c of its energy in white noise. Rounding of readings
+    in steps is not white at slow motion, and counts in full: step / sqrt(12).
     """
     if not identification.residuals:
         return None
@@ -317,7 +311,7 @@ def nominal_noise_deg(identification: Identification, step_deg: float = 0.0) -> 
     return max(white, step_deg / math.sqrt(12.0))
 
 
-_SAME = 0.1  # of the error: two that differ by less, or by no more energy than the noise has, say the same
+_SAME = 0.1  # of the error: errors that differ by less, or by at most the energy of the noise, are equal
 _ROUNDED = 1e-3  # of a sample time, which files round
 
 
@@ -326,9 +320,9 @@ def corrected_to_simulator_rate(
 ) -> tuple[Run, ...]:
     """Runs with a correction: angles of the simulator at its sample time minus those at the sample time of the runs.
 
-    An operator is exact at any sample time for some inputs only, such as a lag for steps. The correction is exact for
-    the nominal simulator, and of first order otherwise. There is none where the simulator is no faster than its
-    diagnosis, or a log is too slow for its sample time.
+    Operators are exact at any sample time only for some inputs, such as a lag for steps. The correction is exact for
+    the nominal simulator, and of first order otherwise. There is none if the simulator is no faster than its diagnosis,
+    or a log is too slow for its sample time.
     """
     if simulator_dt_s >= runs[0].dt_s * (1 - _ROUNDED):
         return tuple(runs)
@@ -354,14 +348,14 @@ def starts_at_simulator_rate(recorded: Sequence[Trial], simulator_dt_s: float, d
 
 
 def resampled_or_none(trial: Trial, rate_hz: float) -> Trial | None:
-    """A trial at a simulator's rate, as `evaluate` takes it; None where the log is too slow for it."""
+    """Trial resampled to a simulator's rate as in `evaluate`; None if the log is too slow."""
     with suppress(LogError):
         return resample(trial, rate_hz)
     return None
 
 
 def evaluated_mse(simulator: Simulator, recorded: Sequence[Trial], skip_first_flexure: bool = False) -> float | None:
-    """Mean square error of a free run as in `evaluate` on trials without gaps [deg^2]; None where a log is too slow."""
+    """Mean square error of a free run as in `evaluate` on trials without gaps [deg^2]; None if a log is too slow."""
     facts, staged = simulator.metadata(), StagedChain(simulator.chain)
     run = staged.rollouts(simulator.dt_s, simulator.chain.values)
     box, squares, samples = search_box(facts.trained_command, facts.trained_angle), 0.0, 0
@@ -405,7 +399,7 @@ def _evaluation_notes(
 
 
 def _angles(chain: Chain, run: Run, commands: Vec, dt_s: float) -> Vec:
-    """Angles (T,) of a chain over commands (T,) at a sample time, from where a run begins [deg]."""
+    """Angles (T,) of a chain over commands (T,) at a sample time, from the start of a run [deg]."""
     way = np.array(run.approach)
     if way.size:
         steps = np.arange(round(way.size * run.dt_s / dt_s)) * dt_s / run.dt_s
@@ -415,23 +409,22 @@ def _angles(chain: Chain, run: Run, commands: Vec, dt_s: float) -> Vec:
 
 
 def _free_run_from(run: Runs, start: TrialStart, commands: Vec) -> Vec:
-    """Angles (T,) over commands (T,) from a start on [deg]."""
     plan = np.concatenate([start.approach, commands])
     return np.asarray(run(np.array([start.command]), np.array([start.angle]), plan[None])[0, len(start.approach) :])
 
 
 _ONE_REST = 0.01  # of the command's range: rests this near to each other are one
 _LEAST_SAMPLES = 3
-_BEYOND = 3.0  # times what motions change the angle at rest by: more does not come from a motion
+_BEYOND = 3.0  # times what motions change the angle at rest by: more has another cause than a motion
 _BEYOND_FORM = 2.0  # times the model-form error (RMS): less does not matter
 
 
 def common_rest(runs: tuple[Run, ...], form_mse: float) -> tuple[Run, ...]:
-    """Give all runs one rest angle where friction cannot explain the scatter of their rest angles.
+    """Give all runs one rest angle if friction cannot explain the scatter of their rest angles.
 
-    A trial that returns to the command at which it rested shows how much its motion changes the angle. Where the rest
-    angles of the trials differ by three times the most of that, something else has moved between the trials, such as a
-    mounting: all runs then begin at the median angle, and the difference stays in the error.
+    A trial that returns to its rest command shows the change of the angle by its motion. If the rest angles of the
+    trials differ by three times the greatest such change, another cause, such as a moved mounting, is likely: all runs
+    then begin at the median angle, and the difference stays in the error.
     """
     span = max(float(run.command.max()) for run in runs) - min(float(run.command.min()) for run in runs)
     commands, angles = np.array([(run.rest_command, run.rest_angle) for run in runs]).T

@@ -21,17 +21,17 @@ _SHAPE = 0.2, 0.8  # of a spike's height: pull on its neighbours' second differe
 _SPIKES, _SPIKE_RATE = 3, 0.001
 _RESUMES = 5.0  # standard deviations of noise by which a held value jumps when it resumes
 _HELD_STRETCHES, _HELD_RATE = 3, 0.003
-_LEAST_JUMP = 0.003  # of the angle's range: smallest spike or jump that is looked at
+_LEAST_JUMP = 0.003  # of the angle's range: smallest evaluated spike or jump
 _JUMP = 1.6  # times the steps around it
 _BY_CHANCE = 0.001  # runs of equal readings in a trial, as long or longer, that its noise gives: held ones are longer
-_MOST_REPEATS = 0.3  # probability that two readings at rest are equal: above it a run of them says little
+_MOST_REPEATS = 0.3  # probability that two readings at rest are equal: above it a run of them is no evidence
 _REAL_NOISE = 1e-4  # of the angle's range: less may be the curvature of a motion without noise
 _STEPS = 3.0  # least spike or jump in steps of the grid
 _SLOWEST_S = 0.05  # update interval of a tip tracker; a value that stays for longer is held
 _ORDERS = (2, 3, 4)
-_CLEARLY_LOWER = 0.93  # of the lower order's estimate: a higher order, which scatters more, is taken below that only
-_KEPT = 0.8  # smallest share of the differences; the rest holds jumps, kinks and spikes
-_KEPT_MOMENT = 0.43773  # E[z^2 | |z| < 1.28155] of a standard normal z: what keeping 80 % leaves of its variance
+_CLEARLY_LOWER = 0.93  # ratio to the lower order's estimate below which a higher, more scattered order is used
+_KEPT = 0.8  # share of the differences, the smallest ones; the rest contains jumps, kinks and spikes
+_KEPT_MOMENT = 0.43773  # E[z^2 | |z| < 1.28155] of a standard normal z: variance ratio of the smallest 80 %
 _MOVING = 1e-4  # of the command's range per sample
 
 
@@ -40,12 +40,12 @@ class SensorSigns:
     """Statistics of the angle sensor over trials as recorded.
 
     Attributes:
-        quantisation_deg: step of the grid that the angles lie on; 0 where there is none [deg].
+        quantisation_deg: step of the grid of the angles; 0 if there is none [deg].
         noise_deg: white noise, rounding included [deg].
         spike_rate: isolated spikes per sample.
-        held_rate: share of samples that repeat the last value while the angle goes on.
+        held_rate: share of samples that repeat the last value during a motion.
         coarse: whether rounding is a good part of the noise; a log written with few digits is on a grid, too.
-        noisy: whether the noise exceeds the nominal noise by half; False where that is unknown.
+        noisy: whether the noise exceeds the nominal noise by half; False if that is unknown.
         spikes, drops: whether spikes and held values occur more often than by chance.
     """
 
@@ -65,7 +65,7 @@ class SensorSigns:
 
 
 def sensor_signs(trials: Sequence[Trial], nominal_noise_deg: float | None = None) -> SensorSigns:
-    """Detect faults of the sensor in trials as recorded; resampling would take the angles off their grid."""
+    """Detect faults of the sensor in trials as recorded, since resampling would remove the grid of the angles."""
     step = grid_step(np.concatenate([trial.angle for trial in trials]))
     noise = white_noise([trial.angle[:: _pace(trial)] for trial in trials])
     spikes = [_spikes(trial, step, noise) for trial in trials]
@@ -88,10 +88,10 @@ def sensor_signs(trials: Sequence[Trial], nominal_noise_deg: float | None = None
 
 
 def repaired(trial: Trial, signs: SensorSigns, simulated: Vec | None = None) -> Trial:
-    """Trial with spikes and held values replaced by lines between their neighbours, or by simulated angles (T,) [deg].
+    """Replace spikes and held values of a trial by lines between their neighbours, or by simulated angles (T,) [deg].
 
-    For a spike of one sample a line equals the local median, and it does not lag on a moving angle. Where the motion
-    turns while a value is held, a line misses it: the simulated motion, with such a line added, does not.
+    For a spike of one sample a line equals the local median, without lag on a moving angle. If the motion turns while a
+    value is held, a line misses the turn; the simulated motion plus a line includes it.
     """
     angle = trial.angle.copy()
     mask = np.zeros(len(trial), dtype=np.bool_)
@@ -106,7 +106,7 @@ def repaired(trial: Trial, signs: SensorSigns, simulated: Vec | None = None) -> 
 
 
 def _pace(trial: Trial) -> int:
-    """Log samples per update of a sensor that is slower than the log: the typical run of one value."""
+    """Log samples per update of a sensor slower than the log: the typical run of one value."""
     changes = np.flatnonzero(np.diff(trial.angle) != 0)
     if changes.size < 2:
         return 1
@@ -115,10 +115,10 @@ def _pace(trial: Trial) -> int:
 
 
 def _spikes(trial: Trial, step: float, noise: float) -> tuple[Mask, int]:
-    """Samples that leave the line between their neighbours and return at once (T,), and the number of spikes.
+    """Mask (T,) of samples that leave the line between their neighbours and return at once, and the number of spikes.
 
-    With h_k = y_k - (y_{k-1} + y_{k+1}) / 2 a spike of height H gives h = -H/2, H, -H/2; a jump gives two neighbours
-    of opposite sign, a bend neighbours of one sign.
+    With h_k = y_k - (y_{k-1} + y_{k+1}) / 2 a spike of height H gives h = -H/2, H, -H/2; a jump gives two neighbours of
+    opposite sign, a bend neighbours of one sign.
     """
     values, edges = trial.angle, np.arange(len(trial))
     if _pace(trial) > 1:
@@ -140,11 +140,7 @@ def _spikes(trial: Trial, step: float, noise: float) -> tuple[Mask, int]:
 
 
 def _held(trial: Trial, step: float, noise: float) -> Mask:
-    """Samples that repeat the last value, longer than usual, before a jump larger than the changes around it.
-
-    A dead zone holds the angle as well, but without such a jump. Noise never rests: a run that is too long for equal
-    readings in a row by chance counts as held whatever follows.
-    """
+    """Mask of samples that repeat the last value before a large jump (not a dead zone), or longer than by chance."""
     angle, usual = trial.angle, _pace(trial)
     edges = np.concatenate([[0], np.flatnonzero(np.diff(angle) != 0) + 1])
     lengths = np.diff(np.append(edges, angle.size))
@@ -166,10 +162,10 @@ def _held(trial: Trial, step: float, noise: float) -> Mask:
 
 
 def _longest_by_chance(runs: NDArray[np.int64], step: float, noise: float) -> float:
-    """Length of the longest run of equal readings that noise on a grid explains; infinite where it says little.
+    """Length of the longest run of equal readings that noise on a grid explains; infinite if unknown.
 
-    Two readings at rest are equal with p = step / (2 sqrt(pi) noise), the density of the difference of two at 0, and L
-    of them with p^(L - 1). The share of runs that repeat at all is p as well, also where the noise is not white.
+    Two readings at rest are equal with p = step / (2 sqrt(pi) noise), L of them with p^(L - 1); the observed share of
+    repeating runs also estimates p, even for coloured noise.
     """
     white = step / (2 * math.sqrt(math.pi) * noise) if noise > 0 else 1.0
     repeats = max(white, float(np.mean(runs > 1)), 1 / runs.size)
@@ -183,11 +179,11 @@ def autocorrelation(signal: Vec, lags: int) -> Vec:
 
 
 def white_noise(signals: Sequence[Vec]) -> float:
-    """Standard deviation of the white part of signals, each (T,), in their unit; 0 where none is long enough.
+    """Standard deviation of the white part of signals, each (T,), in their unit; 0 if all are too short.
 
-    The n-th differences d of white noise have variance C(2n, n) sigma^2, those of a smooth motion almost none:
-    sigma^2 = mean(d^2 over the smaller 80 %) / (0.438 C(2n, n)) with n = 2, or 3 or 4 where these give at least 7 %
-    less. A lower bound: noise that the sensor has filtered is underestimated.
+    The n-th differences d of white noise have variance C(2n, n) sigma^2, those of a smooth motion almost none: sigma^2
+    = mean(d^2 over the smaller 80 %) / (0.438 C(2n, n)) with n = 2, or 3 or 4 if these give at least 7 % less. A lower
+    bound: noise that the sensor has filtered is underestimated.
 
     Source: von Neumann et al., Ann. Math. Stat. 12 (1941) 153, for n = 1; orders and trimming are ours.
     """

@@ -1,4 +1,4 @@
-"""Order of recording, choice of the trials that can be afforded, and their split into development and final runs."""
+"""Recording order, choice of trials within the computing budget, and their split into development and final runs."""
 
 from __future__ import annotations
 
@@ -28,18 +28,18 @@ NEEDS_ORDER: Mapping[str, str] = {
     SET_ACROSS_TRIALS: "A set that the first trials leave in all later ones needs the order of recording, which is "
     "unknown; a first flexure that comes in every trial anew is looked for.",
 }
-"""What cannot be tested where the order is unknown, and why, a sentence each."""
+"""Effects that cannot be tested without the recording order, with the reason in one sentence each."""
 
 
 def in_recording_order(trials: Sequence[Trial], ordered: bool) -> tuple[list[Trial], Order]:
-    """Sort the trials by the order of recording, or by their content where that order is unknown.
+    """Sort the trials by the order of recording, or by their content if that order is unknown.
 
-    Time stamps count first, then the caller's word, then a manifest. A single trial has its order. Where nothing tells
-    the order, trials are sorted by the range of their commands, their length and their content, so that every later
-    choice (folds, final trials, seeds) is the same whatever the order of the files.
+    Time stamps have precedence, then the caller's statement, then a manifest. A single trial has its order. The order
+    by range of commands, length and content makes every later choice (folds, final trials, seeds) independent of the
+    order of the files.
 
     Raises:
-        GapError: if the caller says so and the time stamps or the manifest say otherwise.
+        GapError: if time stamps or manifest contradict the caller's statement.
         ConfigError: if a manifest cannot be used.
     """
     if len(trials) < 2:
@@ -69,11 +69,11 @@ _PART_FINAL = 0.35
 _SPEEDS = (0.25, 0.5, 0.75, 0.9, 0.99)
 _STILL = 1e-3  # strokes per second
 _LENGTH = 0.3
-_DIGITS = 2  # of a distance: repeats by hand are never quite equal
+_DIGITS = 2  # digits of a distance: manual repeats are never exactly equal
 
 
 MOST_SAMPLES = 300_000
-"""Samples of all trials together that are diagnosed; 20 trials of 600 s at 25 Hz."""
+"""Greatest number of samples in a diagnosis; 20 trials of 600 s at 25 Hz."""
 
 # Measured with `lab/benchmarks/diagnosis_time.py --trials 20 --seconds 600`: two effects, 69 s of a shared core.
 _SECONDS, _START_S = 0.22e-3, 5.0
@@ -81,13 +81,13 @@ _BYTES, _START_BYTES = 0.6e3, 0.35e9
 _SOON_S = 30.0  # a shorter diagnosis is not announced
 _MOST_TRIALS = 200  # repeats are searched in all pairs of trials
 _LEAST_UNCUT_TRIALS = 12  # trials are cut before fewer than these are used
-_REPEAT = 0.005  # distance of `motion_features`: the same motion again
+_REPEAT = 0.005  # distance of `motion_features` of a repeated motion
 
 MOST_HZ = 50.0
 """Greatest rate of a diagnosis: tip motions end at a few Hz, and time grows with the rate."""
 
 LEAST_HZ = 10.0
-"""A simulator of a lower rate is diagnosed at that of the logs: what is quick would not show at its own."""
+"""Least rate of a diagnosis: below it the rate of the logs is used, since fast effects would be invisible."""
 
 LEAST_S = 2.0
 """Shortest trial [s]."""
@@ -102,7 +102,6 @@ class Workload:
     Attributes:
         kept: numbers of the trials, in recording order.
         samples: number of first samples of each that are used.
-        note: what is left out, in one line; empty where nothing is.
         estimate: the cost in one line; empty below 30 s.
     """
 
@@ -119,7 +118,7 @@ class ChosenTrials:
     Attributes:
         trials: uniform, all at one rate, in recording order.
         given: the same as recorded, cut at gaps, without the noise of a measured command.
-        before: history of the device before each, trials that were not chosen included.
+        before: history of the device before each, omitted trials included.
     """
 
     trials: tuple[Trial, ...]
@@ -141,11 +140,11 @@ class ChosenTrials:
 def choose_trials(
     trials: Sequence[Trial], facts: ModelMetadata, fixed: bool, seed: int, ordered: bool = True
 ) -> ChosenTrials:
-    """Choose trials that can be afforded and bring them to one rate.
+    """Choose trials within the computing budget and resample them to one rate.
 
     Args:
-        fixed: whether the simulator is valid at its own rate only.
-        ordered: whether the trials stand in the order of recording; if not, each begins anew.
+        fixed: whether the simulator is valid only at its nominal rate.
+        ordered: whether the trials are in recording order; if not, each has no history.
     """
     parts = remove_command_noise([part for trial in trials for part in _parts(trial)])
     rate = 1.0 / facts.dt_s
@@ -167,13 +166,11 @@ def choose_trials(
 
 
 def _beginning(trial: Trial, end_s: float) -> Trial:
-    """Trial up to a time [s]; the whole trial if at most one sample comes later."""
     stop = int(np.searchsorted(trial.t, end_s, side="right"))
     return trial if trial.t[-1] - end_s <= 1.5 * trial.dt else trial.select(0, stop)
 
 
 def _parts(trial: Trial) -> tuple[Trial, ...]:
-    """Parts of a trial between gaps, by the same rule as in `check`, `fit` and `evaluate`."""
     parts = parts_at_gaps(trial)
     for part in parts:
         if part.duration_s < LEAST_S:
@@ -188,12 +185,12 @@ def affordable(
     most: int = MOST_SAMPLES,
     ordered: bool = True,
 ) -> Workload:
-    """Choose trials that together have at most `most` samples; all of them where that suffices.
+    """Choose trials that together have at most `most` samples; all of them if possible.
 
-    First and last trial (where their order is known), one of every kind of motion and, of every kind, the two trials
-    most alike come first; then the kinds in turn, in an order that the seed draws. Where fewer than twelve trials would
-    be used, long ones are cut to their first part instead, since the state of the hysteresis is known at the start of a
-    trial only.
+    First and last trial (if their order is known), one of every kind of motion and, of every kind, the two most similar
+    trials come first; then the kinds in turn, in an order drawn from the seed. If fewer than twelve trials would be
+    used, long ones are cut to their first part instead, since the state of the hysteresis is known only at the start of
+    a trial.
     """
     sizes = np.array([len(trial) for trial in trials])
     kept, samples = list(range(len(trials))), sizes
@@ -214,7 +211,6 @@ def affordable(
 
 
 def _left_out(what: str, used: Index, recorded: Index, dt: float, most: int, seed: int, ordered: bool) -> str:
-    """Note on the trials and parts that are not used."""
     cut, ends = used < recorded, "the first, the last, " if ordered else ""
     text = (
         f"{what}, more than are diagnosed in minutes ({most:,} samples of {_MOST_TRIALS} trials): {used.size} trials "
@@ -227,7 +223,7 @@ def _left_out(what: str, used: Index, recorded: Index, dt: float, most: int, see
 
 
 def _order(trials: Sequence[Trial], motions: Sequence[MotionType], seed: int, ordered: bool) -> tuple[list[int], int]:
-    """Numbers of all trials, those that are needed most first, and how many are needed."""
+    """Numbers of all trials by priority, and the number of necessary ones."""
     features = motion_features([trial.command for trial in trials], trials[0].dt)
     kinds = [np.flatnonzero(np.array(motions) == kind) for kind in dict.fromkeys(motions)]
     needed = dict.fromkeys([0, len(trials) - 1] if ordered else [])
@@ -242,7 +238,7 @@ def _order(trials: Sequence[Trial], motions: Sequence[MotionType], seed: int, or
 
 
 def _most_alike(features: Vec) -> tuple[int, int] | None:
-    """Numbers of the two motions that are most alike; None where no motion repeats another."""
+    """Numbers of the two most similar motions; None if no motion repeats another."""
     if len(features) < 2:
         return None
     distance, other = (np.asarray(part) for part in KDTree(features).query(features, k=2))
@@ -252,7 +248,6 @@ def _most_alike(features: Vec) -> tuple[int, int] | None:
 
 
 def _length_limit(sizes: Index, most: int) -> int:
-    """Greatest length to which trials can be cut so that together they have no more than `most` samples."""
     ascending = np.sort(sizes)
     left = most
     for k, size in enumerate(ascending.tolist()):
@@ -266,15 +261,15 @@ def _length_limit(sizes: Index, most: int) -> int:
 def split_runs(
     runs: Sequence[Run], motions: Sequence[str], ordered: bool = True
 ) -> tuple[tuple[Run, ...], tuple[Run, ...]]:
-    """Development and final runs, by whole trials.
+    """Split whole trials into development and final runs.
 
     A quarter of the trials is final: first repeats of a motion, then motions most like another, the latest among
-    equals. A motion that is like no other stays a development run. Of one or two trials the last third of what counts
-    is final: it is simulated from the beginning of the trial and scored alone. The other two thirds of a single trial
-    are two folds.
+    equals. A unique motion stays a development run. Of one or two trials the last third of the counted samples is
+    final: it is simulated from the beginning of the trial and scored alone. The other two thirds of a single trial are
+    two folds.
 
     Args:
-        ordered: whether they stand in the order of recording; the first one then is never final.
+        ordered: whether they are in recording order; the first one then is never final.
     """
     if len(runs) < _LEAST_TRIALS:
         return _split_in_time(runs)
@@ -284,7 +279,7 @@ def split_runs(
     features = motion_features([run.command for run in runs], runs[0].dt_s)
     apart = np.linalg.norm(features[:, None] - features[None], axis=-1)
     while len(chosen) < count:
-        # Of the most frequent motion left, the trial most like another.
+        # The trial most similar to another, of the most frequent remaining motion.
         often = max(
             left[1:] if ordered else left,
             key=lambda k: (
@@ -310,7 +305,7 @@ def _split_in_time(runs: Sequence[Run]) -> tuple[tuple[Run, ...], tuple[Run, ...
 
 
 def motion_features(commands: Sequence[Vec], dt_s: float) -> Vec:
-    """Levels, speeds, rests and length of K commands (K, 10); near to each other where one repeats another."""
+    """Levels, speeds, rests and length of K commands (K, 10), with similar values for similar motions."""
     low, high = min(float(u.min()) for u in commands), max(float(u.max()) for u in commands)
     return np.array([_features(u, dt_s, max(high - low, 1e-12)) for u in commands])
 

@@ -1,1 +1,1 @@
-"""The next motion: hypotheses that are open, the menu of safe motions, and the choice among them."""
+"""The next motion of a diagnosis: open hypotheses, the menu of safe motions, and the choice among them."""

@@ -1,4 +1,4 @@
-"""Design of the next motion, from a menu or by a search: it separates the open hypotheses best."""
+"""Design of the next motion, from a menu or by a search, so that it best separates the open hypotheses."""
 
 from __future__ import annotations
 
@@ -35,10 +35,9 @@ class OpenHypothesis:
     """Hypothesis that the logs do not reject, as a fitted simulator.
 
     Attributes:
-        name: public name of the effect.
         simulate: command (T,) [mm or bar] and sample time [s] to angle (T,) [deg], from rest.
-        retunings: the same simulator with one of its own parameters a little changed, each; what these differences
-            can absorb does not count as separation. Without any, its angle one sample later stands in for them.
+        retunings: simulators with a small change of one parameter each, whose differences do not count as separation;
+            if empty, the angle one sample later replaces them.
     """
 
     name: str
@@ -48,15 +47,15 @@ class OpenHypothesis:
 
 @dataclass(frozen=True)
 class Noise:
-    """Noise model, AR(1) plus white, and model-form error; separations are measured in its units.
+    """Noise model, AR(1) plus white, and model-form error, as the unit of separations.
 
-    Noise averages out over a motion. The model-form error, by which a device differs from the equations, does not: it
-    is the same in every recording, and may point from one candidate to another.
+    Noise averages out over a motion. The model-form error between device and equations is the same in every recording,
+    and may point from one candidate to another.
 
     Attributes:
         rmse_deg: standard deviation of the noise [deg].
         ar: correlation of its slow part from one sample to the next.
-        white: share of its variance that has no memory.
+        white: share of its variance without memory.
         form_deg: root mean square of the model-form error [deg].
     """
 
@@ -66,7 +65,7 @@ class Noise:
     form_deg: float = 0.0
 
     def whiten(self, signals: Vec) -> Vec:
-        """Signals (..., T) in units of the noise: each frequency over the root of the noise's spectrum."""
+        """Whiten signals (..., T): divide each frequency by the root of the noise's spectrum."""
         samples = signals.shape[-1]
         unit = np.exp(-2j * np.pi * np.fft.rfftfreq(samples))
         spectrum = (1 - self.white) * (1 - self.ar**2) / np.abs(1 - self.ar * unit) ** 2 + self.white
@@ -94,10 +93,9 @@ class EvaluatedMotion:
 
 @dataclass(frozen=True, eq=False)
 class MotionProposal:
-    """The motion to record next.
+    """Proposed motion of the next recording.
 
     Attributes:
-        names: effects that it is to tell apart.
         options: every motion that could be simulated, in the order of the menu.
     """
 
@@ -114,15 +112,15 @@ class MotionProposal:
 def propose(candidates: Sequence[OpenHypothesis], motions: Sequence[SampledMotion], noise: Noise) -> MotionProposal:
     """Choose the motion that most probably names the right candidate; at about equal probability the shortest.
 
-    With candidate i true and j retuned to it, the part r_ij that is left favours i with probability
-    P_ij = Phi(d_ij / 2), the hit rate for two known signals in Gaussian noise, with
+    With candidate i true and j retuned to it, the remaining difference r_ij favours i with probability P_ij = Phi(d_ij
+    / 2), the hit rate for two known signals in Gaussian noise, with
 
         1 / d_ij^2 = 1 / |r_ij|^2 + (form / (2 rms r_ij))^2,
 
-    |r_ij| whitened, in units of the noise, and a form error that lies in any of four directions. Pairs are
-    combined by P_i = 1 / (sum_{j != i} 1 / P_ij - (K - 2)) (Price, Knerr, Personnaz, Dreyfus, NIPS 1994); all
-    candidates are equally likely. Retuning is linear least squares on offset, gain, command shift, command scale and
-    the candidate's own parameters.
+    |r_ij| whitened, in units of the noise, and a form error that lies in any of four directions. Pairs are combined by
+    P_i = 1 / (sum_{j != i} 1 / P_ij - (K - 2)) (Price, Knerr, Personnaz, Dreyfus, NIPS 1994); all candidates are
+    equally likely. Retuning is linear least squares on offset, gain, command shift, command scale and the candidate's
+    own parameters.
 
     Raises:
         FitError: if there is no motion on which all candidates give finite angles.
@@ -137,10 +135,7 @@ def propose(candidates: Sequence[OpenHypothesis], motions: Sequence[SampledMotio
 
 
 def expected_probability(distances: ArrayLike) -> float:
-    """Mean probability of the right candidate from distances (K, K) in units of the noise; the diagonal is left out.
-
-    Identical candidates give 1 / K; it grows with every distance.
-    """
+    """Mean probability of the right candidate from distances (K, K) in units of the noise; 1 / K if all are zero."""
     d = np.asarray(distances, dtype=np.float64)
     inverse = 1 / ndtr(d / 2)
     np.fill_diagonal(inverse, 0.0)
@@ -148,7 +143,7 @@ def expected_probability(distances: ArrayLike) -> float:
 
 
 def separations(candidates: Sequence[OpenHypothesis], command: Vec, dt: float) -> tuple[Vec, list[Vec]]:
-    """Angles (K, T) of the candidates, and for each the directions (P, T) that its retuning can take [deg]."""
+    """Angles (K, T) of the candidates, and the possible directions (P, T) of each one's retuning [deg]."""
     angles = np.array([candidate.simulate(command, dt) for candidate in candidates])
     directions = [_retuning_directions(c, angle, command, dt) for c, angle in zip(candidates, angles, strict=True)]
     return angles, directions
@@ -173,7 +168,7 @@ def write_motion(path: Path | str, proposal: MotionProposal, command_unit: str =
 def evaluate_motion(
     candidates: Sequence[OpenHypothesis], motion: SampledMotion, noise: Noise
 ) -> EvaluatedMotion | None:
-    """Expected result of one motion; None where a simulator does not give finite angles on it."""
+    """Expected result of one motion; None if a simulator gives angles that are not finite."""
     angles, directions = separations(candidates, motion.command, motion.dt)
     if not all(np.isfinite(part).all() for part in (angles, *directions)):
         return None
@@ -188,7 +183,6 @@ def evaluate_motion(
 
 
 def _distance(left: Vec, noise: Noise) -> Vec:
-    """Distances d of the separations (N, T) in units of the noise."""
     still = left - left.mean(axis=-1, keepdims=True)
     seen = np.linalg.norm(noise.whiten(still), axis=-1)
     form = noise.form_deg / (_FORM_SPREAD * np.maximum(np.sqrt(np.mean(still**2, axis=-1)), 1e-300))
@@ -196,7 +190,7 @@ def _distance(left: Vec, noise: Noise) -> Vec:
 
 
 def _retuning_directions(candidate: OpenHypothesis, angle: Vec, command: Vec, dt: float) -> Vec:
-    """Changes of the angle [deg] that the candidate's retuning can make, one a row."""
+    """Changes of the angle [deg] that the candidate's retuning can make, one per row."""
     low, span = float(command.min()), float(np.ptp(command))
     shifted = np.maximum(command - _SHIFT * span, low)
     scaled = low + (1 - _SCALE) * (command - low)
@@ -208,7 +202,7 @@ def _retuning_directions(candidate: OpenHypothesis, angle: Vec, command: Vec, dt
 
 
 def _unexplained(targets: Vec, basis: Vec, noise: Noise) -> Vec:
-    """Part of `targets` (N, T) that no sum of the basis (P, T) explains, by least squares in units of the noise."""
+    """Residual of `targets` (N, T) after a least-squares fit of the basis (P, T), in units of the noise."""
     weighted = noise.whiten(basis)
     norms = np.linalg.norm(weighted, axis=1)
     moves = norms > 1e-9
@@ -219,8 +213,8 @@ def _unexplained(targets: Vec, basis: Vec, noise: Noise) -> Vec:
     return targets - weights.T @ (basis[moves] / norms[moves, None])
 
 
-_DRAWN, _GENERATIONS = 12, 8  # members beside the menu's; 24 in all, so that a search looks at about 200 motions
-_LEAST_S = 6.0  # a shorter motion is not worth a run of its own
+_DRAWN, _GENERATIONS = 12, 8  # members in addition to the menu's 12; about 200 motions per search
+_LEAST_S = 6.0  # a shorter motion is not worth a separate run
 
 
 @dataclass(frozen=True)
@@ -228,9 +222,9 @@ class SearchSettings:
     """Settings of the motion search.
 
     Attributes:
-        overhead_s: device time that a run takes beside its motion [s].
-        least_s: duration below which a motion is left out [s].
-        allowed: whether a motion may be played, judged by the angles that the explanations expect.
+        overhead_s: device time of a run in addition to its motion [s].
+        least_s: least duration of a motion [s].
+        allowed: whether a motion may be played, from the angles that the hypotheses predict.
     """
 
     seed: int | Sequence[int] = 0
@@ -245,11 +239,10 @@ class SearchedMotion:
     """Result of a motion search, with the best motion of the menu for comparison.
 
     Attributes:
-        numbers: of it in the family (22,).
-        seconds: device time of it, the run around it included [s].
-        menu: the best motion of the menu by the same measure; None where none can be simulated.
-        menu_bits, menu_seconds: of that.
-        looked_at: motions that were simulated.
+        numbers: of the motion in the family (22,).
+        seconds: device time of the motion, including the overhead of its run [s].
+        menu: the best motion of the menu by the same measure; None if none can be simulated.
+        menu_bits, menu_seconds: information and device time of that one.
     """
 
     chosen: EvaluatedMotion
@@ -263,13 +256,13 @@ class SearchedMotion:
 
     @property
     def gain(self) -> float:
-        """Information per second over that of the menu's best; infinite where that tells nothing."""
+        """Ratio of information per second to that of the menu's best; infinite if that has no information."""
         rate, menu_rate = self.bits / self.seconds, self.menu_bits / self.menu_seconds if self.menu else 0.0
         return rate / menu_rate if menu_rate > 0 else math.inf
 
 
 def information_bits(probability: float, count: int) -> float:
-    """Expected information on which of `count` equally likely explanations holds: log2(count p), 0 by chance."""
+    """Expected information on which of `count` equally likely explanations is true: log2(count p), 0 by chance."""
     return max(math.log2(max(count * probability, 1.0)), 0.0)
 
 
@@ -280,17 +273,17 @@ def search_motion(
     settings: SearchSettings = SearchSettings(),
     menu: Sequence[SampledMotion] = (),
 ) -> SearchedMotion | None:
-    """Search the motion with the most expected information per second on which hypothesis holds.
+    """Search the motion with the most expected information per second on which hypothesis is true.
 
     Maximises log2(K p(x)) / (T(x) + T_run) over the numbers x of the family, p the expected probability of the right
     one of K explanations after retuning each (`propose`). Differential evolution (Storn, Price, J. Global Optimization
     11, 1997) starts from the menu's entries and motions drawn at random.
 
     Args:
-        menu: motions to compare with, as `motions.menu` makes them, of any duration.
+        menu: motions of any duration to compare with, from `motions.menu`.
 
     Returns:
-        The motion; None where no motion can be simulated that is allowed.
+        The motion; None if no allowed motion can be simulated.
     """
     count = len(hypotheses)
     best: list[tuple[float, EvaluatedMotion, Vec]] = []
@@ -329,7 +322,6 @@ def search_motion(
 
 
 def _rate(option: EvaluatedMotion, count: int, settings: SearchSettings) -> float:
-    """Expected information per second of device time."""
     return information_bits(option.probability, count) / (option.motion.duration_s + settings.overhead_s)
 
 

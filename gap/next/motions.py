@@ -24,12 +24,12 @@ _EDGE_S = 1.0
 
 @dataclass(frozen=True)
 class RampAndHold:
-    """Ramp to a command, and a hold there.
+    """Ramp to a command, followed by a hold.
 
     Attributes:
         target: share of the reach, 0 at the lowest command.
         speed: share of the allowed rate.
-        stroke_s: time that the whole reach takes at least [s].
+        stroke_s: least time for the whole reach [s].
     """
 
     target: float
@@ -44,12 +44,12 @@ class RampAndHold:
 
 @dataclass(frozen=True)
 class SineBurst:
-    """A sum of small sines about the command reached, faded in and out.
+    """Sum of small sines about the current command, faded in and out.
 
     Attributes:
-        frequencies_hz: one sine each, all of one amplitude.
-        amplitude: of their sum at most, share of the reach; less where the rate limit asks for it.
-        duration_s: with its rise and fall [s].
+        frequencies_hz: frequencies of the sines, all of one amplitude.
+        amplitude: greatest amplitude of their sum, share of the reach; reduced to meet the rate limit.
+        duration_s: including fade-in and fade-out [s].
     """
 
     frequencies_hz: tuple[float, ...]
@@ -62,7 +62,7 @@ class SampledMotion:
     """One motion of the menu, sampled.
 
     Attributes:
-        purpose: what it tells apart, for the report.
+        purpose: effects that it distinguishes, for the report.
         t: times [s], (T,), from 0 in steps of dt.
         command: command [mm or bar], (T,); starts and ends at rest at the lowest one.
     """
@@ -85,7 +85,7 @@ class SampledMotion:
 
 @dataclass(frozen=True)
 class MotionTemplate:
-    """Motion in shares of the reach and of the rate, before limits are known."""
+    """Motion in shares of the reach and of the rate, independent of the limits."""
 
     name: str
     purpose: str
@@ -96,7 +96,6 @@ class MotionTemplate:
 def _strokes(
     peaks: Sequence[float], hold_s: float, speed: float = 0.5, stroke_s: float = 0.0
 ) -> tuple[RampAndHold, ...]:
-    """Strokes from the lowest command to each peak and back."""
     return tuple(RampAndHold(target, hold_s, speed, stroke_s) for peak in peaks for target in (peak, 0.0))
 
 
@@ -172,7 +171,7 @@ TEMPLATES = (
 def menu(limits: CommandLimits, dt: float) -> tuple[SampledMotion, ...]:
     """Motions of the menu on one device, within the limits [mm or bar, and per second], at a sample time [s].
 
-    They change by at most 0.9 of the rate limit, and reach less far where they would take more than 90 s otherwise.
+    They use at most 0.9 of the rate limit, and a smaller reach if they would take more than 90 s.
     """
     return tuple(_motion(template, limits, dt) for template in TEMPLATES)
 
@@ -196,7 +195,7 @@ def _motion(template: MotionTemplate, limits: CommandLimits, dt: float) -> Sampl
 
 
 def _reach(template: MotionTemplate, limits: CommandLimits) -> float:
-    """Greatest command above the lowest with which the motion keeps within its longest duration."""
+    """Greatest command above the lowest at which the motion stays within its longest duration."""
     rate, whole = RATE_SHARE * limits.rate, limits.upper - limits.lower
     if _duration_s(template, whole, rate) <= template.longest_s:
         return whole
@@ -205,7 +204,6 @@ def _reach(template: MotionTemplate, limits: CommandLimits) -> float:
 
 
 def _duration_s(template: MotionTemplate, reach: float, rate: float) -> float:
-    """Duration at a reach [s]."""
     at, seconds = 0.0, 2 * REST_S
     for part in template.parts:
         if isinstance(part, RampAndHold):
@@ -230,10 +228,10 @@ def sampled_burst(part: SineBurst, centre: float, reach: float, rate: float, dt:
 
 
 LEGS = 6
-"""Ramps of a motion, each with a hold."""
+"""Number of ramps of a motion, each with a hold."""
 
 SIZE = 3 * LEGS + 4
-"""Numbers of a motion, each between 0 and 1."""
+"""Number of parameters of a motion, each between 0 and 1."""
 
 _BURST_AFTER = 3  # legs
 _SLOWEST, _HOLD_S = 0.03, (0.05, 20.0)  # of the allowed rate; shortest and longest hold, logarithmic
@@ -246,13 +244,13 @@ class MotionFamily:
     """Parametrised family of motions: rest, three ramps with holds, two sines, three ramps with holds, return, rest.
 
     A motion is given by numbers x (22,) in [0, 1]: of each ramp the target (share of the range, counted from the end
-    that is nearer to the safe command), the speed (3 to 100 % of the allowed rate, logarithmic) and the hold (0.05 to
-    20 s, logarithmic); of the burst the amplitude, the frequency, the ratio of the second frequency, and the duration.
-    A motion that would last too long is played faster, and reaches less far if that is not enough.
+    nearer to the safe command), the speed (3 to 100 % of the allowed rate, logarithmic) and the hold (0.05 to 20 s,
+    logarithmic); of the burst the amplitude, the frequency, the ratio of the second frequency, and the duration. A
+    motion that would last too long is played faster and, if necessary, with less reach.
 
     Attributes:
         limits: box and rate of the command [mm or bar, and per second].
-        longest_s: duration that no motion exceeds [s].
+        longest_s: greatest duration of a motion [s].
 
     Raises:
         TrajectoryError: if the sample time or the duration is not positive, or the safe command lies outside.
@@ -278,7 +276,7 @@ class MotionFamily:
         return (low, high) if self.safe - low <= high - self.safe else (high, low)
 
     def motion(self, x: Vec, name: str, purpose: str = "") -> SampledMotion:
-        """The motion of numbers x (22,)."""
+        """Sampled motion of numbers x (22,)."""
         numbers = np.clip(np.asarray(x, dtype=np.float64), 0.0, 1.0)
         legs, burst = numbers[: 3 * LEGS].reshape(LEGS, 3), numbers[3 * LEGS :]
         near, far = self._ends
@@ -311,7 +309,7 @@ class MotionFamily:
 
     @cached_property
     def starts(self) -> dict[str, Vec]:
-        """Numbers (22,) of the motions of the menu: of each its first six ramps and its first burst."""
+        """Numbers (22,) of the motions of the menu, from the first six ramps and the first burst of each."""
         return {template.name: self._numbers_of(template) for template in TEMPLATES}
 
     def slower(self, x: Vec, factor: float) -> Vec:
@@ -344,7 +342,7 @@ class MotionFamily:
 def _shortened(
     safe: float, stops: Vec, speeds: Vec, holds: Vec, sine_s: float, rate: float, room: float
 ) -> tuple[Vec, Vec, Vec, float]:
-    """Stops, durations of the ways and holds (LEGS,) [s], and of the burst [s], that together take at most `room`."""
+    """Stops, durations of ramps and holds (LEGS,) [s], and of the burst [s], that together take at most `room`."""
 
     def least(s: Vec) -> tuple[Vec, float]:
         ways = np.abs(np.diff(s, prepend=safe)) / rate

@@ -1,4 +1,4 @@
-"""Open hypotheses: the explanations that the trials do not reject, as simulators of a further motion."""
+"""Open hypotheses: explanations that the trials do not reject, as simulators of a further motion."""
 
 from __future__ import annotations
 
@@ -31,17 +31,17 @@ _STEP = 0.3  # of the unknowns' typical changes
 _LEAST_NOISE_DEG = 1e-3
 _TYPICAL = ("lag", "creep", "stick_slip", "contact")  # one of each family, where fewer than two effects were tried
 NOTHING = "nothing"
-"""Name of the explanation that nothing is missing."""
+"""Name of the hypothesis without any missing effect."""
 
-_MOST = 4  # hypotheses for a gap that nothing explains
+_MOST = 4  # greatest number of hypotheses for an unexplained gap
 
 
 def next_step(findings: Findings) -> MotionProposal | None:
-    """The motion to record next; None where nothing is open.
+    """Propose the next motion to record; None if no hypothesis is open.
 
-    It is to separate, in this order: all effects that these trials cannot tell apart; an effect that was named and
-    another from which these motions cannot tell it (`unseparated`); for a gap without explanation, effects of
-    different families. Where no angle follows its command, no motion is proposed.
+    It shall separate, in this order: all effects that these trials cannot distinguish; a named effect and others that
+    these motions cannot distinguish from it (`unseparated`); for a gap without explanation, effects of different
+    families. If no angle follows its command, no motion is proposed.
     """
     task = discrimination_task(findings, confirm=False)
     if task is None:
@@ -51,10 +51,10 @@ def next_step(findings: Findings) -> MotionProposal | None:
 
 @dataclass(frozen=True, eq=False)
 class DiscriminationTask:
-    """Model discrimination task: the hypotheses that a further motion has to separate.
+    """Model discrimination task: the hypotheses that a further motion shall separate.
 
     Attributes:
-        confirms: whether the trials so far decide already, so that the motion only puts their answer to the test.
+        confirms: whether the trials decide already, so that the motion only tests their result.
     """
 
     hypotheses: tuple[OpenHypothesis, ...]
@@ -63,10 +63,10 @@ class DiscriminationTask:
 
 
 def discrimination_task(findings: Findings, confirm: bool = True) -> DiscriminationTask | None:
-    """The hypotheses that stay open after these trials; where none is, those that would test the verdict.
+    """Hypotheses that remain open after these trials; if there are none, those that test the verdict.
 
-    A named effect is tested against those that it is taken for, each fitted in its place; no gap is tested against a
-    single effect of each family. None where no angle follows its command.
+    A named effect is tested against effects that it may be confused with, each fitted in its place; no gap is tested
+    against a single effect of each family. None if no angle follows its command.
     """
     if findings.prepared.checked.unrelated:
         return None
@@ -81,7 +81,6 @@ def discrimination_task(findings: Findings, confirm: bool = True) -> Discriminat
 
 
 def _rivals(findings: Findings) -> dict[str, Hypothesis]:
-    """Hypotheses of the verdict and of its alternatives, by the name of the effect."""
     chosen, attribution = findings.conclusion.chosen, findings.attribution
     if not chosen.effects:
         return {NOTHING: attribution.retuned, **_families(findings)}
@@ -95,7 +94,7 @@ def _rivals(findings: Findings) -> dict[str, Hypothesis]:
 
 
 def open_explanations(findings: Findings) -> dict[str, Hypothesis]:
-    """Open hypotheses by the effect that tells each from the others."""
+    """Open hypotheses, by the effect that distinguishes each from the others."""
     decision, attribution = findings.conclusion.decision, findings.attribution
     if decision.effects_unknown:
         return _families(findings)
@@ -105,17 +104,17 @@ def open_explanations(findings: Findings) -> dict[str, Hypothesis]:
     for effect, *others in decision.ambiguity or (unseparated(findings),):
         rest = findings.conclusion.chosen.effects - {effect}
         base = _fitted_with(attribution, rest)
-        # The effects chosen of further sets are in the first hypothesis.
+        # The first hypothesis contains the chosen effects of the further sets.
         for name in others if made else (effect, *others):
-            # In one more trial a shift of its own is a matter of retuning.
+            # In one further trial, an individual shift belongs to retuning.
             made.setdefault(name, base if name == "trial_shift" else _with_effect(findings, rest, name))
     return {name: hypothesis for name, hypothesis in made.items() if hypothesis is not None}
 
 
 def unseparated(findings: Findings) -> tuple[str, ...]:
-    """A named effect and those that these motions cannot separate from it, judged by their commands.
+    """A named effect and the effects that these motions cannot separate from it, from the commands.
 
-    They stay open beside it: the equations of a device are not the library's, so that the angles do not decide alone.
+    They remain open, since a device's equations differ from the library's: the angles alone do not decide.
     """
     chosen = findings.conclusion.chosen.effects
     if findings.conclusion.decision.verdict != "named":
@@ -131,7 +130,7 @@ def unseparated(findings: Findings) -> tuple[str, ...]:
 
 
 def _with_effect(findings: Findings, rest: frozenset[str], name: str) -> Hypothesis | None:
-    """Hypothesis of the causes `rest` and one more, from the selection, else fitted now."""
+    """Hypothesis of the causes `rest` and one more, from the selection or a new fit."""
     attribution, names = findings.attribution, rest | {name}
     if names == findings.conclusion.chosen.effects:
         return findings.conclusion.chosen
@@ -141,13 +140,12 @@ def _with_effect(findings: Findings, rest: frozenset[str], name: str) -> Hypothe
 
 
 def _fitted_with(attribution: Attribution, names: frozenset[str]) -> Hypothesis:
-    """The hypothesis with these causes, as the selection fitted it; else the retuned simulator."""
     known = attribution.selection.tried.get(names)
     return known.hypothesis if known else attribution.retuned
 
 
 def _fit_with(findings: Findings, base: Hypothesis, name: str) -> Hypothesis | None:
-    """The best variant of an effect added to a hypothesis; None where it is no operator."""
+    """Best variant of an effect added to a hypothesis; None if it is no operator."""
     problem, validation = base.problem, findings.attribution.validation
     z, there = problem.retuned(base.q), [list(values.values()) for values in problem.effect_values(base.q)]
     library = usable_effects(findings.prepared, validation.baseline.effects, (), validation.runs)
@@ -160,7 +158,7 @@ def _fit_with(findings: Findings, base: Hypothesis, name: str) -> Hypothesis | N
 
 
 def _families(findings: Findings) -> dict[str, Hypothesis]:
-    """Single effects that were tried, the best first; if fewer than two, one of each family, of typical size."""
+    """Single tested effects, the best first; if fewer than two, one of each family, of typical size."""
     attribution, retuned = findings.attribution, findings.attribution.retuned
     singles = sorted((j for names, j in attribution.selection.tried.items() if len(names) == 1), key=lambda j: j.mse)
     tried = {next(iter(j.hypothesis.effects)): j.hypothesis for j in singles if j.hypothesis.problem.effects}
@@ -186,7 +184,6 @@ def _noise(findings: Findings) -> Noise:
 
 
 def _limits(findings: Findings) -> CommandLimits:
-    """Range of the recorded commands; the higher of the recorded rate and that of the simulator's file."""
     simulator, trials = findings.simulator, findings.prepared.checked.trials
     facts: ModelMetadata = simulator.metadata() if isinstance(simulator, Simulator) else simulator.metadata
     fastest = max(float(np.abs(np.diff(trial.command)).max()) / trial.dt for trial in trials)
@@ -195,10 +192,10 @@ def _limits(findings: Findings) -> CommandLimits:
 
 
 def open_hypothesis(name: str, hypothesis: Hypothesis, prepared: PreparedTrials) -> OpenHypothesis:
-    """A fitted hypothesis as `propose` takes it; its retunings move one unknown each.
+    """Convert a fitted hypothesis for `propose`, with one retuning for each unknown.
 
-    What each trial has of its own (`trial_shift`, the phase of a disturbance) is not simulated: in a single further
-    motion a shift is a matter of retuning, and a phase would be another one.
+    Terms of single trials (`trial_shift`, the phase of a disturbance) are not simulated: in one further motion a shift
+    belongs to retuning, and the phase is another one.
     """
     problem, q = hypothesis.problem, hypothesis.q
     nudges = [np.clip(q + _STEP * row, problem.lower, problem.upper) for row in np.eye(problem.size)]

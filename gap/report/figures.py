@@ -53,18 +53,18 @@ _POINTS = 3000
 
 
 def worst_first(trials: Sequence[TrialRuns]) -> list[TrialRuns]:
-    """Trials by their retuned RMSE, greatest first."""
+    """Trials sorted by their retuned RMSE, greatest first."""
     return sorted(trials, key=lambda trial: -trial.rmse("retuned"))
 
 
 def shown(trials: Sequence[TrialRuns], most: int) -> list[TrialRuns]:
-    """Selection of at most `most` trials, final ones and large errors preferred, in recording order."""
+    """Select at most `most` trials, final ones and large errors preferred, in recording order."""
     ranked = sorted(worst_first(trials), key=lambda trial: trial.role != "final")[:most]
     return [trial for trial in trials if any(trial is other for other in ranked)]
 
 
 def thin(*signals: Vec) -> tuple[Vec, ...]:
-    """Signals of one length with no more samples than a figure can show."""
+    """Reduce signals of one length to the number of samples that a figure can show."""
     step = max(1, -(-signals[0].size // _POINTS))
     return tuple(signal[::step] for signal in signals)
 
@@ -89,7 +89,7 @@ def draw_interval(axes: Axes, row: float, value: float, interval: Interval, **st
 
 
 def closed_figure(data: ReportData) -> Figure:
-    """RMSE of every final trial and of all together, with 90 % intervals, against the floor [deg]."""
+    """Draw the RMSE of every final trial and of all together, with 90 % intervals and the floor [deg]."""
     trials = shown(data.final, MOST_ROWS)
     gap, rows = data.diagnosis.gap, len(trials) + 1
     with new_figure(7.0, 1.1 + 0.42 * rows) as figure:
@@ -112,7 +112,6 @@ def closed_figure(data: ReportData) -> Figure:
 
 
 def _points(axes: Axes, stage: Stage, values: list[float], intervals: list[Interval | None]) -> None:
-    """Draw the values of one simulator with their intervals, one row each."""
     rows = np.arange(len(values)) + _OFFSET[stage]
     for row, value, interval in zip(rows, values, intervals, strict=True):
         if interval is not None and np.isfinite(value):
@@ -122,10 +121,7 @@ def _points(axes: Axes, stage: Stage, values: list[float], intervals: list[Inter
 
 
 def rmse_interval(trials: Sequence[TrialRuns], stage: Stage) -> Interval | None:
-    """90 % block-bootstrap interval of the RMSE over some trials [deg]; None for fewer than four blocks of 2 s.
-
-    Drawn with one seed, so that a report is the same each time.
-    """
+    """90 % block-bootstrap interval of the RMSE over some trials [deg]; None for fewer than four blocks of 2 s."""
     sums, counts = _blocks(trials, stage)
     if sums.size < _LEAST_BLOCKS:
         return None
@@ -148,7 +144,7 @@ def _blocks(trials: Sequence[TrialRuns], stage: Stage) -> tuple[Vec, Vec]:
 
 
 def effects_figure(data: ReportData) -> Figure:
-    """Candidates by probability; those chosen, and those that these trials cannot tell apart, stand out."""
+    """Draw the candidates by probability, with emphasis on chosen and indistinguishable ones."""
     diagnosis, rows = data.diagnosis, {row.name: row for row in data.candidates}
     names = _names(diagnosis)
     with new_figure(7.0, 1.0 + 0.29 * len(names)) as figure:
@@ -170,7 +166,6 @@ def effects_figure(data: ReportData) -> Figure:
 
 
 def _names(diagnosis: Diagnosis) -> list[str]:
-    """Effects to draw: the most probable, and all that the verdict names."""
     ranked = [name for name, _ in diagnosis.ranking]
     spoken = [effect.name for effect in diagnosis.effects] + [name for names in diagnosis.ambiguity for name in names]
     keep = set(ranked[:MOST_EFFECTS]) | set(spoken)
@@ -178,7 +173,6 @@ def _names(diagnosis: Diagnosis) -> list[str]:
 
 
 def _label(diagnosis: Diagnosis, name: str) -> str:
-    """Name of an effect with the letters of its ambiguous sets."""
     sets = [chr(ord("A") + k) for k, names in enumerate(diagnosis.ambiguity) if name in names]
     return f"{in_words(name)} ({', '.join(sets)})" if sets else in_words(name)
 
@@ -235,14 +229,13 @@ def _shares(axes: Axes, diagnosis: Diagnosis, names: Sequence[str]) -> None:
 
 
 def _look(diagnosis: Diagnosis, name: str) -> tuple[str, str]:
-    """Colour and hatch of an effect."""
     if any(name in names for names in diagnosis.ambiguity):
         return _AMBIGUOUS, "////"
     return (_CHOSEN, "") if any(effect.name == name for effect in diagnosis.effects) else (_OTHER, "")
 
 
 def next_figure(proposal: MotionProposal, command_unit: str, unit: str = "deg") -> Figure:
-    """Command of the proposed motion, angles expected of each candidate, and their separation after retuning."""
+    """Draw the proposed command, the expected angle of each candidate, and their separation after retuning."""
     chosen = proposal.chosen
     t, command, separation, *angles = thin(chosen.motion.t, chosen.motion.command, chosen.separation, *chosen.angles)
     with new_figure(7.0, 4.6) as figure:
@@ -265,7 +258,7 @@ def next_figure(proposal: MotionProposal, command_unit: str, unit: str = "deg") 
 
 
 def closed_loop_figure(curves: Sequence[TrackingCurve]) -> Figure:
-    """Angle and error over time of the closed loops before and after the correction, a column for each motion."""
+    """Draw angle and error of the closed loops before and after the correction, a column for each motion."""
     motions = []
     for curve in curves:
         both = ((curve.before_deg, BEFORE), (curve.after_deg, AFTER))
@@ -278,7 +271,7 @@ def closed_loop_figure(curves: Sequence[TrackingCurve]) -> Figure:
 _BINS, _SEGMENT_S = 12, 16.0
 _ROUNDING = 1e-9
 
-_COLUMNS = 400  # more cannot be told apart across a page
+_COLUMNS = 400  # more are not visible across a page
 
 _WINDOW_S = 40.0
 _LOOK: dict[Stage, Any] = {stage: {**look, "linewidth": 0.9} for stage, look in LOOK.items()}
@@ -288,10 +281,7 @@ _STAIRS: Any = {"linewidth": 1.5, "baseline": None}
 
 
 def heat_figure(trials: Sequence[TrialRuns], unit: str, stages: Sequence[Stage]) -> Figure:
-    """Command over time, and below it |simulated - measured| as colour, one strip for each simulator.
-
-    One scale of colour and one of time for all trials, so that strips can be compared.
-    """
+    """Draw the command over time above |simulated - measured| as colour strips, on one scale for all trials."""
     longest = max(trial.trial.duration_s for trial in trials)
     sizes = np.concatenate([np.abs(trial.residual("retuned")) for trial in trials])
     top = float(np.quantile(sizes, 0.995)) or 1.0
@@ -315,7 +305,7 @@ def _command(axes: Axes, trial: TrialRuns, unit: str) -> None:
 
 
 def _strip(axes: Axes, trial: TrialRuns, stages: Sequence[Stage], top: float) -> None:
-    """Colour strip of the residual, one row for each simulator; samples that do not count stay white."""
+    """Draw a colour strip of the residual, one row for each simulator; samples that do not count stay white."""
     rows = np.array([_columns(trial, stage) for stage in stages])
     extent = (0.0, trial.trial.duration_s, len(stages) - 0.5, -0.5)
     axes.imshow(rows, aspect="auto", cmap=HEAT, vmin=0.0, vmax=top, extent=extent, interpolation="nearest")
@@ -327,7 +317,7 @@ def _strip(axes: Axes, trial: TrialRuns, stages: Sequence[Stage], top: float) ->
 
 
 def _columns(trial: TrialRuns, stage: Stage) -> np.ndarray:
-    """Greatest |residual| in each of some equal parts of the trial [deg]."""
+    """Greatest |residual| in equal parts of the trial [deg]."""
     size = np.full(len(trial.trial), np.nan)
     size[trial.start :] = np.abs(trial.residual(stage))
     parts = np.array_split(size, min(_COLUMNS, size.size))
@@ -335,7 +325,7 @@ def _columns(trial: TrialRuns, stage: Stage) -> np.ndarray:
 
 
 def loops(trials: Sequence[TrialRuns], unit: str, stages: Sequence[Stage]) -> Figure:
-    """Loops of the output over the command: real and of each simulator."""
+    """Draw the loops of the output over the command: measured and of each simulator."""
     panels = []
     for trial in trials:
         command = trial.trial.command
@@ -345,7 +335,7 @@ def loops(trials: Sequence[TrialRuns], unit: str, stages: Sequence[Stage]) -> Fi
 
 
 def over_time(trials: Sequence[TrialRuns], stages: Sequence[Stage]) -> Figure:
-    """Output over time: real and of each simulator, and the residuals of the simulators."""
+    """Draw the output over time, measured and of each simulator, and the residuals of the simulators."""
     shown = []
     for evidence in trials:
         trial = evidence.trial
@@ -356,10 +346,7 @@ def over_time(trials: Sequence[TrialRuns], stages: Sequence[Stage]) -> Figure:
 
 
 def before_after_figure(trial: TrialRuns, after: Stage) -> Figure:
-    """Measured angle and simulated angles before and after the correction over time, and both errors.
-
-    A long trial opens at the window with the largest error.
-    """
+    """Draw angle and error before and after the correction over time, first the window with the largest error."""
     t = trial.trial.t - trial.trial.t[0]
     size, energy, at = (
         round(_WINDOW_S / trial.trial.dt),
@@ -385,7 +372,7 @@ def before_after_figure(trial: TrialRuns, after: Stage) -> Figure:
 
 
 def share_figure(places: Mapping[str, ResidualShare]) -> Figure:
-    """Share of the retuned residual's energy in each part of the motion, with the share of time spent there."""
+    """Draw the share of the retuned residual's energy and of the time in each part of the motion."""
     ordered = sorted(places.items(), key=lambda item: -item[1].share)
     with new_figure(7.0, 0.95 + 0.3 * len(ordered)) as figure:
         axes: Axes = figure.subplots()
@@ -407,7 +394,7 @@ def share_figure(places: Mapping[str, ResidualShare]) -> Figure:
 
 
 def bins_figure(trials: Sequence[TrialRuns], stages: Sequence[Stage]) -> Figure | None:
-    """RMSE over command, angle and speed, of each simulator; None where nothing moves."""
+    """Draw the RMSE of each simulator over command, angle and speed; None without motion."""
     groups = binned(trials, stages)
     if not groups:
         return None
@@ -474,7 +461,7 @@ def _binned(quantity: str, unit: str, values: Vec, squares: dict[Stage, Vec]) ->
 def spectrum_figure(
     trials: Sequence[TrialRuns], stages: Sequence[Stage], noise_deg: float, lines: Sequence[SpectralLine] = ()
 ) -> Figure:
-    """Residual over frequency against white noise of that deviation; lines that are not the command's are marked."""
+    """Draw the residual over frequency with white noise of that deviation and the lines outside the command."""
     with new_figure(7.0, 2.8) as figure:
         axes: Axes = figure.subplots()
         top = 0.0
@@ -506,7 +493,7 @@ def amplitude_density(trials: Sequence[TrialRuns], stage: Stage) -> tuple[Vec, V
 
 
 def memory_figure(gains: Mapping[str, float]) -> Figure:
-    """Share of the residual energy that each memory of the command predicts on held-out trials."""
+    """Draw the share of the residual energy that each memory of the command predicts on held-out trials."""
     ordered = sorted(gains.items(), key=lambda item: -item[1])
     with new_figure(7.0, 0.7 + 0.25 * len(ordered)) as figure:
         axes: Axes = figure.subplots()

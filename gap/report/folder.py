@@ -1,4 +1,4 @@
-"""The folder of a diagnosis: `diagnosis.json`, report, corrected simulator, next motion, and the files of every run."""
+"""Folder of a diagnosis: `diagnosis.json`, report, corrected simulator, next motion, and the files of every run."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _GAP_S = 1.0  # between trials in one log
 
 
 def require_free(folder: Path | str) -> None:
-    """Refuse a folder that a diagnosis may not write to: nothing but an older diagnosis is ever overwritten.
+    """Refuse a folder that holds anything but an older diagnosis, so that no other files are overwritten.
 
     Raises:
         ConfigError: if it is a file, or holds anything but a diagnosis.
@@ -63,10 +63,10 @@ def save_diagnosis(
     *,
     models: Iterable[Path | str] = (),
 ) -> Path:
-    """Write everything that a diagnosis leaves; files appear whole, an older diagnosis in the folder is replaced.
+    """Write all files of a diagnosis, each completely or not at all; an older diagnosis is replaced.
 
     Raises:
-        ConfigError: if the folder is taken by something else or cannot be written.
+        ConfigError: if the folder holds something else or cannot be written.
     """
     require_free(folder)
     target = Path(folder)
@@ -108,7 +108,6 @@ def _write(data: ReportData, run: RunFolder) -> None:
 
 
 def _log(data: ReportData) -> dict[str, Any]:
-    """All trials one after the other, with what the simulators made of them."""
     starts, at = [], 0.0
     for trial in data.trials:
         starts.append(at - trial.trial.t[0])

@@ -1,4 +1,4 @@
-"""Page of the report: the verdict on one page, and folded behind it all figures and tables."""
+"""Page of the report: first the verdict, then all figures and tables in folded sections."""
 
 from __future__ import annotations
 
@@ -58,12 +58,12 @@ _SIDES = {"command": "command side", "output": "output side", "sensor": "sensor"
 
 
 def write_report(data: ReportData, folder: Path | str) -> Path:
-    """Write `report.html` into a folder: one page, whole or not at all, that opens offline."""
+    """Write `report.html` into a folder: one page, completely or not at all, that opens offline."""
     return diagnosis_report(data).save(Path(folder) / "report.html")
 
 
 def diagnosis_report(data: ReportData) -> Report:
-    """Page of a diagnosis, whatever its verdict: what to know and to do, then everything else, folded."""
+    """Page of a diagnosis with any verdict: results and actions, then all details in folded sections."""
     folded = (Folded(heading, tuple(made(data))) for heading, made in _SECTIONS)
     pieces = (*_first_page(data), *(section for section in folded if section.pieces))
     subtitle = f"simulator {data.simulator}, {len(data.trials)} logs"

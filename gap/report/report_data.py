@@ -34,11 +34,10 @@ class TrialRuns:
     """One trial with its free runs.
 
     Attributes:
-        trial: as diagnosed, on the simulator's sample time.
         role: fit, select or final (evaluated once).
         nominal, retuned, with_effects: simulated angles [deg], (T,), of the simulator as given, refitted, and refitted
-            with the chosen effects; where none was chosen the last equals the second.
-        floor_deg: RMSE that stays with any simulator [deg].
+            with the chosen effects; without any the last equals the second.
+        floor_deg: irreducible RMSE of any simulator [deg].
     """
 
     trial: Trial
@@ -60,7 +59,7 @@ class TrialRuns:
         return np.asarray(getattr(self, stage) - self.trial.angle)[self.start :]
 
     def rmse(self, stage: Stage) -> float:
-        """Root mean square of that residual [deg]."""
+        """Root mean square of the residual over the samples that count [deg]."""
         return float(np.sqrt(np.mean(self.residual(stage) ** 2)))
 
 
@@ -69,8 +68,8 @@ class CandidateRow:
     """One candidate effect, added alone to the retuned simulator.
 
     Attributes:
-        rmse_deg: on the trials to select by [deg].
-        gain_deg: retuned RMSE less this [deg]; negative where the effect did harm.
+        rmse_deg: on the selection trials [deg].
+        gain_deg: retuned RMSE minus this [deg]; negative if the effect raises the error.
         standard_error_deg: of the gain [deg].
     """
 
@@ -89,8 +88,7 @@ class TrackingCurve:
 
     Attributes:
         t: end of the sample [s].
-        reference_deg, before_deg, after_deg: wanted angle, and the true angle before and after the correction [deg].
-        first: first sample that counts.
+        reference_deg, before_deg, after_deg: reference, and the true angle before and after the correction [deg].
     """
 
     name: str
@@ -103,18 +101,14 @@ class TrackingCurve:
 
 @dataclass(frozen=True, eq=False)
 class ReportData:
-    """Data of the report.
+    """Data of the report of a diagnosis.
 
     Attributes:
-        simulator: name of the simulator's file.
-        trials: in recording order, at least one.
-        localisation: of the retuned residual; None where there was none to localise.
-        noise_deg: white noise of the measured angle [deg]; not-a-number where unknown.
-        proposal: motion to record next; None where nothing is open.
-        fixed: the corrected simulator, where it can be written as one.
-        files: further files of the diagnosis by name.
-        nominal: the simulator as given; None of a network.
-        curves: closed loops before and after the correction; none where they were not simulated.
+        localisation: of the retuned residual; None without a residual.
+        noise_deg: white noise of the measured angle [deg]; not-a-number if unknown.
+        proposal: next motion to record; None if no hypothesis is open.
+        fixed: the corrected simulator, if it can be written as one.
+        curves: closed loops before and after the correction; empty if not simulated.
     """
 
     diagnosis: Diagnosis
@@ -135,7 +129,7 @@ class ReportData:
 
     @property
     def final(self) -> tuple[TrialRuns, ...]:
-        """Final trials; all of them where there was no such split."""
+        """Final trials; all trials without such a split."""
         return tuple(trial for trial in self.trials if trial.role == "final") or self.trials
 
     @property
@@ -187,7 +181,7 @@ def report_data(
 
 
 def _fixed(findings: Findings) -> Simulator | None:
-    """The corrected simulator; none of a network, and none from angles that do not follow their commands."""
+    """Corrected simulator; None for a network, or if no angle follows its command."""
     simulator, prepared = findings.simulator, findings.prepared
     if prepared.checked.unrelated or not isinstance(simulator, Simulator):
         return None
@@ -205,7 +199,7 @@ def _fixed(findings: Findings) -> Simulator | None:
 
 
 def _trials(findings: Findings, floor_deg: float) -> tuple[TrialRuns, ...]:
-    """Every trial with its free runs; of one that is cut in parts, the final part counts."""
+    """Every trial with its free runs; for a trial cut in parts, the final part counts."""
     prepared, conclusion = findings.prepared, findings.conclusion
     retuned, chosen = findings.attribution.retuned, conclusion.chosen
     final = {run.name: int(np.flatnonzero(run.counts)[0]) for run in prepared.final}
@@ -229,7 +223,6 @@ def _trials(findings: Findings, floor_deg: float) -> tuple[TrialRuns, ...]:
 
 
 def _candidates(findings: Findings, diagnosis: Diagnosis) -> tuple[CandidateRow, ...]:
-    """Each effect that was tried alone, and a faulty sensor."""
     selection, decades = findings.attribution.selection, findings.prepared.decades
     probabilities, before = dict(diagnosis.ranking), selection.baseline
     chosen, retuned = {effect.name for effect in diagnosis.effects}, float(np.sqrt(before.mse))

@@ -1,4 +1,4 @@
-"""Words of a diagnosis: headline, reason of the verdict, and a sentence for each of its results."""
+"""Texts of a diagnosis: headline, reason of the verdict, and a sentence for each of its results."""
 
 from __future__ import annotations
 
@@ -85,7 +85,6 @@ def reason_for(
 
 
 def _retuned_words(decision: VerdictDecision, gap: Gap, moved: Sequence[RetunedParameter], unit: str) -> str:
-    """Changed parameters, and the fall of the RMSE by retuning."""
     each = [
         f"{in_words(row.name)} {row.given:.3g} to {row.value:.3g}{'' if row.unit == '1' else f' {row.unit}'} "
         f"(90 % interval {row.ci90[0]:.3g} to {row.ci90[1]:.3g})"
@@ -100,7 +99,7 @@ def _retuned_words(decision: VerdictDecision, gap: Gap, moved: Sequence[RetunedP
 
 
 def _causes(diagnosis: Diagnosis) -> list[str]:
-    """Identified effects by probability, each with those that it may be confused with, as `lag or delay`."""
+    """Identified effects by probability, each with its possible alternatives, as `lag or delay`."""
     sets = {
         name: words
         for names, words in zip(diagnosis.ambiguity, ambiguous_sets(diagnosis), strict=True)
@@ -112,14 +111,14 @@ def _causes(diagnosis: Diagnosis) -> list[str]:
 
 
 def ambiguous_sets(diagnosis: Diagnosis) -> list[str]:
-    """Every set of effects that these trials cannot tell apart, the most probable first, as `lag or delay`."""
+    """Sets of effects that these trials cannot distinguish, the most probable first, as `lag or delay`."""
     chance = diagnosis.probabilities
     sets = (sorted(names, key=lambda name: -chance.get(name, 0.0)) for names in diagnosis.ambiguity)
     return [listed([in_words(name) for name in names], "or") for names in sets]
 
 
 def closed_sentence(diagnosis: Diagnosis) -> str:
-    """Sizes of the gap, before and after, against the floor; without final trials on all of them."""
+    """Sentence on the gap before and after, and the floor; without final trials over all trials."""
     gap, chosen, unit = diagnosis.gap, bool(diagnosis.effects), diagnosis.unit
     count = len(gap.final_trials)
     trials = f"{count} trial{'' if count == 1 else 's'} that nothing was chosen on" if count else "all trials together"
@@ -155,13 +154,13 @@ def stability_sentence(diagnosis: Diagnosis) -> str:
 
 
 def _plain(result: str) -> str:
-    """Another result in words: `named: lag, creep` as `lag, creep named`."""
+    """Result of another split in words: `named: lag, creep` as `lag, creep named`."""
     verdict, _, names = result.partition(": ")
     return f"{in_words(verdict)} ({in_words(names)})" if names else in_words(verdict)
 
 
 def ceiling_sentence(diagnosis: Diagnosis) -> str:
-    """Share that a flexible model explains, as a bound for the effects; empty where it was not estimated."""
+    """Sentence on the share that a flexible model explains, a bound for the effects; otherwise empty."""
     share, closed = diagnosis.explainable_share, diagnosis.gap.closed_share
     if share is None:
         return ""
@@ -175,7 +174,7 @@ def ceiling_sentence(diagnosis: Diagnosis) -> str:
 
 
 def order_sentences(diagnosis: Diagnosis) -> list[str]:
-    """Consequences of an unknown order of recording; none where it is known."""
+    """Sentences on the consequences of an unknown recording order; none if it is known."""
     if diagnosis.order == "known":
         return []
     first = (
@@ -186,7 +185,7 @@ def order_sentences(diagnosis: Diagnosis) -> list[str]:
 
 
 def parameter_words(effect: IdentifiedEffect) -> str:
-    """Identified values with their units; none where the logs do not determine it."""
+    """Identified values with their units; empty if the logs do not determine them."""
     return ", ".join(
         f"{name} not determined"
         if name in effect.undetermined
@@ -196,7 +195,7 @@ def parameter_words(effect: IdentifiedEffect) -> str:
 
 
 def tracking_sentence(diagnosis: Diagnosis) -> str:
-    """The closed-loop tracking error now and with the corrected simulator; empty where it was not asked for."""
+    """Sentence on the closed-loop tracking error now and with the corrected simulator; otherwise empty."""
     tracking = diagnosis.tracking
     if tracking is None:
         return ""
@@ -224,7 +223,7 @@ def _size_of(value: float, ends: Interval, unit: str) -> str:
 
 
 def floor_words(gap: Gap, unit: str = "deg") -> str:
-    """Origin of the noise floor, and what follows for the shares."""
+    """Text on the origin of the noise floor, and its consequence for the shares."""
     if gap.floor_kind == "repeats":
         return "The floor comes from repeats of a motion: what differs between them no simulator can follow."
     if gap.unrepeatable:
@@ -250,7 +249,7 @@ def baseline_units(diagnosis: Diagnosis) -> dict[str, str]:
 
 
 def retuning_sentence(diagnosis: Diagnosis) -> str:
-    """Sentence on the quantities that retuning visibly changes; empty if there are none."""
+    """Sentence on the quantities visibly changed by retuning; otherwise empty."""
     units = baseline_units(diagnosis)
     each = [
         f"{in_words(name)} from {given:.3g} to {retuned:.3g} {units.get(name, '')}"
@@ -261,14 +260,14 @@ def retuning_sentence(diagnosis: Diagnosis) -> str:
 
 
 def mis_set_sentence(diagnosis: Diagnosis) -> str:
-    """Retuned quantities where they made up half of the mean square error and the verdict names another cause."""
+    """Sentence on retuned quantities that were half of the mean square error, if another cause is named."""
     gap = diagnosis.gap
     mis_set = gap.nominal_rmse_deg**2 > _MIS_SET * gap.retuned_rmse_deg**2
     return retuning_sentence(diagnosis) if mis_set and diagnosis.verdict in ("named", "one_of", "unknown") else ""
 
 
 def detectable_rows(sizes: DetectableSizes) -> list[tuple[str, ...]]:
-    """A row for each effect, in the order of `DETECTABLE_COLUMNS`."""
+    """Table rows of the effects, in the columns of `DETECTABLE_COLUMNS`."""
     return [
         (
             in_words(one.effect),
@@ -298,7 +297,7 @@ def detectable_sentence(sizes: DetectableSizes) -> str:
 
 
 def next_sentence(proposal: MotionProposal) -> str:
-    """The motion to record and why."""
+    """Sentence on the proposed motion and its reason."""
     chosen = proposal.chosen
     names = listed([in_words(name) for name in proposal.names], "from")
     return (
@@ -329,9 +328,9 @@ def in_words(name: str) -> str:
 
 
 _NEVER_HELD = ("trial_shift", "sensor", "configuration_change")  # of the trials or the sensor, not of the simulator
-_BY_JUMPS = ("stick_slip",)  # found by its jumps, it is in the simulator only where a fit found it as well
+_BY_JUMPS = ("stick_slip",)  # detected by its jumps; part of the simulator only if a fit contains it
 _LIKELY = 0.5  # probability, and share of the resamples, from which an effect counts as likely
-_DENSE, _MOST = 1.5, 0.3  # density and share of the error, above which a place is worth a sentence
+_DENSE, _MOST = 1.5, 0.3  # density and share of the error, above which a part of the motion is mentioned
 
 
 def verdict_facts(diagnosis: Diagnosis) -> tuple[str, ...]:
@@ -369,7 +368,7 @@ def next_actions(data: ReportData) -> tuple[str, ...]:
 
 
 def certainty(diagnosis: Diagnosis) -> tuple[str, ...]:
-    """Probability, stability over splits, interval, floor, and what could not be tested."""
+    """Texts on probability, stability over splits, interval, floor, and untestable effects."""
     untested = ""
     if diagnosis.untestable:
         names = listed([in_words(each.name) for each in diagnosis.untestable], "and")
@@ -392,7 +391,6 @@ def _intervals(diagnosis: Diagnosis) -> str:
 
 
 def _densest(diagnosis: Diagnosis) -> str:
-    """The part of the motion where the error is densest, if that stands out."""
     places = {name: at for name, at in diagnosis.where.items() if at.density > _DENSE and at.share > _MOST}
     if not places:
         return ""
@@ -402,12 +400,10 @@ def _densest(diagnosis: Diagnosis) -> str:
 
 
 def _unrelated(data: ReportData) -> bool:
-    """Whether no angle follows its command: no simulator is corrected then."""
     return data.nominal is not None and data.fixed is None
 
 
 def _corrected(data: ReportData) -> str:
-    """Advice on the use of the corrected simulator."""
     diagnosis = data.diagnosis
     if _unrelated(data):
         return "Look for a wrong file or column, a loose sensor, or a tendon or line that is broken."
@@ -430,7 +426,6 @@ def _corrected(data: ReportData) -> str:
 
 
 def _with_effects(data: ReportData, fixed: Simulator) -> str:
-    """Advice on the use of a corrected simulator that holds all, some or none of the effects."""
     diagnosis, chain = data.diagnosis, fixed.chain
     built_in = {effect_of(operator.name) for operator in (*chain.before, *chain.after)}
     names = [effect.name for effect in diagnosis.effects]
@@ -448,7 +443,7 @@ def _with_effects(data: ReportData, fixed: Simulator) -> str:
 
 
 def _probability(diagnosis: Diagnosis) -> str:
-    """Probabilities of the identified effects and of their alternatives; else of the most likely effect."""
+    """Probabilities of the identified effects and of their alternatives; otherwise of the most likely effect."""
     chance = diagnosis.probabilities
     effects = [effect.name for effect in diagnosis.effects]
     shown = list(dict.fromkeys([*effects, *(name for names in diagnosis.ambiguity for name in names)]))
@@ -462,7 +457,7 @@ def _probability(diagnosis: Diagnosis) -> str:
 
 
 def _disagreement(diagnosis: Diagnosis) -> str:
-    """Explanation where probability and inclusion of an effect disagree; empty where they agree."""
+    """Explanation of a disagreement between probability and inclusion of an effect; otherwise empty."""
     apart = [e for e in diagnosis.effects if (e.probability >= _LIKELY) != (e.inclusion >= _LIKELY)]
     if not apart:
         return ""
@@ -474,5 +469,4 @@ def _disagreement(diagnosis: Diagnosis) -> str:
 
 
 def _sentence(text: str) -> str:
-    """A text with a capital letter and a full stop."""
     return f"{text[:1].upper()}{text[1:]}{'' if text.endswith('.') else '.'}" if text else ""
