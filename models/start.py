@@ -1,7 +1,4 @@
-"""Start of a recorded trial: at rest at its first command and angle, or in motion, where a model estimates its state.
-
-One rule for the search of a fit, its residuals, evaluation and diagnosis.
-"""
+"""Start of a recorded trial: at rest at its first command and angle, or in motion, with a state estimated by a model."""
 
 from __future__ import annotations
 
@@ -36,10 +33,10 @@ class TrialStart:
     """Start of a free run over a trial.
 
     Attributes:
-        command, angle: at which the device rests before the first sample [command unit], [deg]. Of a trial that begins
-            in motion: the rest from which its first samples are best explained, once a model has been asked.
-        lead: first samples that are used to find the state and are not scored; 0 of a trial that begins at rest.
-        approach: commands between that rest and the first sample, of a trial that begins in motion.
+        command, angle: of the rest before the first sample [command unit], [deg]. For a trial that begins in motion:
+            the rest that best explains its first samples, after an estimate by a model.
+        lead: first samples that are used to estimate the state and are not scored; 0 for a trial that begins at rest.
+        approach: commands between that rest and the first sample, for a trial that begins in motion.
     """
 
     command: float
@@ -56,11 +53,11 @@ class TrialStart:
 def trial_start(command: Vec, angle: Vec, dt_s: float, inverted: bool = False) -> TrialStart:
     """Start of a trial, from its samples alone.
 
-    It begins at rest where the command has no speed at the first sample, since it is held or sets out from there, and
-    the angle keeps still while the command does. The device then rests at the mean of the samples before the command
-    has moved, of at most one second: noise of a single sample would stay in wide plays. Any other trial begins in
-    motion: it is a part of a longer recording, or was begun late, and its first samples do not tell the state of the
-    device. They are then not scored: until the command has been near both of its ends, at most half of the trial.
+    It begins at rest where the command has no speed at the first sample, and the angle is constant while the command
+    is. The device then rests at the mean of the samples before the command has moved, of at most one second: noise of a
+    single sample would stay in wide plays. Any other trial begins in motion, and its first samples do not determine the
+    state of the device. They are not scored until the command has been near both of its ends, for at most half of the
+    trial.
 
     Args:
         command, angle: of the trial (T,).
@@ -81,14 +78,14 @@ def trial_start(command: Vec, angle: Vec, dt_s: float, inverted: bool = False) -
 
 
 def estimated_start(start: TrialStart, command: Vec, angle: Vec, dt_s: float, box: Box, runs: Runs) -> TrialStart:
-    """Start from which a model best explains the samples that are not scored.
+    """Start with which a model best explains the samples that are not scored.
 
         min_(u, y, e)  sum_{k < lead} w_k (theta_k(u, y, e) - y_k)^2,   w_k = (k / lead)^2
 
-    over a grid that shrinks around its best point. The device is taken to have rested at u, where it showed y, and then
-    to have gone to e and from there to the first sample, as fast as the trial goes on. So the memory of a creep, the
-    offset of plays wider than the motion, the branch of the loop and a lag that is under way are all within reach.
-    What is forgotten by then weighs little: the last samples before the scored ones count most.
+    over a grid that shrinks around its best point. The device is assumed to rest at u with angle y, then to move to e
+    and from there to the first sample, at the speed of the trial. This covers the memory of a creep, the offset of
+    plays wider than the motion, the branch of the loop and a lag in progress. The last samples before the scored ones
+    count most.
 
     Args:
         start: of a trial that begins in motion.
@@ -150,7 +147,7 @@ def _approach(rest: float, turn: float, command: Vec, box: Range, dt_s: float) -
 
 
 def search_box(command: Range, angle: Range) -> Box:
-    """Ranges in which a device may have rested: a little wider than those of its trials."""
+    """Ranges of the rest command and angle in the search: a little wider than those of the trials."""
     w, h = 0.25 * (command.upper - command.lower), 0.1 * (angle.upper - angle.lower)
     return (
         Range(lower=command.lower - w, upper=command.upper + w),
@@ -177,7 +174,7 @@ def _still(command: Vec, span: float, dt_s: float) -> tuple[int, int, int, bool]
     """Samples before the command has moved at all, has moved, and by more than a little; and whether it is in motion.
 
     Its speed at the first sample is that of the parabola through three samples, v = (3 d_1 - d_2) / 2 with the travels
-    d_1, d_2 of two intervals; it is none within a part of the change of the travel from one interval to the next.
+    d_1, d_2 of two intervals; it is zero within a part of the change of the travel from one interval to the next.
     """
     look = max(round(_LOOK_S / dt_s), 1)
     noise = _SCATTER * _noise(command[: round(_NOISE_S / dt_s) + 6])
@@ -191,7 +188,7 @@ def _still(command: Vec, span: float, dt_s: float) -> tuple[int, int, int, bool]
 
 
 def _first(happens: Mask) -> int:
-    """Number of the first sample with that property, of all samples where none has it."""
+    """First index of a true value; the length where there is none."""
     return int(np.argmax(happens)) if happens.any() else happens.size
 
 

@@ -1,4 +1,4 @@
-"""ONNX nodes from an instruction list: the step graph of any operator chain, or an operator within a network."""
+"""ONNX nodes from an instruction list: the step graph of an operator chain, or an operator within a network."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ INTERFACE = (("u", "state"), ("theta", "next_state"))
 
 
 class _Writer:
-    """Collects nodes and constants of one program; registers become columns (N, 1)."""
+    """Collector of the nodes and constants of one program; registers become columns (N, 1)."""
 
     def __init__(self, prefix: str = "", element: int = TensorProto.DOUBLE) -> None:
         self.prefix, self.element = prefix, element
@@ -53,7 +53,7 @@ class _Writer:
         return self.constants.setdefault(value, f"{self.prefix}constant_{len(self.constants)}")
 
     def number(self, condition: str) -> str:
-        """Turn a truth column into 1.0 or 0.0."""
+        """Convert a truth column into 1.0 or 0.0."""
         return self.node("Cast", [condition], to=self.element)
 
     def operation(self, step: Instruction, w: dict[int, str]) -> str:
@@ -83,7 +83,7 @@ class _Writer:
 
 @dataclass(frozen=True)
 class OperatorNodes:
-    """Nodes of one program inside a larger graph.
+    """ONNX nodes of one program inside a larger graph.
 
     Attributes:
         nodes: in order.
@@ -99,7 +99,7 @@ class OperatorNodes:
 def operator_nodes(
     function: Any, inputs: Sequence[Sequence[str]], prefix: str = "", element: int = TensorProto.DOUBLE
 ) -> OperatorNodes:
-    """Translate a dense CasADi function whose inputs' elements stand in the named columns (N, 1).
+    """Translate a dense CasADi function of named columns (N, 1) into ONNX nodes.
 
     Args:
         function: any number of inputs and outputs.
@@ -153,7 +153,7 @@ def step_graph(function: Any, name: str) -> onnx.GraphProto:
 
 
 def node(kind: str, inputs: str, outputs: str, **attributes: Any) -> onnx.NodeProto:
-    """A node between tensors that are named by words."""
+    """ONNX node whose inputs and outputs are given as names separated by blanks."""
     return helper.make_node(kind, inputs.split(), outputs.split(), name=outputs.split()[0], **attributes)
 
 
@@ -164,10 +164,10 @@ def graph_of_nodes(
     numbers: Mapping[str, ArrayLike],
     indices: Mapping[str, Sequence[int]],
 ) -> onnx.GraphProto:
-    """Step graph in double of nodes between `u`, `state`, `theta` and `next_state`.
+    """Step graph in double from nodes between `u`, `state`, `theta` and `next_state`.
 
     Args:
-        name: of the graph.
+        name: name of the graph.
         state_size: S.
         nodes: in order, see `node`.
         numbers: weights by name.
@@ -182,7 +182,7 @@ def graph_of_nodes(
 def as_columns(
     names: list[str], constants: Mapping[str, float], prefix: str = ""
 ) -> tuple[list[str], list[onnx.NodeProto]]:
-    """The names with every number (1, 1) among them spread to a column (N, 1), and the nodes that do it."""
+    """Names with each constant (1, 1) expanded to a column (N, 1), and the nodes that expand them."""
     nodes, spread = [], {name: f"{name}_column" for name in names if name in constants}
     each = f"{prefix}each_row"
     if spread:

@@ -1,8 +1,8 @@
-"""List of effects: equation, sides, bounds, starts, confounders, and what separates each from its neighbours.
+"""List of effects: equations, sides, bounds, starting values, confounders, and the motions that separate them.
 
 To add an effect: write its operator in `models/operators/`, its forms and its entry here, and, for the blind check, a
 generator. The diagnosis, `hystmpc effects`, the pictures, the self-test and the blind check read this list. Effects of
-users stand behind it.
+users follow behind it.
 """
 
 from __future__ import annotations
@@ -383,7 +383,7 @@ _added: dict[str, Effect] = {}
 
 
 def added_effects() -> Mapping[str, Effect]:
-    """Effects by name that installed packages offer or that were added, later ones in place of earlier ones.
+    """Effects by name from installed packages or `add_effect`; a later one replaces an earlier one.
 
     Raises:
         ConfigError: if an entry point cannot be imported, or names no effect.
@@ -393,14 +393,14 @@ def added_effects() -> Mapping[str, Effect]:
 
 
 def added_operators() -> Mapping[str, type[Operator]]:
-    """Operators by name that these effects consist of."""
+    """Operators of the added effects, by name."""
     return {kind.name: kind for effect in added_effects().values() for kind in (effect.operator, *effect.other_forms)}
 
 
 def add_effect(effect: Effect) -> Effect:
-    """Add a user's effect to the library in this process: files, simulated devices and `diagnose` then know it.
+    """Add a user's effect to the library in this process, for files, simulated devices and `diagnose`.
 
-    An entry point makes it known wherever its package is installed. A user's effect of the same name is replaced.
+    An entry point adds it wherever its package is installed. A user's effect of the same name is replaced.
 
     Raises:
         ModelError: if the name is one of the library's, or neutral values or forms contradict the operator.
@@ -410,7 +410,7 @@ def add_effect(effect: Effect) -> Effect:
 
 
 def checked(effect: Effect) -> Effect:
-    """The effect, if a diagnosis can use it.
+    """Return the effect after checking that a diagnosis can use it.
 
     Raises:
         ModelError: if its name is taken, or neutral values or forms contradict its operator.
@@ -465,7 +465,7 @@ _SHIPPED = {effect.name: effect for effect in _LIST}
 
 @final
 class _Library(Mapping[str, Effect]):
-    """The effects of the list, and behind them those of users."""
+    """Effects of the list, followed by those of users."""
 
     def __getitem__(self, name: str) -> Effect:
         return _SHIPPED[name] if name in _SHIPPED else added_effects()[name]
@@ -486,18 +486,18 @@ def _form_of() -> Mapping[str, str]:
 
 
 def diagnosable() -> tuple[str, ...]:
-    """Effects that a diagnosis can name; the others are forms of these."""
+    """Names of effects that a diagnosis can report; the others are forms of these."""
     forms = _form_of()
     return tuple(name for name in EFFECTS if name not in forms)
 
 
 def candidates(scale: Scale, in_core: Iterable[str], without: Sequence[str] = ()) -> tuple[Candidate, ...]:
-    """Every form of every effect that changes the simulated angle, sized by the data.
+    """Forms of all effects that change the simulated angle, with bounds and starts for the size of the data.
 
     Args:
-        scale: of the trials.
-        in_core: effects that the core of the nominal simulator has a parameter for.
-        without: effects that are left out.
+        scale: sizes of the trials.
+        in_core: effects for which the core of the nominal simulator has a parameter.
+        without: excluded effects.
     """
     made = [c for name, effect in EFFECTS.items() if name not in without for c in effect.forms(scale)]
     made += [Candidate(name, CORE, "output", 0, (), (), ((),)) for name in in_core if name not in without]
@@ -505,16 +505,16 @@ def candidates(scale: Scale, in_core: Iterable[str], without: Sequence[str] = ()
 
 
 def effect_of(operator: str) -> str:
-    """The effect that an operator of that name stands for; empty where it is none."""
+    """Effect that an operator name represents; empty for none."""
     return _form_of().get(operator, operator if operator in EFFECTS else "")
 
 
 def confusable(a: str, b: str) -> bool:
-    """Whether two effects are the same, or some motions cannot tell them apart."""
+    """Whether two effects are equal, or some motions cannot distinguish them."""
     return a == b or (a in EFFECTS and b in EFFECTS[a].confounders)
 
 
 def confounders(name: str) -> frozenset[str]:
-    """Effects that an effect is easily taken for: what a library has to hold for its name to mean much."""
+    """Effects that are easily mistaken for this effect and must be in the library for a reliable diagnosis."""
     effect = EFFECTS.get(name)
     return frozenset((*effect.confounders, *effect.also_taken_for)) if effect else frozenset()

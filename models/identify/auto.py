@@ -46,10 +46,10 @@ class AutoFit:
     Attributes:
         choice: chosen device with its errors on held-out trials.
         rows: error without and with each part.
-        parameters: numbers of drive and creep, with intervals of 90 %.
+        parameters: values of drive and creep, with intervals of 90 %.
         offsets: whether each trial has its separate offset.
-        noise: noise of the model on trials that its fit did not use; of one trial alone, on its thirds.
-        advice: numbers that the trials do not determine, and what to record for them.
+        noise: noise of the model on held-out trials; of a single trial, on its thirds.
+        advice: parameters that the trials do not determine, and what to record for them.
         decades: working units of `choice`; rows, parameters and noise are in those of the log.
         interrupted: stopped by the user; this is the best so far.
     """
@@ -74,14 +74,14 @@ def identify_auto(
 
         theta = core(creep(drive(u))),  drive: delay, lag of first or second order, top speed, or none
 
-    All alternatives are fitted by bounded least squares on free runs with exact sensitivities, and compared on trials
-    that their fit did not see, of one trial alone on thirds of its time. Each trial has an offset of its own where that
-    lowers the held-out error: angle sensors are often zeroed anew.
+    All alternatives are fitted by bounded least squares on free runs with exact sensitivities, and compared on held-out
+    trials, or on thirds of a single trial. Each trial has a separate offset where that lowers the held-out error: angle
+    sensors are often zeroed anew.
 
     Args:
         trials: uniformly sampled at one rate, in one pair of units; ramps, sines, or steps of a few values alone.
         skip_first_flexure: leave out each trial up to the first reversal of its command.
-        progress: told the share that is done and the best error so far; KeyboardInterrupt keeps the best so far.
+        progress: called with the completed share and the best error; KeyboardInterrupt keeps the best so far.
 
     Raises:
         FitError: on unusable trials, or an angle that falls with the command.
@@ -162,14 +162,7 @@ def _with_meaning(
     reduced_by: Callable[[Choice, str, str, set[str]], Choice],
     numbers_of: Callable[[Choice], tuple[ParameterRow, ...]],
 ) -> tuple[Choice, tuple[ParameterRow, ...]]:
-    """The device without effects that may do nothing, and its numbers.
-
-    Args:
-        device, rows: device and its numbers.
-        command: range of the command.
-        reduced_by: the device without an effect of a part; told the parts that have lost an effect, this one included.
-        numbers_of: numbers of a device.
-    """
+    """Device without effects that may be the identity, and its parameter values."""
     lost, required = set[str](), set[tuple[str, str]]()
     while nothing := without_meaning(device, rows, command, required):
         part, effect = nothing
@@ -186,7 +179,7 @@ def _with_meaning(
 def _at_full_rate(
     full: AutoSearch, device: Choice, parameters: Sequence[ParameterRow], command: Range
 ) -> tuple[Choice, tuple[ParameterRow, ...]]:
-    """The device of the search fitted to all samples, without what may do nothing at this rate."""
+    """Device of the search fitted to all samples, without effects that may be the identity at this rate."""
     device = full.refit_at_full_rate(device)
     rows = _numbers_at(full, device, parameters)
     return _with_meaning(
@@ -199,7 +192,7 @@ def _at_full_rate(
 
 
 def _numbers_at(search: AutoSearch, device: Choice, before: Sequence[ParameterRow]) -> tuple[ParameterRow, ...]:
-    """Numbers of a device at the full rate; their intervals include those of the search at a lower rate."""
+    """Parameter values at the full rate; their intervals include those of the search at a lower rate."""
     wide = {(row.owner, row.name): row for row in before}
 
     def joint(row: ParameterRow, before: ParameterRow | None) -> ParameterRow:
@@ -224,7 +217,7 @@ def _thinned(trials: Sequence[Trial], dt: float) -> Sequence[Trial]:
 
 
 def _advice(parameters: Sequence[ParameterRow], units: Units) -> Iterator[str]:
-    """Sentences on numbers that the trials do not determine, and on motions that would determine them."""
+    """Sentences on parameters that the trials do not determine, and on motions that would determine them."""
     for owner in dict.fromkeys(row.owner for row in parameters if row.flat or row.at_bound):
         rows_of_effect, what = [r for r in parameters if r.owner == owner], owner.replace("_", " ")
         for row in (r for r in rows_of_effect if r.at_bound):
@@ -242,13 +235,13 @@ _QUANTILE = 1.645  # of the normal distribution, 95 %
 
 
 def widened_rows(choice: Choice, runs: Sequence[Run], tried: Sequence[Choice]) -> Iterator[ParameterRow]:
-    """Numbers of a device with intervals that allow for other forms of its parts.
+    """Parameter values of a device, with intervals that allow for other forms of its parts.
 
         half = k 1.645 sqrt(s^2 + j^2 + a^2)
 
     s: standard error of the fit (sandwich); j: that of a jackknife over the held-out folds; a: root mean square
-    difference to alternatives with the same effect that do as well on held-out trials, such as a lag with a delay;
-    k: 1.5, for what no alternative of the list can express. An interval is open at an end of what was searched.
+    difference to alternatives with the same effect that do as well on held-out trials, such as a lag with a delay; k:
+    1.5, for what no alternative of the list can express. An interval is open at an end of the search range.
 
     Source: Buckland, Burnham, Augustin, Model selection: an integral part of inference, Biometrics 53 (1997), eq. (3).
     """
@@ -288,9 +281,9 @@ def _labels(choice: Choice) -> set[str]:
 
 
 def moved_row(row: ParameterRow, value: float, choice: Choice) -> ParameterRow:
-    """Number with its value from a fit at another rate; the interval keeps its width.
+    """Parameter row with the value from a fit at another rate and the width of the former interval.
 
-    A lag between samples that are held is half a sample early: at another rate the delay is another one.
+    A lag between held samples is half a sample early: its delay changes with the sample rate.
     """
     low, high = row.ci90
     effects = choice.hypothesis.problem.effects
@@ -309,17 +302,17 @@ def without_meaning(
     command: Range,
     required: Collection[tuple[str, str]] = (),
 ) -> tuple[str, str] | None:
-    """First effect whose intervals include its neutral value, with its part; None where there is none.
+    """First effect, with its part, whose intervals include its neutral value; None where there is none.
 
-    Of several terms of creep one is enough. A lag does nothing within twice its lower bound, far less than a sample, a
-    top speed where it may be that of the fastest command, a slack where it may end below the lowest command, and a
-    creep as quick as creep may be is a lag. The curve of a core goes with the part `core`.
+    One of several creep terms is enough. A lag is neutral within twice its lower bound, a top speed where it may equal
+    the fastest command, a slack where it may end below the lowest command. A creep at its quickest limit is a lag. The
+    curve of a core belongs to the part `core`.
 
     Args:
         choice: the device.
         parameters: its rows, in order.
         command: range of the command in the trials.
-        required: parts and effects that are not asked, see `needed`.
+        required: parts and effects that are kept without this test, see `needed`.
     """
     rows = iter(parameters)
     owners = [(name, c) for name, form in choice.forms.items() for c in form]

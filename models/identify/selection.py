@@ -26,7 +26,7 @@ OF_SINGLE_TRIALS = frozenset({"trial_shift", "periodic_disturbance"})  # fitted 
 
 @dataclass(frozen=True)
 class SelectionSettings:
-    """Thresholds of the selection; chosen on development cases and frozen.
+    """Thresholds of the selection, chosen on development cases and frozen.
 
     Attributes:
         most: greatest number of causes.
@@ -38,16 +38,16 @@ class SelectionSettings:
             what remains, by so many standard errors: beside a large cause a smaller one is no less sure.
         clear_errors, clear_share, clear_most: by so many standard errors a fall is clear, and these shares of what
             remains replace `least_share` and `most_share`: a third cause may leave no doubt and still be small.
-        generic_share: share of all that remains, less a faulty sensor's noise, that a generic effect beside other causes
-            has to explain: what the wrong forms of these leave looks like one. At 0.64 the RMSE falls to 0.6.
+        generic_share: share of all that remains, less a faulty sensor's noise, that a generic effect beside other
+            causes has to explain: what the wrong forms of these leave looks like one. At 0.64 the RMSE falls to 0.6.
         drift_errors: by so many standard errors a drift beside shifts of trials needs no share of the whole error.
         recurs: by this share of the mean fall the median trial has to gain from what each trial has of its own.
         everywhere: the share of every trial's error that shifts have to explain where the median trial gains less.
         gives_way: generic effects, and the share of what they explain by which another cause may be worse and is still
             preferred.
         width_share: error with a width of each trial, over that with its offset and gain alone, below which it has one.
-        line_of_shifts: of what shifts of the trials explain in the fit, the part that a drift may leave that makes
-            them needless: it has one number for all trials.
+        line_of_shifts: of what shifts of the trials explain in the fit, the part that a drift may leave that makes them
+            needless: it has one number for all trials.
         variants: forms of one effect that are tried again once it was tried alone.
         judged: candidates of a round that are judged on held-out trials; the others only by their fit.
         lowest_hz, highest_hz: where a periodic disturbance is looked for.
@@ -83,9 +83,9 @@ class Selection:
     """Result of a selection.
 
     Attributes:
-        baseline: retuned alone.
+        baseline: retuned without causes.
         chosen: baseline with the chosen causes; the baseline itself if there are none.
-        tried: everything that was judged, by the names of its causes; the best variant of each.
+        tried: all judged hypotheses, by the names of their causes; the best variant of each.
     """
 
     baseline: HeldOutErrors
@@ -94,7 +94,7 @@ class Selection:
 
 
 class _Judged:
-    """Hypotheses with their errors on trials that their fits did not see, by the names of their causes."""
+    """Hypotheses with their errors on held-out trials, by the names of their causes."""
 
     def __init__(self, tried: Mapping[frozenset[str], HeldOutErrors]) -> None:
         self.tried = dict(tried)
@@ -114,7 +114,6 @@ class _Judged:
         return None if known is None else known.hypothesis
 
     def judged(self, hypothesis: Hypothesis) -> HeldOutErrors:
-        """Errors of a hypothesis on held-out trials."""
         return self.tried[hypothesis.effects]
 
     def known(self, names: frozenset[str]) -> HeldOutErrors | None:
@@ -131,10 +130,9 @@ class _Search:
         self._baseline_mse, self._strict = 0.0, False
 
     def run(self) -> tuple[HeldOutErrors, HeldOutErrors]:
-        """Baseline and chosen hypothesis.
+        """Baseline and chosen hypothesis, without generic causes that explain no more than form errors would.
 
-        First generic causes are added like others: on the way one may stand beside a partner that is exchanged later.
-        Where one of them then explains no more than form errors would, it is dropped and the search goes on without.
+        Generic causes are first added like others, since one may be needed beside a partner that is exchanged later.
         """
         baseline = self._trials.baseline()
         self._baseline_mse = baseline.mse
@@ -144,7 +142,7 @@ class _Search:
         return baseline, searched if kept is searched else self._searched(kept, baseline)
 
     def _searched(self, current: HeldOutErrors, baseline: HeldOutErrors) -> HeldOutErrors:
-        """Add, drop, swap, until nothing changes."""
+        """Add, drop and exchange causes until nothing changes."""
         been: set[frozenset[str]] = set()  # what is added may drop what has it added again
         while current.hypothesis.effects not in been:
             been.add(current.hypothesis.effects)
@@ -219,12 +217,12 @@ class _Search:
         return current
 
     def _on_a_line(self, shifts: HeldOutErrors, drift: HeldOutErrors) -> bool:
-        """Whether shifts of trials follow the clock, so that a drift without them is enough."""
+        """Whether shifts of trials follow the clock, so that a drift is enough."""
         neither = self._trials.known(shifts.hypothesis.effects & drift.hypothesis.effects - {"drift"})
         return neither is not None and line_share(neither, shifts, drift) >= 1 - self._settings.line_of_shifts
 
     def _better(self, present: HeldOutErrors, other: HeldOutErrors, baseline: HeldOutErrors) -> bool:
-        """Whether an exchange is an improvement; a generic effect gives way to one that does nearly as well."""
+        """Whether an exchange is an improvement; a specific effect that is nearly as good replaces a generic one."""
         if len(other.hypothesis.effects) != len(present.hypothesis.effects) or other is present:
             return False
         fall, error = gain(present, other)
@@ -244,7 +242,7 @@ class _Search:
 
 @final
 class _Fits(_Judged):
-    """Hypotheses that are fitted to the development runs and judged in folds when they are asked for."""
+    """Hypotheses that are fitted to the development runs and judged in folds on request."""
 
     def __init__(
         self,
@@ -265,10 +263,10 @@ class _Fits(_Judged):
         return retuned
 
     def without(self, hypothesis: Hypothesis, effect: str) -> Hypothesis | None:
-        """Device without one effect, fitted anew.
+        """Device refitted without one effect.
 
-        A device of the same structure that was tried before stays unless the new fit is better: its errors on held-out
-        trials are already known.
+        A known device of the same structure is kept unless the new fit is better: its held-out errors are already
+        known.
         """
         refitted = self._validation.without(hypothesis, {effect})
         tried = self.tried.get(refitted.effects)
@@ -286,7 +284,7 @@ class _Fits(_Judged):
         return judged
 
     def additions(self, base: Hypothesis) -> list[Hypothesis]:
-        """Best variant of every effect that is not there yet, the most promising first; fitted once for a base."""
+        """Best variant of every effect that is not yet in the base, the most promising first; fitted once for a base."""
         if base not in self._added:
             self._added[base] = self._fitted_additions(base)
         return self._added[base]
@@ -327,7 +325,7 @@ class _Fits(_Judged):
         return (blocks + free) / max(blocks - free, 1.0)
 
     def _several_trials(self) -> bool:
-        """Whether there are several trials: folds of one trial share its samples, and no shift from trial to trial."""
+        """Whether there are several trials: folds of one trial share its samples and have no shift between trials."""
         return len({id(run.command) for run in self._validation.runs}) > 1
 
     def _terms(self, base: Hypothesis) -> list[TrialTerms]:
@@ -352,7 +350,7 @@ def _same_structure(one: Problem, other: Problem) -> bool:
 
 
 def _favourites(reached: Mapping[Candidate, float], most: int) -> tuple[Candidate, ...]:
-    """Variants of each effect that did best alone: later rounds try no others."""
+    """Best variants of each effect alone; later rounds try no others."""
     kept = []
     for effect in dict.fromkeys(candidate.effect for candidate in reached):
         reached_by_effect = sorted((c for c in reached if c.effect == effect), key=lambda c: reached[c])
@@ -361,7 +359,7 @@ def _favourites(reached: Mapping[Candidate, float], most: int) -> tuple[Candidat
 
 
 def _exceeds(gained: tuple[float, float]) -> bool:
-    """Whether a fall is larger than its standard error."""
+    """Whether a reduction of the error is larger than its standard error."""
     return gained[0] > gained[1]
 
 
@@ -373,7 +371,7 @@ def _freedoms(hypothesis: Hypothesis) -> int:
 
 
 def _recurs(before: HeldOutErrors, after: HeldOutErrors, new: AbstractSet[str], settings: SelectionSettings) -> bool:
-    """Whether terms of single trials explain most trials, and not a single odd one alone.
+    """Whether terms of single trials explain most trials, and not a single unusual one alone.
 
     The median trial gains as the mean does. Where groups of unequal size share a shift, the retuned simulator is nearer
     to the larger group, whose trials gain less: then a shift explains half of the error of every trial, and the trials
@@ -391,15 +389,15 @@ def _recurs(before: HeldOutErrors, after: HeldOutErrors, new: AbstractSet[str], 
 
 
 def line_share(neither: HeldOutErrors, shifts: HeldOutErrors, drift: HeldOutErrors) -> float:
-    """Share of the error explained by shifts of the trials that a drift explains, too.
+    """Share of the error explained by shifts of the trials that a drift also explains.
 
-    Both are compared by their fits. Held out, shifts are estimated on the trial itself and a drift on others, so that
-    its random walk about the line would count against it.
+    Both are compared by their training errors: held out, a drift would be estimated on other trials than the shifts,
+    and its random walk about the line would count against it.
 
     Args:
-        neither: without either.
-        shifts: with the shifts.
-        drift: with a drift, and without shifts.
+        neither: fit without shifts and drift.
+        shifts: fit with shifts alone.
+        drift: fit with a drift alone.
     """
     rest = neither.hypothesis.mse
     return (rest - drift.hypothesis.mse) / max(rest - shifts.hypothesis.mse, 1e-12)
@@ -421,8 +419,8 @@ def select(
         candidates: effects that may be added.
         settings: thresholds.
         floor_mse: error of sensor noise and model form; a fall below it does not count [deg^2].
-        without: effects that are left out of the library.
-        progress: called with the share of the present round and the candidate that is tried.
+        without: effects that are excluded.
+        progress: called with the share of the present round and the candidate.
         faults_mse: energy of a faulty sensor's noise, which is no form error [deg^2].
     """
     fits = _Fits(validation, candidates, settings, without, progress)
@@ -442,10 +440,10 @@ def reselect(
     floor_mse: float,
     faults_mse: float = 0.0,
 ) -> Selection:
-    """Select by the same rules among hypotheses that were judged on other trials; nothing is fitted.
+    """Select causes by the same rules among hypotheses judged on other trials, without fits.
 
     Args:
-        tried: their errors by the names of their causes, the baseline's among them.
+        tried: errors by the names of the causes, the baseline's among them.
         settings: thresholds.
         floor_mse, faults_mse: see `select`.
     """

@@ -1,4 +1,4 @@
-"""Simulators of identified chains, as identified and as corrected by a diagnosis, with their residuals."""
+"""Simulators of identified chains, also with the corrections of a diagnosis, and their residuals."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def identify(
     limits: DeviceLimits | None = None,
     progress: FitProgress | None = None,
 ) -> tuple[Simulator, ChainFit]:
-    """Simulator of a kind of chain, identified by least squares; arguments and errors as of `identify_chain`.
+    """Identify the simulator of a kind of chain by least squares; arguments and errors as of `identify_chain`.
 
     Raises:
         FitError: also where the lines of a backlash cross within the trained range.
@@ -73,16 +73,16 @@ def simulator_of(
     skip_first_flexure: bool = False,
     noise: NoiseModel | None = None,
 ) -> Simulator:
-    """Simulator of an identified chain with the facts of its trials, and the residuals of its free runs.
+    """Simulator of an identified chain with the metadata of its trials, and the residuals of its free runs.
 
     Args:
-        chain: what was identified.
-        trials: from which.
-        limits: what the device may be sent.
-        method: how, in words.
-        seed: of what was drawn at random.
+        chain: identified chain.
+        trials: trials of the identification.
+        limits: limits of the command.
+        method: name of the method.
+        seed: of random numbers.
         skip_first_flexure: whether each trial counted from the first reversal of its command on.
-        noise: of trials that the fit did not use; where left out, that of these trials.
+        noise: noise on held-out trials; that on these trials where left out.
 
     Raises:
         FitError: on unusable trials, or a backlash whose lines cross within the trained range.
@@ -122,9 +122,9 @@ def simulator_of(
 
 
 def _rest_command(trials: Sequence[Trial], limits: Range) -> float | None:
-    """Command at which the device rests before its trials, None for the lower end of its range.
+    """Command at rest before the trials; None for the lower end of its range.
 
-    Trials that all begin in motion do not tell it: then the command at which they begin.
+    Without a trial that begins at rest it is the command at which they begin.
     """
     if trials[0].inverted:
         return None
@@ -182,17 +182,17 @@ def corrected_simulator(
     decades: Decades,
     skip_first_flexure: bool = False,
 ) -> Simulator:
-    """Simulator that is retuned and has the identified effects.
+    """Retuned simulator with the identified effects.
 
     A disturbance has the amplitude, the frequency and the phase of the last trial. Terms of single trials
-    (`trial_shift`) and a faulty sensor are not included, and memory from trial to trial begins anew; the method says
-    so. Residuals and noise are those of the file as it stands, on the development trials, as `fit` stores them.
+    (`trial_shift`) and a faulty sensor are not included, and memory is reset for each trial; the method says so.
+    Residuals and noise are those of this simulator on the development trials, as `fit` stores them.
 
     Args:
         simulator: as given.
-        chosen: fitted, with its causes.
+        chosen: fitted hypothesis with its causes.
         runs: all trials in recording order, the sensor's faults repaired.
-        development: those that were fitted.
+        development: fitted runs.
         trials, given: all trials at the common rate, and as recorded.
         decades: units in which the simulator was fitted and the runs are; the trials are in those of the log.
         skip_first_flexure: whether the trials counted from their first reversal on only.
@@ -220,11 +220,11 @@ def corrected_simulator(
 def network_effects(
     chosen: Hypothesis, baseline: Baseline, last: Run, dt_s: float, simulator: str, decades: Decades
 ) -> dict[str, str]:
-    """File of effects beside a network, which cannot hold them itself; none where there are no effects.
+    """File of effects for a network, which cannot contain them; none where there are no effects.
 
     Args:
-        chosen: fitted, with its causes.
-        baseline: the plays that stand for the network.
+        chosen: fitted hypothesis with its causes.
+        baseline: plays that represent the network.
         last: trial recorded last.
         dt_s: sample time of the trials [s].
         simulator: name of the network in the file's note.
@@ -256,8 +256,8 @@ def network_effects(
 def _disturbance(chosen: Hypothesis, last: Run, dt_s: float, decades: Decades) -> Operator | None:
     """Disturbance of the last trial, for a clock of that sample time; None if there is none.
 
-    Terms are s_h sin(2 pi h f t) + c_h cos(2 pi h f t), taken off the error; the operator's clock has made one step
-    at the first sample.
+    Terms are s_h sin(2 pi h f t) + c_h cos(2 pi h f t), taken off the error; the operator's clock has made one step at
+    the first sample.
     """
     terms = chosen.problem.terms
     if not terms.frequency_hz:
@@ -272,7 +272,7 @@ def _disturbance(chosen: Hypothesis, last: Run, dt_s: float, decades: Decades) -
 
 
 def _remarks(chosen: Hypothesis) -> str:
-    """Text on what the file leaves out."""
+    """Text on the effects that the file does not contain."""
     said = []
     if chosen.problem.terms.shift:
         said.append("shifts from trial to trial are not in this file")
@@ -284,7 +284,7 @@ def _remarks(chosen: Hypothesis) -> str:
 
 
 def _compared(chain: Chain, angle: Vec, trial: Trial, skip_first_flexure: bool) -> tuple[Trial, Vec, int]:
-    """Trial with the angle as repaired (T,), free run (T,) of the chain from rest, and first sample that counts."""
+    """Trial with the repaired angle (T,), free run (T,) of the chain from rest, and first sample that counts."""
     repaired = Trial(trial.t, trial.command, angle, units=trial.units, source=trial.source)
     state = settled(chain, float(trial.command[0]), float(angle[0]), -math.inf, 0.0)
     theta = StagedChain(chain).simulate(trial.command[:, None], trial.dt, state[:, None])[0][:, 0]
@@ -293,7 +293,7 @@ def _compared(chain: Chain, angle: Vec, trial: Trial, skip_first_flexure: bool) 
 
 
 def _placed(chosen: Hypothesis) -> list[tuple[Any, Operator]]:
-    """Candidates with their operators as identified, in the order of the signal."""
+    """Candidates with their identified operators, in the order of the signal."""
     problem = chosen.problem
     chain, nominal = problem.fitted_chain(chosen.q), problem.baseline.chain
     lead = len(chain.before) - len(nominal.before)
@@ -317,14 +317,14 @@ def _spec(effect: str, side: str, operator: Operator) -> Mapping[str, Any]:
 def settled(chain: Chain, command: float, angle: float, bent: float, clock_s: float) -> Vec:
     """State (S,) of a chain after a long rest.
 
-    The start at rest is known for each operator alone; in a chain, creep before a play moves on from there. The command
-    is therefore held for half an hour. Clocks and running maxima are set afterwards.
+    The exact rest is known for each operator alone. In a chain, a creep before a play changes it; therefore the command
+    is held for half an hour. Clocks and running maxima are set afterwards.
 
     Args:
-        chain: with its numbers.
-        command: held [cmd].
+        chain: with its parameter values.
+        command: constant [cmd].
         angle: approximate angle of the device [deg].
-        bent: greatest command of the device so far [cmd]; the rest command for one that forgets.
+        bent: greatest command of the device so far [cmd]; the rest command for a device without that memory.
         clock_s: of the device [s].
     """
     staged = StagedChain(chain)

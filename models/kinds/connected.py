@@ -32,11 +32,11 @@ from .operator_kinds import AutoKind
 class DrivenKind(ModelKind):
     """Kind of model behind the drive of a device: theta = kind(v), v = drive(u).
 
-    The drive is that of a simulator, all up to its last lag, servo, delay or top speed; the kind is identified from the
-    travel v that the drive makes of the recorded commands.
+    The drive is that of a simulator, up to its last lag, servo, delay or top speed; the kind is identified from the
+    travel v, the drive's output for the recorded commands.
 
     Args:
-        kind: a network or a regression; `auto` gives operators a drive of their own.
+        kind: a network or a regression; `auto` already includes a drive.
         device: a simulator with the drive; None to identify one from the same trials by `auto`.
 
     Raises:
@@ -86,10 +86,9 @@ class ResidualKind(ModelKind):
 
         theta = core(v) + network(v),  v = drive(u)
 
-    Drive and core are those of `auto`. The network stays only if it lowers the error on trials that neither the
-    operators nor the network were fitted to, by the rule of `auto` for any other part: the search's first fold is left
-    out, the operators are those fitted without it, and a network is trained on their residual of the other trials. A
-    network that stays is then trained on the residual of all trials.
+    Drive and core are those of `auto`. The network is kept only if it lowers the error on the search's first fold, by
+    the rule of `auto` for any other part, with operators fitted without that fold and a network trained on their
+    residual of the other trials. It is then trained on the residual of all trials.
 
     Args:
         network: kind of the network, `lstm` or `gru`.
@@ -169,7 +168,7 @@ class ResidualKind(ModelKind):
 
 
 def behind(drive: Drive, trial: Trial) -> Trial:
-    """Trial with the travel behind a drive, which rested at its first command, in place of the command."""
+    """Trial whose command is the travel behind a drive, which rested at its first command."""
     predictor, u = drive.predictor, float(trial.command[0])
     return replace(trial, command=predictor.rollout(predictor.initial(u, u), trial.command[None])[0])
 
@@ -184,7 +183,7 @@ def _parted(device: Simulator) -> tuple[Simulator | None, Simulator]:
 
 
 def _left(trials: Sequence[Trial], device: Simulator, offsets: bool) -> list[Trial]:
-    """Residuals of a device on trials, over the travel that its drive makes of the commands."""
+    """Residuals of a device on trials, over the drive's output for the commands."""
     front, middle = _parted(device)
     drive, model = front and Drive(front.chain.operators, front.metadata()), ChainModel(middle)
     travels = [behind(drive, trial) if drive else trial for trial in trials]
@@ -204,7 +203,7 @@ def _connected(
     trials: Sequence[Trial],
     limits: DeviceLimits,
 ) -> ExportBundle:
-    """Bundle of a connection, its ranges those of the recorded trials."""
+    """Bundle of a connection, with the ranges of the recorded trials."""
     facts = rest.metadata
     rules = facts.initial, facts.conditioned
     return connected_bundle(

@@ -31,7 +31,7 @@ S1_WINDOWS = WindowTraining(epochs=50, padding_samples=49)
 def s2_settings(
     kind: str, network: NetworkForm, training: WindowTraining = S2_WINDOWS, name: str = "paper"
 ) -> NetworkSettings:
-    """Training of S2 section III-D: windows of 50, Adam 1e-3, batch 16, at most 100 epochs, rest at 30 deg."""
+    """Training settings of S2 section III-D: windows of 50, Adam 1e-3, batch 16, at most 100 epochs, rest at 30 deg."""
     return NetworkSettings(
         kind=kind,
         name=name,
@@ -46,9 +46,9 @@ def s2_settings(
 
 
 def s1_settings(kind: str, network: NetworkForm, training: WindowTraining = S1_WINDOWS) -> NetworkSettings:
-    """Training of S1 section II-C: windows of 50 padded on the left, ranges mapped to [-1, 1], 50 epochs.
+    """Training settings of S1 section II-C: windows of 50 padded on the left, ranges mapped to [-1, 1], 50 epochs.
 
-    Optimiser, rate and batch stood in a table that is lost; those of S2 are taken.
+    Optimiser, rate and batch are those of S2, since the table in S1 is lost.
     """
     return NetworkSettings(
         kind=kind, name="s1", network=network, warmup_samples=49, learning_rate=1e-3, training=training
@@ -97,8 +97,7 @@ class NetworkKind(ModelKind):
     def training(self, request: FitRequest) -> NetworkSettings:
         """Settings of a training with the changes of a request.
 
-        A feed-forward network, which the papers train on single samples, is trained on windows where the constancy
-        term is asked for.
+        The constancy term requires windows also for a feed-forward network, which the papers train on single samples.
         """
         chosen = self.settings[request.training]
         way = chosen.training.model_dump()

@@ -21,8 +21,8 @@ class LstmNet(Network):
 
     Args:
         hidden, layers: size.
-        memory_samples, command_gain: of the initial weights, see `CellSettings`; as they stand here, PyTorch's own.
-        outputs: numbers that the head gives a sample; more than one for a network inside another.
+        memory_samples, command_gain: of the initial weights, see `CellSettings`; the defaults are PyTorch's.
+        outputs: number of outputs of the head; more than one for a network inside another.
     """
 
     def __init__(
@@ -102,15 +102,10 @@ class GruNet(Network):
 def _initialise(
     cells: torch.nn.RNNBase, memory_samples: int, command_gain: float, signs: Sequence[float | None]
 ) -> None:
-    """PyTorch's initial weights with a gain on the input and, with `memory_samples`, gates that remember.
+    """Set PyTorch's initial weights with a gain on the input and, with `memory_samples`, gates with long memory.
 
-    Memories tau from 1 to that many samples, log(tau) uniform, after Tallec and Ollivier, ICLR 2018.
-
-    Args:
-        cells: all layers.
-        memory_samples: longest memory.
-        command_gain: factor on the weights of the input.
-        signs: of log(tau) in the bias of each of the first gates; None leaves a gate as it is.
+    Memories tau from 1 to that many samples, log(tau) uniform, after Tallec and Ollivier, ICLR 2018. `signs`: factors
+    of log(tau) in the bias of each of the first gates; None leaves a gate unchanged.
     """
     cells.get_parameter("weight_ih_l0").data.mul_(command_gain)
     if memory_samples:
@@ -124,7 +119,7 @@ def _initialise(
 
 
 def lstm_layers(net: LstmNet) -> tuple[LstmLayer, ...]:
-    """The layers' numbers; the two biases of a layer, which only ever act together, are added."""
+    """Weights of the layers, with the sum of the two biases of a layer."""
     values = {name: numbers(tensor) for name, tensor in net.lstm.state_dict().items()}
     return tuple(
         LstmLayer(

@@ -1,1 +1,1 @@
-"""Operators: each equation of hysteresis, lag and delay stands here once, as a CasADi expression."""
+"""Operators: the only place of each equation of hysteresis, lag and delay, as a CasADi expression."""

@@ -1,4 +1,4 @@
-"""Roll-outs of operator chains and of every exported model made of elementwise operations, by compiled kernels."""
+"""Compiled roll-outs of operator chains and of exported models with elementwise operations."""
 
 from __future__ import annotations
 
@@ -39,16 +39,16 @@ class CompiledPredictor(InvertiblePredictor):
 
     @classmethod
     def of_function(cls, function: Any, metadata: ModelMetadata) -> CompiledPredictor:
-        """Predictor of a CasADi SX function (state, u) -> (theta, next state), as exported models give it."""
+        """Predictor of a CasADi SX function (state, u) -> (theta, next state) of an exported model."""
         x, u = ca.SX.sym("x", function.numel_in(0)), ca.SX.sym("u")
         theta, following = function(x, u)
         transition = dense("transition", [x, u, ca.SX.sym("p", 0), ca.SX.sym("dt")], [theta, following])
         return cls(transition, np.empty(0), metadata)
 
     def held(self, samples: int) -> Self:
-        """The same model whose angle is that after the command has been held for so many samples.
+        """Predictor whose angle is that after the command has been constant for so many samples.
 
-        The state moves on by one sample, so that its memory is that of the model.
+        The state advances by one sample, as in the model.
         """
         if samples == 1:
             return self
