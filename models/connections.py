@@ -73,8 +73,6 @@ def connected_bundle(
 
     Args:
         operators: chain at the sample time of `rest`.
-        way: see `Connection`.
-        rest: the model.
         facts: sample time, units, limits and ranges of the whole; all else follows from the parts.
 
     Raises:
@@ -222,7 +220,6 @@ def _connected_graph(operators: Simulator, way: str, rest: onnx.GraphProto, fact
 
 
 def _renamed(graph: onnx.GraphProto, names: Mapping[str, str]) -> onnx.GraphProto:
-    """Graph with some tensors renamed."""
     from onnx import GraphProto
 
     copy = GraphProto()

@@ -144,7 +144,6 @@ def size_of(unit: str, sizes: Mapping[str, float]) -> float:
 
 
 def _signals(trials: Sequence[Trial]) -> tuple[list[Vec], list[Vec]]:
-    """Commands and outputs of the device."""
     devices = [trial.swapped() if trial.inverted else trial for trial in trials]
     return [trial.command for trial in devices], [trial.angle for trial in devices]
 

@@ -34,7 +34,6 @@ class Errors:
 
     Attributes:
         rmse_deg: root mean square error (S1 (RA-L 2021) eq. (8)).
-        bias_deg: mean error.
         offset_free_rmse_deg: root mean square of the error less its mean.
         max_abs_error_deg: greatest absolute error (called MAE in S1 eq. (7)).
         nrmse: rmse over the range of the measured angle (S1 eq. (9)).
@@ -59,7 +58,6 @@ class TrialEvaluation:
         trial: the scored trial, at the model's sample time.
         theta: the model's angle [deg], shape (T,).
         start: first sample that counts.
-        errors: over samples `start` on.
         outside: share of samples whose command lies outside the range of the model's identification, where its angle is
             an extrapolation.
         began: start of the free run; with a lead where the trial begins in motion.
@@ -93,7 +91,6 @@ def free_run(model: LoadedModel, commands: Vec, start: float | TrialStart) -> Ve
     """Angles (T,) [deg] of a model over commands (T,), from a start and without any other measurement.
 
     Args:
-        model: simulated model.
         commands: (T,) [command unit].
         start: angle [deg] of the device at rest at the first command; or another start.
     """
@@ -123,8 +120,6 @@ def evaluate(
     estimate the state and are not scored (`models.start`).
 
     Args:
-        model: evaluated model.
-        trial: recorded trial.
         skip_first_flexure: score from the first reversal of the trial's command on.
         before: earlier samples of the same log, for a trial that is part of it. The free run begins with them, and they
             are not scored.
@@ -193,7 +188,6 @@ def error_sentence(results: Sequence[TrialEvaluation], which: str = "") -> str:
     """Sentence on the error of the free runs.
 
     Args:
-        results: one or more.
         which: words behind their number, such as ` that the fit did not see`.
     """
     unit, mean = results[0].trial.units.angle, mean_errors(results)

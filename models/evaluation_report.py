@@ -23,9 +23,7 @@ def evaluation_report(
     """Page of an evaluation or a fit.
 
     Args:
-        title, subtitle: of the page.
         parts: sets of trials, the most important first, each with the words of `error_sentence`.
-        more: further pieces behind them.
     """
     pieces = [piece for which, results in parts for piece in _pieces(which, results)]
     return Report(title, (*pieces, *more), subtitle)

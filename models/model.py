@@ -70,10 +70,6 @@ class LoadedModel(ABC):
     """Model ready to run: the step of the ONNX contract behind the `Model` protocol.
 
     The state is x = [state, theta] (N, S + 1): it contains the last angle, so that `output` is a projection.
-
-    Args:
-        metadata: metadata of the model file.
-        start: rule for the initial state.
     """
 
     def __init__(self, metadata: ModelMetadata, start: Start) -> None:
@@ -190,12 +186,7 @@ class Predictor(ABC):
 
 
 class ModelPredictor(Predictor):
-    """Predictor of one model file; the state is the model's.
-
-    Args:
-        metadata: metadata of the model file.
-        start: rule for the initial state.
-    """
+    """Predictor of one model file; the state is the model's."""
 
     def __init__(self, metadata: ModelMetadata, start: Start = "conditioned") -> None:
         self.dt = metadata.dt_s
@@ -235,7 +226,7 @@ FitProgress = Callable[[int, float], None]
 
 
 def static_gain(model: Predictor) -> float:
-    """Static gain without dead bands and lags: difference of the angles at rest over the command range [deg per unit]."""
+    """Static gain without dead bands and lags: difference of the angles at rest over the command range [deg/cmd]."""
     low, high = model.command_range
     samples = max(round(_SETTLING_S / model.dt), 1)
     plans = np.array([np.full(samples, low), np.full(samples, high)])

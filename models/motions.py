@@ -47,9 +47,6 @@ def initialisation_flexure(commands: Range, dt_s: float, warmup_samples: int, re
     its rest along half a sine of the same duration.
 
     Args:
-        commands: range of the flexure.
-        dt_s: sample time [s].
-        warmup_samples: length of the warm-up.
         rest: command at rest; the lowest where left out.
     """
     t = np.arange(0.0, 1.0 / FLEXURE_HZ, dt_s)

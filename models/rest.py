@@ -28,8 +28,6 @@ class RestRule:
     model behind them starts by its file's rule, as any other model does.
 
     Args:
-        facts: of the model.
-        start: which rule of the file.
         chain: the operators, where the model is a chain; those in the facts where left out.
     """
 
@@ -189,7 +187,6 @@ class ChainRest:
 
     Args:
         chain: its delays with a store for the sample time.
-        dt_s: sample time [s].
     """
 
     def __init__(self, chain: Chain, dt_s: float) -> None:
@@ -226,7 +223,6 @@ class ChainRest:
 
 
 def _rows(function: Any, *inputs: Vec) -> list[Vec]:
-    """Results (rows, N) of a function of numbers at N points."""
     import casadi as ca
 
     if not inputs[0].size:

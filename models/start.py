@@ -1,4 +1,4 @@
-"""Start of a recorded trial: at rest at its first command and angle, or in motion, with a state estimated by a model."""
+"""Start of a recorded trial: at rest at its first command and angle, or in motion at an estimated state."""
 
 from __future__ import annotations
 
@@ -60,8 +60,7 @@ def trial_start(command: Vec, angle: Vec, dt_s: float, inverted: bool = False) -
     trial.
 
     Args:
-        command, angle: of the trial (T,).
-        dt_s: sample time [s].
+        command, angle: (T,).
         inverted: whether these are those of an inverse map, which starts at its first sample.
     """
     span = float(np.ptp(command))
@@ -88,11 +87,8 @@ def estimated_start(start: TrialStart, command: Vec, angle: Vec, dt_s: float, bo
     count most.
 
     Args:
-        start: of a trial that begins in motion.
         command, angle: measured (T,).
-        dt_s: sample time [s].
         box: ranges that are searched; the trial's samples lie within.
-        runs: of the model.
     """
     if start.at_rest:
         return start

@@ -59,10 +59,6 @@ def to_casadi(graph: onnx.GraphProto, name: str = "model") -> ca.Function:
     Where a graph has branches (Where, Max, Min, Clip, Relu) the derivative is that of the active one, of the first
     operand at a tie; Relu has derivative zero at zero.
 
-    Args:
-        graph: step graph of an `ExportBundle` or an `OnnxModel`.
-        name: name of the function, a CasADi identifier.
-
     Returns:
         `casadi.Function`: state (S, 1), u (1, 1) -> theta (1, 1), next_state (S, 1), in double.
 
@@ -87,7 +83,6 @@ def to_casadi(graph: onnx.GraphProto, name: str = "model") -> ca.Function:
 
 
 def _translate(node: onnx.NodeProto, operands: Sequence[Tensor | None]) -> list[Tensor]:
-    """Output tensors of one node."""
     given = {item.name: onnx.helper.get_attribute_value(item) for item in node.attribute}
     if node.op_type in REARRANGE:
         return _rearranged(node.op_type, operands, given)

@@ -32,7 +32,6 @@ class ExportBundle:
     Attributes:
         graph: inputs u [N,1] and state [N,S], outputs theta [N,1] and next_state [N,S], batch axis N symbolic, all four
             float32 or all four double, operators from the list; or a function that makes it.
-        metadata: see `ModelMetadata`.
         reference: the implementation that the graph has to agree with.
         probe: commands (T,) [command unit], T >= 2, a persistent excitation inside the trained range.
 
@@ -214,8 +213,6 @@ def _precision(model: OnnxModel) -> str:
 
 
 def _casadi_step(function: ca.Function) -> Step:
-    """The CasADi function in batched form."""
-
     def step(state: Vec, u: Vec) -> tuple[Vec, Vec]:
         theta, following = function(state.T, u.T)
         return np.array(theta).T, np.array(following).T

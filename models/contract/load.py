@@ -129,7 +129,6 @@ class OnnxModel(LoadedModel):
         graph: the ONNX graph, as `to_casadi` takes it.
         initializers: the graph's weights by name.
         dtype: number type of the graph, float32 or float64.
-        hash: SHA-256 of the file.
         source: the file's path, for messages and reports.
         start: which of the two initial rules `initial` follows.
     """
@@ -193,7 +192,6 @@ def load_onnx(path: Path | str, start: Start = "initial") -> OnnxModel:
     """Read a model file written by `export_onnx`.
 
     Args:
-        path: the ONNX file.
         start: "initial" for recorded trials of a device that was not flexed since it was set up, "conditioned" for a
             device after its initialisation flexure, as controllers need it.
 

@@ -86,7 +86,6 @@ class OperatorNodes:
     """ONNX nodes of one program inside a larger graph.
 
     Attributes:
-        nodes: in order.
         constants: names and values of the numbers, to become initializers of shape (1, 1).
         outputs: name of the column (N, 1) of every element of every output.
     """
@@ -167,10 +166,6 @@ def graph_of_nodes(
     """Step graph in double from nodes between `u`, `state`, `theta` and `next_state`.
 
     Args:
-        name: name of the graph.
-        state_size: S.
-        nodes: in order, see `node`.
-        numbers: weights by name.
         indices: axes, sizes and places by name.
     """
     weights = [numpy_helper.from_array(np.array(value, np.float64), key) for key, value in numbers.items()]

@@ -495,9 +495,7 @@ def candidates(scale: Scale, in_core: Iterable[str], without: Sequence[str] = ()
     """Forms of all effects that change the simulated angle, with bounds and starts for the size of the data.
 
     Args:
-        scale: sizes of the trials.
         in_core: effects for which the core of the nominal simulator has a parameter.
-        without: excluded effects.
     """
     made = [c for name, effect in EFFECTS.items() if name not in without for c in effect.forms(scale)]
     made += [Candidate(name, CORE, "output", 0, (), (), ((),)) for name in in_core if name not in without]

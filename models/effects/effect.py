@@ -96,7 +96,6 @@ class Freedom:
     """Free parameter of a fit.
 
     Attributes:
-        name: name of the parameter.
         lower, upper: bounds, physical signs included.
         scale: a typical change; 0 for a positive parameter that is searched on a logarithmic scale.
     """
@@ -144,12 +143,9 @@ class Effect:
     """Effect of the library.
 
     Attributes:
-        operator: its class, whose name is the effect's.
-        equation: as one line.
         apart: what separates it from its neighbours.
         neutral: values that make it the identity; other parameters do not matter then.
         sides: possible sides, the side that fits devices best first.
-        why_side: why a side is missing.
         defaults: values of parameters that may be left out besides the neutral ones.
         clocks: states that start at zero with a trial.
         forms: candidates that a diagnosis tests, sized by the data; empty where it has its own test.

@@ -143,7 +143,6 @@ def _caption(name: str) -> str:
 
 @cache
 def _plain() -> tuple[Vec, Vec]:
-    """Loop and hold of the plain device."""
     return run(DEVICE, _loop().command), run(DEVICE, _hold().command)
 
 

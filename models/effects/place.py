@@ -21,13 +21,7 @@ _SIDES: tuple[Side, ...] = ("command", "output")
 
 @dataclass(frozen=True)
 class PlacedEffect:
-    """Effect with parameter values on one side of the core.
-
-    Attributes:
-        effect: entry of the catalogue.
-        side: command or output.
-        operator: with its parameter values.
-    """
+    """Effect with parameter values on one side of the core."""
 
     effect: Effect
     side: Side
@@ -38,7 +32,6 @@ class EffectError(ModelError):
     """Error in the description of an effect.
 
     Args:
-        message: one line.
         at: keys from the description to the wrong entry.
     """
 
@@ -53,7 +46,6 @@ def effect_from(spec: Any, dt_s: float | None = None) -> PlacedEffect:
     A missing parameter takes its neutral value, if there is one; a missing side is the effect's first.
 
     Args:
-        spec: plain data.
         dt_s: sample time [s], needed only for the length of a delay's store.
 
     Raises:
@@ -125,7 +117,6 @@ def _effect_of(spec: Any) -> Effect:
 
 
 def _side_of(effect: Effect, side: Any) -> Side:
-    """Requested side, or the effect's first one."""
     if side is None:
         return effect.sides[0]
     if side not in _SIDES:
@@ -172,7 +163,6 @@ def _filled(effect: Effect, template: Operator, given: Mapping[str, Any], side: 
 
 
 def _unknown(effect: Effect, template: Operator, name: str, side: Side) -> str:
-    """Message on an unknown parameter, or on a wrong unit in its name."""
     hint = did_you_mean(name, names_of(template))
     for parameter in template.parameters:
         stem, _, unit = parameter.name.rpartition("_")

@@ -45,9 +45,7 @@ class AutoFit:
 
     Attributes:
         choice: chosen device with its errors on held-out trials.
-        rows: error without and with each part.
         parameters: values of drive and creep, with intervals of 90 %.
-        offsets: whether each trial has its separate offset.
         noise: noise of the model on held-out trials; of a single trial, on its thirds.
         advice: parameters that the trials do not determine, and what to record for them.
         decades: working units of `choice`; rows, parameters and noise are in those of the log.
@@ -217,7 +215,6 @@ def _thinned(trials: Sequence[Trial], dt: float) -> Sequence[Trial]:
 
 
 def _advice(parameters: Sequence[ParameterRow], units: Units) -> Iterator[str]:
-    """Sentences on parameters that the trials do not determine, and on motions that would determine them."""
     for owner in dict.fromkeys(row.owner for row in parameters if row.flat or row.at_bound):
         rows_of_effect, what = [r for r in parameters if r.owner == owner], owner.replace("_", " ")
         for row in (r for r in rows_of_effect if r.at_bound):
@@ -309,9 +306,6 @@ def without_meaning(
     curve of a core belongs to the part `core`.
 
     Args:
-        choice: the device.
-        parameters: its rows, in order.
-        command: range of the command in the trials.
         required: parts and effects that are kept without this test, see `needed`.
     """
     rows = iter(parameters)
@@ -360,6 +354,5 @@ def _numbers(hypothesis: Hypothesis, q: Vec) -> dict[tuple[str, str], float]:
 
 
 def _as_good(other: Choice, choice: Choice) -> bool:
-    """Whether the chosen device is not significantly better than another one."""
     fall, error = gain(other.judged, choice.judged)
     return fall <= max(STANDARD_ERRORS * error, 0.02 * choice.judged.mse)

@@ -73,13 +73,7 @@ def needed(before: Blocks, after: Blocks) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class Choice:
-    """Device during the search.
-
-    Attributes:
-        core: form of the hysteresis core.
-        forms: form of each other part, by its name.
-        judged: fit to all trials, with its errors on held-out trials.
-    """
+    """Device during the search."""
 
     core: CoreForm
     forms: dict[str, Form]
@@ -208,7 +202,6 @@ class AutoSearch:
         return next(c for c in ordered if c is best or not worth(c.judged, best.judged))
 
     def _alternatives(self, name: str, present: Choice) -> list[tuple[CoreForm, dict[str, Form]]]:
-        """Devices with each possible form of one part."""
         if name == _CORE:
             return [(core, present.forms) for core in self._cores]
         forms = next(part.forms for part in self._parts if part.name == name)

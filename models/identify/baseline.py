@@ -29,7 +29,6 @@ class Baseline(ABC):
     """Free parameters of a chain in retuning: unknowns z (Z,) with their nominal values and bounds.
 
     Attributes:
-        chain: the nominal chain.
         command: range of the command [cmd].
         nominal, lower, upper, scale: nominal values, bounds and typical changes of z (Z,).
         effects: positions in z that retuning keeps fixed, because they are effects: {effect: {name: position}}.
@@ -128,7 +127,6 @@ class FreeCoreBaseline(Baseline):
     """Core with all parameters free, except those that are effects; of curved plays slopes and offset.
 
     Args:
-        chain: the nominal chain.
         command: range of the command [cmd].
         free_widths: whether the half-widths of curved plays are free, too.
     """

@@ -41,11 +41,8 @@ class ConvergenceReport:
     """Loss of a fit by iteration, as the method counts iterations.
 
     Attributes:
-        method: name of the method.
         losses: loss after each iteration, in the square of the output's unit; not empty. For methods whose loss may
             rise (trials of steps, generations), the best so far.
-        evaluations: passes over the training data.
-        budget: allowed number of iterations.
 
     Source: S1 Table IV.
     """
@@ -131,7 +128,6 @@ class ChainTask:
         box: lower and upper end of the region of a global search (P,) each, within the physical bounds.
         first: lower and upper end of its initial region.
         fixed: names of parameters that are set, not identified.
-        trials: uniformly sampled at one rate, in one pair of units.
         lead_s: start of each trial that least squares does not score [s]: a device that rings may be in motion.
     """
 
@@ -199,11 +195,8 @@ class ChainFit:
     """Result of an identification by any method.
 
     Attributes:
-        chain: best chain.
         rmse_deg: root of the mean over trials of the mean square error of its free runs [deg; mm or bar for an inverse
             map], which compares methods of any loss.
-        evaluations: passes over the trials.
-        report: convergence of the method's loss.
         interrupted: stopped by the user; `chain` is the best so far.
     """
 
@@ -276,11 +269,7 @@ class IdentificationMethod:
     """Method to identify a chain.
 
     Attributes:
-        name: name in requests.
-        settings: class of its settings, a frozen dataclass.
-        fit: function of task, settings and progress that returns the result.
         trainings: training that selects the method, by kind of chain.
-        summary: one line for help texts.
         kinds: kinds of chain that it can identify; None for all.
     """
 
@@ -292,7 +281,7 @@ class IdentificationMethod:
     kinds: tuple[str, ...] | None = None
 
     def settings_for(self, steps: int | None, seed: int, skip_first_flexure: bool) -> Any:
-        """Settings of the method with a greatest number of steps (free runs, epochs, iterations), None for the default."""
+        """Settings with a greatest number of steps (free runs, epochs, iterations), None for the method's default."""
         known = {f.name for f in fields(self.settings)}
         count = next(name for name in ("evaluations", "epochs", "iterations") if name in known)
         chosen = {"seed": seed, "skip_first_flexure": skip_first_flexure} | ({count: steps} if steps else {})
@@ -333,7 +322,6 @@ def fit_chain(
     Args:
         starts: chains of one structure; their values are the starting points.
         trials: uniformly sampled at one rate, in one unit.
-        settings: see `OperatorFitSettings`.
         progress: called with the evaluations so far and the best rmse [deg]; KeyboardInterrupt keeps the best so far.
         fixed: names of parameters that stay as they are in the first start.
 
@@ -435,8 +423,6 @@ def identify_chain(
         kind: a name of `CHAIN_KINDS`; for swapped trials (`Trial.swapped`) `inverse_backlash`, `inverse_pi` or
             `inverse_drdpi`, which are identified directly.
         trials: uniformly sampled at one rate, in one pair of units.
-        method: name of the method.
-        settings: of the method; None for its defaults.
         plays: number of plays of a `pi` or `drdpi`, or of sliders.
         progress: called with the iteration (for least squares: the free runs over all trials) and the best error so
             far; KeyboardInterrupt keeps the best so far.

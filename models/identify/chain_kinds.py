@@ -98,7 +98,6 @@ def branch(trials: Sequence[Trial], motion: Motion, rises: bool = True) -> Vec:
 
 
 def _lines(unloading: Vec, loading: Vec) -> Chain:
-    """Backlash of two lines (slope, offset)."""
     return Chain(Backlash(unloading[0], loading[0], unloading[1] / unloading[0], loading[1] / loading[0]))
 
 
@@ -295,8 +294,6 @@ class ChainKind:
     """Kind of operator model: its name, starting points and search regions.
 
     Attributes:
-        name: on the command line and in reports.
-        title: in tables.
         starts: forward operators to start from, as a function of trials, extent and number of plays.
         box: ends of the global search by parameter; numbered parameters go by their stem.
         first: ends of its initial region; without an entry as `box`.
@@ -358,7 +355,6 @@ def maxwell_slip_starts(
     """Starting points of a friction force: sliders of one stiffness that slip within 3, 10 and 30 % of the range.
 
     Args:
-        elements: number of sliders.
         slope, offset: of the mean line [deg/cmd], [deg].
         height: of friction, half the distance of the branches [deg].
         span: range of the displacement [cmd].

@@ -30,7 +30,6 @@ class Hypothesis:
     """Baseline with some causes, fitted to the development runs.
 
     Attributes:
-        problem: the baseline with the causes.
         q: fitted unknowns (Q,).
         mse: mean square error of that fit [deg^2].
     """
@@ -61,7 +60,6 @@ def fit_problem(
     """Fit a hypothesis to runs from one start.
 
     Args:
-        problem: fitted problem.
         runs: trials; their counted samples weigh the same.
         start: unknowns (Q,); brought within the bounds.
         evaluations: greatest number of free runs over all trials.
@@ -155,7 +153,6 @@ class HeldOutErrors(Blocks):
     """Errors of a hypothesis on held-out trials, in blocks.
 
     Attributes:
-        hypothesis: the fitted hypothesis.
         errors: of each run where it counts (C,) [deg].
         fold_q: unknowns (Q,) fitted without each fold.
         parts: errors by which a lag, a delay and a rate dependence are compared; None where they were not.
@@ -172,8 +169,6 @@ class CrossValidation:
     """Cross-validation of hypotheses over folds of the development runs.
 
     Attributes:
-        baseline: of every hypothesis.
-        runs: development runs.
         evaluations: of a fit from one start.
         in_time: whether a single run is held out in thirds of its time; else its training error counts.
     """

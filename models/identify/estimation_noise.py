@@ -106,12 +106,7 @@ class ReferenceModel(LoadedModel):
 
 
 def with_noise(bundle: ExportBundle, trials: Sequence[Trial], fitted: int) -> ExportBundle:
-    """Add the noise model, from free runs of the reference over trials, to a bundle; an inverse map stays unchanged.
-
-    Args:
-        trials: at the model's rate, in its units.
-        fitted: see `estimation_noise`.
-    """
+    """Add the noise model, from free runs of the reference over trials, to a bundle; an inverse map stays unchanged."""
     facts = bundle.metadata
     if facts.inverted:
         return bundle

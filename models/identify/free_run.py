@@ -25,7 +25,7 @@ Stage = tuple[StageKernels, slice, slice]
 
 @dataclass(frozen=True, eq=False)
 class HeldRows:
-    """Settled states of N rows under constant commands, with derivatives in D directions (last: angle given to the core).
+    """Settled states of N rows under constant commands, with derivatives in D directions (last: the core's angle).
 
     Attributes:
         state, slope: (S, N), and its derivative (S, N, D).
@@ -65,9 +65,6 @@ class Settling:
     """States at rest for one set of parameters; see `StagedChain.settled`.
 
     Attributes:
-        stages: operators in the order of the signal.
-        core: index of the core.
-        values: parameters (P, 1).
         kept: for every operator, the quantities that depend on parameters and sample time alone.
         seeds: derivative of the parameters in each direction (P, D); zero in the last, the core's angle.
     """

@@ -38,10 +38,6 @@ def motion_frequencies(runs: Sequence[Run], hz: Vec) -> Mask:
     These are nearer to its fundamental or a harmonic than 1 / T, with T the time of all runs together. For the first
     five harmonics, whose size varies with the width of the loop, the limit is one over the duration of each run, since
     each run has a separate phase. A run of fewer than three periods has only these five, with the limit 1 / T.
-
-    Args:
-        runs: all recorded runs.
-        hz: frequencies [Hz].
     """
     seconds = np.array([run.command.size * run.dt_s for run in runs])
     seconds_at = np.zeros(hz.size)

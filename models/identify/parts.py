@@ -45,12 +45,7 @@ _RADII = (0.02, 0.45)  # of the command's range: its narrowest and its widest pl
 
 @dataclass(frozen=True)
 class Part:
-    """Part of a device with its possible forms.
-
-    Attributes:
-        name: in tables: `drive`, `creep`, `valve`.
-        forms: the forms, the device without the part first.
-    """
+    """Part of a device with its possible forms."""
 
     name: str
     forms: tuple[Form, ...]
@@ -68,7 +63,6 @@ def device_parts(scale: Scale, late_s: float = 0.0) -> tuple[Part, ...]:
     speed that the command exceeds. A servo may oscillate for long.
 
     Args:
-        scale: sizes of the device and its trials.
         late_s: approximate delay of the device, see `dead_time`; where long, the search for a delay is around it [s].
     """
     known = _forms_of(scale, "delay", "lag", "creep", "nonlinear_gain")
@@ -140,7 +134,6 @@ def whole_delay(form: Form) -> float:
 
 
 def _short(delay: Form) -> Form:
-    """Delay with one start, where another effect is fitted with it."""
     return tuple(replace(c, starts=c.starts[:1]) for c in delay)
 
 
@@ -153,7 +146,6 @@ def _top_speed(scale: Scale) -> Candidate:
 
 
 def _creeps(creep: Candidate, scale: Scale) -> tuple[Candidate, Candidate]:
-    """Creep of one term, and of a quick and a slow one."""
     share, tau = creep.free
     slowest, middle = 3.0 * scale.duration_s, 2.0
     share = replace(share, lower=-3.0, upper=0.9)
@@ -237,7 +229,6 @@ def _lead(trials: Sequence[Trial]) -> float:
 
 
 def _stops(slope: float, offset: float, height: float, span: float, scale: Scale) -> tuple[CoreForm, ...]:
-    """Friction forces, without and with a part that depends on the speed."""
     made = []
     for elements in _SLIDERS:
         for speed in (0.0, span / scale.duration_s):
@@ -254,7 +245,6 @@ def _bent(core: CoreForm, curve: Candidate) -> CoreForm:
 
 
 def _plays(slope: float, offset: float, command: Vec, known: Mapping[str, Candidate]) -> list[CoreForm]:
-    """Sums of plays, alone and with a curve, for a line that rises."""
     span = float(np.ptp(command))
 
     def backlash(reach: float) -> Operator:

@@ -138,11 +138,6 @@ class Problem:
 
     Positive parameters are scaled by their logarithm, all others in units of a typical change, so that steps of one are
     comparable.
-
-    Args:
-        baseline: the nominal chain with its free parameters.
-        effects: candidates that are added to it.
-        terms: terms of single trials.
     """
 
     def __init__(self, baseline: Baseline, effects: Sequence[Candidate] = (), terms: TrialTerms = NO_TERMS) -> None:
@@ -265,8 +260,6 @@ class Problem:
         """Products of derivatives and errors in one pass over many runs, derivatives first and the error last.
 
         Args:
-            q: unknowns.
-            together: runs.
             white: filter for derivatives and error (`whitening`).
 
         Returns:

@@ -1,4 +1,4 @@
-"""Trials as runs of an identification: starts, errors in blocks of a few seconds, checks and metadata of a trial set."""
+"""Trials as runs of an identification: starts, errors in blocks, checks and metadata of a trial set."""
 
 from __future__ import annotations
 
@@ -29,7 +29,6 @@ class Run:
     """Trial with its start, history and scored samples.
 
     Attributes:
-        name: of the trial.
         command, angle: (T,) [cmd], [deg].
         dt_s: sample time [s].
         rest_command, rest_angle: command and angle of the rest before [cmd], [deg].
@@ -96,7 +95,6 @@ class RunsTogether:
     """N runs of one rate, concatenated for one call of the simulation, T samples in all.
 
     Attributes:
-        runs: in order.
         command: of all runs with their approaches (A,).
         first: first sample of each run, followed by A (N + 1,).
         recorded: samples among these that belong to the trials (T,).
@@ -191,8 +189,6 @@ def runs_of(
     """Runs of trials in recording order, uniformly sampled; every sample counts except the lead of a trial in motion.
 
     Args:
-        trials: all recorded trials, or some of them.
-        corrections: see `Run.correction`.
         before: of each trial, where trials in between were left out.
         starts: of each trial, where they are known from its samples at another rate.
     """
@@ -327,12 +323,8 @@ def facts_of(
     """Metadata of a model identified on `trials`, with their ranges, fingerprint and names.
 
     Args:
-        kind: name of the kind.
-        trials: trials of the identification.
         limits: limits of the command; the range in the trials where left out.
         rules: `initial` and `conditioned`.
-        warmup_samples: see `ModelMetadata`.
-        training: further facts.
 
     Raises:
         FitError: on unusable trials.

@@ -83,7 +83,6 @@ class Selection:
     """Result of a selection.
 
     Attributes:
-        baseline: retuned without causes.
         chosen: baseline with the chosen causes; the baseline itself if there are none.
         tried: all judged hypotheses, by the names of their causes; the best variant of each.
     """
@@ -130,10 +129,7 @@ class _Search:
         self._baseline_mse, self._strict = 0.0, False
 
     def run(self) -> tuple[HeldOutErrors, HeldOutErrors]:
-        """Baseline and chosen hypothesis, without generic causes that explain no more than form errors would.
-
-        Generic causes are first added like others, since one may be needed beside a partner that is exchanged later.
-        """
+        """Baseline and chosen hypothesis, without generic causes that explain no more than form errors would."""
         baseline = self._trials.baseline()
         self._baseline_mse = baseline.mse
         searched = self._searched(baseline, baseline)
@@ -185,7 +181,6 @@ class _Search:
         return sureness(before, after) > settings.standard_errors and useful > least
 
     def _dropped(self, current: HeldOutErrors) -> HeldOutErrors:
-        """Hypothesis without the causes that are no longer needed."""
         for effect in sorted(current.hypothesis.effects):
             if len(current.hypothesis.effects) < 2:
                 break
@@ -284,7 +279,7 @@ class _Fits(_Judged):
         return judged
 
     def additions(self, base: Hypothesis) -> list[Hypothesis]:
-        """Best variant of every effect that is not yet in the base, the most promising first; fitted once for a base."""
+        """Best variant of every effect that is not yet in the base, the most promising first."""
         if base not in self._added:
             self._added[base] = self._fitted_additions(base)
         return self._added[base]
@@ -329,7 +324,6 @@ class _Fits(_Judged):
         return len({id(run.command) for run in self._validation.runs}) > 1
 
     def _terms(self, base: Hypothesis) -> list[TrialTerms]:
-        """Terms of the base with one more."""
         terms, made = base.problem.terms, []
         if not terms.shift and "trial_shift" not in self._without and self._several_trials():
             width = self._validation.baseline.width
@@ -359,7 +353,6 @@ def _favourites(reached: Mapping[Candidate, float], most: int) -> tuple[Candidat
 
 
 def _exceeds(gained: tuple[float, float]) -> bool:
-    """Whether a reduction of the error is larger than its standard error."""
     return gained[0] > gained[1]
 
 
@@ -415,11 +408,7 @@ def select(
     """Select the causes of a gap.
 
     Args:
-        validation: development runs and baseline.
-        candidates: effects that may be added.
-        settings: thresholds.
         floor_mse: error of sensor noise and model form; a fall below it does not count [deg^2].
-        without: effects that are excluded.
         progress: called with the share of the present round and the candidate.
         faults_mse: energy of a faulty sensor's noise, which is no form error [deg^2].
     """
@@ -444,7 +433,6 @@ def reselect(
 
     Args:
         tried: errors by the names of the causes, the baseline's among them.
-        settings: thresholds.
         floor_mse, faults_mse: see `select`.
     """
     baseline, chosen = _Search(_Judged(tried), settings, floor_mse, faults_mse).run()

@@ -76,11 +76,6 @@ def simulator_of(
     """Simulator of an identified chain with the metadata of its trials, and the residuals of its free runs.
 
     Args:
-        chain: identified chain.
-        trials: trials of the identification.
-        limits: limits of the command.
-        method: name of the method.
-        seed: of random numbers.
         skip_first_flexure: whether each trial counted from the first reversal of its command on.
         noise: noise on held-out trials; that on these trials where left out.
 
@@ -122,10 +117,7 @@ def simulator_of(
 
 
 def _rest_command(trials: Sequence[Trial], limits: Range) -> float | None:
-    """Command at rest before the trials; None for the lower end of its range.
-
-    Without a trial that begins at rest it is the command at which they begin.
-    """
+    """Command at rest before the trials, else the one at which they begin; None for the lower end of its range."""
     if trials[0].inverted:
         return None
     starts = [trial_start(trial.command, trial.angle, trial.dt) for trial in trials]
@@ -141,8 +133,6 @@ def residual(log: Trial, trial: Trial, theta: Vec, start: int) -> Residual:
     """Residual of a simulator on a trial.
 
     Args:
-        log: as recorded, for its name and fingerprint.
-        trial: at the simulator's rate.
         theta: the simulator's free run (T,) [deg].
         start: first sample that counts.
     """
@@ -189,10 +179,7 @@ def corrected_simulator(
     Residuals and noise are those of this simulator on the development trials, as `fit` stores them.
 
     Args:
-        simulator: as given.
-        chosen: fitted hypothesis with its causes.
         runs: all trials in recording order, the sensor's faults repaired.
-        development: fitted runs.
         trials, given: all trials at the common rate, and as recorded.
         decades: units in which the simulator was fitted and the runs are; the trials are in those of the log.
         skip_first_flexure: whether the trials counted from their first reversal on only.
@@ -223,11 +210,8 @@ def network_effects(
     """File of effects for a network, which cannot contain them; none where there are no effects.
 
     Args:
-        chosen: fitted hypothesis with its causes.
         baseline: plays that represent the network.
-        last: trial recorded last.
         dt_s: sample time of the trials [s].
-        simulator: name of the network in the file's note.
         decades: units in which the effects were fitted; the file is in those of the log.
     """
     effects = [_spec(c.effect, c.side, decades.log_operator(operator, c.side)) for c, operator in _placed(chosen)]
@@ -272,7 +256,6 @@ def _disturbance(chosen: Hypothesis, last: Run, dt_s: float, decades: Decades) -
 
 
 def _remarks(chosen: Hypothesis) -> str:
-    """Text on the effects that the file does not contain."""
     said = []
     if chosen.problem.terms.shift:
         said.append("shifts from trial to trial are not in this file")
@@ -321,7 +304,6 @@ def settled(chain: Chain, command: float, angle: float, bent: float, clock_s: fl
     is held for half an hour. Clocks and running maxima are set afterwards.
 
     Args:
-        chain: with its parameter values.
         command: constant [cmd].
         angle: approximate angle of the device [deg].
         bent: greatest command of the device so far [cmd]; the rest command for a device without that memory.

@@ -32,9 +32,6 @@ def timing_rivals(
        direction of the command; the model-form error is slow.
 
     Args:
-        validation: development runs.
-        candidates: forms of all effects.
-        chosen: selected causes.
         rest: fit without the effect of timing, if there is one.
     """
     names = chosen.effects & TIMING

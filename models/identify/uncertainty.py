@@ -108,8 +108,6 @@ class ParameterRow:
     """Identified number of the corrected simulator.
 
     Attributes:
-        owner: effect, or `baseline`.
-        name: as `tau_s`.
         value, ci90: identified value and its 90 % interval, not-a-number where unknown.
         neutral: value at which it has no effect; None for a baseline quantity.
         at_bound: whether it ended at an edge of its range.
@@ -158,8 +156,6 @@ def parameter_rows(
     """All numbers of the corrected simulator: of the baseline, of operators, and those estimated separately.
 
     Args:
-        hypothesis: the corrected simulator, at its optimum.
-        runs: runs of the fit.
         estimated: parameters by effect and name; those outside the fit are listed without interval.
     """
     uncertain = uncertainty(hypothesis.problem, hypothesis.q, runs)
@@ -175,12 +171,7 @@ def parameter_rows(
 
 
 def core_rows(hypothesis: Hypothesis, runs: Sequence[Run]) -> tuple[ParameterRow, ...]:
-    """Fitted weights and widths of the core's plays; `neutral` is the value before retuning.
-
-    Args:
-        hypothesis: the retuned simulator, at its optimum.
-        runs: runs of the fit.
-    """
+    """Fitted weights and widths of the core's plays; `neutral` is the value before retuning."""
     problem, q = hypothesis.problem, hypothesis.q
     baseline, z = problem.baseline, problem.retuned(hypothesis.q)
     names = [p.name for p in baseline.chain.core.parameters]
@@ -253,7 +244,6 @@ def _unit(candidate: Candidate, name: str) -> str:
 
 
 def _unit_of_name(name: str) -> str:
-    """Unit at the end of a name, as that of `amplitude_deg`."""
     return next((unit for ending, unit in _ENDINGS.items() if name.endswith(ending)), "1")
 
 
@@ -281,6 +271,5 @@ def _slope(quantity: Callable[[Vec], float], q: Vec) -> Vec:
 
 
 def _neutral(effect: str, parameter: str) -> float | None:
-    """Value at which an effect is neutral; None for a parameter that does not matter then."""
     known = EFFECTS.get(effect)
     return None if known is None else known.neutral.get(parameter, known.neutral.get(base_name(parameter)))

@@ -100,8 +100,6 @@ class DrivenInverse(Inverse):
     The path to that angle needs a preview; see `DrivenFollower`.
 
     Args:
-        inner: inverse of the model without the dynamics.
-        predictor: of the model that `inner` inverts.
         front: drive between command and travel; None for none. Its state precedes the model's.
         back: dynamics between the inverted model's angle and the tip's; None for none. Its state follows the model's.
     """
@@ -135,7 +133,6 @@ def first_acting(response: Any) -> int:
 
 @lru_cache(maxsize=64)
 def _compiled_fit(chain: str) -> Callable[..., int]:
-    """`drive_loops.fit` for the module of a drive's kernels."""
     header = f"from {chain} import linearise\nfrom {__name__} import bounded_moves, first_acting\n\n\n"
     loops = resources.files("hystmpc.models.kernels").joinpath("drive_loops.py").read_text(encoding="utf-8")
     fit: Callable[..., int] = generated_module(header + loops).fit
@@ -166,7 +163,7 @@ def bounded_moves(by_move: Any, off: Any, moves: Any, reach: float, weight: floa
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def lead_moves(hessian: Any, linear: Any, reach: float, moves: Any) -> None:
-    """Solve argmin over |m_k| <= reach of 1/2 m'P m - q'm (H,) in place, P positive definite, from moves within the bounds.
+    """Solve argmin over |m_k| <= reach of 1/2 m'P m - q'm (H,) in place, P positive definite, from feasible moves.
 
     Each step goes towards the optimum of the free moves, as far as the first bound, where that move is fixed. At the
     optimum, the move whose multiplier has the most wrong sign is released.
@@ -219,7 +216,7 @@ def free_optimum(hessian: Any, linear: Any, side: Any, reach: float, factor: Any
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def first_bound(moves: Any, wanted: Any, side: Any, reach: float) -> Any:
-    """Step fraction from `moves` to `wanted` (H,) at which the first free move meets a bound, and its index; -1: none."""
+    """Step fraction from `moves` to `wanted` (H,) where the first free move meets a bound, and its index or -1."""
     share, hit = 1.0, -1
     for k in range(moves.size):
         if side[k] == 0.0 and abs(wanted[k]) > reach:

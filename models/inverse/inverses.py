@@ -185,10 +185,6 @@ def steady_inverse(predictor: InvertiblePredictor, low: float, high: float) -> C
     unstable: on a steady ramp of the angle the command alternates between fast and still. The angle after a hold of
     some samples has no such zero, and is equal at rest.
 
-    Args:
-        predictor: the model.
-        low, high: least and greatest command of the search.
-
     Source: Astrom, Hagander and Sternby, Zeros of sampled systems, Automatica 20 (1984), for the zeros.
     """
     exact = CompiledInverse(predictor, low, high)
@@ -271,7 +267,7 @@ class Follower(ABC):
 
     @abstractmethod
     def follow(self, state: Vec, wanted: Vec, u_last: float, bounds: Bounds) -> Vec:
-        """Commands (2, H) along the angles `wanted` (H,) [deg]: within the bounds alone, and within the rate limit too."""
+        """Commands (2, H) along the angles `wanted` (H,) [deg]: within the bounds alone, and also within the rate limit."""
 
 
 @final
@@ -304,8 +300,6 @@ class CompiledFollower(Follower):
     """Inverse along a horizon in one compiled call, for chains and for networks with a companion chain.
 
     Args:
-        inverse: of the chain.
-        chain: inverted chain.
         network: network represented by the chain; None for the chain itself.
         size: entries of the network's state.
     """

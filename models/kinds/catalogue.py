@@ -65,7 +65,6 @@ def chosen_kind(name: str, drive: str | None = None, residual: str | None = None
     """Kind of model of that name, or a combination with it.
 
     Args:
-        name: see `kind_named`.
         drive: `auto`, or a simulator with the drive before the kind, as a file or `builtin:NAME`.
         residual: with `auto`, kind of a network of the residual of its operators.
 

@@ -60,8 +60,6 @@ class Identified:
         bundle: graph, facts and reference, ready for `export_onnx`; `OnnxModel` runs it.
         simulator: the readable form of an operator; None for networks.
         history: step and best error so far, in the unit of the output.
-        report: one line on the fit.
-        interrupted: stopped by the user; this is the best so far.
         parts: of `auto`, the effect of each part on the error, its numbers with intervals, and what to record.
     """
 
@@ -91,8 +89,6 @@ class ModelKind(ABC):
     Swapped trials (`Trial.swapped`) request the inverse map.
 
     Attributes:
-        name: on the command line and in reports.
-        title: in tables.
         trainings: possible values of `FitRequest.training`, the default first.
         inverse_training: the default for inverse maps, where it is another one.
         readable: whether the result also has a readable form, a simulator in YAML.
@@ -212,7 +208,6 @@ def _span(trials: Sequence[Trial]) -> float:
 
 
 def _why(trials: Sequence[Trial]) -> str:
-    """Finding of the trial check that may be the cause."""
     for trial in trials:
         forward = trial.swapped() if trial.inverted else trial
         for finding in check(forward).findings:

@@ -25,9 +25,6 @@ class OperatorKind(ModelKind):
     """Kind of model that is one operator; its inverse form is identified from swapped trials.
 
     Its trainings are identification methods: bounded least squares (`best`), and those of installed packages.
-
-    Args:
-        entry: name, starts and boxes.
     """
 
     readable = True
@@ -97,7 +94,6 @@ class AutoKind(ModelKind):
 
 
 def _report(fit: AutoFit, unit: str) -> str:
-    """Parts of the device and its error on held-out trials, in one line."""
     parts = [c.label for form in fit.choice.forms.values() for c in form if c.free]
     rmse = fit.choice.rmse_deg * fit.decades.angle
     return f"{' + '.join([*parts, fit.choice.core.label])}; {rmse:.4g} {unit} on trials left out"

@@ -73,8 +73,6 @@ class LstmWeights:
     Attributes:
         layers: from the command upwards; all of the same width H.
         head_weight: (H,).
-        head_bias: scalar.
-        scaling: units in and out.
 
     Raises:
         ModelError: if sizes do not fit each other or a number is not finite.
@@ -110,7 +108,7 @@ class LstmWeights:
 
     @property
     def parameter_count(self) -> int:
-        """Number of trained parameters, counted as in the papers with two bias vectors a layer: 50,497 for two layers of 64."""
+        """Number of trained parameters with two bias vectors a layer, as in the papers: 50,497 for two layers of 64."""
         per_layer = sum(layer.w_ih.size + layer.w_hh.size + 2 * layer.bias.size for layer in self.layers)
         return per_layer + self.hidden + 1
 

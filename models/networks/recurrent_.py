@@ -20,7 +20,6 @@ class LstmNet(Network):
     The state is [h_1, c_1, h_2, c_2, ...], zero at the start.
 
     Args:
-        hidden, layers: size.
         memory_samples, command_gain: of the initial weights, see `CellSettings`; the defaults are PyTorch's.
         outputs: number of outputs of the head; more than one for a network inside another.
     """

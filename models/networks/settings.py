@@ -30,9 +30,7 @@ class DeviceFacts:
 
     Attributes:
         rest: scaled input of a device at rest.
-        operator: result of `FormSettings.operator`.
         lag_samples: time constant of the lag in front of the hysteresis [samples]; 0 for none.
-        inverted: whether the network is an inverse map.
     """
 
     rest: float = 0.0
@@ -150,7 +148,6 @@ class GatedSettings(FormSettings):
         return GatedLstmNet(self.hidden, _SPAN * self._radii(facts.inverted), facts.rest, keep, path)
 
     def _radii(self, inverted: bool) -> np.ndarray:
-        """Radii (n,), as shares of the range."""
         if inverted:
             return np.geomspace(self.inverse_finest, self.reach, self.plays)
         return self.reach * np.arange(1, self.plays + 1) / max(self.plays, 1)

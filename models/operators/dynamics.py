@@ -133,10 +133,9 @@ class Servo(Operator):
 @final
 @dataclass(frozen=True)
 class RateLimit(Operator):
-    """Follower with a top speed.
+    """Follower with a top speed; the identity for slower inputs, to the last bit.
 
-    y_k = max(y_{k-1} - top_speed dt, min(y_{k-1} + top_speed dt, u_k)); the identity for slower inputs, to the last
-    bit.
+    y_k = max(y_{k-1} - top_speed dt, min(y_{k-1} + top_speed dt, u_k))
 
     Source: Astrom and Murray, Feedback Systems (2nd ed., 2020), section 9.4, rate limiters.
     """

@@ -101,7 +101,7 @@ class Backlash(BacklashLines):
         return self.m_lo * (u + self.c_lo) - self.m_up * (u + self.c_up)
 
     def inverse(self, dead_zone: float = 0.0) -> InverseBacklash:
-        """Inverse from angle to command with the same lines; a change of the angle within `dead_zone` [deg] is ignored."""
+        """Inverse from angle to command with the same lines; changes of the angle within `dead_zone` [deg] are ignored."""
         return InverseBacklash(self.m_lo, self.m_up, self.c_lo, self.c_up, dead_zone)
 
 

@@ -34,7 +34,6 @@ class Parameter:
         lower, upper: bounds, inclusive; identification stays within them. Those of a quantity with `cmd`, `deg` or `in`
             in its unit are meant for a device whose command's range is 1 to 10 and whose output's is 10 to 100, to
             which `models.decades` brings any other; of a device in its own units only their signs count.
-        meaning: one line for tables.
     """
 
     name: str
@@ -49,7 +48,6 @@ class Number:
     """Declaration of a parameter in a field of an operator: `Annotated[float, Number(...)]`.
 
     Attributes:
-        unit, lower, upper, meaning: as in `Parameter`.
         template: value in `Operator.template`.
     """
 

@@ -126,7 +126,6 @@ class InversePrandtlIshlinskii(PlaySum):
         return PrandtlIshlinskii(*self.numbers)
 
     def _sums(self, p: Symbol) -> list[Symbol]:
-        """Partial sums a0, a0 + a1, ... of the weights."""
         sums = [p[0]]
         for i in range(1, self.plays + 1):
             sums.append(sums[-1] + p[i])

@@ -88,7 +88,6 @@ class PlayKernelFit:
     """Identified play-kernel model.
 
     Attributes:
-        weights: the model.
         choice: lag and smoothness with the least held-out error.
         judged: mean offset-free error on held-out trials [unit of the output] of every choice compared; empty where
             there was nothing to compare.
@@ -118,7 +117,6 @@ def fit_play_kernel(
 
     Args:
         trials: uniformly sampled at one rate, in one unit; swapped ones give an inverse map, which has stops too.
-        settings: see `PlayKernelSettings`.
         skip_first_flexure: leave out each trial up to the first reversal of its command.
         progress: called with the fits so far and the least error on held-out trials; KeyboardInterrupt keeps the best.
 
@@ -257,7 +255,7 @@ class Course:
         self._trial, self._start, self._frame, self._gain = trial, start, frame, frame.gain(lag_s)
 
     def blocks(self) -> Iterator[tuple[Vec, Vec]]:
-        """Features (T, F) and scaled angle (T,) of the samples that count; the plays are simulated over all from rest."""
+        """Features (T, F) and scaled angle (T,) of the samples that count; the plays run from rest over all samples."""
         trial, frame = self._trial, self._frame
         state = np.full(frame.radii.size + 1, scaled(trial.command[0], frame.command))
         for first in range(0, len(trial), BLOCK):

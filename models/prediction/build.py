@@ -100,8 +100,6 @@ class ControllerModel:
     """Model for controllers: predictors, each with an inverse of the same memory.
 
     Attributes:
-        facts: of the model.
-        predictive: of predictive controllers.
         feedforward: of controllers that only invert: the same for a model that has an inverse and for an inverse map,
             else the companion operator. With a correction by the network at every sample, as for the first guess of
             predictive controllers, that inverse would oscillate across the dead band.
@@ -156,7 +154,6 @@ def controller_model(
 
 
 def _companion_in(file: Path | str, dt_s: float) -> Simulator | LoadedModel:
-    """Simulator to invert, or inverse map."""
     given = load_model(file)
     if not isinstance(given, ChainModel):
         return given
@@ -213,10 +210,6 @@ class SeriesPredictor(Predictor):
     """Model behind a drive: theta = model(v), v = drive(u).
 
     d theta / d u = (d theta / d v) (d v / d u). The state is [drive state, model state].
-
-    Args:
-        drive: dynamics between command and travel.
-        predictor: of the model with the travel v as input.
     """
 
     def __init__(self, drive: Drive, predictor: Predictor) -> None:
@@ -245,10 +238,6 @@ class ParallelPredictor(Predictor):
     """Sum of two models with the same command: theta = first(u) + second(u).
 
     The state is [state of the first, state of the second]. At rest the first one shows the measured angle.
-
-    Args:
-        first: of the main model.
-        second: of the model of the residual.
     """
 
     def __init__(self, first: Predictor, second: Predictor) -> None:

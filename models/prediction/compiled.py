@@ -21,8 +21,6 @@ class CompiledPredictor(InvertiblePredictor):
     """Compiled roll-out and linearisation of a symbolic step (state, u, p, dt) -> (theta, next state).
 
     Attributes:
-        transition: the step, dense.
-        kernels: the compiled step and loops.
         parameters, sample_s: p (P,) and dt (1,) [s], as the kernels take them.
     """
 

@@ -31,11 +31,6 @@ class RoutedPredictor(ModelPredictor):
     Roll-outs use as many threads as the process gives BLAS. A control process sets one (threadpoolctl), since a second
     one stalls beside a busy neighbour. Results of a command or a state that is not finite are not-a-number: the
     kernels' gates would hide it.
-
-    Args:
-        metadata: metadata of the model file.
-        start: rule for the initial state.
-        route: implementation.
     """
 
     def __init__(self, metadata: ModelMetadata, start: Start, route: NetworkRoute) -> None:
@@ -140,9 +135,6 @@ class OnnxPredictor(ModelPredictor):
 
     by CasADi's exact derivatives of the step: by the matrices where A is sparse (history buffers, plays), else by
     forward directions for the nonzero columns (recurrent networks).
-
-    Args:
-        model: the model file; controllers start from its rule `conditioned`.
     """
 
     def __init__(self, model: OnnxModel) -> None:

@@ -37,7 +37,6 @@ class NetworkCheck:
     """Errors at one check during training.
 
     Attributes:
-        step: epochs or updates done.
         training_rmse_deg: error in training, the teacher's runs included [deg; of an inverse map in its unit].
         validation_rmse_deg: error on held-out trials [deg].
         rounding_deg: effect of single precision on free runs over held-out trials [deg].
@@ -62,12 +61,8 @@ class NetworkFit:
 
     Attributes:
         net: network with the lowest validation error among the exportable checks.
-        scaling: scaling of its input and output.
-        settings: settings of the training.
-        history: all checks.
         best_step: epoch or update of `net`.
         validation_rmse_deg: its error on the held-out trials [deg]; on the training trials where none is held out.
-        held_out: sources of the held-out trials.
         interrupted: stopped by the user; `net` is the best so far.
     """
 
@@ -205,7 +200,6 @@ def network_bundle(fit: NetworkFit, trials: Sequence[Trial], limits: DeviceLimit
     """Exportable bundle of a trained network: graph, metadata, reference and probe.
 
     Args:
-        fit: result of `fit_network`.
         trials: its trials, held-out ones included, for ranges and fingerprint.
         limits: limits of the command; the range in the trials where left out.
 

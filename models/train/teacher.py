@@ -140,7 +140,7 @@ def _sum_of_sines(commands: Range, rate: float, dt: float, rng: Rng) -> Vec:
 
 
 def _controlled_moves(commands: Range, rate: float, dt: float, rng: Rng) -> Vec:
-    """Commands as of a controller that compensates hysteresis: minimum-jerk moves, a jump at each reversal, some jitter."""
+    """Commands of a controller that compensates hysteresis: minimum-jerk moves, a jump at each reversal, some jitter."""
     samples, span = round(rng.uniform(*_DURATION_S) / dt), commands.upper - commands.lower
     jump, jitter = rng.uniform(0.0, _JUMP) * span, rng.uniform(0.0, _JITTER) * span
     crossing = 1 + rng.integers(_CROSSING)

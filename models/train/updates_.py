@@ -27,7 +27,6 @@ class Check:
     """State of the training at one check.
 
     Attributes:
-        step: epochs or updates done.
         training: root mean square error since the last check, scaled.
         judged: root mean square error of `net` on held-out trials, scaled.
         rounding: largest difference between `net` in single and in double precision on held-out trials, scaled.
