@@ -194,8 +194,7 @@ def operator_spec(operator: Operator) -> dict[str, Any]:
 def template_from(kind: type[Operator], spec: Mapping[str, Any], given: Iterable[str], where: str) -> Operator:
     """Operator of the sizes in `spec`, to be filled with parameter values.
 
-    A size that has a default may be left out; it then follows from the parameters' names, as `tau_up_s` means a lag of
-    two ways and `share_2` a creep of at least two terms, or else is the default.
+    A missing size follows from the parameters' names, as `tau_up_s` implies two time constants, or is the default.
 
     Raises:
         ModelError: on a size that is missing or no whole number within its limits.

@@ -68,8 +68,7 @@ def connected_bundle(
 ) -> ExportBundle:
     """Exportable bundle of a model with operators in series before it or in parallel.
 
-    At rest, the drive of a series connection is at the held command. In a parallel connection the operators show the
-    measured angle, and the rest shows zero.
+    At rest, operators in parallel have the measured angle, and the rest has zero.
 
     Args:
         operators: chain at the sample time of `rest`.
@@ -123,13 +122,13 @@ def rest_of(model: LoadedModel) -> OnnxModel:
     from .contract.load import OnnxModel
     from .contract.onnx_nodes import INTERFACE
 
-    assert isinstance(model, OnnxModel)  # a simulator has no connections
+    assert isinstance(model, OnnxModel)
     facts, cut = model.metadata, operators_of(model.metadata).state_size
     names = {f"{_rest(facts.connections[1:])}_{name}": name for pair in INTERFACE for name in pair}
     try:
         inputs, outputs = ([name for name, plain in names.items() if plain in pair] for pair in INTERFACE)
         graph = Extractor(helper.make_model(model.graph)).extract_model(inputs, outputs).graph
-        # weights that its nodes do not use are read by faster routes
+        # weights that no node uses are read by the faster predictors
         known, ours = {weight.name for weight in graph.initializer}, _operators(facts.connections[1:])
         left = [w for w in model.graph.initializer if w.name not in known and not w.name.startswith(ours)]
         graph.initializer.extend(left)

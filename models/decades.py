@@ -18,7 +18,7 @@ from .contract.metadata import NoiseModel, Range
 from .effects.effect import Side, unit_on
 from .operators.operator import Operator
 
-_ROUNDING = 1e-9  # of a decade: a range that is 10 but for rounding is 10
+_ROUNDING = 1e-9  # share of a decade that is a rounding error
 _SUFFIXES = {"_deg": "deg", "_deg_s": "deg/s"}
 _FACTOR = re.compile(r"([a-z]+|1)(?:\^(\d))?")
 

@@ -25,7 +25,7 @@ INVERSE_FORMAT = "hystmpc-inverse-evaluation/1"
 ERROR_COLUMNS = ("trial", "RMSE", "bias", "no bias", "max", "NRMSE %", "hold drift")
 HOLD_S, SETTLING_S = 10.0, 1.0
 AT_REST = TrialStart(0.0, 0.0)
-RANGE_SLACK = 1e-3  # of the trained range: a sample that touches its end lies inside
+RANGE_SLACK = 1e-3  # share of the trained range within which a sample beyond its end counts as inside
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from hystmpc.trials.errors import FitError, ModelError
 from hystmpc.trials.types import Vec
 
-_FEWEST = 3  # points that fix a parabola
+_FEWEST = 3  # points that determine a parabola
 
 
 @dataclass(frozen=True)

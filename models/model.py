@@ -15,7 +15,7 @@ from hystmpc.trials.types import Vec
 from .contract.metadata import ModelMetadata, NoiseModel, Start
 from .rest import RestRule
 
-_SETTLING_S = 2.0  # many times the lag of any catheter drive
+_SETTLING_S = 2.0  # [s], many times the lag of any catheter drive
 
 
 class Model(Protocol):
@@ -67,10 +67,7 @@ class StepFunction(ABC):
 
 
 class LoadedModel(ABC):
-    """Model ready to run: the step of the ONNX contract behind the `Model` protocol.
-
-    The state is x = [state, theta] (N, S + 1): it contains the last angle, so that `output` is a projection.
-    """
+    """Model ready to run behind the `Model` protocol, with the state x = [state, last theta] (N, S + 1)."""
 
     def __init__(self, metadata: ModelMetadata, start: Start) -> None:
         self.metadata: ModelMetadata = metadata
@@ -101,18 +98,12 @@ class LoadedModel(ABC):
         return self.metadata.dt_s
 
     def initial(self, y: Vec) -> Vec:
-        """State x (N, S + 1) of a device at rest at the measured angles `y` (N, 1) [deg], before the warm-up.
-
-        The command is that of the file's rule; `resting` takes any.
-        """
+        """State x (N, S + 1) of a device at rest at `y` (N, 1) [deg], by the file's rule, before the warm-up."""
         y = np.asarray(y, dtype=np.float64).reshape(-1, 1)
         return np.hstack([self._rule.state(y), y])
 
     def resting(self, commands: Vec, angles: Vec) -> Vec:
-        """States (N, S) after a constant command (N,) with output angles (N,) [deg], after the warm-up.
-
-        All free runs begin here, in evaluation and planning; see `RestRule`.
-        """
+        """States (N, S) after constant commands (N,) with output angles (N,) [deg] and the warm-up; see `RestRule`."""
         commands, angles = (np.asarray(given, dtype=np.float64) for given in (commands, angles))
         states = self._rest.states(commands, angles)
         held = self._rest.hold_samples
@@ -156,9 +147,9 @@ class Predictor(ABC):
     """
 
     dt: float
-    command_range: tuple[float, float]  # the range the model was identified on
-    noise: NoiseModel | None = None  # what the model leaves unexplained, where its file says so
-    model_sigma_deg: float = math.nan  # how far it is off where no sensor corrects it [deg]; not-a-number: not known
+    command_range: tuple[float, float]  # trained range
+    noise: NoiseModel | None = None  # None where the file has none
+    model_sigma_deg: float = math.nan  # error without a sensor [deg]; not-a-number where unknown
 
     def _as(self, other: Predictor) -> None:
         """Copy sample time, range and noise from another predictor."""
@@ -214,11 +205,7 @@ class Inverse(ABC):
 
     @abstractmethod
     def command(self, state: Vec, theta: float, u_last: float) -> float:
-        """Command [mm or bar] that brings the predictor state `state` to angle `theta` [deg].
-
-        If an interval of commands gives that angle (the dead band of a play), the one nearest to `u_last`; if none
-        does, the one with the nearest angle.
-        """
+        """Command [mm or bar] whose angle is nearest to `theta` [deg]; in a dead band the one nearest to `u_last`."""
 
 
 FitProgress = Callable[[int, float], None]

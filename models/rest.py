@@ -24,8 +24,7 @@ _Part = Callable[[Vec, Vec], Vec]  # commands and angles (N,) -> states (N, S)
 class RestRule:
     """States of a device after a constant command at an output angle, before the warm-up.
 
-    The states are exact for a chain of operators (`ChainRest`). Operators of a connection rest at the command, and the
-    model behind them starts by its file's rule, as any other model does.
+    The states are exact for a chain of operators (`ChainRest`); other models start by their file's rule.
 
     Args:
         chain: the operators, where the model is a chain; those in the facts where left out.
@@ -53,7 +52,7 @@ class RestRule:
 
         try:
             chain = chain_from(self._facts.chain, "chain")
-        except ModelError:  # an effect of somebody else's, whose code is not installed here
+        except ModelError:  # effect of a package that is not installed
             return None
         return chain if chain.state_size == self._facts.state_size else None
 
@@ -93,7 +92,7 @@ def _by_rule(rule: InitialRule, shows: bool) -> _Part:
 FLAT = 1e-3
 """A derivative of what the chain shows by the core's angle that is smaller leads nowhere."""
 
-_ROUNDS, _CLOSE, _WITHIN = 8, 1e-9, 1e-6  # Newton steps; difference that is none; step back from an edge
+_ROUNDS, _CLOSE, _WITHIN = 8, 1e-9, 1e-6  # Newton steps; tolerance; step back from an edge
 
 
 class HeldCores(Protocol):
@@ -137,7 +136,7 @@ def nearest_shown(angle: Vec, held_at: Callable[[Index, Vec], Held]) -> Held:
     """
     at, side, out = angle.copy(), np.zeros(angle.size), np.arange(angle.size)
     held = held_at(out, at)
-    beyond = held.rows(out)  # where a row was first beyond what the core can hold
+    beyond = held.rows(out)  # rows at their first point outside the core's range
     for _ in range(_ROUNDS):
         out = out[~(np.abs(angle - held.signal)[out] < _CLOSE)]
         edge = out[np.abs(held.moves[out]) < FLAT]
@@ -149,7 +148,7 @@ def nearest_shown(angle: Vec, held_at: Callable[[Index, Vec], Held]) -> Held:
             if turned.size:
                 at[turned] = (held.core + side * _WITHIN)[turned]
                 held.put(turned, held_at(turned, at[turned]))
-            lost = edge[(side[edge] == past) | (np.abs(held.moves[edge]) < FLAT)]  # nothing within leads any further
+            lost = edge[(side[edge] == past) | (np.abs(held.moves[edge]) < FLAT)]  # no angle within the range is nearer
             held.put(lost, beyond.rows(lost))
             out = np.setdiff1d(out, lost)
         if not out.size:
@@ -182,15 +181,14 @@ class ChainRest:
     """States of a chain after a constant command at an output angle.
 
     Every operator rests at the output of the one before it, and the core at the angle for which the whole chain has the
-    measured angle or the nearest possible one (`nearest_shown`). `StagedChain.settled` is the same rule with
-    derivatives for fits; this one needs no compilation.
+    measured angle or the nearest possible one (`nearest_shown`). `StagedChain.settled` adds derivatives.
 
     Args:
         chain: its delays with a store for the sample time.
     """
 
     def __init__(self, chain: Chain, dt_s: float) -> None:
-        import casadi as ca  # a model without operators does without it
+        import casadi as ca  # not loaded for models without operators
 
         from .kernels.program import dense
 

@@ -126,10 +126,9 @@ class SimulatorFile(Settings):
 
 @dataclass(frozen=True)
 class Simulator:
-    """Chain of operators with sample time, units, limits, trained range and origin.
+    """Chain of operators with sample time, units, limits, trained range and origin; attributes as of `SimulatorFile`.
 
-    Attributes as of `SimulatorFile`, with the operators built. A delay whose store is too short at that sample time, as
-    in a file written by hand, gets a longer one.
+    A delay whose store is too short at that sample time, as in a file written by hand, gets a longer one.
     """
 
     chain: Chain
@@ -169,10 +168,7 @@ class Simulator:
         return save_simulator(self, path)
 
     def metadata(self) -> ModelMetadata:
-        """Metadata of the model contract.
-
-        The device rests at `rest_command`; operators do not age, so that a fresh and a conditioned device start by the
-        same rule.
+        """Metadata of the model contract; a fresh and a conditioned device start by the same rule.
 
         Raises:
             ModelError: if a fact is out of its bounds.

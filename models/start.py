@@ -11,15 +11,15 @@ from hystmpc.trials.types import Mask, Vec
 
 from .contract.metadata import Range
 
-STILL = 0.002  # of the command's range: a command that has moved less is at rest
+STILL = 0.002  # share of the command's range below which a command is at rest
 _LOOK_S, _NOISE_S, _LONG_S, _MEAN_S = 0.04, 0.6, 5.0, 1.0
-_NO_WAY = 1e-4  # of the command's range, in an interval that is looked at
-_SLOW = 0.005  # of the greatest speed of the command: that is none
+_NO_WAY = 1e-4  # travel in an interval that counts as none, as share of the command's range
+_SLOW = 0.005  # share of the greatest speed that counts as zero
 _EARLIER, _LATER = 0.25, 0.5  # intervals by which a motion from rest may have begun before or after the first sample
-_LITTLE = 0.01  # of the range: a command that moves by less while it is looked at sets out slowly
-_FOLLOWS = 2.0  # times the share of its range that the command has moved by: the angle may have moved by as much
+_LITTLE = 0.01  # share of the range below which a motion begins slowly
+_FOLLOWS = 2.0  # allowed motion of the angle relative to that of the command, both as shares of their ranges
 _SURE, _SCATTER = 3.0, 5.0  # standard errors of a drift, and standard deviations of a command's noise
-_SEEN = 0.1  # of the command's range, within which an extreme counts as visited
+_SEEN = 0.1  # share of the command's range within which an extreme counts as visited
 _LEAST_S, _LEAST_SHARE, _MOST_SHARE = 3.0, 0.1, 0.5
 
 Box = tuple[Range, Range]
@@ -169,8 +169,7 @@ def _averaged(angle: Vec, held: int, still: int, dt_s: float) -> int:
 def _still(command: Vec, span: float, dt_s: float) -> tuple[int, int, int, bool]:
     """Samples before the command has moved at all, has moved, and by more than a little; and whether it is in motion.
 
-    Its speed at the first sample is that of the parabola through three samples, v = (3 d_1 - d_2) / 2 with the travels
-    d_1, d_2 of two intervals; it is zero within a part of the change of the travel from one interval to the next.
+    Its initial speed follows from the parabola through three samples, v = (3 d_1 - d_2) / 2, d_1, d_2: travels.
     """
     look = max(round(_LOOK_S / dt_s), 1)
     noise = _SCATTER * _noise(command[: round(_NOISE_S / dt_s) + 6])

@@ -117,10 +117,10 @@ def graph_bytes(graph: onnx.GraphProto, facts: ModelMetadata) -> bytes:
 
 STEPS = 1000
 BATCH = 8
-TOLERANCE_DEG = 1e-3  # of a catheter of tens of degrees; of another device in its working units, see `Decades`
+TOLERANCE_DEG = 1e-3  # for a catheter of tens of degrees; other devices in working units, see `Decades`
 _DRAWS = 25  # batches of random states
 _JACOBIANS = 50
-_SPREAD = 0.1  # of random states around those visited, in standard deviations of each entry
+_SPREAD = 0.1  # spread of random states around visited ones, in standard deviations of each entry
 # A play in contact rests on a kink, where rounding may choose the branch. A point counts as a kink if the reference's
 # own Jacobian jumps within this relative distance; the loose tolerance covers what curvature does over the distance.
 _NUDGE, _NUDGES, _LOOSE = 1e-5, 16, 1e-3
@@ -161,8 +161,8 @@ def check_equivalence(reference: StepFunction, model: OnnxModel, probe: Vec) -> 
     """Compare the reference with the graph in onnxruntime and in CasADi, in working units (`Decades`).
 
     Single steps from random states drawn around those visited in batches of 1 and 8, then a free run of 1,000 samples
-    by the probe (repeated or cut) from the initial state, then Jacobians at visited states. If a free run differs
-    although every single step agrees, the message also states how sensitive the reference is to its initial state.
+    by the probe (repeated or cut) from the initial state, then Jacobians at visited states. The message on a free run
+    that differs includes the sensitivity of the reference to its initial state.
 
     Raises:
         ExportError: on the first disagreement; names implementation, worst step and numbers.

@@ -142,7 +142,7 @@ class OnnxModel(LoadedModel):
         if start not in get_args(Start):
             raise ModelError(f"{source}: start is {start!r}, available: conditioned, initial")
         proto = parse_model(content, source)
-        # Damaged text arrives from protobuf as bytes; turned into str it is found to be neither our key nor JSON.
+        # Protobuf returns damaged text as bytes; as str it is neither a known key nor JSON.
         properties = {str(entry.key): str(entry.value) for entry in proto.metadata_props}
         super().__init__(ModelMetadata.from_properties(properties, source), start)
         self.dtype = check_graph(proto, self.state_size, source)

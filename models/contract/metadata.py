@@ -21,10 +21,10 @@ PREFIX = "hystmpc."
 Start = Literal["initial", "conditioned"]
 """Which rule of a model file makes the state at the start."""
 
-# Bounds that no device of this field comes near; what lies beyond is a damaged or hostile file, or another unit.
+# Bounds far beyond any device of this field; values beyond mean a damaged or hostile file, or another unit.
 SampleTime = Annotated[float, Field(ge=1e-5, le=100.0)]  # s: 100 kHz to one sample in 100 s
 Amount = Annotated[float, Field(ge=-1e9, le=1e9)]  # mm, bar or deg; counts of an encoder in a raw log
-Rate = Annotated[float, Field(ge=1e-9, le=1e12)]  # of these per second
+Rate = Annotated[float, Field(ge=1e-9, le=1e12)]  # amounts per second
 StateEntry = Annotated[float, Field(ge=-1e18, le=1e18)]
 LARGEST_STATE = 100_000  # entries
 LONGEST_WARMUP = 1_000_000  # samples
@@ -106,10 +106,8 @@ Sigma = Annotated[float, Field(ge=0, le=1e12)]
 def rest_within(rest_command: float | None, lower: float, upper: float) -> float:
     """Command at rest within the limits; the lower limit where no rest command is given.
 
-    Plants, controllers and exports all use this rule. Zero is a rest command like any other.
-
     Args:
-        rest_command: value in the model's file, or None.
+        rest_command: value in the model's file, or None; zero is a rest command like any other.
         lower, upper: least and greatest command that is sent.
     """
     return lower if rest_command is None else min(max(rest_command, lower), upper)
@@ -155,8 +153,7 @@ class Connection(Settings):
 class ModelMetadata(Settings):
     """Facts that every model file must hold, with the bounds within which they are accepted.
 
-    In the file every field is one entry of `metadata_props`, key `hystmpc.<field>`, value JSON, so that any ONNX viewer
-    shows it.
+    In the file every field is one entry of `metadata_props`, key `hystmpc.<field>`, value JSON.
 
     Attributes:
         format: layout of graph and metadata; another version is refused.
@@ -228,10 +225,7 @@ class ModelMetadata(Settings):
 
     @property
     def model_sigma_deg(self) -> float:
-        """Root mean square error of free runs about their mean [deg], see `NoiseModel`; not-a-number where unknown.
-
-        Where the noise lacks it, `training.model_sigma_deg` is used.
-        """
+        """Root mean square error of free runs about their mean [deg], see `NoiseModel`; not-a-number where unknown."""
         known = None if self.noise is None else self.noise.model_sigma_deg
         said = self.training.get("model_sigma_deg", math.nan) if known is None else known
         return float(said) if isinstance(said, float | int) else math.nan

@@ -122,10 +122,7 @@ def operator_nodes(
 
 
 def step_graph(function: Any, name: str) -> onnx.GraphProto:
-    """Translate (state (S, 1), u) -> (theta, next state) into the step graph of the ONNX contract, in double.
-
-    Inputs `u [N,1]`, `state [N,S]`; outputs `theta [N,1]`, `next_state [N,S]`.
-    """
+    """Translate (state (S, 1), u) -> (theta, next state) into a graph (u [N,1], state [N,S]) -> (theta, next_state)."""
     size = function.numel_in(0)
     columns = [f"state_{i}" for i in range(size)]
     if size > 1:

@@ -1,8 +1,7 @@
 """List of effects: equations, sides, bounds, starting values, confounders, and the motions that separate them.
 
 To add an effect: write its operator in `models/operators/`, its forms and its entry here, and, for the blind check, a
-generator. The diagnosis, `hystmpc effects`, the pictures, the self-test and the blind check read this list. Effects of
-users follow behind it.
+generator.
 """
 
 from __future__ import annotations
@@ -26,7 +25,7 @@ from ..operators.static_curves import Contact, NonlinearGain, Slack
 from .effect import CORE, Candidate, Effect, Freedom, Scale, Side, base_name
 
 LONGEST_DELAY_S = 0.4
-_LEAST_REST = 0.1  # share of the time in which the command has to stand still for a drag to be told from a lag
+_LEAST_REST = 0.1  # least share of time with a constant command to distinguish a drag from a lag
 _OUTPUT: tuple[Side, ...] = ("output", "command")
 
 # Forms: bounds and starts are sized by the data; the verdicts of the diagnosis were calibrated with these numbers.
@@ -377,7 +376,7 @@ GROUP = "hystmpc.effects"
 
 _PLAIN = Scale(low=0.0, high=6.0, angle_low=20.0, angle_high=90.0, duration_s=60.0, total_s=240.0, dt_s=0.04)
 _INPUTS = (1.0, 1.0, 2.5, 4.0, 3.0, 3.0, 0.5, 1.5)
-_SAME = 1e-6  # of the input: a lag of 1 us is as good as none
+_SAME = 1e-6  # share of the input: a lag of 1 us counts as none
 
 _added: dict[str, Effect] = {}
 
@@ -399,8 +398,6 @@ def added_operators() -> Mapping[str, type[Operator]]:
 
 def add_effect(effect: Effect) -> Effect:
     """Add a user's effect to the library in this process, for files, simulated devices and `diagnose`.
-
-    An entry point adds it wherever its package is installed. A user's effect of the same name is replaced.
 
     Raises:
         ModelError: if the name is one of the library's, or neutral values or forms contradict the operator.

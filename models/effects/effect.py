@@ -15,9 +15,9 @@ from hystmpc.trials.types import Vec
 from ..operators.operator import Operator
 
 Side = Literal["command", "output"]
-CORE = "core"  # variant of an effect that is a freedom of the core and no operator of its own
+CORE = "core"  # variant of an effect that is a free parameter of the core instead of an operator
 
-_STILL = 1e-4  # of the range of the command: it stands still if it changes less from sample to sample
+_STILL = 1e-4  # greatest change in a sample of a constant command, as share of its range
 _NUMBER = re.compile(r"_\d+(?=_|$)")
 _WAY = re.compile(r"_(up|down)(?=_|$)")
 

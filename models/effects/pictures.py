@@ -51,8 +51,6 @@ class _ShownCommands:
 def effect_figure(name: str) -> Figure:
     """Figure of loop and hold, for the plain device and for the device with the effect.
 
-    The loop starts at rest and passes twice through the whole range, then through a part of it.
-
     Raises:
         ModelError: on an unknown effect.
     """

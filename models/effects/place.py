@@ -133,7 +133,7 @@ def _with_store(effect: Effect, spec: Mapping[str, Any], given: Mapping[str, Any
     if effect.operator is not Delay or "samples" in spec or not is_number(delay):
         return spec
     if dt_s is None:
-        return {**spec, "samples": 1}  # a plant gives it the store that its sample time asks for
+        return {**spec, "samples": 1}  # a plant sizes the store for its sample time
     return {**spec, "samples": min(1000, max(1, math.ceil(delay / dt_s - 1e-9)))}
 
 

@@ -26,7 +26,7 @@ from .parts import whole_delay
 from .runs import Run, check_trial_set, command_range, runs_to_fit
 from .uncertainty import ParameterRow, parameter_rows
 
-_REFIT_SHARE = 0.1  # time of the fit at the full rate over that of the search, if both had the same rate
+_REFIT_SHARE = 0.1  # ratio of the durations of the fit at the full rate and the search, for equal rates
 
 MOTIONS_THAT_SEPARATE = {
     "fast": "fast steps and small sines of 2 to 4 Hz",
@@ -99,7 +99,7 @@ def _identified(
     coarse = _thinned(trials, check_trial_set(trials))
     runs = runs_to_fit(coarse, skip_first_flexure)
     refit_share = 0.0 if coarse is trials else _REFIT_SHARE * sum(map(len, trials)) / sum(map(len, coarse))
-    share, command = 1 / (1 + refit_share), command_range(trials)  # of the whole time
+    share, command = 1 / (1 + refit_share), command_range(trials)  # share of the whole duration
     last = search = AutoSearch(coarse, runs, lambda done, rmse: progress(share * done, rmse))
 
     def numbers_of(device: Choice) -> tuple[ParameterRow, ...]:
@@ -121,14 +121,14 @@ def _identified(
         last = AutoSearch(trials, full, lambda done, rmse: progress(share + (1 - share) * done, rmse), search.terms)
         try:
             device, parameters = _at_full_rate(last, device, parameters, command)
-        except KeyboardInterrupt:  # a delay's store is sized for the rate of the search: that model must not be used
+        except KeyboardInterrupt:  # the model of the search must not be used: its delay's store fits another rate
             raise no_result("the fit at the full rate", interrupted=True) from None
     try:
         if not search.interrupted:
             kept, rows = last.part_contributions(device)
             if kept is not device:
                 device, parameters = kept, _numbers_at(last, kept, parameters)
-    except KeyboardInterrupt:  # the device is found; only the table of its parts is missing
+    except KeyboardInterrupt:  # the device is identified; only the table of its parts is missing
         search.interrupted = True
     noise = estimation_noise(trials, last.left_out(device))
     parameters = tuple(row.times(decades.in_log(row.unit)) for row in parameters)
@@ -165,7 +165,7 @@ def _with_meaning(
     while nothing := without_meaning(device, rows, command, required):
         part, effect = nothing
         reduced = reduced_by(device, part, effect, {*lost, part})
-        ended = any(row.at_bound for row in rows if row.owner == effect)  # it stands in for another effect
+        ended = any(row.at_bound for row in rows if row.owner == effect)  # it represents another effect
         if not ended and needed(reduced.judged, device.judged):
             required.add(nothing)
             continue
@@ -227,7 +227,7 @@ def _advice(parameters: Sequence[ParameterRow], units: Units) -> Iterator[str]:
             yield f"{what}: {names} not identifiable from these logs{record}"
 
 
-_WIDENING = 1.5  # of intervals
+_WIDENING = 1.5  # factor k on the intervals
 _QUANTILE = 1.645  # of the normal distribution, 95 %
 
 
@@ -260,7 +260,7 @@ def widened_rows(choice: Choice, runs: Sequence[Run], tried: Sequence[Choice]) -
         low, high = value - half, value + half
         if logarithmic:
             low, high = math.exp(max(low, -50.0)), math.exp(min(high, 50.0))
-        if _at_lower(row, freedom):  # what is beyond was not looked at
+        if _at_lower(row, freedom):  # values beyond the search range are unknown
             low = 0.0 if freedom.lower >= 0 else -math.inf
         elif row.at_bound:
             high = math.inf
@@ -278,10 +278,7 @@ def _labels(choice: Choice) -> set[str]:
 
 
 def moved_row(row: ParameterRow, value: float, choice: Choice) -> ParameterRow:
-    """Parameter row with the value from a fit at another rate and the width of the former interval.
-
-    A lag between held samples is half a sample early: its delay changes with the sample rate.
-    """
+    """Parameter row with the value from a fit at another rate and the width of the former interval."""
     low, high = row.ci90
     effects = choice.hypothesis.problem.effects
     if any((c.effect, f.name) == (row.owner, row.name) and f.scale == 0 for c in effects for f in c.free):
@@ -289,8 +286,8 @@ def moved_row(row: ParameterRow, value: float, choice: Choice) -> ParameterRow:
     return replace(row, value=value, ci90=(value + low - row.value, value + high - row.value))
 
 
-_NEARLY = 2.0  # times its lower bound: a lag down to there is none
-_EDGE = 0.01  # of the command's range: a slack so near its lowest value is an offset
+_NEARLY = 2.0  # times its lower bound: a shorter lag counts as none
+_EDGE = 0.01  # share of the command's range: a slack this near its lowest value is an offset
 
 
 def without_meaning(
@@ -301,9 +298,8 @@ def without_meaning(
 ) -> tuple[str, str] | None:
     """First effect, with its part, whose intervals include its neutral value; None where there is none.
 
-    One of several creep terms is enough. A lag is neutral within twice its lower bound, a top speed where it may equal
-    the fastest command, a slack where it may end below the lowest command. A creep at its quickest limit is a lag. The
-    curve of a core belongs to the part `core`.
+    A lag is neutral within twice its lower bound, a top speed where it may equal the fastest command, a slack where it
+    may end below the lowest command.
 
     Args:
         required: parts and effects that are kept without this test, see `needed`.

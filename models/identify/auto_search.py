@@ -31,17 +31,17 @@ SearchProgress = Callable[[float, float], None]
 SEARCH_HZ = 25.0
 """The structure is searched on trials of at most this rate [Hz]: what is found hangs on no rate of the logs."""
 
-_FROM_AFAR = 3  # times as many evaluations where a fit starts from a line instead of from a neighbour
-_CORE = "core"  # name of the part that every device has
-_NEXT_ROUND = 0.5  # time of a round over that of the round before
-_AT_LAST = 5  # fits that take as long as the last fit and the table of parts
-_A_SAMPLE = 0.75  # samples: a delay of half a sample is one of the hold
-_THREADS = 2  # alternatives that are fitted side by side
+_FROM_AFAR = 3  # factor on the evaluations of a fit that starts from a line instead of a neighbour
+_CORE = "core"
+_NEXT_ROUND = 0.5  # ratio of the durations of successive rounds
+_AT_LAST = 5  # duration of the last fit and the table of parts, in fits
+_A_SAMPLE = 0.75  # samples: a delay of half a sample comes from the hold
+_THREADS = 2  # alternatives that are fitted in parallel
 
 
 # Thresholds, chosen on development data; `_CLEAR_SHARE` on short real logs, too.
-STANDARD_ERRORS = 2.0  # by which the held-out error has to fall for a part to be added
-_LEAST_SHARE = 0.05  # of the held-out mean square error, by which it has to fall in any case
+STANDARD_ERRORS = 2.0  # least fall of the held-out error for an added part
+_LEAST_SHARE = 0.05  # least fall in any case, as share of the held-out mean square error
 # A fall by this share for each block of three seconds is enough: in logs of a few blocks the standard error is as large
 # as the error itself, and a part that halves the error would be left out.
 _CLEAR_SHARE = 0.0125
@@ -143,7 +143,7 @@ class AutoSearch:
         self._names = (*(part.name for part in self._parts), _CORE)
         self._command = command_range(trials)
         self._box = search_box(self._command, angle_range(trials))
-        self._done, self._planned, self._weight = 0.0, 1.0, 1.0  # in points from which fits start
+        self._done, self._planned, self._weight = 0.0, 1.0, 1.0  # in starting points of fits
         self.terms, self.interrupted = terms or TrialTerms(), False
         self.tried: list[Choice] = []
 
@@ -177,7 +177,7 @@ class AutoSearch:
 
     def _rounds(self, present: Choice, names: Sequence[str]) -> Choice:
         """Device whose parts are chosen one after the other until nothing changes."""
-        # of each part: the device when it was chosen last, and what was tried
+        # for each part: the device at its last choice, and the tried forms
         seen: dict[str, tuple[tuple[str, ...], list[Choice]]] = {}
         for k in range(_ROUNDS):
             self._weight = _NEXT_ROUND**k
@@ -185,7 +185,7 @@ class AutoSearch:
             for name in names:
                 device, tried = seen.get(name, ((), []))
                 if device == _labels(present.core, present.forms):
-                    self.tried += tried  # again the same, which weighs in the intervals as often
+                    self.tried += tried  # repeated devices weigh in the intervals as often
                     continue
                 first = len(self.tried)
                 present = self._simplest(self._alternatives(name, present), present)
@@ -219,10 +219,7 @@ class AutoSearch:
         return choice
 
     def refit_at_full_rate(self, choice: Choice) -> Choice:
-        """Device of another rate refitted to these trials, with a new selection of its drive.
-
-        Few samples cannot distinguish some drives.
-        """
+        """Device of another rate refitted to these trials; its drive is selected again from more samples."""
         dt_s, values, drive = self.runs[0].dt_s, _values(choice.hypothesis), self._parts[0]
         about = whole_delay(choice.forms[drive.name])
 
@@ -264,10 +261,7 @@ class AutoSearch:
         return self._finished(choice)
 
     def part_contributions(self, choice: Choice) -> tuple[Choice, tuple[PartRow, ...]]:
-        """Device without needless parts, and held-out errors without and with each part.
-
-        A part is needless where it lowers the held-out error by no more than the standard error.
-        """
+        """Device without parts that gain less than a standard error, and held-out errors without and with each part."""
         reduced = self._without_each(choice)
         while needless := [c for c in reduced.values() if c and not stays(c.judged, choice.judged)]:
             choice = self._polished(min(needless, key=lambda c: c.judged.mse))
@@ -314,10 +308,7 @@ class AutoSearch:
         self._progress(min(self._done / self._planned, 1.0), math.sqrt(best))
 
     def _terms_of_trials(self) -> TrialTerms:
-        """Terms of single trials: separate offsets if the better of two devices needs them.
-
-        One has the richest core. The other has a valve and a line, whose lack of memory cannot replace a start.
-        """
+        """Terms of single trials: separate offsets if the better of a rich core and a valve with a line needs them."""
         if len(self.runs) == 1:
             return self.terms
         *delay, lag = next(form for form in self._parts[0].forms if len(_names(form)) > 1)
@@ -352,7 +343,7 @@ class AutoSearch:
             if hypothesis is best.hypothesis:
                 break
             if id(hypothesis) not in judged:
-                # The errors of a fit flatter it: what they do not excuse, trials that it did not see will not either.
+                # Training errors are too small: a part that they do not justify, held-out trials do not either.
                 if worth(self._validation(core).fitted_errors(hypothesis), best.judged):
                     continue
                 judged[id(hypothesis)] = self._choice(core, forms, hypothesis)

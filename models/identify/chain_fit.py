@@ -32,7 +32,7 @@ GROUP = "hystmpc.methods"
 
 TAIL = 0.1
 RESTART_SPREAD = 0.2
-_START_SEARCHES = 2  # times that trials which begin in motion are given another start
+_START_SEARCHES = 2  # number of new start estimates for trials that begin in motion
 _FAR, _STEEP = 1e6, 1e100  # residual and derivative in working units of a run that diverged; both can be squared
 
 

@@ -36,7 +36,7 @@ def backlash_starts(trials: Sequence[Trial]) -> list[Chain]:
     loading, unloading = branch(trials, Motion.LOADING), branch(trials, Motion.UNLOADING)
     slope = 0.5 * (loading[0] + unloading[0])
     middle = 0.5 * (loading[1] + unloading[1])
-    # Either side, small and large for a catheter of tens of degrees.
+    # Gaps on either side of the lines, small and large for a catheter of tens of degrees.
     widths = [width * Decades.of(trials).angle for width in (0.5, 2.0)]
     return [
         _lines(unloading, loading),
@@ -101,14 +101,14 @@ def _lines(unloading: Vec, loading: Vec) -> Chain:
     return Chain(Backlash(unloading[0], loading[0], unloading[1] / unloading[0], loading[1] / loading[0]))
 
 
-_SEGMENTS = 16  # of the longest trial, over which spectra are averaged
-_SEEN = 1e-3  # of the greatest power: an input of less says nothing of the response
-_SLOWEST, _FASTEST = 4.0, 1.2  # cycles in a trial, and radians a sample
+_SEGMENTS = 16  # segments of the longest trial for averaged spectra
+_SEEN = 1e-3  # least input power for a valid response, as share of the greatest
+_SLOWEST, _FASTEST = 4.0, 1.2  # least frequency [cycles in a trial] and greatest [rad per sample]
 _LEAST_DAMPED, _MOST_DAMPED = 0.005, 0.7
-_RINGING, _LONGEST = 8.0, 0.2  # time constants that a start rings, and share of the shortest trial
+_RINGING, _LONGEST = 8.0, 0.2  # ringing of a start in time constants, and at most this share of the shortest trial
 _HIDDEN, _ORDER = 12, 3
-_VISCOUS = 0.25  # of the width of the peak; the loops of the hysteretic force take the rest
-_BENT = 1e-3  # of the output: how much a neuron bends the linear system at the start
+_VISCOUS = 0.25  # viscous share of the width of the peak; the rest is hysteretic
+_BENT = 1e-3  # initial share of the neurons in the output
 
 
 @dataclass(frozen=True)
@@ -346,7 +346,7 @@ def _bouc_wen_starts(trials: Sequence[Trial], e: Extent, plays: int) -> list[Ope
     ]
 
 
-_REACHES = (0.03, 0.1, 0.3)  # of the displacement's range, over which a friction force turns its sign
+_REACHES = (0.03, 0.1, 0.3)  # travel over which a friction force changes sign, as share of the range
 
 
 def maxwell_slip_starts(
@@ -370,7 +370,7 @@ def maxwell_slip_starts(
     return [start(reach) for reach in _REACHES]
 
 
-_LEAST_HEIGHT = 0.02  # of the output's range, from which a fit of friction starts
+_LEAST_HEIGHT = 0.02  # least initial friction, as share of the output's range
 
 
 def _friction_starts(e: Extent, plays: int, speed: float = 0.0) -> list[Operator]:
@@ -489,7 +489,7 @@ CHAIN_KINDS: Mapping[str, ChainKind] = MappingProxyType(
                 _drdpi_box,
                 _drdpi_first,
                 inverse=_inverse_plays,
-                plays=10,  # as S1 has them
+                plays=10,  # as in S1
             ),
             ChainKind("bouc_wen", "Bouc-Wen", _bouc_wen_starts, _bouc_wen_box, fixed=("delta", "steepness")),
             ChainKind(

@@ -21,8 +21,8 @@ from .runs import AS_IT_IS, Blocks, Run, RunsTogether, blocks_of
 LARGEST_FOLDS = 3
 _LEAST_ERROR = 1e-300
 _EDGE = 1e-9
-_COMMON = 1.0  # of the samples, that the mean of the trials' own terms counts as
-_HELD = 1e-10  # of the greatest curvature: what no run determines stays where it began
+_COMMON = 1.0  # weight, in samples, of the mean of the trials' terms
+_HELD = 1e-10  # share of the greatest curvature: keeps undetermined unknowns at their start
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +57,7 @@ def fit_problem(
     tolerance: float = 1e-4,
     white: Vec = AS_IT_IS,
 ) -> Hypothesis:
-    """Fit a hypothesis to runs from one start.
+    """Fit a hypothesis to runs from one start; counted samples weigh the same.
 
     Args:
         runs: trials; their counted samples weigh the same.

@@ -20,11 +20,11 @@ from ..evaluate import started
 from ..kernels.numba_ import njit
 from ..model import LoadedModel
 
-_LEAST_DEG = 1e-4  # of the sensor's noise: below it residuals are rounding, as those of simulated trials without noise
-_RATIOS = np.linspace(-18.0, 6.0, 7)  # logarithms of the walk's variance in a sample over that of the sensor
+_LEAST_DEG = 1e-4  # least noise of the sensor: smaller residuals are rounding errors of noise-free simulations
+_RATIOS = np.linspace(-18.0, 6.0, 7)  # logarithms of the ratio of the walk's variance in a sample to that of the sensor
 _GREATEST_OPTIMISM = 2.0
-_UNDITHERED = 2.0  # of the sensor's noise: with more noise the mean of the readings is the angle within q / 100
-_LONGEST = 4000  # samples of one trial that a model is run over: enough for three numbers
+_UNDITHERED = 2.0  # greatest step in standard deviations at which the mean of the readings is right within q / 100
+_LONGEST = 4000  # simulated samples of one trial: enough for three parameters
 
 
 def estimation_noise(trials: Sequence[Trial], residuals: Sequence[Vec], fitted: int = 0) -> NoiseModel:
@@ -64,7 +64,7 @@ def _noise(trials: Sequence[Trial], residuals: Sequence[Vec], fitted: int) -> No
         if not 2 <= residual.size <= len(trial) or not np.isfinite(residual).all():
             raise FitError(f"{trial.source}: got {residual.size} residuals, expected 2 to {len(trial)} finite ones")
         moves = np.abs(np.diff(trial.command, prepend=trial.command[0]))[-residual.size :]
-        travels.append(np.concatenate([[-1.0], moves[1:]]))  # below zero: here a trial begins
+        travels.append(np.concatenate([[-1.0], moves[1:]]))  # below zero at the start of a trial
     if not travels:
         raise FitError("got no residuals, expected those of at least one trial")
     joint, travel = np.concatenate(residuals), np.concatenate(travels)
@@ -166,7 +166,7 @@ def walk_likelihood(residuals: Any, travel: Any, drift: float, motion: float) ->
     disturbance, variance, squares, logs, count = 0.0, 1.0, 0.0, 0.0, 0
     for k in range(residuals.size):
         if travel[k] < 0.0:
-            disturbance, variance = residuals[k], 1.0  # the first one of a trial only tells where the walk begins
+            disturbance, variance = residuals[k], 1.0  # the first residual of a trial only gives the start of the walk
             continue
         variance += drift + motion * travel[k]
         spread, error = variance + 1.0, residuals[k] - disturbance
@@ -179,18 +179,17 @@ def walk_likelihood(residuals: Any, travel: Any, drift: float, motion: float) ->
     return count * math.log(sensor) + logs, sensor
 
 
-_ON_GRID, _GRID_TOLERANCE = 0.95, 0.1  # share of readings; of the step (a fifth of them is that near by chance)
-_LEAST_LEVELS, _READINGS, _MOST_VALUES = 3, 25, 20_000  # readings on a level, where levels are few
-_MANY_LEVELS = 9  # that no chance puts on a grid
-_APART = 0.5  # of the gap between levels: readings closer together than that are of one level
+_ON_GRID, _GRID_TOLERANCE = 0.95, 0.1  # share of readings; tolerance as share of the step (by chance: a fifth)
+_LEAST_LEVELS, _READINGS, _MOST_VALUES = 3, 25, 20_000  # least levels, readings on each; most levels searched
+_MANY_LEVELS = 9  # number of levels that are not on a grid by chance
+_APART = 0.5  # share of a typical gap between levels; readings with a smaller gap are of one level
 
 
 def resolution(signals: Sequence[Vec]) -> float:
     """Step of the sensor's readings, in their unit; 0 for a continuous sensor.
 
-    The grid of readings may have any offset. The search uses all readings, then repeated ones, which linear
-    interpolation to another rate leaves on the grid, and then clusters, for noise added after rounding. The last digit
-    of a log with few digits is a grid, too.
+    The search uses all readings, then repeated ones, which interpolation leaves on the grid, then clusters, for noise
+    added after rounding. The last digit of a log is a grid, too.
     """
     values = np.concatenate(signals)
     repeated = np.concatenate([signal[1:][np.diff(signal) == 0] for signal in signals])

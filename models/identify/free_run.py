@@ -109,16 +109,16 @@ class Settling:
         kernels.differentiate(state, slope, signal, moving, seeds, self.kept[k], np.arange(signal.size + 1), room)
 
 
-_ROUNDING = 1e-6  # of a store: a delay that fills it but for rounding
-_LANES, _MOST_IDLE = 8, 5  # directions of one vector instruction; idle ones that cost less than a rest one by one
+_ROUNDING = 1e-6  # share of a store, for a delay that fills it except for rounding
+_LANES, _MOST_IDLE = 8, 5  # directions in one vector instruction; idle ones that cost less than single directions
 
 
 @final
 class StagedChain:
     """Compiled free runs of a chain, batched, with exact sensitivities to all parameters.
 
-    A chain is a series connection, so that each operator processes a whole trial before the next. Each is compiled once
-    and alone; new structures in a search need no compilation. Values equal the chain's `transition` to rounding.
+    Each operator is compiled once and alone, so that new structures in a search need no compilation. Values equal the
+    chain's `transition` to rounding.
 
     Args:
         chain: its operators and their order; its values are used only where a call gives none.
@@ -140,9 +140,7 @@ class StagedChain:
         self._core = len(chain.before)
 
     def rest(self, command: Vec, angle: Vec, values: Vec | None = None) -> Vec:
-        """States (S, N) at rest at commands (N,) [cmd] with output angles (N,) [deg].
-
-        As in the chain's rule, the signal is the command up to the core and the angle from the core on.
+        """States (S, N) at rest at commands (N,) [cmd] with output angles (N,) [deg], by the rule of `Chain.rest`.
 
         Args:
             values: parameters (P,) of all rows or (P, N) of each; the chain's where left out.

@@ -22,10 +22,7 @@ _MANY = 10_000  # samples
 
 
 def one_blas_thread(function: Callable[P, R]) -> Callable[P, R]:
-    """Decorator that runs a function on one BLAS thread.
-
-    The matrices of a fit are tall and narrow: with two threads a diagnosis took up to seven times the processor time.
-    """
+    """Decorator that runs a function on one BLAS thread, since two made a diagnosis up to seven times as slow."""
 
     @functools.wraps(function)
     def limited(*args: P.args, **kwargs: P.kwargs) -> R:

@@ -10,12 +10,12 @@ from hystmpc.trials.types import Mask, Vec
 
 from .runs import Run
 
-_LEAKS = 2.0  # times what leaks from the motion's own frequencies: less is no line of its own
-_PURE = 0.5  # of the command's energy within one line: then it has a fundamental frequency
-_LOW_ORDERS = 5  # harmonics in which a loop has so much energy that it leaks as far as a trial resolves
-_ROUNDING = 0.01  # of a trial's resolution, by which its fundamental is known
-_PERIODS = 3.0  # in a run, below which a motion has no higher harmonics to speak of
-_MOST = 0.5  # of the recorded time, in which a frequency has to be the motion's own
+_LEAKS = 2.0  # least power of a separate line, in multiples of the leakage
+_PURE = 0.5  # share of the command's energy in one line for a fundamental frequency
+_LOW_ORDERS = 5  # harmonics of a loop with enough energy to leak over a trial's resolution
+_ROUNDING = 0.01  # error of the fundamental, as share of a trial's resolution
+_PERIODS = 3.0  # least periods in a run for higher harmonics
+_MOST = 0.5  # share of the recorded time in which a line has to be the motion's
 
 
 def fundamental_hz(command: Vec, dt_s: float) -> float:

@@ -28,19 +28,19 @@ from .runs import Run
 Form = tuple[Candidate, ...]
 """One alternative of a part: effects that are added together; empty for a device without that part."""
 
-_FIRST = 5  # place of what acts on the command before delay and lag
+_FIRST = 5  # order of effects on the command before delay and lag
 WHOLE = "whole samples"
 """Variant of a delay that is not fitted."""
 _OFF = 0.3
-_USUAL, _STORE = 0.6, 20  # of the longest usual delay, up to which a device is late as usual; samples of one store
+_USUAL, _STORE = 0.6, 20  # share of the longest usual delay that is still usual; samples of one store
 _DAMPING = (0.06, 0.98)
-_REACHES = (0.3, 0.1, 0.8)  # of the command's range: the widest play at the starts
-_QUICKEST_S = 0.1  # relaxation time of the quick term of two; what is quicker is a lag
-_BENT = "pi, 6 plays"  # the core that is tried with a curve
+_REACHES = (0.3, 0.1, 0.8)  # widest play at the starts, as share of the command's range
+_QUICKEST_S = 0.1  # least relaxation time of the quick of two terms; a quicker one is a lag
+_BENT = "pi, 6 plays"  # core that is combined with a curve
 _SLACK = "slack/rounded"  # also before gradual plays: the bladder of a muscle has to meet its braid first
 _CURVES = ("nonlinear_gain/output", "asymmetry/output", "asymmetry/directional", _SLACK, "contact/output")
-_PLAYS, _FEW, _MANY = 5, 4, 8  # of the curved plays, and pieces of their curves
-_RADII = (0.02, 0.45)  # of the command's range: its narrowest and its widest play
+_PLAYS, _FEW, _MANY = 5, 4, 8  # number of curved plays, and of pieces in their curves
+_RADII = (0.02, 0.45)  # narrowest and widest play, as shares of the command's range
 
 
 @dataclass(frozen=True)
@@ -100,10 +100,7 @@ def _as_late(delay: Candidate, late_s: float, scale: Scale) -> Form:
 
 
 def split_delay(delay: Candidate, about_s: float, reach_s: float, dt_s: float) -> Form:
-    """Delay of `about_s` +- `reach_s`, as a fixed delay of whole samples and a fitted one.
-
-    A store of many samples takes minutes to compile; several short ones of whole samples in series are the same.
-    """
+    """Delay of `about_s` +- `reach_s`: a fitted one after short fixed ones, since a long store compiles for minutes."""
     whole = max(0, math.floor((about_s - reach_s) / dt_s))
     count = math.ceil(whole / _STORE)
     pieces = [len(part) for part in np.array_split(np.arange(whole), count)] if count else []
@@ -118,10 +115,7 @@ def split_delay(delay: Candidate, about_s: float, reach_s: float, dt_s: float) -
 
 
 def straight(form: Form) -> Form:
-    """Form of lag and delay changed to a lag for a linear input between samples; else empty.
-
-    Behind a stepwise command such a lag has half a sample of delay, which changes with the sample rate.
-    """
+    """Form of lag and delay changed to a lag for a linear input between samples; else empty."""
     lags = [c for c in form if c.effect == "lag"]
     if not lags or len(lags) == len(form) or any(isinstance(o, RateLimit) for c in lags for o in c.operators):
         return ()
@@ -184,8 +178,8 @@ def plain_of(core: CoreForm, cores: Sequence[CoreForm]) -> CoreForm:
     return next(other for other in cores if other.label == label)
 
 
-_LEADS = 0.1  # of the output's range, half the distance by which the branch of a rise lies above that of a fall
-_FALLS = -0.3  # correlation; above it dynamics may be the cause, which drives have
+_LEADS = 0.1  # share of the output's range: half the distance of the rising branch above the falling one
+_FALLS = -0.3  # correlation above which dynamics of a drive may be the cause
 _SLIDERS = (4, 10)
 
 
@@ -193,9 +187,8 @@ def core_forms(trials: Sequence[Trial], scale: Scale) -> tuple[CoreForm, ...]:
     """Rate-independent cores, alone and with a curve, in the order of their number of parameters.
 
     The first is a line, a device without hysteresis. The richest is `CurvedPlays`, or a sum of stops where the output
-    leads the command or falls with it, as friction forces do. The start is the regression line through all samples,
-    which also exists for steps of a few values. Where that line falls and explains little of the output, dynamics may
-    be the cause; then fits start from a line that rises over the ranges of both.
+    leads the command or falls with it, as friction forces do. Fits start from the regression line; if it falls with a
+    low correlation, from a line that rises over the ranges of both.
 
     Raises:
         FitError: if the angle falls with the command, except for an output other than deg.
@@ -215,7 +208,7 @@ def core_forms(trials: Sequence[Trial], scale: Scale) -> tuple[CoreForm, ...]:
     if slope <= 0:
         slope = height / span
         offset = float(angle.mean() - slope * command.mean())
-    # Without a curve of its own a device without hysteresis would be given plays for the curve that comes with them.
+    # Without this curve, a device without hysteresis would get plays for their curve.
     return line, _bent(line, known[_CURVES[0]]), *_plays(slope, offset, command, known), *stops
 
 

@@ -19,8 +19,8 @@ from .runs import AS_IT_IS, Run, RunsTogether, whitened
 
 _BLOCK_S = 4.0
 _RIDGE = 1e-9
-_FAINT = 1e-4  # of the working units: a start that changes less is forgotten
-_STARTS, _NUDGE = 2, 1e-4  # numbers of a start, and a small change of them
+_FAINT = 1e-4  # working units: the influence of a start is neglected below it
+_STARTS, _NUDGE = 2, 1e-4  # number of unknowns of a start, and their step for differences
 
 
 @final
@@ -80,10 +80,7 @@ class TrialTerms:
         return self.shift or self.trial_offset
 
     def common(self, run: Run, theta: Vec, both: Vec) -> Vec:
-        """Offset and gain of a run relative to the others [deg] (2, Q + 1), the derivative first.
-
-        The gain is the coefficient of theta times the spread of theta. A separate offset has no gain (1, Q + 1).
-        """
+        """Offset and, if fitted, gain times the spread of theta [deg] (1 or 2, Q + 1), the derivative first."""
         columns = self.columns(run, theta, both)
         scale = np.array([1.0, max(float(theta.std()), 1e-9)] if self.shift else [1.0])[:, None]
         return np.asarray(scale * np.linalg.pinv(columns)[: len(scale)] @ both)
@@ -115,11 +112,7 @@ NO_TERMS = TrialTerms()
 
 
 def _from_lead(both: Vec, lead: int) -> Vec:
-    """Correct derivatives and error of a run in place for its estimated start; return the change of the angle (T,).
-
-    The first columns are the derivatives by the two numbers of the start. Their least-squares fit to the first `lead`
-    samples, which are not scored, is subtracted from all samples of all other columns.
-    """
+    """Subtract the effect of the estimated start from derivatives and error in place; return that of the angle."""
     starts, rest = both[:, :_STARTS], both[:, _STARTS:]
     known = np.max(np.abs(starts[:lead]), axis=0) > _FAINT
     if not known.any():

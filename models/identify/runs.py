@@ -21,7 +21,7 @@ from hystmpc.trials.types import Index, Mask, Vec
 from ..contract.metadata import DeviceLimits, InitialRule, ModelMetadata, Range
 from ..start import Box, Runs, TrialStart, estimated_start, trial_start
 
-_GROUP = 32768  # samples of a group of runs: some MB of derivatives
+_GROUP = 32768  # samples in a group of runs: some MB of derivatives
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,8 +20,8 @@ RoundProgress = Callable[[float, str], None]
 """Told the share of the present round, and the candidate that is tried."""
 
 _PARAMETERS_OF_TERMS = 100
-_SAME_FIT = 1e-3  # relative fall of the error that is none: the tolerance of the fits
-OF_SINGLE_TRIALS = frozenset({"trial_shift", "periodic_disturbance"})  # fitted to each trial anew: has to recur
+_SAME_FIT = 1e-3  # relative fall of the error that counts as none: the tolerance of the fits
+OF_SINGLE_TRIALS = frozenset({"trial_shift", "periodic_disturbance"})  # fitted to each trial, have to recur
 
 
 @dataclass(frozen=True)
@@ -139,7 +139,7 @@ class _Search:
 
     def _searched(self, current: HeldOutErrors, baseline: HeldOutErrors) -> HeldOutErrors:
         """Add, drop and exchange causes until nothing changes."""
-        been: set[frozenset[str]] = set()  # what is added may drop what has it added again
+        been: set[frozenset[str]] = set()  # guards against an endless cycle of addition and removal
         while current.hypothesis.effects not in been:
             been.add(current.hypothesis.effects)
             if len(current.hypothesis.effects) < self._settings.most and (added := self._best_addition(current)):
@@ -171,7 +171,7 @@ class _Search:
         whole = (settings.sure_share if sure else settings.gap_share) * (self._baseline_mse - self._floor)
         within = new == {"drift"} and "trial_shift" in before.hypothesis.effects
         if within and fall > settings.drift_errors * error:
-            whole = 0.0  # shifts explain what it does between trials: by the whole error it would always seem small
+            whole = 0.0  # shifts explain the differences between trials, which make its share of the whole error small
         if new == {"trial_shift"} and "drift" in before.hypothesis.effects and self._on_a_line(after, before):
             return False
         if new & OF_SINGLE_TRIALS and not _recurs(before, after, new, settings):
@@ -188,7 +188,7 @@ class _Search:
             if simpler_fit is None:
                 continue
             judged = self._trials.judged(simpler_fit)
-            simpler = self._trials.known(simpler_fit.effects) or judged  # another start or form may have done better
+            simpler = self._trials.known(simpler_fit.effects) or judged  # another start or form may be better
             if not self._worth_adding(simpler, current):
                 current = simpler
         return current
@@ -258,11 +258,7 @@ class _Fits(_Judged):
         return retuned
 
     def without(self, hypothesis: Hypothesis, effect: str) -> Hypothesis | None:
-        """Device refitted without one effect.
-
-        A known device of the same structure is kept unless the new fit is better: its held-out errors are already
-        known.
-        """
+        """Device refitted without one effect; a known device of the same structure stays unless the fit is better."""
         refitted = self._validation.without(hypothesis, {effect})
         tried = self.tried.get(refitted.effects)
         if tried is None or not _same_structure(tried.hypothesis.problem, refitted.problem):
@@ -311,11 +307,7 @@ class _Fits(_Judged):
         return order[: self._settings.judged]
 
     def _expected(self, free: int) -> float:
-        """Factor from the error of a fit to that on other trials, for what flexible forms gain by chance.
-
-        (B + Q) / (B - Q) with B blocks, as neighbouring errors are correlated, and Q free parameters (Akaike, Fitting
-        autoregressive models for prediction, Ann. Inst. Statist. Math. 21, 1969: final prediction error).
-        """
+        """Factor (B + Q) / (B - Q) from training to other trials (Akaike, Ann. Inst. Stat. Math. 21, 1969)."""
         blocks = self._blocks
         return (blocks + free) / max(blocks - free, 1.0)
 
@@ -366,9 +358,8 @@ def _freedoms(hypothesis: Hypothesis) -> int:
 def _recurs(before: HeldOutErrors, after: HeldOutErrors, new: AbstractSet[str], settings: SelectionSettings) -> bool:
     """Whether terms of single trials explain most trials, and not a single unusual one alone.
 
-    The median trial gains as the mean does. Where groups of unequal size share a shift, the retuned simulator is nearer
-    to the larger group, whose trials gain less: then a shift explains half of the error of every trial, and the trials
-    but for the best one gain as the mean does.
+    Where groups of unequal size share a shift, the larger group gains less: then a shift has to explain half of the
+    error of every trial, and the trials without the best one have to gain as the mean does.
     """
     runs = [before.run == k for k in np.unique(before.run)]
     falls = np.array([(before.energy - after.energy)[blocks].sum() for blocks in runs])
@@ -384,8 +375,7 @@ def _recurs(before: HeldOutErrors, after: HeldOutErrors, new: AbstractSet[str], 
 def line_share(neither: HeldOutErrors, shifts: HeldOutErrors, drift: HeldOutErrors) -> float:
     """Share of the error explained by shifts of the trials that a drift also explains.
 
-    Both are compared by their training errors: held out, a drift would be estimated on other trials than the shifts,
-    and its random walk about the line would count against it.
+    Training errors are compared: held out, the random walk about the line would count against the drift.
 
     Args:
         neither: fit without shifts and drift.

@@ -126,7 +126,7 @@ def _rest_command(trials: Sequence[Trial], limits: Range) -> float | None:
     return rest if rest > limits.lower + _FROM_BELOW * (limits.upper - limits.lower) else None
 
 
-_FROM_BELOW = 0.01  # of the command's range: trials that begin higher up begin elsewhere than at its lower end
+_FROM_BELOW = 0.01  # share of the command's range: trials that begin higher do not begin at its lower end
 
 
 def residual(log: Trial, trial: Trial, theta: Vec, start: int) -> Residual:
@@ -238,11 +238,7 @@ def network_effects(
 
 
 def _disturbance(chosen: Hypothesis, last: Run, dt_s: float, decades: Decades) -> Operator | None:
-    """Disturbance of the last trial, for a clock of that sample time; None if there is none.
-
-    Terms are s_h sin(2 pi h f t) + c_h cos(2 pi h f t), taken off the error; the operator's clock has made one step at
-    the first sample.
-    """
+    """Disturbance of the last trial, whose clock has made one step at the first sample; None if there is none."""
     terms = chosen.problem.terms
     if not terms.frequency_hz:
         return None
@@ -300,8 +296,7 @@ def _spec(effect: str, side: str, operator: Operator) -> Mapping[str, Any]:
 def settled(chain: Chain, command: float, angle: float, bent: float, clock_s: float) -> Vec:
     """State (S,) of a chain after a long rest.
 
-    The exact rest is known for each operator alone. In a chain, a creep before a play changes it; therefore the command
-    is held for half an hour. Clocks and running maxima are set afterwards.
+    The command is held for half an hour, as creep before a play moves it. Clocks and running maxima are set afterwards.
 
     Args:
         command: constant [cmd].

@@ -16,7 +16,7 @@ from .runs import Blocks, Run, blocks_of, whitened, whitening
 TIMING = frozenset({"lag", "delay", "rate_dependence"})
 """Effects that leave a slow motion alone and keep the angle behind a fast one."""
 _PART_S = 3.0
-_FORMS = 2  # of each effect that are compared: those that fit best
+_FORMS = 2  # compared forms of each effect, those that fit best
 
 
 def timing_rivals(
@@ -113,7 +113,7 @@ def by_timing(
     least_work, parts = min(tied, key=lambda pair: pair[1].expected)
     if least_work.hypothesis.effects == names or least_work.energy.sum() < chosen.energy.sum():
         return least_work
-    return replace(least_work, energy=parts.held_out)  # held out whole it was extrapolated
+    return replace(least_work, energy=parts.held_out)  # held out by trials it was extrapolated
 
 
 def timing_errors(before: HeldOutErrors, after: HeldOutErrors) -> tuple[float, float]:

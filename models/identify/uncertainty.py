@@ -19,9 +19,9 @@ from .problem import Problem
 from .runs import Run
 
 _BLOCKS_S = (3.0, 6.0, 12.0)
-_AT_BOUND = 1e-3  # of the unknowns' typical changes
-_TOLERANCE = 1e-8  # of the greatest eigenvalue: what is less has no information
-_FLAT_LOG, _FLAT_RANGE = float(np.log(3.0)), 0.25  # half width of the interval: a factor; of the range between bounds
+_AT_BOUND = 1e-3  # share of the unknowns' typical changes
+_TOLERANCE = 1e-8  # share of the greatest eigenvalue; smaller ones carry no information
+_FLAT_LOG, _FLAT_RANGE = float(np.log(3.0)), 0.25  # half interval: factor; share of the range
 
 
 @dataclass(frozen=True, eq=False)

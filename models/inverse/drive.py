@@ -97,8 +97,6 @@ class DrivenParts(NamedTuple):
 class DrivenInverse(Inverse):
     """Static inverse of a model with dynamics before or behind it: the command that brings it to rest at the angle.
 
-    The path to that angle needs a preview; see `DrivenFollower`.
-
     Args:
         front: drive between command and travel; None for none. Its state precedes the model's.
         back: dynamics between the inverted model's angle and the tip's; None for none. Its state follows the model's.
@@ -141,10 +139,7 @@ def _compiled_fit(chain: str) -> Callable[..., int]:
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def bounded_moves(by_move: Any, off: Any, moves: Any, reach: float, weight: float) -> None:
-    """Solve argmin over |m_k| <= reach of |G (m - m_0) - e|^2 + w |m|^2 (H,), in place from m_0.
-
-    by_move: G (H, H), lower triangular; off: e (H,).
-    """
+    """Solve argmin over |m_k| <= reach of |G (m - m_0) - e|^2 + w |m|^2, in place from m_0 (H,); `off`: e (H,)."""
     size = moves.size
     hessian, linear = np.zeros((size, size)), np.zeros(size)
     for k in range(size):
@@ -163,11 +158,7 @@ def bounded_moves(by_move: Any, off: Any, moves: Any, reach: float, weight: floa
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def lead_moves(hessian: Any, linear: Any, reach: float, moves: Any) -> None:
-    """Solve argmin over |m_k| <= reach of 1/2 m'P m - q'm (H,) in place, P positive definite, from feasible moves.
-
-    Each step goes towards the optimum of the free moves, as far as the first bound, where that move is fixed. At the
-    optimum, the move whose multiplier has the most wrong sign is released.
-    """
+    """Solve argmin over |m_k| <= reach of 1/2 m'P m - q'm (H,) in place by active sets, P positive definite."""
     size = moves.size
     side, wanted, factor = np.zeros(size), np.empty(size), np.empty((size, size))
     greatest = 0.0

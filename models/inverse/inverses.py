@@ -135,10 +135,7 @@ class MappedPredictor(Predictor):
 
 @final
 class TrainedInverse(Inverse):
-    """Inverse map evaluated for one step from its present memory: u = map(x_map, theta).
-
-    There is no search and no check that the model's answer is `theta`; the command is clipped to the device's limits.
-    """
+    """Inverse map evaluated for one step without a search: u = map(x_map, theta), clipped to the device's limits."""
 
     def __init__(self, predictor: MappedPredictor, low: float, high: float) -> None:
         self._predictor, self._low, self._high = predictor, low, high
@@ -165,12 +162,12 @@ def check_inverse_map(inverse_map: ModelMetadata, model: ModelMetadata) -> None:
         raise ModelError(f"{got} every {inverse_map.dt_s:.6g} s, expected every {model.dt_s:.6g} s as the model")
 
 
-_HOLDS = (2, 4)  # samples; what a model answers to the speed of its command is gone after them, or never
+_HOLDS = (2, 4)  # samples after which the response to the command's speed has decayed, if ever
 _MOST_INSTRUCTIONS = 1000  # of the step of a hold: numba compiles more for minutes
 _RAMP_S, _REST_S = 2.0, 0.4
-_SAMPLES = (10, 200)  # of the ramp
-_SHARE = 0.5  # of the range of angles
-_BACK = 1e-6  # of the range of commands, that counts as a move
+_SAMPLES = (10, 200)  # samples of the ramp
+_SHARE = 0.5  # share of the range of angles
+_BACK = 1e-6  # least move, as share of the range of commands
 
 
 def steady_inverse(predictor: InvertiblePredictor, low: float, high: float) -> CompiledInverse:
@@ -228,7 +225,7 @@ def goes_back(inverse: CompiledInverse, predictor: InvertiblePredictor) -> bool:
     return False
 
 
-_GRAIN = 1e-7  # of commands, as a share of the greatest move
+_GRAIN = 1e-7  # rounding of commands, as share of the greatest move
 
 
 class Bounds(NamedTuple):
@@ -267,7 +264,7 @@ class Follower(ABC):
 
     @abstractmethod
     def follow(self, state: Vec, wanted: Vec, u_last: float, bounds: Bounds) -> Vec:
-        """Commands (2, H) along the angles `wanted` (H,) [deg]: within the bounds alone, and also within the rate limit."""
+        """Commands (2, H) along the angles `wanted` (H,) [deg]: within the bounds alone, and with the rate limit."""
 
 
 @final
@@ -323,7 +320,7 @@ class CompiledFollower(Follower):
 
     def follow(self, state: Vec, wanted: Vec, u_last: float, bounds: Bounds) -> Vec:
         plans = np.empty((2, wanted.size))
-        if not np.isfinite(state).all():  # a clamp of the gates would turn what is no number into one
+        if not np.isfinite(state).all():  # a clamp of the gates would hide not-a-number
             plans[:] = u_last
             return plans
         ends = np.array(bounds), self._inverted
@@ -335,9 +332,8 @@ class CompiledFollower(Follower):
 class DrivenFollower(Follower):
     """Inverse with dynamics before and behind the model: first the travel is planned, then the commands for it.
 
-    The dynamics behind are inverted along the preview, the inverse follows from the first sample on that a command
-    changes, and the drive is led along its result within the rate limit (`Drive.fit`). Both plans are the same: without
-    a rate limit there is none.
+    The drive follows the plan within the rate limit (`Drive.fit`). Both plans are the same: none exists without the
+    limit.
     """
 
     def __init__(self, inverse: DrivenInverse) -> None:

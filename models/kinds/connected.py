@@ -108,7 +108,7 @@ class ResidualKind(ModelKind):
 
     def fit(self, trials: Sequence[Trial], request: FitRequest, progress: FitProgress | None = None) -> Identified:
         self.check(trials, request)
-        if len(trials) < 2:  # one to learn from, one to judge on
+        if len(trials) < 2:  # one for training, one for validation
             raise FitError(f"{self.name}: got {len(trials)} trial, expected 2 or more: the network is judged on one")
         tell = progress or _silent
         fit = self._auto.fit(trials, request, tell)
@@ -119,7 +119,7 @@ class ResidualKind(ModelKind):
         each = self._network.steps(part)
         try:
             before, after = self._judged(trials, fit.parts, part, lambda k, rmse: tell(first + k, rmse))
-        except (KeyboardInterrupt, FitError) as error:  # the device is found; only the network is missing
+        except (KeyboardInterrupt, FitError) as error:  # the device is identified; only the network is missing
             why = str(error) or "interrupted"
             stopped = isinstance(error, KeyboardInterrupt)
             return replace(fit, interrupted=stopped, report=f"{fit.report}; {self._network.name} not kept: {why}")
@@ -212,7 +212,7 @@ def _connected(
 
 
 def _identified(fit: Identified) -> Simulator:
-    assert fit.simulator is not None  # `auto` is a kind of operators
+    assert fit.simulator is not None
     return fit.simulator
 
 

@@ -84,9 +84,7 @@ def recorded(progress: FitProgress | None) -> tuple[list[tuple[int, float]], Fit
 
 
 class ModelKind(ABC):
-    """Kind of model. Implementations are final and have no state; `catalogue` names them.
-
-    Swapped trials (`Trial.swapped`) request the inverse map.
+    """Kind of model, final and without state; swapped trials (`Trial.swapped`) request the inverse map.
 
     Attributes:
         trainings: possible values of `FitRequest.training`, the default first.
@@ -147,17 +145,15 @@ class ModelKind(ABC):
             raise FitError(f"{self.name} has no inverse map; its inverse can be searched, or another kind identified")
 
 
-_SLACK = 1.02  # of the line's error: a device that is a line is identified up to this much worse
-_ROUNDING = 1e-9  # of the angle's range: trials that are a line to the last digit are identified, too
+_SLACK = 1.02  # accepted ratio to the line's error, for devices that are a line
+_ROUNDING = 1e-9  # share of the angle's range: errors below it are accepted
 _CAUSES = ("numbers", "clocks", "time base", "units", "sign")
 
 
 def identified(
     kind: ModelKind, trials: Sequence[Trial], request: FitRequest, progress: FitProgress | None = None
 ) -> Identified:
-    """Identify a model, and refuse it if a straight line has a smaller error over these trials.
-
-    The result of a fit that was interrupted, or had a limit of steps, is returned unchecked.
+    """Identify a model, and refuse the result of a complete fit if a straight line has a smaller error.
 
     Raises:
         FitError: as `ModelKind.fit`; if two clocks are the cause; where a line is better, with both errors and the

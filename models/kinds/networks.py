@@ -71,7 +71,7 @@ _GATED_TRAINING = StreamTraining(
 RESIDUAL = "residual"
 """Training of a network of what operators leave: there is no model of plays to learn from beside the trials."""
 
-_WINDOW = 50  # S2's, over which its constancy term is taken
+_WINDOW = 50  # samples in S2's windows, for its constancy term
 
 
 @final
@@ -95,10 +95,7 @@ class NetworkKind(ModelKind):
         self.recurrent, self.inverse_training = recurrent, inverse_training
 
     def training(self, request: FitRequest) -> NetworkSettings:
-        """Settings of a training with the changes of a request.
-
-        The constancy term requires windows also for a feed-forward network, which the papers train on single samples.
-        """
+        """Settings of a training with the changes of a request; the constancy term requires windows."""
         chosen = self.settings[request.training]
         way = chosen.training.model_dump()
         if request.steps is not None:
@@ -117,7 +114,7 @@ class NetworkKind(ModelKind):
         return NetworkSettings.parse(dict(chosen) | changes, f"{self.name}, training {request.training}")
 
     def fit(self, trials: Sequence[Trial], request: FitRequest, progress: FitProgress | None = None) -> Identified:
-        from ..identify.estimation_noise import with_noise  # compiled code, which a list of kinds need not load
+        from ..identify.estimation_noise import with_noise  # not needed for a list of kinds
         from ..train.networks import fit_network, network_bundle
 
         self.check(trials, request)

@@ -22,10 +22,7 @@ from .kind import FitRequest, Identified, ModelKind, recorded
 
 @final
 class OperatorKind(ModelKind):
-    """Kind of model that is one operator; its inverse form is identified from swapped trials.
-
-    Its trainings are identification methods: bounded least squares (`best`), and those of installed packages.
-    """
+    """Kind of model that is one operator, identified by a method for each training; swapped trials give the inverse."""
 
     readable = True
 
@@ -57,8 +54,8 @@ class OperatorKind(ModelKind):
         return None
 
 
-_STEPS = 100  # of the progress
-_COMPILES_S = 150.0  # where nothing is on disk: the kernels of all operators that are tried
+_STEPS = 100  # steps of the progress
+_COMPILES_S = 150.0  # time to compile the kernels of all operators without a cache
 
 
 @final

@@ -12,7 +12,7 @@ from .lstm import LstmLayer, write_layer
 from .network_ import Network, numbers
 from .nodes import GraphWriter
 
-SETTLED = 1e-5  # of half the command range: a lag that is this near has arrived
+SETTLED = 1e-5  # share of half the command range at which a lag has settled
 
 
 @final

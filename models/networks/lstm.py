@@ -151,10 +151,7 @@ def _frozen(values: ArrayLike, name: str) -> Vec:
 
 
 def write_layers(writer: GraphWriter, layers: tuple[LstmLayer, ...], v: str, state: str) -> tuple[str, list[str]]:
-    """Write the nodes of stacked LSTM layers over input `v` [N,1] and state [h_1, c_1, h_2, c_2, ...].
-
-    c' = f c + i g, h' = o tanh(c'), see `LstmWeights`; returns the last h' and the parts of the next state.
-    """
+    """Write the nodes of stacked LSTM layers over `v` [N,1]; return the last h' and the parts of the next state."""
     hidden, count = layers[0].hidden, len(layers)
     writer.split(state, [hidden] * (2 * count), [f"{name}_{k}" for k in range(count) for name in ("h", "c")])
     following, x = [], v
@@ -181,10 +178,7 @@ def write_layer(writer: GraphWriter, k: int, layer: LstmLayer, x: str) -> list[s
 
 
 def lstm_rollout_graph(weights: LstmWeights) -> onnx.GraphProto:
-    """Roll-out graph (u [N,H], state [N,S]) -> theta [N,H] in float32 with the fused operator LSTM.
-
-    N and H are free. Not for CasADi: the operator is not on the step's list.
-    """
+    """Roll-out graph (u [N,H], state [N,S]) -> theta [N,H] in float32 with the fused operator LSTM; not for CasADi."""
     hidden, count, writer = weights.hidden, len(weights.layers), GraphWriter()
     for name, axis in (("first", 0), ("direction", 1), ("last", 2)):
         writer.indices(name, [axis])

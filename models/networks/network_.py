@@ -18,9 +18,7 @@ from .nodes import GraphWriter, Scaling
 
 
 class Network(torch.nn.Module, ABC):
-    """Network with one definition for training, reference and export.
-
-    Signals are scaled: input v and output y (N, T), state (N, S). Implementations are final.
+    """Network for training, reference and export, with scaled input v and output y (N, T) and state (N, S).
 
     Attributes:
         state_size: S.
@@ -85,10 +83,7 @@ class TorchStep(StepFunction):
         return self.scaling.to_units(numbers(y)), numbers(following)
 
     def jacobian(self, state: Vec, u: float) -> Vec:
-        """Derivative of (theta, next state) by (state, u) at one point, shape (1 + S, S + 1).
-
-        Row i of a batch of 1 + S equal points represents output i, so that one backward pass gives all rows.
-        """
+        """Derivative of (theta, next state) by (state, u), (1 + S, S + 1), by one backward pass over a batch."""
         rows = self.state_size + 1
         point = torch.tensor(np.append(state, self.scaling.scale_in(np.array(u)))).repeat(rows, 1).requires_grad_()
         y, following = self._net(point[:, -1:], point[:, :-1])

@@ -64,7 +64,7 @@ class GruNet(Network):
         self.gru = torch.nn.GRU(1, hidden, layers, batch_first=True)
         self.head = torch.nn.Linear(hidden, 1)
         self.state_size = layers * hidden
-        _initialise(self.gru, memory_samples, command_gain, (None, 1.0))  # its gate z keeps what was: bias log(tau - 1)
+        _initialise(self.gru, memory_samples, command_gain, (None, 1.0))  # gate z keeps the state: bias log(tau - 1)
 
     def forward(self, v: torch.Tensor, state: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         layers = state.reshape(len(v), self.gru.num_layers, -1).swapaxes(0, 1).contiguous()
@@ -101,10 +101,9 @@ class GruNet(Network):
 def _initialise(
     cells: torch.nn.RNNBase, memory_samples: int, command_gain: float, signs: Sequence[float | None]
 ) -> None:
-    """Set PyTorch's initial weights with a gain on the input and, with `memory_samples`, gates with long memory.
+    """Set gates with memories tau, log-uniform from 1 to `memory_samples` (Tallec and Ollivier, ICLR 2018).
 
-    Memories tau from 1 to that many samples, log(tau) uniform, after Tallec and Ollivier, ICLR 2018. `signs`: factors
-    of log(tau) in the bias of each of the first gates; None leaves a gate unchanged.
+    `signs`: factors of log(tau) in the bias of each of the first gates; None leaves a gate unchanged.
     """
     cells.get_parameter("weight_ih_l0").data.mul_(command_gain)
     if memory_samples:

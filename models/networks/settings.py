@@ -21,17 +21,12 @@ if TYPE_CHECKING:
     from .nodes import Scaling
     from .recurrent_ import LstmNet
 
-_SPAN = 2.0  # of inputs scaled to [-1, 1]
+_SPAN = 2.0  # range of inputs scaled to [-1, 1]
 
 
 @dataclass(frozen=True)
 class DeviceFacts:
-    """Properties of the device before its network is trained.
-
-    Attributes:
-        rest: scaled input of a device at rest.
-        lag_samples: time constant of the lag in front of the hysteresis [samples]; 0 for none.
-    """
+    """Properties of the device before its network is trained."""
 
     rest: float = 0.0
     operator: Operator | None = None

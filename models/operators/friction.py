@@ -117,7 +117,7 @@ class MaxwellSlip(Operator):
 
 
 _NO_RATE = (0.0, 0.0, 1.0)
-_LITTLE = 1e-18  # of a stiffness squared, so that no stiffness stretches nothing
+_LITTLE = 1e-18  # squared stiffness that avoids a division by zero
 
 
 @final
@@ -153,7 +153,7 @@ class StickSlip(Operator):
         return ca.vertcat(play(u, y, p[0]), 0)
 
 
-_AT_ONCE = 1e-6  # s: nothing is left after a sample
+_AT_ONCE = 1e-6  # [s], decays within a sample
 
 
 @final

@@ -101,7 +101,7 @@ class Backlash(BacklashLines):
         return self.m_lo * (u + self.c_lo) - self.m_up * (u + self.c_up)
 
     def inverse(self, dead_zone: float = 0.0) -> InverseBacklash:
-        """Inverse from angle to command with the same lines; changes of the angle within `dead_zone` [deg] are ignored."""
+        """Inverse from angle to command with the same lines; changes within `dead_zone` [deg] are ignored."""
         return InverseBacklash(self.m_lo, self.m_up, self.c_lo, self.c_up, dead_zone)
 
 
@@ -179,7 +179,7 @@ class BoucWen(Operator):
         return ca.vertcat(u, y - 0.5 * (p[3] + p[4]) * u - p[6])
 
 
-_NARROW = 1e-9  # half-width below which a gradual play is none [cmd]
+_NARROW = 1e-9  # half-width below which a gradual play is the identity [cmd]
 
 
 @final
@@ -273,7 +273,7 @@ class CurvedPlays(Operator):
         radii, knots = self._radii(p), self.pieces + 1
         means = [sum(p[i * knots + k] for k in range(knots)) / knots for i in range(1, self.plays + 1)]
         ends = knots * (self.plays + 1) + 1 + self.plays
-        little = 1e-9 * p[0] * (p[ends + 1] - p[ends])  # so that nothing is divided by zero
+        little = 1e-9 * p[0] * (p[ends + 1] - p[ends])  # avoids a division by zero
         half = sum(mean * r for mean, r in zip(means, radii, strict=True))
         share = (y - self._angle([u] * (self.plays + 1), p)) / (half + little)
         z = [u + share * r for r in radii]
@@ -301,7 +301,7 @@ class CurvedPlays(Operator):
 
 def _gradual_play(u: Symbol, before: Symbol, z: Symbol, r: Symbol) -> Symbol:
     """Next state of a gradual play of half-width `r` whose state is `z`, on a straight move from `before` to `u`."""
-    behind = maximum(minimum(before - z, r), -r)  # what is guessed of a rest may be out of reach
+    behind = maximum(minimum(before - z, r), -r)  # a guessed rest may be impossible
     side = ca.if_else(u >= before, 1.0, -1.0)
     kept = ca.exp(-side * (u - before) / (2.0 * r + _NARROW))
     return u - side * r * (1.0 - kept) - behind * kept

@@ -190,7 +190,7 @@ class PeriodicDisturbance(Operator):
         return ca.vertcat(0)
 
     def resampled(self, dt_s: float, was_s: float) -> Self:
-        """Disturbance with phases changed by 2 pi h f (was_s - dt_s), since the clock's first step is at the first sample."""
+        """Disturbance with phases changed by 2 pi h f (was_s - dt_s): the clock's first step is at the first sample."""
         turn = 2 * math.pi * self.frequency_hz * (was_s - dt_s)
         phases = (math.remainder(p + h * turn, 2 * math.pi) for h, p in enumerate(self.phases_rad, 1))
         return self if dt_s == was_s else replace(self, phases_rad=tuple(phases))

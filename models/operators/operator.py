@@ -72,8 +72,8 @@ class Operator(ABC):
     name: ClassVar[str]
     state_names: ClassVar[tuple[str, ...]] = ()
     shape: ClassVar[tuple[str, ...]] = ()  # attributes that fix the size of state or parameters
-    default_sizes: ClassVar[Mapping[str, int]] = {}  # of those that a specification may leave out
-    size_limits: ClassVar[Mapping[str, tuple[int, int]]] = {}  # where other than 1 to 1000
+    default_sizes: ClassVar[Mapping[str, int]] = {}  # sizes that a specification may leave out
+    size_limits: ClassVar[Mapping[str, tuple[int, int]]] = {}  # limits other than 1 to 1000
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}({self.name})"

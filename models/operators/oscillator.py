@@ -74,10 +74,7 @@ class Oscillator(Operator):
         return ca.vertcat(y, u, x[3 : 2 + self.hold]), y[0]
 
     def at_rest(self, u: Symbol, y: Symbol, p: Symbol) -> Symbol:
-        """State at y on the path from the state without load: z = alpha y, u = (k + alpha) y.
-
-        The given input is not used: a log may start in motion, and a model file has no input beforehand.
-        """
+        """State on the path from no load, z = alpha y, u = (k + alpha) y; the input at rest is unknown in files."""
         del u
         return ca.vertcat(y, 0, p[3] * y, ca.repmat((p[2] + p[3]) * y, self.hold, 1))
 

@@ -10,7 +10,7 @@ import casadi as ca
 from .operator import Operator, Parameter, Symbol, play
 from .static_curves import Pieces, band_parameters, check_bands, pieces_of
 
-_LITTLE = 1e-9  # share of what is divided by, so that nothing is divided by zero
+_LITTLE = 1e-9  # share of a divisor that avoids a division by zero
 
 
 @dataclass(frozen=True)
@@ -198,7 +198,7 @@ class DrdpiNumbers(PlaySum):
     def parameters(self) -> tuple[Parameter, ...]:
         return (
             *super().parameters,
-            # Relative to the middle piece; steeper or farther out a piece would only say that it was never reached.
+            # Relative to the middle piece; a piece beyond these bounds was never reached.
             *band_parameters(self.below, self.above, 10.0, 1e3),
             Parameter("offset", "deg", -1e4, 1e4, "angle in the middle of the pieces"),
         )

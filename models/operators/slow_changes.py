@@ -104,7 +104,7 @@ class Drift(Operator):
         return ca.vertcat(0, 0, u)
 
 
-_AT_ONCE = 1e-6  # s: all of it is there after a sample
+_AT_ONCE = 1e-6  # [s], settles within a sample
 
 
 @final

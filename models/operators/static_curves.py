@@ -215,7 +215,7 @@ class Slack(Memoryless):
     def curve(self, u: Symbol, p: Symbol) -> Symbol:
         over, toe = u - p[0], p[1]
         curved = (over + toe) * (over + toe) / (4 * maximum(toe, _SHARP))
-        # Where branches tie the one that moves when the command rises is active.
+        # At a tie, the branch for a rising command is active.
         loaded = ca.if_else(over >= toe, over, ca.if_else(over > -toe, curved, 0))
         return minimum(loaded, u)
 

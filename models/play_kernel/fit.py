@@ -72,7 +72,7 @@ PLAY_KERNEL_TRAININGS: Mapping[str, PlayKernelSettings] = {
     "rate_independent": PlayKernelSettings(name="rate_independent", lags_s=(0.0,)),
 }
 _JITTER = 1e-10
-_SOON = 500_000  # samples: a fit of fewer takes seconds and is not announced
+_SOON = 500_000  # samples below which a fit takes seconds and is not announced
 
 
 @dataclass(frozen=True)
@@ -159,14 +159,14 @@ def play_kernel_seconds(trials: Sequence[Trial], settings: PlayKernelSettings) -
     if samples < _SOON:
         return None
     head = trials[0].select(0, BLOCK)
-    _ = Course(head, 0, frame, 0.0).moments  # what has to be compiled is compiled now
+    _ = Course(head, 0, frame, 0.0).moments  # compile before the measurement of time
     start = time.perf_counter()
     course = Course(head, 0, frame, max(settings.lags_s))
     course.scatter(np.zeros((course.moments.mean.size, len(settings.smoothness))))
     return (time.perf_counter() - start) / len(head) * samples * (len(settings.lags_s) + 1)
 
 
-_SETTLED_LAGS = 20.0  # time constants after which nothing is left of a step
+_SETTLED_LAGS = 20.0  # time constants after which a step has settled
 
 
 def play_kernel_bundle(
@@ -246,10 +246,7 @@ class Moments:
 
 @final
 class Course:
-    """Features of one trial, computed in blocks of samples.
-
-    A sample has some 200 features: five million samples would need 8 GB.
-    """
+    """Features of one trial, in blocks of samples: all features of five million samples would need 8 GB."""
 
     def __init__(self, trial: Trial, start: int, frame: Frame, lag_s: float) -> None:
         self._trial, self._start, self._frame, self._gain = trial, start, frame, frame.gain(lag_s)
@@ -334,10 +331,7 @@ def _left_out(
 def _solve(
     rows: Sequence[Moments], choice: Regularisation, frame: Frame, settings: PlayKernelSettings
 ) -> tuple[Vec, float]:
-    """Scaled slopes (F,) and bias: the normal equations as non-negative least squares on their Cholesky factor.
-
-    Bias and trial offsets are free: each is the difference of two non-negative numbers.
-    """
+    """Scaled slopes (F,) and bias by non-negative least squares on the Cholesky factor of the normal equations."""
     count, trials = rows[0].mean.size, len(rows)
     free = 1 + trials
     gram, right = np.zeros((count + free, count + free)), np.zeros(count + free)
@@ -412,10 +406,7 @@ def _line(trials: Sequence[Trial]) -> float:
 
 @final
 class PlayKernelKind(ModelKind):
-    """Monotone additive regression on plays: `best` with a first-order lag in front, or `rate_independent`.
-
-    See `PlayKernelWeights` for the equations and `PlayKernelSettings` for the choices.
-    """
+    """Monotone additive regression on plays: `best` with a lag in front, or `rate_independent`."""
 
     name = "play_kernel"
     title = "play kernel"

@@ -158,10 +158,7 @@ def _follow(command: Any, gain: float, radii: Any, now: Any, states: Any) -> Non
 
 @final
 class PlayKernelPredictor(InvertiblePredictor):
-    """Compiled roll-out, linearisation and exact inverse of a play-kernel model.
-
-    Generated kernels of `CompiledPredictor` would unroll to thousands of lines and take minutes to compile.
-    """
+    """Compiled predictor and exact inverse of a play-kernel model; generated kernels would compile for minutes."""
 
     def __init__(self, weights: PlayKernelWeights, metadata: ModelMetadata) -> None:
         super().__init__(metadata)

@@ -41,8 +41,8 @@ _COMPILED_INSTRUCTIONS = 500
 def predictor_for(model: LoadedModel) -> Predictor:
     """Fastest predictor for a model.
 
-    Compiled for operator chains and exported graphs of few elementwise operations, special kernels for models of kind
-    `lstm`, `gru` and `play_kernel`, onnxruntime and CasADi's derivatives for anything else.
+    Compiled for operator chains, small elementwise graphs, `lstm`, `gru` and `play_kernel`; else onnxruntime and
+    CasADi.
 
     Raises:
         ModelError: if the model is an inverse map.
@@ -61,7 +61,7 @@ def _exported_predictor(model: LoadedModel) -> Predictor:
     """Predictor of an ONNX file, whose libraries are loaded here only."""
     from ..contract.load import OnnxModel
 
-    assert isinstance(model, OnnxModel)  # there are these two
+    assert isinstance(model, OnnxModel)
     if model.metadata.connections:
         return _connected_predictor(model)
     if model.metadata.kind in ("lstm", "gru"):
@@ -168,7 +168,7 @@ def _pairs(model: LoadedModel, companion: Simulator | LoadedModel | None) -> Con
     if connection is not None and connection.way == "series" and companion is None:
         return _pairs(rest_of(model), None).behind(operators_of(facts).operators, facts)
     predictor = predictor_for(model)
-    low, high = facts.command_limits.lower, facts.command_limits.upper  # among which an inverse searches
+    low, high = facts.command_limits.lower, facts.command_limits.upper  # search range of an inverse
     if isinstance(companion, LoadedModel):
         check_inverse_map(companion.metadata, facts)
         mapped = MappedPredictor(predictor, companion)
@@ -264,16 +264,14 @@ class ParallelPredictor(Predictor):
 
 
 def surrogate_backlash(model: LoadedModel) -> Simulator:
-    """Backlash simulator fitted to the model's free run over a decaying sinusoid of its trained range.
-
-    The motion is `probe_commands`; its first flexure does not count.
+    """Backlash simulator fitted to the model's free run over `probe_commands` after the first flexure.
 
     Raises:
         FitError: if the model's angle does not rise with the command.
     """
     from hystmpc.trials.trial import Trial, Units
 
-    from ..evaluate import free_run  # an identification, with all that it needs
+    from ..evaluate import free_run  # loads the identification only if needed
     from ..identify.chain_fit import OperatorFitSettings, fit_chain
     from ..identify.chain_kinds import backlash_starts
     from ..motions import probe_commands

@@ -44,10 +44,7 @@ class CompiledPredictor(InvertiblePredictor):
         return cls(transition, np.empty(0), metadata)
 
     def held(self, samples: int) -> Self:
-        """Predictor whose angle is that after the command has been constant for so many samples.
-
-        The state advances by one sample, as in the model.
-        """
+        """Predictor of the angle after a hold of so many samples; its state still advances by one sample."""
         if samples == 1:
             return self
         function = self.transition

@@ -89,7 +89,7 @@ def chosen_route(weights: LstmWeights) -> NetworkRoute:
         from ..kernels.lstm_plain import PlainRoute
 
         return PlainRoute(weights)
-    from ..kernels.lstm_vector import VectorRoute  # the other route's kernels and session are not loaded
+    from ..kernels.lstm_vector import VectorRoute  # loads only the kernels that are needed
 
     return VectorRoute(weights, shape)
 
@@ -121,7 +121,7 @@ def _route(model: OnnxModel) -> NetworkRoute:
     return VectorRoute(gru_weights(weights), shape, cell="gru")
 
 
-_SPARSE_ENTRIES = 4  # of A in a row, up to which its product is cheaper than directions through the step
+_SPARSE_ENTRIES = 4  # entries in a row of A up to which its product is cheaper than directions through the step
 
 
 @final

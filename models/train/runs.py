@@ -199,9 +199,7 @@ def _distance_from_median(trials: Sequence[Trial]) -> np.ndarray[tuple[int], np.
 
 
 def draw_windows(runs: Sequence[tuple[Vec, ...]], count: int, length: int, rng: Rng) -> tuple[Float32, ...]:
-    """Random windows (count, length) of random runs, one array for each signal (T,) that the runs have.
-
-    Runs, and starts within a run, are equally likely, as in the code of S2.
+    """Random windows (count, length) of random runs, one array for each signal (T,); uniform, as in the code of S2.
 
     Raises:
         FitError: if a run is shorter than a window.

@@ -25,7 +25,7 @@ Answer = Callable[[Vec, float], Vec]
 
 _CYCLES = 7
 _DURATION_S = (12.0, 40.0)
-_FREQUENCY_HZ = (0.08, 0.6)  # of the tip motions of S1 (RA-L 2021) and S2 (RA-L 2024), a little beyond at both ends
+_FREQUENCY_HZ = (0.08, 0.6)  # slightly wider than the tip motions of S1 (RA-L 2021) and S2 (RA-L 2024)
 _HOLD_S = (0.1, 10.0)
 _SINES = 4
 _PAUSE_S = (0.1, 3.0)
@@ -36,8 +36,6 @@ _CROSSING = 5
 @final
 class Teacher:
     """Model of plays fitted to `trials`, simulated over random motions from the start of a trial.
-
-    For an inverse map, from swapped trials, the operator is fitted and run forward, and its runs are swapped.
 
     Attributes:
         rmse_deg: its error on the trials [deg].
@@ -140,7 +138,7 @@ def _sum_of_sines(commands: Range, rate: float, dt: float, rng: Rng) -> Vec:
 
 
 def _controlled_moves(commands: Range, rate: float, dt: float, rng: Rng) -> Vec:
-    """Commands of a controller that compensates hysteresis: minimum-jerk moves, a jump at each reversal, some jitter."""
+    """Commands of a controller that compensates hysteresis: minimum-jerk moves, a jump at each reversal, jitter."""
     samples, span = round(rng.uniform(*_DURATION_S) / dt), commands.upper - commands.lower
     jump, jitter = rng.uniform(0.0, _JUMP) * span, rng.uniform(0.0, _JITTER) * span
     crossing = 1 + rng.integers(_CROSSING)

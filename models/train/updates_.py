@@ -124,7 +124,7 @@ def rounding_error(net: Network, judged: ValidationRuns, output: torch.Tensor) -
     return float((exact - output).abs().max())
 
 
-_ROUNDED = 64  # windows that are run in double precision as well, which has no fused LSTM and is slow
+_ROUNDED = 64  # windows that are also simulated in double precision, which is slow without a fused LSTM
 
 
 @final
@@ -195,7 +195,7 @@ def _trained(net: Network) -> list[torch.nn.Parameter]:
     return [p for p in net.parameters() if p.requires_grad]
 
 
-_RAMP_UPDATES = 50  # in which the learning rate rises from zero: Adam's first steps know no curvature
+_RAMP_UPDATES = 50  # updates with a rising learning rate, while Adam has no estimate of the curvature
 
 TeacherRuns = Callable[[float, Rng], list[TrainingRun]]
 """Scaled runs of a teacher, drawn anew at every call; the first argument is the share of training that is done."""
@@ -292,11 +292,7 @@ def _look(step: int, training: float, mean: Network, judged: ValidationRuns) -> 
 
 
 def _muon_and_adam(net: Network, matrix_rate: float, rate: float) -> list[torch.optim.Optimizer]:
-    """Muon (Jordan et al., 2024) for the matrices between layers, Adam for biases, input weights and head.
-
-    On hysteresis Muon has half of Adam's error after the same number of updates, supposedly because the directions that
-    separate loading from unloading have small gradients.
-    """
+    """Muon (Jordan et al., 2024; half of Adam's error in as many updates) for inner matrices, Adam for the rest."""
     matrices = net.matrices
     others = [p for p in net.parameters() if p.requires_grad and all(p is not matrix for matrix in matrices)]
     adam = torch.optim.Adam(others, lr=rate)
