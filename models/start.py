@@ -131,7 +131,7 @@ def _ends(box: Box) -> tuple[tuple[float, float], tuple[float, float]]:
 
 
 def _approach(rest: float, turn: float, command: Vec, box: Range, dt_s: float) -> Vec:
-    """Commands from a rest to just before the first sample; `turn`: share of the last way to the end of the box."""
+    """Commands from a rest to just before the first sample; `turn`: share of the last travel to the end of the box."""
     look, count = max(round(_LOOK_S / dt_s), 1), max(round(_APPROACH_S / dt_s), 2)
     speed = float(command[look] - command[0]) / look
     end = box.lower if speed > 0 else box.upper

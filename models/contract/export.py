@@ -122,7 +122,7 @@ _DRAWS = 25  # batches of random states
 _JACOBIANS = 50
 _SPREAD = 0.1  # spread of random states around visited ones, in standard deviations of each entry
 # A play in contact rests on a kink, where rounding may choose the branch. A point counts as a kink if the reference's
-# own Jacobian jumps within this relative distance; the loose tolerance covers what curvature does over the distance.
+# own Jacobian jumps within this relative distance; the loose tolerance covers the curvature over the distance.
 _NUDGE, _NUDGES, _LOOSE = 1e-5, 16, 1e-3
 _JACOBIAN_TOLERANCE = {"float32": (1e-3, 1e-4), "float64": (1e-9, 1e-9)}  # relative, absolute
 

@@ -13,7 +13,7 @@ import onnx.checker
 import onnx.numpy_helper
 import onnxruntime as ort
 import onnxruntime.capi.onnxruntime_pybind11_state as state_
-from google.protobuf.message import DecodeError  # type: ignore[import-untyped]  # its types are a package of their own
+from google.protobuf.message import DecodeError  # type: ignore[import-untyped]  # its types are in a separate package
 from numpy.typing import NDArray
 
 from hystmpc.trials.errors import ModelError
@@ -94,7 +94,7 @@ def _check_interface(graph: onnx.GraphProto, state_size: int, where: str) -> np.
 
 
 def _signature(value: onnx.ValueInfoProto) -> str:
-    """Description `'name' dtype [N,size]`; N stands for any axis of free length."""
+    """Description `'name' dtype [N,size]`; N is any axis of free length."""
     tensor = value.type.tensor_type
     shape = ",".join(str(d.dim_value) if d.HasField("dim_value") else "N" for d in tensor.shape.dim)
     dtype = _TYPES[tensor.elem_type].name if tensor.elem_type in _TYPES else f"type {tensor.elem_type}"

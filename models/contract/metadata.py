@@ -19,7 +19,7 @@ from hystmpc.trials.types import Vec
 FORMAT = "hystmpc-model/1"
 PREFIX = "hystmpc."
 Start = Literal["initial", "conditioned"]
-"""Which rule of a model file makes the state at the start."""
+"""Rule of a model file for the initial state."""
 
 # Bounds far beyond any device of this field; values beyond mean a damaged or hostile file, or another unit.
 SampleTime = Annotated[float, Field(ge=1e-5, le=100.0)]  # s: 100 kHz to one sample in 100 s
@@ -31,7 +31,12 @@ LONGEST_WARMUP = 1_000_000  # samples
 
 
 class Range(Settings):
-    """Closed interval, lower < upper, in the unit of the bounded quantity; both ends within 1e9 of zero."""
+    """Closed interval, lower < upper, in the unit of the bounded quantity; both ends within 1e9 of zero.
+
+    Attributes:
+        lower: lower end.
+        upper: upper end.
+    """
 
     lower: Amount
     upper: Amount
@@ -50,7 +55,7 @@ class Range(Settings):
 
 @dataclass(frozen=True)
 class DeviceLimits:
-    """Limits of the command sent to the device; None stands for the range in the trials.
+    """Limits of the command sent to the device; None means the range in the trials.
 
     Attributes:
         command: least and greatest command [mm or bar].

@@ -219,7 +219,7 @@ class AutoSearch:
         return choice
 
     def refit_at_full_rate(self, choice: Choice) -> Choice:
-        """Device of another rate refitted to these trials; its drive is selected again from more samples."""
+        """Device of another rate refitted to these trials; its drive is selected from more samples."""
         dt_s, values, drive = self.runs[0].dt_s, _values(choice.hypothesis), self._parts[0]
         about = whole_delay(choice.forms[drive.name])
 
@@ -261,7 +261,7 @@ class AutoSearch:
         return self._finished(choice)
 
     def part_contributions(self, choice: Choice) -> tuple[Choice, tuple[PartRow, ...]]:
-        """Device without parts that gain less than a standard error, and held-out errors without and with each part."""
+        """Device without parts of insignificant effect, and held-out errors without and with each part."""
         reduced = self._without_each(choice)
         while needless := [c for c in reduced.values() if c and not stays(c.judged, choice.judged)]:
             choice = self._polished(min(needless, key=lambda c: c.judged.mse))

@@ -203,7 +203,7 @@ def inverted_after_a_hold(inverse: Inverse) -> bool:
 
 
 def goes_back(inverse: CompiledInverse, predictor: InvertiblePredictor) -> bool:
-    """Whether the commands for a ramp of the angle, up and down again, ever move against it."""
+    """Whether the commands for a ramp of the angle, up and down again, move against it at any sample."""
     low, high = predictor.command_range
     rest = max(2, round(_REST_S / predictor.dt))
     samples = min(max(round(_RAMP_S / predictor.dt), _SAMPLES[0]), _SAMPLES[1])
@@ -238,7 +238,7 @@ class Bounds(NamedTuple):
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def clip_plans(plans: Any, lower: float, upper: float, reach: float, last: float) -> None:
-    """Clip plans (N, H) sample by sample to the admissible commands, in place; not-a-number is kept.
+    """Clip plans (N, H) sample by sample to the admissible commands, in place; not-a-number stays.
 
     Commands are rounded to 1e-7 of the greatest move: the slope of a play at its edge, or at rest, depends on the side,
     which must not depend on rounding errors.
@@ -332,8 +332,8 @@ class CompiledFollower(Follower):
 class DrivenFollower(Follower):
     """Inverse with dynamics before and behind the model: first the travel is planned, then the commands for it.
 
-    The drive follows the plan within the rate limit (`Drive.fit`). Both plans are the same: none exists without the
-    limit.
+    The drive follows the plan within the rate limit (`Drive.fit`). Both returned plans are equal, since
+    the drive needs that limit.
     """
 
     def __init__(self, inverse: DrivenInverse) -> None:

@@ -23,7 +23,7 @@ from ..networks.settings import (
 )
 from .kind import FitRequest, Identified, ModelKind
 
-PLAIN = {"memory_samples": 0, "command_gain": 1.0}  # PyTorch's own initial weights, as in the papers
+PLAIN = {"memory_samples": 0, "command_gain": 1.0}  # PyTorch's initial weights, as in the papers
 S2_WINDOWS = WindowTraining(keep_after=10, padding_samples=50)
 S1_WINDOWS = WindowTraining(epochs=50, padding_samples=49)
 

@@ -1,1 +1,1 @@
-"""Operators: the only place of each equation of hysteresis, lag and delay, as a CasADi expression."""
+"""Operators: equations of hysteresis, lag and delay, each defined once as a CasADi expression."""

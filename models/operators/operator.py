@@ -25,15 +25,14 @@ Symbol = Any  # casadi.SX, which has no types
 @dataclass(frozen=True)
 class Parameter:
     """Name, unit, bounds and meaning of an operator's parameter.
-    -sub: as it stands in a simulator file. => name in a simulator file.
 
     Attributes:
-        name: as it stands in a simulator file.
+        name: name in a simulator file.
         unit: with `cmd` for the unit of the command (mm or bar), and `in` for the unit of the signal that passes: `cmd`
             on the command side, `deg` on the output side.
         lower, upper: bounds, inclusive; identification stays within them. Those of a quantity with `cmd`, `deg` or `in`
             in its unit are meant for a device whose command's range is 1 to 10 and whose output's is 10 to 100, to
-            which `models.decades` brings any other; of a device in its own units only their signs count.
+            which `models.decades` brings any other; of a device in log units only their signs count.
     """
 
     name: str

@@ -336,7 +336,7 @@ def _solve(
     free = 1 + trials
     gram, right = np.zeros((count + free, count + free)), np.zeros(count + free)
     for k, row in enumerate(rows):
-        shown = [count, count + 1 + k]  # bias and the trial's own offset
+        shown = [count, count + 1 + k]  # bias and offset of the trial
         gram[:count, :count] += row.gram
         gram[:count, shown] += row.mean[:, None]
         gram[np.ix_(shown, shown)] += 1.0

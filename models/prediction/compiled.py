@@ -32,7 +32,7 @@ class CompiledPredictor(InvertiblePredictor):
 
     @classmethod
     def of_simulator(cls, simulator: Simulator) -> CompiledPredictor:
-        """Predictor of a simulator at its own sample time."""
+        """Predictor of a simulator at its sample time."""
         return cls(simulator.chain.transition, simulator.chain.values, simulator.metadata())
 
     @classmethod
