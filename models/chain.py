@@ -127,7 +127,6 @@ class Chain:
         return dense("step", [x, u], [theta, following])
 
     def _parts(self, x: Any, p: Any) -> list[tuple[Operator, Any, Any]]:
-        """Operators, each with its slice of the state and of the parameters."""
         parts, i, j = [], 0, 0
         for operator in self.operators:
             n, m = len(operator.states), len(operator.parameters)

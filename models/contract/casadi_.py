@@ -128,7 +128,7 @@ def _product(operands: Sequence[Tensor | None], given: Mapping[str, Any]) -> Ten
 
 
 def _gemm(operands: Sequence[Tensor | None], given: Mapping[str, Any]) -> Tensor:
-    """alpha A' B' + beta C, with the transpositions of the node's attributes."""
+    """Matrix expression alpha A' B' + beta C, with the transpositions of the node's attributes."""
     a, b = (
         t.take(t.places.T) if given.get(key) else t
         for t, key in zip(map(_present, operands[:2]), ("transA", "transB"), strict=True)
@@ -177,7 +177,6 @@ def _constant(values: NDArray[Any]) -> Tensor:
 
 
 def _literal(given: Mapping[str, Any]) -> Tensor:
-    """Value of a Constant node from whichever attribute holds it."""
     ((key, value),) = given.items()
     return _constant(onnx.numpy_helper.to_array(value) if key == "value" else np.array(value))
 

@@ -126,7 +126,6 @@ class OnnxModel(LoadedModel):
     """Step graph in onnxruntime on one thread; inputs are converted to its number type, outputs to float64.
 
     Attributes:
-        graph: the ONNX graph, as `to_casadi` takes it.
         initializers: the graph's weights by name.
         dtype: number type of the graph, float32 or float64.
         source: the file's path, for messages and reports.

@@ -19,7 +19,7 @@ from hystmpc.trials.types import Vec
 FORMAT = "hystmpc-model/1"
 PREFIX = "hystmpc."
 Start = Literal["initial", "conditioned"]
-"""Rule of a model file for the initial state."""
+"""Which rule of a model file makes the state at the start."""
 
 # Bounds far beyond any device of this field; values beyond mean a damaged or hostile file, or another unit.
 SampleTime = Annotated[float, Field(ge=1e-5, le=100.0)]  # s: 100 kHz to one sample in 100 s

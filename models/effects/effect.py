@@ -50,7 +50,6 @@ class Scale:
         angle_low, angle_high: range of the angle [deg].
         duration_s: of the longest trial [s].
         total_s: of all trials together [s].
-        dt_s: sample time [s].
         resting: share of the time in which the command is constant.
         fastest: greatest speed of the command [cmd/s]; where unknown, that of a step over its range.
     """

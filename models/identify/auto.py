@@ -49,7 +49,6 @@ class AutoFit:
         noise: noise of the model on held-out trials; of a single trial, on its thirds.
         advice: parameters that the trials do not determine, and what to record for them.
         decades: working units of `choice`; rows, parameters and noise are in those of the log.
-        interrupted: stopped by the user; this is the best so far.
     """
 
     choice: Choice
@@ -269,7 +268,6 @@ def widened_rows(choice: Choice, runs: Sequence[Run], tried: Sequence[Choice]) -
 
 
 def _free(choice: Choice) -> list[tuple[Candidate, Freedom]]:
-    """Free parameters of a device's effects in the order of the rows."""
     return [(c, freedom) for c in choice.hypothesis.problem.effects for freedom in c.free]
 
 

@@ -176,7 +176,6 @@ class AutoSearch:
             return self._simplest_tried(present)
 
     def _rounds(self, present: Choice, names: Sequence[str]) -> Choice:
-        """Device whose parts are chosen one after the other until nothing changes."""
         # for each part: the device at its last choice, and the tried forms
         seen: dict[str, tuple[tuple[str, ...], list[Choice]]] = {}
         for k in range(_ROUNDS):

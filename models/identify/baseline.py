@@ -55,7 +55,7 @@ class Baseline(ABC):
         """Parameters (P,) of the core and their derivative by z (P, Z)."""
 
     def quantities(self, z: Vec) -> Mapping[str, float]:
-        """`gain` [deg/cmd], `offset` [deg at the middle of the command's range], `backlash_width` [cmd].
+        """Quantities `gain` [deg/cmd], `offset` [deg at the middle of the command's range], `backlash_width` [cmd].
 
         Of a friction force, which leads its displacement: `stiffness` [deg/cmd] and `friction` [deg, half the height of
         the loop] instead of gain and width. They are measured on the major loop.

@@ -197,7 +197,6 @@ class ChainFit:
     Attributes:
         rmse_deg: root of the mean over trials of the mean square error of its free runs [deg; mm or bar for an inverse
             map], which compares methods of any loss.
-        interrupted: stopped by the user; `chain` is the best so far.
     """
 
     chain: Chain

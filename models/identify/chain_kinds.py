@@ -119,7 +119,6 @@ class Ringing:
         rad_per_s: angular frequency of the greatest response [rad/s].
         damping: ratio to the critical damping, from the width of the peak.
         stiffness: stiffness of a linear oscillator with this peak [cmd/deg].
-        dt_s: sample time [s].
         command, angle: standard deviations [cmd], [deg].
         lead_s: time in which the ringing of an unknown start fades [s].
     """

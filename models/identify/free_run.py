@@ -166,7 +166,6 @@ class StagedChain:
 
         Args:
             commands: (T, N), time first [cmd].
-            dt_s: sample time [s].
             states: (S, N) before the first sample.
             values: parameters (P,) of all rows or (P, N) of each; the chain's where left out.
 
@@ -201,9 +200,7 @@ class StagedChain:
         Args:
             command: constant (N,) [cmd].
             angle: measured (N,) [deg].
-            dt_s: sample time [s].
             values: parameters (P,); the chain's where left out.
-            seeds: see `differentiate`.
         """
         seeds = np.column_stack([self._seeds(seeds), np.zeros(self.parameter_count)])
         settling = Settling(self._stages, self._core, self._rows(values, 1), self._kept(dt_s, values), seeds)
@@ -237,7 +234,6 @@ class StagedChain:
 
         Args:
             commands: of all runs (T,) [cmd].
-            dt_s: sample time [s].
             state, slope: before the first sample of each run (S, N), and its derivative (S, N, D).
             values: parameters (P,); the chain's where left out.
             seeds: derivative of the parameters in each direction (P, D); of every parameter alone where left out.
@@ -264,7 +260,6 @@ class StagedChain:
         return signal, moving[:, :count]
 
     def _seeds(self, seeds: Vec | None) -> Vec:
-        """Directions (P, D); the unit directions where none are given."""
         return np.eye(self.parameter_count) if seeds is None else np.ascontiguousarray(seeds, dtype=np.float64)
 
     def _kept(self, dt_s: float, values: Vec | None) -> list[Vec]:

@@ -87,7 +87,6 @@ def _forms_of(scale: Scale, *effects: str) -> Mapping[str, Candidate]:
 
 
 def _as_slow(tau: Freedom, scale: Scale) -> Freedom:
-    """Time constant with a range up to half the longest trial."""
     return replace(tau, upper=max(tau.upper, 0.5 * scale.duration_s))
 
 

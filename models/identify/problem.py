@@ -324,7 +324,6 @@ class Problem:
         return [c.effect for c in self.effects if c.variant == CORE]
 
     def _indices(self, name: str, operators: Sequence[int], at: Sequence[int]) -> list[int]:
-        """Positions of a parameter in the chain, for every operator that has it."""
         positions = []
         for k in operators:
             names = [p.name for p in self.chain.operators[k].parameters]

@@ -30,7 +30,6 @@ class Run:
 
     Attributes:
         command, angle: (T,) [cmd], [deg].
-        dt_s: sample time [s].
         rest_command, rest_angle: command and angle of the rest before [cmd], [deg].
         counts: samples that are scored (T,).
         bent_before: greatest command of all trials recorded before [cmd]; the rest command for the first.

@@ -211,7 +211,6 @@ def network_effects(
 
     Args:
         baseline: plays that represent the network.
-        dt_s: sample time of the trials [s].
         decades: units in which the effects were fitted; the file is in those of the log.
     """
     effects = [_spec(c.effect, c.side, decades.log_operator(operator, c.side)) for c, operator in _placed(chosen)]
@@ -272,7 +271,6 @@ def _compared(chain: Chain, angle: Vec, trial: Trial, skip_first_flexure: bool) 
 
 
 def _placed(chosen: Hypothesis) -> list[tuple[Any, Operator]]:
-    """Candidates with their identified operators, in the order of the signal."""
     problem = chosen.problem
     chain, nominal = problem.fitted_chain(chosen.q), problem.baseline.chain
     lead = len(chain.before) - len(nominal.before)

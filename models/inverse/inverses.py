@@ -332,8 +332,8 @@ class CompiledFollower(Follower):
 class DrivenFollower(Follower):
     """Inverse with dynamics before and behind the model: first the travel is planned, then the commands for it.
 
-    The drive follows the plan within the rate limit (`Drive.fit`). Both returned plans are equal, since
-    the drive needs that limit.
+    The drive follows the plan within the rate limit (`Drive.fit`). Both returned plans are equal, since the drive needs
+    that limit.
     """
 
     def __init__(self, inverse: DrivenInverse) -> None:

@@ -174,7 +174,6 @@ def behind(drive: Drive, trial: Trial) -> Trial:
 
 
 def _parted(device: Simulator) -> tuple[Simulator | None, Simulator]:
-    """Drive of a device, if it has one, and the device behind it."""
     front, _, _ = split(device.chain)
     behind_it = replace(device, chain=replace(device.chain, before=device.chain.before[len(front) :]))
     if not front:

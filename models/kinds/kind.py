@@ -189,7 +189,6 @@ def _opened(identification: Identified, name: str) -> LoadedModel:
 
 
 def _errors(model: LoadedModel, trials: Sequence[Trial], skip_first_flexure: bool) -> tuple[float, float]:
-    """Root mean square errors of the model's free run and of one line through all samples that count."""
     runs = [evaluate(model, trial, skip_first_flexure) for trial in trials]
     u = np.concatenate([run.trial.command[run.start :] for run in runs])
     y = np.concatenate([run.trial.angle[run.start :] for run in runs])

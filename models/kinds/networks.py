@@ -79,7 +79,6 @@ class NetworkKind(ModelKind):
     """Kind of model that is a network; torch is loaded when one is trained.
 
     Args:
-        name, title, recurrent, inverse_training: see `ModelKind`.
         settings: by training, the default first.
     """
 

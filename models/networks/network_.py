@@ -21,7 +21,6 @@ class Network(torch.nn.Module, ABC):
     """Network for training, reference and export, with scaled input v and output y (N, T) and state (N, S).
 
     Attributes:
-        state_size: S.
         context: past samples in an output of a network without a recurrent state; 0 otherwise.
         measured: last entries of the state that start from measured values, not from learned ones.
     """

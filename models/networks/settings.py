@@ -69,7 +69,6 @@ class FormSettings(Settings, ABC):
 
 
 def _of_its_form(data: Any) -> Any:
-    """Plain data converted to the settings of its form; anything else unchanged."""
     known = FormSettings.known
     return known[data["form"]].model_validate(data) if isinstance(data, dict) and data.get("form") in known else data
 

@@ -67,7 +67,7 @@ class MaxwellSlip(Operator):
 
     @property
     def rate(self) -> int:
-        """1 where friction depends on the speed, else 0."""
+        """Flag: 1 where friction depends on the speed, else 0."""
         return int(bool(self.speeds))
 
     @property
@@ -92,7 +92,7 @@ class MaxwellSlip(Operator):
 
     @property
     def settling_samples(self) -> int:
-        """Two where the first sample of a hold may resemble a fast motion."""
+        """Two samples where the first one of a hold may resemble a fast motion."""
         return 1 + self.rate
 
     def equation(self, x: Symbol, u: Symbol, p: Symbol, dt: Symbol) -> tuple[Symbol, Symbol]:
@@ -184,7 +184,7 @@ class RateDependence(Operator):
 
     @property
     def settling_samples(self) -> int:
-        """Two: the first sample of a constant input may still resemble a fast motion."""
+        """Two samples, since the first one of a hold may resemble a fast motion."""
         return 2
 
     def equation(self, x: Symbol, u: Symbol, p: Symbol, dt: Symbol) -> tuple[Symbol, Symbol]:

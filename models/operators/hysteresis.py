@@ -164,7 +164,7 @@ class BoucWen(Operator):
 
     @property
     def settling_samples(self) -> int:
-        """Two: the first sample of a constant command may still resemble a fast motion."""
+        """Two samples, since the first one of a hold may resemble a fast motion."""
         return 2
 
     def equation(self, x: Symbol, u: Symbol, p: Symbol, dt: Symbol) -> tuple[Symbol, Symbol]:
@@ -213,8 +213,8 @@ class CurvedPlays(Operator):
 
     Source: additive operator of the Krasnosel'skii-Pokrovskii type, Krasnosel'skii, Pokrovskii, Systems with Hysteresis
     (1989), section 29. Curves: monotone splines of order 2, Ramsay, Monotone regression splines in action, Statistical
-    Science 3 (1988). Gradual plays: Dahl, Solid friction damping of mechanical vibrations, AIAA Journal 14 (1976),
-    eq. (3) with exponent 1, integrated over a straight move.
+    Science 3 (1988). Gradual plays: Dahl, Solid friction damping of mechanical vibrations, AIAA Journal 14 (1976), eq.
+    (3) with exponent 1, integrated over a straight move.
     """
 
     slopes: tuple[float, ...]

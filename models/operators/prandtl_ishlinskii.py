@@ -58,7 +58,7 @@ class PlaySum(Operator):
 
     @property
     def settling_samples(self) -> int:
-        """Two: the first sample of a hold may still resemble a fast motion."""
+        """Two samples, since the first one of a hold may resemble a fast motion."""
         return 2
 
 

@@ -116,8 +116,8 @@ class FirstFlexure(Operator):
     l_k = exp(-dt / tau) (l_{k-1} + s_k - s_{k-1}),  y = u + s - l
 
     With tau 0 it is immediate, else delayed by l, as material flows or a tendon beds in. A first loading beyond the
-    threshold therefore has the slope 1 + set, and motions below the largest bend are only shifted. A set
-    below zero loses angle. Set 0 is the identity.
+    threshold therefore has the slope 1 + set, and motions below the largest bend are only shifted. A set below zero
+    loses angle. Set 0 is the identity.
     """
 
     set: Annotated[float, Number("1", -0.95, 3.0, 0.0, "set by bend beyond the threshold")]

@@ -92,7 +92,6 @@ class PlayKernelFit:
         judged: mean offset-free error on held-out trials [unit of the output] of every choice compared; empty where
             there was nothing to compare.
         rmse: mean over the training trials of the error without their offsets [unit of the output].
-        interrupted: stopped by the user; the best choice so far.
     """
 
     weights: PlayKernelWeights
@@ -219,7 +218,6 @@ class Frame:
         command, angle: trained ranges [cmd], [deg].
         radii, knots: of plays and ramps, in units of the command range.
         stops: whether the difference of command and play is a feature, too.
-        dt: sample interval [s].
     """
 
     command: Range

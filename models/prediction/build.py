@@ -162,7 +162,6 @@ def _companion_in(file: Path | str, dt_s: float) -> Simulator | LoadedModel:
 
 
 def _pairs(model: LoadedModel, companion: Simulator | LoadedModel | None) -> ControllerModel:
-    """Predictors and inverses without a lag of the actuator."""
     facts = model.metadata
     connection = next(iter(facts.connections), None)
     if connection is not None and connection.way == "series" and companion is None:

@@ -182,7 +182,7 @@ class OnnxPredictor(ModelPredictor):
         return self._horizons[length]
 
     def _tangent(self, x: Any, u: Any, theta: Any, following: Any, columns: Any, k: int) -> tuple[Any, Any]:
-        """d theta / d plan (1, H) and the next columns (S, H); those after the k-th are still zero."""
+        """Derivative d theta / d plan (1, H) and the next columns (S, H); those after the k-th are still zero."""
         length = columns.size2()
         if self._sparse is not None:
             by_state, by_u, theta_by_state, theta_by_u = self._sparse(x, u)

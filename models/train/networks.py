@@ -63,7 +63,6 @@ class NetworkFit:
         net: network with the lowest validation error among the exportable checks.
         best_step: epoch or update of `net`.
         validation_rmse_deg: its error on the held-out trials [deg]; on the training trials where none is held out.
-        interrupted: stopped by the user; `net` is the best so far.
     """
 
     net: Network
