@@ -32,6 +32,7 @@ class Uncertainty:
         covariance: of the unknowns q (Q, Q); zero for those at a bound.
         quantile: of Student's t, 95 %, by which a standard error becomes half an interval of 90 %.
         flat: unknowns that the errors do not determine (Q,).
+        at_bound: unknowns that ended at an edge of their range (Q,).
     """
 
     covariance: Vec

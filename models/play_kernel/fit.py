@@ -218,6 +218,7 @@ class Frame:
         command, angle: trained ranges [cmd], [deg].
         radii, knots: of plays and ramps, in units of the command range.
         stops: whether the difference of command and play is a feature, too.
+        dt: sample interval [s].
     """
 
     command: Range
