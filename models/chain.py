@@ -1,4 +1,4 @@
-"""A chain of operators, command side, hysteresis core and output side, as one symbolic step; chains as plain data."""
+"""Chains of operators (command side, hysteresis core, output side) as one symbolic step and as plain data."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ DYNAMICS = (Delay, Lag, Servo, RateLimit)
 
 @dataclass(frozen=True)
 class Chain:
-    """Operators in the order in which the signal passes them.
+    """Operators in series: before the core, the hysteresis core, and behind it.
 
     Attributes:
         before: operators on the command [cmd].
-        core: the operator that turns the command into an angle.
+        core: operator from the command to an angle.
         after: operators on the angle [deg].
     """
 
@@ -56,7 +56,7 @@ class Chain:
         return np.array([v for operator in self.operators for v in operator.values])
 
     def with_values(self, values: Sequence[float]) -> Chain:
-        """The same chain with other parameter values.
+        """Chain with other parameter values.
 
         Raises:
             ModelError: if there are too few or too many, or one is out of bounds.
@@ -71,12 +71,12 @@ class Chain:
         return replace(self, before=tuple(operators[:first]), core=operators[first], after=tuple(operators[last:]))
 
     def at_sample_time(self, dt_s: float, was_s: float) -> Chain:
-        """The same chain run at sample time `dt_s`, from `was_s` [s]: stores of delays and starts of clocks fit it."""
+        """Chain at sample time `dt_s` instead of `was_s` [s]; stores of delays and initial clock phases are adapted."""
         before, after = (tuple(o.resampled(dt_s, was_s) for o in side) for side in (self.before, self.after))
         return replace(self, before=before, after=after)
 
     def with_room(self, dt_s: float) -> Chain:
-        """The same chain at sample time `dt_s` [s], with a longer store in every delay whose store is too short."""
+        """Chain whose delays have stores that are long enough for sample time `dt_s` [s]."""
         sides = [
             tuple(o.resampled(dt_s, dt_s) if isinstance(o, Delay) and not o.holds(dt_s) else o for o in side)
             for side in (self.before, self.after)
@@ -85,17 +85,17 @@ class Chain:
 
     @property
     def state_size(self) -> int:
-        """Number of state entries."""
+        """Number of entries of the state."""
         return sum(len(operator.states) for operator in self.operators)
 
     @property
     def settling_samples(self) -> int:
-        """Samples of constant command that make the guess of the initial state irrelevant."""
+        """Number of samples of constant command after which the guessed initial state has no influence."""
         return max(operator.settling_samples for operator in self.operators)
 
     @property
     def rest_samples(self) -> int:
-        """Samples for which the command is held from the state at rest on; see `Operator.rest_samples`."""
+        """Number of samples for which the command is held after the state at rest; see `Operator.rest_samples`."""
         return max(operator.rest_samples for operator in self.operators)
 
     @cached_property
@@ -111,7 +111,7 @@ class Chain:
 
     @cached_property
     def rest(self) -> Any:
-        """CasADi function (y, u, p) -> state (S,1) of a device that rests at command `u` and shows angle `y`."""
+        """CasADi function (y, u, p) -> state (S,1) of a device at rest at command `u` with output angle `y`."""
         y, u, p = ca.SX.sym("y"), ca.SX.sym("u"), ca.SX.sym("p", len(self.parameters))
         states = []
         for k, (operator, _, values) in enumerate(self._parts(ca.SX.sym("x", self.state_size), p)):
@@ -121,13 +121,12 @@ class Chain:
         return dense("rest", [y, u, p], [ca.vertcat(*states)])
 
     def bound(self, dt: float) -> Any:
-        """CasADi function (state, u) -> (theta, next state) with this chain's numbers and `dt` [s] inside."""
+        """CasADi function (state, u) -> (theta, next state) with the values of this chain and `dt` [s] inserted."""
         x, u = ca.SX.sym("x", self.state_size), ca.SX.sym("u")
         theta, following = self.transition(x, u, ca.DM(self.values), dt)
         return dense("step", [x, u], [theta, following])
 
     def _parts(self, x: Any, p: Any) -> list[tuple[Operator, Any, Any]]:
-        """Each operator with its own slice of state and parameters."""
         parts, i, j = [], 0, 0
         for operator in self.operators:
             n, m = len(operator.states), len(operator.parameters)
@@ -141,7 +140,7 @@ _GUESSED = range(1, 9)
 
 
 def operators() -> Mapping[str, type[Operator]]:
-    """Every operator by name: those that ship, and those of effects that users have added."""
+    """All operators by name: those of the package and those of effects added by users."""
     return {**added_operators(), **shipped_operators()}
 
 
@@ -171,7 +170,7 @@ def operator_from(spec: Any, where: str) -> Operator:
 
 
 def _ordered(operator_name: str, names: Sequence[str], given: dict[str, float]) -> list[float]:
-    """Named values in the order of `names`; refuses a name that is missing or unknown."""
+    """Named values in the order of `names`; raises an error on a missing or unknown name."""
     for name in given:
         if name not in names:
             raise ModelError(f"{operator_name} has no parameter {name!r}, {did_you_mean(name, names)}")
@@ -182,7 +181,7 @@ def _ordered(operator_name: str, names: Sequence[str], given: dict[str, float]) 
 
 
 def operator_spec(operator: Operator) -> dict[str, Any]:
-    """Plain data from which `operator_from` builds the same operator."""
+    """Plain data from which `operator_from` builds the operator again."""
     names = (parameter.name for parameter in operator.parameters)
     return {
         "operator": operator.name,
@@ -192,10 +191,9 @@ def operator_spec(operator: Operator) -> dict[str, Any]:
 
 
 def template_from(kind: type[Operator], spec: Mapping[str, Any], given: Iterable[str], where: str) -> Operator:
-    """An operator of the sizes in `spec`.
+    """Operator of the sizes in `spec`, to be filled with parameter values.
 
-    A size that has a default may be left out; it then follows from the parameters' names, as `tau_up_s` means a lag of
-    two ways and `share_2` a creep of at least two terms, or else is the default.
+    A missing size follows from the parameters' names, as `tau_up_s` implies two time constants, or is the default.
 
     Raises:
         ModelError: on a size that is missing or no whole number within its limits.
@@ -214,12 +212,12 @@ def template_from(kind: type[Operator], spec: Mapping[str, Any], given: Iterable
 
 
 def names_of(operator: Operator) -> set[str]:
-    """Names of the operator's parameters."""
+    """Parameter names of the operator."""
     return {parameter.name for parameter in operator.parameters}
 
 
 def is_number(value: Any) -> bool:
-    """Whether plain data is a number; True and False are none."""
+    """Whether plain data is a number; True and False are not numbers."""
     return isinstance(value, int | float) and not isinstance(value, bool)
 
 
@@ -229,7 +227,7 @@ def _check_size(value: Any, limits: tuple[int, int], where: str) -> None:
 
 
 def chain_spec(chain: Chain) -> dict[Literal["before", "core", "after"], Any]:
-    """Plain data from which `chain_from` builds the same chain."""
+    """Plain data from which `chain_from` builds the chain again."""
     return {
         "before": [operator_spec(operator) for operator in chain.before],
         "core": operator_spec(chain.core),
@@ -238,10 +236,10 @@ def chain_spec(chain: Chain) -> dict[Literal["before", "core", "after"], Any]:
 
 
 def chain_from(spec: Mapping[Literal["before", "core", "after"], Any], where: str) -> Chain:
-    """A chain from plain data.
+    """Chain built from plain data.
 
     Raises:
-        ModelError: if it has no core, or names what the catalogue of operators does not know.
+        ModelError: if it has no core, or names an unknown operator.
     """
     if "core" not in spec:
         raise ModelError(f"{where} has no 'core', got {', '.join(spec) or 'nothing'}")
@@ -259,7 +257,7 @@ def _side(specs: Any, where: str) -> tuple[Any, ...]:
 
 
 class Split(NamedTuple):
-    """A chain in three: dynamics on the command, what is inverted, dynamics on the angle."""
+    """Chain in three parts: dynamics on the command, the invertible part, dynamics on the angle."""
 
     front: tuple[Operator, ...]
     middle: Chain
@@ -267,7 +265,7 @@ class Split(NamedTuple):
 
 
 def split(chain: Chain) -> Split:
-    """The chain split into dynamics on the command, the part between, and dynamics on the angle."""
+    """Split a chain into dynamics on the command, the invertible part, and dynamics on the angle."""
     last = max((k + 1 for k, o in enumerate(chain.before) if isinstance(o, DYNAMICS)), default=0)
     first = min((k for k, o in enumerate(chain.after) if isinstance(o, DYNAMICS)), default=len(chain.after))
     middle = Chain(chain.core, chain.before[last:], chain.after[:first])

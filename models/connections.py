@@ -1,4 +1,4 @@
-"""Operators connected with a model in one file: in series before it, or in parallel; and the file taken apart again."""
+"""Operators connected in series or in parallel with a model in one file, and their separation."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class ConnectedStep(StepFunction):
         return theta if self._in_series else v + theta, np.hstack([moved, following])
 
     def jacobian(self, state: Vec, u: float) -> Vec:
-        """Chain rule: [theta, operators' next state, next state of the rest] by [their states, u]."""
+        """Jacobian of [theta, next states of operators and rest] by [their states, u], by the chain rule."""
         cut, size = self._cut, self.state_size
         first = self._operators.jacobian(state[:cut], u)
         v = u
@@ -66,15 +66,12 @@ class ConnectedStep(StepFunction):
 def connected_bundle(
     operators: Simulator, way: Literal["series", "parallel"], rest: ExportBundle, facts: ModelMetadata
 ) -> ExportBundle:
-    """A model with operators in series before it or in parallel, ready for export.
+    """Exportable bundle of a model with operators in series before it or in parallel.
 
-    At rest the drive of a series stands at the command that is held, and the operators of a parallel connection show
-    the measured angle, so that the rest shows none.
+    At rest, operators in parallel have the measured angle, and the rest has zero.
 
     Args:
         operators: chain at the sample time of `rest`.
-        way: see `Connection`.
-        rest: the model.
         facts: sample time, units, limits and ranges of the whole; all else follows from the parts.
 
     Raises:
@@ -99,7 +96,7 @@ def connected_bundle(
 
 
 def operators_of(facts: ModelMetadata) -> Chain:
-    """The operators of a model's outermost connection.
+    """Operators of a model's outermost connection.
 
     Raises:
         ModelError: if they are unknown, or have as many states as the model or more.
@@ -114,7 +111,7 @@ def operators_of(facts: ModelMetadata) -> Chain:
 
 
 def rest_of(model: LoadedModel) -> OnnxModel:
-    """The model without the operators of its outermost connection, as a separate model.
+    """Model without the operators of its outermost connection.
 
     Raises:
         ModelError: if the graph is not that of a connection.
@@ -125,13 +122,13 @@ def rest_of(model: LoadedModel) -> OnnxModel:
     from .contract.load import OnnxModel
     from .contract.onnx_nodes import INTERFACE
 
-    assert isinstance(model, OnnxModel)  # a simulator has no connections
+    assert isinstance(model, OnnxModel)
     facts, cut = model.metadata, operators_of(model.metadata).state_size
     names = {f"{_rest(facts.connections[1:])}_{name}": name for pair in INTERFACE for name in pair}
     try:
         inputs, outputs = ([name for name, plain in names.items() if plain in pair] for pair in INTERFACE)
         graph = Extractor(helper.make_model(model.graph)).extract_model(inputs, outputs).graph
-        # weights that its nodes do not use are read by faster routes
+        # weights that no node uses are read by the faster predictors
         known, ours = {weight.name for weight in graph.initializer}, _operators(facts.connections[1:])
         left = [w for w in model.graph.initializer if w.name not in known and not w.name.startswith(ours)]
         graph.initializer.extend(left)
@@ -172,12 +169,12 @@ def _rest(connections: tuple[Connection, ...]) -> str:
 
 
 def _operators(connections: tuple[Connection, ...]) -> str:
-    """Prefix of the tensors of connected operators."""
+    """Prefix of the tensors of connected operators, by the number of connections within."""
     return f"operators{len(connections)}_"
 
 
 def _connected_graph(operators: Simulator, way: str, rest: onnx.GraphProto, facts: ModelMetadata) -> onnx.GraphProto:
-    """Step graph in double; weights and tensors of the rest keep their names, but for its inputs and outputs."""
+    """Step graph in double precision; weights and inner tensors of the rest keep their names."""
     from onnx import TensorProto, helper, numpy_helper
 
     from .contract.onnx_nodes import INTERFACE, as_columns, operator_nodes, tensor
@@ -222,7 +219,6 @@ def _connected_graph(operators: Simulator, way: str, rest: onnx.GraphProto, fact
 
 
 def _renamed(graph: onnx.GraphProto, names: Mapping[str, str]) -> onnx.GraphProto:
-    """The graph with other names of some tensors."""
     from onnx import GraphProto
 
     copy = GraphProto()

@@ -1,4 +1,4 @@
-"""Working units: powers of ten of the log's units, in which every device has about the same size."""
+"""Working units: log units times powers of ten that bring every device to about the same size."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from .contract.metadata import NoiseModel, Range
 from .effects.effect import Side, unit_on
 from .operators.operator import Operator
 
-_ROUNDING = 1e-9  # of a decade: a range that is 10 but for rounding is 10
+_ROUNDING = 1e-9  # share of a decade that is a rounding error
 _SUFFIXES = {"_deg": "deg", "_deg_s": "deg/s"}
 _FACTOR = re.compile(r"([a-z]+|1)(?:\^(\d))?")
 
@@ -34,11 +34,10 @@ _R = TypeVar("_R", bound=_Record)
 
 @dataclass(frozen=True)
 class Decades:
-    """Working units, in which a command's range is 1 to 10 and an output's 10 to 100.
+    """Working units in which the command has a range of 1 to 10 and the output a range of 10 to 100.
 
     These are the sizes of a tendon catheter in mm and deg, for which starts, bounds and thresholds of an identification
-    are stated. Trials of any other device are brought to them, and the identified numbers back to the log's units.
-    Powers of ten, so that a device which has these sizes is left as it is.
+    are stated. Powers of ten leave a device of these sizes unchanged.
 
     Attributes:
         command, angle: units of the log in one working unit.
@@ -49,13 +48,13 @@ class Decades:
 
     @classmethod
     def of(cls, trials: Sequence[Trial]) -> Self:
-        """Working units of the device of some trials, swapped or not."""
+        """Working units for the device of some trials, swapped or not."""
         spans = [max((float(np.ptp(signal)) for signal in signals), default=0.0) for signals in _signals(trials)]
         return cls._of_spans(*spans)
 
     @classmethod
     def of_ranges(cls, command: Range, angle: Range) -> Self:
-        """Working units of a device whose command and output have these ranges."""
+        """Working units for these ranges of command and output."""
         return cls._of_spans(command.upper - command.lower, angle.upper - angle.lower)
 
     @classmethod
@@ -64,11 +63,11 @@ class Decades:
 
     @property
     def usual(self) -> bool:
-        """Whether the working units are those of the log."""
+        """Whether the working units equal those of the log."""
         return self.command == self.angle == 1.0
 
     def trial(self, trial: Trial) -> Trial:
-        """Trial in working units; they go by the names of the log's."""
+        """Trial in working units, under the unit names of the log."""
         factors = (self.angle, self.command) if trial.inverted else (self.command, self.angle)
         if self.usual:
             return trial
@@ -83,19 +82,19 @@ class Decades:
         return self._converted(chain, -1)
 
     def log_chain(self, chain: Chain) -> Chain:
-        """Chain in the units of the log, from one in working units."""
+        """Chain converted from working units to log units."""
         return self._converted(chain, 1)
 
     def log_value(self, value: float, unit: str) -> float:
-        """Number in the units of the log, from one in working units; `unit` with `cmd` and `deg`, as `deg/cmd`."""
+        """Number converted from working units to log units; `unit` is written with `cmd` and `deg`, as `deg/cmd`."""
         return value * self.in_log(unit)
 
     def output(self, trials: Sequence[Trial]) -> float:
-        """Log units in one working unit of what is predicted: the angle, of swapped trials the command."""
+        """Log units in one working unit of the predicted quantity: the angle, or the command for swapped trials."""
         return self.command if trials and trials[0].inverted else self.angle
 
     def log_noise(self, noise: NoiseModel) -> NoiseModel:
-        """Noise of a model in the units of the log, from one in working units."""
+        """Noise model converted from working units to log units."""
         model = noise.model_sigma_deg
         return NoiseModel(
             sensor_sigma_deg=noise.sensor_sigma_deg * self.angle,
@@ -106,16 +105,16 @@ class Decades:
         )
 
     def log_sizes(self, row: _R) -> _R:
-        """Record in the units of the log: of its fields those that end in `_deg` or `_deg_s` are converted."""
+        """Record converted to log units, in the fields that end in `_deg` or `_deg_s`."""
         named = [(f.name, unit) for f in fields(row) for end, unit in _SUFFIXES.items() if f.name.endswith(end)]
         return replace(row, **{name: _times(getattr(row, name), self.in_log(unit)) for name, unit in named})
 
     def in_log(self, unit: str) -> float:
-        """Log units in one working unit of a quantity, as `deg s/cmd` or `1/deg^2`; 1 of what has none of these."""
+        """Log units in one working unit of a quantity in `unit`, such as `deg s/cmd`; 1 without `cmd` and `deg`."""
         return size_of(unit, {"cmd": self.command, "deg": self.angle})
 
     def log_operator(self, operator: Operator, side: Side) -> Operator:
-        """Operator on that side in the units of the log, from one in working units."""
+        """Operator on that side converted from working units to log units."""
         return self._operator(operator, side, 1)
 
     def _converted(self, chain: Chain, way: int) -> Chain:
@@ -134,7 +133,7 @@ class Decades:
 
 
 def size_of(unit: str, sizes: Mapping[str, float]) -> float:
-    """Size of a quantity from those of the units in its own, such as `cmd s^2/deg`; a unit without a size counts 1."""
+    """Size of a compound unit such as `cmd s^2/deg` from the sizes of its parts; a unit without a size counts 1."""
 
     def product(part: str) -> float:
         matches = [match for factor in part.split() if (match := _FACTOR.fullmatch(factor))]
@@ -145,7 +144,6 @@ def size_of(unit: str, sizes: Mapping[str, float]) -> float:
 
 
 def _signals(trials: Sequence[Trial]) -> tuple[list[Vec], list[Vec]]:
-    """Commands and outputs of the device."""
     devices = [trial.swapped() if trial.inverted else trial for trial in trials]
     return [trial.command for trial in devices], [trial.angle for trial in devices]
 

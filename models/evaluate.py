@@ -25,7 +25,7 @@ INVERSE_FORMAT = "hystmpc-inverse-evaluation/1"
 ERROR_COLUMNS = ("trial", "RMSE", "bias", "no bias", "max", "NRMSE %", "hold drift")
 HOLD_S, SETTLING_S = 10.0, 1.0
 AT_REST = TrialStart(0.0, 0.0)
-RANGE_SLACK = 1e-3  # of the trained range: a sample that touches its end lies inside
+RANGE_SLACK = 1e-3  # share of the trained range within which a sample beyond its end counts as inside
 
 
 @dataclass(frozen=True)
@@ -34,11 +34,10 @@ class Errors:
 
     Attributes:
         rmse_deg: root mean square error (S1 (RA-L 2021) eq. (8)).
-        bias_deg: mean error.
         offset_free_rmse_deg: root mean square of the error less its mean.
         max_abs_error_deg: greatest absolute error (called MAE in S1 eq. (7)).
         nrmse: rmse over the range of the measured angle (S1 eq. (9)).
-        hold_drift_deg: greatest range of the model's angle while the command rests, from 1 s after it came to rest:
+        hold_drift_deg: greatest range of the model's angle while the command is constant, from 1 s after it stopped:
             over the holds of the trial and over 10 s in which the trial's last command is held.
     """
 
@@ -56,13 +55,12 @@ class TrialEvaluation:
     """Free run over one trial with its errors.
 
     Attributes:
-        trial: the trial as scored, on the model's sample time.
+        trial: the scored trial, at the model's sample time.
         theta: the model's angle [deg], shape (T,).
         start: first sample that counts.
-        errors: over samples `start` on.
-        outside: share of the trial's samples whose command lies outside the range that the model was identified on,
-            where its angle is a guess.
-        began: where the free run begins; with a lead where the trial begins in motion.
+        outside: share of samples whose command lies outside the range of the model's identification, where its angle is
+            an extrapolation.
+        began: start of the free run; with a lead where the trial begins in motion.
     """
 
     trial: Trial
@@ -74,7 +72,7 @@ class TrialEvaluation:
 
     @property
     def unscored_s(self) -> float:
-        """Duration at the start of a trial in motion in which its state is found [s]; else zero."""
+        """Duration at the start of a trial in motion that is used to estimate the state [s]; else zero."""
         return self.began.lead * self.trial.dt
 
     @property
@@ -93,7 +91,6 @@ def free_run(model: LoadedModel, commands: Vec, start: float | TrialStart) -> Ve
     """Angles (T,) [deg] of a model over commands (T,), from a start and without any other measurement.
 
     Args:
-        model: that runs.
         commands: (T,) [command unit].
         start: angle [deg] of the device at rest at the first command; or another start.
     """
@@ -104,7 +101,7 @@ def free_run(model: LoadedModel, commands: Vec, start: float | TrialStart) -> Ve
 
 
 def started(model: LoadedModel, trial: Trial) -> TrialStart:
-    """Start of a free run over a trial: at rest, or where the model estimates it; see `models.start`."""
+    """Start of a free run over a trial: at rest, or estimated by the model; see `models.start`."""
     start, facts = trial_start(trial.command, trial.angle, trial.dt, trial.inverted), model.metadata
 
     def runs(commands: Vec, angles: Vec, plans: Vec) -> Vec:
@@ -117,17 +114,15 @@ def started(model: LoadedModel, trial: Trial) -> TrialStart:
 def evaluate(
     model: LoadedModel, trial: Trial, skip_first_flexure: bool = False, before: Trial | None = None
 ) -> TrialEvaluation:
-    """Evaluate a free run over one trial at the model's sample time; an inverse map runs over it swapped.
+    """Evaluate the free run of a model over one trial at the model's sample time.
 
-    A trial that begins at rest is scored from its first sample on. Of one that begins in motion the first seconds are
-    used to find the state of the device, and are not scored (`models.start`).
+    An inverse map is evaluated on the swapped trial. In a trial that begins in motion, the first seconds serve to
+    estimate the state and are not scored (`models.start`).
 
     Args:
-        model: that is scored.
-        trial: that is scored.
         skip_first_flexure: score from the first reversal of the trial's command on.
-        before: what was recorded up to the trial's first sample, of a trial that is part of a longer log. The free run
-            begins with it, and its samples do not count.
+        before: earlier samples of the same log, for a trial that is part of it. The free run begins with them, and they
+            are not scored.
 
     Raises:
         ModelError: if sample times or units differ, or the model's angle is not finite.
@@ -161,13 +156,13 @@ def evaluate(
 
 
 def mean_errors(evaluations: Sequence[TrialEvaluation]) -> Errors:
-    """Mean of each error over trials; that of the bias is signed."""
+    """Mean of each error over trials; the bias keeps its sign."""
     names = [field.name for field in fields(Errors)]
     return Errors(*(float(np.mean([getattr(e.errors, name) for e in evaluations])) for name in names))
 
 
 def evaluation_json(evaluations: Sequence[TrialEvaluation]) -> dict[str, Any]:
-    """Plain data in the format `hystmpc-evaluation/1`; of an inverse map, whose errors are commands, in another."""
+    """Evaluation as plain data in the format `hystmpc-evaluation/1`; an inverse map's has another name."""
     rows = [{"file": Path(e.trial.source).name, **vars(e.errors), "unscored_s": e.unscored_s} for e in evaluations]
     mean = dict(vars(mean_errors(evaluations)))
     if not evaluations[0].trial.inverted:
@@ -183,17 +178,16 @@ def start_sentences(results: Sequence[TrialEvaluation]) -> list[str]:
 
 
 def error_rows(results: Sequence[TrialEvaluation]) -> list[list[str]]:
-    """Errors of each trial and their mean, in the unit of the output, as `ERROR_COLUMNS` name them."""
+    """Errors of each trial and their mean, in the unit of the output, in the columns `ERROR_COLUMNS`."""
     places = _decimals(max(float(np.ptp(result.trial.angle)) for result in results))
     rows = [_row(Path(result.trial.source).name, result.errors, places) for result in results]
     return [*rows, _row("mean", mean_errors(results), places)]
 
 
 def error_sentence(results: Sequence[TrialEvaluation], which: str = "") -> str:
-    """Error of the free runs, in a sentence.
+    """Sentence on the error of the free runs.
 
     Args:
-        results: one or more.
         which: words behind their number, such as ` that the fit did not see`.
     """
     unit, mean = results[0].trial.units.angle, mean_errors(results)
@@ -208,7 +202,7 @@ def _row(name: str, e: Errors, places: int) -> list[str]:
 
 
 def _decimals(span: float) -> int:
-    """Decimal places that show an error in a table: three of a range of tens, more of a smaller one."""
+    """Number of decimal places for errors in a table: three for a range of tens, more for a smaller one."""
     return 3 if span <= 0 else max(3, 4 - math.floor(math.log10(span)))
 
 

@@ -23,9 +23,7 @@ def evaluation_report(
     """Page of an evaluation or a fit.
 
     Args:
-        title, subtitle: of the page.
-        parts: sets of trials, the one that counts most first, each with the words of `error_sentence`.
-        more: shown behind them.
+        parts: sets of trials, the most important first, each with the words of `error_sentence`.
     """
     pieces = [piece for which, results in parts for piece in _pieces(which, results)]
     return Report(title, (*pieces, *more), subtitle)
@@ -47,7 +45,7 @@ def _pieces(which: str, results: Sequence[TrialEvaluation]) -> Iterator[Piece]:
 
 
 def free_run_figure(results: Sequence[TrialEvaluation]) -> Figure:
-    """Measurement, model and error over time, of the three trials with the greatest error."""
+    """Figure of measurement, model and error over time, for the three trials with the greatest error."""
     return time_figure([_simulated(run) for run in _worst(results)], "error")
 
 

@@ -1,4 +1,4 @@
-"""Model files of either kind, a simulator in YAML or an export in ONNX, and what `builtin:NAME` means."""
+"""Loading of model files: simulators in YAML, exports in ONNX, and built-in models `builtin:NAME`."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def load_model(path: Path | str, start: Start = "initial") -> ChainModel | OnnxM
     """Open a model file; `.simulator` of the result is the readable form of an operator-based model.
 
     Args:
-        path: a simulator (`.yaml`), an exported model (`.onnx`), or `builtin:NAME` for one that ships.
+        path: a simulator (`.yaml`), an exported model (`.onnx`), or `builtin:NAME`.
         start: state at the start of a free run: `initial` of a fresh device, `conditioned` after its first flexure.
 
     Raises:
@@ -40,12 +40,12 @@ def load_model(path: Path | str, start: Start = "initial") -> ChainModel | OnnxM
 
 
 def library_names() -> tuple[str, ...]:
-    """Names of the models that ship with the package, such as `tendon-catheter`."""
+    """Names of the built-in models, such as `tendon-catheter`."""
     return tuple(sorted(_shipped()))
 
 
 def library_file(name: str) -> Path:
-    """File of a model that ships with the package.
+    """File of a built-in model.
 
     Raises:
         ModelError: on an unknown name; says which there are.
@@ -57,7 +57,7 @@ def library_file(name: str) -> Path:
 
 
 def model_path(text: str, folder: Path | str = ".") -> Path:
-    """File that a configuration names: `builtin:NAME`, or a path that starts at `folder` where it is relative.
+    """Path of the model named in a configuration: `builtin:NAME`, or a path relative to `folder`.
 
     Raises:
         ModelError: on an unknown built-in name.

@@ -12,12 +12,12 @@ from numpy.typing import ArrayLike
 from hystmpc.trials.errors import FitError, ModelError
 from hystmpc.trials.types import Vec
 
-_FEWEST = 3  # points that fix a parabola
+_FEWEST = 3  # points that determine a parabola
 
 
 @dataclass(frozen=True)
 class QuadraticMap:
-    """y = a theta^2 + b theta + c, with its inverse on the monotone branch that holds theta = 0.
+    """Quadratic map y = a theta^2 + b theta + c, with its inverse on the monotone branch through theta = 0.
 
     Source: S2 sec. IV-B; coefficients of the authors' code.
 
@@ -57,12 +57,12 @@ class QuadraticMap:
 
     @property
     def turning_deg(self) -> float:
-        """Angle at which the map turns: beyond it there is no inverse [deg]; infinite for a straight line."""
+        """Angle of the turning point, beyond which there is no inverse [deg]; infinite for a straight line."""
         return -self.b / (2 * self.a) if self.a else math.inf
 
     @property
     def turning_mm(self) -> float:
-        """Coordinate at the turning angle: the greatest (a < 0) or least (a > 0) that is reached [mm]."""
+        """Coordinate of the turning point: the greatest (a < 0) or least (a > 0) possible one [mm]."""
         return self.c - self.b**2 / (4 * self.a) if self.a else math.inf
 
     def __call__(self, theta_deg: ArrayLike) -> Vec:
@@ -134,7 +134,7 @@ S2_TIP_MAP_SINUSOIDS = TipMap(
 
 @dataclass(frozen=True)
 class LaserConversion:
-    """Voltage of S1's laser distance sensor to tip angle.
+    """Conversion of the voltage of S1's laser distance sensor to the tip angle.
 
     s = m U + n;  d = s_straight - s;  theta = 2 d L / (H^2 + d^2), where s_straight is the greatest s of the group.
     L and H stand in S1's lost Fig. 3; 54.75 mm for both agrees with its "1-3 mm corresponds to 2.09-6.26 deg".
@@ -162,7 +162,7 @@ class LaserConversion:
 
     @property
     def greatest_deg(self) -> float:
-        """Greatest angle of eq. (4), at d = H [deg]; displacement has no single value beyond it."""
+        """Greatest angle of eq. (4), at d = H [deg]; beyond it the displacement is not unique."""
         return math.degrees(self.l_mm / self.h_mm)
 
     def distance(self, voltage_v: ArrayLike) -> Vec:
@@ -170,7 +170,7 @@ class LaserConversion:
         return np.asarray(self.m_mm_per_v * np.asarray(voltage_v, dtype=np.float64) + self.n_mm)
 
     def voltage(self, distance_mm: ArrayLike) -> Vec:
-        """Voltage [V] from distance s [mm]: eq. (2) backwards."""
+        """Voltage [V] from distance s [mm] by the inverse of eq. (2)."""
         return np.asarray((np.asarray(distance_mm, dtype=np.float64) - self.n_mm) / self.m_mm_per_v)
 
     def angle(self, displacement_mm: ArrayLike) -> Vec:

@@ -1,4 +1,4 @@
-"""Models with explicit state: one sample in, one sample out; predictors and inverses."""
+"""Interfaces of models with explicit state, of predictors and of inverses."""
 
 from __future__ import annotations
 
@@ -15,23 +15,23 @@ from hystmpc.trials.types import Vec
 from .contract.metadata import ModelMetadata, NoiseModel, Start
 from .rest import RestRule
 
-_SETTLING_S = 2.0  # many times the lag of any catheter drive
+_SETTLING_S = 2.0  # [s], many times the lag of any catheter drive
 
 
 class Model(Protocol):
-    """A tip-angle model with explicit state.
+    """Interface of a tip-angle model with explicit state.
 
     The state `x` has `nx` entries and is batched over a leading axis: `x` (N, nx), `u` (N, 1), `y` (N, 1).
     """
 
     @property
     def nx(self) -> int:
-        """Entries of the state."""
+        """Number of entries of the state."""
         ...
 
     @property
     def nu(self) -> int:
-        """Commands: one."""
+        """Number of commands: one."""
         ...
 
     @property
@@ -40,7 +40,7 @@ class Model(Protocol):
         ...
 
     def initial(self, y: Vec) -> Vec:
-        """State of a device that rests at the measured angle `y` (N, 1) [deg]."""
+        """State of a device at rest at the measured angle `y` (N, 1) [deg]."""
         ...
 
     def step(self, x: Vec, u: Vec) -> Vec:
@@ -53,7 +53,7 @@ class Model(Protocol):
 
 
 class StepFunction(ABC):
-    """One stateful step in the layout of the ONNX contract: the reference that an exported graph is held against."""
+    """Reference of an exported graph: one step with explicit state, in the layout of the ONNX contract."""
 
     state_size: int
 
@@ -67,15 +67,7 @@ class StepFunction(ABC):
 
 
 class LoadedModel(ABC):
-    """Model of a file, ready to run: the step of the ONNX contract behind the `Model` protocol.
-
-    The model's state is x = [state, theta] (N, S + 1): it carries the angle that it last produced, so that `output` is
-    a projection.
-
-    Args:
-        metadata: what the file says about the model.
-        start: rule that makes the state at the start.
-    """
+    """Model ready to run behind the `Model` protocol, with the state x = [state, last theta] (N, S + 1)."""
 
     def __init__(self, metadata: ModelMetadata, start: Start) -> None:
         self.metadata: ModelMetadata = metadata
@@ -92,12 +84,12 @@ class LoadedModel(ABC):
 
     @property
     def nx(self) -> int:
-        """Entries of x: state and last angle."""
+        """Number of entries of x: state and last angle."""
         return self.state_size + 1
 
     @property
     def nu(self) -> int:
-        """Commands: one."""
+        """Number of commands: one."""
         return 1
 
     @property
@@ -106,25 +98,19 @@ class LoadedModel(ABC):
         return self.metadata.dt_s
 
     def initial(self, y: Vec) -> Vec:
-        """State x (N, S + 1) of a device that rests at the measured angles `y` (N, 1) [deg], before the warm-up.
-
-        The command is the one at which the file's rule holds; `resting` takes any.
-        """
+        """State x (N, S + 1) of a device at rest at `y` (N, 1) [deg], by the file's rule, before the warm-up."""
         y = np.asarray(y, dtype=np.float64).reshape(-1, 1)
         return np.hstack([self._rule.state(y), y])
 
     def resting(self, commands: Vec, angles: Vec) -> Vec:
-        """States (N, S) of a device held at commands (N,) that shows angles (N,) [deg], after the warm-up.
-
-        Every free run begins here, that of an evaluation as well as that of a plan; see `RestRule`.
-        """
+        """States (N, S) after constant commands (N,) with output angles (N,) [deg] and the warm-up; see `RestRule`."""
         commands, angles = (np.asarray(given, dtype=np.float64) for given in (commands, angles))
         states = self._rest.states(commands, angles)
         held = self._rest.hold_samples
         return self.run_on(states, np.tile(commands[:, None], held))[1] if held else states
 
     def at_rest(self, theta_deg: float, command: float) -> Vec:
-        """State (S,) of a device that rests at an angle [deg] under a command; see `resting`."""
+        """State (S,) of a device at rest at an angle [deg] under a command; see `resting`."""
         return self.resting(np.array([command]), np.array([theta_deg]))[0]
 
     def run_on(self, states: Vec, commands: Vec) -> tuple[Vec, Vec]:
@@ -154,29 +140,29 @@ class LoadedModel(ABC):
 
 
 class Predictor(ABC):
-    """Fast roll-outs of one model from one state: what a predictive controller asks for.
+    """Fast roll-outs of one model from one state, for predictive control.
 
-    The state is a flat vector (S,) in the model's own layout; only this object reads it. Plans are commands
-    [mm or bar], predictions tip angles [deg]; `theta[k]` is the angle after `plan[k]` has acted for one sample.
+    The state is a flat vector (S,) in the model's layout, used by this object alone. Plans are commands [mm or bar],
+    predictions tip angles [deg]; `theta[k]` is the angle one sample after the start of `plan[k]`.
     """
 
     dt: float
-    command_range: tuple[float, float]  # the range the model was identified on
-    noise: NoiseModel | None = None  # what the model leaves unexplained, where its file says so
-    model_sigma_deg: float = math.nan  # how far it is off where no sensor corrects it [deg]; not-a-number: not known
+    command_range: tuple[float, float]  # trained range
+    noise: NoiseModel | None = None  # None where the file has none
+    model_sigma_deg: float = math.nan  # error without a sensor [deg]; not-a-number where unknown
 
     def _as(self, other: Predictor) -> None:
-        """Take sample time, range and noise from another predictor."""
+        """Copy sample time, range and noise from another predictor."""
         self.dt, self.command_range = other.dt, other.command_range
         self.noise, self.model_sigma_deg = other.noise, other.model_sigma_deg
 
     @abstractmethod
     def initial(self, y: float, u: float) -> Vec:
-        """State (S,) of a device that shows angle `y` [deg] and has been held at command `u`."""
+        """State (S,) of a device at angle `y` [deg] after a constant command `u`."""
 
     @abstractmethod
     def advance(self, state: Vec, u: float) -> tuple[float, Vec]:
-        """Angle [deg] and state one sample later; the given state is left as it is."""
+        """Angle [deg] and state one sample later; the given state is not changed."""
 
     @abstractmethod
     def rollout(self, state: Vec, plans: Vec) -> Vec:
@@ -191,12 +177,7 @@ class Predictor(ABC):
 
 
 class ModelPredictor(Predictor):
-    """Predictions of one model file; the state is the model's own.
-
-    Args:
-        metadata: what the file says about the model.
-        start: rule that makes the initial state.
-    """
+    """Predictor of one model file; the state is the model's."""
 
     def __init__(self, metadata: ModelMetadata, start: Start = "conditioned") -> None:
         self.dt = metadata.dt_s
@@ -212,23 +193,19 @@ class ModelPredictor(Predictor):
 
 
 class InvertiblePredictor(ModelPredictor):
-    """A predictor of a model whose angle does not fall with the command, with a fast search for the command."""
+    """Predictor of a model whose angle does not fall with the command, with a fast search for the command."""
 
     @abstractmethod
     def command_for(self, state: Vec, theta: float, low: float, high: float, last: float) -> float:
-        """Command in [low, high] after which the angle is `theta` [deg], exact to 1e-11; see `CompiledInverse`."""
+        """Command in [low, high] whose next angle is `theta` [deg], exact to 1e-11; see `CompiledInverse`."""
 
 
 class Inverse(ABC):
-    """The inverse of a model from its present memory: angle in, command out."""
+    """Inverse of a model from its present memory: angle to command."""
 
     @abstractmethod
     def command(self, state: Vec, theta: float, u_last: float) -> float:
-        """Command [mm or bar] that brings the predictor state `state` to angle `theta` [deg].
-
-        Where a whole interval of commands does (the dead band of a play), the one nearest to `u_last`; where none
-        does, the one that comes closest.
-        """
+        """Command [mm or bar] whose angle is nearest to `theta` [deg]; in a dead band the one nearest to `u_last`."""
 
 
 FitProgress = Callable[[int, float], None]
@@ -236,10 +213,7 @@ FitProgress = Callable[[int, float], None]
 
 
 def static_gain(model: Predictor) -> float:
-    """Static gain: difference of the angles at rest at both ends of the commands over their range [deg per unit].
-
-    Dead bands and lags do not count.
-    """
+    """Static gain without dead bands and lags: difference of the angles at rest over the command range [deg/cmd]."""
     low, high = model.command_range
     samples = max(round(_SETTLING_S / model.dt), 1)
     plans = np.array([np.full(samples, low), np.full(samples, high)])

@@ -17,8 +17,8 @@ CYCLES, FREQUENCY_HZ = 7, 0.2
 def probe_commands(facts: ModelMetadata) -> Vec:
     """Decaying sinusoid (T,) of S2 (RA-L 2024) eq. (9)-(10): zero baseline, 0.2 Hz, seven cycles.
 
-    u = low + (high - low) / 2 e^{-tau t} (sin(2 pi f t - pi / 2) + 1),  tau = f ln(7) / 6; slower where the device
-    was never driven as fast, so that the probe stays inside what the model was trained on.
+    u = low + (high - low) / 2 e^{-tau t} (sin(2 pi f t - pi / 2) + 1),  tau = f ln(7) / 6; slower where needed to
+    stay within the trained rate.
     """
     low, high = facts.trained_command.lower, facts.trained_command.upper
     half = 0.5 * (high - low)
@@ -33,7 +33,7 @@ REST_S = 5.0
 
 
 def flexed(step: StepFunction, state: Vec, commands: Range, dt_s: float, warmup_samples: int) -> Vec:
-    """State (S,) after the initialisation flexure of S2 (RA-L 2024), run through the model itself from a state (S,)."""
+    """State (S,) after the initialisation flexure of S2 (RA-L 2024), simulated by the model from a state (S,)."""
     at = state[None]
     for u in initialisation_flexure(commands, dt_s, warmup_samples):
         _, at = step.advance(at, np.array([[u]]))
@@ -43,13 +43,10 @@ def flexed(step: StepFunction, state: Vec, commands: Range, dt_s: float, warmup_
 def initialisation_flexure(commands: Range, dt_s: float, warmup_samples: int, rest: float | None = None) -> Vec:
     """Commands (T,) of a flexure: the lowest for the warm-up, a 0.1 Hz sine to the highest and back, 5 s at rest.
 
-    A device that rests between both ends, as one that bends both ways does, goes from the lowest command to its rest
-    along half a sine as quick.
+    A device with its rest between both ends, such as one that bends both ways, then moves from the lowest command to
+    its rest along half a sine of the same duration.
 
     Args:
-        commands: between which it is flexed.
-        dt_s: sample time [s].
-        warmup_samples: see above.
         rest: command at rest; the lowest where left out.
     """
     t = np.arange(0.0, 1.0 / FLEXURE_HZ, dt_s)

@@ -1,4 +1,4 @@
-"""The state at rest of any model, from the command that is held and the angle that is seen; of a chain it is exact."""
+"""State at rest of any model, from the constant command and the measured angle; exact for a chain."""
 
 from __future__ import annotations
 
@@ -22,15 +22,12 @@ _Part = Callable[[Vec, Vec], Vec]  # commands and angles (N,) -> states (N, S)
 
 @final
 class RestRule:
-    """States of a device that has been held at a command and shows an angle, before the warm-up.
+    """States of a device after a constant command at an output angle, before the warm-up.
 
-    Of a chain of operators it is exact (`ChainRest`). Operators of a connection rest where they are held, and the model
-    behind them starts by its file's rule, as any other model does.
+    The states are exact for a chain of operators (`ChainRest`); other models start by their file's rule.
 
     Args:
-        facts: of the model.
-        start: which rule of the file.
-        chain: the operators, where the model is a chain; those that the facts name where left out.
+        chain: the operators, where the model is a chain; those in the facts where left out.
     """
 
     def __init__(self, facts: ModelMetadata, start: Start, chain: Chain | None = None) -> None:
@@ -38,24 +35,24 @@ class RestRule:
 
     @property
     def hold_samples(self) -> int:
-        """Samples for which the command is held from these states on, until the model rests."""
+        """Number of samples for which the command is held from these states on, until the model rests."""
         chain = self._whole
         return self._facts.warmup_samples if chain is None else chain.rest_samples
 
     def states(self, commands: Vec, angles: Vec) -> Vec:
-        """States (N, S) at commands (N,) [command unit] that show angles (N,) [deg]."""
+        """States (N, S) at commands (N,) [command unit] with output angles (N,) [deg]."""
         return np.hstack([part(commands, angles) for part in self._parts])
 
     @cached_property
     def _whole(self) -> Chain | None:
-        """The chain of which the whole model consists; None where it does not, or its operators are not known here."""
+        """Chain of the whole model; None where it is no chain, or its operators are unknown here."""
         if self._chain is not None or self._facts.chain is None:
             return self._chain
         from .chain import chain_from
 
         try:
             chain = chain_from(self._facts.chain, "chain")
-        except ModelError:  # an effect of somebody else's, whose code is not installed here
+        except ModelError:  # effect of a package that is not installed
             return None
         return chain if chain.state_size == self._facts.state_size else None
 
@@ -77,12 +74,12 @@ class RestRule:
 
 
 def _drive(rest: ChainRest) -> _Part:
-    """States of operators in series, whose output is the held command."""
+    """States of operators in series, whose output is the constant command."""
     return lambda commands, angles: rest.states(commands, commands)
 
 
 def _by_rule(rule: InitialRule, shows: bool) -> _Part:
-    """States by the rule of a file, at angle zero where operators in parallel show the angle."""
+    """States by the rule of a file, at angle zero where operators in parallel have the angle."""
 
     def states(commands: Vec, angles: Vec) -> Vec:
         seen = angles if shows else np.zeros_like(angles)
@@ -95,21 +92,20 @@ def _by_rule(rule: InitialRule, shows: bool) -> _Part:
 FLAT = 1e-3
 """A derivative of what the chain shows by the core's angle that is smaller leads nowhere."""
 
-_ROUNDS, _CLOSE, _WITHIN = 8, 1e-9, 1e-6  # Newton steps; difference that is none; step back from an edge
+_ROUNDS, _CLOSE, _WITHIN = 8, 1e-9, 1e-6  # Newton steps; tolerance; step back from an edge
 
 
 class HeldCores(Protocol):
-    """N rows held at their commands, see `nearest_shown`: what core and chain show, and the latter's derivative by the
-    angle given to the core (N,) each."""
+    """Interface of N rows at constant commands, see `nearest_shown`: angles of core and chain, and their derivative."""
 
     @property
     def core(self) -> Vec:
-        """Angle that the core shows [deg]."""
+        """Angle of the core [deg]."""
         ...
 
     @property
     def signal(self) -> Vec:
-        """Angle that the chain shows [deg]."""
+        """Output angle of the chain [deg]."""
         ...
 
     @property
@@ -118,10 +114,10 @@ class HeldCores(Protocol):
         ...
 
     def put(self, n: Index, other: Self) -> None:
-        """Take rows n from another that has just these."""
+        """Replace rows n by those of another."""
 
     def rows(self, n: Index) -> Self:
-        """A copy of some rows."""
+        """Copy of some rows."""
         ...
 
 
@@ -129,18 +125,18 @@ Held = TypeVar("Held", bound=HeldCores)
 
 
 def nearest_shown(angle: Vec, held_at: Callable[[Index, Vec], Held]) -> Held:
-    """Rows whose chain shows angles (N,) [deg], or the nearest that it can.
+    """Rows whose chain has output angles (N,) [deg], or the nearest possible ones.
 
-    Newton's method on the angle given to the core. Where that is beyond what the core can hold, the search goes on
-    from the edge of what it can, a little within. Rows do not depend on others.
+    Newton's method on the angle given to the core. Where that is beyond the core's range, the search continues a little
+    within the edge of the range. Rows are independent.
 
     Args:
-        angle: seen (N,) [deg].
-        held_at: rows of these numbers, whose cores are given these angles.
+        angle: measured (N,) [deg].
+        held_at: function from row numbers and core angles to the rows.
     """
     at, side, out = angle.copy(), np.zeros(angle.size), np.arange(angle.size)
     held = held_at(out, at)
-    beyond = held.rows(out)  # where a row was first beyond what the core can hold
+    beyond = held.rows(out)  # rows at their first point outside the core's range
     for _ in range(_ROUNDS):
         out = out[~(np.abs(angle - held.signal)[out] < _CLOSE)]
         edge = out[np.abs(held.moves[out]) < FLAT]
@@ -152,7 +148,7 @@ def nearest_shown(angle: Vec, held_at: Callable[[Index, Vec], Held]) -> Held:
             if turned.size:
                 at[turned] = (held.core + side * _WITHIN)[turned]
                 held.put(turned, held_at(turned, at[turned]))
-            lost = edge[(side[edge] == past) | (np.abs(held.moves[edge]) < FLAT)]  # nothing within leads any further
+            lost = edge[(side[edge] == past) | (np.abs(held.moves[edge]) < FLAT)]  # no angle within the range is nearer
             held.put(lost, beyond.rows(lost))
             out = np.setdiff1d(out, lost)
         if not out.size:
@@ -164,14 +160,7 @@ def nearest_shown(angle: Vec, held_at: Callable[[Index, Vec], Held]) -> Held:
 
 @dataclass(frozen=True, eq=False)
 class _Held:
-    """N rows held at their commands.
-
-    Attributes:
-        state: from the core on (S, N).
-        core: angle that the core shows (N,) [deg].
-        signal: angle that the chain shows (N,) [deg].
-        moves: derivative of `signal` by the angle given to the core (N,).
-    """
+    """Rows at constant commands: state from the core on (S, N), and the quantities of `HeldCores` (N,)."""
 
     state: Vec
     core: Vec
@@ -179,31 +168,27 @@ class _Held:
     moves: Vec
 
     def put(self, n: Index, other: _Held) -> None:
-        """Take rows n from another that has just these."""
         self.state[:, n], self.core[n], self.signal[n], self.moves[n] = (
             other.state, other.core, other.signal, other.moves,
         )  # fmt: skip
 
     def rows(self, n: Index) -> _Held:
-        """A copy of some rows."""
         return _Held(self.state[:, n], self.core[n], self.signal[n], self.moves[n])
 
 
 @final
 class ChainRest:
-    """States of a chain that has been held at a command and shows an angle.
+    """States of a chain after a constant command at an output angle.
 
-    Every operator rests at what the one before it hands on, and the core at the angle for which the whole chain shows
-    the one that was seen; where it cannot, at the nearest (`nearest_shown`). `StagedChain.settled` is the same rule
-    with derivatives, which a fit needs; this one needs no compilation.
+    Every operator rests at the output of the one before it, and the core at the angle for which the whole chain has the
+    measured angle or the nearest possible one (`nearest_shown`). `StagedChain.settled` adds derivatives.
 
     Args:
         chain: its delays with a store for the sample time.
-        dt_s: sample time [s].
     """
 
     def __init__(self, chain: Chain, dt_s: float) -> None:
-        import casadi as ca  # a model without operators does without it
+        import casadi as ca  # not loaded for models without operators
 
         from .kernels.program import dense
 
@@ -224,7 +209,7 @@ class ChainRest:
         self._behind = dense("behind", [v, a], [ca.vertcat(*states), shown, signal, ca.jacobian(signal, a)])
 
     def states(self, command: Vec, angle: Vec) -> Vec:
-        """States (N, S) at commands (N,) that show angles (N,) [deg], or the nearest that they can."""
+        """States (N, S) at commands (N,) with output angles (N,) [deg], or the nearest possible ones."""
         angle = np.asarray(angle, dtype=np.float64)
         ahead, v = _rows(self._before, np.asarray(command, dtype=np.float64))
         held = nearest_shown(angle, lambda n, at: self._held(v[0, n], at))
@@ -236,7 +221,6 @@ class ChainRest:
 
 
 def _rows(function: Any, *inputs: Vec) -> list[Vec]:
-    """Results (rows, N) of a function of numbers at N points."""
     import casadi as ca
 
     if not inputs[0].size:

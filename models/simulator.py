@@ -1,4 +1,4 @@
-"""The simulator: a chain of operators in readable YAML, with limits, trained range and residuals; and its model."""
+"""Simulators: a chain of operators in readable YAML, with limits, trained range and residuals; and their models."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ class Identification(Settings):
 
     Attributes:
         residuals: one for each trial.
-        noise: what they consist of, see `ModelMetadata.noise`.
+        noise: noise model of the residuals, see `ModelMetadata.noise`.
         method: name of the identification.
         seed: of its random numbers.
         skip_first_flexure: whether each trial counted only from the first reversal of the command on.
@@ -81,7 +81,7 @@ class Identification(Settings):
         """Root mean square of the correlated part of the residuals, about the mean of each trial; None without trials.
 
         sigma^2 = sum_i n_i rho_i (rmse_i^2 - bias_i^2) / sum_i n_i with the correlation rho of neighbours, zero or
-        more: white noise of the sensor has none. That is `NoiseModel.model_sigma_deg`, of the table alone.
+        more: white noise of the sensor has none. It is `NoiseModel.model_sigma_deg`, from the table alone.
         """
         count = sum(row.samples for row in self.residuals)
         if not count:
@@ -96,12 +96,12 @@ class SimulatorFile(Settings):
     Attributes:
         format: name and version of the layout, `hystmpc-simulator/1`.
         dt_s: sample time of the identification [s]; the operators hold at any.
-        command_unit: mm or bar, or what another device takes.
-        command_limits: what the device may be sent.
+        command_unit: mm or bar, or the unit of another device.
+        command_limits: limits of the command sent to the device.
         command_rate_per_s: greatest change of the command per second.
-        trained_command: commands that identification saw.
-        trained_angle_deg: angles that identification saw.
-        trained_rate_per_s: greatest rate of the command that identification saw.
+        trained_command: range of the command in the identification trials.
+        trained_angle_deg: range of the angle in the identification trials.
+        trained_rate_per_s: greatest rate of the command in the identification trials.
         angle_unit: deg; an inverse map takes deg and gives mm or bar.
         inverse: whether it is an inverse map; null where one unit alone is deg and tells.
         rest_command: at which the device rests before a motion; null for the lower end of its command.
@@ -126,11 +126,9 @@ class SimulatorFile(Settings):
 
 @dataclass(frozen=True)
 class Simulator:
-    """A chain of operators with all that makes it usable: sample time, units, limits, range and origin.
+    """Chain of operators with sample time, units, limits, trained range and origin; attributes as of `SimulatorFile`.
 
-    Attributes as of `SimulatorFile`, with the operators built.
-
-    A delay whose store is too short at that sample time, as in a file written by hand, gets one that is long enough.
+    A delay whose store is too short at that sample time, as in a file written by hand, gets a longer one.
     """
 
     chain: Chain
@@ -157,7 +155,7 @@ class Simulator:
         object.__setattr__(self, "chain", self.chain.with_room(self.dt_s))
 
     def at_sample_time(self, dt_s: float) -> Simulator:
-        """The same simulator at sample time `dt_s` [s], see `Chain.at_sample_time`."""
+        """Simulator at sample time `dt_s` [s], see `Chain.at_sample_time`."""
         return replace(self, chain=self.chain.at_sample_time(dt_s, self.dt_s), dt_s=dt_s)
 
     @property
@@ -170,10 +168,7 @@ class Simulator:
         return save_simulator(self, path)
 
     def metadata(self) -> ModelMetadata:
-        """The facts of the model contract.
-
-        The device is taken to rest at `rest_command`; operators do not age, so that a fresh device
-        and one that has done its first flexure start by the same rule.
+        """Metadata of the model contract; a fresh and a conditioned device start by the same rule.
 
         Raises:
             ModelError: if a fact is out of its bounds.
@@ -217,7 +212,7 @@ class Simulator:
 
 
 def simulator_for(chain: Chain, facts: ModelMetadata, method: str) -> Simulator:
-    """A chain with the sample time, units, limits and ranges of another model."""
+    """Simulator of a chain with the sample time, units, limits and ranges of another model."""
     return Simulator(
         chain=chain,
         dt_s=facts.dt_s,
@@ -262,7 +257,7 @@ def load_simulator(path: Path | str) -> Simulator:
 
 @final
 class ChainModel(LoadedModel, StepFunction):
-    """A simulator as a model, run by its compiled step; the reference of its own export."""
+    """Model of a simulator, run by its compiled step; the reference of its export."""
 
     def __init__(self, simulator: Simulator, start: Start = "initial") -> None:
         super().__init__(simulator.metadata(), start)
@@ -273,7 +268,6 @@ class ChainModel(LoadedModel, StepFunction):
         self._step = simulator.chain.bound(simulator.dt_s)
 
     def advance(self, state: Vec, u: Vec) -> tuple[Vec, Vec]:
-        """Angles (N, 1) and next states (N, S) from states (N, S) and commands (N, 1)."""
         following = np.array(state, dtype=np.float64, order="C")
         u = np.ascontiguousarray(u, dtype=np.float64)
         theta = np.empty_like(u)
@@ -295,7 +289,6 @@ class ChainModel(LoadedModel, StepFunction):
         return ca.Function("model", [x, u], self._step(x, u), ["state", "u"], ["theta", "next_state"])
 
     def jacobian(self, state: Vec, u: float) -> Vec:
-        """Derivative of (theta, next state) by (state, u), shape (1 + S, S + 1)."""
         return np.asarray(self._derivative(state, u))
 
     @cached_property
@@ -306,7 +299,7 @@ class ChainModel(LoadedModel, StepFunction):
 
 
 def simulator_bundle(simulator: Simulator) -> ExportBundle:
-    """Graph, facts, reference and probe of a simulator, in double; the graph is made when it is exported."""
+    """Exportable bundle of a simulator in double precision; the graph is made during the export."""
     model = ChainModel(simulator)
 
     def graph() -> onnx.GraphProto:

@@ -1,7 +1,4 @@
-"""Start of a recorded trial: at rest at its first command and angle, or in motion, where a model estimates its state.
-
-One rule for the search of a fit, its residuals, evaluation and diagnosis.
-"""
+"""Start of a recorded trial: at rest at its first command and angle, or in motion at an estimated state."""
 
 from __future__ import annotations
 
@@ -14,15 +11,15 @@ from hystmpc.trials.types import Mask, Vec
 
 from .contract.metadata import Range
 
-STILL = 0.002  # of the command's range: a command that has moved less is at rest
+STILL = 0.002  # share of the command's range below which a command is at rest
 _LOOK_S, _NOISE_S, _LONG_S, _MEAN_S = 0.04, 0.6, 5.0, 1.0
-_NO_WAY = 1e-4  # of the command's range, in an interval that is looked at
-_SLOW = 0.005  # of the greatest speed of the command: that is none
+_NO_WAY = 1e-4  # travel in an interval that counts as none, as share of the command's range
+_SLOW = 0.005  # share of the greatest speed that counts as zero
 _EARLIER, _LATER = 0.25, 0.5  # intervals by which a motion from rest may have begun before or after the first sample
-_LITTLE = 0.01  # of the range: a command that moves by less while it is looked at sets out slowly
-_FOLLOWS = 2.0  # times the share of its range that the command has moved by: the angle may have moved by as much
+_LITTLE = 0.01  # share of the range below which a motion begins slowly
+_FOLLOWS = 2.0  # allowed motion of the angle relative to that of the command, both as shares of their ranges
 _SURE, _SCATTER = 3.0, 5.0  # standard errors of a drift, and standard deviations of a command's noise
-_SEEN = 0.1  # of the command's range, within which an extreme counts as visited
+_SEEN = 0.1  # share of the command's range within which an extreme counts as visited
 _LEAST_S, _LEAST_SHARE, _MOST_SHARE = 3.0, 0.1, 0.5
 
 Box = tuple[Range, Range]
@@ -36,10 +33,10 @@ class TrialStart:
     """Start of a free run over a trial.
 
     Attributes:
-        command, angle: at which the device rests before the first sample [command unit], [deg]. Of a trial that begins
-            in motion: the rest from which its first samples are best explained, once a model has been asked.
-        lead: first samples that are used to find the state and are not scored; 0 of a trial that begins at rest.
-        approach: commands between that rest and the first sample, of a trial that begins in motion.
+        command, angle: of the rest before the first sample [command unit], [deg]. For a trial that begins in motion:
+            the rest that best explains its first samples, after an estimate by a model.
+        lead: first samples that are used to estimate the state and are not scored; 0 for a trial that begins at rest.
+        approach: commands between that rest and the first sample, for a trial that begins in motion.
     """
 
     command: float
@@ -56,15 +53,14 @@ class TrialStart:
 def trial_start(command: Vec, angle: Vec, dt_s: float, inverted: bool = False) -> TrialStart:
     """Start of a trial, from its samples alone.
 
-    It begins at rest where the command has no speed at the first sample, since it is held or sets out from there, and
-    the angle keeps still while the command does. The device then rests at the mean of the samples before the command
-    has moved, of at most one second: noise of a single sample would stay in wide plays. Any other trial begins in
-    motion: it is a part of a longer recording, or was begun late, and its first samples do not tell the state of the
-    device. They are then not scored: until the command has been near both of its ends, at most half of the trial.
+    It begins at rest where the command has no speed at the first sample, and the angle is constant while the command
+    is. The device then rests at the mean of the samples before the command has moved, of at most one second: noise of a
+    single sample would stay in wide plays. Any other trial begins in motion, and its first samples do not determine the
+    state of the device. They are not scored until the command has been near both of its ends, for at most half of the
+    trial.
 
     Args:
-        command, angle: of the trial (T,).
-        dt_s: sample time [s].
+        command, angle: (T,).
         inverted: whether these are those of an inverse map, which starts at its first sample.
     """
     span = float(np.ptp(command))
@@ -81,21 +77,18 @@ def trial_start(command: Vec, angle: Vec, dt_s: float, inverted: bool = False) -
 
 
 def estimated_start(start: TrialStart, command: Vec, angle: Vec, dt_s: float, box: Box, runs: Runs) -> TrialStart:
-    """Start from which a model best explains the samples that are not scored.
+    """Start with which a model best explains the samples that are not scored.
 
         min_(u, y, e)  sum_{k < lead} w_k (theta_k(u, y, e) - y_k)^2,   w_k = (k / lead)^2
 
-    over a grid that shrinks around its best point. The device is taken to have rested at u, where it showed y, and then
-    to have gone to e and from there to the first sample, as fast as the trial goes on. So the memory of a creep, the
-    offset of plays wider than the motion, the branch of the loop and a lag that is under way are all within reach.
-    What is forgotten by then weighs little: the last samples before the scored ones count most.
+    over a grid that shrinks around its best point. The device is assumed to rest at u with angle y, then to move to e
+    and from there to the first sample, at the speed of the trial. This covers the memory of a creep, the offset of
+    plays wider than the motion, the branch of the loop and a lag in progress. The last samples before the scored ones
+    count most.
 
     Args:
-        start: of a trial that begins in motion.
         command, angle: measured (T,).
-        dt_s: sample time [s].
         box: ranges that are searched; the trial's samples lie within.
-        runs: of the model.
     """
     if start.at_rest:
         return start
@@ -138,7 +131,7 @@ def _ends(box: Box) -> tuple[tuple[float, float], tuple[float, float]]:
 
 
 def _approach(rest: float, turn: float, command: Vec, box: Range, dt_s: float) -> Vec:
-    """Commands from a rest to just before the first sample; `turn`: share of the last way to the end of the box."""
+    """Commands from a rest to just before the first sample; `turn`: share of the last travel to the end of the box."""
     look, count = max(round(_LOOK_S / dt_s), 1), max(round(_APPROACH_S / dt_s), 2)
     speed = float(command[look] - command[0]) / look
     end = box.lower if speed > 0 else box.upper
@@ -150,7 +143,7 @@ def _approach(rest: float, turn: float, command: Vec, box: Range, dt_s: float) -
 
 
 def search_box(command: Range, angle: Range) -> Box:
-    """Ranges in which a device may have rested: a little wider than those of its trials."""
+    """Ranges of the rest command and angle in the search: a little wider than those of the trials."""
     w, h = 0.25 * (command.upper - command.lower), 0.1 * (angle.upper - angle.lower)
     return (
         Range(lower=command.lower - w, upper=command.upper + w),
@@ -176,8 +169,7 @@ def _averaged(angle: Vec, held: int, still: int, dt_s: float) -> int:
 def _still(command: Vec, span: float, dt_s: float) -> tuple[int, int, int, bool]:
     """Samples before the command has moved at all, has moved, and by more than a little; and whether it is in motion.
 
-    Its speed at the first sample is that of the parabola through three samples, v = (3 d_1 - d_2) / 2 with the travels
-    d_1, d_2 of two intervals; it is none within a part of the change of the travel from one interval to the next.
+    Its initial speed follows from the parabola through three samples, v = (3 d_1 - d_2) / 2, d_1, d_2: travels.
     """
     look = max(round(_LOOK_S / dt_s), 1)
     noise = _SCATTER * _noise(command[: round(_NOISE_S / dt_s) + 6])
@@ -191,7 +183,7 @@ def _still(command: Vec, span: float, dt_s: float) -> tuple[int, int, int, bool]
 
 
 def _first(happens: Mask) -> int:
-    """Number of the first sample with that property, of all samples where none has it."""
+    """First index of a true value; the length where there is none."""
     return int(np.argmax(happens)) if happens.any() else happens.size
 
 

@@ -1,1 +1,1 @@
-"""The ONNX contract: what a model file holds, the check before it is written, how it is read again."""
+"""The ONNX contract: content of a model file, the check before it is written, and the loader."""

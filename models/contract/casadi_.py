@@ -1,4 +1,4 @@
-"""A step graph as a CasADi function with exact derivatives, of the active branch where there are several."""
+"""Conversion of a step graph into a CasADi function with the exact derivatives of the active branch."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _EXPANDED_PRODUCTS = 4096
 
 @dataclass(frozen=True)
 class Tensor:
-    """Entries in ONNX (row-major) order as one column, and the shape; the batch axis has length one."""
+    """ONNX tensor: its entries in row-major order as one column, and its shape; the batch axis has length one."""
 
     entries: Expression
     shape: tuple[int, ...]
@@ -37,7 +37,7 @@ class Tensor:
 
     @property
     def known(self) -> NDArray[np.int64]:
-        """Values of a constant whole-number tensor.
+        """Values of a constant integer tensor.
 
         Raises:
             ValueError: if the value depends on command or state.
@@ -47,21 +47,17 @@ class Tensor:
         return np.array(self.entries).astype(np.int64).reshape(self.shape)
 
     def take(self, places: NDArray[np.int64]) -> Tensor:
-        """The tensor whose entries are those numbered by `places`."""
+        """Tensor of the entries with the numbers `places`."""
         numbers = places.ravel().tolist()
         moved = numbers != list(range(self.entries.shape[0]))
         return Tensor(self.entries[numbers, 0] if moved else self.entries, places.shape)
 
 
 def to_casadi(graph: onnx.GraphProto, name: str = "model") -> ca.Function:
-    """Translate a step graph.
+    """Convert a step graph into a CasADi function.
 
     Where a graph has branches (Where, Max, Min, Clip, Relu) the derivative is that of the active one, of the first
     operand at a tie; Relu has derivative zero at zero.
-
-    Args:
-        graph: as an `ExportBundle` or an `OnnxModel` has it.
-        name: of the function, a CasADi identifier.
 
     Returns:
         `casadi.Function`: state (S, 1), u (1, 1) -> theta (1, 1), next_state (S, 1), in double.
@@ -87,7 +83,6 @@ def to_casadi(graph: onnx.GraphProto, name: str = "model") -> ca.Function:
 
 
 def _translate(node: onnx.NodeProto, operands: Sequence[Tensor | None]) -> list[Tensor]:
-    """Outputs of one node."""
     given = {item.name: onnx.helper.get_attribute_value(item) for item in node.attribute}
     if node.op_type in REARRANGE:
         return _rearranged(node.op_type, operands, given)
@@ -119,7 +114,7 @@ def _rearranged(name: str, operands: Sequence[Tensor | None], given: Mapping[str
 
 
 def _product(operands: Sequence[Tensor | None], given: Mapping[str, Any]) -> Tensor:
-    """Matrix product of ONNX, one of the operands having at most two axes."""
+    """Matrix product of ONNX; one of the operands has at most two axes."""
     del given
     a, b = _present(operands[0]), _present(operands[1])
     if len(b.shape) > 2 and int(np.prod(b.shape[:-2])) > 1:
@@ -133,7 +128,7 @@ def _product(operands: Sequence[Tensor | None], given: Mapping[str, Any]) -> Ten
 
 
 def _gemm(operands: Sequence[Tensor | None], given: Mapping[str, Any]) -> Tensor:
-    """alpha A' B' + beta C, the transpositions as asked for."""
+    """Matrix expression alpha A' B' + beta C, with the transpositions of the node's attributes."""
     a, b = (
         t.take(t.places.T) if given.get(key) else t
         for t, key in zip(map(_present, operands[:2]), ("transA", "transB"), strict=True)
@@ -182,7 +177,6 @@ def _constant(values: NDArray[Any]) -> Tensor:
 
 
 def _literal(given: Mapping[str, Any]) -> Tensor:
-    """The value of a Constant node, in whichever of its attributes it stands."""
     ((key, value),) = given.items()
     return _constant(onnx.numpy_helper.to_array(value) if key == "value" else np.array(value))
 
@@ -192,7 +186,7 @@ def _sparse(matrix: Expression) -> Expression:
 
 
 def _products(graph: onnx.GraphProto) -> int:
-    """Multiplications of the matrix products, as far as their weights are constant."""
+    """Number of multiplications in the matrix products with constant weights."""
     used = {key for node in graph.node if node.op_type in ("MatMul", "Gemm") for key in node.input}
     return sum(int(np.prod(weight.dims)) for weight in graph.initializer if weight.name in used)
 
@@ -354,5 +348,5 @@ def check_operators(graph: onnx.GraphProto, where: str) -> None:
 
 
 def node_name(node: onnx.NodeProto, index: int) -> str:
-    """Name of a node in messages, else its place and first output."""
+    """Name of a node in messages; without a name, its index and first output."""
     return repr(node.name) if node.name else f"{index} (output {node.output[0] if node.output else 'none'!r})"

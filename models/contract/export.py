@@ -1,4 +1,4 @@
-"""Export of a model: the numeric check against its reference, and the file, written whole or not at all."""
+"""Export of a model: numeric check against its reference, and a file that is written whole or not at all."""
 
 from __future__ import annotations
 
@@ -30,9 +30,8 @@ class ExportBundle:
     """One model ready for export.
 
     Attributes:
-        graph: inputs u [N,1] and state [N,S], outputs theta [N,1] and next_state [N,S], batch axis N symbolic, all
-            four float32 or all four double, operators from the list; or a function that makes it.
-        metadata: see `ModelMetadata`.
+        graph: inputs u [N,1] and state [N,S], outputs theta [N,1] and next_state [N,S], batch axis N symbolic, all four
+            float32 or all four double, operators from the list; or a function that makes it.
         reference: the implementation that the graph has to agree with.
         probe: commands (T,) [command unit], T >= 2, a persistent excitation inside the trained range.
 
@@ -67,18 +66,17 @@ class ExportBundle:
 
 
 def export_onnx(bundle: ExportBundle, path: Path | str) -> EquivalenceReport:
-    """Check a model, compare it with its reference and write it as an ONNX file.
+    """Compare a model with its reference and write it as an ONNX file.
 
-    The file is judged in memory by what would load it, then by `check_equivalence`: 1,000 free-running steps, random
-    states in batches of 1 and 8, onnxruntime and CasADi against the reference within 1e-3 deg, CasADi's Jacobians
-    against the reference's.
+    The file is loaded in memory as a user would load it, then checked by `check_equivalence`: 1,000 free-running steps,
+    random states in batches of 1 and 8, onnxruntime and CasADi within 1e-3 deg of the reference, and Jacobians.
 
     Returns:
-        The largest differences seen.
+        The largest differences.
 
     Raises:
-        ExportError: if the graph breaks the contract or differs from the reference, or the file cannot be written; a
-            file that lay at `path` before is left as it was.
+        ExportError: if the graph breaks the contract or differs from the reference, or the file cannot be written; an
+            earlier file at `path` is left unchanged.
     """
     from .load import OnnxModel  # onnxruntime is not loaded for a model that stays in memory
 
@@ -97,12 +95,12 @@ def export_onnx(bundle: ExportBundle, path: Path | str) -> EquivalenceReport:
 
 
 def model_bytes(bundle: ExportBundle) -> bytes:
-    """The model file of a bundle."""
+    """Content of the model file of a bundle."""
     return graph_bytes(bundle.graph() if callable(bundle.graph) else bundle.graph, bundle.metadata)
 
 
 def graph_bytes(graph: onnx.GraphProto, facts: ModelMetadata) -> bytes:
-    """The model file of a graph and its facts."""
+    """Content of the model file of a graph with its metadata."""
     import onnx.helper
 
     from .load import IR_VERSION, OPSET
@@ -119,12 +117,12 @@ def graph_bytes(graph: onnx.GraphProto, facts: ModelMetadata) -> bytes:
 
 STEPS = 1000
 BATCH = 8
-TOLERANCE_DEG = 1e-3  # of a catheter of tens of degrees; of another device in its working units, see `Decades`
+TOLERANCE_DEG = 1e-3  # for a catheter of tens of degrees; other devices in working units, see `Decades`
 _DRAWS = 25  # batches of random states
 _JACOBIANS = 50
-_SPREAD = 0.1  # of random states around those visited, in standard deviations of each entry
+_SPREAD = 0.1  # spread of random states around visited ones, in standard deviations of each entry
 # A play in contact rests on a kink, where rounding may choose the branch. A point counts as a kink if the reference's
-# own Jacobian jumps within this relative distance; the loose tolerance covers what curvature does over the distance.
+# own Jacobian jumps within this relative distance; the loose tolerance covers the curvature over the distance.
 _NUDGE, _NUDGES, _LOOSE = 1e-5, 16, 1e-3
 _JACOBIAN_TOLERANCE = {"float32": (1e-3, 1e-4), "float64": (1e-9, 1e-9)}  # relative, absolute
 
@@ -135,7 +133,7 @@ Output = tuple[float, str]
 
 @dataclass(frozen=True)
 class EquivalenceReport:
-    """Largest differences from the reference that the check has seen.
+    """Largest differences from the reference in the equivalence check.
 
     Attributes:
         steps: free-running samples from the initial state.
@@ -160,11 +158,11 @@ class EquivalenceReport:
 
 
 def check_equivalence(reference: StepFunction, model: OnnxModel, probe: Vec) -> EquivalenceReport:
-    """Compare the three implementations; outputs and their derivatives in working units (`Decades`).
+    """Compare the reference with the graph in onnxruntime and in CasADi, in working units (`Decades`).
 
     Single steps from random states drawn around those visited in batches of 1 and 8, then a free run of 1,000 samples
-    by the probe (repeated or cut) from the initial state, then Jacobians at visited states. A free run that differs
-    although every single step agrees has a second number: how far the reference leaves its own run.
+    by the probe (repeated or cut) from the initial state, then Jacobians at visited states. The message on a free run
+    that differs includes the sensitivity of the reference to its initial state.
 
     Raises:
         ExportError: on the first disagreement; names implementation, worst step and numbers.
@@ -202,21 +200,19 @@ def check_equivalence(reference: StepFunction, model: OnnxModel, probe: Vec) -> 
 
 
 def _working_units(facts: ModelMetadata) -> tuple[float, float]:
-    """Units of the model in one working unit of its input, and of its output."""
+    """Log units in one working unit of the model's input, and of its output."""
     ranges = (facts.trained_command, facts.trained_angle)[:: -1 if facts.inverted else 1]
     decades = Decades.of_ranges(*ranges)
     return (decades.angle, decades.command) if facts.inverted else (decades.command, decades.angle)
 
 
 def _precision(model: OnnxModel) -> str:
-    """The least precise number type within: a network in single may be connected with operators in double."""
+    """Least precise number type in the graph; a network in single may be connected with operators in double."""
     kinds = {weight.dtype.name for weight in model.initializers.values()} | {model.dtype.name}
     return "float32" if "float32" in kinds else "float64"
 
 
 def _casadi_step(function: ca.Function) -> Step:
-    """The CasADi function in batched form."""
-
     def step(state: Vec, u: Vec) -> tuple[Vec, Vec]:
         theta, following = function(state.T, u.T)
         return np.array(theta).T, np.array(following).T
@@ -234,7 +230,7 @@ def _free_run(step: Step, state: Vec, commands: Vec) -> Vec:
 
 
 def _amplification(reference: StepFunction, start: Vec, commands: Vec, expected: Vec, step: float, out: Output) -> str:
-    """Sensitivity of the reference to a change of its start by `step`, to tell a wrong step from a sensitive model."""
+    """Sensitivity of the reference's free run to a change `step` of its initial state."""
     moved = _free_run(reference.advance, start + step * (1 + np.abs(start)), commands)
     spread = float(np.abs(moved - expected)[:, 0].max())
     what = f"and the reference moved by this much by {spread:.3g} {out[1]}"
@@ -246,7 +242,7 @@ def _amplification(reference: StepFunction, start: Vec, commands: Vec, expected:
 def _single_steps(
     reference: StepFunction, step: Step, visited: Vec, commands: Vec, out: Output, rng: np.random.Generator, name: str
 ) -> Vec:
-    """Compare one step from random states: each batch of 8 whole, and its rows one by one."""
+    """Compare single steps from random states, in batches of 8 and row by row."""
     worst = np.zeros(2)
     spread = _SPREAD * visited.std(axis=0)
     for draw in range(_DRAWS):
@@ -261,11 +257,7 @@ def _single_steps(
 
 
 def _compare(expected: Vec, got: Vec, out: Output, what: str) -> Vec:
-    """Largest difference of theta [deg] and of the state (relative); `out`: see `Output`.
-
-    Raises:
-        ExportError: if either is beyond the tolerance; a value that is not finite is.
-    """
+    """Largest difference of theta [deg] and of the state (relative); raises an error beyond the tolerance."""
     unit, name = out
     scale = np.ones_like(expected)
     scale[:, 0] = unit
@@ -291,11 +283,7 @@ def _compare_jacobians(
     dtype: str,
     units: tuple[float, float],
 ) -> tuple[float, int]:
-    """Largest difference of the Jacobians, and the number of kinks among the points.
-
-    Raises:
-        ExportError: on a difference beyond the tolerance, or if more than half of the points are kinks.
-    """
+    """Largest difference of the Jacobians and number of kinks; too many kinks are an error, too."""
     jacobian = _jacobian_of(function)
     relative, absolute = _JACOBIAN_TOLERANCE[dtype]
     worst, kinks = 0.0, 0
@@ -326,7 +314,7 @@ def _compare_jacobians(
 
 
 def _at_kink(reference: StepFunction, state: Vec, u: float, got: Vec) -> bool:
-    """Whether the reference's Jacobian jumps beside the point and `got` is within the jump."""
+    """Whether the reference's Jacobian jumps near the point and `got` lies within the jump."""
     rng = np.random.default_rng(0)
     point = np.append(state, u)
     reach = _NUDGE * (1.0 + np.abs(point))

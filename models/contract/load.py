@@ -1,4 +1,4 @@
-"""A model file in onnxruntime: everything is checked before the first step, nothing in it is executed as code."""
+"""Loader of model files for onnxruntime: a file is checked completely, and nothing in it is executed as code."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import onnx.checker
 import onnx.numpy_helper
 import onnxruntime as ort
 import onnxruntime.capi.onnxruntime_pybind11_state as state_
-from google.protobuf.message import DecodeError  # type: ignore[import-untyped]  # its types are a package of their own
+from google.protobuf.message import DecodeError  # type: ignore[import-untyped]  # its types are in a separate package
 from numpy.typing import NDArray
 
 from hystmpc.trials.errors import ModelError
@@ -40,7 +40,7 @@ def parse_model(content: bytes, where: str) -> onnx.ModelProto:
     """Decode the bytes of an ONNX file.
 
     Raises:
-        ModelError: if they are something else or cut off.
+        ModelError: if they are not an ONNX file, or are cut off.
     """
     for magic, kind in _MAGIC.items():
         if content.startswith(magic):
@@ -58,10 +58,10 @@ def parse_model(content: bytes, where: str) -> onnx.ModelProto:
 
 
 def check_graph(proto: onnx.ModelProto, state_size: int, where: str) -> np.dtype[np.generic]:
-    """Hold operators, inputs, outputs and weights against the contract; returns the number type.
+    """Check operators, inputs, outputs and weights against the contract, and return the number type.
 
     Raises:
-        ModelError: one line on the first thing that differs.
+        ModelError: one line on the first difference.
     """
     opsets = {item.domain: item.version for item in proto.opset_import}
     if opsets != {"": OPSET} or proto.functions:
@@ -79,7 +79,7 @@ def check_graph(proto: onnx.ModelProto, state_size: int, where: str) -> np.dtype
 
 
 def _check_interface(graph: onnx.GraphProto, state_size: int, where: str) -> np.dtype[np.generic]:
-    """Names, shapes and one number type of the four tensors."""
+    """Check names and shapes of the four tensors, and return their common number type."""
     weights = {weight.name for weight in graph.initializer}
     inputs = [value for value in graph.input if value.name not in weights]
     first = inputs[0].type.tensor_type.elem_type if inputs else onnx.TensorProto.FLOAT
@@ -94,7 +94,7 @@ def _check_interface(graph: onnx.GraphProto, state_size: int, where: str) -> np.
 
 
 def _signature(value: onnx.ValueInfoProto) -> str:
-    """`'name' dtype [N,size]`; N stands for any axis of free length."""
+    """Description `'name' dtype [N,size]`; N is any axis of free length."""
     tensor = value.type.tensor_type
     shape = ",".join(str(d.dim_value) if d.HasField("dim_value") else "N" for d in tensor.shape.dim)
     dtype = _TYPES[tensor.elem_type].name if tensor.elem_type in _TYPES else f"type {tensor.elem_type}"
@@ -123,13 +123,11 @@ def _check_weights(graph: onnx.GraphProto, where: str) -> None:
 
 @final
 class OnnxModel(LoadedModel):
-    """A step graph, evaluated by onnxruntime on one thread; a float32 graph is fed float32, what comes back is float64.
+    """Step graph in onnxruntime on one thread; inputs are converted to its number type, outputs to float64.
 
     Attributes:
-        graph: the ONNX graph, as `to_casadi` takes it.
         initializers: the graph's weights by name.
         dtype: number type of the graph, float32 or float64.
-        hash: SHA-256 of the file.
         source: the file's path, for messages and reports.
         start: which of the two initial rules `initial` follows.
     """
@@ -138,12 +136,12 @@ class OnnxModel(LoadedModel):
         """Check the bytes of a model file and open it.
 
         Raises:
-            ModelError: as `load_onnx` does, or if `start` is unknown.
+            ModelError: as `load_onnx`, or if `start` is unknown.
         """
         if start not in get_args(Start):
             raise ModelError(f"{source}: start is {start!r}, available: conditioned, initial")
         proto = parse_model(content, source)
-        # Damaged text arrives from protobuf as bytes; turned into str it is found to be neither our key nor JSON.
+        # Protobuf returns damaged text as bytes; as str it is neither a known key nor JSON.
         properties = {str(entry.key): str(entry.value) for entry in proto.metadata_props}
         super().__init__(ModelMetadata.from_properties(properties, source), start)
         self.dtype = check_graph(proto, self.state_size, source)
@@ -158,7 +156,7 @@ class OnnxModel(LoadedModel):
 
     @property
     def simulator(self) -> NoReturn:
-        """A chain of operators has a readable form, an exported graph has none.
+        """Refuse a readable form, which only chains of operators have.
 
         Raises:
             ModelError: always.
@@ -169,7 +167,7 @@ class OnnxModel(LoadedModel):
         """Angles (N, 1) [deg] and next states (N, S) from states (N, S) and commands (N, 1).
 
         Raises:
-            ModelError: if the shapes are not (N, S) and (N, 1).
+            ModelError: if the shapes are wrong.
         """
         if state.shape != (u.shape[0], self.state_size) or u.shape != (u.shape[0], 1):
             raise ModelError(
@@ -181,7 +179,7 @@ class OnnxModel(LoadedModel):
         return np.array(theta, dtype=np.float64), np.array(following, dtype=np.float64)
 
     def casadi_function(self) -> ca.Function:
-        """The step as `casadi.Function`: state (S, 1), u (1, 1) -> theta (1, 1), next_state (S, 1).
+        """Step as `casadi.Function`: state (S, 1), u (1, 1) -> theta (1, 1), next_state (S, 1).
 
         Raises:
             ModelError: if a node cannot be translated; names the node.
@@ -190,17 +188,16 @@ class OnnxModel(LoadedModel):
 
 
 def load_onnx(path: Path | str, start: Start = "initial") -> OnnxModel:
-    """Read a model that `export_onnx` wrote.
+    """Read a model file written by `export_onnx`.
 
     Args:
-        path: the ONNX file.
-        start: "initial" for recorded trials of a device that was not flexed since it was set up, "conditioned" for
-            a device that has done its initialisation flexure, as controllers find it.
+        start: "initial" for recorded trials of a device that was not flexed since it was set up, "conditioned" for a
+            device after its initialisation flexure, as controllers need it.
 
     Raises:
         ModelError: if the file is missing, not ONNX or cut off, foreign (without the metadata), of another format
-            version, has an operator outside the list, other inputs or outputs than the contract, weights that are not
-            finite or lie outside the file. One line that says what was got and expected.
+            version, has an operator outside the list, other inputs or outputs than the contract, or weights that are
+            not finite or lie outside the file.
     """
     try:
         content = Path(path).read_bytes()
@@ -223,7 +220,7 @@ _WARM_UP = (1, 2, 1)  # batch sizes; the second differs so that a frozen batch a
 
 
 def open_session(content: bytes, state_size: int, dtype: np.dtype[np.generic], where: str) -> ort.InferenceSession:
-    """Open a step graph and run it a few times, so that the first step in a loop is as fast as the rest.
+    """Open a step graph and run it a few times, so that the first step in a loop is not slower than the others.
 
     Raises:
         ModelError: if onnxruntime refuses the graph, or it does not keep the batch axis.

@@ -1,4 +1,4 @@
-"""What a model file says about itself: sample time, units, limits, trained range, how to start, where it comes from."""
+"""Metadata of a model file: sample time, units, limits, trained ranges, initial state and origin."""
 
 from __future__ import annotations
 
@@ -21,17 +21,17 @@ PREFIX = "hystmpc."
 Start = Literal["initial", "conditioned"]
 """Which rule of a model file makes the state at the start."""
 
-# Bounds that no device of this field comes near; what lies beyond is a damaged or hostile file, or another unit.
+# Bounds far beyond any device of this field; values beyond mean a damaged or hostile file, or another unit.
 SampleTime = Annotated[float, Field(ge=1e-5, le=100.0)]  # s: 100 kHz to one sample in 100 s
 Amount = Annotated[float, Field(ge=-1e9, le=1e9)]  # mm, bar or deg; counts of an encoder in a raw log
-Rate = Annotated[float, Field(ge=1e-9, le=1e12)]  # of these per second
+Rate = Annotated[float, Field(ge=1e-9, le=1e12)]  # amounts per second
 StateEntry = Annotated[float, Field(ge=-1e18, le=1e18)]
 LARGEST_STATE = 100_000  # entries
 LONGEST_WARMUP = 1_000_000  # samples
 
 
 class Range(Settings):
-    """A closed interval, lower < upper, in the unit of what it bounds; both ends within 1e9 of zero.
+    """Closed interval, lower < upper, in the unit of the bounded quantity; both ends within 1e9 of zero.
 
     Attributes:
         lower: lower end.
@@ -48,14 +48,14 @@ class Range(Settings):
         return self
 
     def contains(self, values: ArrayLike) -> NDArray[np.bool_]:
-        """Whether each value lies in the interval, ends included; not-a-number does not. Shape as given."""
+        """Whether each value lies in the interval, ends included; False for not-a-number. Shape as given."""
         array = np.asarray(values, dtype=np.float64)
         return np.asarray((array >= self.lower) & (array <= self.upper))
 
 
 @dataclass(frozen=True)
 class DeviceLimits:
-    """What the device may be sent; None takes what the trials show.
+    """Limits of the command sent to the device; None means the range in the trials.
 
     Attributes:
         command: least and greatest command [mm or bar].
@@ -67,7 +67,7 @@ class DeviceLimits:
 
 
 class InitialRule(Settings):
-    """State of a device that rests at the measured angle y [deg] under the command u, entry by entry:
+    """State of a device at rest at the measured angle y [deg] and the command u, entry by entry:
 
         x0 = offset + slope y + by_command (u - at_command)
 
@@ -93,14 +93,14 @@ class InitialRule(Settings):
         return self
 
     def state(self, y: Vec, u: Vec | None = None) -> Vec:
-        """States (N, S) from measured angles y (N, 1) [deg] and, where they are known, commands u (N, 1)."""
+        """States (N, S) from measured angles y (N, 1) [deg] and, where given, commands u (N, 1)."""
         states = np.asarray(self.offset, dtype=np.float64) + np.asarray(self.slope, dtype=np.float64) * y
         if u is None or not self.by_command:
             return states
         return states + np.asarray(self.by_command, dtype=np.float64) * (u - self.at_command)
 
     def behind(self, cut: int) -> InitialRule:
-        """The rule of all entries from number `cut` on."""
+        """Rule of the entries from number `cut` on."""
         parts = {"offset": self.offset[cut:], "slope": self.slope[cut:], "by_command": self.by_command[cut:]}
         return self.model_copy(update=parts)
 
@@ -109,19 +109,17 @@ Sigma = Annotated[float, Field(ge=0, le=1e12)]
 
 
 def rest_within(rest_command: float | None, lower: float, upper: float) -> float:
-    """Command at which a device rests: its own, as far as the limits allow; the lower one where it has none.
-
-    The one answer to that question, for plants, controllers and exports. Zero is a rest command like any other.
+    """Command at rest within the limits; the lower limit where no rest command is given.
 
     Args:
-        rest_command: what the model's file says; None where it says nothing.
+        rest_command: value in the model's file, or None; zero is a rest command like any other.
         lower, upper: least and greatest command that is sent.
     """
     return lower if rest_command is None else min(max(rest_command, lower), upper)
 
 
 class NoiseModel(Settings):
-    """What a model leaves unexplained, as an estimator takes it: white noise of the sensor on a random walk.
+    """Unexplained part of the measurement for an estimator: white noise of the sensor on a random walk.
 
         y_k - model_k = d_k + v_k,   var(v_k) = sensor^2,   var(d_{k+1} - d_k) = drift^2 dt + motion^2 |u_{k+1} - u_k|
 
@@ -129,8 +127,8 @@ class NoiseModel(Settings):
         sensor_sigma_deg: standard deviation of v [deg].
         drift_sigma_deg_per_sqrt_s: of the change of d over one second [deg/sqrt(s)].
         motion_sigma_deg_per_sqrt_unit: of its change over one unit of command travel [deg/sqrt(command unit)].
-        model_sigma_deg: root mean square of the slow part of y - model about its mean over a free run [deg]: how far
-            the model is off where no sensor corrects it. None in older files.
+        model_sigma_deg: root mean square of the slow part of y - model about its mean over a free run [deg]: the error
+            of the model without a sensor. None in older files.
         sensor_resolution_deg: step of the sensor's readings where noise does not average over it [deg]; its error is
             part of `sensor_sigma_deg`. Zero of a continuous sensor, and in older files.
     """
@@ -143,7 +141,7 @@ class NoiseModel(Settings):
 
 
 class Connection(Settings):
-    """Operators in series or in parallel with the rest of a model's graph; their states stand before those of the rest.
+    """Operators in series or in parallel with the rest of a model's graph; their states precede those of the rest.
 
         series:    theta = rest(operators(u)),  a drive between command and travel
         parallel:  theta = operators(u) + rest(u),  a device and a network of what its operators leave
@@ -158,10 +156,9 @@ class Connection(Settings):
 
 
 class ModelMetadata(Settings):
-    """The facts without which a model file is refused, and the bounds beyond which it is refused too.
+    """Facts that every model file must hold, with the bounds within which they are accepted.
 
-    In the file every field is one entry of `metadata_props`, key `hystmpc.<field>`, value JSON, so that any ONNX viewer
-    shows it.
+    In the file every field is one entry of `metadata_props`, key `hystmpc.<field>`, value JSON.
 
     Attributes:
         format: layout of graph and metadata; another version is refused.
@@ -171,16 +168,16 @@ class ModelMetadata(Settings):
             map has them exchanged: its input `u` is an angle [deg], its output `theta` a command, and "command" and
             "angle" below mean these.
         inverse: whether it is an inverse map; None, as in older files, where one unit alone is deg and tells.
-        command_limits: what the device may be sent [command unit], within 1e9 of zero.
+        command_limits: limits of the command sent to the device [command unit], within 1e9 of zero.
         command_rate: greatest change of the command [command unit/s], 1e-9 to 1e12.
-        trained_command, trained_angle: ranges seen in identification [command unit], [deg], within 1e9 of zero.
-        trained_rate: fastest command change seen in identification [command unit/s], 1e-9 to 1e12.
+        trained_command, trained_angle: ranges in the identification trials [command unit], [deg], within 1e9 of zero.
+        trained_rate: fastest command change in the identification trials [command unit/s], 1e-9 to 1e12.
         initial: start of a recorded trial of a device that was not flexed since it was set up.
         conditioned: start of a device that has done its initialisation flexure; what controllers start from.
         warmup_samples: samples of the first command, held and unscored, before the first output counts; at most 1e6.
         training_data_hash: fingerprint of the trials that the model was identified on.
         training: free facts (name as `preset`, seed, validation error, logs).
-        noise: what the model leaves unexplained of its trials; None where that was not found out.
+        noise: part of the trials that the model does not explain; None where it was not estimated.
         connections: operators that are connected with the model of kind `kind`, the outermost first.
         rest_command: at which the device rests before a motion; None for the lower end of its command.
         chain: the operators of which the graph was made, as in a simulator file. From them follows the exact state at
@@ -228,15 +225,12 @@ class ModelMetadata(Settings):
 
     @property
     def inverted(self) -> bool:
-        """Whether this is an inverse map, angle in and command out."""
+        """Whether this is an inverse map, from angle to command."""
         return self.command_unit == "deg" if self.inverse is None else self.inverse
 
     @property
     def model_sigma_deg(self) -> float:
-        """How far free runs of the model are off about their mean [deg], see `NoiseModel`; not-a-number: not known.
-
-        Where the noise does not say it, `training.model_sigma_deg` may.
-        """
+        """Root mean square error of free runs about their mean [deg], see `NoiseModel`; not-a-number where unknown."""
         known = None if self.noise is None else self.noise.model_sigma_deg
         said = self.training.get("model_sigma_deg", math.nan) if known is None else known
         return float(said) if isinstance(said, float | int) else math.nan
@@ -252,12 +246,12 @@ class ModelMetadata(Settings):
         return len(self.initial.offset)
 
     def rule(self, start: Start) -> InitialRule:
-        """The rule that makes the state at the start."""
+        """Rule for the initial state."""
         return self.initial if start == "initial" else self.conditioned
 
     @classmethod
     def of(cls, **facts: Any) -> Self:
-        """The metadata of a model that has just been made.
+        """Metadata of a new model.
 
         Raises:
             ModelError: one line, if a fact is missing or out of its bounds.
@@ -273,7 +267,7 @@ class ModelMetadata(Settings):
 
     @classmethod
     def from_properties(cls, properties: Mapping[str, str], where: str) -> Self:
-        """Read what `to_properties` wrote; keys of others are left alone.
+        """Metadata from the entries written by `to_properties`; other keys are ignored.
 
         Raises:
             ModelError: if there is no such metadata, it is of another version, or a field is missing or out of bounds.

@@ -1,4 +1,4 @@
-"""ONNX nodes from an instruction list: the step graph of any operator chain, or an operator within a network."""
+"""ONNX nodes from an instruction list: the step graph of an operator chain, or an operator within a network."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ INTERFACE = (("u", "state"), ("theta", "next_state"))
 
 
 class _Writer:
-    """Collects nodes and constants of one program; registers become columns (N, 1)."""
+    """Collector of the nodes and constants of one program; registers become columns (N, 1)."""
 
     def __init__(self, prefix: str = "", element: int = TensorProto.DOUBLE) -> None:
         self.prefix, self.element = prefix, element
@@ -53,7 +53,7 @@ class _Writer:
         return self.constants.setdefault(value, f"{self.prefix}constant_{len(self.constants)}")
 
     def number(self, condition: str) -> str:
-        """Turn a truth column into 1.0 or 0.0."""
+        """Convert a truth column into 1.0 or 0.0."""
         return self.node("Cast", [condition], to=self.element)
 
     def operation(self, step: Instruction, w: dict[int, str]) -> str:
@@ -83,10 +83,9 @@ class _Writer:
 
 @dataclass(frozen=True)
 class OperatorNodes:
-    """Nodes of one program inside a larger graph.
+    """ONNX nodes of one program inside a larger graph.
 
     Attributes:
-        nodes: in order.
         constants: names and values of the numbers, to become initializers of shape (1, 1).
         outputs: name of the column (N, 1) of every element of every output.
     """
@@ -99,7 +98,7 @@ class OperatorNodes:
 def operator_nodes(
     function: Any, inputs: Sequence[Sequence[str]], prefix: str = "", element: int = TensorProto.DOUBLE
 ) -> OperatorNodes:
-    """Translate a dense CasADi function whose inputs' elements stand in the named columns (N, 1).
+    """Translate a dense CasADi function of named columns (N, 1) into ONNX nodes.
 
     Args:
         function: any number of inputs and outputs.
@@ -123,10 +122,7 @@ def operator_nodes(
 
 
 def step_graph(function: Any, name: str) -> onnx.GraphProto:
-    """Translate (state (S, 1), u) -> (theta, next state) into the step graph of the ONNX contract, in double.
-
-    Inputs `u [N,1]`, `state [N,S]`; outputs `theta [N,1]`, `next_state [N,S]`.
-    """
+    """Translate (state (S, 1), u) -> (theta, next state) into a graph (u [N,1], state [N,S]) -> (theta, next_state)."""
     size = function.numel_in(0)
     columns = [f"state_{i}" for i in range(size)]
     if size > 1:
@@ -153,7 +149,7 @@ def step_graph(function: Any, name: str) -> onnx.GraphProto:
 
 
 def node(kind: str, inputs: str, outputs: str, **attributes: Any) -> onnx.NodeProto:
-    """A node between tensors that are named by words."""
+    """ONNX node whose inputs and outputs are given as names separated by blanks."""
     return helper.make_node(kind, inputs.split(), outputs.split(), name=outputs.split()[0], **attributes)
 
 
@@ -164,13 +160,9 @@ def graph_of_nodes(
     numbers: Mapping[str, ArrayLike],
     indices: Mapping[str, Sequence[int]],
 ) -> onnx.GraphProto:
-    """Step graph in double of nodes between `u`, `state`, `theta` and `next_state`.
+    """Step graph in double from nodes between `u`, `state`, `theta` and `next_state`.
 
     Args:
-        name: of the graph.
-        state_size: S.
-        nodes: in order, see `node`.
-        numbers: weights by name.
         indices: axes, sizes and places by name.
     """
     weights = [numpy_helper.from_array(np.array(value, np.float64), key) for key, value in numbers.items()]
@@ -182,7 +174,7 @@ def graph_of_nodes(
 def as_columns(
     names: list[str], constants: Mapping[str, float], prefix: str = ""
 ) -> tuple[list[str], list[onnx.NodeProto]]:
-    """The names with every number (1, 1) among them spread to a column (N, 1), and the nodes that do it."""
+    """Names with each constant (1, 1) expanded to a column (N, 1), and the nodes that expand them."""
     nodes, spread = [], {name: f"{name}_column" for name in names if name in constants}
     each = f"{prefix}each_row"
     if spread:

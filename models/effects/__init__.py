@@ -1,1 +1,1 @@
-"""Effects: what a real device does beyond a simulator, each an operator that can be put on either side of a chain."""
+"""Effects of real devices beyond a simulator, each an operator on the command side or the output side of a chain."""

@@ -1,8 +1,7 @@
-"""List of effects: equation, sides, bounds, starts, confounders, and what separates each from its neighbours.
+"""List of effects: equations, sides, bounds, starting values, confounders, and the motions that separate them.
 
 To add an effect: write its operator in `models/operators/`, its forms and its entry here, and, for the blind check, a
-generator. The diagnosis, `hystmpc effects`, the pictures, the self-test and the blind check read this list. Effects of
-users stand behind it.
+generator.
 """
 
 from __future__ import annotations
@@ -26,7 +25,7 @@ from ..operators.static_curves import Contact, NonlinearGain, Slack
 from .effect import CORE, Candidate, Effect, Freedom, Scale, Side, base_name
 
 LONGEST_DELAY_S = 0.4
-_LEAST_REST = 0.1  # share of the time in which the command has to stand still for a drag to be told from a lag
+_LEAST_REST = 0.1  # least share of time with a constant command to distinguish a drag from a lag
 _OUTPUT: tuple[Side, ...] = ("output", "command")
 
 # Forms: bounds and starts are sized by the data; the verdicts of the diagnosis were calibrated with these numbers.
@@ -377,13 +376,13 @@ GROUP = "hystmpc.effects"
 
 _PLAIN = Scale(low=0.0, high=6.0, angle_low=20.0, angle_high=90.0, duration_s=60.0, total_s=240.0, dt_s=0.04)
 _INPUTS = (1.0, 1.0, 2.5, 4.0, 3.0, 3.0, 0.5, 1.5)
-_SAME = 1e-6  # of the input: a lag of 1 us is as good as none
+_SAME = 1e-6  # share of the input: a lag of 1 us counts as none
 
 _added: dict[str, Effect] = {}
 
 
 def added_effects() -> Mapping[str, Effect]:
-    """Effects by name that installed packages offer or that were added, later ones in place of earlier ones.
+    """Effects by name from installed packages or `add_effect`; a later one replaces an earlier one.
 
     Raises:
         ConfigError: if an entry point cannot be imported, or names no effect.
@@ -393,14 +392,12 @@ def added_effects() -> Mapping[str, Effect]:
 
 
 def added_operators() -> Mapping[str, type[Operator]]:
-    """Operators by name that these effects consist of."""
+    """Operators of the added effects, by name."""
     return {kind.name: kind for effect in added_effects().values() for kind in (effect.operator, *effect.other_forms)}
 
 
 def add_effect(effect: Effect) -> Effect:
-    """Add a user's effect to the library in this process: files, simulated devices and `diagnose` then know it.
-
-    An entry point makes it known wherever its package is installed. A user's effect of the same name is replaced.
+    """Add a user's effect to the library in this process, for files, simulated devices and `diagnose`.
 
     Raises:
         ModelError: if the name is one of the library's, or neutral values or forms contradict the operator.
@@ -410,7 +407,7 @@ def add_effect(effect: Effect) -> Effect:
 
 
 def checked(effect: Effect) -> Effect:
-    """The effect, if a diagnosis can use it.
+    """Return the effect after checking that a diagnosis can use it.
 
     Raises:
         ModelError: if its name is taken, or neutral values or forms contradict its operator.
@@ -465,7 +462,7 @@ _SHIPPED = {effect.name: effect for effect in _LIST}
 
 @final
 class _Library(Mapping[str, Effect]):
-    """The effects of the list, and behind them those of users."""
+    """Effects of the list, followed by those of users."""
 
     def __getitem__(self, name: str) -> Effect:
         return _SHIPPED[name] if name in _SHIPPED else added_effects()[name]
@@ -486,18 +483,16 @@ def _form_of() -> Mapping[str, str]:
 
 
 def diagnosable() -> tuple[str, ...]:
-    """Effects that a diagnosis can name; the others are forms of these."""
+    """Names of effects that a diagnosis can report; the others are forms of these."""
     forms = _form_of()
     return tuple(name for name in EFFECTS if name not in forms)
 
 
 def candidates(scale: Scale, in_core: Iterable[str], without: Sequence[str] = ()) -> tuple[Candidate, ...]:
-    """Every form of every effect that changes the simulated angle, sized by the data.
+    """Forms of all effects that change the simulated angle, with bounds and starts for the size of the data.
 
     Args:
-        scale: of the trials.
-        in_core: effects that the core of the nominal simulator has a parameter for.
-        without: effects that are left out.
+        in_core: effects for which the core of the nominal simulator has a parameter.
     """
     made = [c for name, effect in EFFECTS.items() if name not in without for c in effect.forms(scale)]
     made += [Candidate(name, CORE, "output", 0, (), (), ((),)) for name in in_core if name not in without]
@@ -505,16 +500,16 @@ def candidates(scale: Scale, in_core: Iterable[str], without: Sequence[str] = ()
 
 
 def effect_of(operator: str) -> str:
-    """The effect that an operator of that name stands for; empty where it is none."""
+    """Effect that an operator name represents; empty for none."""
     return _form_of().get(operator, operator if operator in EFFECTS else "")
 
 
 def confusable(a: str, b: str) -> bool:
-    """Whether two effects are the same, or some motions cannot tell them apart."""
+    """Whether two effects are equal, or some motions cannot distinguish them."""
     return a == b or (a in EFFECTS and b in EFFECTS[a].confounders)
 
 
 def confounders(name: str) -> frozenset[str]:
-    """Effects that an effect is easily taken for: what a library has to hold for its name to mean much."""
+    """Effects that are easily mistaken for this effect and must be in the library for a reliable diagnosis."""
     effect = EFFECTS.get(name)
     return frozenset((*effect.confounders, *effect.also_taken_for)) if effect else frozenset()

@@ -1,4 +1,4 @@
-"""Effects: an operator with sides and neutral values, and the forms in which a diagnosis tests for it."""
+"""Effects: an operator with sides and neutral values, and the forms that a diagnosis tests."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from hystmpc.trials.types import Vec
 from ..operators.operator import Operator
 
 Side = Literal["command", "output"]
-CORE = "core"  # variant of an effect that is a freedom of the core and no operator of its own
+CORE = "core"  # variant of an effect that is a free parameter of the core instead of an operator
 
-_STILL = 1e-4  # of the range of the command: it stands still if it changes less from sample to sample
+_STILL = 1e-4  # greatest change in a sample of a constant command, as share of its range
 _NUMBER = re.compile(r"_\d+(?=_|$)")
 _WAY = re.compile(r"_(up|down)(?=_|$)")
 
 
 class RecordedTrial(Protocol):
-    """RecordedTrial trial, from which sizes are read."""
+    """Interface of a recorded trial from which sizes are computed."""
 
     @property
     def command(self) -> Vec:
@@ -43,16 +43,15 @@ class RecordedTrial(Protocol):
 
 @dataclass(frozen=True)
 class Scale:
-    """Sizes of a device and its trials, in which the forms of effects are stated.
+    """Sizes of a device and its trials, used to scale the forms of effects.
 
     Attributes:
         low, high: range of the command [cmd].
         angle_low, angle_high: range of the angle [deg].
         duration_s: of the longest trial [s].
         total_s: of all trials together [s].
-        dt_s: sample time [s].
-        resting: share of the time in which the command stands still.
-        fastest: greatest speed of the command [cmd/s]; where it is not known, that of a step over its range.
+        resting: share of the time in which the command is constant.
+        fastest: greatest speed of the command [cmd/s]; where unknown, that of a step over its range.
     """
 
     low: float
@@ -80,7 +79,7 @@ class Scale:
 
     @classmethod
     def of(cls, runs: Sequence[RecordedTrial]) -> Scale:
-        """Scale of trials; angles by their 1 and 99 % quantiles, so that an outlier does not count."""
+        """Sizes of trials; the angle's range is between its 1 and 99 % quantiles, so that outliers do not count."""
         command = np.concatenate([run.command for run in runs])
         angle = np.quantile(np.concatenate([run.angle for run in runs]), (0.01, 0.99))
         durations = [run.command.size * run.dt_s for run in runs]
@@ -93,10 +92,9 @@ class Scale:
 
 @dataclass(frozen=True)
 class Freedom:
-    """One parameter that a fit may change.
+    """Free parameter of a fit.
 
     Attributes:
-        name: of the parameter.
         lower, upper: bounds, physical signs included.
         scale: a typical change; 0 for a positive parameter that is searched on a logarithmic scale.
     """
@@ -109,19 +107,19 @@ class Freedom:
 
 @dataclass(frozen=True)
 class Candidate:
-    """One effect in one form, at one place of the chain.
+    """One form of an effect at one place of the chain.
 
     Attributes:
         effect: its public name.
         variant: name of the form.
-        side: of the command, before everything that is there, or of the output, behind it.
-        order: place among the candidates of a side; small ones come first in the order of the signal.
-        operators: in the order of the signal; `starts` overwrite their free parameters. Empty for a freedom of the
-            core itself.
-        free: parameters that are identified; operators that share one have it in common.
-        starts: values of the free parameters from which a fit begins; never exactly neutral, where a shape parameter
-            would have no gradient.
-        carries: what the state takes over from earlier trials: `bend` for a running maximum, `clock`, or nothing.
+        side: command side, before all present operators, or output side, behind them.
+        order: place among the candidates of a side; small numbers come first in the order of the signal.
+        operators: in the order of the signal; `starts` overwrite their free parameters. Empty for a freedom of the core
+            itself.
+        free: parameters that are identified; operators with the same parameter share its value.
+        starts: starting values of the free parameters; never exactly neutral, where a shape parameter would have no
+            gradient.
+        carries: memory taken over from earlier trials: `bend` for a running maximum, `clock`, or nothing.
     """
 
     effect: str
@@ -141,26 +139,23 @@ class Candidate:
 
 @dataclass(frozen=True, kw_only=True)
 class Effect:
-    """One effect of the library.
+    """Effect of the library.
 
     Attributes:
-        operator: its class, whose name is the effect's.
-        equation: as one line.
         apart: what separates it from its neighbours.
         neutral: values that make it the identity; other parameters do not matter then.
-        sides: where it may act, the side that fits devices best first.
-        why_side: why a side is missing.
+        sides: possible sides, the side that fits devices best first.
         defaults: values of parameters that may be left out besides the neutral ones.
         clocks: states that start at zero with a trial.
-        forms: what a diagnosis adds to a simulator to test for it, sized by the data; empty where it has its own test.
-        other_forms: further operators that stand for this effect and have no name of their own in a diagnosis.
-        confounders: effects that some motions cannot tell from it.
-        also_taken_for: effects that it is easily taken for although motions differ.
-        separated_by: what motions have to contain for it to be told from its confounders: `fast` moves, `speeds`
-            (ramps at several), `holds`, `long_holds`, a `repeat`, `amplitudes`.
-        generic: whether it can imitate almost any other effect, so that finding it means less.
-        shown: parameter values that are large enough to be seen on the plain device of the pictures, on the first
-            side; one mapping for each trial shown.
+        forms: candidates that a diagnosis tests, sized by the data; empty where it has its own test.
+        other_forms: further operators that represent this effect and have no name in a diagnosis.
+        confounders: effects that some motions cannot distinguish from it.
+        also_taken_for: effects that are easily mistaken for it although motions differ.
+        separated_by: motions needed to distinguish it from its confounders: `fast` moves, `speeds` (ramps at several),
+            `holds`, `long_holds`, a `repeat`, `amplitudes`.
+        generic: whether it can imitate almost any other effect, which makes its diagnosis less specific.
+        shown: parameter values with a visible effect on the plain device of the pictures, on the first side; one
+            mapping for each trial shown.
     """
 
     operator: type[Operator]
@@ -185,21 +180,21 @@ class Effect:
         return self.operator.name
 
     def neutral_values(self, operator: Operator) -> tuple[float, ...]:
-        """Values of `operator` with those of `neutral` in their places: the identity."""
+        """Parameter values with which `operator` is the identity."""
         pairs = zip(operator.parameters, operator.values, strict=True)
         return tuple(self.neutral.get(base_name(parameter.name), value) for parameter, value in pairs)
 
     def optional(self, name: str) -> float | None:
-        """Value of a parameter that was left out, None if it has to be given."""
+        """Default of a parameter that was left out; None if it is required."""
         base = base_name(name)
         return self.neutral.get(base, (self.defaults or {}).get(base))
 
 
 def base_name(name: str) -> str:
-    """Name of a parameter without the number of its term or the direction: `tau_2_s` and `tau_up_s` are `tau_s`."""
+    """Parameter name without term number or direction: `tau_2_s` and `tau_up_s` become `tau_s`."""
     return _WAY.sub("", _NUMBER.sub("", name))
 
 
 def unit_on(unit: str, side: Side) -> str:
-    """A unit with `in` replaced by what the signal has on a side: cmd or deg."""
+    """Unit with `in` replaced by the unit of the signal on a side: cmd or deg."""
     return re.sub(r"\bin\b", "cmd" if side == "command" else "deg", unit)

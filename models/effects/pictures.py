@@ -1,4 +1,4 @@
-"""Figures and a page of the effects: loop and hold of a plain device with each of them."""
+"""Figures and a page of the effects: hysteresis loop and hold of a plain device with each effect."""
 
 from __future__ import annotations
 
@@ -49,9 +49,7 @@ class _ShownCommands:
 
 
 def effect_figure(name: str) -> Figure:
-    """Loop and hold of the plain device, and of the device with the effect.
-
-    The loop starts at rest and runs twice through the whole range, then through a part of it.
+    """Figure of loop and hold, for the plain device and for the device with the effect.
 
     Raises:
         ModelError: on an unknown effect.
@@ -71,7 +69,7 @@ def effect_figure(name: str) -> Figure:
 
 
 def run(chain: Chain, commands: Vec, dt_s: float = DT_S) -> Vec:
-    """Angles (T,) [deg] of a free run over commands (T,) from rest at the first, the angle then seen at 22 deg."""
+    """Angles (T,) [deg] of a free run over commands (T,) from rest at the first command and an angle of 22 deg."""
     x, u = ca.SX.sym("x", chain.state_size), ca.SX.sym("u")
     theta, following = chain.bound(dt_s)(x, u)
     step = ca.Function("step", [x, u], [following, theta])
@@ -81,7 +79,7 @@ def run(chain: Chain, commands: Vec, dt_s: float = DT_S) -> Vec:
 
 
 def effects_report(figures: Mapping[str, Figure]) -> Report:
-    """One page with every effect of which there is a figure: equation, parameters, figure."""
+    """Page of the effects that have a figure: equation, parameters, figure."""
     pieces: list[Piece] = [
         Paragraph(
             "A simulator is a chain: effects on the command, a hysteresis core, effects on the output. Grey: the plain "
@@ -100,7 +98,7 @@ def effects_report(figures: Mapping[str, Figure]) -> Report:
 
 
 def write_pictures(folder: Path) -> Path:
-    """Write a PNG of every effect and the page `effects.html` into a folder, and return the page."""
+    """Write a PNG of every effect and the page `effects.html` into a folder, and return the path of the page."""
     folder.mkdir(parents=True, exist_ok=True)
     figures = {name: effect_figure(name) for name in EFFECTS}
     for name, figure in figures.items():
@@ -119,7 +117,7 @@ def parameter_rows(effect: Effect) -> list[tuple[object, ...]]:
 
 
 def shown_effect(name: str, k: int = 0) -> PlacedEffect:
-    """The effect as the figures show it."""
+    """Effect with the parameter values of the figures."""
     return effect_from({"effect": name, "parameters": dict(EFFECTS[name].shown[k])}, DT_S)
 
 
@@ -143,12 +141,11 @@ def _caption(name: str) -> str:
 
 @cache
 def _plain() -> tuple[Vec, Vec]:
-    """Loop and hold of the plain device."""
     return run(DEVICE, _loop().command), run(DEVICE, _hold().command)
 
 
 def _loop() -> _ShownCommands:
-    """From rest twice through 0 to 6 mm, then 1.5 to 4.5 mm and back, all at up to 4.7 mm/s."""
+    """Commands from rest twice through 0 to 6 mm, then 1.5 to 4.5 mm and back, all at up to 4.7 mm/s."""
     t = np.arange(0.0, 8.0, DT_S)
     whole = 3.0 - 3.0 * np.cos(2 * np.pi * 0.25 * t)
     part = np.concatenate([np.linspace(0, 4.5, 75), np.linspace(4.5, 1.5, 50), np.linspace(1.5, 4.5, 50)])
@@ -157,7 +154,7 @@ def _loop() -> _ShownCommands:
 
 
 def _hold() -> _ShownCommands:
-    """Up to 5 mm in 1.5 s and held for 5 s, down to 2 mm and held for 5 s."""
+    """Commands up to 5 mm in 1.5 s and held for 5 s, down to 2 mm and held for 5 s."""
     ways = ((0.0, 5.0, 1.5), (5.0, 5.0, 5.0), (5.0, 2.0, 1.0), (2.0, 2.0, 5.0))
     command = np.concatenate([np.linspace(a, b, round(s / DT_S), endpoint=False) for a, b, s in ways])
     return _ShownCommands(DT_S * np.arange(command.size, dtype=np.float64), command)

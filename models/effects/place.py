@@ -21,13 +21,7 @@ _SIDES: tuple[Side, ...] = ("command", "output")
 
 @dataclass(frozen=True)
 class PlacedEffect:
-    """An effect with its numbers, on a side.
-
-    Attributes:
-        effect: the entry of the catalogue.
-        side: of the core.
-        operator: with its parameter values.
-    """
+    """Effect with parameter values on one side of the core."""
 
     effect: Effect
     side: Side
@@ -35,11 +29,10 @@ class PlacedEffect:
 
 
 class EffectError(ModelError):
-    """A wrong description of an effect.
+    """Error in the description of an effect.
 
     Args:
-        message: one line.
-        at: keys from the description to the offending entry.
+        at: keys from the description to the wrong entry.
     """
 
     def __init__(self, message: str, at: tuple[str, ...] = ()) -> None:
@@ -50,11 +43,10 @@ class EffectError(ModelError):
 def effect_from(spec: Any, dt_s: float | None = None) -> PlacedEffect:
     """Build an effect from `{effect: NAME, side: command|output, <sizes>, parameters: {NAME: value}}`.
 
-    A parameter that is left out has its neutral value, if it has one; a side that is left out is the effect's first.
+    A missing parameter takes its neutral value, if there is one; a missing side is the effect's first.
 
     Args:
-        spec: plain data.
-        dt_s: sample time [s], from which a delay takes the length of its store; not needed otherwise.
+        dt_s: sample time [s], needed only for the length of a delay's store.
 
     Raises:
         EffectError: on an unknown effect, key, side or parameter, a missing parameter, a value out of bounds.
@@ -76,7 +68,7 @@ def effect_from(spec: Any, dt_s: float | None = None) -> PlacedEffect:
 
 
 def effect_operator(name: str, parameters: Mapping[str, float], dt_s: float | None = None, **sizes: int) -> Operator:
-    """The operator of an effect with some parameter values, neutral ones elsewhere.
+    """Operator of an effect with the given parameter values, and neutral values for all others.
 
     Raises:
         EffectError: as `effect_from`.
@@ -85,7 +77,7 @@ def effect_operator(name: str, parameters: Mapping[str, float], dt_s: float | No
 
 
 def neutral_operator(name: str, **sizes: int) -> Operator:
-    """The operator of an effect as the identity.
+    """Operator of an effect with the values that make it the identity.
 
     Raises:
         ModelError: on an unknown effect, or a size that has no default and is not given.
@@ -96,16 +88,16 @@ def neutral_operator(name: str, **sizes: int) -> Operator:
 
 
 def effect_spec(placed: PlacedEffect) -> dict[str, Any]:
-    """Plain data from which `effect_from` builds the same effect."""
+    """Plain data from which `effect_from` builds the effect again."""
     spec = operator_spec(placed.operator)
     return {"effect": spec.pop("operator"), "side": placed.side, **spec}
 
 
 def with_effect(chain: Chain, operator: Operator, side: Side) -> Chain:
-    """The chain with an operator added on a side, as the last one there that the signal meets.
+    """Add an operator on one side of a chain, as the last one in the order of the signal.
 
     Raises:
-        ModelError: if an effect may not act on that side.
+        ModelError: if an effect is not allowed on that side.
     """
     effect = EFFECTS.get(operator.name)
     if effect is not None:
@@ -125,7 +117,6 @@ def _effect_of(spec: Any) -> Effect:
 
 
 def _side_of(effect: Effect, side: Any) -> Side:
-    """The side asked for, or the first one that the effect has."""
     if side is None:
         return effect.sides[0]
     if side not in _SIDES:
@@ -137,17 +128,17 @@ def _side_of(effect: Effect, side: Any) -> Side:
 
 
 def _with_store(effect: Effect, spec: Mapping[str, Any], given: Mapping[str, Any], dt_s: float | None) -> Any:
-    """The description with the length of a delay's store, which follows from delay and sample time."""
+    """Description completed with the length of a delay's store, from delay and sample time."""
     delay = given.get("delay_s", 0.0)
     if effect.operator is not Delay or "samples" in spec or not is_number(delay):
         return spec
     if dt_s is None:
-        return {**spec, "samples": 1}  # a plant gives it the store that its sample time asks for
+        return {**spec, "samples": 1}  # a plant sizes the store for its sample time
     return {**spec, "samples": min(1000, max(1, math.ceil(delay / dt_s - 1e-9)))}
 
 
 def _filled(effect: Effect, template: Operator, given: Mapping[str, Any], side: Side) -> Operator:
-    """The template with the given values, checked one by one so that an error can say where."""
+    """Template filled with the given values, each checked separately so that an error names its place."""
     values = []
     for name, value in given.items():
         if name not in names_of(template):
@@ -172,7 +163,6 @@ def _filled(effect: Effect, template: Operator, given: Mapping[str, Any], side: 
 
 
 def _unknown(effect: Effect, template: Operator, name: str, side: Side) -> str:
-    """Message on an unknown parameter, or on a wrong unit in its name."""
     hint = did_you_mean(name, names_of(template))
     for parameter in template.parameters:
         stem, _, unit = parameter.name.rpartition("_")
@@ -185,12 +175,12 @@ def _unknown(effect: Effect, template: Operator, name: str, side: Side) -> str:
 
 
 def parameters_of(effect: Effect) -> tuple[Parameter, ...]:
-    """The effect's parameters in its smallest size."""
+    """Parameters of an effect in its smallest size."""
     return _smallest(effect).parameters
 
 
 def parameter_lines(effect: Effect) -> list[str]:
-    """One line for each parameter: name, unit on the effect's first side, bounds, neutral value if it has one."""
+    """Lines on the parameters: name, unit on the effect's first side, bounds, neutral value if it has one."""
     lines = []
     for p in parameters_of(effect):
         unit = unit_on(p.unit, effect.sides[0])
@@ -201,7 +191,7 @@ def parameter_lines(effect: Effect) -> list[str]:
 
 
 def effect_data(effect: Effect) -> dict[str, Any]:
-    """The effect as plain data; units as they are on each side."""
+    """Effect as plain data, with the units on each side."""
     return {
         "name": effect.name,
         "sides": list(effect.sides),
@@ -225,7 +215,7 @@ def effect_data(effect: Effect) -> dict[str, Any]:
 
 
 def sides_text(effect: Effect) -> str:
-    """The sides, and why one is missing."""
+    """Text on the possible sides, and why one is missing."""
     return " or ".join(effect.sides) + (f" ({effect.why_side})" if effect.why_side else "")
 
 
@@ -235,5 +225,5 @@ def _smallest(effect: Effect) -> Operator:
 
 
 def library_data() -> list[dict[str, Any]]:
-    """Every effect as plain data."""
+    """All effects as plain data."""
     return [effect_data(effect) for effect in EFFECTS.values()]

@@ -1,1 +1,1 @@
-"""The identification engine: candidates, cross-validation, selection, least squares and the other methods."""
+"""Identification from trials: candidates, cross-validation, selection, least squares and other methods."""

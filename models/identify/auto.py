@@ -26,7 +26,7 @@ from .parts import whole_delay
 from .runs import Run, check_trial_set, command_range, runs_to_fit
 from .uncertainty import ParameterRow, parameter_rows
 
-_REFIT_SHARE = 0.1  # time of the fit at the full rate over that of the search, if both had the same rate
+_REFIT_SHARE = 0.1  # ratio of the durations of the fit at the full rate and the search, for equal rates
 
 MOTIONS_THAT_SEPARATE = {
     "fast": "fast steps and small sines of 2 to 4 Hz",
@@ -45,13 +45,10 @@ class AutoFit:
 
     Attributes:
         choice: chosen device with its errors on held-out trials.
-        rows: error without and with each part.
-        parameters: numbers of drive and creep, with intervals of 90 %.
-        offsets: whether each trial has its separate offset.
-        noise: noise of the model on trials that its fit did not use; of one trial alone, on its thirds.
-        advice: numbers that the trials do not determine, and what to record for them.
+        parameters: values of drive and creep, with intervals of 90 %.
+        noise: noise of the model on held-out trials; of a single trial, on its thirds.
+        advice: parameters that the trials do not determine, and what to record for them.
         decades: working units of `choice`; rows, parameters and noise are in those of the log.
-        interrupted: stopped by the user; this is the best so far.
     """
 
     choice: Choice
@@ -74,14 +71,14 @@ def identify_auto(
 
         theta = core(creep(drive(u))),  drive: delay, lag of first or second order, top speed, or none
 
-    All alternatives are fitted by bounded least squares on free runs with exact sensitivities, and compared on trials
-    that their fit did not see, of one trial alone on thirds of its time. Each trial has an offset of its own where that
-    lowers the held-out error: angle sensors are often zeroed anew.
+    All alternatives are fitted by bounded least squares on free runs with exact sensitivities, and compared on held-out
+    trials, or on thirds of a single trial. Each trial has a separate offset where that lowers the held-out error: angle
+    sensors are often zeroed anew.
 
     Args:
         trials: uniformly sampled at one rate, in one pair of units; ramps, sines, or steps of a few values alone.
         skip_first_flexure: leave out each trial up to the first reversal of its command.
-        progress: told the share that is done and the best error so far; KeyboardInterrupt keeps the best so far.
+        progress: called with the completed share and the best error; KeyboardInterrupt keeps the best so far.
 
     Raises:
         FitError: on unusable trials, or an angle that falls with the command.
@@ -101,7 +98,7 @@ def _identified(
     coarse = _thinned(trials, check_trial_set(trials))
     runs = runs_to_fit(coarse, skip_first_flexure)
     refit_share = 0.0 if coarse is trials else _REFIT_SHARE * sum(map(len, trials)) / sum(map(len, coarse))
-    share, command = 1 / (1 + refit_share), command_range(trials)  # of the whole time
+    share, command = 1 / (1 + refit_share), command_range(trials)  # share of the whole duration
     last = search = AutoSearch(coarse, runs, lambda done, rmse: progress(share * done, rmse))
 
     def numbers_of(device: Choice) -> tuple[ParameterRow, ...]:
@@ -123,14 +120,14 @@ def _identified(
         last = AutoSearch(trials, full, lambda done, rmse: progress(share + (1 - share) * done, rmse), search.terms)
         try:
             device, parameters = _at_full_rate(last, device, parameters, command)
-        except KeyboardInterrupt:  # a delay's store is sized for the rate of the search: that model must not be used
+        except KeyboardInterrupt:  # the model of the search must not be used: its delay's store fits another rate
             raise no_result("the fit at the full rate", interrupted=True) from None
     try:
         if not search.interrupted:
             kept, rows = last.part_contributions(device)
             if kept is not device:
                 device, parameters = kept, _numbers_at(last, kept, parameters)
-    except KeyboardInterrupt:  # the device is found; only the table of its parts is missing
+    except KeyboardInterrupt:  # the device is identified; only the table of its parts is missing
         search.interrupted = True
     noise = estimation_noise(trials, last.left_out(device))
     parameters = tuple(row.times(decades.in_log(row.unit)) for row in parameters)
@@ -162,19 +159,12 @@ def _with_meaning(
     reduced_by: Callable[[Choice, str, str, set[str]], Choice],
     numbers_of: Callable[[Choice], tuple[ParameterRow, ...]],
 ) -> tuple[Choice, tuple[ParameterRow, ...]]:
-    """The device without effects that may do nothing, and its numbers.
-
-    Args:
-        device, rows: device and its numbers.
-        command: range of the command.
-        reduced_by: the device without an effect of a part; told the parts that have lost an effect, this one included.
-        numbers_of: numbers of a device.
-    """
+    """Device without effects that may be the identity, and its parameter values."""
     lost, required = set[str](), set[tuple[str, str]]()
     while nothing := without_meaning(device, rows, command, required):
         part, effect = nothing
         reduced = reduced_by(device, part, effect, {*lost, part})
-        ended = any(row.at_bound for row in rows if row.owner == effect)  # it stands in for another effect
+        ended = any(row.at_bound for row in rows if row.owner == effect)  # it represents another effect
         if not ended and needed(reduced.judged, device.judged):
             required.add(nothing)
             continue
@@ -186,7 +176,7 @@ def _with_meaning(
 def _at_full_rate(
     full: AutoSearch, device: Choice, parameters: Sequence[ParameterRow], command: Range
 ) -> tuple[Choice, tuple[ParameterRow, ...]]:
-    """The device of the search fitted to all samples, without what may do nothing at this rate."""
+    """Device of the search fitted to all samples, without effects that may be the identity at this rate."""
     device = full.refit_at_full_rate(device)
     rows = _numbers_at(full, device, parameters)
     return _with_meaning(
@@ -199,7 +189,7 @@ def _at_full_rate(
 
 
 def _numbers_at(search: AutoSearch, device: Choice, before: Sequence[ParameterRow]) -> tuple[ParameterRow, ...]:
-    """Numbers of a device at the full rate; their intervals include those of the search at a lower rate."""
+    """Parameter values at the full rate; their intervals include those of the search at a lower rate."""
     wide = {(row.owner, row.name): row for row in before}
 
     def joint(row: ParameterRow, before: ParameterRow | None) -> ParameterRow:
@@ -224,7 +214,6 @@ def _thinned(trials: Sequence[Trial], dt: float) -> Sequence[Trial]:
 
 
 def _advice(parameters: Sequence[ParameterRow], units: Units) -> Iterator[str]:
-    """Sentences on numbers that the trials do not determine, and on motions that would determine them."""
     for owner in dict.fromkeys(row.owner for row in parameters if row.flat or row.at_bound):
         rows_of_effect, what = [r for r in parameters if r.owner == owner], owner.replace("_", " ")
         for row in (r for r in rows_of_effect if r.at_bound):
@@ -237,18 +226,18 @@ def _advice(parameters: Sequence[ParameterRow], units: Units) -> Iterator[str]:
             yield f"{what}: {names} not identifiable from these logs{record}"
 
 
-_WIDENING = 1.5  # of intervals
+_WIDENING = 1.5  # factor k on the intervals
 _QUANTILE = 1.645  # of the normal distribution, 95 %
 
 
 def widened_rows(choice: Choice, runs: Sequence[Run], tried: Sequence[Choice]) -> Iterator[ParameterRow]:
-    """Numbers of a device with intervals that allow for other forms of its parts.
+    """Parameter values of a device, with intervals that allow for other forms of its parts.
 
         half = k 1.645 sqrt(s^2 + j^2 + a^2)
 
     s: standard error of the fit (sandwich); j: that of a jackknife over the held-out folds; a: root mean square
-    difference to alternatives with the same effect that do as well on held-out trials, such as a lag with a delay;
-    k: 1.5, for what no alternative of the list can express. An interval is open at an end of what was searched.
+    difference to alternatives with the same effect that do as well on held-out trials, such as a lag with a delay; k:
+    1.5, for what no alternative of the list can express. An interval is open at an end of the search range.
 
     Source: Buckland, Burnham, Augustin, Model selection: an integral part of inference, Biometrics 53 (1997), eq. (3).
     """
@@ -270,7 +259,7 @@ def widened_rows(choice: Choice, runs: Sequence[Run], tried: Sequence[Choice]) -
         low, high = value - half, value + half
         if logarithmic:
             low, high = math.exp(max(low, -50.0)), math.exp(min(high, 50.0))
-        if _at_lower(row, freedom):  # what is beyond was not looked at
+        if _at_lower(row, freedom):  # values beyond the search range are unknown
             low = 0.0 if freedom.lower >= 0 else -math.inf
         elif row.at_bound:
             high = math.inf
@@ -279,7 +268,6 @@ def widened_rows(choice: Choice, runs: Sequence[Run], tried: Sequence[Choice]) -
 
 
 def _free(choice: Choice) -> list[tuple[Candidate, Freedom]]:
-    """Free parameters of a device's effects in the order of the rows."""
     return [(c, freedom) for c in choice.hypothesis.problem.effects for freedom in c.free]
 
 
@@ -288,10 +276,7 @@ def _labels(choice: Choice) -> set[str]:
 
 
 def moved_row(row: ParameterRow, value: float, choice: Choice) -> ParameterRow:
-    """Number with its value from a fit at another rate; the interval keeps its width.
-
-    A lag between samples that are held is half a sample early: at another rate the delay is another one.
-    """
+    """Parameter row with the value from a fit at another rate and the width of the former interval."""
     low, high = row.ci90
     effects = choice.hypothesis.problem.effects
     if any((c.effect, f.name) == (row.owner, row.name) and f.scale == 0 for c in effects for f in c.free):
@@ -299,8 +284,8 @@ def moved_row(row: ParameterRow, value: float, choice: Choice) -> ParameterRow:
     return replace(row, value=value, ci90=(value + low - row.value, value + high - row.value))
 
 
-_NEARLY = 2.0  # times its lower bound: a lag down to there is none
-_EDGE = 0.01  # of the command's range: a slack so near its lowest value is an offset
+_NEARLY = 2.0  # times its lower bound: a shorter lag counts as none
+_EDGE = 0.01  # share of the command's range: a slack this near its lowest value is an offset
 
 
 def without_meaning(
@@ -309,17 +294,13 @@ def without_meaning(
     command: Range,
     required: Collection[tuple[str, str]] = (),
 ) -> tuple[str, str] | None:
-    """First effect whose intervals include its neutral value, with its part; None where there is none.
+    """First effect, with its part, whose intervals include its neutral value; None where there is none.
 
-    Of several terms of creep one is enough. A lag does nothing within twice its lower bound, far less than a sample, a
-    top speed where it may be that of the fastest command, a slack where it may end below the lowest command, and a
-    creep as quick as creep may be is a lag. The curve of a core goes with the part `core`.
+    A lag is neutral within twice its lower bound, a top speed where it may equal the fastest command, a slack where it
+    may end below the lowest command.
 
     Args:
-        choice: the device.
-        parameters: its rows, in order.
-        command: range of the command in the trials.
-        required: parts and effects that are not asked, see `needed`.
+        required: parts and effects that are kept without this test, see `needed`.
     """
     rows = iter(parameters)
     owners = [(name, c) for name, form in choice.forms.items() for c in form]
@@ -367,6 +348,5 @@ def _numbers(hypothesis: Hypothesis, q: Vec) -> dict[tuple[str, str], float]:
 
 
 def _as_good(other: Choice, choice: Choice) -> bool:
-    """Whether the chosen device is not significantly better than another one."""
     fall, error = gain(other.judged, choice.judged)
     return fall <= max(STANDARD_ERRORS * error, 0.02 * choice.judged.mse)

@@ -1,4 +1,4 @@
-"""Search for the structure of a device: the simplest form of each part that errors on held-out trials allow."""
+"""Search for the structure of a device: the simplest form of each part that the held-out errors allow."""
 
 from __future__ import annotations
 
@@ -31,17 +31,17 @@ SearchProgress = Callable[[float, float], None]
 SEARCH_HZ = 25.0
 """The structure is searched on trials of at most this rate [Hz]: what is found hangs on no rate of the logs."""
 
-_FROM_AFAR = 3  # times as many evaluations where a fit starts from a line instead of from a neighbour
-_CORE = "core"  # name of the part that every device has
-_NEXT_ROUND = 0.5  # time of a round over that of the round before
-_AT_LAST = 5  # fits that take as long as the last fit and the table of parts
-_A_SAMPLE = 0.75  # samples: a delay of half a sample is one of the hold
-_THREADS = 2  # alternatives that are fitted side by side
+_FROM_AFAR = 3  # factor on the evaluations of a fit that starts from a line instead of a neighbour
+_CORE = "core"
+_NEXT_ROUND = 0.5  # ratio of the durations of successive rounds
+_AT_LAST = 5  # duration of the last fit and the table of parts, in fits
+_A_SAMPLE = 0.75  # samples: a delay of half a sample comes from the hold
+_THREADS = 2  # alternatives that are fitted in parallel
 
 
 # Thresholds, chosen on development data; `_CLEAR_SHARE` on short real logs, too.
-STANDARD_ERRORS = 2.0  # by which the held-out error has to fall for a part to be added
-_LEAST_SHARE = 0.05  # of the held-out mean square error, by which it has to fall in any case
+STANDARD_ERRORS = 2.0  # least fall of the held-out error for an added part
+_LEAST_SHARE = 0.05  # least fall in any case, as share of the held-out mean square error
 # A fall by this share for each block of three seconds is enough: in logs of a few blocks the standard error is as large
 # as the error itself, and a part that halves the error would be left out.
 _CLEAR_SHARE = 0.0125
@@ -53,33 +53,27 @@ _EVALUATIONS = 12  # free runs of one fit
 
 
 def worth(before: Blocks, after: Blocks) -> bool:
-    """Whether held-out errors fall by enough for a part to be added."""
+    """Whether held-out errors fall enough for a part to be added."""
     fall, error = gain(before, after)
     sure = min(STANDARD_ERRORS * error, _CLEAR_SHARE * before.energy.size * before.mse)
     return fall > max(sure, _LEAST_SHARE * before.mse)
 
 
 def stays(before: Blocks, after: Blocks) -> bool:
-    """Whether held-out errors are lower by more than their standard error with a part that was chosen."""
+    """Whether a chosen part lowers the held-out error by more than its standard error."""
     fall, error = gain(before, after)
     return fall > max(error, _LEAST_SHARE * before.mse)
 
 
 def needed(before: Blocks, after: Blocks) -> bool:
-    """Whether the mean square error without a part is twice as large beyond doubt, whatever its numbers may be."""
+    """Whether removing a part certainly doubles the mean square error, whatever its parameter values."""
     fall, error = gain(before, after)
     return fall > max(STANDARD_ERRORS * error, 0.5 * before.mse)
 
 
 @dataclass(frozen=True, eq=False)
 class Choice:
-    """Device during the search.
-
-    Attributes:
-        core: form of the hysteresis core.
-        forms: form of each other part, by its name.
-        judged: fit to all trials, with its errors on held-out trials.
-    """
+    """Device during the search."""
 
     core: CoreForm
     forms: dict[str, Form]
@@ -113,8 +107,8 @@ class PartRow:
     Attributes:
         part: `drive`, `creep`, `core` or `sensor zero`.
         form: the form that was chosen, `none` for a device without the part.
-        without_deg: held-out error of the device without the part, everything else fitted anew [deg]; of the core:
-            with a line in its place. Not-a-number where there is nothing to leave out.
+        without_deg: held-out error of the device refitted without the part [deg]; with a line in place of the core.
+            Not-a-number where there is nothing to leave out.
         with_deg: held-out error of the chosen device [deg].
     """
 
@@ -126,14 +120,14 @@ class PartRow:
 
 @final
 class AutoSearch:
-    """Search that takes for each part the simplest form with a held-out error not significantly above the least.
+    """Search that selects for each part the simplest form whose held-out error is not significantly above the least.
 
-    All parameters are fitted jointly for each alternative. It begins with the richest core, so that no other part has
-    to stand in for it, and chooses each part anew while the others change. It then begins a second time with a line,
-    since the richest core can stand in for a valve or a lag. Of all that was tried, the simplest is taken.
+    All parameters are fitted jointly for each alternative. The search begins with the richest core, so that no other
+    part replaces it, and chooses each part again while the others change. A second search begins with a line, since the
+    richest core can replace a valve or a lag. The simplest of all tried devices is selected.
 
     Source: one-standard-error rule of Breiman, Friedman, Olshen, Stone, Classification and Regression Trees (1984),
-    section 3.4.3; see `worth` for the number of standard errors and for what the simpler form may cost.
+    section 3.4.3; see `worth` for the number of standard errors and the accepted loss of a simpler form.
     """
 
     def __init__(
@@ -149,7 +143,7 @@ class AutoSearch:
         self._names = (*(part.name for part in self._parts), _CORE)
         self._command = command_range(trials)
         self._box = search_box(self._command, angle_range(trials))
-        self._done, self._planned, self._weight = 0.0, 1.0, 1.0  # in points from which fits start
+        self._done, self._planned, self._weight = 0.0, 1.0, 1.0  # in starting points of fits
         self.terms, self.interrupted = terms or TrialTerms(), False
         self.tried: list[Choice] = []
 
@@ -182,8 +176,7 @@ class AutoSearch:
             return self._simplest_tried(present)
 
     def _rounds(self, present: Choice, names: Sequence[str]) -> Choice:
-        """Device with these parts chosen one after the other, until nothing changes."""
-        # of each part: the device when it was chosen last, and what was tried
+        # for each part: the device at its last choice, and the tried forms
         seen: dict[str, tuple[tuple[str, ...], list[Choice]]] = {}
         for k in range(_ROUNDS):
             self._weight = _NEXT_ROUND**k
@@ -191,7 +184,7 @@ class AutoSearch:
             for name in names:
                 device, tried = seen.get(name, ((), []))
                 if device == _labels(present.core, present.forms):
-                    self.tried += tried  # again the same, which weighs in the intervals as often
+                    self.tried += tried  # repeated devices weigh in the intervals as often
                     continue
                 first = len(self.tried)
                 present = self._simplest(self._alternatives(name, present), present)
@@ -208,7 +201,6 @@ class AutoSearch:
         return next(c for c in ordered if c is best or not worth(c.judged, best.judged))
 
     def _alternatives(self, name: str, present: Choice) -> list[tuple[CoreForm, dict[str, Form]]]:
-        """Device with every form of one part."""
         if name == _CORE:
             return [(core, present.forms) for core in self._cores]
         forms = next(part.forms for part in self._parts if part.name == name)
@@ -226,10 +218,7 @@ class AutoSearch:
         return choice
 
     def refit_at_full_rate(self, choice: Choice) -> Choice:
-        """Device of another rate refitted to these trials, its drive selected anew.
-
-        Some drives cannot be told from each other at few samples.
-        """
+        """Device of another rate refitted to these trials; its drive is selected from more samples."""
         dt_s, values, drive = self.runs[0].dt_s, _values(choice.hypothesis), self._parts[0]
         about = whole_delay(choice.forms[drive.name])
 
@@ -264,18 +253,14 @@ class AutoSearch:
         return self._polished(self._judged(choice.core, left, self._fitted(choice.core, left, choice)))
 
     def reselect_other_parts(self, choice: Choice, lost: Collection[str]) -> Choice:
-        """Device with all parts selected anew except those that lost an effect."""
+        """Device with a new selection of all parts except those that lost an effect."""
         for name in self._names:
             if name not in lost:
                 choice = self._simplest(self._alternatives(name, choice), choice)
         return self._finished(choice)
 
     def part_contributions(self, choice: Choice) -> tuple[Choice, tuple[PartRow, ...]]:
-        """Device without needless parts, and held-out errors without and with each part.
-
-        A part is needless where it lowers the error on held-out trials by no more than the standard error. A row has
-        the error of the device without that part, with all other numbers fitted anew.
-        """
+        """Device without parts of insignificant effect, and held-out errors without and with each part."""
         reduced = self._without_each(choice)
         while needless := [c for c in reduced.values() if c and not stays(c.judged, choice.judged)]:
             choice = self._polished(min(needless, key=lambda c: c.judged.mse))
@@ -289,7 +274,7 @@ class AutoSearch:
         return choice, (*rows, zero)
 
     def _without_each(self, choice: Choice) -> dict[str, Choice | None]:
-        """Device without each part, fitted anew, None where there is no such part; a line replaces the core."""
+        """Device refitted without each part, None where there is no such part; a line replaces the core."""
         reduced: dict[str, Choice | None] = {}
         for name, form in choice.forms.items():
             forms = {**choice.forms, name: ()}
@@ -311,7 +296,7 @@ class AutoSearch:
         return {part.name: () for part in self._parts}
 
     def _plan(self, made: Sequence[tuple[CoreForm, dict[str, Form]]], present: Choice, rounds: int = 1) -> None:
-        """Count from now on: at most so many rounds of these fits, then the last fit and the table of parts."""
+        """Reset the progress count: at most so many rounds of these fits, then the last fit and the table of parts."""
         points = sum(_points(*alternative, present) for alternative in made)
         self._done, self._weight = 0.0, 1.0
         self._planned = _AT_LAST + points * sum(_NEXT_ROUND**k for k in range(rounds))
@@ -322,10 +307,7 @@ class AutoSearch:
         self._progress(min(self._done / self._planned, 1.0), math.sqrt(best))
 
     def _terms_of_trials(self) -> TrialTerms:
-        """Whether trials need separate offsets, judged by the better of two devices with one drive.
-
-        One has the richest core. The other has a valve and a line, whose lack of memory cannot stand in for a start.
-        """
+        """Terms of single trials: separate offsets if the better of a rich core and a valve with a line needs them."""
         if len(self.runs) == 1:
             return self.terms
         *delay, lag = next(form for form in self._parts[0].forms if len(_names(form)) > 1)
@@ -360,7 +342,7 @@ class AutoSearch:
             if hypothesis is best.hypothesis:
                 break
             if id(hypothesis) not in judged:
-                # The errors of a fit flatter it: what they do not excuse, trials that it did not see will not either.
+                # Training errors are too small: a part that they do not justify, held-out trials do not either.
                 if worth(self._validation(core).fitted_errors(hypothesis), best.judged):
                     continue
                 judged[id(hypothesis)] = self._choice(core, forms, hypothesis)
@@ -371,7 +353,7 @@ class AutoSearch:
         return selected
 
     def _fitted(self, core: CoreForm, forms: Mapping[str, Form], present: Choice | None) -> Hypothesis:
-        """Joint fit; a part that stays starts from its present values, a new one from its listed starts."""
+        """Joint fit; present parts start from their present values, a new one from its listed starts."""
         validation, terms = self._validation(core), self.terms
         effects = [*(c for form in forms.values() for c in form), *core.curve]
         held = _values(present.hypothesis) if present else {}
@@ -399,7 +381,7 @@ class AutoSearch:
         return Chain(Line(*np.polyfit(travel, angle, 1).tolist()))
 
     def _finished(self, choice: Choice) -> Choice:
-        """Device with its fit run to convergence, without a delay that only stands for the hold of a sample."""
+        """Device fitted to convergence, without a delay that only represents the hold of a sample."""
         choice, drive = self._polished(choice), self._parts[0].name
         held = straight(choice.forms[drive])
         delays = [v for label, v in _values(choice.hypothesis).items() if label == "delay/command"]
@@ -436,7 +418,6 @@ def _near(candidate: Candidate, values: tuple[float, ...], dt_s: float, whole_s:
 
 
 def _values(hypothesis: Hypothesis) -> dict[str, list[float]]:
-    """Free parameters of each effect of a fit, by label."""
     values = hypothesis.problem.effect_values(hypothesis.q)
     return {c.label: list(v.values()) for c, v in zip(hypothesis.problem.effects, values, strict=True)}
 

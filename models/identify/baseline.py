@@ -1,4 +1,4 @@
-"""Retuning of a nominal simulator: the freedom of its gain, offset, widths and weights."""
+"""Retuning of a nominal simulator: free parameters for its gain, offset, widths and weights."""
 
 from __future__ import annotations
 
@@ -26,17 +26,16 @@ _SLOW_S = 1.0  # sample time of that loop: slow enough for rate-dependent widths
 
 
 class Baseline(ABC):
-    """Freedom of a chain that retuning may change: unknowns z (Z,) with their nominal values and bounds.
+    """Free parameters of a chain in retuning: unknowns z (Z,) with their nominal values and bounds.
 
     Attributes:
-        chain: the nominal chain.
         command: range of the command [cmd].
         nominal, lower, upper, scale: nominal values, bounds and typical changes of z (Z,).
-        effects: position in z of what retuning leaves alone, because it is an effect: {effect: {name: position}}.
-        held: positions in z of what is chosen and never fitted.
+        effects: positions in z that retuning keeps fixed, because they are effects: {effect: {name: position}}.
+        held: positions in z of values that are chosen and never fitted.
         width: position in z of the width of the loop, -1 for none.
-        roughness: rows (R, Z) [deg per unit of z] whose products with z count as errors of single samples: they tie
-            together what few samples determine (Eilers, Marx, Flexible smoothing with B-splines and penalties,
+        roughness: rows (R, Z) [deg per unit of z] whose products with z count as errors of single samples: they
+            regularise parameters with few samples (Eilers, Marx, Flexible smoothing with B-splines and penalties,
             Statistical Science 11, 1996, with differences of first order).
     """
 
@@ -56,10 +55,10 @@ class Baseline(ABC):
         """Parameters (P,) of the core and their derivative by z (P, Z)."""
 
     def quantities(self, z: Vec) -> Mapping[str, float]:
-        """`gain` [deg/cmd], `offset` [deg at the middle of the command's range], `backlash_width` [cmd].
+        """Quantities `gain` [deg/cmd], `offset` [deg at the middle of the command's range], `backlash_width` [cmd].
 
         Of a friction force, which leads its displacement: `stiffness` [deg/cmd] and `friction` [deg, half the height of
-        the loop] instead of gain and width. They are read off the major loop over the command's range.
+        the loop] instead of gain and width. They are measured on the major loop.
         """
         gain, offset, height = _major_loop(Chain(self._core(z)), self.command)
         return {"gain": gain, "offset": offset, "backlash_width": height / gain if gain else 0.0}
@@ -76,7 +75,7 @@ class Baseline(ABC):
         return self.quantities(z)["backlash_width"]
 
     def freed(self) -> Baseline:
-        """The baseline with free widths of its plays, where retuning usually holds them."""
+        """Baseline with free widths of its plays, which retuning usually keeps fixed."""
         return self
 
     def _core(self, z: Vec) -> Operator:
@@ -125,10 +124,9 @@ class BacklashBaseline(Baseline):
 
 @final
 class FreeCoreBaseline(Baseline):
-    """Core whose parameters are all retuned, but for effects by another name; of curved plays slopes and offset.
+    """Core with all parameters free, except those that are effects; of curved plays slopes and offset.
 
     Args:
-        chain: the nominal chain.
         command: range of the command [cmd].
         free_widths: whether the half-widths of curved plays are free, too.
     """
@@ -175,7 +173,7 @@ class FreeCoreBaseline(Baseline):
 
 @final
 class ScaledBaseline(Baseline):
-    """Network whose gain, offset and input scale are retuned, through Prandtl-Ishlinskii plays that stand for it.
+    """Network with free gain, offset and input scale, represented by Prandtl-Ishlinskii plays.
 
     z = (g, o, w):  weights' = g weights,  b' = g b + o,  alpha' = w alpha
     """
@@ -202,14 +200,14 @@ class ScaledBaseline(Baseline):
 
 
 def _differences(core: CurvedPlays, size: int) -> Vec:
-    """Rows (R, Z) that give the differences of neighbouring slopes of each curve."""
+    """Rows (R, Z) for the differences of neighbouring slopes of each curve."""
     knots = core.pieces + 1
     rows = [np.eye(size)[k + 1] - np.eye(size)[k] for k in range(len(core.slopes)) if (k + 1) % knots]
     return np.array(rows)
 
 
 def _major_loop(chain: Chain, command: Range) -> tuple[float, float, float]:
-    """Gain, offset and height of the major loop, run slowly and twice over the range."""
+    """Gain, offset and height of the major loop, in the second of two slow runs over the range."""
     up = np.linspace(command.lower, command.upper, _LOOP_SAMPLES)
     u = np.concatenate([up, up[::-1], up, up[::-1]])[:, None]
     staged = StagedChain(chain)
@@ -223,5 +221,5 @@ def _major_loop(chain: Chain, command: Range) -> tuple[float, float, float]:
 
 
 def baseline_of(chain: Chain, command: Range) -> Baseline:
-    """Freedom that retuning has for a nominal chain, used over a range of commands [cmd]."""
+    """Free parameters for retuning a nominal chain over a range of commands [cmd]."""
     return (BacklashBaseline if isinstance(chain.core, Backlash) else FreeCoreBaseline)(chain, command)

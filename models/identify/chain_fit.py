@@ -32,20 +32,17 @@ GROUP = "hystmpc.methods"
 
 TAIL = 0.1
 RESTART_SPREAD = 0.2
-_START_SEARCHES = 2  # times that trials which begin in motion are given another start
+_START_SEARCHES = 2  # number of new start estimates for trials that begin in motion
 _FAR, _STEEP = 1e6, 1e100  # residual and derivative in working units of a run that diverged; both can be squared
 
 
 @dataclass(frozen=True)
 class ConvergenceReport:
-    """Loss by iteration of a fit, whatever the method calls an iteration.
+    """Loss of a fit by iteration, as the method counts iterations.
 
     Attributes:
-        method: name of the method.
-        losses: loss after each iteration, in the square of the output's unit; not empty. Methods that may get worse
-            before they get better as a matter of course (trials of steps, generations) give their best so far.
-        evaluations: passes over the training data.
-        budget: iterations that were allowed.
+        losses: loss after each iteration, in the square of the output's unit; not empty. For methods whose loss may
+            rise (trials of steps, generations), the best so far.
 
     Source: S1 Table IV.
     """
@@ -87,7 +84,7 @@ class FreeParameters:
     """Parameters of a chain that a fit may change.
 
     Attributes:
-        values: values of all (P,), from which the fixed ones are taken.
+        values: values of all (P,), the fixed ones included.
         index: positions of the free ones (Q,).
         bounds: physical lower and upper bounds of the free ones (Q,) each.
     """
@@ -98,7 +95,7 @@ class FreeParameters:
 
     @classmethod
     def of(cls, chain: Chain, fixed: Sequence[str]) -> Self:
-        """All parameters but those named.
+        """All parameters except those named.
 
         Raises:
             FitError: if a name is not one of the chain's.
@@ -128,11 +125,10 @@ class ChainTask:
 
     Attributes:
         starts: chains of one structure; their values are the starting points.
-        box: lower and upper end of the region that a global search covers (P,) each, within the physical bounds.
-        first: the same of the region in which it begins.
+        box: lower and upper end of the region of a global search (P,) each, within the physical bounds.
+        first: lower and upper end of its initial region.
         fixed: names of parameters that are set, not identified.
-        trials: uniformly sampled at one rate, in one pair of units.
-        lead_s: start of each trial that least squares does not score [s]: a device that rings may be found in motion.
+        lead_s: start of each trial that least squares does not score [s]: a device that rings may be in motion.
     """
 
     starts: tuple[Chain, ...]
@@ -158,7 +154,7 @@ def chain_task(kind: str, trials: Sequence[Trial], plays: int = 4) -> ChainTask:
         plays: number of plays of a `pi` or `drdpi`, or of sliders.
 
     Raises:
-        FitError: on an unknown kind, trials that are the wrong way round, unusable ones, or less than one play.
+        FitError: on an unknown kind, trials swapped wrongly, unusable trials, or less than one play.
     """
     known = [*CHAIN_KINDS, *(f"inverse_{name}" for name, entry in CHAIN_KINDS.items() if entry.inverse)]
     if kind not in known:
@@ -184,7 +180,7 @@ def chain_task(kind: str, trials: Sequence[Trial], plays: int = 4) -> ChainTask:
 
 
 def _ends(operator: Operator, box: Ends) -> tuple[Vec, Vec]:
-    """Search region in the order of the operator's parameters, within their bounds; without an entry a value is set."""
+    """Search region in the order of the operator's parameters; a parameter without an entry is fixed."""
     rows = []
     for parameter, value in zip(operator.parameters, operator.values, strict=True):
         stem = parameter.name.rstrip("0123456789")
@@ -199,12 +195,8 @@ class ChainFit:
     """Result of an identification by any method.
 
     Attributes:
-        chain: the best chain found.
         rmse_deg: root of the mean over trials of the mean square error of its free runs [deg; mm or bar for an inverse
-            map]: the figure by which methods compare, whatever they minimised.
-        evaluations: passes over the trials.
-        report: convergence of the method's own loss.
-        interrupted: stopped by the user; `chain` is the best so far.
+            map], which compares methods of any loss.
     """
 
     chain: Chain
@@ -237,18 +229,18 @@ class Tracker:
         return loss
 
     def iteration(self, loss: float | None = None) -> None:
-        """End an iteration: record its loss, None for the best so far; tell the root of the best so far."""
+        """End an iteration: record its loss, None for the best so far, and report the root of the best loss."""
         self.losses.append(float(self.best_loss if loss is None else loss))
         if self._progress:
             self._progress(len(self.losses), float(np.sqrt(self.best_loss)))
 
     def report(self, method: str, budget: int) -> ConvergenceReport:
-        """Convergence so far; stopped within the first iteration, that one counts as it stands."""
+        """Convergence so far; a stopped first iteration is counted."""
         losses = tuple(self.losses) or (float(self.best_loss),)
         return ConvergenceReport(method, losses, self.evaluations, budget)
 
     def chain(self, template: Chain, interrupted: bool = False) -> Chain:
-        """Best chain so far, the last one if the user ended the fit.
+        """Best chain so far; the final one if the user ended the fit.
 
         Raises:
             FitError: if no point had a finite loss, or the best one is unusable.
@@ -262,7 +254,7 @@ class Tracker:
 
 
 def no_result(looked_at: str, interrupted: bool) -> FitError:
-    """Error of a fit without a best point: interrupted at once, or no error that is a number."""
+    """Error of a fit without a best point: interrupted at once, or no finite error."""
     if interrupted:
         return FitInterruptedError("the fit was interrupted before its first look, there is nothing to keep")
     return FitError(f"no finite error in {looked_at}, expected at least one; check the units")
@@ -276,11 +268,7 @@ class IdentificationMethod:
     """Method to identify a chain.
 
     Attributes:
-        name: as it is asked for.
-        settings: class of its settings, a frozen dataclass.
-        fit: from task, settings and progress to the result.
-        trainings: by kind of chain that has it, the training under which it has it.
-        summary: one line for help texts.
+        trainings: training that selects the method, by kind of chain.
         kinds: kinds of chain that it can identify; None for all.
     """
 
@@ -292,7 +280,7 @@ class IdentificationMethod:
     kinds: tuple[str, ...] | None = None
 
     def settings_for(self, steps: int | None, seed: int, skip_first_flexure: bool) -> Any:
-        """Its settings with a greatest number of steps (free runs, epochs, iterations), None for the default."""
+        """Settings with a greatest number of steps (free runs, epochs, iterations), None for the method's default."""
         known = {f.name for f in fields(self.settings)}
         count = next(name for name in ("evaluations", "epochs", "iterations") if name in known)
         chosen = {"seed": seed, "skip_first_flexure": skip_first_flexure} | ({count: steps} if steps else {})
@@ -306,8 +294,8 @@ class OperatorFitSettings:
     Attributes:
         skip_first_flexure: score each trial from the first reversal of its command on.
         evaluations: greatest number of free runs over all trials, for each start.
-        tolerance: relative change of the loss at which a start is done.
-        restarts: further starts around the best point so far; the error has kinks, where a start may get stuck.
+        tolerance: relative change of the loss at which the fit from one start ends.
+        restarts: further starts around the best point so far; a fit may end at a kink of the error.
         seed: of the restarts.
     """
 
@@ -325,7 +313,7 @@ def fit_chain(
     progress: FitProgress | None = None,
     fixed: Sequence[str] = (),
 ) -> ChainFit:
-    """Fit the parameters of a chain from several starts; the best wins.
+    """Fit the parameters of a chain from several starts and return the best fit.
 
     Trust-region reflective least squares within the parameters' bounds, on the free-run error, in working units
     (`Decades`). An iteration of the report is a free run over all trials, its budget that of all starts together.
@@ -333,9 +321,7 @@ def fit_chain(
     Args:
         starts: chains of one structure; their values are the starting points.
         trials: uniformly sampled at one rate, in one unit.
-        settings: see `OperatorFitSettings`.
-        progress: called with the evaluations so far and the best rmse [deg]; KeyboardInterrupt ends the fit and
-            keeps the best so far.
+        progress: called with the evaluations so far and the best rmse [deg]; KeyboardInterrupt keeps the best so far.
         fixed: names of parameters that stay as they are in the first start.
 
     Raises:
@@ -349,7 +335,7 @@ def fit_chain(
 def fit_by_least_squares(
     task: ChainTask, settings: OperatorFitSettings, progress: FitProgress | None = None
 ) -> ChainFit:
-    """`fit_chain` of a task in working units, as an identification method."""
+    """Identification method that applies `fit_chain` to a task in working units."""
     template, free = task.starts[0], task.free
     runs = FreeRuns(template, task.trials, settings.skip_first_flexure, task.lead_s)
     tracker, interrupted = Tracker(runs.mse, free, progress), False
@@ -393,7 +379,7 @@ def _points(starts: Sequence[Chain], tracker: Tracker, settings: OperatorFitSett
 
 
 def _in_log_units(fit: Fit, task: ChainTask, settings: Any, progress: FitProgress | None, decades: Decades) -> ChainFit:
-    """Fit of a task in working units, its chain, errors and progress in the units of the log."""
+    """Fit of a task in working units; its chain, errors and progress are converted to log units."""
     output = decades.output(task.trials)
     tell = None if progress is None else lambda done, error: progress(done, error * output)
     made = fit(task, settings, tell)
@@ -418,7 +404,7 @@ def methods() -> Mapping[str, IdentificationMethod]:
 
 
 def methods_by_training(kind: str) -> Mapping[str, IdentificationMethod]:
-    """Methods that can identify a kind of chain by the name of the training, the default first."""
+    """Methods that can identify a kind of chain, by the name of the training, the default first."""
     return {method.trainings[kind]: method for method in methods().values() if kind in method.trainings}
 
 
@@ -430,20 +416,15 @@ def identify_chain(
     plays: int = 4,
     progress: FitProgress | None = None,
 ) -> tuple[Chain, ChainFit]:
-    """Identify a chain of a kind by one of the `methods`.
+    """Identify a chain of a kind by one of the `methods`, and return the chain and the result.
 
     Args:
-        kind: a name of `CHAIN_KINDS`; for trials whose command and angle have changed places
-            (`Trial.swapped`) `inverse_backlash`, `inverse_pi` or `inverse_drdpi`, whose numbers are their own.
+        kind: a name of `CHAIN_KINDS`; for swapped trials (`Trial.swapped`) `inverse_backlash`, `inverse_pi` or
+            `inverse_drdpi`, which are identified directly.
         trials: uniformly sampled at one rate, in one pair of units.
-        method: name of the method.
-        settings: of the method; None for its defaults.
         plays: number of plays of a `pi` or `drdpi`, or of sliders.
         progress: called with the iteration (for least squares: the free runs over all trials) and the best error so
-            far; KeyboardInterrupt ends the fit and keeps the best so far.
-
-    Returns:
-        The chain, and the result of which it is part.
+            far; KeyboardInterrupt keeps the best so far.
 
     Raises:
         FitError: on an unknown kind or method, settings of another method, a kind that the method cannot identify,

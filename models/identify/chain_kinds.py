@@ -36,7 +36,7 @@ def backlash_starts(trials: Sequence[Trial]) -> list[Chain]:
     loading, unloading = branch(trials, Motion.LOADING), branch(trials, Motion.UNLOADING)
     slope = 0.5 * (loading[0] + unloading[0])
     middle = 0.5 * (loading[1] + unloading[1])
-    # Either side, small and large for a catheter of tens of degrees.
+    # Gaps on either side of the lines, small and large for a catheter of tens of degrees.
     widths = [width * Decades.of(trials).angle for width in (0.5, 2.0)]
     return [
         _lines(unloading, loading),
@@ -65,7 +65,7 @@ FRICTION_KINDS = ("maxwell_slip", "maxwell_slip_rate")
 
 
 def falls(of_what: str, unit: str) -> FitError:
-    """Error of an output that falls with the command `of_what`; for one in deg a wrong sign is the likely cause."""
+    """Error of an output that falls with the command `of_what`; an output in deg probably has a wrong sign."""
     text = f"the angle falls with the command {of_what}, expected it to rise; "
     text += "where `hystmpc check` shows no delay and no second clock, turn the sign of one channel"
     if unit == "deg":
@@ -77,7 +77,7 @@ def branch(trials: Sequence[Trial], motion: Motion, rises: bool = True) -> Vec:
     """Slope [deg/cmd] and offset [deg] of the regression line through one branch after the first flexure.
 
     Raises:
-        FitError: if too few samples move that way, or the angle falls as the command rises where it has to rise.
+        FitError: if too few samples move that way, or the angle falls although it has to rise.
     """
     commands, angles = [], []
     for trial in trials:
@@ -98,18 +98,17 @@ def branch(trials: Sequence[Trial], motion: Motion, rises: bool = True) -> Vec:
 
 
 def _lines(unloading: Vec, loading: Vec) -> Chain:
-    """Backlash of two lines (slope, offset)."""
     return Chain(Backlash(unloading[0], loading[0], unloading[1] / unloading[0], loading[1] / loading[0]))
 
 
-_SEGMENTS = 16  # of the longest trial, over which spectra are averaged
-_SEEN = 1e-3  # of the greatest power: an input of less says nothing of the response
-_SLOWEST, _FASTEST = 4.0, 1.2  # cycles in a trial, and radians a sample
+_SEGMENTS = 16  # segments of the longest trial for averaged spectra
+_SEEN = 1e-3  # least input power for a valid response, as share of the greatest
+_SLOWEST, _FASTEST = 4.0, 1.2  # least frequency [cycles in a trial] and greatest [rad per sample]
 _LEAST_DAMPED, _MOST_DAMPED = 0.005, 0.7
-_RINGING, _LONGEST = 8.0, 0.2  # time constants that a start rings, and share of the shortest trial
+_RINGING, _LONGEST = 8.0, 0.2  # ringing of a start in time constants, and at most this share of the shortest trial
 _HIDDEN, _ORDER = 12, 3
-_VISCOUS = 0.25  # of the width of the peak; the loops of the hysteretic force take the rest
-_BENT = 1e-3  # of the output: how much a neuron bends the linear system at the start
+_VISCOUS = 0.25  # viscous share of the width of the peak; the rest is hysteretic
+_BENT = 1e-3  # initial share of the neurons in the output
 
 
 @dataclass(frozen=True)
@@ -119,9 +118,8 @@ class Ringing:
     Attributes:
         rad_per_s: angular frequency of the greatest response [rad/s].
         damping: ratio to the critical damping, from the width of the peak.
-        stiffness: that of a linear oscillator with this peak [cmd/deg].
-        dt_s: sample time [s].
-        command, angle: standard deviations of the signals [cmd], [deg].
+        stiffness: stiffness of a linear oscillator with this peak [cmd/deg].
+        command, angle: standard deviations [cmd], [deg].
         lead_s: time in which the ringing of an unknown start fades [s].
     """
 
@@ -166,7 +164,7 @@ class Ringing:
 
 
 def oscillator_starts(ringing: Ringing) -> list[Operator]:
-    """Linear oscillators with this peak, part of their stiffness with memory that relaxes within the range."""
+    """Starting points: linear oscillators with this peak, part of their stiffness with memory within the range."""
     mass, damping, stiffness = _linear(ringing)
     return [
         Oscillator(mass, damping, (1 - share) * stiffness, share * stiffness, relaxing, -0.5 * relaxing)
@@ -239,7 +237,7 @@ _DEAD_ZONE = 0.027
 
 @dataclass(frozen=True)
 class Extent:
-    """Ranges and mean branches of the trials of a device, always from command to angle.
+    """Ranges and mean branches of the trials of a device, from command to angle.
 
     Attributes:
         slope, offset: of the mean line through loading and unloading branch [deg/cmd], [deg].
@@ -247,7 +245,7 @@ class Extent:
         span: range of the command [cmd].
         speed: greatest speed of the command [cmd/s].
         low, high: least and greatest angle [deg].
-        ringing: the resonance; only of kinds that have one.
+        ringing: the resonance, for kinds that have one.
     """
 
     slope: float
@@ -261,7 +259,7 @@ class Extent:
 
     @classmethod
     def of(cls, trials: Sequence[Trial], kind: ChainKind) -> Extent:
-        """Extent of trials; of a kind that rings without slope and lag, since no branch rises at a resonance.
+        """Extent of trials, without slope and lag for a kind with a resonance, where no branch rises.
 
         Raises:
             FitError: if the angle falls with the command where it has to rise, or a branch is missing.
@@ -280,7 +278,7 @@ class Extent:
 
     @property
     def resonance(self) -> Ringing:
-        """Resonance of a kind that has one.
+        """Resonance of the device, for kinds that have one.
 
         Raises:
             FitError: of another kind.
@@ -295,17 +293,15 @@ class ChainKind:
     """Kind of operator model: its name, starting points and search regions.
 
     Attributes:
-        name: on the command line and in reports.
-        title: in tables.
-        starts: forward operators to start from, of trials, extent and number of plays.
-        box: by parameter, the ends between which a global search looks; numbered parameters go by their stem.
-        first: the same for where it begins to look; without an entry as `box`.
+        starts: forward operators to start from, as a function of trials, extent and number of plays.
+        box: ends of the global search by parameter; numbered parameters go by their stem.
+        first: ends of its initial region; without an entry as `box`.
         fixed: parameters that are set.
         inverse: makes the inverse operator of a forward one; None where there is no inverse map.
         inverse_fixed: parameters of the inverse operator that are set.
         plays: number of plays where the request leaves it open.
         rises: whether the angle has to rise with the command, whatever its unit.
-        rings: whether it has a resonance; starts are then read off that, and a log may start in motion.
+        rings: whether it has a resonance, which then gives the starts; a log may start in motion.
         restarts: of a least-squares fit; None for its default.
     """
 
@@ -328,7 +324,7 @@ def _cores(chains: Sequence[Chain]) -> list[Operator]:
 
 
 def _drdpi_starts(trials: Sequence[Trial], e: Extent, plays: int) -> list[Operator]:
-    """Plays of each start of a `pi`, with dead zones spread over the angle that change nothing yet."""
+    """Plays of each start of a `pi`, with dead zones over the angle that are the identity."""
     middle, n = 0.5 * (e.low + e.high), _BANDS
     ones, gaps = (1.0,) * n, (0.5 * (e.high - e.low) / (n + 1),) * n
     starts: list[Operator] = []
@@ -349,7 +345,7 @@ def _bouc_wen_starts(trials: Sequence[Trial], e: Extent, plays: int) -> list[Ope
     ]
 
 
-_REACHES = (0.03, 0.1, 0.3)  # of the displacement's range, over which a friction force turns its sign
+_REACHES = (0.03, 0.1, 0.3)  # travel over which a friction force changes sign, as share of the range
 
 
 def maxwell_slip_starts(
@@ -358,7 +354,6 @@ def maxwell_slip_starts(
     """Starting points of a friction force: sliders of one stiffness that slip within 3, 10 and 30 % of the range.
 
     Args:
-        elements: number of sliders.
         slope, offset: of the mean line [deg/cmd], [deg].
         height: of friction, half the distance of the branches [deg].
         span: range of the displacement [cmd].
@@ -374,7 +369,7 @@ def maxwell_slip_starts(
     return [start(reach) for reach in _REACHES]
 
 
-_LEAST_HEIGHT = 0.02  # of the output's range, from which a fit of friction starts
+_LEAST_HEIGHT = 0.02  # least initial friction, as share of the output's range
 
 
 def _friction_starts(e: Extent, plays: int, speed: float = 0.0) -> list[Operator]:
@@ -383,7 +378,7 @@ def _friction_starts(e: Extent, plays: int, speed: float = 0.0) -> list[Operator
 
 
 def _friction_box(e: Extent, plays: int) -> Ends:
-    """Search region: sliders that all slip within half the range; ends `k` are those of k0, too."""
+    """Search region: sliders that all slip within half the range; the ends of `k` also apply to k0."""
     height = e.high - e.low
     return {
         "k": (0.0, 20 * height / e.span),
@@ -405,7 +400,7 @@ def _backlash_box(e: Extent, plays: int) -> Ends:
 
 
 def _plays_box(e: Extent, plays: int) -> Ends:
-    """Search region: no play wider than half the range, none that speed widens by more than a quarter of it."""
+    """Search region: plays up to half the range, widened by speed by at most a quarter of it."""
     return {
         "a": (0.0, 1.5 * e.slope),
         "alpha": (0.0, 0.5 * e.span / plays),
@@ -415,7 +410,7 @@ def _plays_box(e: Extent, plays: int) -> Ends:
 
 
 def _plays_first(e: Extent, plays: int) -> Ends:
-    """First region: weights whose sum is the slope to twice that; a search does not return from far steeper ones."""
+    """First region: weights whose sum is once to twice the slope; a search does not return from far steeper ones."""
     return {"a": (0.0, 4.0 * e.slope / (plays + 1))}
 
 
@@ -493,7 +488,7 @@ CHAIN_KINDS: Mapping[str, ChainKind] = MappingProxyType(
                 _drdpi_box,
                 _drdpi_first,
                 inverse=_inverse_plays,
-                plays=10,  # as S1 has them
+                plays=10,  # as in S1
             ),
             ChainKind("bouc_wen", "Bouc-Wen", _bouc_wen_starts, _bouc_wen_box, fixed=("delta", "steepness")),
             ChainKind(

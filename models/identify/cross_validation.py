@@ -1,4 +1,4 @@
-"""Causes of a gap, fitted jointly with the baseline and judged on trials that their fit did not use."""
+"""Joint fits of a baseline and possible causes of a gap, and their errors on held-out trials."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ from .runs import AS_IT_IS, Blocks, Run, RunsTogether, blocks_of
 LARGEST_FOLDS = 3
 _LEAST_ERROR = 1e-300
 _EDGE = 1e-9
-_COMMON = 1.0  # of the samples, that the mean of the trials' own terms counts as
-_HELD = 1e-10  # of the greatest curvature: what no run determines stays where it began
+_COMMON = 1.0  # weight, in samples, of the mean of the trials' terms
+_HELD = 1e-10  # share of the greatest curvature: keeps undetermined unknowns at their start
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,8 +30,7 @@ class Hypothesis:
     """Baseline with some causes, fitted to the development runs.
 
     Attributes:
-        problem: the baseline with the causes.
-        q: unknowns fitted to all development runs.
+        q: fitted unknowns (Q,).
         mse: mean square error of that fit [deg^2].
     """
 
@@ -58,14 +57,13 @@ def fit_problem(
     tolerance: float = 1e-4,
     white: Vec = AS_IT_IS,
 ) -> Hypothesis:
-    """Fit a hypothesis to runs from one start.
+    """Fit a hypothesis to runs from one start; counted samples weigh the same.
 
     Args:
-        problem: what is fitted.
         runs: trials; their counted samples weigh the same.
         start: unknowns (Q,); brought within the bounds.
         evaluations: greatest number of free runs over all trials.
-        tolerance: relative change of the error at which it is done.
+        tolerance: relative change of the error at which the fit ends.
         white: filter of the errors whose squares are summed (`whitening`).
     """
     margin = _EDGE * (problem.upper - problem.lower)
@@ -145,7 +143,7 @@ class InParts:
         return replace(self, held_out=self.held_out[blocks], quick=self.quick[blocks])
 
     def with_trials(self, energy: Vec) -> InParts:
-        """Energies with the blocks of further trials, on which no whitened errors were compared."""
+        """Energies with the blocks of further trials without whitened errors."""
         quick = np.concatenate([self.quick, np.zeros(energy.size)])
         return replace(self, held_out=np.concatenate([self.held_out, energy]), quick=quick)
 
@@ -155,7 +153,6 @@ class HeldOutErrors(Blocks):
     """Errors of a hypothesis on held-out trials, in blocks.
 
     Attributes:
-        hypothesis: what was judged.
         errors: of each run where it counts (C,) [deg].
         fold_q: unknowns (Q,) fitted without each fold.
         parts: errors by which a lag, a delay and a rate dependence are compared; None where they were not.
@@ -169,13 +166,11 @@ class HeldOutErrors(Blocks):
 
 @dataclass(frozen=True, eq=False)
 class CrossValidation:
-    """Development runs, split into folds, to which every hypothesis is fitted and on which it is judged.
+    """Cross-validation of hypotheses over folds of the development runs.
 
     Attributes:
-        baseline: of every hypothesis.
-        runs: development runs.
         evaluations: of a fit from one start.
-        in_time: whether a single run is held out in thirds of its time; else it is judged by the fit to it.
+        in_time: whether a single run is held out in thirds of its time; else its training error counts.
     """
 
     baseline: Baseline
@@ -185,7 +180,7 @@ class CrossValidation:
 
     @cached_property
     def folds(self) -> tuple[tuple[int, ...], ...]:
-        """Numbers of the runs held out together; neighbours in the recording order go to different folds."""
+        """Indices of the runs held out together; neighbours in the recording order are in different folds."""
         count = min(LARGEST_FOLDS, len(self.runs))
         return tuple(tuple(range(k, len(self.runs), count)) for k in range(count))
 
@@ -203,7 +198,7 @@ class CrossValidation:
         return min(fits, key=lambda fit: fit.mse)
 
     def without(self, hypothesis: Hypothesis, dropped: AbstractSet[str]) -> Hypothesis:
-        """Hypothesis without some of its causes, fitted anew from its present values."""
+        """Hypothesis refitted without some of its causes, from its present values."""
         problem = hypothesis.problem
         values = [list(v.values()) for v in problem.effect_values(hypothesis.q)]
         kept = [(c, v) for c, v in zip(problem.effects, values, strict=True) if c.effect not in dropped]
@@ -216,16 +211,16 @@ class CrossValidation:
         return self.with_causes([c for c, _ in kept], terms, z, [[v for _, v in kept]])
 
     def polished(self, hypothesis: Hypothesis) -> Hypothesis:
-        """Hypothesis with its fit run to convergence."""
+        """Hypothesis fitted to convergence."""
         return fit_problem(hypothesis.problem, self.runs, hypothesis.q, 60, 1e-6)
 
     def fitted_errors(self, hypothesis: Hypothesis) -> Blocks:
-        """Errors of the fit itself, in the blocks of `judge`."""
+        """Training errors, in the blocks of `judge`."""
         return blocks_of([hypothesis.problem.error(hypothesis.q, run)[0] for run in self.runs], self.runs)
 
     @cached_property
     def _splits(self) -> tuple[tuple[tuple[Run, ...], dict[int, Run]], ...]:
-        """Of each fold the runs of its fit and, by number, those held out; of a single run in time its thirds."""
+        """Runs to fit and held-out runs by number, for each fold; for a single run in time its thirds."""
         if len(self.runs) > 1 or not self.in_time:
             return tuple(
                 (tuple(run for k, run in enumerate(self.runs) if k not in fold), {k: self.runs[k] for k in fold})
@@ -239,7 +234,7 @@ class CrossValidation:
         return tuple(splits)
 
     def judge(self, hypothesis: Hypothesis) -> HeldOutErrors:
-        """Errors on each fold of a fit to the others; of a single run that is not split, of the fit to it."""
+        """Errors on each fold of a fit to the others; training errors of a single run that is not split."""
         problem, fold_q = hypothesis.problem, []
         parts: list[list[Vec]] = [[] for _ in self.runs]
         for rest, held_out in self._splits:
@@ -252,10 +247,7 @@ class CrossValidation:
         return HeldOutErrors(blocks.energy, blocks.samples, blocks.run, hypothesis, errors, tuple(fold_q))
 
     def left_out(self, judged: HeldOutErrors) -> tuple[Vec, ...]:
-        """Measurement less free run (C,) [deg] of every run, by the fit that it was held out of.
-
-        Nothing is taken off for what a trial has of its own.
-        """
+        """Held-out measurement minus free run (C,) [deg] of every run, terms of single trials included."""
         problem = judged.hypothesis.problem
         parts: list[list[Vec]] = [[] for _ in self.runs]
         for (_, held_out), q in zip(self._splits, judged.fold_q, strict=True):
@@ -272,11 +264,10 @@ def gain(before: Blocks, after: Blocks) -> tuple[float, float]:
 
 
 def sureness(before: Blocks, after: Blocks) -> float:
-    """Standard errors by which the held-out error falls, of squares or of RMS values of the blocks: the greater.
+    """Number of standard errors by which the held-out error falls, in squares or RMS values of blocks: the greater.
 
-    A cause that acts in few blocks, as in fast steps alone, scatters in its squares as much as it is large, however
-    sure it is. The root lets each block count by its error, not by the square of it (Bartlett, The use of
-    transformations, Biometrics 3, 1947).
+    A cause that acts in few blocks, as in fast steps alone, has a scatter of squares as large as its effect. The root
+    lets each block count by its error, not by its square (Bartlett, The use of transformations, Biometrics 3, 1947).
     """
     squares = _paired(before.energy - after.energy, before.run)
     roots = _paired(np.sqrt(before.energy) - np.sqrt(after.energy), before.run)

@@ -1,4 +1,4 @@
-"""Noise of a model for an estimator: white noise of the sensor, random walks, and the resolution of the sensor."""
+"""Noise model for an estimator: white noise of the sensor, random walks, and the resolution of the sensor."""
 
 from __future__ import annotations
 
@@ -20,35 +20,35 @@ from ..evaluate import started
 from ..kernels.numba_ import njit
 from ..model import LoadedModel
 
-_LEAST_DEG = 1e-4  # of the sensor's noise: below it residuals are rounding, as those of simulated trials without noise
-_RATIOS = np.linspace(-18.0, 6.0, 7)  # logarithms of the walk's variance in a sample over that of the sensor
+_LEAST_DEG = 1e-4  # least noise of the sensor: smaller residuals are rounding errors of noise-free simulations
+_RATIOS = np.linspace(-18.0, 6.0, 7)  # logarithms of the ratio of the walk's variance in a sample to that of the sensor
 _GREATEST_OPTIMISM = 2.0
-_UNDITHERED = 2.0  # of the sensor's noise: with more noise the mean of the readings is the angle within q / 100
-_LONGEST = 4000  # samples of one trial that a model is run over: enough for three numbers
+_UNDITHERED = 2.0  # greatest step in standard deviations at which the mean of the readings is right within q / 100
+_LONGEST = 4000  # simulated samples of one trial: enough for three parameters
 
 
 def estimation_noise(trials: Sequence[Trial], residuals: Sequence[Vec], fitted: int = 0) -> NoiseModel:
-    """Most likely noises behind the residuals of free runs, for the estimator of a controller.
+    """Maximum-likelihood noise model of the residuals of free runs, for the estimator of a controller.
 
-    r_k = d_k + v_k with v white and d a random walk, of which every trial has its own; see `NoiseModel`. Likelihood by
-    the Kalman filter, the variance of v eliminated in closed form, the two ratios by Nelder and Mead from the best
-    point of a grid (Harvey, "Forecasting, structural time series models and the Kalman filter", 1989, section 3.4).
+    r_k = d_k + v_k with v white and d a separate random walk for each trial; see `NoiseModel`. Likelihood by the Kalman
+    filter, the variance of v eliminated in closed form, the two ratios by Nelder and Mead from the best point of a grid
+    (Harvey, "Forecasting, structural time series models and the Kalman filter", 1989, section 3.4).
 
-    Residuals of the trials that a model was fitted to are too small. A least-squares fit of p parameters to n
-    independent errors leaves (n - p) / n of their variance; errors whose neighbours are correlated by rho count as
-    n (1 - rho) / (1 + rho) independent ones (Bartlett, J. Roy. Stat. Soc. 98, 1935). Drift and motion are enlarged by
-    the square root of that factor, at most by 2. The sensor's noise stays: it is averaged over all samples.
+    Residuals of fitted trials are too small. A least-squares fit of p parameters to n independent errors leaves (n - p)
+    / n of their variance; errors whose neighbours are correlated by rho count as n (1 - rho) / (1 + rho) independent
+    ones (Bartlett, J. Roy. Stat. Soc. 98, 1935). Drift and motion are enlarged by the square root of that factor, at
+    most by 2; the sensor's noise is not.
 
-    Readings of a step q are off by q^2 / 12 in mean square (Widrow, Trans. AIEE 79, 1961). Where noise below q does not
-    make that error white, as at rest, the walk explains it: the sensor's variance is taken to be no less.
+    Readings of a step q are off by q^2 / 12 in mean square (Widrow, Trans. AIEE 79, 1961), which bounds the sensor's
+    variance from below: noise below q does not make that error white.
 
-    Slow errors of the model are what neighbours have in common, since the sensor's noise is white. About the mean of
-    each trial, which a declared rest takes off, model_sigma^2 = mean (r_k - r) (r_{k+1} - r), enlarged likewise.
+    Slow errors of the model are the correlated part, since the sensor's noise is white. About the mean of each trial,
+    which a declared rest removes, model_sigma^2 = mean (r_k - r) (r_{k+1} - r), enlarged likewise.
 
     Args:
         trials: uniformly sampled at one rate.
         residuals: measurement less model, or the reverse, of the last samples of each trial (C,) [deg].
-        fitted: number p of parameters that were fitted to these very trials; 0 where they were held out.
+        fitted: number p of parameters that were fitted to these trials; 0 where they were held out.
 
     Raises:
         FitError: if there are no residuals, more than samples in a trial, or they are not finite.
@@ -64,7 +64,7 @@ def _noise(trials: Sequence[Trial], residuals: Sequence[Vec], fitted: int) -> No
         if not 2 <= residual.size <= len(trial) or not np.isfinite(residual).all():
             raise FitError(f"{trial.source}: got {residual.size} residuals, expected 2 to {len(trial)} finite ones")
         moves = np.abs(np.diff(trial.command, prepend=trial.command[0]))[-residual.size :]
-        travels.append(np.concatenate([[-1.0], moves[1:]]))  # below zero: here a trial begins
+        travels.append(np.concatenate([[-1.0], moves[1:]]))  # below zero at the start of a trial
     if not travels:
         raise FitError("got no residuals, expected those of at least one trial")
     joint, travel = np.concatenate(residuals), np.concatenate(travels)
@@ -87,7 +87,7 @@ def _noise(trials: Sequence[Trial], residuals: Sequence[Vec], fitted: int) -> No
 
 @final
 class ReferenceModel(LoadedModel):
-    """Model before its export, run by the reference of its bundle."""
+    """Model before its export, simulated by the reference of its bundle."""
 
     def __init__(self, bundle: ExportBundle) -> None:
         super().__init__(bundle.metadata, "initial")
@@ -97,7 +97,7 @@ class ReferenceModel(LoadedModel):
         return self._reference.advance(state, u)
 
     def casadi_function(self) -> Any:
-        """Refuse: a CasADi function is made by the export.
+        """Refuse a CasADi function, which only the export makes.
 
         Raises:
             FitError: always.
@@ -106,12 +106,7 @@ class ReferenceModel(LoadedModel):
 
 
 def with_noise(bundle: ExportBundle, trials: Sequence[Trial], fitted: int) -> ExportBundle:
-    """Bundle with the noise of its model on trials, by free runs of its reference; unchanged for an inverse map.
-
-    Args:
-        trials: sampled at the model's rate, of its units.
-        fitted: see `estimation_noise`.
-    """
+    """Add the noise model, from free runs of the reference over trials, to a bundle; an inverse map stays unchanged."""
     facts = bundle.metadata
     if facts.inverted:
         return bundle
@@ -146,7 +141,7 @@ def _most_likely_ratios(residuals: Vec, travel: Vec, usual: float) -> tuple[floa
 
 
 def _optimism(residuals: Sequence[Vec], fitted: int) -> float:
-    """Factor by which deviations of the trials that were fitted are too small."""
+    """Factor by which standard deviations on fitted trials are too small."""
     if fitted == 0:
         return 1.0
     around = [residual - residual.mean() for residual in residuals]
@@ -159,7 +154,7 @@ def _optimism(residuals: Sequence[Vec], fitted: int) -> float:
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def walk_likelihood(residuals: Any, travel: Any, drift: float, motion: float) -> tuple[float, float]:
-    """Twice the negative logarithm of the likelihood but for a constant, and the sensor's variance [deg^2].
+    """Twice the negative log-likelihood without a constant, and the sensor's variance [deg^2].
 
     P, S in variances of the sensor:  S = P + 1,  r = mean e^2 / S,  cost = n log r + sum log S.
 
@@ -171,7 +166,7 @@ def walk_likelihood(residuals: Any, travel: Any, drift: float, motion: float) ->
     disturbance, variance, squares, logs, count = 0.0, 1.0, 0.0, 0.0, 0
     for k in range(residuals.size):
         if travel[k] < 0.0:
-            disturbance, variance = residuals[k], 1.0  # the first one of a trial only tells where the walk begins
+            disturbance, variance = residuals[k], 1.0  # the first residual of a trial only gives the start of the walk
             continue
         variance += drift + motion * travel[k]
         spread, error = variance + 1.0, residuals[k] - disturbance
@@ -184,18 +179,17 @@ def walk_likelihood(residuals: Any, travel: Any, drift: float, motion: float) ->
     return count * math.log(sensor) + logs, sensor
 
 
-_ON_GRID, _GRID_TOLERANCE = 0.95, 0.1  # share of readings; of the step (a fifth of them is that near by chance)
-_LEAST_LEVELS, _READINGS, _MOST_VALUES = 3, 25, 20_000  # readings on a level, where levels are few
-_MANY_LEVELS = 9  # that no chance puts on a grid
-_APART = 0.5  # of the gap between levels: readings closer together than that are of one level
+_ON_GRID, _GRID_TOLERANCE = 0.95, 0.1  # share of readings; tolerance as share of the step (by chance: a fifth)
+_LEAST_LEVELS, _READINGS, _MOST_VALUES = 3, 25, 20_000  # least levels, readings on each; most levels searched
+_MANY_LEVELS = 9  # number of levels that are not on a grid by chance
+_APART = 0.5  # share of a typical gap between levels; readings with a smaller gap are of one level
 
 
 def resolution(signals: Sequence[Vec]) -> float:
-    """Step of the grid that the readings of a sensor lie on, in their unit; 0 of a continuous sensor.
+    """Step of the sensor's readings, in their unit; 0 for a continuous sensor.
 
-    The grid may have any offset. It is looked for in all readings and in those that repeat the one before, which
-    linear interpolation to another rate leaves on it, and then in clusters of them, where a little noise was added
-    after rounding. A log of few digits is on a grid, too: that of its last digit.
+    The search uses all readings, then repeated ones, which interpolation leaves on the grid, then clusters, for noise
+    added after rounding. The last digit of a log is a grid, too.
     """
     values = np.concatenate(signals)
     repeated = np.concatenate([signal[1:][np.diff(signal) == 0] for signal in signals])
@@ -204,17 +198,17 @@ def resolution(signals: Sequence[Vec]) -> float:
 
 
 def grid_step(values: Vec) -> float:
-    """Largest step of a grid with any offset that holds 95 % of the values; 0 without one."""
+    """Largest step of a grid with any offset that contains 95 % of the values; 0 without one."""
     return _step(values, np.unique(values))
 
 
 def _of_many_levels(values: Vec, levels: Vec) -> float:
-    """Step of a grid with so many levels that chance does not put them on one, see `grid_step`."""
+    """Step of a grid with too many levels for chance, see `grid_step`."""
     return _step(values, levels) if levels.size >= _MANY_LEVELS else 0.0
 
 
 def _clusters(values: Vec) -> Vec:
-    """Means of the groups of values between wide gaps; each value where no gaps stand out."""
+    """Means of the groups of values between wide gaps; each value where there are no wide gaps."""
     ordered = np.sort(values)
     gaps = np.diff(ordered)
     if gaps.size < _MANY_LEVELS:
@@ -239,7 +233,7 @@ def _step(values: Vec, levels: Vec) -> float:
 
 
 def _grid_fit(levels: Vec, guess: float, values: Vec) -> tuple[float, float]:
-    """Step near the guess, by regression of levels on whole numbers, and the share of values on that grid."""
+    """Step near the guess, by regression of levels on integers, and the share of values on that grid."""
     numbers = np.concatenate([[0.0], np.cumsum(np.rint(np.diff(levels) / guess))])
     if numbers[-1] + 1 < min(_MANY_LEVELS, levels.size):
         return 0.0, 0.0

@@ -25,12 +25,12 @@ Stage = tuple[StageKernels, slice, slice]
 
 @dataclass(frozen=True, eq=False)
 class HeldRows:
-    """N rows held at their commands; D directions, the last of them the angle prescribed for the core.
+    """Settled states of N rows under constant commands, with derivatives in D directions (last: the core's angle).
 
     Attributes:
         state, slope: (S, N), and its derivative (S, N, D).
-        signal, by_signal: output of the last operator so far one sample later (N,), and its derivative (N, D).
-        core: angle that the core shows then (N,) [deg]; the prescribed one where it can hold it.
+        signal, by_signal: output of the last settled operator one sample later (N,), and its derivative (N, D).
+        core: angle of the core then (N,) [deg]; equal to the given one where the core can hold it.
     """
 
     state: Vec
@@ -65,10 +65,7 @@ class Settling:
     """States at rest for one set of parameters; see `StagedChain.settled`.
 
     Attributes:
-        stages: operators in the order of the signal.
-        core: number of the core.
-        values: parameters (P, 1).
-        kept: of every operator, what follows from parameters and sample time.
+        kept: for every operator, the quantities that depend on parameters and sample time alone.
         seeds: derivative of the parameters in each direction (P, D); zero in the last, the core's angle.
     """
 
@@ -79,12 +76,11 @@ class Settling:
     seeds: Vec
 
     def rows(self, command: Vec, angle: Vec) -> HeldRows:
-        """Rows (N,) held at commands [cmd] that show angles [deg], or the nearest that they can."""
+        """Rows (N,) at constant commands [cmd] with output angles [deg], or the nearest possible ones."""
         before = self._before(command)
         return nearest_shown(angle, lambda n, at: self._held(before.rows(n), at))
 
     def _before(self, command: Vec) -> HeldRows:
-        """Operators before the core, held at commands (N,)."""
         states, count = self.stages[-1][1].stop, self.seeds.shape[1]
         x, m = np.empty((states, command.size)), np.zeros((states, command.size, count))
         signal, moving = command.copy(), np.zeros((command.size, count))
@@ -93,7 +89,7 @@ class Settling:
         return HeldRows(x, m, signal, moving, np.empty(command.size))
 
     def _held(self, before: HeldRows, core_angle: Vec) -> HeldRows:
-        """Whole rows; the operators before the core do not depend on the core's angle, and are settled once."""
+        """Whole rows; operators before the core do not depend on its angle and are settled only once."""
         x, m = np.array(before.state, order="C"), np.array(before.slope, order="C")
         signal, moving = before.signal.copy(), before.by_signal.copy()
         by_shown = np.zeros_like(moving)
@@ -113,20 +109,19 @@ class Settling:
         kernels.differentiate(state, slope, signal, moving, seeds, self.kept[k], np.arange(signal.size + 1), room)
 
 
-_ROUNDING = 1e-6  # of a store: a delay that fills it but for rounding
-_LANES, _MOST_IDLE = 8, 5  # directions of one vector instruction; idle ones that cost less than a rest one by one
+_ROUNDING = 1e-6  # share of a store, for a delay that fills it except for rounding
+_LANES, _MOST_IDLE = 8, 5  # directions in one vector instruction; idle ones that cost less than single directions
 
 
 @final
 class StagedChain:
     """Compiled free runs of a chain, batched, with exact sensitivities to all parameters.
 
-    A chain is a series connection, so its operators can pass over a whole trial one after another. Each is compiled
-    once, alone: any number of them in any order needs no further compilation, which a search over structures needs.
-    Values equal the chain's `transition`, sample by sample, to rounding.
+    Each operator is compiled once and alone, so that new structures in a search need no compilation. Values equal the
+    chain's `transition` to rounding.
 
     Args:
-        chain: its operators and their order; its values count only where a call is given none.
+        chain: its operators and their order; its values are used only where a call gives none.
     """
 
     def __init__(self, chain: Chain) -> None:
@@ -145,9 +140,7 @@ class StagedChain:
         self._core = len(chain.before)
 
     def rest(self, command: Vec, angle: Vec, values: Vec | None = None) -> Vec:
-        """States (S, N) at rest at commands (N,) [cmd] where the device shows angles (N,) [deg].
-
-        The rule is the chain's: up to the core the signal is the command, from the core on the angle.
+        """States (S, N) at rest at commands (N,) [cmd] with output angles (N,) [deg], by the rule of `Chain.rest`.
 
         Args:
             values: parameters (P,) of all rows or (P, N) of each; the chain's where left out.
@@ -173,7 +166,6 @@ class StagedChain:
 
         Args:
             commands: (T, N), time first [cmd].
-            dt_s: sample time [s].
             states: (S, N) before the first sample.
             values: parameters (P,) of all rows or (P, N) of each; the chain's where left out.
 
@@ -198,7 +190,7 @@ class StagedChain:
     def settled(
         self, command: Vec, angle: Vec, dt_s: float, values: Vec | None = None, seeds: Vec | None = None
     ) -> tuple[Vec, Vec]:
-        """States (S, N) of rows that were held at a command and show an angle, and their derivatives (S, N, D).
+        """States (S, N) at rest under constant commands with given output angles, and their derivatives (S, N, D).
 
         Unlike `rest`, every operator starts at the output of the one before it, and the core at the angle for which the
         whole chain shows the measured one: a creep, a stop or a curve behind the core is no offset. Newton's method on
@@ -206,11 +198,9 @@ class StagedChain:
         theorem.
 
         Args:
-            command: held (N,) [cmd].
+            command: constant (N,) [cmd].
             angle: measured (N,) [deg].
-            dt_s: sample time [s].
             values: parameters (P,); the chain's where left out.
-            seeds: see `differentiate`.
         """
         seeds = np.column_stack([self._seeds(seeds), np.zeros(self.parameter_count)])
         settling = Settling(self._stages, self._core, self._rows(values, 1), self._kept(dt_s, values), seeds)
@@ -240,11 +230,10 @@ class StagedChain:
         seeds: Vec | None = None,
         first: Index | None = None,
     ) -> tuple[Vec, Vec]:
-        """Free runs of N rows laid end to end, and their derivatives in D directions.
+        """Simulate N concatenated free runs with derivatives in D directions.
 
         Args:
             commands: of all runs (T,) [cmd].
-            dt_s: sample time [s].
             state, slope: before the first sample of each run (S, N), and its derivative (S, N, D).
             values: parameters (P,); the chain's where left out.
             seeds: derivative of the parameters in each direction (P, D); of every parameter alone where left out.
@@ -271,11 +260,10 @@ class StagedChain:
         return signal, moving[:, :count]
 
     def _seeds(self, seeds: Vec | None) -> Vec:
-        """Directions (P, D): every parameter alone where none are given."""
         return np.eye(self.parameter_count) if seeds is None else np.ascontiguousarray(seeds, dtype=np.float64)
 
     def _kept(self, dt_s: float, values: Vec | None) -> list[Vec]:
-        """Quantities of every operator that follow from parameters and sample time alone."""
+        """Quantities of every operator that depend on parameters and sample time alone."""
         p, slopes = self._rows(values, 1), []
         self._require_room(p, dt_s)
         for kernels, _, columns in self._stages:
@@ -284,7 +272,6 @@ class StagedChain:
         return slopes
 
     def _rows(self, values: Vec | None, rows: int) -> Vec:
-        """Parameters (P, N)."""
         p = self.chain.values if values is None else np.asarray(values, dtype=np.float64)
         if p.shape not in ((self.parameter_count,), (self.parameter_count, rows)):
             raise ModelError(
@@ -315,7 +302,7 @@ class FreeRuns:
     """Free runs of a chain over trials, and their error; every trial has the same weight.
 
     A run starts at rest (`StagedChain.settled`) where its trial does (`models.start`), after the chain's warm-up. The
-    rest of a trial that begins in motion is estimated by `estimate_starts` from samples that do not count.
+    start of a trial in motion is estimated by `estimate_starts` from samples that are not scored.
 
     Args:
         chain: its structure; parameters are given with each call.
@@ -347,7 +334,7 @@ class FreeRuns:
         return any(run.lead for run in self.runs)
 
     def estimate_starts(self, p: Vec) -> None:
-        """Estimate the start of each run that begins in motion, by the chain with parameters p (P,)."""
+        """Estimate the start of each run that begins in motion, with parameters p (P,)."""
         rollouts, held = self._staged.rollouts(self.runs[0].dt_s, p), self._staged.chain.rest_samples
         self.runs = [run.begun(rollouts, self._box, held) if run.lead else run for run in self.runs]
 

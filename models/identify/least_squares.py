@@ -22,10 +22,7 @@ _MANY = 10_000  # samples
 
 
 def one_blas_thread(function: Callable[P, R]) -> Callable[P, R]:
-    """Decorator that runs a function on one BLAS thread.
-
-    The products of a fit are tall and narrow: with two threads a diagnosis took up to seven times the processor time.
-    """
+    """Decorator that runs a function on one BLAS thread, since two made a diagnosis up to seven times as slow."""
 
     @functools.wraps(function)
     def limited(*args: P.args, **kwargs: P.kwargs) -> R:
@@ -36,7 +33,7 @@ def one_blas_thread(function: Callable[P, R]) -> Callable[P, R]:
 
 
 def minimise(evaluate: Callable[[Vec], tuple[Vec, Mat]], start: Vec, bounds: tuple[Vec, Vec], **options: Any) -> Vec:
-    """Least squares within bounds; residuals and Jacobian of a point are computed together, once."""
+    """Least squares within bounds; residuals and Jacobian of a point are computed together."""
     known: tuple[Vec, tuple[Vec, Mat]] | None = None
 
     def both(q: Vec) -> tuple[Vec, Mat]:
@@ -51,7 +48,7 @@ def minimise(evaluate: Callable[[Vec], tuple[Vec, Mat]], start: Vec, bounds: tup
 
 
 def triangle_of(square: Vec) -> Vec:
-    """R with R^T R = square; a run that is not finite counts as very bad, without a direction."""
+    """R with R^T R = square; a run that is not finite counts as a very large error without a direction."""
     size = square.shape[0]
     if not np.all(np.isfinite(square)):
         return np.vstack([np.zeros((size - 1, size)), np.append(np.zeros(size - 1), _DIVERGED)[None]])
@@ -61,7 +58,7 @@ def triangle_of(square: Vec) -> Vec:
 
 
 def condensed(residuals: Vec, jacobian: Mat) -> tuple[Vec, Mat]:
-    """Residuals and Jacobian; of many samples the triangle of a QR factorisation, the same to least squares."""
+    """Residuals and Jacobian; for many samples the equivalent triangle of a QR factorisation."""
     if residuals.size < _MANY or not np.all(np.abs(jacobian) < _DIVERGED):
         return residuals, jacobian
     triangle = np.asarray(np.linalg.qr(np.column_stack([jacobian, residuals]), mode="r"))

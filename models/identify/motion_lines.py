@@ -1,4 +1,4 @@
-"""Spectral lines of errors and motions: a disturbance at a line of the motion cannot be told from the motion."""
+"""Spectral lines of errors and motions: a disturbance at a line of the motion cannot be distinguished from it."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ from hystmpc.trials.types import Mask, Vec
 
 from .runs import Run
 
-_LEAKS = 2.0  # times what leaks from the motion's own frequencies: less is no line of its own
-_PURE = 0.5  # of the command's energy within one line: then it has a fundamental frequency
-_LOW_ORDERS = 5  # harmonics in which a loop has so much energy that it leaks as far as a trial resolves
-_ROUNDING = 0.01  # of a trial's resolution, by which its fundamental is known
-_PERIODS = 3.0  # in a run, below which a motion has no higher harmonics to speak of
-_MOST = 0.5  # of the recorded time, in which a frequency has to be the motion's own
+_LEAKS = 2.0  # least power of a separate line, in multiples of the leakage
+_PURE = 0.5  # share of the command's energy in one line for a fundamental frequency
+_LOW_ORDERS = 5  # harmonics of a loop with enough energy to leak over a trial's resolution
+_ROUNDING = 0.01  # error of the fundamental, as share of a trial's resolution
+_PERIODS = 3.0  # least periods in a run for higher harmonics
+_MOST = 0.5  # share of the recorded time in which a line has to be the motion's
 
 
 def fundamental_hz(command: Vec, dt_s: float) -> float:
-    """Frequency of a motion that has most of its energy in one line [Hz]; 0 of other motions."""
+    """Frequency of a motion with most of its energy in one line [Hz]; 0 of other motions."""
     from scipy.signal import get_window  # half a second to import
 
     hz = np.fft.rfftfreq(command.size, dt_s)
@@ -33,16 +33,11 @@ def fundamental_hz(command: Vec, dt_s: float) -> float:
 
 
 def motion_frequencies(runs: Sequence[Run], hz: Vec) -> Mask:
-    """Frequencies (F,) that are lines of the motion itself in half of the recorded time or more.
+    """Mask of the frequencies (F,) that are lines of the motion in at least half of the recorded time.
 
-    These lie nearer to its fundamental or a harmonic than 1 / T, with T the time of all runs together. Each run has a
-    separate phase, and resolves no more than one over its duration: that is the limit for the first five harmonics,
-    whose size differs from run to run with the width of the loop. A few slow moves are no periodic motion: of fewer
-    than three periods only these five count, and no nearer than 1 / T.
-
-    Args:
-        runs: all that were recorded.
-        hz: to judge [Hz].
+    These are nearer to its fundamental or a harmonic than 1 / T, with T the time of all runs together. For the first
+    five harmonics, whose size varies with the width of the loop, the limit is one over the duration of each run, since
+    each run has a separate phase. A run of fewer than three periods has only these five, with the limit 1 / T.
     """
     seconds = np.array([run.command.size * run.dt_s for run in runs])
     seconds_at = np.zeros(hz.size)
@@ -69,9 +64,9 @@ def leaked_power(power: Vec, hz: Vec, of_motion: Mask, seconds: Vec) -> Vec:
 
     Args:
         power: of each run (R, F).
-        hz: the frequencies (F,) [Hz].
-        of_motion: those of the motion (F,).
-        seconds: of each run (R,) [s].
+        hz: frequencies (F,) [Hz].
+        of_motion: mask of the motion's frequencies (F,).
+        seconds: duration of each run (R,) [s].
     """
     leaked, whole = np.zeros(hz.size), power.sum(axis=0)
     edges = np.flatnonzero(np.diff(of_motion, prepend=False, append=False))
@@ -85,12 +80,11 @@ def leaked_power(power: Vec, hz: Vec, of_motion: Mask, seconds: Vec) -> Vec:
 
 
 def strongest_line(runs: list[Run], errors: list[Vec], lowest_hz: float, highest_hz: float) -> float:
-    """Frequency of the wave, with a phase of each trial, that explains most of the errors [Hz]; 0 for none.
+    """Frequency of the wave, with a separate phase in each trial, that explains most of the errors [Hz]; 0 for none.
 
-    Lines of the motions themselves (`motion_frequencies`) are left out: a wave there cannot be told from the loop. So
-    are those that hold no more than what leaks from there (`leaked_power`). The grid is as fine as the longest trial
-    resolves, then refined by a parabola. Its powers come from a chirp z-transform: a table of all waves at all samples
-    grows with the square of the duration, to gigabytes at ten minutes.
+    Lines of the motions (`motion_frequencies`) and lines no larger than their leakage (`leaked_power`) are left out.
+    The grid is as fine as the longest trial resolves, then refined by a parabola. Powers are computed by a chirp
+    z-transform: a table of all waves at all samples would take gigabytes at ten minutes.
     """
     from scipy.signal import zoom_fft  # half a second to import
 

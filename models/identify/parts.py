@@ -1,4 +1,4 @@
-"""Parts that a device may consist of, each with the forms between which `fit auto` chooses."""
+"""Possible parts of a device, each with the forms between which `fit auto` chooses."""
 
 from __future__ import annotations
 
@@ -28,51 +28,42 @@ from .runs import Run
 Form = tuple[Candidate, ...]
 """One alternative of a part: effects that are added together; empty for a device without that part."""
 
-_FIRST = 5  # place of what acts on the command before delay and lag
+_FIRST = 5  # order of effects on the command before delay and lag
 WHOLE = "whole samples"
 """Variant of a delay that is not fitted."""
 _OFF = 0.3
-_USUAL, _STORE = 0.6, 20  # of the longest usual delay, up to which a device is late as usual; samples of one store
+_USUAL, _STORE = 0.6, 20  # share of the longest usual delay that is still usual; samples of one store
 _DAMPING = (0.06, 0.98)
-_REACHES = (0.3, 0.1, 0.8)  # of the command's range: the widest play at the starts
-_QUICKEST_S = 0.1  # relaxation time of the quick term of two; what is quicker is a lag
-_BENT = "pi, 6 plays"  # the core that is tried with a curve
+_REACHES = (0.3, 0.1, 0.8)  # widest play at the starts, as share of the command's range
+_QUICKEST_S = 0.1  # least relaxation time of the quick of two terms; a quicker one is a lag
+_BENT = "pi, 6 plays"  # core that is combined with a curve
 _SLACK = "slack/rounded"  # also before gradual plays: the bladder of a muscle has to meet its braid first
 _CURVES = ("nonlinear_gain/output", "asymmetry/output", "asymmetry/directional", _SLACK, "contact/output")
-_PLAYS, _FEW, _MANY = 5, 4, 8  # of the curved plays, and pieces of their curves
-_RADII = (0.02, 0.45)  # of the command's range: its narrowest and its widest play
+_PLAYS, _FEW, _MANY = 5, 4, 8  # number of curved plays, and of pieces in their curves
+_RADII = (0.02, 0.45)  # narrowest and widest play, as shares of the command's range
 
 
 @dataclass(frozen=True)
 class Part:
-    """Part of a device with its possible forms.
-
-    Attributes:
-        name: in tables: `drive`, `creep`, `valve`.
-        forms: the forms, the device without the part first.
-    """
+    """Part of a device with its possible forms."""
 
     name: str
     forms: tuple[Form, ...]
 
 
 def device_parts(scale: Scale, late_s: float = 0.0) -> tuple[Part, ...]:
-    """Drive, creep and curve of the command, with bounds and starts of the one list of effects.
+    """Drive, creep and curve of the command, with bounds and starts from the list of effects.
 
-    A drive holds each command over its sample, as a set-point that is sent in steps; where it runs straight between
-    the samples instead, that is half a sample of delay more. The delay therefore goes with every lag, too.
+    A drive holds each command over its sample. For an input that is linear between samples, half a sample of delay is
+    missing; therefore every lag is combined with a delay. The curve, of a valve or an amplifier, is before the drive:
+    behind a slow lag a core cannot represent it, and it would be identified as hysteresis. Plays whose width grows with
+    speed are excluded: in motion they resemble a delay, and in holds they are wrong.
 
-    The curve is that of a valve or an amplifier, in front of the drive. Behind a slow lag a core cannot stand in for
-    it, and it would be taken for hysteresis.
-
-    A width of the plays that grows with speed is no part: in motion it looks like a delay, and it is wrong in holds.
-
-    Bounds are those of the trials, not of the list of effects: a delay that the shortest trial can show, a lag or creep
-    that the longest can, a top speed that the command exceeds. A servo may ring for long.
+    Bounds follow from the trials: a delay that the shortest trial can show, a lag or creep that the longest can, a top
+    speed that the command exceeds. A servo may oscillate for long.
 
     Args:
-        scale: sizes of the device and its trials.
-        late_s: approximate delay of the device, see `dead_time`; a longer delay than usual is looked for there [s].
+        late_s: approximate delay of the device, see `dead_time`; where long, the search for a delay is around it [s].
     """
     known = _forms_of(scale, "delay", "lag", "creep", "nonlinear_gain")
     delay = _as_late(known["delay/command"], late_s, scale)
@@ -92,12 +83,10 @@ def device_parts(scale: Scale, late_s: float = 0.0) -> tuple[Part, ...]:
 
 
 def _forms_of(scale: Scale, *effects: str) -> Mapping[str, Candidate]:
-    """Forms of some effects of the list, by label."""
     return {c.label: c for effect in effects for c in EFFECTS[effect].forms(scale)}
 
 
 def _as_slow(tau: Freedom, scale: Scale) -> Freedom:
-    """Time constant of up to half the longest trial."""
     return replace(tau, upper=max(tau.upper, 0.5 * scale.duration_s))
 
 
@@ -110,10 +99,7 @@ def _as_late(delay: Candidate, late_s: float, scale: Scale) -> Form:
 
 
 def split_delay(delay: Candidate, about_s: float, reach_s: float, dt_s: float) -> Form:
-    """Delay of `about_s` give or take `reach_s`: a fixed one of whole samples, and one that is fitted.
-
-    A store of many samples takes minutes to compile; several short ones of whole samples in series are the same.
-    """
+    """Delay of `about_s` +- `reach_s`: a fitted one after short fixed ones, since a long store compiles for minutes."""
     whole = max(0, math.floor((about_s - reach_s) / dt_s))
     count = math.ceil(whole / _STORE)
     pieces = [len(part) for part in np.array_split(np.arange(whole), count)] if count else []
@@ -128,11 +114,7 @@ def split_delay(delay: Candidate, about_s: float, reach_s: float, dt_s: float) -
 
 
 def straight(form: Form) -> Form:
-    """Lag behind a command that runs straight between samples, for a form of lag and delay; else empty.
-
-    Behind a command in steps such a lag has half a sample of delay, which is none of the device: at another rate it is
-    another one.
-    """
+    """Form of lag and delay changed to a lag for a linear input between samples; else empty."""
     lags = [c for c in form if c.effect == "lag"]
     if not lags or len(lags) == len(form) or any(isinstance(o, RateLimit) for c in lags for o in c.operators):
         return ()
@@ -145,15 +127,11 @@ def whole_delay(form: Form) -> float:
 
 
 def _short(delay: Form) -> Form:
-    """Delay with one start, where another effect is fitted with it."""
     return tuple(replace(c, starts=c.starts[:1]) for c in delay)
 
 
 def _top_speed(scale: Scale) -> Candidate:
-    """Follower with a top speed alone; in the list of effects it is a lag.
-
-    It is looked for from one that crosses the range in the longest trial to that of the fastest command, which is none.
-    """
+    """Rate limit without a lag, from the range in the longest trial up to the fastest command."""
     slowest = min(0.02 * scale.span, scale.span / scale.duration_s, 0.1 * scale.fastest)
     free = (Freedom("top_speed", slowest, scale.fastest, 0.0),)
     start = min(0.5 * scale.span, 0.5 * scale.fastest)
@@ -161,7 +139,6 @@ def _top_speed(scale: Scale) -> Candidate:
 
 
 def _creeps(creep: Candidate, scale: Scale) -> tuple[Candidate, Candidate]:
-    """Creep of one term, and of a quick and a slow one."""
     share, tau = creep.free
     slowest, middle = 3.0 * scale.duration_s, 2.0
     share = replace(share, lower=-3.0, upper=0.9)
@@ -183,9 +160,9 @@ class CoreForm:
 
     Attributes:
         label: in tables, such as `pi, 6 plays`.
-        starts: chains of one structure, with values from which a fit starts.
+        starts: chains of one structure; their values are the starting points of a fit.
         size: free parameters, those of the curve included.
-        curve: static or directional curve that goes with the core; empty for none.
+        curve: static or directional curve behind the core; empty for none.
     """
 
     label: str
@@ -200,21 +177,20 @@ def plain_of(core: CoreForm, cores: Sequence[CoreForm]) -> CoreForm:
     return next(other for other in cores if other.label == label)
 
 
-_LEADS = 0.1  # of the output's range, half the distance by which the branch of a rise lies above that of a fall
-_FALLS = -0.3  # correlation; above it dynamics may be the cause, which drives have
+_LEADS = 0.1  # share of the output's range: half the distance of the rising branch above the falling one
+_FALLS = -0.3  # correlation above which dynamics of a drive may be the cause
 _SLIDERS = (4, 10)
 
 
 def core_forms(trials: Sequence[Trial], scale: Scale) -> tuple[CoreForm, ...]:
-    """Rate-independent cores, alone and with a curve, few parameters first; the richest last.
+    """Rate-independent cores, alone and with a curve, in the order of their number of parameters.
 
-    The first is a line, a device without hysteresis. The richest is `CurvedPlays`, but a sum of stops where the output
-    leads the command or falls with it, as friction forces do: no play does that. The start is the line through all
-    samples, which steps of a few values give as well as long ramps do. Where that line falls with little of the
-    output, dynamics may be the cause; then fits start from a line that rises over the ranges of both.
+    The first is a line, a device without hysteresis. The richest is `CurvedPlays`, or a sum of stops where the output
+    leads the command or falls with it, as friction forces do. Fits start from the regression line; if it falls with a
+    low correlation, from a line that rises over the ranges of both.
 
     Raises:
-        FitError: if the angle falls with the command, but for an output other than deg.
+        FitError: if the angle falls with the command, except for an output other than deg.
     """
     command = np.concatenate([trial.command for trial in trials])
     angle = np.concatenate([trial.angle for trial in trials])
@@ -231,12 +207,12 @@ def core_forms(trials: Sequence[Trial], scale: Scale) -> tuple[CoreForm, ...]:
     if slope <= 0:
         slope = height / span
         offset = float(angle.mean() - slope * command.mean())
-    # Without a curve of its own a device without hysteresis would be given plays for the curve that comes with them.
+    # Without this curve, a device without hysteresis would get plays for their curve.
     return line, _bent(line, known[_CURVES[0]]), *_plays(slope, offset, command, known), *stops
 
 
 def _lead(trials: Sequence[Trial]) -> float:
-    """Half the distance by which the output lies higher while the command rises than while it falls [deg]."""
+    """Half the distance by which the output is higher for a rising command than for a falling one [deg]."""
     ways = [segment(trial).labels for trial in trials]
     way = np.concatenate([np.where(w == Motion.LOADING, 1.0, np.where(w == Motion.UNLOADING, -1.0, 0.0)) for w in ways])
     command = np.concatenate([trial.command for trial in trials])
@@ -245,7 +221,6 @@ def _lead(trials: Sequence[Trial]) -> float:
 
 
 def _stops(slope: float, offset: float, height: float, span: float, scale: Scale) -> tuple[CoreForm, ...]:
-    """Friction forces, without and with a part that depends on the speed."""
     made = []
     for elements in _SLIDERS:
         for speed in (0.0, span / scale.duration_s):
@@ -257,13 +232,11 @@ def _stops(slope: float, offset: float, height: float, span: float, scale: Scale
 
 
 def _bent(core: CoreForm, curve: Candidate) -> CoreForm:
-    """Core with a curve."""
     label = f"{core.label}, {curve.label}"
     return replace(core, label=label, size=core.size + len(curve.free), curve=(curve,))
 
 
 def _plays(slope: float, offset: float, command: Vec, known: Mapping[str, Candidate]) -> list[CoreForm]:
-    """Sums of plays, alone and with a curve, for a line that rises."""
     span = float(np.ptp(command))
 
     def backlash(reach: float) -> Operator:
@@ -307,8 +280,7 @@ def dead_time(runs: Sequence[Run]) -> float:
 
         theta = a + b G u,  G = exp(-s delay) / (tau s + 1)
 
-    of all trials, each with its separate offset. It tells where a delay is to be looked for, not how long it is:
-    hysteresis delays the angle, too.
+    of all trials, each with its separate offset. It is only a starting point: hysteresis delays the angle, too.
 
     Source: first-order plus dead-time models, e.g. Astrom and Hagglund, Advanced PID Control (2006), section 2.6.
     """

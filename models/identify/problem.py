@@ -19,19 +19,19 @@ from .runs import AS_IT_IS, Run, RunsTogether, whitened
 
 _BLOCK_S = 4.0
 _RIDGE = 1e-9
-_FAINT = 1e-4  # of the working units: a start that changes less is forgotten
-_STARTS, _NUDGE = 2, 1e-4  # numbers of a start, and a small change of them
+_FAINT = 1e-4  # working units: the influence of a start is neglected below it
+_STARTS, _NUDGE = 2, 1e-4  # number of unknowns of a start, and their step for differences
 
 
 @final
 @dataclass(frozen=True)
 class TrialTerms:
-    """Linear terms whose coefficients belong to single trials.
+    """Linear terms with separate coefficients for each trial.
 
     Attributes:
         shift: offset, gain and width of the trial, to first order: columns 1, theta and d theta / d width.
         trial_offset: an offset alone; no effect, as sensors are zeroed anew for a trial.
-        frequency_hz: of a disturbance with a phase of each trial; 0 for none.
+        frequency_hz: of a disturbance with a separate phase in each trial; 0 for none.
         harmonics: of that disturbance.
         width: position of the baseline's width among the unknowns, -1 for none.
     """
@@ -70,7 +70,7 @@ class TrialTerms:
         return float(-self._weights(run, theta, by_q)[0])
 
     def _weights(self, run: Run, theta: Vec, by_q: Vec) -> Vec:
-        """Coefficients (K,) of the terms that explain most of a run's error."""
+        """Coefficients (K,) of the terms by least squares on a run's error."""
         columns = self.columns(run, theta[run.counts], by_q[run.counts])
         return np.asarray(np.linalg.lstsq(columns, (theta - run.angle)[run.counts], rcond=None)[0], dtype=np.float64)
 
@@ -80,17 +80,13 @@ class TrialTerms:
         return self.shift or self.trial_offset
 
     def common(self, run: Run, theta: Vec, both: Vec) -> Vec:
-        """Offset and gain of a run relative to the others [deg] (2, Q + 1), the derivative first.
-
-        The gain counts by what it moves: the coefficient of theta times the spread of theta. A separate offset has no
-        gain (1, Q + 1).
-        """
+        """Offset and, if fitted, gain times the spread of theta [deg] (1 or 2, Q + 1), the derivative first."""
         columns = self.columns(run, theta, both)
         scale = np.array([1.0, max(float(theta.std()), 1e-9)] if self.shift else [1.0])[:, None]
         return np.asarray(scale * np.linalg.pinv(columns)[: len(scale)] @ both)
 
     def projected(self, run: Run, theta: Vec, both: Vec) -> Vec:
-        """Derivative and, in the last column, error (C, Q + 1), without the part that the terms explain."""
+        """Derivative and, in the last column, error (C, Q + 1), without the part explained by the terms."""
         columns = self.columns(run, theta, both)
         if not columns.shape[1]:
             return both
@@ -98,7 +94,7 @@ class TrialTerms:
         return both - basis @ (basis.T @ both)
 
     def cross_fitted(self, run: Run, theta: Vec, error: Vec, by_q: Vec) -> Vec:
-        """Error (C,) less the terms, whose coefficients come from every other block of four seconds."""
+        """Error (C,) minus the terms, whose coefficients come from every other block of four seconds."""
         columns = self.columns(run, theta, by_q)
         if not columns.shape[1]:
             return error
@@ -116,12 +112,7 @@ NO_TERMS = TrialTerms()
 
 
 def _from_lead(both: Vec, lead: int) -> Vec:
-    """Correct derivatives and error of a run in place for its estimated start; return the change of the angle (T,).
-
-    The first columns are the derivatives by the two numbers of the start. What they explain of the first `lead`
-    samples, by least squares, is taken off all samples of all other columns: that start is estimated by samples that
-    do not count.
-    """
+    """Subtract the effect of the estimated start from derivatives and error in place; return that of the angle."""
     starts, rest = both[:, :_STARTS], both[:, _STARTS:]
     known = np.max(np.abs(starts[:lead]), axis=0) > _FAINT
     if not known.any():
@@ -138,13 +129,8 @@ def _from_lead(both: Vec, lead: int) -> Vec:
 class Problem:
     """Angles of a run as a function of scaled unknowns q = (baseline, effects).
 
-    Positive parameters are searched by their logarithm, all others in units of a typical change, so that a step of
-    one means the same everywhere.
-
-    Args:
-        baseline: the nominal chain and what retuning may change.
-        effects: candidates that are added to it.
-        terms: terms of single trials.
+    Positive parameters are scaled by their logarithm, all others in units of a typical change, so that steps of one are
+    comparable.
     """
 
     def __init__(self, baseline: Baseline, effects: Sequence[Candidate] = (), terms: TrialTerms = NO_TERMS) -> None:
@@ -191,7 +177,7 @@ class Problem:
         return self._z + len(self._freedoms)
 
     def start(self, z: Vec, effects: Sequence[Sequence[float]]) -> Vec:
-        """Unknowns from the baseline's freedom z (Z,) and each effect's free parameters."""
+        """Unknowns from baseline values z (Z,) and each effect's free parameters."""
         return self.scaled(np.array([*z[self._active], *(v for values in effects for v in values)], dtype=np.float64))
 
     @property
@@ -252,24 +238,22 @@ class Problem:
         return theta, both[:, :-1]
 
     def error(self, q: Vec, run: Run) -> tuple[Vec, Vec]:
-        """Angle less measurement where it counts (C,) and its derivative (C, Q), without terms of the trial."""
+        """Angle minus measurement where it counts (C,) and its derivative (C, Q), without terms of the trial."""
         theta, both = self._pass(q, RunsTogether.of([run]))
         left = self.terms.projected(run, theta[run.scored], both[run.scored])
         return left[:, -1], left[:, :-1]
 
     def held_out_error(self, q: Vec, run: Run) -> Vec:
-        """Angle less measurement where it counts (C,); terms of the trial are estimated on other blocks."""
+        """Angle minus measurement where it counts (C,); terms of the trial are estimated on other blocks."""
         theta, both = self._pass(q, RunsTogether.of([run]))
         scored = both[run.scored]
         return self.terms.cross_fitted(run, theta[run.scored], scored[:, -1], scored[:, :-1])
 
     def products(self, q: Vec, together: RunsTogether, white: Vec = AS_IT_IS) -> tuple[Vec, list[Vec]]:
-        """Products of derivatives and errors of one pass over many runs, derivatives first and the error last.
+        """Products of derivatives and errors in one pass over many runs, derivatives first and the error last.
 
         Args:
-            q: unknowns.
-            together: runs.
-            white: filter that derivatives and error go through (`whitening`).
+            white: filter for derivatives and error (`whitening`).
 
         Returns:
             Sum over the samples that count of the products of both (Q + 1, Q + 1), the terms of trials projected out,
@@ -285,7 +269,7 @@ class Problem:
         return sum((part.T @ part for part in parts), np.zeros((q.size + 1, q.size + 1))), common
 
     def begun(self, q: Vec, run: Run, box: Box) -> Run:
-        """Run with the start that the device with unknowns q estimates, where it begins in motion."""
+        """Run with the start estimated at unknowns q, where it begins in motion."""
         return run.begun(self._staged.rollouts(run.dt_s, self._values(q)[0]), box, self.chain.rest_samples)
 
     def _pass(self, q: Vec, together: RunsTogether) -> tuple[Vec, Vec]:
@@ -310,7 +294,7 @@ class Problem:
         return theta, np.ascontiguousarray(both[:, more:])
 
     def _move_starts(self, together: RunsTogether, p: Vec, state: Vec, moving: Vec) -> None:
-        """Derivative of the states by the command and the angle at rest before, in the first columns."""
+        """Set the derivatives of the states by command and angle at rest before, in the first columns."""
         command, angle = together.rests
         none, leads = np.empty((p.size, 0)), np.array([run.lead > 0 for run in together.runs])
         for k, (du, dy) in enumerate(((_NUDGE, 0.0), (0.0, _NUDGE))):
@@ -321,7 +305,7 @@ class Problem:
             moving[index, :, :_STARTS] = 0.0
 
     def _values(self, q: Vec) -> tuple[Vec, Vec]:
-        """Parameters (P,) of the chain and their derivative (P, Q) by the unknowns; the last ones are stored."""
+        """Parameters (P,) of the chain and their derivative (P, Q) by the unknowns; the last result is cached."""
         last = self._last
         if last is None or not np.array_equal(q, last[0]):
             self._last = last = (q.copy(), *self._values_at(q))
@@ -337,11 +321,9 @@ class Problem:
         return p, slope
 
     def _in_core(self) -> list[str]:
-        """Effects that are free parameters of the core."""
         return [c.effect for c in self.effects if c.variant == CORE]
 
     def _indices(self, name: str, operators: Sequence[int], at: Sequence[int]) -> list[int]:
-        """Positions of a parameter among the chain's, of every operator that has it."""
         positions = []
         for k in operators:
             names = [p.name for p in self.chain.operators[k].parameters]
@@ -361,7 +343,6 @@ class Problem:
         return state, slope
 
     def _places(self) -> tuple[list[int], list[int]]:
-        """First parameter and first state of each operator."""
         at, states = [0], [0]
         for operator in self.chain.operators:
             at.append(at[-1] + len(operator.parameters))

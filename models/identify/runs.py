@@ -1,4 +1,4 @@
-"""Trials as runs of an identification: starts, errors in blocks of a few seconds, checks and facts of a trial set."""
+"""Trials as runs of an identification: starts, errors in blocks, checks and metadata of a trial set."""
 
 from __future__ import annotations
 
@@ -21,24 +21,22 @@ from hystmpc.trials.types import Index, Mask, Vec
 from ..contract.metadata import DeviceLimits, InitialRule, ModelMetadata, Range
 from ..start import Box, Runs, TrialStart, estimated_start, trial_start
 
-_GROUP = 32768  # samples of a group of runs: some MB of derivatives
+_GROUP = 32768  # samples in a group of runs: some MB of derivatives
 
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """Trial, or a part of one that counts.
+    """Trial with its start, history and scored samples.
 
     Attributes:
-        name: of the trial.
         command, angle: (T,) [cmd], [deg].
-        dt_s: sample time [s].
-        rest_command, rest_angle: where the device rested before [cmd], [deg].
+        rest_command, rest_angle: command and angle of the rest before [cmd], [deg].
         counts: samples that are scored (T,).
         bent_before: greatest command of all trials recorded before [cmd]; the rest command for the first.
         clock_s: time recorded before this trial [s].
         correction: angle of the nominal simulator less that of the chain that represents it (T,) [deg]; zero for a
             chain.
-        lead: first samples that only tell where the run begins, of a trial that begins in motion; they do not count.
+        lead: first samples of a trial in motion, used only to estimate its start.
         approach: commands between the rest and the first sample, see `TrialStart`.
     """
 
@@ -61,7 +59,7 @@ class Run:
         return TrialStart(self.rest_command, self.rest_angle, self.lead, self.approach)
 
     def begun(self, runs: Runs, box: Box, held: int) -> Run:
-        """Run with the start that a model estimates (`estimated_start`), held there for `held` samples."""
+        """Run with the start estimated by a model (`estimated_start`), held there for `held` samples."""
         start = estimated_start(self.start, self.command, self.angle - self.correction, self.dt_s, box, runs)
         if self.approach and start.at_rest:
             return self
@@ -70,12 +68,12 @@ class Run:
 
     @cached_property
     def scored(self) -> slice | NDArray[np.bool_]:
-        """Index of the samples that are scored: a slice, which copies nothing, where they are contiguous."""
+        """Index of the scored samples: a slice, which copies nothing, where they are contiguous."""
         spans = spans_of(self.counts)
         return slice(*spans[0]) if len(spans) == 1 else self.counts
 
     def blocks(self, seconds: float) -> NDArray[np.intp]:
-        """Number of the block of each counted sample."""
+        """Block number of each counted sample."""
         length = max(round(seconds / self.dt_s), 1)
         return np.flatnonzero(self.counts) // length
 
@@ -87,21 +85,20 @@ def spans_of(counts: NDArray[np.bool_]) -> list[tuple[int, int]]:
 
 
 def end_to_end(signals: Sequence[Vec]) -> tuple[Vec, Index]:
-    """Signals laid end to end (T,), and the first sample of each, and T (N + 1,)."""
+    """Concatenated signals (T,), and the first sample of each followed by T (N + 1,)."""
     return np.concatenate(signals), np.cumsum([0, *(signal.size for signal in signals)])
 
 
 @dataclass(frozen=True, eq=False)
 class RunsTogether:
-    """N runs of one rate laid end to end for one call of the simulation, T samples in all.
+    """N runs of one rate, concatenated for one call of the simulation, T samples in all.
 
     Attributes:
-        runs: in order.
         command: of all runs with their approaches (A,).
-        first: first sample of each of them, and A (N + 1,).
+        first: first sample of each run, followed by A (N + 1,).
         recorded: samples among these that belong to the trials (T,).
         angle, correction: of all trials (T,), see `Run`.
-        begin: first sample of each trial among these, and T (N + 1,).
+        begin: first sample of each trial, followed by T (N + 1,).
         spans: first sample and end of each stretch that is scored.
     """
 
@@ -116,7 +113,7 @@ class RunsTogether:
 
     @classmethod
     def of(cls, runs: Sequence[Run]) -> RunsTogether:
-        """Runs laid end to end."""
+        """Concatenate runs."""
         command, first = end_to_end([np.concatenate([run.approach, run.command]) for run in runs])
         angle, begin = end_to_end([run.angle for run in runs])
         recorded: slice | Mask = slice(None)
@@ -128,7 +125,7 @@ class RunsTogether:
 
     @classmethod
     def groups(cls, runs: Sequence[Run]) -> tuple[RunsTogether, ...]:
-        """All runs in groups whose derivatives fit in a processor's cache."""
+        """Concatenate runs in groups whose derivatives fit in a processor's cache."""
         groups, size = [[runs[0]]], runs[0].command.size
         for run in runs[1:]:
             size += run.command.size
@@ -150,7 +147,7 @@ class RunsTogether:
         return command, angle
 
     def each(self) -> Iterator[tuple[Run, slice]]:
-        """Runs with their places."""
+        """Runs with their slices."""
         for run, a, b in zip(self.runs, self.begin[:-1].tolist(), self.begin[1:].tolist(), strict=True):
             yield run, slice(a, b)
 
@@ -168,7 +165,7 @@ class Before:
     clock_s: float = 0.0
 
     def scaled(self, factor: float) -> Before:
-        """History with commands times a factor."""
+        """History with commands multiplied by a factor."""
         return Before(factor * self.bent, self.clock_s)
 
     @classmethod
@@ -188,14 +185,9 @@ def runs_of(
     before: Sequence[Before] | None = None,
     starts: Sequence[TrialStart] | None = None,
 ) -> tuple[Run, ...]:
-    """Runs of trials in recording order, uniformly sampled.
-
-    A run begins where its trial does (`models.start.trial_start`). Every sample counts, but for the first of a trial
-    that begins in motion.
+    """Runs of trials in recording order, uniformly sampled; every sample counts except the lead of a trial in motion.
 
     Args:
-        trials: all that were recorded, or some of them.
-        corrections: see `Run.correction`.
         before: of each trial, where trials in between were left out.
         starts: of each trial, where they are known from its samples at another rate.
     """
@@ -330,16 +322,12 @@ def facts_of(
     """Metadata of a model identified on `trials`, with their ranges, fingerprint and names.
 
     Args:
-        kind: name of the kind.
-        trials: all that it was given.
-        limits: what the device may be sent; what the trials show where left out.
+        limits: limits of the command; the range in the trials where left out.
         rules: `initial` and `conditioned`.
-        warmup_samples: see `ModelMetadata`.
-        training: further facts.
 
     Raises:
         FitError: on unusable trials.
-        ModelError: if they are beyond what a model file may hold.
+        ModelError: if they are beyond the bounds of a model file.
     """
     dt, trained = check_trial_set(trials), command_range(trials)
     return ModelMetadata.of(
@@ -362,7 +350,7 @@ def facts_of(
 
 
 def fixed_rule(state: Vec) -> InitialRule:
-    """Initial state (S,) that does not depend on the measured angle."""
+    """Initial rule of a state (S,) that does not depend on the measured angle."""
     return InitialRule(offset=tuple(state.tolist()), slope=(0.0,) * state.size)
 
 
@@ -373,10 +361,10 @@ _RIDGE = 1e-9
 
 
 def whitening(errors: Sequence[Vec]) -> Vec:
-    """Prediction-error filter (P + 1,) that leaves the part of errors which their past does not predict.
+    """Prediction-error filter (P + 1,), whose output is the unpredictable part of the errors.
 
-    e_k - a_1 e_{k-1} - ... - a_P e_{k-P}, with a of least squares over all runs: a model-form error that follows the
-    motion slowly is taken off, and noise stays. An order of P = 6.
+    e_k - a_1 e_{k-1} - ... - a_P e_{k-P}, P = 6, with a of least squares over all runs: a slow model-form error is
+    removed, and noise remains.
 
     Source: Cochrane and Orcutt, Application of least squares regression to relationships containing auto-correlated
     error terms, J. Am. Stat. Assoc. 44 (1949).
@@ -389,7 +377,7 @@ def whitening(errors: Sequence[Vec]) -> Vec:
 
 
 def whitened(signal: Vec, white: Vec) -> Vec:
-    """Signal (T, ...) of one run through the filter; zero where its past is not known."""
+    """Filtered signal (T, ...) of one run; zero in the first samples, which lack a past."""
     if white.size == 1:
         return white[0] * signal
     left = np.asarray(lfilter(white, [1.0], signal, axis=0))

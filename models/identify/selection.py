@@ -20,13 +20,13 @@ RoundProgress = Callable[[float, str], None]
 """Told the share of the present round, and the candidate that is tried."""
 
 _PARAMETERS_OF_TERMS = 100
-_SAME_FIT = 1e-3  # relative fall of the error that is none: the tolerance of the fits
-OF_SINGLE_TRIALS = frozenset({"trial_shift", "periodic_disturbance"})  # fitted to each trial anew: has to recur
+_SAME_FIT = 1e-3  # relative fall of the error that counts as none: the tolerance of the fits
+OF_SINGLE_TRIALS = frozenset({"trial_shift", "periodic_disturbance"})  # fitted to each trial, have to recur
 
 
 @dataclass(frozen=True)
 class SelectionSettings:
-    """Thresholds of the selection; chosen on development cases and frozen.
+    """Thresholds of the selection, chosen on development cases and frozen.
 
     Attributes:
         most: greatest number of causes.
@@ -46,8 +46,8 @@ class SelectionSettings:
         gives_way: generic effects, and the share of what they explain by which another cause may be worse and is still
             preferred.
         width_share: error with a width of each trial, over that with its offset and gain alone, below which it has one.
-        line_of_shifts: of what shifts of the trials explain in the fit, the part that a drift may leave that makes
-            them needless: it has one number for all trials.
+        line_of_shifts: of what shifts of the trials explain in the fit, the part that a drift may leave that makes them
+            needless: it has one number for all trials.
         variants: forms of one effect that are tried again once it was tried alone.
         judged: candidates of a round that are judged on held-out trials; the others only by their fit.
         lowest_hz, highest_hz: where a periodic disturbance is looked for.
@@ -83,9 +83,8 @@ class Selection:
     """Result of a selection.
 
     Attributes:
-        baseline: retuned alone.
         chosen: baseline with the chosen causes; the baseline itself if there are none.
-        tried: everything that was judged, by the names of its causes; the best variant of each.
+        tried: all judged hypotheses, by the names of their causes; the best variant of each.
     """
 
     baseline: HeldOutErrors
@@ -94,7 +93,7 @@ class Selection:
 
 
 class _Judged:
-    """Hypotheses with their errors on trials that their fits did not see, by the names of their causes."""
+    """Hypotheses with their errors on held-out trials, by the names of their causes."""
 
     def __init__(self, tried: Mapping[frozenset[str], HeldOutErrors]) -> None:
         self.tried = dict(tried)
@@ -114,7 +113,6 @@ class _Judged:
         return None if known is None else known.hypothesis
 
     def judged(self, hypothesis: Hypothesis) -> HeldOutErrors:
-        """Errors of a hypothesis on held-out trials."""
         return self.tried[hypothesis.effects]
 
     def known(self, names: frozenset[str]) -> HeldOutErrors | None:
@@ -131,11 +129,7 @@ class _Search:
         self._baseline_mse, self._strict = 0.0, False
 
     def run(self) -> tuple[HeldOutErrors, HeldOutErrors]:
-        """Baseline and chosen hypothesis.
-
-        First generic causes are added like others: on the way one may stand beside a partner that is exchanged later.
-        Where one of them then explains no more than form errors would, it is dropped and the search goes on without.
-        """
+        """Baseline and chosen hypothesis, without generic causes that explain no more than form errors would."""
         baseline = self._trials.baseline()
         self._baseline_mse = baseline.mse
         searched = self._searched(baseline, baseline)
@@ -144,8 +138,8 @@ class _Search:
         return baseline, searched if kept is searched else self._searched(kept, baseline)
 
     def _searched(self, current: HeldOutErrors, baseline: HeldOutErrors) -> HeldOutErrors:
-        """Add, drop, swap, until nothing changes."""
-        been: set[frozenset[str]] = set()  # what is added may drop what has it added again
+        """Add, drop and exchange causes until nothing changes."""
+        been: set[frozenset[str]] = set()  # guards against an endless cycle of addition and removal
         while current.hypothesis.effects not in been:
             been.add(current.hypothesis.effects)
             if len(current.hypothesis.effects) < self._settings.most and (added := self._best_addition(current)):
@@ -177,7 +171,7 @@ class _Search:
         whole = (settings.sure_share if sure else settings.gap_share) * (self._baseline_mse - self._floor)
         within = new == {"drift"} and "trial_shift" in before.hypothesis.effects
         if within and fall > settings.drift_errors * error:
-            whole = 0.0  # shifts explain what it does between trials: by the whole error it would always seem small
+            whole = 0.0  # shifts explain the differences between trials, which make its share of the whole error small
         if new == {"trial_shift"} and "drift" in before.hypothesis.effects and self._on_a_line(after, before):
             return False
         if new & OF_SINGLE_TRIALS and not _recurs(before, after, new, settings):
@@ -187,7 +181,6 @@ class _Search:
         return sureness(before, after) > settings.standard_errors and useful > least
 
     def _dropped(self, current: HeldOutErrors) -> HeldOutErrors:
-        """Hypothesis without the causes that are no longer needed."""
         for effect in sorted(current.hypothesis.effects):
             if len(current.hypothesis.effects) < 2:
                 break
@@ -195,7 +188,7 @@ class _Search:
             if simpler_fit is None:
                 continue
             judged = self._trials.judged(simpler_fit)
-            simpler = self._trials.known(simpler_fit.effects) or judged  # another start or form may have done better
+            simpler = self._trials.known(simpler_fit.effects) or judged  # another start or form may be better
             if not self._worth_adding(simpler, current):
                 current = simpler
         return current
@@ -219,12 +212,12 @@ class _Search:
         return current
 
     def _on_a_line(self, shifts: HeldOutErrors, drift: HeldOutErrors) -> bool:
-        """Whether shifts of trials follow the clock, so that a drift without them is enough."""
+        """Whether shifts of trials follow the clock, so that a drift is enough."""
         neither = self._trials.known(shifts.hypothesis.effects & drift.hypothesis.effects - {"drift"})
         return neither is not None and line_share(neither, shifts, drift) >= 1 - self._settings.line_of_shifts
 
     def _better(self, present: HeldOutErrors, other: HeldOutErrors, baseline: HeldOutErrors) -> bool:
-        """Whether an exchange is an improvement; a generic effect gives way to one that does nearly as well."""
+        """Whether an exchange is an improvement; a specific effect that is nearly as good replaces a generic one."""
         if len(other.hypothesis.effects) != len(present.hypothesis.effects) or other is present:
             return False
         fall, error = gain(present, other)
@@ -244,7 +237,7 @@ class _Search:
 
 @final
 class _Fits(_Judged):
-    """Hypotheses that are fitted to the development runs and judged in folds when they are asked for."""
+    """Hypotheses that are fitted to the development runs and judged in folds on request."""
 
     def __init__(
         self,
@@ -265,11 +258,7 @@ class _Fits(_Judged):
         return retuned
 
     def without(self, hypothesis: Hypothesis, effect: str) -> Hypothesis | None:
-        """Device without one effect, fitted anew.
-
-        A device of the same structure that was tried before stays unless the new fit is better: its errors on held-out
-        trials are already known.
-        """
+        """Device refitted without one effect; a known device of the same structure stays unless the fit is better."""
         refitted = self._validation.without(hypothesis, {effect})
         tried = self.tried.get(refitted.effects)
         if tried is None or not _same_structure(tried.hypothesis.problem, refitted.problem):
@@ -286,7 +275,7 @@ class _Fits(_Judged):
         return judged
 
     def additions(self, base: Hypothesis) -> list[Hypothesis]:
-        """Best variant of every effect that is not there yet, the most promising first; fitted once for a base."""
+        """Best variant of every effect that is not yet in the base, the most promising first."""
         if base not in self._added:
             self._added[base] = self._fitted_additions(base)
         return self._added[base]
@@ -318,20 +307,15 @@ class _Fits(_Judged):
         return order[: self._settings.judged]
 
     def _expected(self, free: int) -> float:
-        """Factor from the error of a fit to that on other trials, for what flexible forms gain by chance.
-
-        (B + Q) / (B - Q) with B blocks, as neighbouring errors are correlated, and Q free parameters (Akaike, Fitting
-        autoregressive models for prediction, Ann. Inst. Statist. Math. 21, 1969: final prediction error).
-        """
+        """Factor (B + Q) / (B - Q) from training to other trials (Akaike, Ann. Inst. Stat. Math. 21, 1969)."""
         blocks = self._blocks
         return (blocks + free) / max(blocks - free, 1.0)
 
     def _several_trials(self) -> bool:
-        """Whether there are several trials: folds of one trial share its samples, and no shift from trial to trial."""
+        """Whether there are several trials: folds of one trial share its samples and have no shift between trials."""
         return len({id(run.command) for run in self._validation.runs}) > 1
 
     def _terms(self, base: Hypothesis) -> list[TrialTerms]:
-        """Terms of the base with one more."""
         terms, made = base.problem.terms, []
         if not terms.shift and "trial_shift" not in self._without and self._several_trials():
             width = self._validation.baseline.width
@@ -352,7 +336,7 @@ def _same_structure(one: Problem, other: Problem) -> bool:
 
 
 def _favourites(reached: Mapping[Candidate, float], most: int) -> tuple[Candidate, ...]:
-    """Variants of each effect that did best alone: later rounds try no others."""
+    """Best variants of each effect alone; later rounds try no others."""
     kept = []
     for effect in dict.fromkeys(candidate.effect for candidate in reached):
         reached_by_effect = sorted((c for c in reached if c.effect == effect), key=lambda c: reached[c])
@@ -361,7 +345,6 @@ def _favourites(reached: Mapping[Candidate, float], most: int) -> tuple[Candidat
 
 
 def _exceeds(gained: tuple[float, float]) -> bool:
-    """Whether a fall is larger than its standard error."""
     return gained[0] > gained[1]
 
 
@@ -373,11 +356,10 @@ def _freedoms(hypothesis: Hypothesis) -> int:
 
 
 def _recurs(before: HeldOutErrors, after: HeldOutErrors, new: AbstractSet[str], settings: SelectionSettings) -> bool:
-    """Whether terms of single trials explain most trials, and not a single odd one alone.
+    """Whether terms of single trials explain most trials, and not a single unusual one alone.
 
-    The median trial gains as the mean does. Where groups of unequal size share a shift, the retuned simulator is nearer
-    to the larger group, whose trials gain less: then a shift explains half of the error of every trial, and the trials
-    but for the best one gain as the mean does.
+    Where groups of unequal size share a shift, the larger group gains less: then a shift has to explain half of the
+    error of every trial, and the trials without the best one have to gain as the mean does.
     """
     runs = [before.run == k for k in np.unique(before.run)]
     falls = np.array([(before.energy - after.energy)[blocks].sum() for blocks in runs])
@@ -391,15 +373,14 @@ def _recurs(before: HeldOutErrors, after: HeldOutErrors, new: AbstractSet[str], 
 
 
 def line_share(neither: HeldOutErrors, shifts: HeldOutErrors, drift: HeldOutErrors) -> float:
-    """Share of the error explained by shifts of the trials that a drift explains, too.
+    """Share of the error explained by shifts of the trials that a drift also explains.
 
-    Both are compared by their fits. Held out, shifts are estimated on the trial itself and a drift on others, so that
-    its random walk about the line would count against it.
+    Training errors are compared: held out, the random walk about the line would count against the drift.
 
     Args:
-        neither: without either.
-        shifts: with the shifts.
-        drift: with a drift, and without shifts.
+        neither: fit without shifts and drift.
+        shifts: fit with shifts alone.
+        drift: fit with a drift alone.
     """
     rest = neither.hypothesis.mse
     return (rest - drift.hypothesis.mse) / max(rest - shifts.hypothesis.mse, 1e-12)
@@ -417,12 +398,8 @@ def select(
     """Select the causes of a gap.
 
     Args:
-        validation: development runs and baseline.
-        candidates: effects that may be added.
-        settings: thresholds.
         floor_mse: error of sensor noise and model form; a fall below it does not count [deg^2].
-        without: effects that are left out of the library.
-        progress: called with the share of the present round and the candidate that is tried.
+        progress: called with the share of the present round and the candidate.
         faults_mse: energy of a faulty sensor's noise, which is no form error [deg^2].
     """
     fits = _Fits(validation, candidates, settings, without, progress)
@@ -442,11 +419,10 @@ def reselect(
     floor_mse: float,
     faults_mse: float = 0.0,
 ) -> Selection:
-    """Select by the same rules among hypotheses that were judged on other trials; nothing is fitted.
+    """Select causes by the same rules among hypotheses judged on other trials, without fits.
 
     Args:
-        tried: their errors by the names of their causes, the baseline's among them.
-        settings: thresholds.
+        tried: errors by the names of the causes, the baseline's among them.
         floor_mse, faults_mse: see `select`.
     """
     baseline, chosen = _Search(_Judged(tried), settings, floor_mse, faults_mse).run()

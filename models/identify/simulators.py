@@ -1,4 +1,4 @@
-"""Simulators of identified chains, as identified and as corrected by a diagnosis, with their residuals."""
+"""Simulators of identified chains, also with the corrections of a diagnosis, and their residuals."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def identify(
     limits: DeviceLimits | None = None,
     progress: FitProgress | None = None,
 ) -> tuple[Simulator, ChainFit]:
-    """Simulator of a kind of chain, identified by least squares; arguments and errors as of `identify_chain`.
+    """Identify the simulator of a kind of chain by least squares; arguments and errors as of `identify_chain`.
 
     Raises:
         FitError: also where the lines of a backlash cross within the trained range.
@@ -73,16 +73,11 @@ def simulator_of(
     skip_first_flexure: bool = False,
     noise: NoiseModel | None = None,
 ) -> Simulator:
-    """Simulator of an identified chain with the facts of its trials, and the residuals of its free runs.
+    """Simulator of an identified chain with the metadata of its trials, and the residuals of its free runs.
 
     Args:
-        chain: what was identified.
-        trials: from which.
-        limits: what the device may be sent.
-        method: how, in words.
-        seed: of what was drawn at random.
         skip_first_flexure: whether each trial counted from the first reversal of its command on.
-        noise: of trials that the fit did not use; where left out, that of these trials.
+        noise: noise on held-out trials; that on these trials where left out.
 
     Raises:
         FitError: on unusable trials, or a backlash whose lines cross within the trained range.
@@ -122,10 +117,7 @@ def simulator_of(
 
 
 def _rest_command(trials: Sequence[Trial], limits: Range) -> float | None:
-    """Command at which the device rests before its trials, None for the lower end of its range.
-
-    Trials that all begin in motion do not tell it: then the command at which they begin.
-    """
+    """Command at rest before the trials, else the one at which they begin; None for the lower end of its range."""
     if trials[0].inverted:
         return None
     starts = [trial_start(trial.command, trial.angle, trial.dt) for trial in trials]
@@ -134,15 +126,13 @@ def _rest_command(trials: Sequence[Trial], limits: Range) -> float | None:
     return rest if rest > limits.lower + _FROM_BELOW * (limits.upper - limits.lower) else None
 
 
-_FROM_BELOW = 0.01  # of the command's range: trials that begin higher up begin elsewhere than at its lower end
+_FROM_BELOW = 0.01  # share of the command's range: trials that begin higher do not begin at its lower end
 
 
 def residual(log: Trial, trial: Trial, theta: Vec, start: int) -> Residual:
     """Residual of a simulator on a trial.
 
     Args:
-        log: as recorded, for its name and fingerprint.
-        trial: at the simulator's rate.
         theta: the simulator's free run (T,) [deg].
         start: first sample that counts.
     """
@@ -182,17 +172,14 @@ def corrected_simulator(
     decades: Decades,
     skip_first_flexure: bool = False,
 ) -> Simulator:
-    """Simulator that is retuned and has the identified effects.
+    """Retuned simulator with the identified effects.
 
     A disturbance has the amplitude, the frequency and the phase of the last trial. Terms of single trials
-    (`trial_shift`) and a faulty sensor are not included, and memory from trial to trial begins anew; the method says
-    so. Residuals and noise are those of the file as it stands, on the development trials, as `fit` stores them.
+    (`trial_shift`) and a faulty sensor are not included, and memory is reset for each trial; the method says so.
+    Residuals and noise are those of this simulator on the development trials, as `fit` stores them.
 
     Args:
-        simulator: as given.
-        chosen: fitted, with its causes.
         runs: all trials in recording order, the sensor's faults repaired.
-        development: those that were fitted.
         trials, given: all trials at the common rate, and as recorded.
         decades: units in which the simulator was fitted and the runs are; the trials are in those of the log.
         skip_first_flexure: whether the trials counted from their first reversal on only.
@@ -220,14 +207,10 @@ def corrected_simulator(
 def network_effects(
     chosen: Hypothesis, baseline: Baseline, last: Run, dt_s: float, simulator: str, decades: Decades
 ) -> dict[str, str]:
-    """File of effects beside a network, which cannot hold them itself; none where there are no effects.
+    """File of effects for a network, which cannot contain them; none where there are no effects.
 
     Args:
-        chosen: fitted, with its causes.
-        baseline: the plays that stand for the network.
-        last: trial recorded last.
-        dt_s: sample time of the trials [s].
-        simulator: name of the network in the file's note.
+        baseline: plays that represent the network.
         decades: units in which the effects were fitted; the file is in those of the log.
     """
     effects = [_spec(c.effect, c.side, decades.log_operator(operator, c.side)) for c, operator in _placed(chosen)]
@@ -254,11 +237,7 @@ def network_effects(
 
 
 def _disturbance(chosen: Hypothesis, last: Run, dt_s: float, decades: Decades) -> Operator | None:
-    """Disturbance of the last trial, for a clock of that sample time; None if there is none.
-
-    Terms are s_h sin(2 pi h f t) + c_h cos(2 pi h f t), taken off the error; the operator's clock has made one step
-    at the first sample.
-    """
+    """Disturbance of the last trial, whose clock has made one step at the first sample; None if there is none."""
     terms = chosen.problem.terms
     if not terms.frequency_hz:
         return None
@@ -272,7 +251,6 @@ def _disturbance(chosen: Hypothesis, last: Run, dt_s: float, decades: Decades) -
 
 
 def _remarks(chosen: Hypothesis) -> str:
-    """Text on what the file leaves out."""
     said = []
     if chosen.problem.terms.shift:
         said.append("shifts from trial to trial are not in this file")
@@ -284,7 +262,7 @@ def _remarks(chosen: Hypothesis) -> str:
 
 
 def _compared(chain: Chain, angle: Vec, trial: Trial, skip_first_flexure: bool) -> tuple[Trial, Vec, int]:
-    """Trial with the angle as repaired (T,), free run (T,) of the chain from rest, and first sample that counts."""
+    """Trial with the repaired angle (T,), free run (T,) of the chain from rest, and first sample that counts."""
     repaired = Trial(trial.t, trial.command, angle, units=trial.units, source=trial.source)
     state = settled(chain, float(trial.command[0]), float(angle[0]), -math.inf, 0.0)
     theta = StagedChain(chain).simulate(trial.command[:, None], trial.dt, state[:, None])[0][:, 0]
@@ -293,7 +271,6 @@ def _compared(chain: Chain, angle: Vec, trial: Trial, skip_first_flexure: bool) 
 
 
 def _placed(chosen: Hypothesis) -> list[tuple[Any, Operator]]:
-    """Candidates with their operators as identified, in the order of the signal."""
     problem = chosen.problem
     chain, nominal = problem.fitted_chain(chosen.q), problem.baseline.chain
     lead = len(chain.before) - len(nominal.before)
@@ -317,14 +294,12 @@ def _spec(effect: str, side: str, operator: Operator) -> Mapping[str, Any]:
 def settled(chain: Chain, command: float, angle: float, bent: float, clock_s: float) -> Vec:
     """State (S,) of a chain after a long rest.
 
-    The start at rest is known for each operator alone; in a chain, creep before a play moves on from there. The command
-    is therefore held for half an hour. Clocks and running maxima are set afterwards.
+    The command is held for half an hour, as creep before a play moves it. Clocks and running maxima are set afterwards.
 
     Args:
-        chain: with its numbers.
-        command: held [cmd].
+        command: constant [cmd].
         angle: approximate angle of the device [deg].
-        bent: greatest command of the device so far [cmd]; the rest command for one that forgets.
+        bent: greatest command of the device so far [cmd]; the rest command for a device without that memory.
         clock_s: of the device [s].
     """
     staged = StagedChain(chain)

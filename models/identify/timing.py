@@ -16,7 +16,7 @@ from .runs import Blocks, Run, blocks_of, whitened, whitening
 TIMING = frozenset({"lag", "delay", "rate_dependence"})
 """Effects that leave a slow motion alone and keep the angle behind a fast one."""
 _PART_S = 3.0
-_FORMS = 2  # of each effect that are compared: those that fit best
+_FORMS = 2  # compared forms of each effect, those that fit best
 
 
 def timing_rivals(
@@ -27,15 +27,12 @@ def timing_rivals(
     Each has two errors:
 
     1. On every other part of 3 s of all trials, by a fit to the parts between. Trials held out whole are harder where
-       a single trial has the fast steps: what the others tell about such a speed is extrapolated.
-    2. Whitened errors of a fit to them (generalised least squares). These effects differ at bends of the command, for
-       a few samples; the model-form error is slow.
+       a single trial has the fast steps, whose speed is then an extrapolation.
+    2. Whitened training errors (generalised least squares). These effects differ for a few samples after a change of
+       direction of the command; the model-form error is slow.
 
     Args:
-        validation: development runs.
-        candidates: forms of all effects.
-        chosen: causes that were selected.
-        rest: the same without its effect of timing, where that was fitted.
+        rest: fit without the effect of timing, if there is one.
     """
     names = chosen.effects & TIMING
     values = list(zip(chosen.problem.effects, chosen.problem.effect_values(chosen.q), strict=True))
@@ -87,13 +84,12 @@ def _held_out(validation: CrossValidation, hypothesis: Hypothesis) -> Vec:
 
 
 def _parts(run: Run, odd: int) -> Run:
-    """Run of which every other part counts."""
     part = np.arange(run.counts.size) * run.dt_s // _PART_S % 2 == odd
     return replace(run, counts=run.counts & part)
 
 
 def _quick(validation: CrossValidation, hypothesis: Hypothesis, white: Vec) -> Vec:
-    """Energy of the whitened errors of a fit to them, in blocks (B,)."""
+    """Energy of the whitened training errors, in blocks (B,)."""
     problem, runs = hypothesis.problem, validation.runs
     q = fit_problem(problem, runs, hypothesis.q, validation.evaluations, 1e-4, white).q
     return blocks_of([whitened(problem.error(q, run)[0], white) for run in runs], runs).energy
@@ -102,10 +98,10 @@ def _quick(validation: CrossValidation, hypothesis: Hypothesis, white: Vec) -> V
 def by_timing(
     chosen: HeldOutErrors, tried: Mapping[frozenset[str], HeldOutErrors], sure_errors: float
 ) -> HeldOutErrors:
-    """Chosen hypothesis, or the same with another effect of timing.
+    """Select among the chosen hypothesis and those with another effect of timing.
 
-    Of those whose error, held out in parts, is not larger than the least by so many standard errors, the one of which
-    the least whitened errors are expected.
+    Of those whose error, held out in parts, is at most so many standard errors above the least, the one with the least
+    expected whitened errors.
     """
     names = chosen.hypothesis.effects
     if len(names & TIMING) != 1 or chosen.parts is None:
@@ -117,7 +113,7 @@ def by_timing(
     least_work, parts = min(tied, key=lambda pair: pair[1].expected)
     if least_work.hypothesis.effects == names or least_work.energy.sum() < chosen.energy.sum():
         return least_work
-    return replace(least_work, energy=parts.held_out)  # held out whole it was extrapolated
+    return replace(least_work, energy=parts.held_out)  # held out by trials it was extrapolated
 
 
 def timing_errors(before: HeldOutErrors, after: HeldOutErrors) -> tuple[float, float]:

@@ -1,4 +1,4 @@
-"""Identified numbers with their confidence intervals, and those that the data do not determine."""
+"""Identified parameters with their confidence intervals, and those that the data do not determine."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ from .problem import Problem
 from .runs import Run
 
 _BLOCKS_S = (3.0, 6.0, 12.0)
-_AT_BOUND = 1e-3  # of the unknowns' typical changes
-_TOLERANCE = 1e-8  # of the greatest eigenvalue: what is less has no information
-_FLAT_LOG, _FLAT_RANGE = float(np.log(3.0)), 0.25  # half width of the interval: a factor; of the range between bounds
+_AT_BOUND = 1e-3  # share of the unknowns' typical changes
+_TOLERANCE = 1e-8  # share of the greatest eigenvalue; smaller ones carry no information
+_FLAT_LOG, _FLAT_RANGE = float(np.log(3.0)), 0.25  # half interval: factor; share of the range
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,10 +108,8 @@ class ParameterRow:
     """Identified number of the corrected simulator.
 
     Attributes:
-        owner: effect, or `baseline`.
-        name: as `tau_s`.
         value, ci90: identified value and its 90 % interval, not-a-number where unknown.
-        neutral: value at which it does nothing; None for a baseline quantity.
+        neutral: value at which it has no effect; None for a baseline quantity.
         at_bound: whether it ended at an edge of its range.
         flat: whether the logs do not determine it.
         unit: with `cmd` for the unit of the command; 1 for a plain number.
@@ -127,7 +125,7 @@ class ParameterRow:
     unit: str = "1"
 
     def times(self, factor: float) -> ParameterRow:
-        """Number in another unit, of which the present one has `factor`."""
+        """Number converted to a unit of which the present one has `factor`."""
         low, high = self.ci90
         neutral = None if self.neutral is None else self.neutral * factor
         return replace(self, value=self.value * factor, ci90=(low * factor, high * factor), neutral=neutral)
@@ -155,12 +153,10 @@ _ENDINGS = {"_deg_s": "deg/s", "_deg": "deg", "_hz": "Hz", "_s": "s"}  # longest
 def parameter_rows(
     hypothesis: Hypothesis, runs: Sequence[Run], estimated: Mapping[str, Mapping[str, float]]
 ) -> tuple[ParameterRow, ...]:
-    """All numbers of the corrected simulator: of the baseline, of operators, and those estimated apart from the fit.
+    """All numbers of the corrected simulator: of the baseline, of operators, and those estimated separately.
 
     Args:
-        hypothesis: the corrected simulator, at its optimum.
-        runs: what it was fitted on.
-        estimated: parameters by effect and name; those that are no unknown of the fit are listed without interval.
+        estimated: parameters by effect and name; those outside the fit are listed without interval.
     """
     uncertain = uncertainty(hypothesis.problem, hypothesis.q, runs)
     rows = [*_baseline_rows(hypothesis, uncertain), *_effect_rows(hypothesis, uncertain)]
@@ -175,12 +171,7 @@ def parameter_rows(
 
 
 def core_rows(hypothesis: Hypothesis, runs: Sequence[Run]) -> tuple[ParameterRow, ...]:
-    """Weights and widths of the core's plays that retuning fits; `neutral` is the given value.
-
-    Args:
-        hypothesis: the retuned simulator, at its optimum.
-        runs: what it was fitted on.
-    """
+    """Fitted weights and widths of the core's plays; `neutral` is the value before retuning."""
     problem, q = hypothesis.problem, hypothesis.q
     baseline, z = problem.baseline, problem.retuned(hypothesis.q)
     names = [p.name for p in baseline.chain.core.parameters]
@@ -235,7 +226,7 @@ def _baseline_rows(hypothesis: Hypothesis, uncertain: Uncertainty) -> Iterator[P
 
 
 def _reach(problem: Problem, name: str, q: Vec) -> float:
-    """Range of a baseline quantity while one unknown after the other goes through its bounds."""
+    """Range of a baseline quantity while each unknown in turn passes through its bounds."""
     quantity, reached = _quantity(problem, name), []
     for k in range(problem.size - sum(len(c.free) for c in problem.effects)):
         reached += [
@@ -245,7 +236,6 @@ def _reach(problem: Problem, name: str, q: Vec) -> float:
 
 
 def _unit(candidate: Candidate, name: str) -> str:
-    """Unit of a free parameter, from the operator that has it."""
     for operator in candidate.operators:
         for parameter in operator.parameters:
             if parameter.name == name:
@@ -254,17 +244,14 @@ def _unit(candidate: Candidate, name: str) -> str:
 
 
 def _unit_of_name(name: str) -> str:
-    """Unit at the end of a name, as that of `amplitude_deg`."""
     return next((unit for ending, unit in _ENDINGS.items() if name.endswith(ending)), "1")
 
 
 def _entry(problem: Problem, at: int) -> Callable[[Vec], float]:
-    """Unknown of the baseline as a function of q."""
     return lambda q: float(problem.retuned(q)[at])
 
 
 def _quantity(problem: Problem, name: str) -> Callable[[Vec], float]:
-    """Quantity of the baseline as a function of q."""
     return lambda q: problem.baseline.quantities(problem.retuned(q))[name]
 
 
@@ -284,6 +271,5 @@ def _slope(quantity: Callable[[Vec], float], q: Vec) -> Vec:
 
 
 def _neutral(effect: str, parameter: str) -> float | None:
-    """Value at which an effect does nothing; None for a parameter that does not matter then."""
     known = EFFECTS.get(effect)
     return None if known is None else known.neutral.get(parameter, known.neutral.get(base_name(parameter)))

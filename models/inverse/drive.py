@@ -1,4 +1,4 @@
-"""Dynamics before or behind an inverted model: the input over a preview that leads their output along a path."""
+"""Dynamics before or behind an inverted model: inputs over a preview whose outputs follow a path."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _SIGN = 1e-10  # share of the greatest gradient that counts as zero
 
 
 class DriveFit(NamedTuple):
-    """Inputs (H,) of a drive, its outputs (H,) along them, and the first sample that the inputs change."""
+    """Inputs (H,) of a drive, their outputs (H,), and the first output sample that the inputs change."""
 
     inputs: Vec
     outputs: Vec
@@ -48,8 +48,8 @@ class Drive:
         facts: of the model whose command or angle they pass, for sample time and range.
 
     Attributes:
-        predictor: of the dynamics alone; its state at rest is that of the input held for ever.
-        delay_samples: whole samples that pass before an input shows at all.
+        predictor: of the dynamics alone; its state at rest is that of a constant input.
+        delay_samples: delay of the output in whole samples.
     """
 
     def __init__(self, operators: Sequence[Operator], facts: ModelMetadata) -> None:
@@ -67,7 +67,7 @@ class Drive:
         self.delay_samples = sum(int(o.delay_s / facts.dt_s + _WHOLE) for o in operators if isinstance(o, Delay))
 
     def held(self, state: Vec, u: float, horizon: int) -> DriveFit:
-        """Outputs (H,) of an input held at `u`, and the first sample that another input would change."""
+        """Outputs (H,) for an input that stays at `u`, and the first sample that another input would change."""
         plan = np.full(horizon, u)
         outputs, response = self.predictor.linearise(state, plan)
         return DriveFit(plan, outputs, first_acting(response))
@@ -77,8 +77,8 @@ class Drive:
 
             min_m  sum_k (v_k(u) - w_k)^2 + eps sum_k m_k^2   s.t.  |m_k| <= reach,   u_k = u_{k-1} + m_k
 
-        Solved exactly for linear dynamics, by Gauss-Newton steps for others. Every program is solved by an active-set
-        method for least squares with bounds (Stark and Parker, Computational Statistics 10 (1995)).
+        Exact for linear dynamics, by Gauss-Newton steps for others; each program by an active-set method for bounded
+        least squares (Stark and Parker, Computational Statistics 10 (1995)).
         """
         inputs, outputs = np.empty((2, wanted.size))
         first = self._fit(state, *self._known, wanted, u_last, min(reach, _FREE), _NUMBERS, inputs, outputs)
@@ -86,7 +86,7 @@ class Drive:
 
 
 class DrivenParts(NamedTuple):
-    """State of what is inverted, of the drive before it and of the drive behind it; empty where there is none."""
+    """States of the inverted model, of the drive before it and of the drive behind it; empty where there is none."""
 
     middle: Vec
     front: Vec
@@ -95,15 +95,11 @@ class DrivenParts(NamedTuple):
 
 @final
 class DrivenInverse(Inverse):
-    """Inverse of a model with dynamics before or behind it: the command at which it comes to rest at the angle.
-
-    Where the angle is to go meanwhile takes a preview; see `DrivenFollower`.
+    """Static inverse of a model with dynamics before or behind it: the command that brings it to rest at the angle.
 
     Args:
-        inner: inverse of the model without the dynamics.
-        predictor: of what `inner` inverts.
-        front: drive between command and travel; None for none. Its state stands before the model's.
-        back: dynamics between the inverted model's angle and the tip's; None for none. Its state stands behind.
+        front: drive between command and travel; None for none. Its state precedes the model's.
+        back: dynamics between the inverted model's angle and the tip's; None for none. Its state follows the model's.
     """
 
     def __init__(
@@ -113,7 +109,7 @@ class DrivenInverse(Inverse):
         self.delay_samples = sum(drive.delay_samples for drive in (front, back) if drive)
 
     def parts(self, state: Vec) -> DrivenParts:
-        """The parts of the state (S,) of the whole model."""
+        """Parts of the state (S,) of the whole model."""
         ahead = self.front.size if self.front else 0
         cut = state.size - (self.back.size if self.back else 0)
         return DrivenParts(state[ahead:cut], state[:ahead], state[cut:])
@@ -124,7 +120,7 @@ class DrivenInverse(Inverse):
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def first_acting(response: Any) -> int:
-    """The first sample that an input changes: rows of the response (H, H) before it are zero."""
+    """First sample that an input changes: rows of the response (H, H) before it are zero."""
     most = np.max(np.abs(response))
     for k in range(response.shape[0]):
         for j in range(k + 1):
@@ -135,7 +131,6 @@ def first_acting(response: Any) -> int:
 
 @lru_cache(maxsize=64)
 def _compiled_fit(chain: str) -> Callable[..., int]:
-    """`drive_loops.fit` for the module of a drive's kernels."""
     header = f"from {chain} import linearise\nfrom {__name__} import bounded_moves, first_acting\n\n\n"
     loops = resources.files("hystmpc.models.kernels").joinpath("drive_loops.py").read_text(encoding="utf-8")
     fit: Callable[..., int] = generated_module(header + loops).fit
@@ -144,10 +139,7 @@ def _compiled_fit(chain: str) -> Callable[..., int]:
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def bounded_moves(by_move: Any, off: Any, moves: Any, reach: float, weight: float) -> None:
-    """argmin over |m_k| <= reach of |G (m - m_0) - e|^2 + w |m|^2 (H,), in place from m_0.
-
-    by_move: G (H, H), lower triangular; off: e (H,).
-    """
+    """Solve argmin over |m_k| <= reach of |G (m - m_0) - e|^2 + w |m|^2, in place from m_0 (H,); `off`: e (H,)."""
     size = moves.size
     hessian, linear = np.zeros((size, size)), np.zeros(size)
     for k in range(size):
@@ -166,11 +158,7 @@ def bounded_moves(by_move: Any, off: Any, moves: Any, reach: float, weight: floa
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def lead_moves(hessian: Any, linear: Any, reach: float, moves: Any) -> None:
-    """argmin over |m_k| <= reach of 1/2 m'P m - q'm (H,) in place, P positive definite, from moves within the bounds.
-
-    Towards the best free moves, as far as the first that meets its bound, which is held there; once none does, the one
-    whose multiplier has the wrong sign most is released.
-    """
+    """Solve argmin over |m_k| <= reach of 1/2 m'P m - q'm (H,) in place by active sets, P positive definite."""
     size = moves.size
     side, wanted, factor = np.zeros(size), np.empty(size), np.empty((size, size))
     greatest = 0.0
@@ -193,7 +181,7 @@ def lead_moves(hessian: Any, linear: Any, reach: float, moves: Any) -> None:
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def free_optimum(hessian: Any, linear: Any, side: Any, reach: float, factor: Any, wanted: Any) -> None:
-    """The minimum with the moves of a side (-1, 1) at that bound and the others free (H,), by Cholesky's factors."""
+    """Minimum with the moves of a side (-1, 1) at that bound and the others free (H,), by Cholesky factorisation."""
     for i in range(side.size):
         total = linear[i]
         for k in range(side.size):
@@ -219,7 +207,7 @@ def free_optimum(hessian: Any, linear: Any, side: Any, reach: float, factor: Any
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def first_bound(moves: Any, wanted: Any, side: Any, reach: float) -> Any:
-    """Share of the way from `moves` to `wanted` (H,) where the first free move meets a bound, and which; -1: none."""
+    """Step fraction from `moves` to `wanted` (H,) where the first free move meets a bound, and its index or -1."""
     share, hit = 1.0, -1
     for k in range(moves.size):
         if side[k] == 0.0 and abs(wanted[k]) > reach:
@@ -232,7 +220,7 @@ def first_bound(moves: Any, wanted: Any, side: Any, reach: float) -> Any:
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def wrong_side(hessian: Any, linear: Any, side: Any, moves: Any, least: float) -> int:
-    """The held move whose multiplier is the most below `least`; -1 where none is."""
+    """Index of the fixed move whose multiplier is the most below `least`; -1 for none."""
     worst = -1
     for k in range(side.size):
         if side[k] != 0.0:

@@ -1,4 +1,4 @@
-"""Inverses of a model: for one step, and followed along a horizon within the limits of command and rate."""
+"""Inverses of a model: for one step, and along a horizon within the limits of command and rate."""
 
 from __future__ import annotations
 
@@ -46,10 +46,10 @@ class CompiledInverse(Inverse):
 
 @final
 class AccompaniedPredictor(Predictor):
-    """A model with a second one at its side that sees the same commands.
+    """Model with a companion model that receives the same commands.
 
-    Predictions are the model's. The state is [model state, model angle, companion state, companion angle], so that
-    the companion's memory is branched and restored together with the model's.
+    Predictions are the model's. The state is [model state, model angle, companion state, companion angle], so that the
+    companion's memory is copied and restored together with the model's.
     """
 
     def __init__(self, predictor: Predictor, companion: Predictor, angle: float = 0.0) -> None:
@@ -97,11 +97,10 @@ class CompanionInverse(Inverse):
 
 @final
 class MappedPredictor(Predictor):
-    """A model with an inverse map at its side, whose inputs are the angles of the model.
+    """Model with an inverse map whose inputs are the angles of the model.
 
-    Predictions are the model's. The state is [model state, map state], so that the map's memory is branched and
-    restored together with the model's. What the map has seen are the model's main angles, never measured ones, whose
-    noise would flip its branch.
+    Predictions are the model's. The state is [model state, map state], so that both memories are copied and restored
+    together. The map receives the model's angles, not measured ones, whose noise would switch its branch.
     """
 
     def __init__(self, predictor: Predictor, inverse_map: LoadedModel) -> None:
@@ -136,11 +135,7 @@ class MappedPredictor(Predictor):
 
 @final
 class TrainedInverse(Inverse):
-    """One step of an inverse map from its present memory: u = map(x_map, theta).
-
-    It is as good as what it was trained on: no search and no check whether the model answers with `theta`; an answer
-    beyond the device's limits is cut there.
-    """
+    """Inverse map evaluated for one step without a search: u = map(x_map, theta), clipped to the device's limits."""
 
     def __init__(self, predictor: MappedPredictor, low: float, high: float) -> None:
         self._predictor, self._low, self._high = predictor, low, high
@@ -153,7 +148,7 @@ class TrainedInverse(Inverse):
 
 
 def check_inverse_map(inverse_map: ModelMetadata, model: ModelMetadata) -> None:
-    """Check the facts of an inverse map against those of the model that it inverts.
+    """Check the metadata of an inverse map against those of the inverted model.
 
     Raises:
         ModelError: if it is a forward model, or its units or its sample time are not those of the model.
@@ -167,29 +162,25 @@ def check_inverse_map(inverse_map: ModelMetadata, model: ModelMetadata) -> None:
         raise ModelError(f"{got} every {inverse_map.dt_s:.6g} s, expected every {model.dt_s:.6g} s as the model")
 
 
-_HOLDS = (2, 4)  # samples; what a model answers to the speed of its command is gone after them, or never
+_HOLDS = (2, 4)  # samples after which the response to the command's speed has decayed, if ever
 _MOST_INSTRUCTIONS = 1000  # of the step of a hold: numba compiles more for minutes
 _RAMP_S, _REST_S = 2.0, 0.4
-_SAMPLES = (10, 200)  # of the ramp
-_SHARE = 0.5  # of the range of angles
-_BACK = 1e-6  # of the range of commands, that counts as a move
+_SAMPLES = (10, 200)  # samples of the ramp
+_SHARE = 0.5  # share of the range of angles
+_BACK = 1e-6  # least move, as share of the range of commands
 
 
 def steady_inverse(predictor: InvertiblePredictor, low: float, high: float) -> CompiledInverse:
-    """The inverse sample by sample, or after a hold where the former goes back and forth.
+    """Inverse sample by sample, or after a hold where the former oscillates.
 
-    The angle of some models falls at first when the command speeds up: plays whose thresholds grow with the speed
-    stand still while the next move is faster than the last. Sampled, with r_i = alpha i + beta |u_k - u_{k-1}| / dt,
+    The angle of some models falls at first when the command speeds up: plays whose thresholds grow with the speed stand
+    still while the next move is faster than the last. Sampled, with r_i = alpha i + beta |u_k - u_{k-1}| / dt,
 
         theta_k = (A - B / dt) u_k + (B / dt) u_{k-1} + ...,   A = sum_i a_i,   B = beta sum_{i>0} a_i
 
     has its zero at (B / dt) / (B / dt - A), outside the unit circle where B / dt > A / 2. Its exact inverse is then
-    unstable: along a steady ramp of the angle the command is fast and still by turns. The command that shows the angle
-    after being held for some samples has no such zero, and meets the same angle at rest.
-
-    Args:
-        predictor: the model.
-        low, high: least and greatest command among which the inverse searches.
+    unstable: on a steady ramp of the angle the command alternates between fast and still. The angle after a hold of
+    some samples has no such zero, and is equal at rest.
 
     Source: Astrom, Hagander and Sternby, Zeros of sampled systems, Automatica 20 (1984), for the zeros.
     """
@@ -206,13 +197,13 @@ def steady_inverse(predictor: InvertiblePredictor, low: float, high: float) -> C
 
 
 def inverted_after_a_hold(inverse: Inverse) -> bool:
-    """Whether an inverse, behind its drives, is that after a hold: along a motion it is late, a first guess only."""
+    """Whether an inverse, behind its drives, is that after a hold: it is late in motion, thus only a first guess."""
     inner = inverse.inner if isinstance(inverse, DrivenInverse) else inverse
     return isinstance(inner, CompiledInverse) and inner.held > 1
 
 
 def goes_back(inverse: CompiledInverse, predictor: InvertiblePredictor) -> bool:
-    """Whether the commands that follow a ramp of the angle, up and down again, ever move against it."""
+    """Whether the commands for a ramp of the angle, up and down again, move against it at any sample."""
     low, high = predictor.command_range
     rest = max(2, round(_REST_S / predictor.dt))
     samples = min(max(round(_RAMP_S / predictor.dt), _SAMPLES[0]), _SAMPLES[1])
@@ -234,7 +225,7 @@ def goes_back(inverse: CompiledInverse, predictor: InvertiblePredictor) -> bool:
     return False
 
 
-_GRAIN = 1e-7  # of commands, as a share of the greatest move
+_GRAIN = 1e-7  # rounding of commands, as share of the greatest move
 
 
 class Bounds(NamedTuple):
@@ -247,10 +238,10 @@ class Bounds(NamedTuple):
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def clip_plans(plans: Any, lower: float, upper: float, reach: float, last: float) -> None:
-    """Nearest admissible plans (N, H) sample by sample, in place; not-a-number stays what it is.
+    """Clip plans (N, H) sample by sample to the admissible commands, in place; not-a-number stays.
 
-    Commands are rounded to 1e-7 of the greatest move: a play at its edge, or at rest, has another slope on either side,
-    which must not hang on the last digit.
+    Commands are rounded to 1e-7 of the greatest move: the slope of a play at its edge, or at rest, depends on the side,
+    which must not depend on rounding errors.
     """
     grain, half = _GRAIN * reach, 0.5 * _GRAIN * reach
     last = min(max(last, lower), upper)
@@ -273,12 +264,12 @@ class Follower(ABC):
 
     @abstractmethod
     def follow(self, state: Vec, wanted: Vec, u_last: float, bounds: Bounds) -> Vec:
-        """Commands (2, H) along the angles `wanted` (H,) [deg]: within the box alone, and within the rate limit too."""
+        """Commands (2, H) along the angles `wanted` (H,) [deg]: within the bounds alone, and with the rate limit."""
 
 
 @final
 class StepwiseFollower(Follower):
-    """Inverse along a horizon by one call of model and inverse a sample, for any model."""
+    """Inverse along a horizon by one call of model and inverse for each sample, for any model."""
 
     def __init__(self, predictor: Predictor, inverse: Inverse) -> None:
         self._predictor, self._inverse = predictor, inverse
@@ -303,12 +294,10 @@ class StepwiseFollower(Follower):
 
 @final
 class CompiledFollower(Follower):
-    """Inverse along a horizon in one compiled call, for chains, and for networks with a chain at their side.
+    """Inverse along a horizon in one compiled call, for chains and for networks with a companion chain.
 
     Args:
-        inverse: of the chain.
-        chain: what is inverted.
-        network: what the chain stands in for; None for itself.
+        network: network represented by the chain; None for the chain itself.
         size: entries of the network's state.
     """
 
@@ -331,7 +320,7 @@ class CompiledFollower(Follower):
 
     def follow(self, state: Vec, wanted: Vec, u_last: float, bounds: Bounds) -> Vec:
         plans = np.empty((2, wanted.size))
-        if not np.isfinite(state).all():  # a clamp of the gates would turn what is no number into one
+        if not np.isfinite(state).all():  # a clamp of the gates would hide not-a-number
             plans[:] = u_last
             return plans
         ends = np.array(bounds), self._inverted
@@ -341,11 +330,10 @@ class CompiledFollower(Follower):
 
 @final
 class DrivenFollower(Follower):
-    """The inverse behind and before dynamics: first where the travel should be, then the commands that bring it there.
+    """Inverse with dynamics before and behind the model: first the travel is planned, then the commands for it.
 
-    The dynamics behind are undone along the preview, the inverse follows what is left from the instant on at which a
-    command acts, and the drive is led along its answer within the rate limit (`Drive.fit`). Both plans are the same:
-    without a rate limit there is none.
+    The drive follows the plan within the rate limit (`Drive.fit`). Both returned plans are equal, since the drive needs
+    that limit.
     """
 
     def __init__(self, inverse: DrivenInverse) -> None:
@@ -376,7 +364,7 @@ class DrivenFollower(Follower):
 
 
 def follower_for(predictor: Predictor, inverse: Inverse) -> Follower:
-    """The fastest way to follow an inverse with the memory of its predictor."""
+    """Fastest follower for an inverse with the memory of its predictor."""
     if isinstance(inverse, DrivenInverse):
         return DrivenFollower(inverse)
     if isinstance(inverse, CompiledInverse) and isinstance(inverse.predictor, CompiledPredictor):
@@ -396,7 +384,7 @@ def sample(packed, states, rows, v, theta):
 
 @lru_cache(maxsize=64)
 def _compiled_follow(chain: str, network: str | None) -> Callable[..., Any]:
-    """`follow_loops.follow` for the modules of a chain's kernels and of a network's `sample`; None for no network."""
+    """Compiled `follow_loops.follow` for the kernels of a chain and of a network's `sample`; None for no network."""
     header = f"from {chain} import command_for, step\n"
     header += _NO_NETWORK if network is None else f"from {network} import sample\n"
     loops = resources.files("hystmpc.models.kernels").joinpath("follow_loops.py").read_text(encoding="utf-8")

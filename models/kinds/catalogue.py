@@ -1,4 +1,4 @@
-"""Kinds of model by name; only the kind that is asked for is made."""
+"""Kinds of model by name; a kind is imported only when it is requested."""
 
 from __future__ import annotations
 
@@ -19,7 +19,6 @@ _BUILT_IN = ("auto", *CHAIN_KINDS, "lstm", "gru", "play_kernel")
 
 
 def _built_in(name: str) -> ModelKind:
-    """The kind of the package with that name."""
     if name == "play_kernel":
         from ..play_kernel.fit import PlayKernelKind
 
@@ -35,7 +34,6 @@ def _built_in(name: str) -> ModelKind:
 
 @cache
 def _others() -> Mapping[str, ModelKind]:
-    """Kinds of installed packages."""
     return installed_objects(GROUP, "kind of model", ModelKind, _BUILT_IN)  # type: ignore[type-abstract]
 
 
@@ -51,7 +49,7 @@ def all_kinds() -> tuple[ModelKind, ...]:
 
 
 def kind_named(name: str) -> ModelKind:
-    """The kind of model with that name.
+    """Kind of model of that name.
 
     Raises:
         FitError: if there is none; says what is available.
@@ -64,12 +62,11 @@ def kind_named(name: str) -> ModelKind:
 
 
 def chosen_kind(name: str, drive: str | None = None, residual: str | None = None) -> ModelKind:
-    """The kind of model with that name, or a combination with it.
+    """Kind of model of that name, or a combination with it.
 
     Args:
-        name: see `kind_named`.
-        drive: `auto` or a simulator, a file or `builtin:NAME`: the kind stands behind its drive.
-        residual: with `auto`, kind of a network of what its operators leave.
+        drive: `auto`, or a simulator with the drive before the kind, as a file or `builtin:NAME`.
+        residual: with `auto`, kind of a network of the residual of its operators.
 
     Raises:
         FitError: on an unknown kind, or one that cannot be combined so.

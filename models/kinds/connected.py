@@ -32,11 +32,11 @@ from .operator_kinds import AutoKind
 class DrivenKind(ModelKind):
     """Kind of model behind the drive of a device: theta = kind(v), v = drive(u).
 
-    The drive is that of a simulator, all up to its last lag, servo, delay or top speed; the kind is identified from the
-    travel v that the drive makes of the recorded commands.
+    The drive is that of a simulator, up to its last lag, servo, delay or top speed; the kind is identified from the
+    travel v, the drive's output for the recorded commands.
 
     Args:
-        kind: a network or a regression; `auto` gives operators a drive of their own.
+        kind: a network or a regression; `auto` already includes a drive.
         device: a simulator with the drive; None to identify one from the same trials by `auto`.
 
     Raises:
@@ -86,10 +86,9 @@ class ResidualKind(ModelKind):
 
         theta = core(v) + network(v),  v = drive(u)
 
-    Drive and core are those of `auto`. The network stays only if it lowers the error on trials that neither the
-    operators nor the network were fitted to, by the rule of `auto` for any other part: the search's first fold is left
-    out, the operators are those fitted without it, and a network is trained on their residual of the other trials. A
-    network that stays is then trained on the residual of all trials.
+    Drive and core are those of `auto`. The network is kept only if it lowers the error on the search's first fold, by
+    the rule of `auto` for any other part, with operators fitted without that fold and a network trained on their
+    residual of the other trials. It is then trained on the residual of all trials.
 
     Args:
         network: kind of the network, `lstm` or `gru`.
@@ -109,7 +108,7 @@ class ResidualKind(ModelKind):
 
     def fit(self, trials: Sequence[Trial], request: FitRequest, progress: FitProgress | None = None) -> Identified:
         self.check(trials, request)
-        if len(trials) < 2:  # one to learn from, one to judge on
+        if len(trials) < 2:  # one for training, one for validation
             raise FitError(f"{self.name}: got {len(trials)} trial, expected 2 or more: the network is judged on one")
         tell = progress or _silent
         fit = self._auto.fit(trials, request, tell)
@@ -120,7 +119,7 @@ class ResidualKind(ModelKind):
         each = self._network.steps(part)
         try:
             before, after = self._judged(trials, fit.parts, part, lambda k, rmse: tell(first + k, rmse))
-        except (KeyboardInterrupt, FitError) as error:  # the device is found; only the network is missing
+        except (KeyboardInterrupt, FitError) as error:  # the device is identified; only the network is missing
             why = str(error) or "interrupted"
             stopped = isinstance(error, KeyboardInterrupt)
             return replace(fit, interrupted=stopped, report=f"{fit.report}; {self._network.name} not kept: {why}")
@@ -169,13 +168,12 @@ class ResidualKind(ModelKind):
 
 
 def behind(drive: Drive, trial: Trial) -> Trial:
-    """Trial with the travel behind a drive, which rested at its first command, in place of the command."""
+    """Trial whose command is the travel behind a drive, which rested at its first command."""
     predictor, u = drive.predictor, float(trial.command[0])
     return replace(trial, command=predictor.rollout(predictor.initial(u, u), trial.command[None])[0])
 
 
 def _parted(device: Simulator) -> tuple[Simulator | None, Simulator]:
-    """Drive of a device, if it has one, and the device behind it."""
     front, _, _ = split(device.chain)
     behind_it = replace(device, chain=replace(device.chain, before=device.chain.before[len(front) :]))
     if not front:
@@ -184,7 +182,7 @@ def _parted(device: Simulator) -> tuple[Simulator | None, Simulator]:
 
 
 def _left(trials: Sequence[Trial], device: Simulator, offsets: bool) -> list[Trial]:
-    """Residuals of a device on trials, over the travel that its drive makes of the commands."""
+    """Residuals of a device on trials, over the drive's output for the commands."""
     front, middle = _parted(device)
     drive, model = front and Drive(front.chain.operators, front.metadata()), ChainModel(middle)
     travels = [behind(drive, trial) if drive else trial for trial in trials]
@@ -204,7 +202,7 @@ def _connected(
     trials: Sequence[Trial],
     limits: DeviceLimits,
 ) -> ExportBundle:
-    """Bundle of a connection, its ranges those of the recorded trials."""
+    """Bundle of a connection, with the ranges of the recorded trials."""
     facts = rest.metadata
     rules = facts.initial, facts.conditioned
     return connected_bundle(
@@ -213,7 +211,7 @@ def _connected(
 
 
 def _identified(fit: Identified) -> Simulator:
-    assert fit.simulator is not None  # `auto` is a kind of operators
+    assert fit.simulator is not None
     return fit.simulator
 
 

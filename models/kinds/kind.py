@@ -27,18 +27,18 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class FitRequest:
-    """Options of an identification; a kind ignores those that it has no use for.
+    """Options of an identification; a kind ignores those that do not apply.
 
     Attributes:
         training: `best`, or `paper` for the papers' training settings; for operators the method, see each kind.
-        seed: of everything drawn at random.
+        seed: of all random numbers.
         steps: greatest number of steps (epochs, updates, iterations); None for the training's.
-        hold_out: whole trials held out of those given to stop early; None for the training's.
+        hold_out: number of trials held out to stop early; None for the training's.
         validation: trials that only judge, in place of held-out ones.
         constancy_weight: beta of the constant-in, constant-out term, S2 (RA-L 2024) eq. (12); None for the training's.
         plays: number of plays of a Prandtl-Ishlinskii model; None for the kind's default.
         skip_first_flexure: score each trial from the first reversal of its command on.
-        limits: what the device may be sent.
+        limits: limits of the command sent to the device.
     """
 
     training: str = "best"
@@ -60,8 +60,6 @@ class Identified:
         bundle: graph, facts and reference, ready for `export_onnx`; `OnnxModel` runs it.
         simulator: the readable form of an operator; None for networks.
         history: step and best error so far, in the unit of the output.
-        report: one line on how it went.
-        interrupted: stopped by the user; this is the best so far.
         parts: of `auto`, the effect of each part on the error, its numbers with intervals, and what to record.
     """
 
@@ -86,19 +84,15 @@ def recorded(progress: FitProgress | None) -> tuple[list[tuple[int, float]], Fit
 
 
 class ModelKind(ABC):
-    """Kind of model. Implementations are final and have no state; `catalogue` names them.
-
-    Trials whose command and angle have changed places (`Trial.swapped`) ask for the inverse map.
+    """Kind of model, final and without state; swapped trials (`Trial.swapped`) request the inverse map.
 
     Attributes:
-        name: on the command line and in reports.
-        title: in tables.
-        trainings: names that `FitRequest.training` may have, the default first.
+        trainings: possible values of `FitRequest.training`, the default first.
         inverse_training: the default for inverse maps, where it is another one.
         readable: whether the result also has a readable form, a simulator in YAML.
         invertible: whether inverse maps can be identified.
         recurrent: whether its angle depends on more than the present command.
-        rings: whether its angle moves on for a while when the command rests.
+        rings: whether its angle oscillates after the command stops.
     """
 
     name: str
@@ -126,10 +120,10 @@ class ModelKind(ABC):
 
     @abstractmethod
     def steps(self, request: FitRequest) -> int | None:
-        """Number of steps that progress counts up to; None where it is not known beforehand."""
+        """Number of steps that progress counts up to; None where it is unknown."""
 
     def estimate(self, trials: Sequence[Trial], request: FitRequest) -> float | None:
-        """Duration of `fit` [s], measured on a few of its steps; None where that cannot be said beforehand.
+        """Duration of `fit` [s], measured on a few of its steps; None where it cannot be estimated.
 
         Raises:
             FitError: on unusable trials or a missing extra.
@@ -138,7 +132,7 @@ class ModelKind(ABC):
         return None
 
     def check(self, trials: Sequence[Trial], request: FitRequest) -> None:
-        """Refuse a request that this kind cannot fulfil, before any work.
+        """Refuse a request that this kind cannot fulfil, before the fit.
 
         Raises:
             FitError: on an unknown training, or an inverse map of a kind that has none.
@@ -151,21 +145,19 @@ class ModelKind(ABC):
             raise FitError(f"{self.name} has no inverse map; its inverse can be searched, or another kind identified")
 
 
-_SLACK = 1.02  # of the line's error: a device that is a line is identified up to this much worse
-_ROUNDING = 1e-9  # of the angle's range: trials that are a line to the last digit are identified, too
+_SLACK = 1.02  # accepted ratio to the line's error, for devices that are a line
+_ROUNDING = 1e-9  # share of the angle's range: errors below it are accepted
 _CAUSES = ("numbers", "clocks", "time base", "units", "sign")
 
 
 def identified(
     kind: ModelKind, trials: Sequence[Trial], request: FitRequest, progress: FitProgress | None = None
 ) -> Identified:
-    """Identify, and refuse a model whose free run errs more over these trials than one straight line.
-
-    The result of a fit that was interrupted, or had a limit of steps, is returned unchecked.
+    """Identify a model, and refuse the result of a complete fit if a straight line has a smaller error.
 
     Raises:
-        FitError: as `ModelKind.fit`, or that two clocks are the cause; where a line is better, with both errors and
-            what the check of the trials says.
+        FitError: as `ModelKind.fit`; if two clocks are the cause; where a line is better, with both errors and the
+            findings of the check of the trials.
     """
     try:
         identification = kind.fit(trials, request, progress)
@@ -197,7 +189,6 @@ def _opened(identification: Identified, name: str) -> LoadedModel:
 
 
 def _errors(model: LoadedModel, trials: Sequence[Trial], skip_first_flexure: bool) -> tuple[float, float]:
-    """Root mean square errors of the model's free run and of one line through all samples that count."""
     runs = [evaluate(model, trial, skip_first_flexure) for trial in trials]
     u = np.concatenate([run.trial.command[run.start :] for run in runs])
     y = np.concatenate([run.trial.angle[run.start :] for run in runs])
@@ -208,12 +199,10 @@ def _errors(model: LoadedModel, trials: Sequence[Trial], skip_first_flexure: boo
 
 
 def _span(trials: Sequence[Trial]) -> float:
-    """Greatest range of the angle in a trial."""
     return max(float(np.ptp(trial.angle)) for trial in trials)
 
 
 def _why(trials: Sequence[Trial]) -> str:
-    """Finding of the check of the trials that may be the cause."""
     for trial in trials:
         forward = trial.swapped() if trial.inverted else trial
         for finding in check(forward).findings:

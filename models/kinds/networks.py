@@ -23,7 +23,7 @@ from ..networks.settings import (
 )
 from .kind import FitRequest, Identified, ModelKind
 
-PLAIN = {"memory_samples": 0, "command_gain": 1.0}  # PyTorch's own initial weights, as in the papers
+PLAIN = {"memory_samples": 0, "command_gain": 1.0}  # PyTorch's initial weights, as in the papers
 S2_WINDOWS = WindowTraining(keep_after=10, padding_samples=50)
 S1_WINDOWS = WindowTraining(epochs=50, padding_samples=49)
 
@@ -31,7 +31,7 @@ S1_WINDOWS = WindowTraining(epochs=50, padding_samples=49)
 def s2_settings(
     kind: str, network: NetworkForm, training: WindowTraining = S2_WINDOWS, name: str = "paper"
 ) -> NetworkSettings:
-    """Training of S2 section III-D: windows of 50, Adam 1e-3, batch 16, at most 100 epochs, rest at 30 deg."""
+    """Training settings of S2 section III-D: windows of 50, Adam 1e-3, batch 16, at most 100 epochs, rest at 30 deg."""
     return NetworkSettings(
         kind=kind,
         name=name,
@@ -46,9 +46,9 @@ def s2_settings(
 
 
 def s1_settings(kind: str, network: NetworkForm, training: WindowTraining = S1_WINDOWS) -> NetworkSettings:
-    """Training of S1 section II-C: windows of 50 padded on the left, ranges mapped to [-1, 1], 50 epochs.
+    """Training settings of S1 section II-C: windows of 50 padded on the left, ranges mapped to [-1, 1], 50 epochs.
 
-    Optimiser, rate and batch stood in a table that is lost; those of S2 are taken.
+    Optimiser, rate and batch are those of S2, since the table in S1 is lost.
     """
     return NetworkSettings(
         kind=kind, name="s1", network=network, warmup_samples=49, learning_rate=1e-3, training=training
@@ -71,7 +71,7 @@ _GATED_TRAINING = StreamTraining(
 RESIDUAL = "residual"
 """Training of a network of what operators leave: there is no model of plays to learn from beside the trials."""
 
-_WINDOW = 50  # S2's, over which its constancy term is taken
+_WINDOW = 50  # samples in S2's windows, for its constancy term
 
 
 @final
@@ -79,7 +79,6 @@ class NetworkKind(ModelKind):
     """Kind of model that is a network; torch is loaded when one is trained.
 
     Args:
-        name, title, recurrent, inverse_training: see `ModelKind`.
         settings: by training, the default first.
     """
 
@@ -95,11 +94,7 @@ class NetworkKind(ModelKind):
         self.recurrent, self.inverse_training = recurrent, inverse_training
 
     def training(self, request: FitRequest) -> NetworkSettings:
-        """Settings of a training with the changes of a request.
-
-        A feed-forward network, which the papers train on single samples, is trained on windows where the constancy
-        term is asked for.
-        """
+        """Settings of a training with the changes of a request; the constancy term requires windows."""
         chosen = self.settings[request.training]
         way = chosen.training.model_dump()
         if request.steps is not None:
@@ -118,7 +113,7 @@ class NetworkKind(ModelKind):
         return NetworkSettings.parse(dict(chosen) | changes, f"{self.name}, training {request.training}")
 
     def fit(self, trials: Sequence[Trial], request: FitRequest, progress: FitProgress | None = None) -> Identified:
-        from ..identify.estimation_noise import with_noise  # compiled code, which a list of kinds need not load
+        from ..identify.estimation_noise import with_noise  # not needed for a list of kinds
         from ..train.networks import fit_network, network_bundle
 
         self.check(trials, request)

@@ -22,13 +22,7 @@ from .kind import FitRequest, Identified, ModelKind, recorded
 
 @final
 class OperatorKind(ModelKind):
-    """Kind of model that is one operator; its inverse form is identified from swapped trials.
-
-    Its trainings are identification methods: bounded least squares (`best`), and those of installed packages.
-
-    Args:
-        entry: name, starts and boxes.
-    """
+    """Kind of model that is one operator, identified by a method for each training; swapped trials give the inverse."""
 
     readable = True
 
@@ -60,8 +54,8 @@ class OperatorKind(ModelKind):
         return None
 
 
-_STEPS = 100  # of the progress
-_COMPILES_S = 150.0  # where nothing is on disk: the kernels of all operators that are tried
+_STEPS = 100  # steps of the progress
+_COMPILES_S = 150.0  # time to compile the kernels of all operators without a cache
 
 
 @final
@@ -97,7 +91,6 @@ class AutoKind(ModelKind):
 
 
 def _report(fit: AutoFit, unit: str) -> str:
-    """Parts of the device and its error on held-out trials, in one line."""
     parts = [c.label for form in fit.choice.forms.values() for c in form if c.free]
     rmse = fit.choice.rmse_deg * fit.decades.angle
     return f"{' + '.join([*parts, fit.choice.core.label])}; {rmse:.4g} {unit} on trials left out"

@@ -1,1 +1,1 @@
-"""Small identified models that ship with the package (`builtin:NAME`); none of them has seen real data."""
+"""Small identified models in the package (`builtin:NAME`); none of them was identified from real data."""

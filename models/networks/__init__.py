@@ -1,1 +1,1 @@
-"""Networks: one definition each, a PyTorch module that also writes its own ONNX nodes; what they share."""
+"""Networks: PyTorch modules that also write their ONNX nodes, and their common parts."""

@@ -1,4 +1,4 @@
-"""The increment-gated LSTM in PyTorch: plays of the command, and a cell that moves only as far as the command does."""
+"""The increment-gated LSTM in PyTorch: plays of the command, and a state that changes only with the command."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from .lstm import LstmLayer, write_layer
 from .network_ import Network, numbers
 from .nodes import GraphWriter
 
-SETTLED = 1e-5  # of half the command range: a lag that is this near has arrived
+SETTLED = 1e-5  # share of half the command range at which a lag has settled
 
 
 @final
 class GatedLstmNet(Network):
-    """One LSTM layer over a command and its plays, its state gated by the path of the command.
+    """One LSTM layer over a command and its plays, with a state gated by the path of the command.
 
         w' = v + sign(w - v) max(k |w - v| - e, 0)                      lag, e = 1e-5; k = 0 for none
         p_i' = max(w' - r_i, min(w' + r_i, p_i)),  x = [w', p_1' ... p_n']
@@ -25,10 +25,9 @@ class GatedLstmNet(Network):
         (a, b) = LSTM(x, h, c)                                          see `LstmWeights`: its next h and c
         h' = h + m (a - h),  c' = c + m (b - c),  y = W [h', x] + bias
 
-    A command that rests leaves every number as it is: the lag arrives after finitely many samples, then m = 0. So a
-    hold holds exactly, after any history. Without the lag the motion depends on the path of the command alone: s is
-    the path over which the cell forgets, as a time constant is the time. The plays carry the hysteresis, exactly and
-    without a memory that has to be learned; the cell learns what a sum of them cannot say.
+    Under a constant command the state stays constant after any history, since the lag ends after finitely many samples
+    and then m = 0. Without the lag the motion depends on the path of the command alone: s is the path over which the
+    cell forgets. The plays represent the hysteresis exactly; the cell learns what a sum of them cannot express.
 
     The state is [w, p_1 ... p_n, h, c]. Source: plays, Krejci, Hysteresis, Convexity and Dissipation in Hyperbolic
     Equations (1996); LSTM, S1 (RA-L 2021) eq. (1); the gate is ours.
@@ -129,5 +128,5 @@ class GatedLstmNet(Network):
 
 
 def _drawn(rows: int, columns: int) -> torch.nn.Parameter:
-    """Weights uniform within 1 / sqrt(columns), as PyTorch's layers have them."""
+    """Weights uniform within 1 / sqrt(columns), as in PyTorch's layers."""
     return torch.nn.Parameter(torch.empty(rows, columns).uniform_(-1.0, 1.0) / math.sqrt(columns))

@@ -1,4 +1,4 @@
-"""The stacked LSTM: its numbers, and its ONNX nodes and roll-out graph."""
+"""The stacked LSTM: its weights, ONNX nodes and roll-out graph."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ GATED_MARK = "gated.head.weight"
 
 @dataclass(frozen=True)
 class LstmLayer:
-    """One layer of H cells with I inputs; gates stand below each other in the order i, f, g, o (that of PyTorch).
+    """One layer of H cells with I inputs; gates in the row order i, f, g, o, as in PyTorch.
 
     Attributes:
         w_ih: input weights (4H, I).
@@ -61,7 +61,7 @@ class LstmLayer:
 
 @dataclass(frozen=True)
 class LstmWeights:
-    """A stacked LSTM, one command in, one angle out (Wu et al., RA-L 2021 (S1), eq. (1); RA-L 2024, PMC11633443 (S2)).
+    """Stacked LSTM from one command to one angle (Wu et al., RA-L 2021 (S1), eq. (1); RA-L 2024, PMC11633443 (S2)).
 
     With v = (u - u_offset) / u_scale and x = v for the first layer, x = h' of the layer below for the others:
 
@@ -73,8 +73,6 @@ class LstmWeights:
     Attributes:
         layers: from the command upwards; all of the same width H.
         head_weight: (H,).
-        head_bias: scalar.
-        scaling: units in and out.
 
     Raises:
         ModelError: if sizes do not fit each other or a number is not finite.
@@ -110,12 +108,12 @@ class LstmWeights:
 
     @property
     def parameter_count(self) -> int:
-        """Trained numbers, counted as the papers do, with two bias vectors a layer: 50,497 for two layers of 64."""
+        """Number of trained parameters with two bias vectors a layer, as in the papers: 50,497 for two layers of 64."""
         per_layer = sum(layer.w_ih.size + layer.w_hh.size + 2 * layer.bias.size for layer in self.layers)
         return per_layer + self.hidden + 1
 
     def to_arrays(self) -> dict[str, Vec]:
-        """Flat names and arrays, `lstm.0.w_ih` ... `scaling.theta_scale`; what `from_arrays` takes."""
+        """Flat names and arrays, `lstm.0.w_ih` ... `scaling.theta_scale`, for `from_arrays`."""
         named: dict[str, ArrayLike] = {}
         for k, layer in enumerate(self.layers):
             named |= {f"lstm.{k}.{part.name}": getattr(layer, part.name) for part in fields(layer)}
@@ -125,7 +123,7 @@ class LstmWeights:
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, ArrayLike]) -> Self:
-        """Build from the names that `to_arrays` gives; others are left alone.
+        """Weights from arrays with the names of `to_arrays`; others are ignored.
 
         Raises:
             ModelError: naming the arrays that are missing.
@@ -144,7 +142,7 @@ class LstmWeights:
 
 
 def _frozen(values: ArrayLike, name: str) -> Vec:
-    """A read-only float64 copy; weights shared by kernels and sessions must not change behind them."""
+    """Read-only float64 copy, since weights are shared by kernels and sessions."""
     array = np.array(values, dtype=np.float64)
     if not np.isfinite(array).all():
         raise ModelError(f"LSTM {name}: {np.count_nonzero(~np.isfinite(array))} numbers are not finite")
@@ -153,10 +151,7 @@ def _frozen(values: ArrayLike, name: str) -> Vec:
 
 
 def write_layers(writer: GraphWriter, layers: tuple[LstmLayer, ...], v: str, state: str) -> tuple[str, list[str]]:
-    """Nodes of stacked LSTM layers over input `v` [N,1] and state [h_1, c_1, h_2, c_2, ...].
-
-    c' = f c + i g, h' = o tanh(c'), see `LstmWeights`; returns the last h' and the parts of the next state.
-    """
+    """Write the nodes of stacked LSTM layers over `v` [N,1]; return the last h' and the parts of the next state."""
     hidden, count = layers[0].hidden, len(layers)
     writer.split(state, [hidden] * (2 * count), [f"{name}_{k}" for k in range(count) for name in ("h", "c")])
     following, x = [], v
@@ -167,7 +162,7 @@ def write_layers(writer: GraphWriter, layers: tuple[LstmLayer, ...], v: str, sta
 
 
 def write_layer(writer: GraphWriter, k: int, layer: LstmLayer, x: str) -> list[str]:
-    """Nodes of the k-th layer over its input `x` and its state `h_k`, `c_k`; returns the names of the next two."""
+    """Write the nodes of layer k over its input `x` and its state `h_k`, `c_k`; return the names of the next two."""
     names = {part: writer.weight(f"lstm.{k}.{part}", getattr(layer, part)) for part in ("w_ih", "w_hh", "bias")}
     writer.node("Gemm", [x, names["w_ih"], names["bias"]], f"zx_{k}", transB=1)
     writer.node("Gemm", [f"h_{k}", names["w_hh"], f"zx_{k}"], f"z_{k}", transB=1)
@@ -183,10 +178,7 @@ def write_layer(writer: GraphWriter, k: int, layer: LstmLayer, x: str) -> list[s
 
 
 def lstm_rollout_graph(weights: LstmWeights) -> onnx.GraphProto:
-    """Roll-out graph (u [N,H], state [N,S]) -> theta [N,H] in float32 with the fused operator LSTM.
-
-    N and H are free. Each row starts from its own state. Not for CasADi: the operator is outside the step's list.
-    """
+    """Roll-out graph (u [N,H], state [N,S]) -> theta [N,H] in float32 with the fused operator LSTM; not for CasADi."""
     hidden, count, writer = weights.hidden, len(weights.layers), GraphWriter()
     for name, axis in (("first", 0), ("direction", 1), ("last", 2)):
         writer.indices(name, [axis])
@@ -212,6 +204,6 @@ def lstm_rollout_graph(weights: LstmWeights) -> onnx.GraphProto:
 
 
 def _onnx_order(gates: Vec) -> Vec:
-    """Rows in the order i, o, f, g of the operator LSTM from i, f, g, o."""
+    """Rows reordered from i, f, g, o to the order i, o, f, g of the operator LSTM."""
     i, f, g, o = np.split(gates, 4)
     return np.concatenate([i, o, f, g])

@@ -18,14 +18,11 @@ from .nodes import GraphWriter, Scaling
 
 
 class Network(torch.nn.Module, ABC):
-    """One definition of a network, for training, as reference and for export.
-
-    Signals are scaled: input v and output y (N, T), state (N, S). Implementations are final.
+    """Network for training, reference and export, with scaled input v and output y (N, T) and state (N, S).
 
     Attributes:
-        state_size: S.
-        context: past samples that an output looks back on, for networks without a recurrent state; 0 otherwise.
-        measured: last entries of the state that start from what is measured, not from what the network has learned.
+        context: past samples in an output of a network without a recurrent state; 0 otherwise.
+        measured: last entries of the state that start from measured values, not from learned ones.
     """
 
     state_size: int
@@ -33,11 +30,11 @@ class Network(torch.nn.Module, ABC):
     measured: int = 0
 
     def start(self, y: torch.Tensor) -> torch.Tensor:
-        """States (N, S) of a device at rest that shows outputs y (N,); affine in y; zeros if not overridden."""
+        """States (N, S) of a device at rest at outputs y (N,); affine in y; zeros if not overridden."""
         return y.new_zeros(len(y), self.state_size)
 
     def begin(self, past: torch.Tensor, y: torch.Tensor) -> torch.Tensor:
-        """States (N, S) in the middle of a motion after the inputs `past` (N, context), at outputs y (N,)."""
+        """States (N, S) during a motion, after the inputs `past` (N, context), at outputs y (N,)."""
         del past
         return self.start(y)
 
@@ -46,17 +43,17 @@ class Network(torch.nn.Module, ABC):
         """Outputs (N, T) and the states (N, S) after the last sample."""
 
     def shown(self, v: torch.Tensor, y: torch.Tensor) -> torch.Tensor:
-        """Outputs (N, T) from which `begin` starts at each sample of motions v (N, T), measured as y (N, T)."""
+        """Outputs (N, T) from which `begin` starts at each sample of motions v (N, T) with measurement y (N, T)."""
         del v
         return y
 
     @abstractmethod
     def write(self, writer: GraphWriter, v: str, state: str) -> tuple[str, Sequence[str]]:
-        """ONNX nodes of one step: names of the output [N,1] and of the parts of the next state."""
+        """Write the ONNX nodes of one step; return the names of the output [N,1] and of the parts of the next state."""
 
     @property
     def matrices(self) -> list[torch.Tensor]:
-        """Trained matrices between hidden layers, heads and single inputs left out."""
+        """Trained matrices between hidden layers, without heads and single inputs."""
         return [
             p
             for name, p in self.named_parameters()
@@ -71,7 +68,7 @@ def numbers(tensor: torch.Tensor) -> np.ndarray:
 
 @final
 class TorchStep(StepFunction):
-    """One step of a network in the units of the trials; the state is the network's own."""
+    """Step of a network in the units of the trials; the state is the network's."""
 
     def __init__(self, net: Network, scaling: Scaling) -> None:
         self.scaling = scaling
@@ -79,17 +76,13 @@ class TorchStep(StepFunction):
         self._net = copy.deepcopy(net).double().requires_grad_(False)
 
     def advance(self, state: Vec, u: Vec) -> tuple[Vec, Vec]:
-        """Outputs (N, 1) and next states (N, S) from states (N, S) and inputs (N, 1)."""
         v = torch.tensor(self.scaling.scale_in(np.asarray(u, dtype=np.float64)))
         with torch.no_grad():
             y, following = self._net(v, torch.tensor(np.asarray(state, dtype=np.float64)))
         return self.scaling.to_units(numbers(y)), numbers(following)
 
     def jacobian(self, state: Vec, u: float) -> Vec:
-        """Derivative of (theta, next state) by (state, u) at one point, shape (1 + S, S + 1).
-
-        Row i of a batch of 1 + S equal points stands for output i, so that one backward pass gives all rows.
-        """
+        """Derivative of (theta, next state) by (state, u), (1 + S, S + 1), by one backward pass over a batch."""
         rows = self.state_size + 1
         point = torch.tensor(np.append(state, self.scaling.scale_in(np.array(u)))).repeat(rows, 1).requires_grad_()
         y, following = self._net(point[:, -1:], point[:, :-1])
@@ -99,14 +92,14 @@ class TorchStep(StepFunction):
         return derivative
 
     def run(self, state: Vec, commands: Vec) -> tuple[Vec, Vec]:
-        """Outputs (T,) over inputs (T,) from a state (S,), and the state after them."""
+        """Outputs (T,) over inputs (T,) from a state (S,), and the final state."""
         v = torch.tensor(self.scaling.scale_in(commands))[None]
         with torch.no_grad():
             y, following = self._net(v, torch.tensor(state)[None])
         return self.scaling.to_units(numbers(y)[0]), numbers(following)[0]
 
     def initial_rule(self) -> InitialRule:
-        """Start of a trial, from the measured output in its unit."""
+        """Initial rule of a trial, from the measured output in its unit."""
         at = [numbers(self._net.start(torch.tensor([y], dtype=torch.float64)))[0] for y in (0.0, 1.0)]
         slope = (at[1] - at[0]) / self.scaling.theta_scale
         return InitialRule(
@@ -115,5 +108,5 @@ class TorchStep(StepFunction):
 
     @property
     def measured(self) -> int:
-        """Last entries of the state that start from what is measured."""
+        """Last entries of the state that start from measured values."""
         return self._net.measured

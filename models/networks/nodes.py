@@ -26,8 +26,8 @@ class Scaling:
     For an inverse map `u` is the angle and `theta` the command.
 
     Attributes:
-        u_offset, u_scale: in the unit of what goes in [mm or bar].
-        theta_offset, theta_scale: in the unit of what comes out [deg].
+        u_offset, u_scale: in the unit of the input [mm or bar].
+        theta_offset, theta_scale: in the unit of the output [deg].
 
     Raises:
         ModelError: if a number is not finite or a scale not positive.
@@ -48,7 +48,7 @@ class Scaling:
         return (u - self.u_offset) / self.u_scale
 
     def scale_out(self, theta: Vec) -> Vec:
-        """Scaled output y that stands for `theta`."""
+        """Scaled output y of an output `theta`."""
         return (theta - self.theta_offset) / self.theta_scale
 
     def to_units(self, y: Vec) -> Vec:
@@ -57,29 +57,29 @@ class Scaling:
 
 
 class GraphWriter:
-    """Collects the nodes and initializers of one graph."""
+    """Collector of the nodes and initializers of one graph."""
 
     def __init__(self) -> None:
         self.nodes: list[onnx.NodeProto] = []
         self._tensors: dict[str, np.ndarray] = {}
 
     def node(self, kind: str, inputs: Sequence[str], output: str, **attributes: Any) -> str:
-        """Append a node that makes `output`; returns that name."""
+        """Append a node with the output `output`, and return that name."""
         self.nodes.append(helper.make_node(kind, list(inputs), [output], name=f"make_{output}", **attributes))
         return output
 
     def weight(self, name: str, values: ArrayLike) -> str:
-        """Add a float32 initializer; returns its name."""
+        """Add a float32 initializer and return its name."""
         self._tensors[name] = np.asarray(values, dtype=np.float32)
         return name
 
     def indices(self, name: str, values: Sequence[int]) -> str:
-        """Add an initializer of whole numbers (axes, sizes); returns its name."""
+        """Add an initializer of integers (axes, sizes) and return its name."""
         self._tensors[name] = np.array(values, np.int64)
         return name
 
     def split(self, x: str, sizes: Sequence[int], outputs: Sequence[str]) -> list[str]:
-        """Cut the columns of `x` [N, sum(sizes)] into `outputs`; one that is empty stays unwritten."""
+        """Split the columns of `x` [N, sum(sizes)] into `outputs`; empty ones are left out."""
         kept = [(size, output) for size, output in zip(sizes, outputs, strict=True) if size]
         if len(kept) == 1:
             self.node("Identity", [x], kept[0][1])
@@ -90,23 +90,23 @@ class GraphWriter:
         return list(outputs)
 
     def join(self, parts: Sequence[str], output: str) -> str:
-        """Columns of `parts` side by side."""
+        """Join the columns of `parts`."""
         return self.node("Concat", parts, output, axis=1) if len(parts) > 1 else self.node("Identity", parts, output)
 
     def affine(self, x: str, name: str, weight: ArrayLike, bias: ArrayLike, output: str) -> str:
-        """x W' + b with the weight (outputs, inputs) as PyTorch has it; initializers `name.weight`, `name.bias`."""
+        """Write x W' + b with the weight (outputs, inputs) of PyTorch; initializers `name.weight`, `name.bias`."""
         operands = [x, self.weight(f"{name}.weight", weight), self.weight(f"{name}.bias", bias)]
         return self.node("Gemm", operands, output, transB=1)
 
     def scale_in(self, scaling: Scaling, u: str, output: str) -> str:
-        """Scaled input; all four numbers of the scaling become initializers `scaling.*`."""
+        """Write the scaled input; all four numbers of the scaling become initializers `scaling.*`."""
         for part in fields(scaling):
             self.weight(f"scaling.{part.name}", getattr(scaling, part.name))
         self.node("Sub", [u, "scaling.u_offset"], "u_centred")
         return self.node("Div", ["u_centred", "scaling.u_scale"], output)
 
     def scale_out(self, y: str, output: str = "theta") -> str:
-        """Output in its unit, after `scale_in`."""
+        """Write the output in its unit, after `scale_in`."""
         self.node("Mul", [y, "scaling.theta_scale"], "theta_centred")
         return self.node("Add", ["theta_centred", "scaling.theta_offset"], output)
 

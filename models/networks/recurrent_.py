@@ -20,9 +20,8 @@ class LstmNet(Network):
     The state is [h_1, c_1, h_2, c_2, ...], zero at the start.
 
     Args:
-        hidden, layers: size.
-        memory_samples, command_gain: of the initial weights, see `CellSettings`; as they stand here, PyTorch's own.
-        outputs: numbers that the head gives a sample; more than one for a network inside another.
+        memory_samples, command_gain: of the initial weights, see `CellSettings`; the defaults are PyTorch's.
+        outputs: number of outputs of the head; more than one for a network inside another.
     """
 
     def __init__(
@@ -65,7 +64,7 @@ class GruNet(Network):
         self.gru = torch.nn.GRU(1, hidden, layers, batch_first=True)
         self.head = torch.nn.Linear(hidden, 1)
         self.state_size = layers * hidden
-        _initialise(self.gru, memory_samples, command_gain, (None, 1.0))  # its gate z keeps what was: bias log(tau - 1)
+        _initialise(self.gru, memory_samples, command_gain, (None, 1.0))  # gate z keeps the state: bias log(tau - 1)
 
     def forward(self, v: torch.Tensor, state: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         layers = state.reshape(len(v), self.gru.num_layers, -1).swapaxes(0, 1).contiguous()
@@ -102,15 +101,9 @@ class GruNet(Network):
 def _initialise(
     cells: torch.nn.RNNBase, memory_samples: int, command_gain: float, signs: Sequence[float | None]
 ) -> None:
-    """PyTorch's initial weights with a gain on the input and, with `memory_samples`, gates that remember.
+    """Set gates with memories tau, log-uniform from 1 to `memory_samples` (Tallec and Ollivier, ICLR 2018).
 
-    Memories tau from 1 to that many samples, log(tau) uniform, after Tallec and Ollivier, ICLR 2018.
-
-    Args:
-        cells: all layers.
-        memory_samples: longest memory.
-        command_gain: factor on the weights of the input.
-        signs: of log(tau) in the bias of each of the first gates; None leaves a gate as it is.
+    `signs`: factors of log(tau) in the bias of each of the first gates; None leaves a gate unchanged.
     """
     cells.get_parameter("weight_ih_l0").data.mul_(command_gain)
     if memory_samples:
@@ -124,7 +117,7 @@ def _initialise(
 
 
 def lstm_layers(net: LstmNet) -> tuple[LstmLayer, ...]:
-    """The layers' numbers; the two biases of a layer, which only ever act together, are added."""
+    """Weights of the layers, with the sum of the two biases of a layer."""
     values = {name: numbers(tensor) for name, tensor in net.lstm.state_dict().items()}
     return tuple(
         LstmLayer(

@@ -1,4 +1,4 @@
-"""Settings of a network and of its training: one class for each form, which builds its network; windows or streams."""
+"""Settings of networks, one class for each form, which builds its network, and of their training."""
 
 from __future__ import annotations
 
@@ -21,19 +21,12 @@ if TYPE_CHECKING:
     from .nodes import Scaling
     from .recurrent_ import LstmNet
 
-_SPAN = 2.0  # of inputs scaled to [-1, 1]
+_SPAN = 2.0  # range of inputs scaled to [-1, 1]
 
 
 @dataclass(frozen=True)
 class DeviceFacts:
-    """Facts of the device before its network is trained.
-
-    Attributes:
-        rest: scaled input of a device at rest.
-        operator: what `FormSettings.operator` has fitted.
-        lag_samples: time constant of the lag in front of the hysteresis [samples]; 0 for none.
-        inverted: whether the network is an inverse map.
-    """
+    """Properties of the device before its network is trained."""
 
     rest: float = 0.0
     operator: Operator | None = None
@@ -58,11 +51,11 @@ class FormSettings(Settings, ABC):
 
     @property
     def context(self) -> int:
-        """Samples before the present one that an output looks back on; 0 with a recurrent state."""
+        """Number of past samples in an output; 0 with a recurrent state."""
         return 0
 
     def operator(self, trials: Sequence[Trial], scaling: Scaling, skip_first_flexure: bool) -> Operator | None:
-        """An operator in scaled units that is part of the network, fitted to the training trials; None for none.
+        """Operator in scaled units within the network, fitted to the training trials; None for none.
 
         Raises:
             FitError: if it cannot be fitted.
@@ -72,11 +65,10 @@ class FormSettings(Settings, ABC):
 
     @abstractmethod
     def network(self, facts: DeviceFacts) -> Network:
-        """A network with initial weights drawn from torch's generator."""
+        """Network with initial weights drawn from torch's generator."""
 
 
 def _of_its_form(data: Any) -> Any:
-    """Plain data as the settings of its form; anything else as it is."""
     known = FormSettings.known
     return known[data["form"]].model_validate(data) if isinstance(data, dict) and data.get("form") in known else data
 
@@ -100,14 +92,14 @@ class CellSettings(FormSettings):
     command_gain: Positive = 4.0
 
     def lstm(self, outputs: int = 1) -> LstmNet:
-        """An LSTM of this size with initial weights drawn from torch's generator."""
+        """LSTM of this size with initial weights drawn from torch's generator."""
         from .recurrent_ import LstmNet
 
         return LstmNet(self.hidden, self.layers, self.memory_samples, self.command_gain, outputs)
 
 
 class RecurrentSettings(CellSettings):
-    """An LSTM or a GRU, see `LstmNet` and `GruNet`."""
+    """LSTM or GRU, see `LstmNet` and `GruNet`."""
 
     form: Literal["recurrent"] = "recurrent"
     cell: Literal["lstm", "gru"] = "lstm"
@@ -122,7 +114,7 @@ class RecurrentSettings(CellSettings):
 
 
 class GatedSettings(FormSettings):
-    """An LSTM over the plays of the command, which moves only as far as the command does; see `GatedLstmNet`.
+    """LSTM over the plays of the command, whose state changes only with the command; see `GatedLstmNet`.
 
     Lengths are shares of the range of the input.
 
@@ -150,14 +142,13 @@ class GatedSettings(FormSettings):
         return GatedLstmNet(self.hidden, _SPAN * self._radii(facts.inverted), facts.rest, keep, path)
 
     def _radii(self, inverted: bool) -> np.ndarray:
-        """Radii (n,), as shares of the range."""
         if inverted:
             return np.geomspace(self.inverse_finest, self.reach, self.plays)
         return self.reach * np.arange(1, self.plays + 1) / max(self.plays, 1)
 
 
 class ScalingSettings(Settings):
-    """Scaling of devices of one command unit; for others the ranges of the trials are mapped to [-1, 1].
+    """Scaling for devices of one command unit; for others the ranges of the trials are mapped to [-1, 1].
 
     Attributes:
         unit: of the command.
@@ -173,7 +164,7 @@ class ScalingSettings(Settings):
 
 
 class RestSettings(Settings):
-    """Rest of a device of one command unit: what stands before a trial where a network looks further back.
+    """Rest of a device of one command unit, used as history before a trial.
 
     Attributes:
         unit: of the command; for another unit a trial's first sample is its rest.
@@ -187,7 +178,7 @@ class RestSettings(Settings):
 
 
 class WindowTraining(Settings):
-    """Training on short windows, a recurrent state zero at the start of each.
+    """Training on short windows, with a recurrent state of zero at the start of each.
 
     Source: S1 (RA-L 2021) section II-C, S2 (RA-L 2024) section III.
 
@@ -199,8 +190,8 @@ class WindowTraining(Settings):
         keep_after: epochs that are only kept if training ends before a later one (the code of S2 has 10).
         windows_per_epoch: windows drawn in an epoch, at any sample of any trial; None draws one per training sample.
         padding_samples: samples of rest before each trial, scored as all others; S2 has 50.
-        constancy_weight: beta of the constant-in, constant-out term, S2 eq. (12); the paper trains with 0 and 1e-4
-            and keeps the better. It needs windows of two samples or more.
+        constancy_weight: beta of the constant-in, constant-out term, S2 eq. (12); the paper trains with 0 and 1e-4 and
+            keeps the better. It needs windows of two samples or more.
     """
 
     scheme: Literal["windows"] = "windows"
@@ -220,11 +211,10 @@ class WindowTraining(Settings):
 
 
 class TeacherSettings(Settings):
-    """A model of plays, fitted to the training trials, from which the network learns beside them.
+    """Model of plays, fitted to the training trials, whose free runs are additional training data of a network.
 
-    A few decaying sinusoids say nothing of ramps, holds and other amplitudes, nor of what a controller sends. The
-    operator fills them in as hysteresis would; the trials then correct what the operator gets wrong. This is ours, not
-    in the papers.
+    A few decaying sinusoids contain no ramps, holds and other amplitudes, nor commands of a controller. The operator
+    supplies them; the trials then correct its errors. This is ours, not in the papers.
 
     Attributes:
         model: `pi` for a Prandtl-Ishlinskii operator; `play_kernel` for a monotone sum of functions of plays, which
@@ -232,8 +222,8 @@ class TeacherSettings(Settings):
         plays: number of plays of a `pi`.
         runs: motions of 10 to 60 s drawn anew for each round.
         weight: weight of a teacher's sample against a recorded one, at the start of training and at its end.
-        centred: take out of each training trial the mean by which it lies off the teacher. Angle sensors are zeroed
-            anew for each trial; a network that follows the offsets of its training trials does worse on the next one.
+        centred: subtract from each training trial its mean offset from the teacher. Angle sensors are zeroed anew for
+            each trial; a network that follows the offsets of its training trials does worse on the next one.
     """
 
     model: Literal["pi", "play_kernel"] = "pi"
@@ -244,9 +234,9 @@ class TeacherSettings(Settings):
 
 
 class StreamTraining(Settings):
-    """Truncated backpropagation over whole trials, many side by side, the state carried from piece to piece.
+    """Truncated backpropagation over whole trials in parallel, with the state passed from piece to piece.
 
-    What the network is trained in is what it is used in: a free run from the start of a trial.
+    Training thus equals use: a free run from the start of a trial.
 
     Attributes:
         length: samples in a piece, over which gradients flow.
@@ -257,8 +247,8 @@ class StreamTraining(Settings):
         copies: how often each recorded trial runs in a round.
         time_scaling: copies are stretched or compressed in time by up to this share, uniformly in the logarithm.
         longest_pause: copies pause once for up to this many samples, the angle held; 0 for none. That a device holds
-            under constant command is an assumption (no creep), without which a network drifts where the trials have
-            no holds.
+            under constant command is an assumption (no creep), without which a network drifts where the trials have no
+            holds.
         clip_norm: greatest norm of a gradient.
         averaging: decay per update of the running mean of the weights, which is what is judged and returned.
         constancy_weight: beta of the constant-in, constant-out term, S2 eq. (12), over pieces.
@@ -286,7 +276,7 @@ class NetworkSettings(Settings):
     Attributes:
         kind: name in model files and reports.
         name: of the training, for reports.
-        network: what it is made of.
+        network: form of the network and its sizes.
         scaling: None maps the ranges of the trials to [-1, 1], as S1 does.
         rest: None takes the first sample of each trial, and the least input of all for the start of a buffer.
         warmup_samples: samples of the first command, held and unscored, before a trial's first sample.

@@ -1,1 +1,1 @@
-"""Operators: each equation of hysteresis, lag and delay stands here once, as a CasADi expression."""
+"""Operators: equations of hysteresis, lag and delay, each defined once as a CasADi expression."""

@@ -1,4 +1,4 @@
-"""Linear dynamics of an actuator, valve or sensor: lag, servo, delay; and its top speed."""
+"""Linear dynamics of an actuator, valve or sensor (lag, servo, delay), and the rate limit."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ class Lag(Operator):
                         y_k = u_k - d_k + exp(-dt / tau) (y_{k-1} - u_{k-1} + d_k),
                               d_k = tau (u_k - u_{k-1}) / dt                                            hold 1
 
-    The first takes the input of a sample to be there from the sample before on, half a sample early on average: a
-    little delay undoes that, which matters where lag and delay are to be told apart at few samples a time constant.
+    Hold 0 applies the input of a sample from the previous sample on, half a sample early on average. That matters for
+    distinguishing lag and delay at few samples a time constant.
 
-    With a second constant tau is `tau_s` while the output rises (u_k >= y_{k-1}) and `tau_down_s` while it falls, as
-    a valve fills and vents. At 1 us it is the identity, to the last bit from samples of 1 ms on.
+    With a second constant tau is `tau_s` while the output rises (u_k >= y_{k-1}) and `tau_down_s` while it falls, as a
+    valve fills and vents. At 1 us it is the identity, to the last bit from samples of 1 ms on.
 
     Attributes:
         tau_s: time constant, or that of a rise [s]; in files `tau_s`, with two of them `tau_up_s`.
-        tau_down_s: time constant of a fall, if it has its own [s].
+        tau_down_s: time constant of a fall, if it differs [s].
         hold: order of the hold: 0 for an input in steps, 1 for one that runs straight between samples.
 
     Raises:
@@ -93,14 +93,13 @@ class Servo(Operator):
 
     y'' + 2 d w y' + w^2 y = w^2 u,  w = 2 d / tau
 
-    with damping ratio d, so that it stays behind a ramp by tau as a lag of first order does. With the slope of the
-    input a, which is 0 for steps (hold 0) and (u_k - u_{k-1}) / dt for straight lines (hold 1), what is off from
-    following it, e = y - (u_k - a dt - a tau) and g = v - a, and with s = d w, f = w sqrt(1 - d^2), c = cos(f dt),
-    h = sin(f dt) / f,
+    with damping ratio d, so that it follows a ramp with delay tau as a lag of first order does. With the slope of the
+    input a, which is 0 for steps (hold 0) and (u_k - u_{k-1}) / dt for straight lines (hold 1), the deviations e = y -
+    (u_k - a dt - a tau) and g = v - a, and with s = d w, f = w sqrt(1 - d^2), c = cos(f dt), h = sin(f dt) / f,
 
         y_k = u_k - a tau + exp(-s dt) ((c + s h) e + h g),  v_k = a + exp(-s dt) (-w^2 h e + (c - s h) g)
 
-    At 1 us it is the identity but for a microsecond of the ramp.
+    At 1 us it is the identity, except for a delay of 1 us.
 
     Attributes:
         hold: order of the hold, 0 for an input in steps.
@@ -134,11 +133,9 @@ class Servo(Operator):
 @final
 @dataclass(frozen=True)
 class RateLimit(Operator):
-    """A follower with a top speed.
+    """Follower with a top speed; the identity for slower inputs, to the last bit.
 
     y_k = max(y_{k-1} - top_speed dt, min(y_{k-1} + top_speed dt, u_k))
-
-    Faster than the input ever is, it is the identity, to the last bit.
 
     Source: Astrom and Murray, Feedback Systems (2nd ed., 2020), section 9.4, rate limiters.
     """
@@ -162,11 +159,11 @@ class Delay(Operator):
 
     y_k = sum_j h(d / dt - j) u_{k-j},  h(s) = max(0, 1 - |s|),  j = 0..n
 
-    The hat weights keep the output differentiable in the delay, so that it can be identified.
+    The output is differentiable by the delay, so that it can be identified.
 
     Attributes:
         delay_s: delay d [s], at most `samples` sample times.
-        samples: length n of the store; it fixes the size of the state, so it is not a parameter of a fit.
+        samples: length n of the store, fixed in a fit.
 
     Raises:
         ModelError: if the store is empty or the delay out of bounds.
@@ -183,7 +180,7 @@ class Delay(Operator):
 
     @classmethod
     def at_rate(cls, delay_s: float, dt: float) -> Self:
-        """A delay with just the store that it needs at sample time `dt` [s]."""
+        """Delay with the shortest possible store at sample time `dt` [s]."""
         return cls(delay_s, max(1, math.ceil(delay_s / dt - 1e-9)))
 
     @property
@@ -210,10 +207,9 @@ class Delay(Operator):
 
     @property
     def settling_samples(self) -> int:
-        """The store's length."""
         return self.samples
 
 
 def stored(operators: Sequence[Operator], dt_s: float) -> tuple[Operator, ...]:
-    """The operators, delays with just the store that they need at sample time `dt_s` [s]."""
+    """Operators whose delays have the shortest possible store at sample time `dt_s` [s]."""
     return tuple(operator.resampled(dt_s, dt_s) for operator in operators)

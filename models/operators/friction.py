@@ -1,4 +1,4 @@
-"""Friction beyond a plain play: a sum of stops, stick-slip, rate dependence, loading and unloading that differ."""
+"""Friction beyond a plain play: sum of stops, stick-slip, rate dependence, and asymmetry of loading and unloading."""
 
 from __future__ import annotations
 
@@ -16,22 +16,21 @@ from .operator import Number, Operator, Parameter, Symbol, maximum, minimum, pla
 @final
 @dataclass(frozen=True)
 class MaxwellSlip(Operator):
-    """Friction force over a displacement: n springs on sliders side by side, a spring and a force beside them.
+    """Friction force over a displacement: n springs on sliders in parallel with a spring and a constant force.
 
     r_i = spacing i (1 + stribeck exp(-|v_k| / stribeck_speed)),  v_k = (u_k - u_{k-1}) / dt,  i = 1..n
     z_i,k = max(u_k - r_i, min(u_k + r_i, z_i,k-1))
     y_k = b + k0 u_k + max(1 + growth u_k, 0) sum_i k_i (u_k - z_i,k) + viscous v_k
 
-    A sum of stops, the dual of a Prandtl-Ishlinskii model: the force turns its sign with the motion and leads it. The
-    friction never gives back more work than was put in, for weights, growth and viscous friction as they are bounded.
-    `growth` is that of the sliders' load along the stroke.
+    A sum of stops, the dual of a Prandtl-Ishlinskii model: the force changes its sign with the motion and leads it.
+    Within the bounds it is dissipative. `growth` is that of the sliders' load along the stroke.
 
     Attributes:
-        k0: stiffness of the spring beside the sliders, of either sign [deg/cmd].
+        k0: stiffness of the parallel spring, of either sign [deg/cmd].
         stiffness: of each slider's spring, k_1..k_n [deg/cmd].
         spacing: of the half-widths at which sliders break away [cmd].
         growth: of the friction with the displacement [1/cmd].
-        b: force beside the sliders at displacement 0 [deg].
+        b: constant force [deg].
         speeds: nothing, or (viscous [deg s/cmd], stribeck [1], stribeck_speed [cmd/s]) of friction that depends on the
             speed; `rate` 1 in files.
 
@@ -68,7 +67,7 @@ class MaxwellSlip(Operator):
 
     @property
     def rate(self) -> int:
-        """1 where friction depends on the speed, else 0."""
+        """Flag: 1 where friction depends on the speed, else 0."""
         return int(bool(self.speeds))
 
     @property
@@ -93,7 +92,7 @@ class MaxwellSlip(Operator):
 
     @property
     def settling_samples(self) -> int:
-        """Two where the first sample of a hold may still look like a fast motion."""
+        """Two samples where the first one of a hold may resemble a fast motion."""
         return 1 + self.rate
 
     def equation(self, x: Symbol, u: Symbol, p: Symbol, dt: Symbol) -> tuple[Symbol, Symbol]:
@@ -118,23 +117,22 @@ class MaxwellSlip(Operator):
 
 
 _NO_RATE = (0.0, 0.0, 1.0)
-_LITTLE = 1e-18  # of a stiffness squared, so that no stiffness stretches nothing
+_LITTLE = 1e-18  # squared stiffness that avoids a division by zero
 
 
 @final
 @dataclass(frozen=True)
 class StickSlip(Operator):
-    """A play that is wide while it sticks and narrows with the speed at which it slides (threshold stick-slip).
+    """Play that is wide while it sticks and becomes narrower with the speed of sliding (threshold stick-slip).
 
     r_k = break_away exp(-v_{k-1} / stribeck_speed),  z_k = max(u_k - r_k, min(u_k + r_k, z_{k-1})),  y = z
     memory_s v' + v = |z'|  =>  v_k = s_k + exp(-dt / memory_s) (v_{k-1} - s_k),  s_k = |z_k - z_{k-1}| / dt
 
-    A spring pulls a slider without mass whose friction falls with its speed, and remembers the speed for a while.
-    Where break_away > stribeck_speed memory_s it breaks away with a jump d = break_away (1 - exp(-d / (stribeck_speed
-    memory_s))), sticks again if the motion is slow and slides at a smaller width if it is fast. Without the memory the
-    jump, and the speed above which it slides, would follow from the sample time. A jump takes some samples, however
-    short they are. The part of friction that does not fall with speed is the play of the device itself. Break-away 0
-    is the identity.
+    A spring pulls a massless slider whose friction falls with its speed, after a memory time. Where break_away >
+    stribeck_speed memory_s it breaks away with a jump d = break_away (1 - exp(-d / (stribeck_speed memory_s))), sticks
+    again in a slow motion and slides at a smaller width in a fast one. Without the memory the jump, and the speed of
+    steady sliding, would depend on the sample time. The constant part of friction is the play of the device. Break-away
+    0 is the identity.
 
     Source: Stribeck curve and frictional memory as in Armstrong-Helouvry, Dupont and Canudas de Wit, Automatica 30
     (1994), 1083-1138.
@@ -155,22 +153,22 @@ class StickSlip(Operator):
         return ca.vertcat(play(u, y, p[0]), 0)
 
 
-_AT_ONCE = 1e-6  # s: nothing is left after a sample
+_AT_ONCE = 1e-6  # [s], decays within a sample
 
 
 @final
 @dataclass(frozen=True)
 class RateDependence(Operator):
-    """A play whose half-width grows with the speed of its input, which the friction remembers for a while.
+    """Play whose half-width grows with the speed of its input, after a memory time of the friction.
 
     memory_s v' + v = |u'|  =>  v_k = s_k + exp(-dt / memory_s) (v_{k-1} - s_k),  s_k = |u_k - u_{k-1}| / dt
     r_k = width_s max(1 + growth u_k, 0) v_k,  g_k = 1 + lean v_k, or 1 / (1 - lean v_k) for a lean below 0
     z_k = max(u_k - (1 - skew) r_k / g_k, min(u_k + (1 + skew) r_k g_k, z_{k-1})),  y = z
 
-    Without memory it has no width at rest: the output comes up to the input in the first sample of a hold. Friction
-    that is in proportion to a tendon's tension grows with the command. It then takes a share of the tension: what
-    multiplies a pull divides a release, and the more so the faster the motion. A lean below 0 holds back more of a
-    fast pull, a lean above 0 more of a fast release; a skew does so at any speed. Width 0 is the identity.
+    Without memory it has no width at rest: the output reaches the input in the first sample of a hold. Friction in
+    proportion to a tendon's tension grows with the command, and multiplies a pull as it divides a release, more at
+    higher speed. A lean below 0 reduces a fast pull more, a lean above 0 a fast release; a skew does so at any speed.
+    Width 0 is the identity.
 
     Source: S2 (RA-L 2024) eq. (5), the rate-dependent part of the threshold alone; the memory is that of friction in
     Armstrong-Helouvry, Dupont and Canudas de Wit, Automatica 30 (1994), 1083-1138; growth, skew and lean are ours.
@@ -186,7 +184,7 @@ class RateDependence(Operator):
 
     @property
     def settling_samples(self) -> int:
-        """Two: the first sample of a held input may still look like a fast motion."""
+        """Two samples, since the first one of a hold may resemble a fast motion."""
         return 2
 
     def equation(self, x: Symbol, u: Symbol, p: Symbol, dt: Symbol) -> tuple[Symbol, Symbol]:
@@ -205,14 +203,14 @@ class RateDependence(Operator):
 @final
 @dataclass(frozen=True)
 class DahlDrag(Operator):
-    """Friction with presliding whose level grows with the speed: what it holds back stays in a hold.
+    """Friction with presliding whose level grows with the speed and remains during a hold.
 
     s_k = |u_k - u_{k-1}| / dt = v_k + thinning v_k^2,  r_k = width_s v_k
     f_k = d r_k + (f_{k-1} - d r_k) exp(-|u_k - u_{k-1}| / (way + stretch r_k)),  d = sign(u_k - u_{k-1}),  y = u - f
 
     Dahl's law for a level of way + stretch r, less the level `way` that the device has at rest: the friction builds up
-    over a way that is as long as it is high, and goes only with further travel. A film that shears thin makes the level
-    grow like the root of a fast speed. Width 0 is the identity.
+    and falls only with travel, over a length equal to its level. With a shear-thinning film the level grows like the
+    root of a fast speed. Width 0 is the identity.
 
     Source: Dahl, Solid friction damping of mechanical vibrations, AIAA Journal 14 (1976), eq. (3) with exponent 1,
     integrated over a straight move, with a level that depends on the speed as in Canudas de Wit, Olsson, Astrom and
@@ -244,15 +242,14 @@ class DahlDrag(Operator):
 @final
 @dataclass(frozen=True)
 class Asymmetry(Operator):
-    """A generalised play between the identity, for loading, and a bent line above it, for unloading.
+    """Generalised play between the identity, for loading, and a bent line above it, for unloading.
 
     z_k = max(u_k, min(g(u_k), z_{k-1})),  y = z
     g(u) = u + (slope_ratio_above - 1) max(u - pivot, 0) + (1 - slope_ratio_below) max(pivot - u, 0)
 
     The loop closes at the pivot and opens away from it: above it if unloading is steeper than loading, below it if
-    flatter. Its width at two inputs is in the ratio of what the two slopes open, which is the width ratio of straight
-    branches. Because both lines rise and do not cross, it has return-point memory and does not drift however often the
-    loop is run through; a slope that depends on the direction alone would. Both ratios at 1 are the identity.
+    flatter. Because both lines rise and do not cross, it has return-point memory and does not drift over repeated
+    loops; a slope that depends on the direction alone would. Both ratios at 1 are the identity.
 
     Source: generalised play, Visintin, Differential Models of Hysteresis (1994), ch. III.
     """
@@ -273,7 +270,6 @@ class Asymmetry(Operator):
 
 
 def _between(u: Symbol, z: Symbol, p: Symbol) -> Symbol:
-    """The state `z` moved between the two lines."""
     unloading = u + (p[0] - 1) * maximum(u - p[2], 0) + (1 - p[1]) * maximum(p[2] - u, 0)
     return maximum(u, minimum(unloading, z))
 
@@ -281,14 +277,14 @@ def _between(u: Symbol, z: Symbol, p: Symbol) -> Symbol:
 @final
 @dataclass(frozen=True)
 class DirectionalGain(Operator):
-    """A gain that depends on the direction, which turns over gradually after a reversal.
+    """Gain that depends on the direction of motion and changes gradually after a reversal.
 
     z_k = max(u_k - turn, min(u_k + turn, z_{k-1})),  d_k = (u_k - z_k) / turn
     y_k = u_k + gain d_k (u_k - pivot)
 
-    The direction d lies in -1..1: -1 while unloading, 1 while loading, between them on the way. Branches then have
-    slopes 1 + gain and 1 - gain, so that the loop widens (gain below zero) or narrows above the pivot and does the
-    opposite below it, and does not drift however often it is run through. Gain 0 is the identity.
+    The direction d is -1 while unloading, 1 while loading, and between them after a reversal. Branches then have slopes
+    1 + gain and 1 - gain: the loop widens (gain below zero) or narrows above the pivot, the opposite below it, and does
+    not drift over repeated loops. Gain 0 is the identity.
     """
 
     gain: Annotated[float, Number("1", -0.9, 0.9, 0.0, "half the difference of the slopes of loading and unloading")]
@@ -303,6 +299,6 @@ class DirectionalGain(Operator):
         return z, u + p[0] * (u - z) / p[2] * (u - p[1])
 
     def at_rest(self, u: Symbol, y: Symbol, p: Symbol) -> Symbol:
-        """Unloaded: a device at rest came down to where it is."""
+        """State after unloading: a device at rest came down to its present angle."""
         del y
         return u + p[2]

@@ -1,4 +1,4 @@
-"""Hysteresis operators: play and stop, backlash and its inverse, Bouc-Wen, sums of plays behind rising curves."""
+"""Hysteresis operators: play and stop, backlash and its inverse, Bouc-Wen, sums of plays with rising curves."""
 
 from __future__ import annotations
 
@@ -37,11 +37,11 @@ class Play(Operator):
 @final
 @dataclass(frozen=True)
 class Stop(Operator):
-    """Stop of half-width r, the dual of the play: a spring on a slider, whose force turns its sign with the motion.
+    """Stop of half-width r, the dual of the play: a spring on a slider, whose force changes its sign with the motion.
 
     z_k = max(u_k - r, min(u_k + r, z_{k-1})),  y = u_k - z_k = min(r, max(-r, u_k - z_{k-1}))
 
-    It never exceeds r, and with the play of the same state it is the identity. It leads its input where the play lags.
+    Stop and play of the same state add up to the identity. The stop leads its input where the play lags.
 
     Source: Krasnosel'skii and Pokrovskii, Systems with Hysteresis (1989), ch. 1.
     """
@@ -71,14 +71,14 @@ class BacklashLines(Operator):
 
 @dataclass(frozen=True)
 class Backlash(BacklashLines):
-    """Command to angle through a loading line, an unloading line and a flat path between them.
+    """Backlash from command to angle: a loading line, an unloading line and a flat path between them.
 
     theta_k = m_lo (u_k + c_lo)   if u_k <= theta_{k-1} / m_lo - c_lo   (unloading)
             = m_up (u_k + c_up)   if u_k >= theta_{k-1} / m_up - c_up   (loading)
             = theta_{k-1}         otherwise
 
-    which, for positive slopes, is max(m_up (u_k + c_up), min(m_lo (u_k + c_lo), theta_{k-1})) wherever the
-    unloading line lies above the loading line.
+    which, for positive slopes, is max(m_up (u_k + c_up), min(m_lo (u_k + c_lo), theta_{k-1})) wherever the unloading
+    line lies above the loading line.
 
     Source: S2 eq. (1)-(3), after Voros, Automatica 46 (2010); sign convention of the authors' code.
     """
@@ -101,17 +101,17 @@ class Backlash(BacklashLines):
         return self.m_lo * (u + self.c_lo) - self.m_up * (u + self.c_up)
 
     def inverse(self, dead_zone: float = 0.0) -> InverseBacklash:
-        """Angle to command by the same two lines; `dead_zone` [deg] of the wish counts as no change."""
+        """Inverse from angle to command with the same lines; changes within `dead_zone` [deg] are ignored."""
         return InverseBacklash(self.m_lo, self.m_up, self.c_lo, self.c_up, dead_zone)
 
 
 @dataclass(frozen=True)
 class InverseBacklash(BacklashLines):
-    """Angle to command: the loading line upwards, the unloading line downwards, the last command to stay.
+    """Inverse backlash from angle to command: loading line upwards, unloading line downwards, else the last command.
 
     u_k = theta_k / m_up - c_up  if theta_k > theta_{k-1};  theta_k / m_lo - c_lo  if theta_k < theta_{k-1};
-    u_{k-1} if equal. Any noise on the wish flips the branch and jumps across the loop, hence the dead zone: a wish
-    within it of the last one acted on is no change (0.027 deg in the authors' code).
+    u_{k-1} if equal. Noise of theta would switch the branch and jump across the loop, hence the dead zone: smaller
+    changes of theta are ignored (0.027 deg in the authors' code).
 
     Source: S2 eq. (3).
     """
@@ -136,18 +136,18 @@ class InverseBacklash(BacklashLines):
 @final
 @dataclass(frozen=True)
 class BoucWen(Operator):
-    """A line of direction-dependent slope plus a variable that relaxes along the path of the command.
+    """Bouc-Wen model: a line of direction-dependent slope plus a variable that relaxes along the path of the command.
 
     h_k     = (a du + delta |du| + h_{k-1}) / (1 + v |du|),  du = u_k - u_{k-1}
     theta_k = alpha(u') u_k + h_k + b,  alpha(u') = (alpha_1 e^{2x} + alpha_2) / (e^{2x} + 1),  x = steepness u'
 
     Rising, h tends to (a + delta) / v, falling to (delta - a) / v, so a loop that lags has a < 0. The step of h is
-    implicit Euler along |du|: its dependence on the sample time is of second order in v |du|. The paper's code takes
-    x = du of a sample of a command normalised by 6 mm; per second that is a steepness of 0.04 s / 6 mm. Where x stays
-    small only (alpha_1 - alpha_2) steepness shows, so steepness is set, not identified. Nor is delta: it shifts h by
-    delta / v and no more, which b does as well.
+    implicit Euler along |du|: its dependence on the sample time is of second order in v |du|. The paper's code takes x
+    = du of a sample of a command normalised by 6 mm; per second that is a steepness of 0.04 s / 6 mm. For small x only
+    the product (alpha_1 - alpha_2) steepness is identifiable, so steepness is set. So is delta, which only shifts h by
+    delta / v as b does.
 
-    It has no inverse in closed form; `models/inverse` searches one.
+    It has no inverse in closed form; `models/inverse` computes it numerically.
 
     Source: code of S2, not in its text; after Wen, J. Eng. Mech. Div. ASCE 102 (1976).
     """
@@ -164,7 +164,7 @@ class BoucWen(Operator):
 
     @property
     def settling_samples(self) -> int:
-        """Two: the first sample of a held command may still look like a fast motion."""
+        """Two samples, since the first one of a hold may resemble a fast motion."""
         return 2
 
     def equation(self, x: Symbol, u: Symbol, p: Symbol, dt: Symbol) -> tuple[Symbol, Symbol]:
@@ -179,7 +179,7 @@ class BoucWen(Operator):
         return ca.vertcat(u, y - 0.5 * (p[3] + p[4]) * u - p[6])
 
 
-_NARROW = 1e-9  # half-width below which a gradual play is none [cmd]
+_NARROW = 1e-9  # half-width below which a gradual play is the identity [cmd]
 
 
 @final
@@ -192,12 +192,12 @@ class CurvedPlays(Operator):
                           s = sign(u_k - u_k-1),  e = exp(-|u_k - u_k-1| / (2 r_i))               turn 1
         theta = b + sum_i f_i(z_i),  f_i(low) = 0,  f_i' runs straight between s_ij at the knots j = 0..K
 
-    All curves share K pieces of equal length between `low` and `high`; beyond, they go on straight. Slopes are not
-    negative and those of the command itself are positive, so that the angle rises with the command and the inverse
-    exists. With equal slopes in each curve it is a Prandtl-Ishlinskii model with free radii.
+    All curves share K pieces of equal length between `low` and `high`, with linear extrapolation. Slopes are not
+    negative and those of z_0 are positive, so that the inverse exists. With equal slopes in each curve it is a
+    Prandtl-Ishlinskii model with free radii.
 
-    A gradual play (turn 1) stands still at a reversal and takes the new direction over a travel of some r_i, as dry
-    friction with presliding does: u - z is the force of a Dahl element. It is as wide as the sharp one, and z never
+    A gradual play (turn 1) stops at a reversal and follows the new direction over a travel of some r_i, as in dry
+    friction with presliding: u - z is the force of a Dahl element. Its width is that of the sharp one, and z never
     falls while u rises.
 
     Attributes:
@@ -213,8 +213,8 @@ class CurvedPlays(Operator):
 
     Source: additive operator of the Krasnosel'skii-Pokrovskii type, Krasnosel'skii, Pokrovskii, Systems with Hysteresis
     (1989), section 29. Curves: monotone splines of order 2, Ramsay, Monotone regression splines in action, Statistical
-    Science 3 (1988). Gradual plays: Dahl, Solid friction damping of mechanical vibrations, AIAA Journal 14 (1976),
-    eq. (3) with exponent 1, integrated over a straight move.
+    Science 3 (1988). Gradual plays: Dahl, Solid friction damping of mechanical vibrations, AIAA Journal 14 (1976), eq.
+    (3) with exponent 1, integrated over a straight move.
     """
 
     slopes: tuple[float, ...]
@@ -273,7 +273,7 @@ class CurvedPlays(Operator):
         radii, knots = self._radii(p), self.pieces + 1
         means = [sum(p[i * knots + k] for k in range(knots)) / knots for i in range(1, self.plays + 1)]
         ends = knots * (self.plays + 1) + 1 + self.plays
-        little = 1e-9 * p[0] * (p[ends + 1] - p[ends])  # so that nothing is divided by zero
+        little = 1e-9 * p[0] * (p[ends + 1] - p[ends])  # avoids a division by zero
         half = sum(mean * r for mean, r in zip(means, radii, strict=True))
         share = (y - self._angle([u] * (self.plays + 1), p)) / (half + little)
         z = [u + share * r for r in radii]
@@ -284,7 +284,7 @@ class CurvedPlays(Operator):
         return [p[first + i] for i in range(self.plays)]
 
     def _angle(self, plays: list[Symbol], p: Symbol) -> Symbol:
-        """b and all curves, a line and parabolas from the knots on: s_0 (z - low) + sum_k c_k max(z - z_k, 0)^2."""
+        """Angle as b plus all curves, a line and parabolas: s_0 (z - low) + sum_k c_k max(z - z_k, 0)^2."""
         knots = self.pieces + 1
         count = knots * len(plays)
         low, high = p[count + len(plays)], p[count + len(plays) + 1]
@@ -301,7 +301,7 @@ class CurvedPlays(Operator):
 
 def _gradual_play(u: Symbol, before: Symbol, z: Symbol, r: Symbol) -> Symbol:
     """Next state of a gradual play of half-width `r` whose state is `z`, on a straight move from `before` to `u`."""
-    behind = maximum(minimum(before - z, r), -r)  # what is guessed of a rest may be out of reach
+    behind = maximum(minimum(before - z, r), -r)  # a guessed rest may be impossible
     side = ca.if_else(u >= before, 1.0, -1.0)
     kept = ca.exp(-side * (u - before) / (2.0 * r + _NARROW))
     return u - side * r * (1.0 - kept) - behind * kept

@@ -20,12 +20,11 @@ _MASK = 2**64 - 1
 
 
 def draw(state: Triple) -> tuple[Triple, Symbol]:
-    """Next state and a number that is uniform on (0, 1).
+    """Next state of the random generator and a number uniform on (0, 1).
 
     s_i <- a_i s_i mod m_i,  number = frac(s_1 / m_1 + s_2 / m_2 + s_3 / m_3)
 
-    Products stay below 2^24, hence states are whole numbers exactly in single and double precision, and a remainder is
-    one floor. The period is 6.95e12 draws.
+    Products stay below 2^24, hence states are exact integers in single and double precision. Period: 6.95e12 draws.
 
     Source: Wichmann and Hill, Applied Statistics 31 (1982), algorithm AS 183, 188-190.
     """
@@ -40,7 +39,7 @@ def draw(state: Triple) -> tuple[Triple, Symbol]:
 
 
 def start_of_seed(seed: int) -> tuple[float, float, float]:
-    """Start state of a seed: three whole numbers from 1 to m_i - 1, well mixed so that near seeds are unrelated.
+    """Initial generator state of a seed: three integers from 1 to m_i - 1, well mixed so that near seeds are unrelated.
 
     Source of the mixing: splitmix64, Steele, Lea and Flood, OOPSLA 2014.
     """
@@ -62,20 +61,20 @@ _SMALLEST = 2.0**-24  # in single precision a draw may round to zero, whose loga
 @final
 @dataclass(frozen=True)
 class Sensor(Operator):
-    """A sensor that adds white noise and outliers, rounds, and now and then repeats its last value.
+    """Sensor that adds white noise and outliers, rounds, and sometimes repeats its last value.
 
     n   = sigma sqrt(-2 ln a) cos(2 pi b)                                      (Box and Muller, two draws)
     v   = u + n + [c < outlier_probability] outlier_size sign(1/2 - b)         (third draw)
     y_k = y_{k-1} if c >= 1 - dropout_probability, else resolution round(v / resolution)
 
-    The draws a, b, c come from a Wichmann-Hill generator that is part of the state, see `draw`: equal
-    seeds give equal noise in every backend, and each row of a batch may start at its own seed. Probabilities and sigma
-    are those of a sample, at whatever rate. All at 0 are the identity; a resolution of 0 does not round.
+    The draws a, b, c come from a Wichmann-Hill generator that is part of the state, see `draw`: equal seeds give equal
+    noise in every backend, and each row of a batch may start at its own seed. Probabilities and sigma are per sample at
+    any rate. All at 0 are the identity; a resolution of 0 does not round.
 
-    The derivative of rounding is taken as 1 ("straight through"), so that what stands before a sensor remains
-    identifiable; the one of the exact step is zero almost everywhere. Probabilities have no derivative.
+    The derivative of rounding is taken as 1 ("straight through"), so that operators before a sensor remain
+    identifiable; the exact one is zero almost everywhere. Probabilities have no derivative.
 
-    The seed fixes the start state; it is not a parameter of a fit.
+    The seed is not a parameter of a fit.
 
     Raises:
         ModelError: if the seed is negative.
@@ -98,7 +97,7 @@ class Sensor(Operator):
             raise ModelError(f"sensor.seed is {self.seed}, expected 0 or more")
 
     def reseeded(self, seed: int) -> Sensor:
-        """The same sensor with other random numbers."""
+        """Sensor with another seed."""
         return replace(self, seed=seed)
 
     def equation(self, x: Symbol, u: Symbol, p: Symbol, dt: Symbol) -> tuple[Symbol, Symbol]:
@@ -113,13 +112,13 @@ class Sensor(Operator):
         return ca.vertcat(*third, y), y
 
     def at_rest(self, u: Symbol, y: Symbol, p: Symbol) -> Symbol:
-        """A fresh start of the seed's random numbers; the last value shown is `y`."""
+        """Initial state of the seed's random numbers, with `y` as the last reading."""
         del u, p
         return ca.vertcat(*start_of_seed(self.seed), y)
 
 
 def _rounded(v: Symbol, step: Symbol) -> Symbol:
-    """The multiple of `step` next to `v`, with derivative 1 by `v`; `v` itself for step 0."""
+    """Multiple of `step` nearest to `v`, with derivative 1 by `v`; `v` itself for step 0."""
     rounds = step > 0
     grid = ca.if_else(rounds, step, 1)
     # floor has derivative zero, so that v - floor(v 2^40) / 2^40, next to nothing in value, carries the derivative.
@@ -130,7 +129,7 @@ def _rounded(v: Symbol, step: Symbol) -> Symbol:
 @final
 @dataclass(frozen=True)
 class PeriodicDisturbance(Operator):
-    """A sum of harmonics on a clock of its own.
+    """Sum of harmonics with a separate clock.
 
     c_k = frac(c_{k-1} + frequency_hz dt),  y = u + sum_h amplitude_h sin(2 pi h c + phase_h),  h = 1..n
 
@@ -191,7 +190,7 @@ class PeriodicDisturbance(Operator):
         return ca.vertcat(0)
 
     def resampled(self, dt_s: float, was_s: float) -> Self:
-        """The clock makes its first step with the first sample: the phases change by 2 pi h f (was_s - dt_s)."""
+        """Disturbance with phases changed by 2 pi h f (was_s - dt_s): the clock's first step is at the first sample."""
         turn = 2 * math.pi * self.frequency_hz * (was_s - dt_s)
         phases = (math.remainder(p + h * turn, 2 * math.pi) for h, p in enumerate(self.phases_rad, 1))
         return self if dt_s == was_s else replace(self, phases_rad=tuple(phases))

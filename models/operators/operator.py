@@ -1,4 +1,4 @@
-"""Operators: one equation each, written once on CasADi symbols, with parameters that carry unit and bounds; by name."""
+"""Operators: one equation each on CasADi symbols, with parameters that carry unit and bounds."""
 
 from __future__ import annotations
 
@@ -24,16 +24,15 @@ Symbol = Any  # casadi.SX, which has no types
 
 @dataclass(frozen=True)
 class Parameter:
-    """A number of an operator.
+    """Name, unit, bounds and meaning of an operator's parameter.
 
     Attributes:
-        name: as it stands in a simulator file.
+        name: name in a simulator file.
         unit: with `cmd` for the unit of the command (mm or bar), and `in` for the unit of the signal that passes: `cmd`
             on the command side, `deg` on the output side.
         lower, upper: bounds, inclusive; identification stays within them. Those of a quantity with `cmd`, `deg` or `in`
             in its unit are meant for a device whose command's range is 1 to 10 and whose output's is 10 to 100, to
-            which `models.decades` brings any other; of a device in its own units only their signs count.
-        meaning: one line for tables.
+            which `models.decades` brings any other; of a device in log units only their signs count.
     """
 
     name: str
@@ -48,7 +47,6 @@ class Number:
     """Declaration of a parameter in a field of an operator: `Annotated[float, Number(...)]`.
 
     Attributes:
-        unit, lower, upper, meaning: as `Parameter` has them.
         template: value in `Operator.template`.
     """
 
@@ -60,11 +58,11 @@ class Number:
 
 
 class Operator(ABC):
-    """One block of a simulator: a causal map of a scalar signal with explicit state.
+    """Block of a simulator: a causal map of a scalar signal with explicit state.
 
-    A subclass is a frozen dataclass with one field a parameter and states its equation as a CasADi expression.
-    NumPy, compiled, torch, CasADi and ONNX forms, Jacobians included, are all derived from it (`kernels/program.py`).
-    An operator of variable size says its parameters, states and template itself.
+    A subclass is a frozen dataclass with one field for each parameter, and its equation is a CasADi expression. NumPy,
+    compiled, torch, CasADi and ONNX forms, Jacobians included, are derived from it (`kernels/program.py`). An operator
+    of variable size defines its parameters, states and template.
 
     Raises:
         ModelError: if a parameter is out of its bounds.
@@ -73,8 +71,8 @@ class Operator(ABC):
     name: ClassVar[str]
     state_names: ClassVar[tuple[str, ...]] = ()
     shape: ClassVar[tuple[str, ...]] = ()  # attributes that fix the size of state or parameters
-    default_sizes: ClassVar[Mapping[str, int]] = {}  # of those that a specification may leave out
-    size_limits: ClassVar[Mapping[str, tuple[int, int]]] = {}  # where other than 1 to 1000
+    default_sizes: ClassVar[Mapping[str, int]] = {}  # sizes that a specification may leave out
+    size_limits: ClassVar[Mapping[str, tuple[int, int]]] = {}  # limits other than 1 to 1000
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}({self.name})"
@@ -87,7 +85,7 @@ class Operator(ABC):
         check_values(self)
 
     def check_sizes(self) -> None:  # noqa: B027 - most operators have one size
-        """Check that the parameters which are tuples, and the sizes, fit each other.
+        """Check that sizes and the lengths of tuple parameters fit each other.
 
         Raises:
             ModelError: if they do not.
@@ -109,22 +107,22 @@ class Operator(ABC):
 
     @abstractmethod
     def at_rest(self, u: Symbol, y: Symbol, p: Symbol) -> Symbol:
-        """State (S, 1) of an operator whose input rests at `u` and whose output was seen at `y`."""
+        """State (S, 1) of an operator at rest at input `u` and output `y`."""
 
     @classmethod
     def template(cls, **structure: int) -> Self:
-        """Some operator of the given structure, to be filled by `with_values`."""
+        """Operator of the given structure, to be filled by `with_values`."""
         sizes = {name: structure[name] for name in cls.shape if name in structure}
         return cls(**{name: number.template for name, number in _numbers(cls).items()}, **sizes)
 
     @property
     def structure(self) -> dict[str, int]:
-        """The sizes named in `shape`: what a fit does not change."""
+        """Sizes named in `shape`, which are fixed in a fit."""
         return {name: getattr(self, name) for name in self.shape}
 
     @property
     def values(self) -> tuple[float, ...]:
-        """The parameters' values: the fields in order, tuples unrolled."""
+        """Parameter values: the fields in order, tuples unrolled."""
         flat: list[float] = []
         for field in self._value_fields():
             value = getattr(self, field)
@@ -132,7 +130,7 @@ class Operator(ABC):
         return tuple(float(v) for v in flat)
 
     def with_values(self, values: Sequence[float]) -> Self:
-        """The same operator with other parameter values, in the order of `values`."""
+        """Operator with other parameter values, in the order of `values`."""
         rest = [float(v) for v in values]
         changes: dict[str, Any] = {}
         for field in self._value_fields():
@@ -146,27 +144,23 @@ class Operator(ABC):
         return [f.name for f in fields(self) if f.name not in self.shape]  # type: ignore[arg-type]  # as above
 
     def resampled(self, dt_s: float, was_s: float) -> Operator:
-        """The same operator in a chain that runs at sample time `dt_s`, from one that ran at `was_s` [s].
-
-        What counts samples, as the store of a delay, or starts with a sample, as a clock, is fitted to it.
-        """
+        """Operator converted from sample time `was_s` to `dt_s` [s]: stores of delays and phases of clocks change."""
         del dt_s, was_s
         return self
 
     @property
     def settling_samples(self) -> int:
-        """Samples of constant input after which the state no longer depends on how `at_rest` guessed it."""
+        """Number of samples of constant input after which the guess of `at_rest` has no influence."""
         return 1
 
     @property
     def rest_samples(self) -> int:
-        """Samples of constant input until it rests; 0 where `at_rest` is exact for what the operator can show."""
+        """Number of samples of constant input until rest; 0 where `at_rest` is exact for possible outputs."""
         return 0
 
 
 @cache
 def _numbers(kind: type[Operator]) -> dict[str, Number]:
-    """The fields of an operator that are parameters."""
     hints = get_type_hints(kind, include_extras=True)
     return {name: hint.__metadata__[0] for name, hint in hints.items() if get_origin(hint) is Annotated}
 
@@ -188,7 +182,7 @@ def check_values(operator: Operator) -> None:
 
 
 def _has_a_size(unit: str) -> bool:
-    """Whether a parameter of this unit changes its value when the unit of a signal changes; one in deg/deg does not."""
+    """Whether a parameter of this unit changes its value with the unit of a signal; one in deg/deg does not."""
     above, _, below = unit.partition("/")
     return above != below and _OF_A_SIGNAL.search(unit) is not None
 
@@ -210,15 +204,12 @@ def maximum(a: Symbol, b: Symbol) -> Symbol:
 
 
 def play(u: Symbol, z: Symbol, r: Symbol) -> Symbol:
-    """Next state of a play of half-width `r` whose state is `z`: max(u - r, min(u + r, z))."""
+    """Next state of a play with half-width `r` and state `z`: max(u - r, min(u + r, z))."""
     return maximum(u - r, minimum(u + r, z))
 
 
 class Memoryless(Operator):
-    """A static map y = curve(u).
-
-    Every step of the contract has a state; here it is the last output, without effect.
-    """
+    """Static map y = curve(u), whose state is the last output, since every step needs a state."""
 
     state_names: ClassVar[tuple[str, ...]] = ("y",)
 

@@ -1,4 +1,4 @@
-"""Force to displacement with dynamics and memory: a mass on a hysteretic spring, and a network of the same form."""
+"""Dynamics with memory from force to displacement: a mass on a hysteretic spring, and a neural state space."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ class Oscillator(Operator):
 
     m y'' + c y' + k y + z = u,   z' = alpha y' - gamma |y'| z - delta y' |z|
 
-    The literature writes beta gamma and beta delta where `gamma` and `delta` stand here: beta alone does not show.
-    With |delta| <= gamma, z gives back no more work than it took.
+    `gamma` and `delta` are beta gamma and beta delta of the literature: beta alone is not identifiable. With |delta| <=
+    gamma, z is dissipative.
 
     Integrated by Runge-Kutta of fourth order in `steps` equal steps a sample. The input between two samples is the
     polynomial of order `hold` through the last `hold` + 1 of them: straight lines (1) take sinc^2(f dt) of a sine of
@@ -74,16 +74,12 @@ class Oscillator(Operator):
         return ca.vertcat(y, u, x[3 : 2 + self.hold]), y[0]
 
     def at_rest(self, u: Symbol, y: Symbol, p: Symbol) -> Symbol:
-        """At y on the path from the state without load: z = alpha y, u = (k + alpha) y.
-
-        The input that is seen says little: a log may start in motion, and a model file knows no input beforehand.
-        """
+        """State on the path from no load, z = alpha y, u = (k + alpha) y; the input at rest is unknown in files."""
         del u
         return ca.vertcat(y, 0, p[3] * y, ca.repmat((p[2] + p[3]) * y, self.hold, 1))
 
 
 def _backward_differences(u: Symbol, past: Symbol, order: int) -> list[Symbol]:
-    """Newton's backward differences of orders 0 to `order` at the newest sample."""
     row, delayed = [u, *(past[j] for j in range(order))], [u]
     for _ in range(order):
         row = [a - b for a, b in itertools.pairwise(row)]
@@ -92,7 +88,7 @@ def _backward_differences(u: Symbol, past: Symbol, order: int) -> list[Symbol]:
 
 
 def _between(differences: list[Symbol], s: float) -> Symbol:
-    """The polynomial through the last samples at s samples after the newest, -1 <= s <= 0."""
+    """Polynomial through the last samples at s samples after the newest, -1 <= s <= 0."""
     value, weight = differences[0], 1.0
     for j, difference in enumerate(differences[1:]):
         weight *= (s + j) / (j + 1)
@@ -103,11 +99,11 @@ def _between(differences: list[Symbol], s: float) -> Symbol:
 @final
 @dataclass(frozen=True)
 class StateNetwork(Operator):
-    """A neural state space: a linear system of n states and a layer of H neurons that bends it.
+    """Neural state space: a linear system of n states with a nonlinear layer of H neurons.
 
     x_k = A x_{k-1} + B (u_k, u_{k-1}) + W tanh(V (x_{k-1}, u_k, u_{k-1}) + c),   y_k = first entry of x_k
 
-    It knows nothing of masses or hysteresis: what a network of this size can learn of a device with resonances.
+    It has no model of masses or hysteresis: a black-box model of a device with resonances.
 
     Attributes:
         a, b: A (n, n) and B (n, 2), row by row.
@@ -191,7 +187,7 @@ class StateNetwork(Operator):
 
     @property
     def settling_samples(self) -> int:
-        """Samples for which the first command is held: the state at rest has no closed form."""
+        """Number of samples of constant command at the start: the state at rest has no closed form."""
         return _SETTLING
 
     @property

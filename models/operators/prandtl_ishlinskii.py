@@ -10,12 +10,12 @@ import casadi as ca
 from .operator import Operator, Parameter, Symbol, play
 from .static_curves import Pieces, band_parameters, check_bands, pieces_of
 
-_LITTLE = 1e-9  # share of what is divided by, so that nothing is divided by zero
+_LITTLE = 1e-9  # share of a divisor that avoids a division by zero
 
 
 @dataclass(frozen=True)
 class PlaySum(Operator):
-    """The numbers of a Prandtl-Ishlinskii model, which it shares with its inverse.
+    """Parameters shared by a Prandtl-Ishlinskii model and its inverse.
 
     Attributes:
         a0: weight of the command itself [deg/cmd].
@@ -58,7 +58,7 @@ class PlaySum(Operator):
 
     @property
     def settling_samples(self) -> int:
-        """Two: the first sample of a hold may still look like a fast motion."""
+        """Two samples, since the first one of a hold may resemble a fast motion."""
         return 2
 
 
@@ -69,8 +69,8 @@ class PrandtlIshlinskii(PlaySum):
     r_i(t) = alpha i + beta |u'(t)|,  z_i,k = max(u_k - r_i, min(u_k + r_i, z_i,k-1)),  i = 1..n
     theta  = a0 u + sum_i a_i z_i + b
 
-    The speed is (u_k - u_{k-1}) / dt per second, so that a model keeps its meaning at another sample rate.
-    Weights are not negative: the loops are then monotone and the inverse exists.
+    The speed is (u_k - u_{k-1}) / dt, so that parameters do not depend on the sample rate. Weights are not negative:
+    the loops are then monotone and the inverse exists.
 
     Source: S2 (RA-L 2024) eq. (4)-(5), after Al Janaideh, Rakheja and Su, Mechatronics 19 (2009).
     """
@@ -97,20 +97,20 @@ class PrandtlIshlinskii(PlaySum):
         return ca.vertcat(u, *([wanted / (weight + _LITTLE * (weight + p[0]))] * self.plays))
 
     def inverse(self) -> InversePrandtlIshlinskii:
-        """The analytic inverse, angle to command."""
+        """Analytic inverse from angle to command."""
         return InversePrandtlIshlinskii(*self.numbers)
 
 
 @dataclass(frozen=True)
 class InversePrandtlIshlinskii(PlaySum):
-    """Angle to command by the Prandtl-Ishlinskii model's analytic inverse, itself a sum of plays.
+    """Analytic inverse of a Prandtl-Ishlinskii model from angle to command, itself a sum of plays.
 
     w_0 = 1 / a0,  w_i = 1 / sum_{j<=i} a_j - 1 / sum_{j<i} a_j
     s_i = a0 r_i + sum_{j<i} a_j (r_i - r_j),  r_i = alpha i + beta |u'|
     u   = w_0 (theta - b) + sum_i w_i Play_{s_i}[theta - b]
 
-    The speed |u'| of the command is not known before the command is; it is taken as |theta'| / sum_j a_j. The
-    inverse is exact for beta = 0; the one-step inverse of a compiled model (`models/inverse`) is exact for every beta.
+    The speed |u'| of the unknown command is approximated by |theta'| / sum_j a_j. The inverse is exact for beta = 0;
+    the one-step inverse of a compiled model (`models/inverse`) is exact for every beta.
 
     Source: S2 eq. (5), after Al Janaideh and Krejci, IEEE/ASME T-Mech 18 (2013).
     """
@@ -126,7 +126,6 @@ class InversePrandtlIshlinskii(PlaySum):
         return PrandtlIshlinskii(*self.numbers)
 
     def _sums(self, p: Symbol) -> list[Symbol]:
-        """Partial sums a0, a0 + a1, ... of the weights."""
         sums = [p[0]]
         for i in range(1, self.plays + 1):
             sums.append(sums[-1] + p[i])
@@ -146,14 +145,14 @@ class InversePrandtlIshlinskii(PlaySum):
         return ca.vertcat(u, *z), command
 
     def at_rest(self, u: Symbol, y: Symbol, p: Symbol) -> Symbol:
-        """Plays of the forward model centred on command `y`: inverse play i rests at its own share of it."""
+        """State of the forward plays centred on command `y`: inverse play i rests at its share of it."""
         del y
         return ca.vertcat(u, *([u - p[self.plays + 3]] * self.plays))
 
 
 @dataclass(frozen=True)
 class DrdpiNumbers(PlaySum):
-    """The numbers of plays behind dead zones, which a model shares with its inverse; of the plays those of `PlaySum`.
+    """Parameters shared by a DRDPI model and its inverse; those of the plays are in `PlaySum`.
 
     Attributes:
         slopes_below, slopes_above: slopes of the pieces below and above the middle one, outwards.
@@ -199,7 +198,7 @@ class DrdpiNumbers(PlaySum):
     def parameters(self) -> tuple[Parameter, ...]:
         return (
             *super().parameters,
-            # Relative to the middle piece; steeper or farther out a piece would only say that it was never reached.
+            # Relative to the middle piece; a piece beyond these bounds was never reached.
             *band_parameters(self.below, self.above, 10.0, 1e3),
             Parameter("offset", "deg", -1e4, 1e4, "angle in the middle of the pieces"),
         )
@@ -214,13 +213,13 @@ class DrdpiNumbers(PlaySum):
 @final
 @dataclass(frozen=True)
 class Drdpi(DrdpiNumbers):
-    """Rate-dependent plays behind which dead zones bend the loop: asymmetric, dead or saturated at its ends.
+    """Rate-dependent plays followed by dead zones, for loops that are asymmetric, dead or saturated at their ends.
 
     v     = a0 u + sum_i a_i z_i + b,  plays z_i with thresholds r_i(t) = alpha i + beta |u'(t)| as in the PI model
     theta = sum_j w_j D_{d_j}[v] + offset,  w_0 = 1
 
-    The slope of the middle piece is one, since the weights a_i already scale the loop. Slopes and gaps stand for
-    weights and thresholds of the dead zones, see `Pieces`; for the attributes see `DrdpiNumbers`.
+    The slope of the middle piece is one, since the weights a_i already scale the loop. Slopes and gaps give weights and
+    thresholds of the dead zones, see `Pieces`; for the attributes see `DrdpiNumbers`.
 
     Source: ours. S1 (RA-L 2021) has the model of Shakiba et al., Mech. Syst. Signal Process. 154 (2021) 107532, whose
     equations it does not print; this is the modified Prandtl-Ishlinskii model of Kuhnen, Eur. J. Control 9 (2003), with
@@ -250,20 +249,20 @@ class Drdpi(DrdpiNumbers):
         return ca.vertcat(u, *(u + share * p[n + 1] * i for i in range(1, n + 1)))
 
     def inverse(self) -> InverseDrdpi:
-        """The inverse, angle to command."""
+        """Inverse from angle to command."""
         return InverseDrdpi(*(getattr(self, field.name) for field in fields(self)))
 
 
 @final
 @dataclass(frozen=True)
 class InverseDrdpi(DrdpiNumbers):
-    """Angle to command: first the inverse dead zones, then the inverse plays.
+    """Inverse of a DRDPI model from angle to command: the inverse dead zones, then the inverse plays.
 
     v = D^{-1}[theta - offset],  u = PI^{-1}[v]
 
     Both steps with the parameters of the forward model (`DrdpiNumbers`), see `Pieces.inverse` and
-    `InversePrandtlIshlinskii`. Exact for beta = 0; otherwise the command's speed is taken as |v'| / sum_j a_j. That the
-    thresholds' differences are constant in time is what gives the inverse plays their closed form.
+    `InversePrandtlIshlinskii`. Exact for beta = 0; otherwise the command's speed is approximated by |v'| / sum_j a_j.
+    The inverse plays have a closed form because the differences of thresholds are constant in time.
 
     Source: ours, of the parts named at `Drdpi`; inverse plays after Al Janaideh and Krejci, IEEE/ASME T-Mech 18 (2013).
     """
@@ -279,7 +278,7 @@ class InverseDrdpi(DrdpiNumbers):
         return self.hysteresis.inverse().equation(x, pieces.inverse().at(u - offset), plays, dt)
 
     def at_rest(self, u: Symbol, y: Symbol, p: Symbol) -> Symbol:
-        """Plays of the forward model centred on the command, as for the inverse plays alone."""
+        """State of the forward plays centred on the command, as for the inverse plays alone."""
         plays, pieces, offset = self.parts(p)
         return self.hysteresis.inverse().at_rest(pieces.inverse().at(u - offset), y, plays)
 

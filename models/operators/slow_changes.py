@@ -1,4 +1,4 @@
-"""Slow change and history: creep, drift, the first flexure, and what differs from trial to trial."""
+"""Slow change and history: creep, drift, first flexure, and differences between trials."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ class Creep(Operator):
 
     tau_i l_i' + l_i = u  =>  l_i,k = u_k + exp(-dt / tau_i) (l_i,k-1 - u_k),  y = u - sum_i share_i l_i
 
-    A step shows 1 at once and settles to 1 - sum_i share_i. A share below zero creeps on in the direction of the step
-    instead. Share 0 is the identity.
+    The step response is 1 at once and settles to 1 - sum_i share_i; with a share below zero it rises further. Share 0
+    is the identity.
 
     Attributes:
         shares: part of a step that relaxes away with each time constant.
@@ -104,20 +104,20 @@ class Drift(Operator):
         return ca.vertcat(0, 0, u)
 
 
-_AT_ONCE = 1e-6  # s: all of it is there after a sample
+_AT_ONCE = 1e-6  # [s], settles within a sample
 
 
 @final
 @dataclass(frozen=True)
 class FirstFlexure(Operator):
-    """A set in proportion to how far the largest bend so far went beyond a threshold; it stays.
+    """Permanent set in proportion to the excess of the largest bend so far over a threshold.
 
     m_k = max(m_{k-1}, u_k),  s_k = set max(m_k - threshold, 0)
     l_k = exp(-dt / tau) (l_{k-1} + s_k - s_{k-1}),  y = u + s - l
 
-    With tau 0 it is taken at once, else late by l, as material flows or a tendon beds in. A first loading beyond the
-    threshold therefore runs along another slope, 1 + set, and every motion below the largest bend so far is shifted
-    and nothing else. A set below zero is one that loses angle. Set 0 is the identity.
+    With tau 0 it is immediate, else delayed by l, as material flows or a tendon beds in. A first loading beyond the
+    threshold therefore has the slope 1 + set, and motions below the largest bend are only shifted. A set below zero
+    loses angle. Set 0 is the identity.
     """
 
     set: Annotated[float, Number("1", -0.95, 3.0, 0.0, "set by bend beyond the threshold")]
@@ -133,7 +133,7 @@ class FirstFlexure(Operator):
         return ca.vertcat(largest, late), u + now - late
 
     def at_rest(self, u: Symbol, y: Symbol, p: Symbol) -> Symbol:
-        """A device that never was bent further than it is now, and has been there for long."""
+        """State of a device that was never bent further than now, after a long rest."""
         del y, p
         return ca.vertcat(u, 0)
 
@@ -141,7 +141,7 @@ class FirstFlexure(Operator):
 @final
 @dataclass(frozen=True)
 class TrialShift(Operator):
-    """Offset, gain and extra play of one trial: re-mounting, a bend of the sheath, another pretension.
+    """Offset, gain and extra play of one trial, due to re-mounting, a bend of the sheath or another pretension.
 
     v = gain u + offset,  z_k = max(v_k - width, min(v_k + width, z_{k-1})),  y = z
 

@@ -1,4 +1,4 @@
-"""Static maps: a line, dead zones side by side, slack, contact, a curved gain."""
+"""Static maps: a line, dead zones in parallel, slack, contact, a curved gain."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Side = tuple[tuple[Symbol, Symbol], ...]
 @final
 @dataclass(frozen=True)
 class Line(Memoryless):
-    """A device without hysteresis: theta = gain u + offset."""
+    """Device without hysteresis: theta = gain u + offset."""
 
     gain: Annotated[float, Number("deg/cmd", -1e4, 1e4, 1.0, "slope")]
     offset: Annotated[float, Number("deg", -1e4, 1e4, 0.0, "output at command 0")]
@@ -30,13 +30,13 @@ class Line(Memoryless):
 
 @dataclass(frozen=True)
 class Pieces:
-    """A rising curve through the origin made of straight pieces; entries are numbers or symbols.
+    """Rising curve through the origin with straight pieces; entries are numbers or symbols.
 
     y = sum_j w_j D_{d_j}[x],  D_d[x] = max(x - d, 0) for d > 0,  x for d = 0,  min(x - d, 0) for d < 0
     w_0 = s_0,  w_{+-j} = s_{+-j} - s_{+-(j-1)},  d_{+-j} = +-(g_{+-1} + ... + g_{+-j})
 
-    Weights w_j and thresholds d_j are held as slopes s_j and gaps g_j of the pieces: slopes above zero and gaps that
-    are not negative are then all that the inverse needs, where the weights need positive partial sums.
+    Weights w_j and thresholds d_j are stored as slopes s_j and gaps g_j: the inverse then needs only slopes above zero
+    and nonnegative gaps, not positive partial sums of weights.
 
     Attributes:
         slope: slope s_0 around the origin.
@@ -59,7 +59,7 @@ class Pieces:
         return y
 
     def inverse(self) -> Pieces:
-        """The curve mirrored at the diagonal, again pieces: slopes 1 / s_j, gaps s_{j-1} g_j.
+        """Inverse curve, which also has straight pieces: slopes 1 / s_j, gaps s_{j-1} g_j.
 
         In weights w'_0 = 1 / w_0,  w'_j = -w_j / (sum_{i<=j} w_i  sum_{i<j} w_i),  d'_j = sum_{i<=j} w_i (d_j - d_i).
         """
@@ -71,7 +71,7 @@ class Pieces:
 
 
 def band_parameters(below: int, above: int, steepest: float, widest: float) -> tuple[Parameter, ...]:
-    """Slopes and gaps of the pieces on both sides of the middle one, in the order in which operators keep them."""
+    """Declarations of the slopes and gaps on both sides of the middle piece, in the order of the operators' values."""
     sides = (("below", below), ("above", above))
     slopes = [
         Parameter(f"slope_{side}_{j}", "deg/deg", 1e-3, steepest, f"slope of piece {j} {side} the middle")
@@ -169,7 +169,7 @@ class Deadband(Memoryless):
         return pieces_of(p[0], p[1:last], self.below, self.above).at(u - p[last]) + p[last + 1]
 
     def inverse(self) -> Deadband:
-        """The inverse curve, exact everywhere.
+        """Exact inverse curve.
 
         Raises:
             ModelError: if a slope or gap of it is out of bounds.
@@ -199,14 +199,13 @@ _SHARP = 1e-9  # a toe of zero is never divided by: no command lies strictly ins
 @final
 @dataclass(frozen=True)
 class Slack(Memoryless):
-    """A dead zone at low command, with a toe where one fibre or tendon after another is taken up.
+    """Dead zone at low command, with a toe where fibres or tendons become taut one after another.
 
     y = 0                          u <= slack - toe
     y = (u - slack + toe)^2 / (4 toe)   between, where the slope rises from 0 to 1
     y = u - slack                  u >= slack + toe
 
-    and y = u where that is less, so that commands below zero, which devices do not take, pass. Slack 0 and toe 0 are
-    the identity; a sharp corner has no toe.
+    and y = u where that is less, so that commands below zero pass. Slack 0 and toe 0 are the identity.
     """
 
     slack: Annotated[float, Number("in", 0.0, 1e3, 0.0, "command that is taken up before all of it arrives")]
@@ -216,7 +215,7 @@ class Slack(Memoryless):
     def curve(self, u: Symbol, p: Symbol) -> Symbol:
         over, toe = u - p[0], p[1]
         curved = (over + toe) * (over + toe) / (4 * maximum(toe, _SHARP))
-        # Where branches tie the one that moves when the command rises is active.
+        # At a tie, the branch for a rising command is active.
         loaded = ca.if_else(over >= toe, over, ca.if_else(over > -toe, curved, 0))
         return minimum(loaded, u)
 
@@ -224,14 +223,13 @@ class Slack(Memoryless):
 @final
 @dataclass(frozen=True)
 class Contact(Memoryless):
-    """A slope that falls to a share of itself beyond an angle, at once or over a toe, as soft tissue stiffens.
+    """Contact: beyond an angle the slope falls to a share, at once or over a toe, as soft tissue stiffens.
 
     y = u - (1 - stiffness_ratio) d,  d = 0                      u <= angle
                                       d = (u - angle)^2 / (2 toe)   between, where its slope rises from 0 to 1
                                       d = u - angle - toe / 2    u >= angle + toe
 
-    The ratio is that of the device's stiffness to the stiffness with what it touches: 0 is a rigid stop or saturation,
-    1 is the identity.
+    The ratio is the device's stiffness over that in contact: 0 is a rigid stop or saturation, 1 is the identity.
     """
 
     angle: Annotated[float, Number("in", -1e4, 1e4, 0.0, "where contact begins")]
@@ -248,12 +246,11 @@ class Contact(Memoryless):
 @final
 @dataclass(frozen=True)
 class NonlinearGain(Memoryless):
-    """A cubic about a centre.
+    """Cubic curve about a centre.
 
     y = u + quadratic w^2 + cubic w^3,  w = u - centre
 
-    Both coefficients at 0 are the identity. It does not force the curve to rise; where 1 + 2 quadratic w + 3 cubic w^2
-    falls below zero it turns round.
+    Both coefficients at 0 are the identity. The curve may fall, where 1 + 2 quadratic w + 3 cubic w^2 < 0.
     """
 
     quadratic: Annotated[float, Number("1/in", -1e2, 1e2, 0.0, "coefficient of the square")]

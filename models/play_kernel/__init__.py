@@ -1,1 +1,1 @@
-"""The play-kernel model: a bank of plays and a monotone additive regression on them."""
+"""The play-kernel model: parallel plays and a monotone additive regression on them."""

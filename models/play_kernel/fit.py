@@ -47,9 +47,9 @@ class PlayKernelSettings(Settings):
         segments: number K of linear pieces of each function.
         lags_s: time constants of the lag in front that are compared, 0 for none [s].
         smoothness: penalties on the differences of neighbouring slopes that are compared.
-        offset_penalty: on the square of the trial offsets; an offset b of a trial is known up to the factor
-            1 / (1 + penalty). Angle sensors are zeroed anew for each trial, and a model that bends to follow the
-            offsets of its training trials does worse on the next one. Large values turn offsets off.
+        offset_penalty: on the square of the trial offsets; an offset b of a trial is known up to the factor 1 / (1 +
+            penalty). Angle sensors are zeroed anew for each trial, and a model that bends to follow the offsets of its
+            training trials does worse on the next one. Large values turn offsets off.
         least_slope: added to every slope, so that the angle strictly rises.
         folds: greatest number of groups of trials in the comparison, each left out once.
     """
@@ -72,7 +72,7 @@ PLAY_KERNEL_TRAININGS: Mapping[str, PlayKernelSettings] = {
     "rate_independent": PlayKernelSettings(name="rate_independent", lags_s=(0.0,)),
 }
 _JITTER = 1e-10
-_SOON = 500_000  # samples: a fit of fewer takes seconds and is not announced
+_SOON = 500_000  # samples below which a fit takes seconds and is not announced
 
 
 @dataclass(frozen=True)
@@ -88,12 +88,10 @@ class PlayKernelFit:
     """Identified play-kernel model.
 
     Attributes:
-        weights: the model.
-        choice: lag and smoothness that did best on held-out trials.
+        choice: lag and smoothness with the least held-out error.
         judged: mean offset-free error on held-out trials [unit of the output] of every choice compared; empty where
             there was nothing to compare.
         rmse: mean over the training trials of the error without their offsets [unit of the output].
-        interrupted: stopped by the user; the best choice so far.
     """
 
     weights: PlayKernelWeights
@@ -113,12 +111,11 @@ def fit_play_kernel(
 
         min  mean_trials mean_t (theta - model(u) - b_trial)^2 + p sum b_trial^2 + q sum (s - s_neighbour)^2,  s >= 0
 
-    Neighbours are the next segment of the same play and the same segment of the next play. Lag and q are those whose
-    models do best, offset-free, on held-out trials; whole groups of trials, never parts of one.
+    Neighbours are the next segment of the same play and the same segment of the next play. Lag and q have the least
+    offset-free error on held-out groups of whole trials.
 
     Args:
         trials: uniformly sampled at one rate, in one unit; swapped ones give an inverse map, which has stops too.
-        settings: see `PlayKernelSettings`.
         skip_first_flexure: leave out each trial up to the first reversal of its command.
         progress: called with the fits so far and the least error on held-out trials; KeyboardInterrupt keeps the best.
 
@@ -152,7 +149,7 @@ def fit_play_kernel(
 
 
 def play_kernel_seconds(trials: Sequence[Trial], settings: PlayKernelSettings) -> float | None:
-    """Time of a fit [s], measured on one block; None where it is soon done.
+    """Expected duration of a fit [s], measured on one block; None for a short fit.
 
     Raises:
         FitError: on unusable trials.
@@ -161,24 +158,23 @@ def play_kernel_seconds(trials: Sequence[Trial], settings: PlayKernelSettings) -
     if samples < _SOON:
         return None
     head = trials[0].select(0, BLOCK)
-    _ = Course(head, 0, frame, 0.0).moments  # what has to be compiled is compiled now
+    _ = Course(head, 0, frame, 0.0).moments  # compile before the measurement of time
     start = time.perf_counter()
     course = Course(head, 0, frame, max(settings.lags_s))
     course.scatter(np.zeros((course.moments.mean.size, len(settings.smoothness))))
     return (time.perf_counter() - start) / len(head) * samples * (len(settings.lags_s) + 1)
 
 
-_SETTLED_LAGS = 20.0  # time constants after which nothing is left of a step
+_SETTLED_LAGS = 20.0  # time constants after which a step has settled
 
 
 def play_kernel_bundle(
     fit: PlayKernelFit, trials: Sequence[Trial], settings: PlayKernelSettings, limits: DeviceLimits
 ) -> ExportBundle:
-    """Graph, facts, reference and probe of a play-kernel model, ready for `export_onnx`.
+    """Exportable bundle of a play-kernel model: graph, metadata, reference and probe.
 
-    A fresh device has rested at the command at which a trial begins, so that no play is in contact; a conditioned
-    one has been flexed to the top of the trained commands and back. The first command is held until the lag has
-    settled.
+    A fresh device rests at the first command of a trial, with no play in contact; a conditioned one has been flexed to
+    the greatest trained command and back. The first command is held until the lag has settled.
 
     Raises:
         FitError: on unusable trials.
@@ -239,7 +235,7 @@ class Frame:
 
 @dataclass(frozen=True, eq=False)
 class Moments:
-    """Mean products of one trial's features (F,) with each other and with its scaled angle, all that a fit needs."""
+    """Mean products of one trial's features (F,) with each other and with its scaled angle, as a fit needs them."""
 
     gram: Vec
     mean: Vec
@@ -249,16 +245,13 @@ class Moments:
 
 @final
 class Course:
-    """Features of one trial, a block of samples at a time.
-
-    The features of a sample are some 200 numbers: of five million samples they would be 8 GB.
-    """
+    """Features of one trial, in blocks of samples: all features of five million samples would need 8 GB."""
 
     def __init__(self, trial: Trial, start: int, frame: Frame, lag_s: float) -> None:
         self._trial, self._start, self._frame, self._gain = trial, start, frame, frame.gain(lag_s)
 
     def blocks(self) -> Iterator[tuple[Vec, Vec]]:
-        """Features (T, F) and scaled angle (T,) of the samples that count; the plays run from rest over all."""
+        """Features (T, F) and scaled angle (T,) of the samples that count; the plays run from rest over all samples."""
         trial, frame = self._trial, self._frame
         state = np.full(frame.radii.size + 1, scaled(trial.command[0], frame.command))
         for first in range(0, len(trial), BLOCK):
@@ -270,7 +263,7 @@ class Course:
 
     @cached_property
     def moments(self) -> Moments:
-        """Moments of all blocks together."""
+        """Combined moments of all blocks."""
         count, angle = 0, 0.0
         gram, mean, right = (np.zeros(()) for _ in range(3))
         for x, y in self.blocks():
@@ -337,15 +330,12 @@ def _left_out(
 def _solve(
     rows: Sequence[Moments], choice: Regularisation, frame: Frame, settings: PlayKernelSettings
 ) -> tuple[Vec, float]:
-    """Scaled slopes (F,) and bias: the normal equations as non-negative least squares on their Cholesky factor.
-
-    Bias and trial offsets are free: each is the difference of two non-negative numbers.
-    """
+    """Scaled slopes (F,) and bias by non-negative least squares on the Cholesky factor of the normal equations."""
     count, trials = rows[0].mean.size, len(rows)
     free = 1 + trials
     gram, right = np.zeros((count + free, count + free)), np.zeros(count + free)
     for k, row in enumerate(rows):
-        shown = [count, count + 1 + k]  # bias and the trial's own offset
+        shown = [count, count + 1 + k]  # bias and offset of the trial
         gram[:count, :count] += row.gram
         gram[:count, shown] += row.mean[:, None]
         gram[np.ix_(shown, shown)] += 1.0
@@ -384,7 +374,6 @@ def _roughness(frame: Frame) -> NDArray[Any]:
 def _weights(
     slopes: Vec, bias: float, trials: Sequence[Trial], choice: Regularisation, frame: Frame
 ) -> PlayKernelWeights:
-    """Model in the units of command and angle."""
     plays, segments = frame.radii.size + 1, frame.knots.size - 1
     command, angle = span(frame.command), span(frame.angle)
     physical = slopes * angle / command
@@ -403,11 +392,7 @@ def _weights(
 
 
 def _line(trials: Sequence[Trial]) -> float:
-    """Slope of the regression line through all samples [deg/cmd].
-
-    Raises:
-        FitError: if it does not rise.
-    """
+    """Slope of the regression line through all samples [deg/cmd]; an error if it does not rise."""
     samples = sum(len(trial) for trial in trials)
     middle = sum(float(t.command.sum()) for t in trials) / samples, sum(float(t.angle.sum()) for t in trials) / samples
     products = sum(float((t.command - middle[0]) @ (t.angle - middle[1])) for t in trials)
@@ -420,10 +405,7 @@ def _line(trials: Sequence[Trial]) -> float:
 
 @final
 class PlayKernelKind(ModelKind):
-    """Monotone additive regression on plays: `best` with a first-order lag in front, or `rate_independent`.
-
-    See `PlayKernelWeights` for the equations and `PlayKernelSettings` for the choices.
-    """
+    """Monotone additive regression on plays: `best` with a lag in front, or `rate_independent`."""
 
     name = "play_kernel"
     title = "play kernel"

@@ -36,8 +36,8 @@ def pack_play_kernel(weights: PlayKernelWeights) -> tuple[Any, ...]:
 def tangent(model: Any, x: Any, u: float, slope: Any) -> float:
     """Advance x (S,) to the next state and return the angle.
 
-    slope (2 S + 1,) is filled: d theta / d z_i (d / d v of what is no stop first), whether play i moves (1 or 0), and
-    last d theta / d u of what does not pass v.
+    slope (2 S + 1,) is filled with d theta / d z_i (first d / d v without the stops), whether play i moves (1 or 0),
+    and last d theta / d u without the part through v.
     """
     numbers, radii, knots, slopes, levels, stops = model
     gain, lower, upper, bias, outer = numbers
@@ -103,7 +103,7 @@ def linearise(model: Any, state: Any, plan: Any, theta: Any, jacobian: Any) -> N
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def command_for(model: Any, state: Any, wanted: float, low: Any, high: Any, last: Any) -> Any:
-    """Command in [low, high] that brings the next angle to `wanted`: bracketed Newton, as in `chain_loops`."""
+    """Command in [low, high] whose next angle is `wanted`: bracketed Newton, as in `chain_loops`."""
     size, gain = state.size, model[0][0]
     x, slope = state.copy(), np.empty(2 * state.size + 1)
     u = min(max(last, low), high)
@@ -136,7 +136,7 @@ def follow_plays(command: Vec, gain: float, radii: Vec, state: Vec) -> Vec:
         command: u (T,).
         gain: 1 without a lag.
         radii: r (n,).
-        state: v and p before the first sample (1 + n,); left as it is.
+        state: v and p before the first sample (1 + n,); not changed.
     """
     states = np.empty((command.size, state.size))
     _follow(np.ascontiguousarray(command), gain, radii, state.copy(), states)
@@ -158,11 +158,7 @@ def _follow(command: Any, gain: float, radii: Any, now: Any, states: Any) -> Non
 
 @final
 class PlayKernelPredictor(InvertiblePredictor):
-    """Compiled roll-out, linearisation and exact inverse of a play-kernel model.
-
-    The generated kernels of `CompiledPredictor` would do, but the functions of a dozen plays unroll to thousands of
-    lines, which take minutes to compile.
-    """
+    """Compiled predictor and exact inverse of a play-kernel model; generated kernels would compile for minutes."""
 
     def __init__(self, weights: PlayKernelWeights, metadata: ModelMetadata) -> None:
         super().__init__(metadata)
@@ -170,7 +166,7 @@ class PlayKernelPredictor(InvertiblePredictor):
 
     @classmethod
     def of_model(cls, model: OnnxModel) -> PlayKernelPredictor:
-        """Predictor of a loaded model file of kind `play_kernel`; the graph's initializers are all that it needs.
+        """Predictor of a model file of kind `play_kernel`, from the graph's initializers.
 
         Raises:
             ModelError: if the initializers are not those of an exported play-kernel model.

@@ -1,4 +1,4 @@
-"""A play-kernel model: its numbers, its step and derivative in NumPy, and its step graph."""
+"""Play-kernel model: its weights, its step and derivative in NumPy, and its step graph."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from ..model import StepFunction
 
 @dataclass(frozen=True)
 class PlayKernelWeights:
-    """A lag, n plays of fixed radii, and a non-decreasing function of each of them.
+    """Play-kernel model: a lag, n plays of fixed radii, and a non-decreasing function of each of them.
 
         c = min(max(u, lower), upper),  v = v_last + a (c - v_last)
         z_i = max(v - r_i, min(v + r_i, z_i,last)),  z_0 = v
@@ -27,9 +27,9 @@ class PlayKernelWeights:
 
     with ramp_k(z) = max(0, min(z - knot_k, knot_k+1 - knot_k)) and s, l, h, m >= 0, so that the angle never falls with
     the command. A sum of non-decreasing functions of plays is the Preisach operator with non-negative density,
-    discretised in the play's radius; l and h weigh the stops v - z_i, which the inverse of such an operator is made
-    of. In terms of kernels it is regression with the additive linear-spline kernel sum_i min(z_i, z_i'), under
-    monotonicity. Beyond the trained commands it goes on along a line of slope m.
+    discretised in the play's radius; l and h weigh the stops v - z_i, which form the inverse of such an operator. In
+    terms of kernels it is regression with the additive linear-spline kernel sum_i min(z_i, z_i'), under monotonicity.
+    Beyond the trained commands it is a line of slope m.
 
     The state is [v, z_1, ..., z_n], S = n + 1.
 
@@ -123,14 +123,13 @@ def _frozen(values: ArrayLike) -> Vec:
 
 @final
 class PlayKernelStep(StepFunction):
-    """Reference step of `weights`; equations in `PlayKernelWeights`. At a kink the branch that moves counts."""
+    """Reference step of `weights`; equations in `PlayKernelWeights`. At a kink the moving branch counts."""
 
     def __init__(self, weights: PlayKernelWeights) -> None:
         self.weights = weights
         self.state_size = weights.state_size
 
     def advance(self, state: Vec, u: Vec) -> tuple[Vec, Vec]:
-        """Angles (N, 1) [deg] and next states (N, S) from states (N, S) and commands (N, 1)."""
         w = self.weights
         u = np.asarray(u, dtype=np.float64)
         inside = np.minimum(np.maximum(u, w.lower), w.upper)
@@ -144,7 +143,6 @@ class PlayKernelStep(StepFunction):
         return theta, following
 
     def jacobian(self, state: Vec, u: float) -> Vec:
-        """Active-branch derivative of (theta, next state) by (state, u) at one point, shape (1 + S, S + 1)."""
         w, size = self.weights, self.state_size
         state = np.asarray(state, dtype=np.float64)
         inside = float(w.lower <= u <= w.upper)
@@ -173,7 +171,7 @@ def ramps(z: Vec, knots: Vec) -> Vec:
 def play_kernel_graph(weights: PlayKernelWeights) -> onnx.GraphProto:
     """Step graph (u [N,1], state [N,S]) -> (theta [N,1], next_state [N,S]); equations in `PlayKernelWeights`.
 
-    Min and Max have the branch that moves first, so that their derivatives at a tie are those of the reference.
+    The moving branch is the first operand of Min and Max, so that derivatives at a tie equal the reference's.
     """
     arrays: dict[str, ArrayLike] = {
         "gain": weights.gain,
@@ -195,7 +193,6 @@ def play_kernel_graph(weights: PlayKernelWeights) -> onnx.GraphProto:
 
 
 def _plays(lagged: bool) -> list[onnx.NodeProto]:
-    """Nodes from command and state to the next state."""
     lag = [
         node("Sub", "inside v_last", "ahead"),
         node("Mul", "ahead gain", "approach"),
@@ -215,7 +212,6 @@ def _plays(lagged: bool) -> list[onnx.NodeProto]:
 
 
 def _readout(stops: bool) -> list[onnx.NodeProto]:
-    """Nodes from the next state to the angle."""
     nodes = [
         node("Unsqueeze", "next_state last", "levels"),
         node("Sub", "levels knots", "beyond"),

@@ -1,4 +1,4 @@
-"""Predictor and inverse of a model for a controller."""
+"""Predictors and inverses of a model for a controller."""
 
 from __future__ import annotations
 
@@ -39,10 +39,10 @@ _COMPILED_INSTRUCTIONS = 500
 
 
 def predictor_for(model: LoadedModel) -> Predictor:
-    """The fastest predictor that there is for a model.
+    """Fastest predictor for a model.
 
-    Compiled for operator chains and exported graphs of few elementwise operations, kernels of their own for models of
-    kind `lstm`, `gru` and `play_kernel`, onnxruntime and CasADi's derivatives for anything else.
+    Compiled for operator chains, small elementwise graphs, `lstm`, `gru` and `play_kernel`; else onnxruntime and
+    CasADi.
 
     Raises:
         ModelError: if the model is an inverse map.
@@ -58,10 +58,10 @@ def predictor_for(model: LoadedModel) -> Predictor:
 
 
 def _exported_predictor(model: LoadedModel) -> Predictor:
-    """The predictor of an ONNX file, whose libraries are loaded here only."""
+    """Predictor of an ONNX file, whose libraries are loaded here only."""
     from ..contract.load import OnnxModel
 
-    assert isinstance(model, OnnxModel)  # there are these two
+    assert isinstance(model, OnnxModel)
     if model.metadata.connections:
         return _connected_predictor(model)
     if model.metadata.kind in ("lstm", "gru"):
@@ -81,7 +81,7 @@ def _exported_predictor(model: LoadedModel) -> Predictor:
 
 
 def _connected_predictor(model: OnnxModel) -> Predictor:
-    """The predictor of a model with operators in series or in parallel: each part by its own fastest route."""
+    """Predictor of a model with operators in series or in parallel: the fastest one for each part."""
     facts, rest = model.metadata, predictor_for(rest_of(model))
     if facts.connections[0].way == "series":
         return SeriesPredictor(Drive(operators_of(facts).operators, facts), rest)
@@ -97,14 +97,12 @@ Pair = tuple[Predictor, Inverse]
 
 @dataclass(frozen=True, eq=False)
 class ControllerModel:
-    """A model as controllers use it: predictors, each with an inverse of the same memory.
+    """Model for controllers: predictors, each with an inverse of the same memory.
 
     Attributes:
-        facts: of the model.
-        predictive: of predictive controllers.
         feedforward: of controllers that only invert: the same for a model that has an inverse and for an inverse map,
-            else the operator that stands in for it. Corrected by the network at every sample, as predictive controllers
-            want it for their first guess, that inverse would go back and forth across the dead band.
+            else the companion operator. With a correction by the network at every sample, as for the first guess of
+            predictive controllers, that inverse would oscillate across the dead band.
     """
 
     facts: ModelMetadata
@@ -112,7 +110,7 @@ class ControllerModel:
     feedforward: Pair
 
     def behind(self, operators: Sequence[Operator], facts: ModelMetadata) -> ControllerModel:
-        """The same behind a drive of operators in series; `facts` are those of the whole."""
+        """Controller model behind a drive of operators in series; `facts` are those of the whole."""
         drive = Drive(operators, facts)
 
         def driven(predictor: Predictor, inverse: Inverse) -> Pair:
@@ -126,17 +124,16 @@ def controller_model(
     inverse: Simulator | LoadedModel | Path | str | None = None,
     actuator_lag_s: float = 0.0,
 ) -> ControllerModel:
-    """Predictors and inverses of a model: the one place that decides them.
+    """Predictors and inverses of a model for controllers.
 
     A compiled model is inverted exactly, and lags and delays of a chain or of a drive over a preview (`DrivenInverse`).
-    Any other gets a companion whose inverse is asked instead: the given simulator, the operators that are connected in
-    parallel, or a backlash fitted to the model's own free run. A model given instead has to be an inverse map, which
-    runs beside the model and is asked itself.
+    For any other, a companion is inverted: the given simulator, the operators connected in parallel, or a backlash
+    fitted to the model's free run. A given model has to be an inverse map and is evaluated directly.
 
     Args:
-        model: a file, or opened with the start "conditioned".
-        inverse: what is inverted in the model's place, or an inverse map; a simulator's file is run at the model's
-            sample time.
+        model: a file, or a model opened with the start "conditioned".
+        inverse: simulator that is inverted in the model's place, or an inverse map; a simulator's file is converted to
+            the model's sample time.
         actuator_lag_s: first-order lag of the command that the model does not contain [s]; 0 for none.
 
     Raises:
@@ -157,7 +154,6 @@ def controller_model(
 
 
 def _companion_in(file: Path | str, dt_s: float) -> Simulator | LoadedModel:
-    """A simulator to invert, or an inverse map."""
     given = load_model(file)
     if not isinstance(given, ChainModel):
         return given
@@ -166,13 +162,12 @@ def _companion_in(file: Path | str, dt_s: float) -> Simulator | LoadedModel:
 
 
 def _pairs(model: LoadedModel, companion: Simulator | LoadedModel | None) -> ControllerModel:
-    """Predictors and inverses without a lag of the actuator."""
     facts = model.metadata
     connection = next(iter(facts.connections), None)
     if connection is not None and connection.way == "series" and companion is None:
         return _pairs(rest_of(model), None).behind(operators_of(facts).operators, facts)
     predictor = predictor_for(model)
-    low, high = facts.command_limits.lower, facts.command_limits.upper  # among which an inverse searches
+    low, high = facts.command_limits.lower, facts.command_limits.upper  # search range of an inverse
     if isinstance(companion, LoadedModel):
         check_inverse_map(companion.metadata, facts)
         mapped = MappedPredictor(predictor, companion)
@@ -192,7 +187,7 @@ def _pairs(model: LoadedModel, companion: Simulator | LoadedModel | None) -> Con
 
 
 def _companion_of(model: LoadedModel) -> Simulator:
-    """The operators that are connected in parallel, or a backlash fitted to the model's free run."""
+    """Operators connected in parallel, or a backlash fitted to the model's free run."""
     if model.metadata.connections:
         return _operators_of(model.metadata)
     return surrogate_backlash(model)
@@ -211,13 +206,9 @@ def inverse_of_chain(simulator: Simulator) -> Inverse:
 
 @final
 class SeriesPredictor(Predictor):
-    """A model whose command first passes a drive: theta = model(v), v = drive(u).
+    """Model behind a drive: theta = model(v), v = drive(u).
 
     d theta / d u = (d theta / d v) (d v / d u). The state is [drive state, model state].
-
-    Args:
-        drive: dynamics between command and travel.
-        predictor: of the model that answers to the travel v.
     """
 
     def __init__(self, drive: Drive, predictor: Predictor) -> None:
@@ -243,13 +234,9 @@ class SeriesPredictor(Predictor):
 
 @final
 class ParallelPredictor(Predictor):
-    """Two models that see the same command, their angles added: theta = first(u) + second(u).
+    """Sum of two models with the same command: theta = first(u) + second(u).
 
     The state is [state of the first, state of the second]. At rest the first one shows the measured angle.
-
-    Args:
-        first: of the model that stands for the device.
-        second: of the model of what the first one leaves.
     """
 
     def __init__(self, first: Predictor, second: Predictor) -> None:
@@ -276,16 +263,14 @@ class ParallelPredictor(Predictor):
 
 
 def surrogate_backlash(model: LoadedModel) -> Simulator:
-    """Simulator whose backlash follows the model's free run over a decaying sinusoid of its trained range.
-
-    The motion is `probe_commands`; its first flexure does not count.
+    """Backlash simulator fitted to the model's free run over `probe_commands` after the first flexure.
 
     Raises:
         FitError: if the model's angle does not rise with the command.
     """
     from hystmpc.trials.trial import Trial, Units
 
-    from ..evaluate import free_run  # an identification, with all that it needs
+    from ..evaluate import free_run  # loads the identification only if needed
     from ..identify.chain_fit import OperatorFitSettings, fit_chain
     from ..identify.chain_kinds import backlash_starts
     from ..motions import probe_commands

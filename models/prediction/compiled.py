@@ -1,4 +1,4 @@
-"""Roll-outs of operator chains and of every exported model made of elementwise operations, by compiled kernels."""
+"""Compiled roll-outs of operator chains and of exported models with elementwise operations."""
 
 from __future__ import annotations
 
@@ -21,8 +21,6 @@ class CompiledPredictor(InvertiblePredictor):
     """Compiled roll-out and linearisation of a symbolic step (state, u, p, dt) -> (theta, next state).
 
     Attributes:
-        transition: the step, dense.
-        kernels: the compiled step and loops.
         parameters, sample_s: p (P,) and dt (1,) [s], as the kernels take them.
     """
 
@@ -34,22 +32,19 @@ class CompiledPredictor(InvertiblePredictor):
 
     @classmethod
     def of_simulator(cls, simulator: Simulator) -> CompiledPredictor:
-        """Predictor of a simulator at its own sample time."""
+        """Predictor of a simulator at its sample time."""
         return cls(simulator.chain.transition, simulator.chain.values, simulator.metadata())
 
     @classmethod
     def of_function(cls, function: Any, metadata: ModelMetadata) -> CompiledPredictor:
-        """Predictor of a CasADi SX function (state, u) -> (theta, next state), as exported models give it."""
+        """Predictor of a CasADi SX function (state, u) -> (theta, next state) of an exported model."""
         x, u = ca.SX.sym("x", function.numel_in(0)), ca.SX.sym("u")
         theta, following = function(x, u)
         transition = dense("transition", [x, u, ca.SX.sym("p", 0), ca.SX.sym("dt")], [theta, following])
         return cls(transition, np.empty(0), metadata)
 
     def held(self, samples: int) -> Self:
-        """The same model whose angle is that after the command has been held for so many samples.
-
-        The state moves on by one sample, so that its memory is that of the model.
-        """
+        """Predictor of the angle after a hold of so many samples; its state still advances by one sample."""
         if samples == 1:
             return self
         function = self.transition

@@ -26,16 +26,11 @@ VARIABLE = "HYSTMPC_LSTM_KERNEL"
 
 @final
 class RoutedPredictor(ModelPredictor):
-    """Predictions of a recurrent network in single precision by its fastest route.
+    """Predictions of a recurrent network in single precision by its fastest implementation.
 
-    Roll-outs run on as many threads as the process gives BLAS; a control process sets one (threadpoolctl), since a
-    second one stalls beside a busy neighbour. What follows from a command or a state that is not finite is
-    not-a-number: the kernels' gates would hide it.
-
-    Args:
-        metadata: facts of the model file.
-        start: rule that makes the initial state.
-        route: how to compute.
+    Roll-outs use as many threads as the process gives BLAS. A control process sets one (threadpoolctl), since a second
+    one stalls beside a busy neighbour. Results of a command or a state that is not finite are not-a-number: the
+    kernels' gates would hide it.
     """
 
     def __init__(self, metadata: ModelMetadata, start: Start, route: NetworkRoute) -> None:
@@ -70,7 +65,7 @@ def _finite(state: Vec, plans: Vec) -> bool:
 
 
 def chosen_shape() -> VectorShape | None:
-    """The processor's own shape of the vector kernel, None where it has none; or what the user says.
+    """Shape of the vector kernel for this processor, None where it has none; or the shape chosen by the user.
 
     Environment variable HYSTMPC_LSTM_KERNEL: `auto`, `plain`, or the name of a shape, `avx512` or `avx2`.
 
@@ -84,7 +79,7 @@ def chosen_shape() -> VectorShape | None:
 
 
 def chosen_route(weights: LstmWeights) -> NetworkRoute:
-    """The vector kernel in the shape that `chosen_shape` gives, the plain route where it gives none.
+    """Vector kernel in the shape of `chosen_shape`; the plain implementation for None.
 
     Raises:
         ConfigError: if HYSTMPC_LSTM_KERNEL names no route.
@@ -94,13 +89,13 @@ def chosen_route(weights: LstmWeights) -> NetworkRoute:
         from ..kernels.lstm_plain import PlainRoute
 
         return PlainRoute(weights)
-    from ..kernels.lstm_vector import VectorRoute  # the other route's kernels and session are not loaded
+    from ..kernels.lstm_vector import VectorRoute  # loads only the kernels that are needed
 
     return VectorRoute(weights, shape)
 
 
 def recurrent_predictor(model: OnnxModel, start: Start = "conditioned") -> RoutedPredictor:
-    """The compiled predictor of a model file of kind `lstm` or `gru`; the graph's initializers are all that it needs.
+    """Compiled predictor of a model file of kind `lstm` or `gru`, from the graph's initializers.
 
     Raises:
         ModelError: if the initializers are not those of such a network.
@@ -126,7 +121,7 @@ def _route(model: OnnxModel) -> NetworkRoute:
     return VectorRoute(gru_weights(weights), shape, cell="gru")
 
 
-_SPARSE_ENTRIES = 4  # of A in a row, up to which its product is cheaper than directions through the step
+_SPARSE_ENTRIES = 4  # entries in a row of A up to which its product is cheaper than directions through the step
 
 
 @final
@@ -138,11 +133,8 @@ class OnnxPredictor(ModelPredictor):
 
         X_k+1 = A_k X_k + B_k e_k',  d theta_k / d plan = C_k X_k + D_k e_k'
 
-    by CasADi's exact derivatives of the step: by the matrices where A is sparse (history buffers, plays), by forward
-    directions for the columns that are alive by then where it is not (recurrent networks).
-
-    Args:
-        model: the model file; controllers start from its rule `conditioned`.
+    by CasADi's exact derivatives of the step: by the matrices where A is sparse (history buffers, plays), else by
+    forward directions for the nonzero columns (recurrent networks).
     """
 
     def __init__(self, model: OnnxModel) -> None:
@@ -154,7 +146,7 @@ class OnnxPredictor(ModelPredictor):
 
     @property
     def uses_matrices(self) -> bool:
-        """Whether tangents are carried by the matrices A, B, C, D; else by directions through the step."""
+        """Whether tangents are computed by the matrices A, B, C, D; else by directions through the step."""
         return self._sparse is not None
 
     def advance(self, state: Vec, u: float) -> tuple[float, Vec]:
@@ -190,7 +182,7 @@ class OnnxPredictor(ModelPredictor):
         return self._horizons[length]
 
     def _tangent(self, x: Any, u: Any, theta: Any, following: Any, columns: Any, k: int) -> tuple[Any, Any]:
-        """d theta / d plan (1, H) and the next columns (S, H); those after the k-th are still zero."""
+        """Derivative d theta / d plan (1, H) and the next columns (S, H); those after the k-th are still zero."""
         length = columns.size2()
         if self._sparse is not None:
             by_state, by_u, theta_by_state, theta_by_u = self._sparse(x, u)
@@ -207,7 +199,7 @@ class OnnxPredictor(ModelPredictor):
 
 
 def _sparse_derivative(function: Any) -> Any | None:
-    """Function (x, u) -> A, B, C, D where A is sparse: a history buffer that shifts, plays that keep their place."""
+    """Function (x, u) -> A, B, C, D where A is sparse, as for history buffers and plays."""
     if function.jac_sparsity(1, 0).nnz() > _SPARSE_ENTRIES * function.numel_in(0):
         return None
     x, u = ca.MX.sym("x", function.numel_in(0)), ca.MX.sym("u")
@@ -217,5 +209,5 @@ def _sparse_derivative(function: Any) -> Any | None:
 
 
 def _width(needed: int, most: int) -> int:
-    """Columns that are carried: the next power of two, so that few derivative functions are built."""
+    """Number of columns: the next power of two, so that few derivative functions are built."""
     return min(1 << (needed - 1).bit_length(), most)

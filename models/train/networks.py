@@ -1,4 +1,4 @@
-"""Training of any network on recorded trials, its model file, and how long it will take."""
+"""Training of any network on recorded trials, its model file, and its expected duration."""
 
 from __future__ import annotations
 
@@ -37,11 +37,10 @@ class NetworkCheck:
     """Errors at one check during training.
 
     Attributes:
-        step: epochs or updates done.
         training_rmse_deg: error in training, the teacher's runs included [deg; of an inverse map in its unit].
-        validation_rmse_deg: error on what is held out [deg].
-        rounding_deg: what single precision does to a free run over what is held out [deg].
-        allowed_deg: how much of that there may be: half of what the export allows for a device of this size [deg].
+        validation_rmse_deg: error on held-out trials [deg].
+        rounding_deg: effect of single precision on free runs over held-out trials [deg].
+        allowed_deg: its limit: half of the export's tolerance for a device of this size [deg].
     """
 
     step: int
@@ -61,14 +60,9 @@ class NetworkFit:
     """Result of a training.
 
     Attributes:
-        net: with the lowest validation error among the exportable looks.
-        scaling: units around it.
-        settings: what it was trained with.
-        history: every look.
+        net: network with the lowest validation error among the exportable checks.
         best_step: epoch or update of `net`.
         validation_rmse_deg: its error on the held-out trials [deg]; on the training trials where none is held out.
-        held_out: sources of the held-out trials.
-        interrupted: stopped by the user; `net` is the best so far.
     """
 
     net: Network
@@ -87,18 +81,18 @@ def fit_network(
     progress: FitProgress | None = None,
     validation: Sequence[Trial] = (),
 ) -> NetworkFit:
-    """Train a network; the weights that do best on held-out trials are kept. Same trials, settings, machine: same net.
+    """Train a network and return the weights with the lowest held-out error; reproducible on the same machine.
 
     Args:
         trials: uniformly sampled at one rate, in one pair of units, each from its start; swapped ones for an inverse.
         settings: see `NetworkSettings` and `kinds.networks`; an LSTM where left out.
-        progress: called at every look with the epochs or updates so far, of `settings.steps`, and the best validation
+        progress: called at every check with the epochs or updates so far, of `settings.steps`, and the best validation
             error [deg]; KeyboardInterrupt ends the training and keeps the best so far.
         validation: trials that only judge, beside those held out of `trials`.
 
     Raises:
-        FitError: on unusable trials, if too few are left to train on, if the loss diverges, if training is
-            interrupted before the first look, or if torch is not installed.
+        FitError: on unusable trials, if too few are left to train on, if the loss diverges, if training is interrupted
+            before the first check, or if torch is not installed.
     """
     settings = settings or NetworkSettings()
     check_trial_set([*trials, *validation])
@@ -160,7 +154,6 @@ def _looks(
 
 
 def _torch(settings: NetworkSettings) -> AbstractContextManager[None]:
-    """PyTorch, seeded and on the threads of the settings."""
     try:
         from .updates_ import torch_session
     except ModuleNotFoundError as error:
@@ -203,16 +196,15 @@ def _teacher_runs(teacher: Teacher | None, scaling: Scaling, scheme: StreamTrain
 
 
 def network_bundle(fit: NetworkFit, trials: Sequence[Trial], limits: DeviceLimits | None = None) -> ExportBundle:
-    """Graph, facts, reference and probe of a trained network, ready for `export_onnx`.
+    """Exportable bundle of a trained network: graph, metadata, reference and probe.
 
     Args:
-        fit: what `fit_network` returned.
-        trials: those it was given, held-out ones included; ranges and fingerprint are theirs.
-        limits: what the device may be sent; what the trials show where left out.
+        trials: its trials, held-out ones included, for ranges and fingerprint.
+        limits: limits of the command; the range in the trials where left out.
 
     Raises:
         FitError: on unusable trials.
-        ModelError: if they are beyond what a model file may say.
+        ModelError: if they are beyond the bounds of a model file.
     """
     from ..networks.network_ import TorchStep  # torch is there: the network was trained with it
 
@@ -239,10 +231,7 @@ def network_bundle(fit: NetworkFit, trials: Sequence[Trial], limits: DeviceLimit
 
 
 def _conditioned_rule(step: TorchStep, trained: Range, rest: float, dt_s: float, warmup: int) -> InitialRule:
-    """State after the initialisation flexure, from rest at angle `rest`; what is measured starts as in a trial.
-
-    The flexure is that of S2 (RA-L 2024), see `initialisation_flexure`.
-    """
+    """Initial rule after the initialisation flexure from rest at angle `rest`; measured entries start as in a trial."""
     initial = step.initial_rule()
     start = initial.state(np.array([[rest]]))[0]
     _, state = step.run(start, initialisation_flexure(trained, dt_s, warmup))
@@ -255,9 +244,7 @@ _FIRST, _TIMED = 3, 12
 
 
 def training_seconds(trials: Sequence[Trial], settings: NetworkSettings) -> float:
-    """Expected duration of `fit_network` [s] on this machine as it is loaded now: its updates, nothing beside them.
-
-    Fitting an operator or a teacher beforehand takes seconds, looks at what is held out some percent.
+    """Expected duration of the updates of `fit_network` [s] on this machine at its present load.
 
     Raises:
         FitError: on unusable trials, if too few are left to train on, or if torch is not installed.
@@ -274,7 +261,6 @@ def training_seconds(trials: Sequence[Trial], settings: NetworkSettings) -> floa
 
 
 def _seconds_of(improve: Callable[[], object]) -> float:
-    """Median duration of one call [s]."""
     durations = []
     for _ in range(_FIRST + _TIMED):
         before = time.perf_counter()

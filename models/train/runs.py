@@ -1,4 +1,4 @@
-"""Data that a network is trained on: held-out trials, scaled runs, windows, rest before them."""
+"""Training data of networks: held-out trials, scaled runs, windows, and rest before them."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ Rng = np.random.Generator
 
 @dataclass(frozen=True)
 class TrainingRun:
-    """One motion for training, from the start of a trial.
+    """Motion for training, from the start of a trial.
 
     Attributes:
         command, angle: (T,), in units or scaled; exchanged for an inverse map.
@@ -36,29 +36,29 @@ class TrainingRun:
     weight: Vec
 
     def padded(self, samples: int, command: float, angle: float, weight: float) -> Self:
-        """The same motion after `samples` of rest."""
+        """Motion after `samples` of rest."""
         values = ((self.command, command), (self.angle, angle), (self.weight, weight))
         return type(self)(*(np.concatenate([np.full(samples, value), signal]) for signal, value in values))
 
     def stretched(self, factor: float) -> Self:
-        """The same motion `factor` times as fast, interpolated linearly."""
+        """Motion with `factor` times the speed, interpolated linearly."""
         at, samples = np.arange(0.0, self.command.size - 1, factor), np.arange(self.command.size)
         parts = (np.interp(at, samples, signal) for signal in (self.command, self.angle, self.weight))
         return type(self)(*parts)
 
     def paused(self, at: int, samples: int) -> Self:
-        """The same motion with command and angle held for `samples` after sample `at`, as hysteresis would hold."""
+        """Motion with command and angle constant for `samples` after sample `at`, as hysteresis would hold."""
         index = np.concatenate([np.arange(at + 1), np.full(samples, at), np.arange(at + 1, self.command.size)])
         return type(self)(self.command[index], self.angle[index], self.weight[index])
 
 
 def prepared(trials: Sequence[Trial], scaling: Scaling, settings: NetworkSettings) -> list[TrainingRun]:
-    """Scaled runs, behind a rest where the training asks for one."""
+    """Scaled runs, with a rest before them where the training requires it."""
     return [_run(trial, scaling, settings) for trial in trials]
 
 
 def scaling_of(trials: Sequence[Trial], given: ScalingSettings | None) -> Scaling:
-    """The given scaling for devices of its unit, else the one that maps the trials' ranges to [-1, 1]."""
+    """Given scaling for devices of its unit, else the one that maps the trials' ranges to [-1, 1]."""
     inverted = trials[0].inverted
     if given is not None and _command_unit(trials[0]) == given.unit:
         command, angle = (given.command_offset, given.command_scale), (given.angle_offset, given.angle_scale)
@@ -70,7 +70,7 @@ def scaling_of(trials: Sequence[Trial], given: ScalingSettings | None) -> Scalin
 
 
 def rest_of(trials: Sequence[Trial], scaling: Scaling, given: RestSettings | None) -> float:
-    """Scaled input of a device at rest: as given for devices of that unit, else the least input of the trials."""
+    """Scaled input of a device at rest: the given one for devices of that unit, else the least input of the trials."""
     if given is not None and _command_unit(trials[0]) == given.unit:
         rest = given.angle if trials[0].inverted else given.command
     else:
@@ -79,7 +79,7 @@ def rest_of(trials: Sequence[Trial], scaling: Scaling, given: RestSettings | Non
 
 
 def scaled_run(run: TrainingRun, scaling: Scaling) -> TrainingRun:
-    """The same motion in scaled units."""
+    """Motion in scaled units."""
     return TrainingRun(scaling.scale_in(run.command), scaling.scale_out(run.angle), run.weight)
 
 
@@ -94,7 +94,7 @@ def _run(trial: Trial, scaling: Scaling, settings: NetworkSettings) -> TrainingR
 
 
 def _padded(run: TrainingRun, trial: Trial, settings: NetworkSettings, scheme: WindowTraining) -> TrainingRun:
-    """Rest before the trial; a network that looks back needs at least as much as it looks back on."""
+    """Run with a rest before it, at least as long as the context of the network."""
     command, angle = float(trial.command[0]), float(trial.angle[0])
     if settings.rest is not None and _command_unit(trial) == settings.rest.unit:
         rest = (settings.rest.command, settings.rest.angle)
@@ -104,7 +104,7 @@ def _padded(run: TrainingRun, trial: Trial, settings: NetworkSettings, scheme: W
 
 
 def _command_unit(trial: Trial) -> str:
-    """Unit of the command of a device that bends by degrees, in a swapped trial as well; empty for any other."""
+    """Command unit of a device with angles in deg, in a swapped trial as well; empty for any other."""
     command, output = (trial.units.angle, trial.units.command)[:: 1 if trial.inverted else -1]
     return command if output == "deg" else ""
 
@@ -114,9 +114,9 @@ class Streams:
     """P pieces of L samples in N streams.
 
     Attributes:
-        command, angle, weight: (P, N, L) float32; weight 0 where nothing is to be learned (warm-up, filling). The
-            angle of a warm-up is the run's first, from which the state starts.
-        fresh: (P, N), whether a run begins with this piece, so that the state goes back to the start.
+        command, angle, weight: (P, N, L) float32; weight 0 where nothing is to be learned (warm-up, filling). The angle
+            of a warm-up is the run's first, from which the state starts.
+        fresh: (P, N), whether a run begins with this piece, so that the state is reset.
     """
 
     command: Float32
@@ -158,13 +158,13 @@ def arrange(runs: Sequence[TrainingRun], streams: int, length: int, warmup: int,
 
 
 def stretch(runs: Sequence[TrainingRun], share: float, rng: Rng) -> list[TrainingRun]:
-    """Each run at a random speed, up to `1 + share` times faster or slower."""
+    """Runs with a random speed each, up to `1 + share` times faster or slower."""
     reach = np.log1p(share)
     return [run.stretched(float(np.exp(rng.uniform(-reach, reach)))) for run in runs]
 
 
 def pause(runs: Sequence[TrainingRun], longest: int, rng: Rng) -> list[TrainingRun]:
-    """Each run with a pause of up to `longest` samples after a random one of its samples."""
+    """Runs with a pause each of up to `longest` samples after a random sample."""
     return [run.paused(int(rng.integers(run.command.size)), int(rng.integers(longest + 1))) for run in runs]
 
 
@@ -174,9 +174,8 @@ FEW_TRIALS = 8
 def hold_out(trials: Sequence[Trial], count: int, seed: int) -> tuple[list[Trial], list[Trial]]:
     """Training and held-out trials, both in the order given.
 
-    From fewer than eight trials the most ordinary ones are held out, so that the motions at the edges (slowest,
-    fastest, lowest, highest) remain in training: a network that has not seen them would be stopped for the wrong
-    reason. From eight on the draw is random by `seed`.
+    Of fewer than eight trials the most ordinary ones are held out, so that the extreme motions (slowest, fastest,
+    lowest, highest) remain in training. From eight on the draw is random by `seed`.
 
     Raises:
         FitError: if no trial would be left for training.
@@ -200,9 +199,7 @@ def _distance_from_median(trials: Sequence[Trial]) -> np.ndarray[tuple[int], np.
 
 
 def draw_windows(runs: Sequence[tuple[Vec, ...]], count: int, length: int, rng: Rng) -> tuple[Float32, ...]:
-    """Random windows (count, length) of random runs, one array for each signal (T,) that the runs have.
-
-    Every run is as likely as every other, every start within a run as well, as in the code of S2.
+    """Random windows (count, length) of random runs, one array for each signal (T,); uniform, as in the code of S2.
 
     Raises:
         FitError: if a run is shorter than a window.

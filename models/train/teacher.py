@@ -1,4 +1,4 @@
-"""Random motions with the answers of an identified operator: training data of a network besides the trials."""
+"""Free runs of an identified operator over random motions: additional training data of a network."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ Answer = Callable[[Vec, float], Vec]
 
 _CYCLES = 7
 _DURATION_S = (12.0, 40.0)
-_FREQUENCY_HZ = (0.08, 0.6)  # of the tip motions of S1 (RA-L 2021) and S2 (RA-L 2024), a little beyond at both ends
+_FREQUENCY_HZ = (0.08, 0.6)  # slightly wider than the tip motions of S1 (RA-L 2021) and S2 (RA-L 2024)
 _HOLD_S = (0.1, 10.0)
 _SINES = 4
 _PAUSE_S = (0.1, 3.0)
@@ -35,14 +35,12 @@ _CROSSING = 5
 
 @final
 class Teacher:
-    """A model of plays fitted to `trials`, run over random motions from the start of a trial.
-
-    For an inverse map, from swapped trials, the operator is fitted and run forward all the same; its runs are swapped.
+    """Model of plays fitted to `trials`, simulated over random motions from the start of a trial.
 
     Attributes:
         rmse_deg: its error on the trials [deg].
         lag_s: time constant of the lag in front of its hysteresis [s]; 0 for a Prandtl-Ishlinskii model, which has
-            none, and for an inverse map, whose input is what comes out behind the lag.
+            none, and for an inverse map, whose input is the lag's output.
         answer: its free run (T,) [deg] over commands (T,) from a first angle [deg].
 
     Raises:
@@ -63,7 +61,7 @@ class Teacher:
         return [self._run(_KINDS[k % len(_KINDS)], weight, rng) for k in range(count)]
 
     def centred(self, trial: Trial) -> Trial:
-        """The trial, its angles less the mean by which they lie off the teacher's free run."""
+        """Trial without the mean difference between its angles and the teacher's free run."""
         forward = trial.swapped() if self._inverted else trial
         offset = np.mean(forward.angle - self.answer(forward.command, float(forward.angle[0])))
         moved = replace(forward, angle=forward.angle - offset)
@@ -79,7 +77,7 @@ class Teacher:
 
 
 def _operator(trials: Sequence[Trial], plays: int) -> tuple[float, float, Answer]:
-    """Error on the trials [deg], no lag [s], and free run of a Prandtl-Ishlinskii model."""
+    """Error on the trials [deg], lag of zero [s], and free run of a Prandtl-Ishlinskii model."""
     simulator, fit = identify("pi", trials, plays=plays)
     if fit.interrupted:
         raise KeyboardInterrupt  # the user wants the training to end, not only this part of it
@@ -87,7 +85,7 @@ def _operator(trials: Sequence[Trial], plays: int) -> tuple[float, float, Answer
 
 
 def _play_kernel(trials: Sequence[Trial]) -> tuple[float, float, Answer]:
-    """Error on the trials, their own offsets taken out [deg], lag [s], and free run of a play-kernel model."""
+    """Error on the trials without their offsets [deg], lag [s], and free run of a play-kernel model."""
     settings = PlayKernelSettings()
     fit = fit_play_kernel(trials, settings)
     if fit.interrupted:
@@ -104,7 +102,7 @@ def _play_kernel(trials: Sequence[Trial]) -> tuple[float, float, Answer]:
 
 
 def _decaying_sine(commands: Range, rate: float, dt: float, rng: Rng) -> Vec:
-    """S2 eq. (9)-(10) of random frequency, amplitude, decay and baseline (low, middle, high)."""
+    """Commands of S2 eq. (9)-(10) with random frequency, amplitude, decay and baseline (low, middle, high)."""
     del rate
     frequency = _log_uniform(*_FREQUENCY_HZ, rng)
     t = np.arange(0.0, min(_CYCLES / frequency, _DURATION_S[1]), dt)
@@ -116,7 +114,7 @@ def _decaying_sine(commands: Range, rate: float, dt: float, rng: Rng) -> Vec:
 
 
 def _moves_and_holds(commands: Range, rate: float, dt: float, rng: Rng) -> Vec:
-    """S2 eq. (11): moves of constant speed to random targets, and holds."""
+    """Commands of S2 eq. (11): moves of constant speed to random targets, and holds."""
     samples = round(rng.uniform(*_DURATION_S) / dt)
     parts, last, total = [], commands.lower, 0
     while total < samples:
@@ -129,7 +127,7 @@ def _moves_and_holds(commands: Range, rate: float, dt: float, rng: Rng) -> Vec:
 
 
 def _sum_of_sines(commands: Range, rate: float, dt: float, rng: Rng) -> Vec:
-    """Nested and crossing loops of all sizes; not faster than the trials were."""
+    """Commands with nested and crossing loops of all sizes, not faster than in the trials."""
     t = np.arange(0.0, rng.uniform(*_DURATION_S), dt)
     frequencies = [_log_uniform(0.3 * _FREQUENCY_HZ[0], _FREQUENCY_HZ[1], rng) for _ in range(_SINES)]
     waves = sum(rng.uniform() * np.sin(2 * np.pi * (f * t + rng.uniform())) for f in frequencies)
@@ -140,10 +138,7 @@ def _sum_of_sines(commands: Range, rate: float, dt: float, rng: Rng) -> Vec:
 
 
 def _controlled_moves(commands: Range, rate: float, dt: float, rng: Rng) -> Vec:
-    """What a controller that compensates hysteresis sends: smooth moves, jumps across the dead band, some jitter.
-
-    The moves are those of least jerk; each reversal adds a jump of one random width, over a few samples.
-    """
+    """Commands of a controller that compensates hysteresis: minimum-jerk moves, a jump at each reversal, jitter."""
     samples, span = round(rng.uniform(*_DURATION_S) / dt), commands.upper - commands.lower
     jump, jitter = rng.uniform(0.0, _JUMP) * span, rng.uniform(0.0, _JITTER) * span
     crossing = 1 + rng.integers(_CROSSING)

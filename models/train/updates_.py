@@ -27,11 +27,10 @@ class Check:
     """State of the training at one check.
 
     Attributes:
-        step: epochs or updates done.
-        training: root mean square error since the last look, scaled.
-        judged: root mean square error of `net` on what is held out, scaled.
-        rounding: largest difference between `net` in single and in double precision on what is held out, scaled.
-        net: the network that was judged; it goes on changing.
+        training: root mean square error since the last check, scaled.
+        judged: root mean square error of `net` on held-out trials, scaled.
+        rounding: largest difference between `net` in single and in double precision on held-out trials, scaled.
+        net: the judged network; it changes in further training.
     """
 
     step: int
@@ -43,7 +42,7 @@ class Check:
 
 @contextmanager
 def torch_session(seed: int, threads: int) -> Iterator[None]:
-    """PyTorch seeded and on a fixed number of threads; both are restored."""
+    """Context of PyTorch seeded and on a fixed number of threads; both are restored."""
     before = torch.get_num_threads()
     torch.set_num_threads(threads)
     try:
@@ -57,7 +56,7 @@ def torch_session(seed: int, threads: int) -> Iterator[None]:
 def update(
     optimisers: Sequence[torch.optim.Optimizer], net: Network, loss: torch.Tensor, clip_norm: float, step: int
 ) -> None:
-    """One step down the gradient.
+    """Update the network by one gradient step.
 
     Raises:
         FitError: if the loss is not finite.
@@ -78,7 +77,7 @@ def weighted_error(output: torch.Tensor, angle: torch.Tensor, weight: torch.Tens
 
 
 def constancy(output: torch.Tensor, command: torch.Tensor) -> torch.Tensor:
-    """Constant in, constant out, S2 eq. (12): mean over windows of std(output) / (std(command) + eps)."""
+    """Constant-in, constant-out term, S2 eq. (12): mean over windows of std(output) / (std(command) + eps)."""
     return (output.std(dim=1) / (command.std(dim=1) + _EPSILON)).mean()
 
 
@@ -87,8 +86,8 @@ class ValidationRuns:
     """Held-out runs as one batch.
 
     Attributes:
-        start: what the states start from (N,).
-        past: inputs before it that the network sees (N, context).
+        start: outputs from which the states start (N,).
+        past: inputs before the start (N, context).
         command, angle, weight: (N, T).
     """
 
@@ -112,7 +111,7 @@ class ValidationRuns:
 
 
 def whole_runs(runs: Sequence[TrainingRun], warmup: int) -> ValidationRuns:
-    """Whole runs as one piece, filled up to the longest, for free runs from their start."""
+    """Batch of whole runs, padded to the longest, for free runs from their start."""
     longest = warmup + max(run.command.size for run in runs)
     streams = arrange(runs, len(runs), longest, warmup, np.random.default_rng(0))
     command, angle, weight = (torch.from_numpy(part[0]) for part in (streams.command, streams.angle, streams.weight))
@@ -120,25 +119,25 @@ def whole_runs(runs: Sequence[TrainingRun], warmup: int) -> ValidationRuns:
 
 
 def rounding_error(net: Network, judged: ValidationRuns, output: torch.Tensor) -> float:
-    """Error of a free run in single precision. A network that amplifies it is chaotic and cannot be exported."""
+    """Error of a free run in single precision; a network that amplifies it is chaotic and cannot be exported."""
     exact = judged.output(copy.deepcopy(net).double())
     return float((exact - output).abs().max())
 
 
-_ROUNDED = 64  # windows that are run in double precision as well, which has no fused LSTM and is slow
+_ROUNDED = 64  # windows that are also simulated in double precision, which is slow without a fused LSTM
 
 
 @final
 @dataclass
 class WindowUpdate:
-    """One update on a batch of windows; `net` and `optimiser` change."""
+    """Update on a batch of windows; `net` and `optimiser` change."""
 
     net: Network
     optimiser: torch.optim.Optimizer
     scheme: WindowTraining
 
     def __call__(self, batch: ValidationRuns, step: int) -> tuple[float, int]:
-        """Mean square error before the update, and the samples behind it."""
+        """Mean square error before the update, and its number of samples."""
         output, _ = self.net(batch.command, self.net.begin(batch.past, batch.start))
         error, used = weighted_error(output, batch.angle, batch.weight)
         loss = error
@@ -149,7 +148,7 @@ class WindowUpdate:
 
 
 def window_update(net: Network, settings: NetworkSettings, scheme: WindowTraining) -> WindowUpdate:
-    """An update by Adam."""
+    """Window update by Adam."""
     return WindowUpdate(net, torch.optim.Adam(_trained(net), lr=settings.learning_rate), scheme)
 
 
@@ -180,7 +179,7 @@ def window_checks(
 
 
 def cut(net: Network, parts: Sequence[np.ndarray]) -> ValidationRuns:
-    """A batch of windows (N, context + length) of command, angle, weight and what the state starts from."""
+    """Batch of windows (N, context + length) of command, angle, weight and initial output."""
     command, angle, weight, shown = (torch.from_numpy(part) for part in parts)
     at = net.context
     return ValidationRuns(shown[:, at], command[:, :at], command[:, at:], angle[:, at:], weight[:, at:])
@@ -196,7 +195,7 @@ def _trained(net: Network) -> list[torch.nn.Parameter]:
     return [p for p in net.parameters() if p.requires_grad]
 
 
-_RAMP_UPDATES = 50  # in which the learning rate rises from zero: Adam's first steps know no curvature
+_RAMP_UPDATES = 50  # updates with a rising learning rate, while Adam has no estimate of the curvature
 
 TeacherRuns = Callable[[float, Rng], list[TrainingRun]]
 """Scaled runs of a teacher, drawn anew at every call; the first argument is the share of training that is done."""
@@ -215,7 +214,7 @@ class Piece:
 @final
 @dataclass
 class StreamUpdate:
-    """One update on a piece of every stream; `net`, optimisers, schedules and the running mean change."""
+    """Update on a piece of every stream; `net`, optimisers, schedules and the running mean change."""
 
     net: Network
     optimisers: list[torch.optim.Optimizer]
@@ -224,7 +223,7 @@ class StreamUpdate:
     scheme: StreamTraining
 
     def __call__(self, piece: Piece, state: torch.Tensor | None, step: int) -> tuple[torch.Tensor, float, int]:
-        """State after the piece, mean square error before the update, and the samples behind it; 0 for none."""
+        """State after the piece, mean square error before the update, and its number of samples; 0 for none."""
         start = self.net.start(piece.angle[:, 0])
         state = start if state is None else torch.where(piece.fresh, start, state.detach())
         output, following = self.net(piece.command, state)
@@ -241,7 +240,7 @@ class StreamUpdate:
 
 
 def stream_update(net: Network, settings: NetworkSettings, scheme: StreamTraining) -> StreamUpdate:
-    """An update by Muon and Adam."""
+    """Stream update by Muon and Adam."""
     optimisers = _muon_and_adam(net, scheme.matrix_learning_rate, settings.learning_rate)
     schedules = [torch.optim.lr_scheduler.LambdaLR(o, lambda k: _rate(k, scheme.updates)) for o in optimisers]
     averaged = torch.optim.swa_utils.AveragedModel(
@@ -281,7 +280,7 @@ def stream_checks(
 
 
 def pieces(streams: Streams) -> Iterator[Piece]:
-    """The pieces in order, as tensors."""
+    """Pieces in order, as tensors."""
     for k in range(len(streams.command)):
         parts = (streams.command[k], streams.angle[k], streams.weight[k], streams.fresh[k][:, None])
         yield Piece(*(torch.from_numpy(np.ascontiguousarray(part)) for part in parts))
@@ -293,11 +292,7 @@ def _look(step: int, training: float, mean: Network, judged: ValidationRuns) -> 
 
 
 def _muon_and_adam(net: Network, matrix_rate: float, rate: float) -> list[torch.optim.Optimizer]:
-    """Muon (Jordan et al., 2024) for the matrices between layers, Adam for the rest: biases, input weights, head.
-
-    Orthogonalised steps move all directions of a matrix alike. On hysteresis they reach half of Adam's error in the
-    same number of updates; supposedly, since the directions that tell loading from unloading have small gradients.
-    """
+    """Muon (Jordan et al., 2024; half of Adam's error in as many updates) for inner matrices, Adam for the rest."""
     matrices = net.matrices
     others = [p for p in net.parameters() if p.requires_grad and all(p is not matrix for matrix in matrices)]
     adam = torch.optim.Adam(others, lr=rate)
