@@ -1,4 +1,4 @@
-"""A commissioning: safe range, recordings, check, identification, diagnosis, controller, verification, report."""
+"""Commissioning: safe range, recordings, check, identification, diagnosis, controller, verification, report."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ class CommandRange:
 
 @dataclass(frozen=True)
 class RecordedTrials:
-    """Recordings by name, in their order."""
+    """File names of the recordings, in their order."""
 
     names: tuple[str, ...]
 
@@ -193,7 +193,7 @@ def _hashes(files: Sequence[Path]) -> dict[str, str]:
 
 
 def _computing_s(block: CommissionBlock) -> float:
-    """Computing time that is expected [s]."""
+    """Expected computing time [s]."""
     return sum(seconds for name, seconds in _COMPUTING_S.items() if name != DIAGNOSE or block.diagnose)
 
 
@@ -225,7 +225,7 @@ def _on_device(settings: CommissionSettings, stages: Stages, planned: Budget) ->
 
 
 def _ranged(settings: CommissionSettings, stages: Stages) -> CommandRange:
-    """Range of the command by climbs from the safe command, and its rate by a dash; never beyond the limits."""
+    """Determine the command range by climbs from the safe command, and its rate by a dash, within the limits."""
     stages.say("range")
     block, climbs = settings.commission, list[ClimbResult]()
     for k, end in enumerate(directions(settings)):
@@ -302,7 +302,6 @@ def _reported(
     tracks: Tracks | None = None,
     verified: Verification | None = None,
 ) -> Commissioned:
-    """Write the report."""
     from .report import write_commission  # matplotlib takes a second to import
 
     stages.say("report")

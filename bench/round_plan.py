@@ -1,4 +1,4 @@
-"""Planning of rounds: motions within limits and device time; the first ones from the simulator alone."""
+"""Planning of the rounds of an investigation: motions within limits and device time."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ def least_seconds(bench: BenchSettings) -> float:
 
 
 def first_longest_s(settings: InvestigateSettings, left_s: float) -> float:
-    """Greatest duration of each first motion in the device time left [s].
+    """Greatest duration of each first motion within the remaining device time [s].
 
     Raises:
         ConfigError: if the device time is too short for them.
@@ -105,7 +105,7 @@ def first_seconds(settings: InvestigateSettings, left_s: float) -> float:
 
 @dataclass(frozen=True, eq=False)
 class RoundPlanner:
-    """Planner of one round's motions within the device time left [s]; it writes them into `folder`."""
+    """Planner of one round's motions within the remaining device time [s]; it writes them into `folder`."""
 
     settings: InvestigateSettings
     simulator: Simulator
@@ -120,7 +120,7 @@ class RoundPlanner:
         return self._plan(first_motions(self.simulator, family, count, allowed(self.settings), around), longest)
 
     def designed(self, question: DiscriminationTask, number: int, longer: int) -> RoundPlan | None:
-        """Plan of the designed motion with most expected information; None where none has enough.
+        """Plan of the designed motion with most expected information; None if no motion has enough.
 
         `number` is that of its recording; `longer` a factor on its duration, where shorter ones did not decide.
         """
@@ -152,7 +152,7 @@ class RoundPlanner:
         )
 
     def further(self, question: DiscriminationTask | None, number: int, recorded: Collection[str]) -> RoundPlan | None:
-        """Plan of a motion of an unrecorded kind, twice as long as the first ones; None where none is allowed.
+        """Plan of a motion of an unrecorded kind, twice as long as the first ones; None if none is allowed.
 
         The fitted hypotheses of the question judge whether a motion is allowed; those of a typical size without it.
         """
@@ -170,7 +170,7 @@ class RoundPlanner:
         return None if chosen is None else replace(self._plan(chosen, longest), undirected=True)
 
     def _longest_s(self, factor: float) -> float:
-        """Longest motion within the device time left in a round of its own [s]."""
+        """Longest motion in a separate round within the remaining device time [s]."""
         room_s = self.left_s - prepare_seconds(self.settings) - run_seconds(self.settings, 0)
         return min(room_s, factor * self.settings.investigate.longest_motion_s)
 
@@ -235,7 +235,7 @@ def allowed(settings: InvestigateSettings) -> Callable[[EvaluatedMotion], bool]:
 
 
 def planned_commands(folder: Path, name: str) -> Vec:
-    """Commands (N,) of a planned motion, read from its file."""
+    """Read the commands (N,) of a planned motion from its file."""
     return read_csv(folder / f"{name}.csv").command
 
 
@@ -246,7 +246,7 @@ _NUDGE = 0.3  # of the unknowns' typical changes
 
 @dataclass(frozen=True, eq=False)
 class FirstMotions:
-    """First motions of an investigation, in the order of recording."""
+    """First motions of an investigation, in the order of recording, with their hypotheses."""
 
     options: Mapping[str, EvaluatedMotion]  # expected result of each, by the name of its recording
     numbers: Mapping[str, Vec]  # parameters of each in the family (22,)
@@ -331,7 +331,7 @@ def _fastest(
     noise: Noise,
     allowed: Callable[[EvaluatedMotion], bool],
 ) -> tuple[EvaluatedMotion, Vec] | None:
-    """The start of that name, as fast as allowed, with its parameters; None where no speed is allowed."""
+    """Start of that name at the highest allowed speed, with its parameters; None if no speed is allowed."""
     for factor in _SLOWER:
         numbers = family.slower(family.starts[name], factor)
         option = evaluate_motion(everything, family.motion(numbers, name), noise)
@@ -362,7 +362,7 @@ def _greedy(
 
 
 def explanations(simulator: Simulator, limits: CommandLimits, dt: float) -> tuple[OpenHypothesis, ...]:
-    """Hypotheses: the simulator as it is, and with each effect of the library at a typical size."""
+    """Hypotheses: the simulator unchanged, and with each effect of the library at a typical size."""
     angles = simulator.trained_angle_deg
     scale = Scale(limits.lower, limits.upper, angles.lower, angles.upper, 20.0, 100.0, dt)
     baseline = baseline_of(simulator.at_sample_time(dt).chain, Range(lower=limits.lower, upper=limits.upper))

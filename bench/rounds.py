@@ -69,9 +69,7 @@ class RoundVerdict:
 
     @property
     def result(self) -> tuple[str, frozenset[str], frozenset[frozenset[str]]]:
-        """Verdict, effects and indistinguishable sets, by which rounds are compared; `none` and `retuned` count as
-        equal.
-        """
+        """Verdict, effects and indistinguishable sets, for the comparison of rounds; `none` equals `retuned`."""
         verdict = _NO_GAP[0] if self.verdict in _NO_GAP else self.verdict
         return verdict, frozenset(self.effects), frozenset(frozenset(names) for names in self.ambiguity)
 
@@ -230,7 +228,7 @@ def with_next(
     left_s: float,
     least_s: float,
 ) -> RoundVerdict:
-    """Verdict with its consequence: the end of the investigation and its reason, or the next round.
+    """Add the consequence to a verdict: the end of the investigation and its reason, or the next round.
 
     Ends, in this order: the same effect named in two rounds in a row, or several in three, where they close at least
     half of the gap; no gap in four rounds in a row; too little device time for one more motion; no informative motion.

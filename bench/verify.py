@@ -96,7 +96,7 @@ def track_all(
 
 
 def load_tracks(folder: Path) -> Tracks:
-    """Tracks of a complete stage."""
+    """Read the tracks of a complete stage."""
     tracks = dict[str, dict[str, Track]]()
     for file in sorted((folder / "tracks").glob("*.csv")):
         motion, _, name = file.stem.rpartition(".")
@@ -152,7 +152,7 @@ def _late_words(scores: Mapping[str, ControllerScore]) -> str:
 
 
 def _verified_steps(scores: Mapping[str, ControllerScore]) -> tuple[str, ...]:
-    """Next steps with a verified controller."""
+    """Recommended next steps with a verified controller."""
     steps = [f"use {TIP_FILE}: hystmpc.TipController.from_config, or `controller:` of `hystmpc run`"]
     if scores["inverse"].rms_deg <= scores[MPC].rms_deg:
         steps.append(
@@ -201,7 +201,7 @@ def _gains(pid: Track, mpc: Track, dt_s: float) -> Vec:
 def _reasons(
     scores: Mapping[str, ControllerScore], mean: float, error: float, sigma_deg: float, model_sigma_deg: float
 ) -> tuple[str, tuple[str, ...]]:
-    """Reason why it is not better, and next steps."""
+    """Reason for a missing advantage over the PID, and next steps."""
     mpc, pid = scores[MPC], scores[PID]
     if max(mpc.rms_deg, pid.rms_deg) < _NOISE_FACTOR * sigma_deg:
         return "Both are at the sensor's noise: these references cannot tell them apart.", (

@@ -1,4 +1,4 @@
-"""A simulated device behind a real wire: settings, server with a watchdog, and faults of the wire."""
+"""Simulated device behind a real wire: settings, server with a watchdog, and fault injection."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _HEADER = "monotonic_ns,time_s,received,held,angle_deg\n"  # of the log
 
 
 class DeviceSettings(Settings):
-    """A simulated device in a process of its own: `hystmpc device`.
+    """Settings of a simulated device in a separate process (`hystmpc device`).
 
     Attributes:
         rate_hz: samples per second.
@@ -94,7 +94,7 @@ class ServerCounts:
 
 
 def open_link(settings: DeviceSettings) -> DeviceLink:
-    """The device's end of the wire."""
+    """Open the device's end of the wire."""
     faults, seed = settings.faults, settings.seed
     faulty = any(fault.of_datagrams for fault in faults)
     return settings.link.listen(
@@ -104,12 +104,11 @@ def open_link(settings: DeviceSettings) -> DeviceLink:
 
 @final
 class SimulatedDevice:
-    """A simulated device with a drive, a watchdog and a sensor.
+    """Simulated device with a drive, a watchdog and a sensor.
 
-    Its watchdog leads the drive back to rest once the controller has been silent for `watchdog_s`. From then on no
-    command is taken until a controller greets anew; on a wire without greetings, until a command lies at the drive's
-    position. The return lasts until the first command that is taken. A goodbye ends the watchdog's count, but only at
-    rest.
+    The watchdog returns the drive to rest after `watchdog_s` without commands. From then on no command is accepted
+    until a controller greets anew or, on a wire without greetings, until a command equals the drive's position. The
+    return lasts until the first accepted command. A goodbye ends the watchdog's count, but only at rest.
 
     Args:
         held: the command that it holds after its reset, and returns to.
@@ -140,7 +139,7 @@ class SimulatedDevice:
         self._sent = 0
 
     def serve(self, flag: StopFlag, duration_s: float = math.inf) -> ServerCounts:
-        """Compute and send samples until the flag is set or the time is over."""
+        """Compute and send samples until the flag is set or the duration is over."""
         clock = MonotonicClock(0.0)
         start = deadline = clock.now_ns()
         dt_ns = round(1e9 * self._dt)
@@ -154,7 +153,7 @@ class SimulatedDevice:
         return ServerCounts(*counts, dict(self._link.counters))
 
     def sample(self, t_s: float) -> None:
-        """One sample: receive commands, move, measure, send the readings after fault injection."""
+        """Execute one sample: receive commands, move, measure, and send the readings after fault injection."""
         received = self._receive()
         if math.isfinite(received):
             self._first = t_s if math.isnan(self._first) else self._first
@@ -175,7 +174,7 @@ class SimulatedDevice:
         self._samples += 1
 
     def _measure(self, t_s: float) -> list[tuple[float, float]]:
-        """Angles [deg] of the messages of this sample and when they were taken [s]; one without an angle at least."""
+        """Angles [deg] to send in this sample, at least one entry, and the times of their measurement [s]."""
         if isinstance(self._settings.sensor, ContinuousSensorSettings):
             return [(self._angle, t_s)]
         if self._imaging is None:
@@ -184,7 +183,7 @@ class SimulatedDevice:
         return [*((frame.angle_deg, frame.taken_s) for frame in frames), (math.nan, t_s)]
 
     def _receive(self) -> float:
-        """The newest accepted command of this sample, NaN without one."""
+        """Newest accepted command of this sample; NaN if there is none."""
         newest = math.nan
         for _ in range(_MESSAGES):
             message = self._link.receive()
@@ -199,12 +198,12 @@ class SimulatedDevice:
         return newest
 
     def _goodbye(self) -> None:
-        """End the watchdog's count where the drive is at rest; elsewhere it continues."""
+        """End the watchdog's count if the drive is at rest."""
         if abs(self._held - self._rest) <= _AT_REST * (self._limits.upper - self._limits.lower):
             self._silent = math.inf
 
     def _taken(self, command: float, newest: float) -> float:
-        """New target command; `newest` after an action of the watchdog without a new greeting."""
+        """Set and return the target command; refuse it after a watchdog action without a new greeting."""
         low, high = self._limits.lower, self._limits.upper
         if self._awaits_greeting and not self._link.greeted:
             self._awaits_greeting = abs(command - self._held) > self._limits.rate * self._dt
@@ -218,7 +217,7 @@ class SimulatedDevice:
         return command
 
     def _run_watchdog(self) -> None:
-        """Return to rest when the controller that moved the device has fallen silent."""
+        """Return the drive to rest after the controller has been silent for too long."""
         if math.isinf(self._silent):
             return
         self._silent += self._dt
@@ -312,7 +311,7 @@ _SENSOR = ("freeze", "blocked", "dislodged", "nan", "outlier", "stamp_jump", "ou
 
 
 class FaultSettings(Settings):
-    """One fault of the readings, or of the commands on their way to the device.
+    """Settings of one fault of the readings, or of the commands on their way to the device.
 
     Attributes:
         fault: `dropout` sends nothing; `delay` sends `delay_s` late; `jitter` up to `delay_s` late; `reorder` holds a
@@ -369,11 +368,11 @@ class FaultyLine(Generic[M]):
         self._count = 0
 
     def active(self, t_s: float) -> list[FaultSettings]:
-        """Active faults at `t_s` [s] after the first command."""
+        """Faults that are active at `t_s` [s] after the first command."""
         return [f for f in self._faults if f.start_s <= t_s < f.start_s + f.duration_s]
 
     def put(self, message: M, t_s: float) -> None:
-        """Take a message that is sent at `t_s` [s] after the first command."""
+        """Add a message that is sent at `t_s` [s] after the first command."""
         copies, due = [message], t_s
         for fault in self.active(t_s):
             if self._random.random() < fault.share:
@@ -397,7 +396,7 @@ class FaultyLine(Generic[M]):
         return self._random.uniform(0.0, abs(fault.delay_s)) if fault.fault == "jitter" else 0.0
 
     def _changed(self, fault: FaultSettings, message: M) -> list[M]:
-        """Messages that a fault makes of one message."""
+        """Messages that replace one message under a fault."""
         name = fault.fault
         if name in ("delay", "jitter"):
             return [message]
@@ -422,7 +421,7 @@ class FaultyReadings:
         self._line = FaultyLine([f for f in faults if not f.of_datagrams], self._random, self._changed_content)
 
     def put(self, message: Outgoing, t_s: float) -> None:
-        """Take a reading that is measured at `t_s` [s] after the first command."""
+        """Add a reading that is measured at `t_s` [s] after the first command."""
         self._line.put(message, t_s)
         if math.isfinite(message.angle) and not any(f.fault in _STANDING for f in self._line.active(t_s)):
             self._last = message.angle
@@ -448,9 +447,9 @@ class FaultyReadings:
 
 @final
 class FaultyDatagrams:
-    """Socket whose commands are lost, late, reordered, repeated or spoiled before the device gets them.
+    """Socket with fault injection: loss, delay, reordering, repetition or corruption of commands and readings.
 
-    Readings can be spoiled on their way out. Time counts from the first command.
+    Time counts from the first command.
     """
 
     def __init__(self, wire: Datagrams, faults: Sequence[FaultSettings], seed: int) -> None:
@@ -465,7 +464,7 @@ class FaultyDatagrams:
         self._arrived: deque[tuple[bytes, Peer]] = deque()
 
     def recvfrom(self, size: int) -> tuple[bytes, Peer]:
-        """The oldest datagram that has arrived and its sender; `BlockingIOError` where there is none."""
+        """Oldest datagram that has arrived, and its sender; `BlockingIOError` if there is none."""
         for _ in range(_TAKEN):
             try:
                 data, peer = self._wire.recvfrom(size)
@@ -488,7 +487,7 @@ class FaultyDatagrams:
         return len(data)
 
     def getsockname(self) -> Peer:
-        """Own address."""
+        """Address of this socket."""
         return self._wire.getsockname()
 
     def close(self) -> None:
@@ -503,7 +502,6 @@ class FaultyDatagrams:
         return 1e-9 * (time.monotonic_ns() - self._first_ns) if self._first_ns else -1.0
 
     def _changed_content(self, fault: FaultSettings, data: bytes) -> bytes:
-        """Change one byte at random."""
         del fault
         spoilt, place = bytearray(data), self._random.randrange(len(data))
         spoilt[place] ^= self._random.randrange(1, 256)

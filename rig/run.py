@@ -1,4 +1,4 @@
-"""A run on a device: first contact, control loop, safe stop, latch; its motions are given as phases."""
+"""Run on a device: first contact, control loop, safe stop, latch; the motions are given as phases."""
 
 from __future__ import annotations
 
@@ -131,7 +131,7 @@ def control_loop(
     stays: Callable[[], bool] = lambda: False,
     closed_loop: bool = False,
 ) -> ControlLoop:
-    """The control loop of a bench with its sensor checks, motion watch and command gate: the only way to move a device.
+    """Control loop of a bench with its sensor checks, motion watch and command gate: the only way to move a device.
 
     Args:
         safe: target of a stop, in place of the bench's `safe_command`; NaN rests where it is, see `SafeStop`.
@@ -169,7 +169,7 @@ def control_loop(
 
 
 def _open_latched(latch: Latch, sink: Callable[[], Sink]) -> Sink:
-    """Latch the run, then open its recording: a run that cannot be latched leaves no folder."""
+    """Set the latch, then open the recording, so that a run that cannot be latched leaves no folder."""
     latch.set(RUNNING)
     try:
         return sink()
@@ -194,7 +194,7 @@ def _leave_files(result: BenchResult, folder: Path) -> None:
 
 
 def reset_latch(settings: BenchSettings) -> None:
-    """Release the latch of a stopped device, after a person has inspected the device.
+    """Release the latch of a stopped device after a person has inspected the device.
 
     Raises:
         ConfigError: if another program controls the device now.
@@ -204,7 +204,7 @@ def reset_latch(settings: BenchSettings) -> None:
 
 
 def first_contact(settings: BenchSettings, transport: Transport, clock: Clock, flag: StopFlag) -> DeviceContact:
-    """Wait until the device answers and accepts commands of this controller; nothing is moved.
+    """Wait until the device answers and accepts commands of this controller, without any motion.
 
     Raises:
         ConfigError: if no plausible angle comes in time, the device listens to another controller, the held command is
@@ -239,13 +239,13 @@ class DeviceContact:
 
     @property
     def reports_held(self) -> bool:
-        """Whether the device reports the command that it holds."""
+        """Whether the device reports its held command."""
         return math.isfinite(self.newest.held)
 
     def seen_at(self, now_ns: int) -> Reading:
-        """The newest reading moved to the present, without its angle: same session, sequence and time of flight.
+        """Newest reading shifted to the present, without its angle: same session, sequence and time of flight.
 
-        Readings that queued since then are late relative to it, however long they lay.
+        Readings queued since then are therefore late, however long they waited.
         """
         later_ns, newest = now_ns - self.newest.received_ns, self.newest
         return replace(newest, angle_deg=math.nan, sent_ns=newest.sent_ns + later_ns, received_ns=now_ns)
@@ -253,9 +253,9 @@ class DeviceContact:
 
 @final
 class FirstContact:
-    """Judges readings until the device has answered and listens; meanwhile it is greeted ten times a second.
+    """Assessment of readings until the device has answered and listens, with a greeting ten times a second.
 
-    `run` waits for it, and a node asks in each period.
+    `run` blocks until then; a ROS 2 node calls it in each period.
     """
 
     def __init__(self, settings: BenchSettings, transport: Transport) -> None:
@@ -265,7 +265,7 @@ class FirstContact:
         self._angle, self._listens, self._greeted_ns = math.nan, True, 0
 
     def judge(self, reading: Reading) -> DeviceContact | None:
-        """State of the device after enough plausible readings, None until then.
+        """State of the device after enough plausible readings; None until then.
 
         Raises:
             ConfigError: if the held command is unknown, differs from `start_command`, or lies beyond the limits.

@@ -1,11 +1,11 @@
-"""Mutation: every safety rule broken on purpose, one line at a time; the tests of its room have to notice. A table.
+"""Mutation test: every safety rule is broken on purpose, one line at a time, and the tests of its room must fail.
 
     python lab/benchmarks/mutants.py [--jobs 2] [--only TEXT] [--timeout 300] [--out mutants.json]
 
 Each mutant of `mutants.yaml` is written into a copy of the checkout, its tests run there, fast ones first, and it is
-taken back. A mutant is killed when a test fails, or when the tests hang; it survives when they all pass. Text that is
-not found exactly once is an error, so that the list cannot rot. Before, the same tests run without any mutant: where
-they fail by themselves nothing is learned. Exit code 1 below 95 % killed, 2 where something does not apply.
+reverted. A mutant is killed when a test fails, or when the tests hang; it survives when they all pass. Text that does
+not occur exactly once is an error, so that the list cannot become outdated. First, the same tests run without any
+mutant: if they fail, nothing can be concluded. Exit code 1 below 95 % killed, 2 if a mutant does not apply.
 """
 
 from __future__ import annotations
@@ -56,14 +56,14 @@ Verdict = Literal["killed", "survived", "error"]
 
 @dataclass(frozen=True)
 class Mutant:
-    """One wrong line. One that can do no harm, since the code behaves the same, does not belong into the list.
+    """Single wrong line. A harmless change, which leaves the behaviour as it is, is no mutant.
 
     Attributes:
-        name: what is wrong then.
-        file: from the root of the checkout.
+        name: the resulting fault.
+        file: path relative to the root of the checkout.
         old: text that occurs exactly once in the file.
-        new: what stands there instead.
-        tests: files or folders of tests that have to fail, from the root of the checkout.
+        new: replacement of that text.
+        tests: files or folders of tests that have to fail, relative to the root of the checkout.
     """
 
     name: str
@@ -79,7 +79,7 @@ class Mutant:
 
 
 def listed(path: Path = LIST) -> tuple[Mutant, ...]:
-    """The mutants of a list: groups of one file and its tests, each with its mutants."""
+    """Mutants of a list: groups of one file and its tests, each with its mutants."""
     return tuple(
         Mutant(one["name"], group["file"], one["old"], one["new"], tuple(group["tests"]))
         for group in read_yaml(path)
@@ -96,13 +96,13 @@ class NotApplicableError(Exception):
 
 @dataclass(frozen=True)
 class Result:
-    """What became of one mutant.
+    """Outcome of one mutant.
 
     Attributes:
         name, room: of the mutant.
-        verdict: `error` where nothing was learned.
-        by: the first test that failed, `timeout`, or what went wrong.
-        seconds: that it took [s].
+        verdict: `killed`, `survived`, or `error` if nothing can be concluded.
+        by: first test that failed, `timeout`, or the error.
+        seconds: duration [s].
     """
 
     name: str
@@ -113,7 +113,7 @@ class Result:
 
 
 def mutated(mutant: Mutant, text: str) -> str:
-    """The file's text with the wrong line.
+    """Text of the file with the wrong line.
 
     Raises:
         NotApplicableError: if the old text does not occur exactly once, or nothing would change.
@@ -128,7 +128,7 @@ def mutated(mutant: Mutant, text: str) -> str:
 
 
 class Copy:
-    """A copy of the checkout in a folder `hystmpc`, so that the package imported there is the copy.
+    """Copy of the checkout in a folder `hystmpc`, so that the package imported there is the copy.
 
     The folder above stands first on the path: Python finds the package there before it asks the finder of the editable
     install, which is the last one.
@@ -152,7 +152,7 @@ class Copy:
             raise NotApplicableError(f"imported: {said.strip()}, expected files of {self.root}")
 
     def judged(self, mutant: Mutant) -> Result:
-        """Apply a mutant, run its tests, take it back."""
+        """Apply a mutant, run its tests, revert it."""
         began = time.monotonic()
         try:
             with self._applied(mutant):
@@ -191,11 +191,7 @@ class Copy:
             file.write_bytes(before)
 
     def _run(self, arguments: Sequence[str]) -> tuple[int, str]:
-        """Exit code and output of Python in the copy; what hangs is ended with all that it has started.
-
-        Raises:
-            TimeoutExpired: if it hangs.
-        """
+        """Exit code and output of Python in the copy; if it hangs, kill its processes and raise `TimeoutExpired`."""
         process = subprocess.Popen(
             [sys.executable, *arguments],
             cwd=self.root,
@@ -215,7 +211,7 @@ class Copy:
 
 
 def run(mutants: Sequence[Mutant], jobs: int, timeout_s: float, tell: Console) -> list[Result]:
-    """All mutants, in a copy of the checkout for each worker.
+    """Judge all mutants in one copy of the checkout for each worker.
 
     Raises:
         NotApplicableError: if a copy is not the one imported, or a test fails without any mutant.
@@ -247,12 +243,12 @@ def run(mutants: Sequence[Mutant], jobs: int, timeout_s: float, tell: Console) -
 
 
 def share(results: Sequence[Result]) -> float:
-    """The share of those killed; an error is not one."""
+    """Share of killed mutants; an error does not count as killed."""
     return sum(r.verdict == "killed" for r in results) / max(len(results), 1)
 
 
 def main() -> int:
-    """Judge the mutants; see the module for the exit codes."""
+    """Judge the mutants; exit codes as in the module's text."""
     options = asked(
         __doc__,
         jobs=(1, "workers, each with a copy of its own"),

@@ -88,10 +88,7 @@ def study(
     data: Annotated[Path | None, typer.Option(help="Of `public`: file or folder to fit. Of `kinds`: devices.")] = None,
     test: Annotated[list[Path] | None, typer.Option(help="Of `public`: further test file, repeatable.")] = None,
 ) -> None:
-    """Do all jobs of a study and write its report.
-
-    Ctrl-C keeps what is done.
-    """
+    """Do all jobs of a study and write its report. Ctrl-C keeps what is done."""
     workers = jobs or os.cpu_count() or 1
     given: dict[str, Any] = {"logs": [str(log) for log in logs or []], "epochs_scale": epochs_scale}
     given |= {"kinds": _names(kinds), "presets": _names(presets), "directions": _names(directions)}

@@ -1,4 +1,4 @@
-"""The live page: one HTML file, a stream of server-sent events, and their HTTP server in one thread."""
+"""Live page: one HTML file, a stream of server-sent events, and their HTTP server in one thread."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class BadRequestError(Exception):
 
 @final
 class PageServer:
-    """Serves one page, a stream of messages, and requests to `controls`; without controls the page only shows."""
+    """HTTP server of one page, a stream of messages, and requests to `controls`; None for no remote control."""
 
     def __init__(self, page: bytes, controls: Controls | None) -> None:
         self.page, self.controls = page, controls
@@ -73,23 +73,23 @@ class PageServer:
         return str(where[0]), int(where[1])
 
     def publish(self, message: bytes) -> None:
-        """Send a message to every stream without a backlog; by any thread."""
+        """Send a message to every stream without a backlog; callable from any thread."""
         self.latest = b"data: " + message + b"\n\n"
         self.call(self._publish)
 
     def call(self, function: object, *arguments: object) -> None:
-        """Call a function in the server's thread; nothing where it has ended."""
+        """Call a function in the server's thread; no effect after its end."""
         with suppress(RuntimeError):
             self._loop.call_soon_threadsafe(function, *arguments)  # type: ignore[arg-type]
 
     def close(self) -> None:
-        """End the streams and stop listening; a second time does nothing."""
+        """End the streams and stop listening; a second call has no effect."""
         if self._thread.is_alive():
             self.call(self._ended.set)
             self._thread.join(2 * _CLOSE_S)
 
     def admit(self, client: _Client) -> None:
-        """Accept a connection; beyond the limit the oldest idle one is aborted."""
+        """Accept a connection; beyond the limit the oldest idle connection is aborted."""
         self.clients[client] = None
         if len(self.clients) > _most_clients():
             oldest = next((one for one in self.clients if one not in self.streams and not one.asks), client)
@@ -97,7 +97,7 @@ class PageServer:
             oldest.abort()
 
     def leave(self, client: _Client) -> None:
-        """Forget a connection that has ended."""
+        """Remove a connection that has ended."""
         self.clients.pop(client, None)
         self.streams.discard(client)
 
@@ -131,7 +131,7 @@ class PageServer:
 
 @final
 class _Client(asyncio.Protocol):
-    """One connection: one request, and its answer."""
+    """Connection of a client: one request, and its answer."""
 
     def __init__(self, server: PageServer) -> None:
         self._server = server
@@ -168,15 +168,13 @@ class _Client(asyncio.Protocol):
             self.answer(error.args[0], "")
 
     def abort(self) -> None:
-        """Abort the connection."""
         self._transport.abort()
 
     def answer(self, status: HTTPStatus, text: str) -> None:
-        """Answer with a line of text."""
         self._answer(status, "text/plain; charset=utf-8", text.encode())
 
     def send(self, message: bytes) -> None:
-        """Write to a stream; a client with a backlog is skipped, and ended after a time limit."""
+        """Write to a stream; a client with a backlog is skipped, and disconnected after a time limit."""
         if self._transport.get_write_buffer_size() > _UNSENT // 2:
             return
         self._timer.cancel()
@@ -196,7 +194,7 @@ class _Client(asyncio.Protocol):
         return asyncio.get_running_loop().call_later(seconds, self.abort)
 
     def _complete(self) -> bool:
-        """Whether the whole request is there; `BadRequestError` where it is malformed or too long."""
+        """Whether the whole request has arrived; `BadRequestError` if it is malformed or too long."""
         if self._head is None:
             head, blank, rest = bytes(self._got).partition(b"\r\n\r\n")
             if len(head) > _LARGEST_HEAD:
@@ -228,7 +226,7 @@ class _Client(asyncio.Protocol):
             self._ask(server.controls, path, headers, bytes(self._got[: self._length]))
 
     def _ask(self, controls: Controls, path: str, headers: Mapping[str, str], body: bytes) -> None:
-        """Forward an admitted request to the run in a thread of its own, since the reply may take seconds."""
+        """Forward an admitted request to the run in a separate thread, since the reply may take seconds."""
         server = self._server
         if refused := controls.refusal(path, headers, body):
             self.answer(*refused)
@@ -253,7 +251,7 @@ class _Client(asyncio.Protocol):
         threading.Thread(target=ask, name="hystmpc-page-request", daemon=True).start()
 
     def _watch(self) -> None:
-        """Start a stream, up to the limit of their number."""
+        """Start a stream if the limit on their number allows it."""
         if len(self._server.streams) >= _MOST_STREAMS:
             self.answer(HTTPStatus.SERVICE_UNAVAILABLE, "too many pages are open")
             return
@@ -266,11 +264,7 @@ class _Client(asyncio.Protocol):
 
 
 def _parsed(head: bytes) -> tuple[str, str, dict[str, str]]:
-    """Method, path and headers of a request.
-
-    Raises:
-        BadRequestError: if it is malformed, or repeats a header of identity or length.
-    """
+    """Method, path and headers of a request; `BadRequestError` if malformed or an identity or length is repeated."""
     first, *lines = head.decode("latin-1").split("\r\n")
     words = first.split(" ")
     if len(words) != 3 or not words[2].startswith("HTTP/1."):
@@ -286,11 +280,7 @@ def _parsed(head: bytes) -> tuple[str, str, dict[str, str]]:
 
 
 def _length(headers: Mapping[str, str]) -> int:
-    """Bytes of the body.
-
-    Raises:
-        BadRequestError: if it is not in decimal digits, or exceeds the needs of any request.
-    """
+    """Length of the body [bytes]; `BadRequestError` if it is no decimal number, or larger than any valid request."""
     if "transfer-encoding" in headers:
         raise BadRequestError(HTTPStatus.LENGTH_REQUIRED)
     text = headers.get("content-length", "0")
@@ -308,7 +298,7 @@ def _head(status: HTTPStatus, kind: str, length: int | None) -> bytes:
 
 
 def _most_clients() -> int:
-    """Limit of simultaneous connections: far fewer than the files that this process may open."""
+    """Limit of simultaneous connections, far below the number of files that this process may open."""
     if sys.platform == "win32":
         return _MOST_CLIENTS
     import resource
@@ -318,16 +308,14 @@ def _most_clients() -> int:
 
 
 def _hosts(host: str, port: int) -> frozenset[str]:
-    """Names of a page on the loopback in a browser on this machine; empty for other addresses, where any name is
-    accepted.
-    """
+    """Host names of a page on the loopback; empty for other addresses, for which any name is accepted."""
     names = (host.lower(), "127.0.0.1", "localhost", "[::1]") if is_loopback(host) else ()
     return frozenset(f"{name}:{port}" for name in names)
 
 
 @final
 class LivePage(LiveView):
-    """Live view for browsers; all input but authorised requests to `controls` is ignored.
+    """Live view for browsers; all input except authorised requests to `controls` is ignored.
 
     Args:
         host: address of the page; the loopback, unless others are to see it.
@@ -366,7 +354,6 @@ class LivePage(LiveView):
         return f"http://{host}:{port}/{token}"
 
     def close(self) -> None:
-        """Send the last state and stop listening."""
         super().close()
         self._server.close()
 
@@ -412,7 +399,7 @@ def _number(value: float) -> float | None:
 
 
 def _page(controls: Controls | None) -> str:
-    """The page with its scripts; buttons without an effect are hidden."""
+    """Page with its scripts; buttons without an effect are hidden."""
     here = files("hystmpc.rig.live")
     parts = {"link.js": here.joinpath("link.js"), "zoom.js": files("hystmpc.trials").joinpath("zoom.js")}
     text = here.joinpath("page.html").read_text(encoding="utf-8")
