@@ -131,7 +131,7 @@ class Row:
 
 @dataclass(frozen=True)
 class Plan:
-    """What to do: `controller` is one of the control study's, with its settings at the rate in the device's time."""
+    """Plan of the runs; `controller` is one of the study `control`, with settings at the rate in the device's time."""
 
     rate_hz: float
     minutes: float

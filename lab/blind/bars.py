@@ -414,7 +414,7 @@ def orders_bar(said: Mapping[str, tuple[frozenset[str], ...]]) -> Bar:
 
 
 def orders_of(folder: Path) -> tuple[list[tuple[str, int, str]], Bar]:
-    """Names said in each order, the answers being sealed: rows of case, orders, and sets with their counts; the bar."""
+    """Table of the names in each file order (case, orders, sets with counts), and the bar; answers stay sealed."""
     said = {name: orders_said(folder, name) for name in read_manifest(folder).cases}
     told = {name: sets for name, sets in said.items() if sets}
     words = {

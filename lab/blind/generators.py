@@ -282,7 +282,7 @@ def thermal_drift(angle: Vec, scene: Scene, size: float, shape: Shape) -> Vec:
     between(**{"yield": (0.1, 0.35), "exponent": (1.3, 2.0), "rate_per_s": (3.0, 12.0)}),
 )
 def plastic_set(angle: Vec, scene: Scene, size: float, shape: Shape) -> Vec:
-    """Set by viscoplastic flow with hardening beyond a yield bend, about `size` [deg]; it heals between trials."""
+    """Plastic set by viscoplastic flow with hardening beyond a yield bend, about `size` [deg], new in each trial."""
     bend, out = np.maximum.accumulate(scene.unit(angle)), np.empty(angle.size)
     plastic(bend, FINE_S, shape["yield"], shape["exponent"], shape["rate_per_s"], out)
     return angle + size * out / max(1 - shape["yield"], 0.05)

@@ -1,4 +1,4 @@
-"""Motions of the study: three minutes of commands to identify from, and fresh references to follow."""
+"""Motions of the study: three minutes of commands for identification, and new references for tracking."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _QUICK = 0.25  # of the full length
 
 
 def recordings(plant: DrawnPlant, quick: bool = False) -> tuple[Trial, ...]:
-    """Trials of three minutes in all at the device's rate, each from the rest after a reset.
+    """Trials of three minutes in total at the device's rate, each from the rest after a reset.
 
     Steps and ramps with holds, one long hold, slow, middling and fast sines, and reversals at random.
     """
@@ -31,7 +31,7 @@ def recordings(plant: DrawnPlant, quick: bool = False) -> tuple[Trial, ...]:
 
 
 def _recorded(plant: DrawnPlant, motion: Trajectory, name: str) -> Trial:
-    """Command and the angle measured at the end of the sample over which it was held; it ends with a way back to rest.
+    """Command within its rate limit and the angle at the end of its sample, with a final return to rest.
 
     The command keeps to the limit of its speed.
     """
@@ -47,7 +47,7 @@ def _recorded(plant: DrawnPlant, motion: Trajectory, name: str) -> Trial:
 
 
 def fresh_motions(plant: DrawnPlant, quick: bool = False) -> tuple[CountedMotion, ...]:
-    """Point to point with holds, a scan and a fast scan, over ranges drawn within what the device reaches."""
+    """Point to point with holds, a scan and a fast scan, over random ranges within the reachable angles."""
     random = np.random.default_rng([plant.device.seed, 2])
     speed = _SLOPE_SHARE * _speed(plant)
     moves, scan_s = (1, 0.0) if quick else (5, 10.0)

@@ -1,4 +1,4 @@
-"""Verdict on a case: commands within limits, way to the safe state, log, what the user saw."""
+"""Verdict on a case: commands within limits, return to the safe state, log, messages to the user."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ class FaultVerdict:
 
     @property
     def failures(self) -> tuple[str, ...]:
-        """Requirements that are not met, in words."""
+        """Violated requirements, in words."""
         found = {
             f"{self.got} instead of {self.expected}": self.got != self.expected,
             f"{self.beyond} commands beyond the limits": self.beyond != 0,
@@ -69,12 +69,12 @@ class FaultVerdict:
 
     @property
     def passed(self) -> bool:
-        """Whether everything is as it has to be."""
+        """Whether all requirements are met."""
         return not self.failures
 
 
 def judge(case: FaultCase, played: Played) -> FaultVerdict:
-    """The row of a case."""
+    """Judge a case; return its row."""
     rows = device_log(played.folder)
     received = [(row[0], row[2]) for row in rows if math.isfinite(row[2])]
     log, beyond = _log(played.folder / "run", case)
@@ -108,7 +108,7 @@ def _ending(case: FaultCase, played: Played, commands: int) -> str:
 
 
 def _latched(folder: Path) -> str:
-    """The cause of the stop that is latched, empty where none is."""
+    """Cause of the latched stop, empty without one."""
     try:
         return str(json.loads((folder / "latched.json").read_text(encoding="utf-8"))["cause"])
     except (OSError, ValueError, KeyError):
@@ -141,7 +141,7 @@ def _safe_s(case: FaultCase, played: Played, rows: Rows, received: Sequence[tupl
 
 
 def _rise_mm(case: FaultCase, played: Played, rows: Rows, received: Sequence[tuple[float, float]]) -> float:
-    """Greatest distance from the safe command since the controller had to detect the fault."""
+    """Greatest distance from the safe command after the latest time of detection by the controller."""
     if case.expected in ("goes on", "refuses") or case.device_gone or not received:
         return math.nan
     since = _fault_ns(case, played, received) + 1e9 * (case.notice_s + IN_FLIGHT_S)
@@ -152,7 +152,7 @@ def _rise_mm(case: FaultCase, played: Played, rows: Rows, received: Sequence[tup
 
 
 def rise(distances: Sequence[float]) -> float:
-    """The greatest increase of a distance above its least value so far, in its unit."""
+    """Greatest increase of a distance above its minimum so far, in its unit."""
     least, greatest = math.inf, 0.0
     for distance in distances:
         least = min(least, distance)
@@ -214,7 +214,7 @@ def _wholeness(folder: Path, case: FaultCase, sources: Sequence[str], sequence: 
 
 
 def _seen(said: str) -> str:
-    """The most important line for the operator."""
+    """Most important line for the operator."""
     lines = [line.strip() for line in said.splitlines() if line.strip()]
     for start in ("error:", "stopped:"):
         for line in lines:

@@ -119,9 +119,8 @@ class Anchor:
     def judge(self, seen: Observation, boot_ns: int) -> bool:
         """Whether a command may be sent in this sample.
 
-        `moved` is then, in the first sample after a gap, the report that the device holds another command than the sent
-        one; `given_up` the reason for which nothing will be sent any more. `boot_ns` is the time now, suspension
-        included [ns].
+        In the first sample after a gap, `moved` reports a held command other than the sent one. `given_up` is the
+        reason for which no further command is sent. `boot_ns` is the present time, suspension included [ns].
         """
         self._reports_held = self._reports_held or math.isfinite(seen.held)
         self._judged_ns = boot_ns
