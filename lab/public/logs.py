@@ -38,7 +38,10 @@ _NAME = re.compile(r"(.+)_([0-9.]+)bar")
 
 @final
 class SealData(PublicData):
-    """Each file alone, its last strokes withheld; of a seal of several pressures the highest one, or a test file."""
+    """Seal friction: each file alone with its last strokes held out, or other pressures or files as the test.
+
+    For a seal of several pressures the highest one, or a test file, is predicted.
+    """
 
     title = "Friction of the seals of pneumatic pistons"
     about = """The displacement of a piston in mm to the force at its rod in N, ten strokes a file at a constant
@@ -84,7 +87,7 @@ def _seal_log(path: Path) -> list[Trial]:
 
 
 def half_height(trials: Sequence[Trial]) -> float:
-    """Half the distance of the branches at the middle of the stroke [N]: the friction force."""
+    """Half the distance of the branches at the middle of the stroke [N], which is the friction force."""
     command = np.concatenate([trial.command for trial in trials])
     middle = 0.5 * float(command.max() + command.min())
     rise, fall = (np.polyval(branch(trials, way, rises=False), middle) for way in (Motion.LOADING, Motion.UNLOADING))
@@ -92,7 +95,7 @@ def half_height(trials: Sequence[Trial]) -> float:
 
 
 def _strokes(path: Path, parts: Sequence[Trial]) -> Case:
-    """The first strokes of a file fitted, the last scored."""
+    """Case with the first strokes of a file for the fit, and the last for the score."""
     seen, left = withheld_end(parts, _SEEN_STROKES, "last strokes")
     facts = {"friction [N]": half_height(parts), "spread of the force [N]": _spread(parts)}
     return Case(path.stem, seen, left, facts)
@@ -122,7 +125,7 @@ def _pressures(logs: Mapping[Path, Sequence[Trial]], own: Sequence[Path], test: 
 
 
 def _centred(parts: Sequence[Trial]) -> list[Trial]:
-    """Less the mean of all parts."""
+    """Values minus the mean of all parts."""
     mean = float(np.concatenate([part.angle for part in parts]).mean())
     return [replace(part, angle=part.angle - mean) for part in parts]
 
@@ -144,7 +147,7 @@ _SEEN_OF_RIG = 2 / 3
 
 @final
 class RigData(PublicData):
-    """Each log alone: its first two thirds are fitted, its last third is scored, and every test file whole."""
+    """Fatigue rig: the first two thirds of each log for the fit, its last third and every test file for the score."""
 
     title = "A fatigue rig"
     about = """A beam in a hydraulic rig: the voltage of the valve in V to the displacement in mm, at 25 Hz. The first

@@ -1,4 +1,4 @@
-"""`hystmpc study`: the jobs of one of the studies, its bars, and what failed."""
+"""Verb `hystmpc study`: the jobs of one of the studies, its bars, and its failures."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 
 class Name(StrEnum):
-    """The studies there are."""
+    """Names of the studies."""
 
     S1 = "s1"
     S2 = "s2"
@@ -116,11 +116,7 @@ def study(
 
 
 def _used(name: Name, given: Mapping[str, Any]) -> dict[str, Any]:
-    """The options of a study.
-
-    Raises:
-        ConfigError: on one that it has no use for.
-    """
+    """Options of a study; `ConfigError` on one without an effect."""
     for option, value in given.items():
         if option not in _OPTIONS[name] and value not in (None, (), []):
             unused = option.removesuffix("_hz").replace("_", "-")
@@ -129,14 +125,14 @@ def _used(name: Name, given: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _listed(name: str) -> Study[Any, Any, Any]:
-    """A study by its name, imported when it is asked for: its libraries are slow to load."""
+    """Study of that name, imported on demand, since its libraries are slow to load."""
     if name in _PAPERS:
         return cast("Study[Any, Any, Any]", import_module("hystmpc_lab.papers.study").STUDIES[name])
     return cast("Study[Any, Any, Any]", import_module(f"hystmpc_lab.{name}.study").STUDY)
 
 
 def _completed(begun: BegunStudy[Any, Any, Any], name: str, workers: int) -> Outcome[Any, Any]:
-    """Do the open jobs of a study: the time it will take, a bar with the time left, and what failed.
+    """Execute the open jobs of a study with a progress bar, and report failures; Ctrl-C exits with code 130.
 
     Raises:
         typer.Exit: with 130 if the user ended it.
@@ -156,11 +152,7 @@ def _completed(begun: BegunStudy[Any, Any, Any], name: str, workers: int) -> Out
 
 
 def _over_devices(changes: dict[str, Any], folder: Path, workers: int) -> None:
-    """The study on the logs of each device in a separate folder, then the tables over all devices.
-
-    Raises:
-        ConfigError: without a list of devices, or with a wrong one; if a folder holds something else.
-    """
+    """Execute the study on the logs of each device in a separate folder, then write the tables over all devices."""
     from ..papers.real import device_settings, kinds_report
 
     file = changes.pop("data")
@@ -188,11 +180,7 @@ def _show(one: StudyTable, digits: int) -> None:
 
 
 def _rates(text: str | None) -> tuple[float, ...]:
-    """Rates between commas [Hz].
-
-    Raises:
-        ConfigError: if one is not a number.
-    """
+    """Rates of a comma-separated text [Hz]; `ConfigError` if one is not a number."""
     numbers = []
     for part in _names(text):
         try:
@@ -203,5 +191,5 @@ def _rates(text: str | None) -> tuple[float, ...]:
 
 
 def _names(text: str | None) -> tuple[str, ...]:
-    """Names between commas."""
+    """Names of a comma-separated text."""
     return tuple(name.strip() for name in (text or "").split(",") if name.strip())
